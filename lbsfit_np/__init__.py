@@ -1,0 +1,39 @@
+"""Fit rigged meshes to point clouds: joint angles, a registered mesh and part labels. NumPy, SciPy, scikit-learn, trimesh."""
+
+import importlib
+
+__version__ = "0.1.0"
+
+# Public names and where they live; loaded on first use, so that importing the package stays fast.
+_HOMES = {
+    "Rig": "rig.rig",
+    "load_rig": "io.rigs",
+    "Scan": "scan",
+    "load_scan": "io.scans",
+    "losses": None,
+    "synthesize": "synthesis",
+    "LBSFitter": "learning.fitter",
+    "fit_scan": "learning.fitter",
+    "FitResult": "fitting.result",
+    "LbsfitError": "errors",
+    "InputError": "errors",
+    "FileError": "errors",
+    "MissingExtraError": "errors",
+}
+
+__all__ = ["__version__", *_HOMES]
+
+
+def __getattr__(name):
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home = _HOMES[name]
+    if home is None:
+        return importlib.import_module(f".{name}", __name__)
+    value = getattr(importlib.import_module(f".{home}", __name__), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__():
+    return sorted([*globals(), *_HOMES])

@@ -1,0 +1,48 @@
+"""The errors that users see: each says what was wrong, what came, what was expected, and what to do."""
+
+__all__ = ["LbsfitError", "InputError", "FileError", "MissingExtraError"]
+
+
+class LbsfitError(Exception):
+    """Base class of every error that this package raises on purpose."""
+
+
+class InputError(LbsfitError, ValueError):
+    """An argument that cannot be used.
+
+    Parameters
+    ----------
+    argument : str
+        Name of the argument, field or option.
+    got : str
+        What came, in words.
+    expected : str
+        What would have been right.
+    remedy : str, optional
+        What to do about it.
+    """
+
+    def __init__(self, argument, got, expected, remedy=None):
+        self.argument, self.got, self.expected, self.remedy = argument, got, expected, remedy
+        super().__init__(f"{argument}: got {got}; expected {expected}." + (f" {remedy}" if remedy else ""))
+
+    def __reduce__(self):
+        return type(self), (self.argument, self.got, self.expected, self.remedy)
+
+
+class FileError(InputError):
+    """A file that is missing, of an unknown kind, broken, or unsafe to read.
+
+    ``argument`` is the path as the user gave it.
+    """
+
+
+class MissingExtraError(LbsfitError, ImportError):
+    """An optional dependency that is not installed; names the extra that brings it."""
+
+    def __init__(self, module, extra, what):
+        self.module, self.extra, self.what = module, extra, what
+        super().__init__(f"{what} needs {module}, which is not installed; run: python -m pip install 'lbsfit_np[{extra}]'")
+
+    def __reduce__(self):
+        return type(self), (self.module, self.extra, self.what)

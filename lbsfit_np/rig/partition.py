@@ -1,0 +1,66 @@
+"""Partitions: which part of the body each joint and each vertex belongs to, at a chosen granularity."""
+
+import numpy as np
+
+from ..errors import InputError
+
+__all__ = ["parts_of_joints", "vertex_parts"]
+
+
+def parts_of_joints(rig):
+    """Part names and the part of every joint, at the rig's granularity.
+
+    A joint that the partition does not name belongs to the part of its nearest named ancestor; "joints" names every
+    moving joint. Parts that lead no vertex (argmax_j w_ij never falls on their joints) do not exist.
+
+    Returns
+    -------
+    names : tuple of str
+    part_of_joint : (J,) int array
+    """
+    if rig.granularity == "joints" and "joints" not in rig.partitions:
+        groups = {rig.joint_names[j]: (rig.joint_names[j],) for j in np.flatnonzero(rig.moving)}
+    else:
+        groups = rig.partitions[rig.granularity]
+    row = {name: j for j, name in enumerate(rig.joint_names)}
+    part = np.full(len(rig.parents), -1)
+    for p, members in enumerate(groups.values()):
+        part[[row[n] for n in members]] = p
+    for level, up in rig.levels:
+        part[level] = np.where(part[level] < 0, part[up], part[level])
+    leads = np.unique(_leading_joint(rig))
+    homeless = [rig.joint_names[j] for j in leads if part[j] < 0]
+    if homeless:
+        raise InputError(
+            f"partition {rig.granularity!r}",
+            f"no part for the vertices of {', '.join(homeless[:5])}",
+            "every joint that leads vertices in a part, by itself or by an ancestor",
+            "Add the root joint to one of the parts.",
+        )
+    used = np.unique(part[leads])
+    renumber = np.full(len(groups), -1)
+    renumber[used] = np.arange(len(used))
+    names = list(groups)
+    part = np.where(part >= 0, renumber[np.maximum(part, 0)], -1)
+    root_part = part[leads[0]]
+    for level, up in rig.levels:  # joints of parts without vertices: hand them to the nearest ancestor's part
+        part[level] = np.where(part[level] < 0, part[up], part[level])
+    part = np.where(part < 0, root_part, part)
+    part.flags.writeable = False
+    return tuple(names[p] for p in used), part
+
+
+def vertex_parts(rig):
+    """(m,) int: the part of each vertex, from the joint with its largest weight."""
+    labels = rig.part_of_joint[_leading_joint(rig)]
+    labels.flags.writeable = False
+    return labels
+
+
+def _leading_joint(rig):
+    """(m,) int: argmax_j w_ij, the lowest row on ties."""
+    w = rig.weights
+    lead = np.empty(w.shape[0], dtype=int)
+    order = np.lexsort((w.indices, -w.data, np.repeat(np.arange(w.shape[0]), np.diff(w.indptr))))
+    lead[:] = w.indices[order[w.indptr[:-1]]]
+    return lead

@@ -1,0 +1,270 @@
+"""Rig: the template mesh, skinning weights, joint hierarchy and joint limits, validated and immutable."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from ..errors import InputError
+from .partition import parts_of_joints, vertex_parts
+from .weld import weld_map
+
+__all__ = ["Rig"]
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Rig:
+    """An artist's rig, checked and immutable. Get one from ``load_rig`` or ``rig.build.build_rig``.
+
+    All lengths are in the rig's own unit and frame. Arrays over joints keep the source's rows and order.
+
+    Attributes
+    ----------
+    name : str
+    vertices : (m, 3) array
+        U, the template in the rest pose.
+    faces : (F, 3) int array
+    weights : (m, J) sparse csr_array
+        Skinning weights w, rows sum to 1; a merged joint's weights stand in its parent's column.
+    parents : (J,) int array
+        K, the joint hierarchy; −1 for the root.
+    joint_names : tuple of str
+    joints : (J, 3) array
+        Joint positions in the rest pose.
+    frames : (J, 3, 3) array
+        Rest frames: the columns are the axes, in the rig's frame, that the joint's angles turn about.
+    lower, upper : (J, 3) arrays
+        (R_l, R_u), joint-angle limits in radians about the rest frame's axes; 0, 0 for locked and merged joints.
+        The root's serve for sampling poses only: a fit leaves the root unbounded.
+    regressor : (J, m) sparse csr_array
+        Joint regressor R, rows sum to 1, R U = J.
+    merged, locked : (J,) bool arrays
+        Merged joints have given their weights to their parents; locked joints keep their weights but never turn.
+    partitions : mapping of str to mapping of str to tuple of str
+        Named granularities: partition → part → joint names. "joints" (one part per moving joint) always exists.
+    granularity : str
+        The partition in use; ``parts`` and labels refer to it.
+    metres_per_unit : float or None
+    up, forward : str or None
+        Such as "+y"; None where unknown.
+    notes : tuple of str
+        Anomalies met while reading and what was done about them.
+    """
+
+    name: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    weights: sparse.csr_array
+    parents: np.ndarray
+    joint_names: tuple
+    joints: np.ndarray
+    frames: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    regressor: sparse.csr_array
+    merged: np.ndarray
+    locked: np.ndarray
+    partitions: Mapping = field(default_factory=dict)
+    granularity: str = "joints"
+    metres_per_unit: float | None = None
+    up: str | None = None
+    forward: str | None = None
+    notes: tuple = ()
+
+    def __post_init__(self):
+        for value in self.__dict__.values():
+            if isinstance(value, np.ndarray):
+                value.flags.writeable = False
+
+    # ---- derived, computed once ----
+
+    @cached_property
+    def root(self):
+        """Row of the root joint."""
+        return int(np.flatnonzero(self.parents < 0)[0])
+
+    @cached_property
+    def levels(self):
+        """The joints below the root by depth: a tuple of (rows, rows of their parents), top down."""
+        depth = np.zeros(len(self.parents), dtype=int)
+        for j in range(len(self.parents)):
+            k = j
+            while self.parents[k] >= 0:
+                depth[j] += 1
+                k = self.parents[k]
+        rows = [np.flatnonzero(depth == d) for d in range(1, depth.max() + 1)]
+        return tuple((r, self.parents[r]) for r in rows)
+
+    @cached_property
+    def moving(self):
+        """(J,) bool: the unlocked joints, which are the root and every joint with room between its limits."""
+        moving = np.any(self.upper > self.lower, axis=1) & ~self.merged & ~self.locked
+        moving[self.root] = True
+        return moving
+
+    @cached_property
+    def size(self):
+        """Longest side of the rest pose's bounding box, in rig units."""
+        return float(np.ptp(self.vertices, axis=0).max())
+
+    @cached_property
+    def weights_transposed(self):
+        return sparse.csr_array(self.weights.T)
+
+    @cached_property
+    def regressor_transposed(self):
+        return sparse.csr_array(self.regressor.T)
+
+    @cached_property
+    def _parts(self):
+        return parts_of_joints(self)
+
+    @property
+    def parts(self):
+        """Names of the parts; labels index this tuple."""
+        return self._parts[0]
+
+    @property
+    def part_of_joint(self):
+        """(J,) int: the part that a vertex led by joint j belongs to."""
+        return self._parts[1]
+
+    @cached_property
+    def vertex_labels(self):
+        """(m,) int: each vertex's part, argmax_j w_ij mapped to the granularity in use."""
+        return vertex_parts(self)
+
+    @cached_property
+    def weld(self):
+        """(m,) int: row of ``welded`` that each vertex becomes once duplicates at seams are joined."""
+        return weld_map(self.vertices, self.weights)
+
+    @cached_property
+    def welded(self):
+        """The same rig with duplicate vertices joined (itself where there are none); the fit works on this one."""
+        return weld_rig(self)
+
+    @cached_property
+    def digest(self):
+        """Hex digest of all that a segmenter or a fit depends on: geometry, weights, hierarchy, limits, parts."""
+        h = hashlib.sha256()
+        for a in (self.vertices, self.faces, self.parents, self.joints, self.frames, self.lower, self.upper):
+            h.update(np.ascontiguousarray(np.round(a, 12) if a.dtype.kind == "f" else a.astype(np.int64)).tobytes())
+        w = self.weights.tocoo()
+        h.update(np.ascontiguousarray(np.stack([w.row, w.col]).astype(np.int64)).tobytes())
+        h.update(np.round(w.data, 12).tobytes())
+        h.update("\0".join(self.joint_names + self.parts).encode())
+        h.update(self.part_of_joint.astype(np.int64).tobytes())
+        return h.hexdigest()
+
+    # ---- what people do with a rig ----
+
+    def pose(self, theta, translation=None, scale=1.0, offsets=None, *, joints="follow"):
+        """scale · M(Θ, U + offsets) + translation.
+
+        Parameters
+        ----------
+        theta : (J, 3) array
+            Rotation vectors in the joints' rest frames, radians; Θ = 0 is the rest pose.
+        translation : (3,) array, optional
+        scale : float, default 1
+        offsets : (m, 3) array, optional
+            In rig units.
+        joints : {"follow", "fixed"}, default "follow"
+
+        Returns
+        -------
+        (m, 3) array
+        """
+        return self._posed(theta, translation, scale, offsets, joints).vertices
+
+    def pose_joints(self, theta, translation=None, scale=1.0, offsets=None, *, joints="follow"):
+        """Posed joint positions, (J, 3); arguments as in :meth:`pose`."""
+        return self._posed(theta, translation, scale, offsets, joints).joints
+
+    def _posed(self, theta, translation, scale, offsets, joints):
+        from ..skinning import JOINT_MODES, skin
+
+        theta = _array("theta", theta, self.lower.shape)
+        if translation is not None:
+            translation = _array("translation", translation, (3,))
+        if offsets is not None:
+            offsets = _array("offsets", offsets, self.vertices.shape)
+        if not (np.isscalar(scale) and np.isfinite(scale) and scale > 0):
+            raise InputError("scale", repr(scale), "a positive number")
+        if joints not in JOINT_MODES:
+            raise InputError("joints", repr(joints), " or ".join(map(repr, JOINT_MODES)))
+        return skin(self, theta, translation=translation, scale=scale, offsets=offsets, joints=joints)
+
+    def with_parts(self, granularity):
+        """The same rig with another of its partitions in use."""
+        known = ["joints", *(n for n in self.partitions if n != "joints")]
+        if granularity not in known:
+            raise InputError("parts", repr(granularity), f"one of {', '.join(known)}", "Name further partitions in the rig's card.")
+        return replace(self, granularity=granularity)
+
+    def with_template(self, vertices, joints=None):
+        """The same rig on a changed template U^d.
+
+        Parameters
+        ----------
+        vertices : (m, 3) array
+            U^d, same vertices in the same order.
+        joints : (J, 3) array, optional
+            Its joint positions; by default the regressor's, J + R (U^d − U).
+        """
+        from .regressor import exact_regressor
+
+        vertices = _array("vertices", vertices, self.vertices.shape)
+        moved = self.joints + self.regressor @ (vertices - self.vertices)
+        joints = moved if joints is None else _array("joints", joints, self.joints.shape)
+        return replace(self, vertices=vertices, joints=joints, regressor=exact_regressor(self.regressor, vertices, joints))
+
+    def scaled(self, factor):
+        """The same rig in another unit: all lengths times ``factor``."""
+        unit = None if self.metres_per_unit is None else self.metres_per_unit / factor
+        return replace(self, vertices=self.vertices * factor, joints=self.joints * factor, metres_per_unit=unit)
+
+    def save(self, path):
+        """Write the rig as the package's own NPZ (no pickle); ``load_rig`` reads it back."""
+        from ..io.npz_rig import save_rig
+
+        save_rig(self, path)
+
+
+def weld_rig(rig):
+    """A rig on the distinct vertices of ``rig``: faces renumbered, degenerate ones dropped, weights averaged."""
+    weld = rig.weld
+    n = int(weld.max()) + 1
+    if n == len(weld):
+        return rig
+    m = len(weld)
+    member = sparse.csr_array((np.ones(m), (weld, np.arange(m))), shape=(n, m))
+    counts = np.bincount(weld, minlength=n)
+    mean = sparse.diags_array(1.0 / counts) @ member
+    first = np.full(n, m)
+    np.minimum.at(first, weld, np.arange(m))
+    faces = weld[rig.faces]
+    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
+    return replace(
+        rig,
+        vertices=rig.vertices[first],
+        faces=faces,
+        weights=sparse.csr_array(mean @ rig.weights),
+        regressor=sparse.csr_array(rig.regressor @ sparse.csr_array(member.T)),
+    )
+
+
+def _array(argument, value, shape):
+    try:
+        a = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(argument, type(value).__name__, f"an array of numbers of shape {shape}") from None
+    if a.shape != tuple(shape):
+        raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}")
+    if not np.isfinite(a).all():
+        raise InputError(argument, f"{int((~np.isfinite(a)).sum())} values that are NaN or infinite", "finite numbers")
+    return a

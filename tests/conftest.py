@@ -1,0 +1,16 @@
+"""Fixtures shared by all tests."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+
+@pytest.fixture(scope="session")
+def shared_rigs():
+    """The folder of real rigs, poses and motion; absent on a user's machine."""
+    named = os.environ.get("LBSFIT_SHARED_RIGS")
+    folder = Path(named) if named else Path(__file__).resolve().parents[2] / "shared" / "rigs"
+    if not folder.is_dir():
+        pytest.skip("the folder of real rigs is not here (set LBSFIT_SHARED_RIGS to where it is)")
+    return folder
