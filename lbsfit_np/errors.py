@@ -1,6 +1,8 @@
 """The errors that users see: each says what was wrong, what came, what was expected, and what to do."""
 
-__all__ = ["LbsfitError", "InputError", "FileError", "MissingExtraError"]
+import numpy as np
+
+__all__ = ["LbsfitError", "InputError", "FileError", "MissingExtraError", "check_array"]
 
 
 class LbsfitError(Exception):
@@ -46,3 +48,16 @@ class MissingExtraError(LbsfitError, ImportError):
 
     def __reduce__(self):
         return type(self), (self.module, self.extra, self.what)
+
+
+def check_array(argument, value, shape):
+    """``value`` as a finite float array of a given shape, or an InputError that names ``argument``."""
+    try:
+        a = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError(argument, type(value).__name__, f"an array of numbers of shape {shape}") from None
+    if a.shape != tuple(shape):
+        raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}")
+    if not np.isfinite(a).all():
+        raise InputError(argument, f"{int((~np.isfinite(a)).sum())} values that are NaN or infinite", "finite numbers")
+    return a

@@ -49,7 +49,7 @@ class Posed:
     blended: np.ndarray  # (m, 12) Σ_j w_ij [A_j − I | P_j − A_j J_j]
 
 
-def skin(rig, theta, *, translation=None, scale=1.0, offsets=None, joints="follow"):
+def skin(rig, theta, *, translation=None, scale=1.0, offsets=None, joint_offsets=None, joints="follow"):
     """Pose the template: vertices = scale · M(Θ, U + offsets) + translation.
 
     Parameters
@@ -62,6 +62,8 @@ def skin(rig, theta, *, translation=None, scale=1.0, offsets=None, joints="follo
     scale : float, default 1
     offsets : (m, 3) array, optional
         Template offsets U^d − U in rig units; default 0.
+    joint_offsets : (J, 3) array, optional
+        Where the caller knows how the joints move with the template; then the regressor is not asked.
     joints : {"follow", "fixed"}, default "follow"
         Whether joints move with a changed template (J = R U^d) or keep the rig's positions, as in the paper.
 
@@ -71,8 +73,10 @@ def skin(rig, theta, *, translation=None, scale=1.0, offsets=None, joints="follo
         Not validated: arguments are trusted. ``Rig.pose`` is the checked door.
     """
     J = len(rig.parents)
-    follow = joints == "follow"
+    follow = joints == "follow" and joint_offsets is None
     rest, rest_joints = rig.vertices, rig.joints
+    if joint_offsets is not None:
+        rest_joints = rest_joints + joint_offsets
     if offsets is not None:
         rest = rest + offsets
         if follow:
@@ -102,7 +106,9 @@ class SkinGradient:
     theta: np.ndarray  # (J, 3)
     translation: np.ndarray  # (3,)
     scale: float
-    offsets: np.ndarray  # (m, 3), which is the gradient to U as well
+    vertices: np.ndarray  # (m, 3), to U + offsets with the rest joints held
+    rest_joints: np.ndarray  # (J, 3), to the rest joint positions
+    offsets: np.ndarray  # (m, 3), to the offsets, through the joint regressor too where joints follow
 
 
 def skin_adjoint(posed, grad_vertices, grad_joints=None):
@@ -158,8 +164,7 @@ def skin_adjoint(posed, grad_vertices, grad_joints=None):
     g_omega = np.einsum("jab,ja->jb", left_jacobian(posed.omega), axial)
     g_theta = np.einsum("jab,ja->jb", rig.frames, g_omega)
 
-    g_offsets = g + np.einsum("iab,ia->ib", posed.blended[:, :9].reshape(m, 3, 3), g)
-    if posed.follow:
-        g_offsets += rig.regressor_transposed @ g_rest_joints
-    return SkinGradient(g_theta, g_translation, g_scale, g_offsets)
+    g_rest = g + np.einsum("iab,ia->ib", posed.blended[:, :9].reshape(m, 3, 3), g)
+    g_offsets = g_rest + rig.regressor_transposed @ g_rest_joints if posed.follow else g_rest
+    return SkinGradient(g_theta, g_translation, g_scale, g_rest, g_rest_joints, g_offsets)
 

@@ -14,3 +14,11 @@ def shared_rigs():
     if not folder.is_dir():
         pytest.skip("the folder of real rigs is not here (set LBSFIT_SHARED_RIGS to where it is)")
     return folder
+
+
+@pytest.fixture(scope="session")
+def tube_rig():
+    """A small watertight rig of four joints; see ``small_rigs.py``. Rigs are immutable, so that all tests share it."""
+    from small_rigs import make_tube_rig
+
+    return make_tube_rig()

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..errors import InputError
 
-__all__ = ["parts_of_joints", "vertex_parts"]
+__all__ = ["leading_joint", "parts_of_joints", "vertex_parts"]
 
 
 def parts_of_joints(rig):
@@ -28,7 +28,7 @@ def parts_of_joints(rig):
         part[[row[n] for n in members]] = p
     for level, up in rig.levels:
         part[level] = np.where(part[level] < 0, part[up], part[level])
-    leads = np.unique(_leading_joint(rig))
+    leads = np.unique(leading_joint(rig))
     homeless = [rig.joint_names[j] for j in leads if part[j] < 0]
     if homeless:
         raise InputError(
@@ -52,12 +52,12 @@ def parts_of_joints(rig):
 
 def vertex_parts(rig):
     """(m,) int: the part of each vertex, from the joint with its largest weight."""
-    labels = rig.part_of_joint[_leading_joint(rig)]
+    labels = rig.part_of_joint[leading_joint(rig)]
     labels.flags.writeable = False
     return labels
 
 
-def _leading_joint(rig):
+def leading_joint(rig):
     """(m,) int: argmax_j w_ij, the lowest row on ties."""
     w = rig.weights
     lead = np.empty(w.shape[0], dtype=int)

@@ -8,8 +8,9 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError
+from ..errors import InputError, check_array
 from .partition import parts_of_joints, vertex_parts
+from .proportions import proportions
 from .weld import weld_map
 
 __all__ = ["Rig"]
@@ -76,8 +77,17 @@ class Rig:
 
     def __post_init__(self):
         for value in self.__dict__.values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+            arrays = (value.data, value.indices, value.indptr) if sparse.issparse(value) else (value,)
+            for array in arrays:
+                if isinstance(array, np.ndarray):
+                    array.flags.writeable = False
+
+    def __repr__(self):
+        m, J = self.weights.shape
+        return f"<Rig {self.name!r}: {m} vertices, {J} joints ({int(self.moving.sum())} moving), {len(self.parts)} parts>"
+
+    def __deepcopy__(self, memo):
+        return self  # immutable: a copy would be the same rig
 
     # ---- derived, computed once ----
 
@@ -148,6 +158,11 @@ class Rig:
         return weld_rig(self)
 
     @cached_property
+    def proportions(self):
+        """The linear family of templates with other bone lengths and thicknesses (``rig.proportions.Proportions``)."""
+        return proportions(self)
+
+    @cached_property
     def digest(self):
         """Hex digest of all that a segmenter or a fit depends on: geometry, weights, hierarchy, limits, parts."""
         h = hashlib.sha256()
@@ -188,11 +203,11 @@ class Rig:
     def _posed(self, theta, translation, scale, offsets, joints):
         from ..skinning import JOINT_MODES, skin
 
-        theta = _array("theta", theta, self.lower.shape)
+        theta = check_array("theta", theta, self.lower.shape)
         if translation is not None:
-            translation = _array("translation", translation, (3,))
+            translation = check_array("translation", translation, (3,))
         if offsets is not None:
-            offsets = _array("offsets", offsets, self.vertices.shape)
+            offsets = check_array("offsets", offsets, self.vertices.shape)
         if not (np.isscalar(scale) and np.isfinite(scale) and scale > 0):
             raise InputError("scale", repr(scale), "a positive number")
         if joints not in JOINT_MODES:
@@ -218,9 +233,9 @@ class Rig:
         """
         from .regressor import exact_regressor
 
-        vertices = _array("vertices", vertices, self.vertices.shape)
+        vertices = check_array("vertices", vertices, self.vertices.shape)
         moved = self.joints + self.regressor @ (vertices - self.vertices)
-        joints = moved if joints is None else _array("joints", joints, self.joints.shape)
+        joints = moved if joints is None else check_array("joints", joints, self.joints.shape)
         return replace(self, vertices=vertices, joints=joints, regressor=exact_regressor(self.regressor, vertices, joints))
 
     def scaled(self, factor):
@@ -239,32 +254,20 @@ def weld_rig(rig):
     """A rig on the distinct vertices of ``rig``: faces renumbered, degenerate ones dropped, weights averaged."""
     weld = rig.weld
     n = int(weld.max()) + 1
+    faces = weld[rig.faces]
+    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
     if n == len(weld):
-        return rig
+        return rig if proper.all() else replace(rig, faces=faces[proper])
     m = len(weld)
     member = sparse.csr_array((np.ones(m), (weld, np.arange(m))), shape=(n, m))
     counts = np.bincount(weld, minlength=n)
     mean = sparse.diags_array(1.0 / counts) @ member
     first = np.full(n, m)
     np.minimum.at(first, weld, np.arange(m))
-    faces = weld[rig.faces]
-    faces = faces[(faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])]
     return replace(
         rig,
         vertices=rig.vertices[first],
-        faces=faces,
+        faces=faces[proper],
         weights=sparse.csr_array(mean @ rig.weights),
         regressor=sparse.csr_array(rig.regressor @ sparse.csr_array(member.T)),
     )
-
-
-def _array(argument, value, shape):
-    try:
-        a = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(argument, type(value).__name__, f"an array of numbers of shape {shape}") from None
-    if a.shape != tuple(shape):
-        raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}")
-    if not np.isfinite(a).all():
-        raise InputError(argument, f"{int((~np.isfinite(a)).sum())} values that are NaN or infinite", "finite numbers")
-    return a

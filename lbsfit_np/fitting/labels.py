@@ -1,0 +1,82 @@
+"""Labels of scan points: the segmenter's probabilities, refined by the distance to the parts of a fitted mesh."""
+
+import numpy as np
+
+__all__ = ["refined_labels", "labels_from_mesh"]
+
+# A part that the segmenter excludes is not quite impossible: the fitted mesh may know better.
+_FLOOR = 1e-3
+
+
+def refined_labels(X, proba, V, v_labels, sigma):
+    """argmax_p (p_seg(p | x) + floor) · exp(−d_p(x)² / 2σ²), d_p the distance from x to the nearest vertex of part p.
+
+    Parameters
+    ----------
+    X : (n, 3) array
+    proba : (n, n_parts) array
+    V : (m, 3) array
+        Fitted vertices.
+    v_labels : (m,) int array
+    sigma : float
+        In units of X.
+
+    Returns
+    -------
+    (n,) int array
+    """
+    from scipy.spatial import cKDTree
+
+    score = np.full(proba.shape, -np.inf)
+    for p in range(proba.shape[1]):
+        part = V[v_labels == p]
+        if len(part):
+            d = cKDTree(part).query(X)[0]
+            score[:, p] = np.log(proba[:, p] + _FLOOR) - d**2 / (2 * sigma**2)
+    return score.argmax(axis=1)
+
+
+def labels_from_mesh(points, V, v_labels, n_parts, sigma, *, proba=None, proba_points=None, chunk=200_000):
+    """Labels with confidence for any number of points, from a fitted mesh and, where there are any, probabilities.
+
+    The eight nearest vertices vote with exp(−d² / 2σ²); the segmenter's probabilities at the nearest point that has
+    some multiply the votes.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    V : (m, 3) array
+    v_labels : (m,) int array
+    n_parts : int
+    sigma : float
+        In units of ``points``.
+    proba : (k, n_parts) array, optional
+    proba_points : (k, 3) array, optional
+    chunk : int
+        Points at a time, to bound memory.
+
+    Returns
+    -------
+    labels : (n,) int array
+    confidence : (n,) array
+        Share of the votes that the label has, in (0, 1].
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(V)
+    known = None if proba is None else cKDTree(proba_points)
+    k = min(8, len(V))
+    labels, confidence = np.empty(len(points), dtype=int), np.empty(len(points))
+    for start in range(0, len(points), chunk):
+        x = points[start : start + chunk]
+        d, near = tree.query(x, k=k)
+        d, near = d.reshape(len(x), k), near.reshape(len(x), k)
+        vote = np.exp(-(d**2 - d[:, :1] ** 2) / (2 * sigma**2))
+        score = np.zeros((len(x), n_parts))
+        np.add.at(score, (np.arange(len(x))[:, None], v_labels[near]), vote)
+        if known is not None:
+            score *= proba[known.query(x)[1]] + _FLOOR
+        best = score.argmax(axis=1)
+        labels[start : start + len(x)] = best
+        confidence[start : start + len(x)] = score[np.arange(len(x)), best] / score.sum(axis=1)
+    return labels, confidence

@@ -1,0 +1,111 @@
+"""FitResult: all that one fit found, immutable, saved without pickle."""
+
+import json
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import FileError
+
+__all__ = ["FitResult"]
+
+_FORMAT = 1
+_ARRAYS = ("pose", "translation", "offsets", "vertices", "joints", "labels", "confidence")
+_SCALARS = ("scale", "converged", "status", "message", "evaluations", "seconds", "rig_digest")
+
+
+@dataclass(frozen=True, eq=False)
+class FitResult:
+    """The fit of one scan. ``vertices = scale · M(Θ, U + offsets) + translation`` is ``rig.pose`` of its own fields.
+
+    Attributes
+    ----------
+    pose : (J, 3) array
+        Θ, rotation vectors in the joints' rest frames, radians; rows as in the rig.
+    translation : (3,) array
+        In the scan's unit and frame.
+    scale : float
+        Scan units in a rig unit.
+    offsets : (m, 3) array
+        U^d − U, in rig units.
+    vertices : (m, 3) array
+        The registered mesh in the scan's frame and unit: the rig's vertices in their order.
+    joints : (J, 3) array
+        Posed joint positions, in the scan's frame and unit.
+    labels : (n,) int array
+        Part of every scan point; indexes ``parts``.
+    confidence : (n,) array
+        Of each label, in [0, 1].
+    terms : dict of str to float
+        Loss terms at the end, in units where the template's longest half-extent is 1: "chamfer" L_{c²,λ}, "structured"
+        L_{s²,λ}, "laplacian" L_lap (each before its weight), "total" the weighted sum, "recon" √L_c(X, V^d).
+    converged : bool
+        Whether the last stage ended by its tolerance rather than by its iteration limit.
+    status : {"ok", "failed"}
+    message : str
+        The status in words.
+    evaluations : int
+        Evaluations of an objective, over all stages.
+    seconds : float
+    parts : tuple of str
+    rig_digest : str
+        ``Rig.digest`` of the rig.
+    """
+
+    pose: np.ndarray
+    translation: np.ndarray
+    scale: float
+    offsets: np.ndarray
+    vertices: np.ndarray
+    joints: np.ndarray
+    labels: np.ndarray
+    confidence: np.ndarray
+    terms: dict
+    converged: bool
+    status: str
+    message: str
+    evaluations: int
+    seconds: float
+    parts: tuple
+    rig_digest: str
+
+    def __post_init__(self):
+        for name in _ARRAYS:
+            getattr(self, name).flags.writeable = False
+
+    def save(self, path):
+        """Write as NPZ, atomically.
+
+        Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``vertices``, ``joints``, ``labels``,
+        ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``evaluations``, ``seconds``, ``rig_digest`` as
+        0-d arrays; ``parts`` as text; ``terms`` as JSON text; ``lbsfit_np_result``, the format's number.
+        """
+        from ..io.write import write_npz
+
+        arrays = {name: getattr(self, name) for name in _ARRAYS}
+        scalars = {name: np.array(getattr(self, name)) for name in _SCALARS}
+        write_npz(
+            path,
+            lbsfit_np_result=np.array(_FORMAT),
+            terms=np.array(json.dumps(self.terms)),
+            parts=np.array(self.parts),
+            **arrays,
+            **scalars,
+        )
+
+    @classmethod
+    def load(cls, path):
+        """Read what :meth:`save` wrote."""
+        try:
+            with np.load(path, allow_pickle=False) as z:
+                if int(z["lbsfit_np_result"]) != _FORMAT:
+                    raise FileError(str(path), f"result format {int(z['lbsfit_np_result'])}", f"format {_FORMAT}", "Fit again.")
+                fields = {name: z[name] for name in _ARRAYS}
+                fields.update({name: z[name].item() for name in _SCALARS})
+                return cls(terms=json.loads(str(z["terms"])), parts=tuple(z["parts"].tolist()), **fields)
+        except FileNotFoundError:
+            raise FileError(str(path), "no such file", "a result that was saved with FitResult.save") from None
+        except FileError:
+            raise
+        except Exception as error:  # zipfile, json, keys: whatever is wrong with it, it is not one of ours
+            raise FileError(str(path), f"a file that cannot be read ({error})", "a result that was saved with FitResult.save") from None

@@ -1,0 +1,214 @@
+"""The fit of one scan: starts, labels, pose by the structured term, then the full objective."""
+
+import time
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import InputError
+from ..losses.chamfer import chamfer
+from ..losses.objective import PRESETS, LossWeights
+from ..optimize.lbfgs import minimise
+from ..optimize.problem import Problem
+from ..seeds import generator
+from ..starts.parts import start_from_parts
+from ..starts.scale import reference_scale
+from .labels import labels_from_mesh, refined_labels
+from .result import FitResult
+
+__all__ = ["FitSettings", "fit_points"]
+
+# Pose stages look for the pose alone: the structured term leads, and the undeformed template's own term is not needed
+# before there are offsets.
+_STRUCTURED = LossWeights(chamfer=0.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
+_BOTH = LossWeights(chamfer=1.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
+
+
+@dataclass(frozen=True)
+class FitSettings:
+    """How a scan is fitted. Lengths in half sizes of the rig.
+
+    Attributes
+    ----------
+    weights : LossWeights
+        Of the full objective.
+    scale : {"estimate", "fixed"}
+    max_points : int
+        Points that take part in the optimisation; a larger scan is thinned by the seed.
+    pose_iterations, full_iterations : int
+        L-BFGS iterations of each pose stage and of the full stage.
+    refinements : tuple of float
+        σ of each refinement of the labels, each followed by a pose stage.
+    ridge : float
+        Weight of ‖c‖² on the bones' proportions.
+    """
+
+    weights: LossWeights = field(default_factory=lambda: PRESETS["default"])
+    scale: str = "estimate"
+    max_points: int = 2500
+    pose_iterations: int = 40
+    full_iterations: int = 60
+    refinements: tuple = (0.1, 0.07, 0.05, 0.035)
+    ridge: float = 1e-4
+
+
+def fit_points(model, points, *, segmenter=None, settings=None, theta0=None, labels=None, point_weights=None, random_state=None):
+    """Fit one scan.
+
+    Parameters
+    ----------
+    model : Model
+    points : (n, 3) array
+        Checked already.
+    segmenter : Segmenter, optional
+        Not needed with ``labels``.
+    settings : FitSettings, optional
+    theta0 : (J, 3) array, optional
+        A pose to start from instead of the searched ones.
+    labels : (n,) int array, optional
+        Known parts; they are kept as they are.
+    point_weights : (n,) array, optional
+    random_state : int or None
+
+    Returns
+    -------
+    FitResult
+    """
+    from threadpoolctl import threadpool_limits
+
+    started = time.perf_counter()
+    settings = settings or FitSettings()
+    with threadpool_limits(1):  # threads on arrays this small cost more than they give
+        return _fit(model, points, segmenter, settings, theta0, labels, point_weights, random_state, started)
+
+
+def _fit(model, points, segmenter, settings, theta0, labels, point_weights, random_state, started):
+    reference = reference_scale(points, model.source, settings.scale)
+    unit = reference.scale * model.half
+    rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
+    centre = points[rows].mean(axis=0)
+    X = (points[rows] - centre) / unit
+    a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
+    problem = Problem(X, a)
+    n_parts = len(model.source.parts)
+    if labels is None:
+        proba = segmenter.predict_proba(points[rows], scale=reference.scale)
+    else:
+        proba = np.eye(n_parts)[labels[rows]]
+
+    search = _Search(model, problem, proba, labels is not None, settings)
+    search.start(theta0)
+    search.refine()
+    last = search.full()
+
+    state, place = last.state, (unit, centre)
+    Vd, _ = model.pose(state)
+    vertices = Vd.vertices * unit + centre
+    evaluation = problem.evaluate(model, state, settings.weights, search.labels)
+    terms = dict(evaluation.terms, total=evaluation.value, recon=float(np.sqrt(chamfer(X, Vd.vertices, x_index=problem.x_index)[0])))
+    if labels is None:
+        final, confidence = labels_from_mesh(
+            points, vertices, model.labels, n_parts, settings.refinements[-1] * unit, proba=proba, proba_points=points[rows]
+        )
+    else:
+        final, confidence = labels.copy(), np.ones(len(points))
+    finite = bool(np.isfinite(vertices).all() and np.isfinite(evaluation.value))
+    return _result(model, state, place, terms, final, confidence, last, search.evaluations, reference.note, finite, started)
+
+
+class _Search:
+    """The stages of one fit, with the state, labels and count of evaluations that they pass on."""
+
+    def __init__(self, model, problem, proba, labels_known, settings):
+        self.model, self.problem, self.proba, self.settings = model, problem, proba, settings
+        self.labels_known = labels_known
+        self.labels = proba.argmax(axis=1)
+        self.free = ("pose", "translation") if settings.scale == "fixed" else ("pose", "translation", "scale")
+        self.state = None
+        self.evaluations = 0
+
+    def start(self, theta0):
+        """Several starts, each brought to its pose by the structured term; the one with the lowest Chamfer distance goes on."""
+        model, X = self.model.coarse, self.problem.X
+        if theta0 is not None:
+            given = self.model.rest().replace(theta=np.array(theta0, dtype=float))
+            starts = [start_from_parts(model, X, self.proba, state=given, free=("translation",))]
+        else:
+            starts = [start_from_parts(model, X, self.proba, x_weights=self.problem.x_weights)]
+        best = np.inf
+        for start in starts:
+            self.evaluations += start.evaluations
+            outcome = self._minimise(start.state, _STRUCTURED, ("pose", "translation"), model)
+            Vd, _ = model.pose(outcome.state)
+            score = chamfer(X, Vd.vertices, x_index=self.problem.x_index)[0]
+            if score < best:
+                best, self.state = score, outcome.state
+
+    def refine(self):
+        """Labels by probability and distance in turn with poses and proportions, ever closer."""
+        for sigma in self.settings.refinements:
+            self._relabel(sigma)
+            self.state = self._minimise(self.state, _BOTH, (*self.free, "proportions"), self.model.coarse).state
+
+    def full(self):
+        """The full objective over everything together."""
+        self._relabel(self.settings.refinements[-1])
+        free = (*self.free, "proportions", "residual")
+        return self._minimise(
+            self.state, self.settings.weights, free, self.model, max_iterations=self.settings.full_iterations, tolerance=1e-6
+        )
+
+    def _relabel(self, sigma):
+        if not self.labels_known:
+            Vd, _ = self.model.coarse.pose(self.state)
+            self.labels = refined_labels(self.problem.X, self.proba, Vd.vertices, self.model.coarse.labels, sigma)
+
+    def _minimise(self, state, weights, free, model, *, max_iterations=None, tolerance=1e-5):
+        outcome = minimise(
+            lambda s: self.problem.evaluate(model, s, weights, self.labels, ridge=self.settings.ridge),
+            state,
+            model.rig,
+            free,
+            max_iterations=max_iterations or self.settings.pose_iterations,
+            tolerance=tolerance,
+        )
+        self.evaluations += outcome.evaluations
+        return outcome
+
+
+def _thinned(n, point_weights, most, rng):
+    """Rows that take part: all, or as many as allowed; points of weight 0 never."""
+    rows = np.arange(n) if point_weights is None else np.flatnonzero(point_weights > 0)
+    if not len(rows):
+        raise InputError("point_weights", "all zeros", "at least one positive weight")
+    return rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
+
+
+def _result(model, state, place, terms, labels, confidence, last, evaluations, note, finite, started):
+    """The fit in the scan's frame and on the rig's original vertices."""
+    unit, centre = place
+    rig = model.source
+    scale = state.scale * unit / model.half
+    translation = state.translation * unit + centre
+    offsets = model.offsets(state)
+    offsets = np.zeros_like(rig.vertices) if offsets is None else offsets[rig.weld] * model.half
+    return FitResult(
+        pose=state.theta.copy(),
+        translation=translation,
+        scale=float(scale),
+        offsets=offsets,
+        vertices=rig.pose(state.theta, translation, scale, offsets, joints="follow" if model.follow else "fixed"),
+        joints=rig.pose_joints(state.theta, translation, scale, offsets, joints="follow" if model.follow else "fixed"),
+        labels=labels,
+        confidence=confidence,
+        terms=terms,
+        converged=last.converged,
+        status="ok" if finite else "failed",
+        message=(("converged" if last.converged else f"stopped at the limit ({last.message})") + f"; {note}")
+        if finite
+        else "the fit is not finite; check the scan for wild points",
+        evaluations=evaluations,
+        seconds=time.perf_counter() - started,
+        parts=rig.parts,
+        rig_digest=rig.digest,
+    )

@@ -1,0 +1,215 @@
+"""Scans as tables: CSV, XYZ and TXT files, with or without a header, and the arrays of NPY and NPZ files."""
+
+import re
+import warnings
+
+import numpy as np
+
+from ..errors import FileError
+from . import npz
+from .cloud import CloudData, cloud_from_columns, column_role, whole_numbers
+
+__all__ = ["read_npy", "read_npz", "read_table"]
+
+_HEAD_LINES = 200  # comment lines before the first row; more than that is no table
+_NPZ_KEYS = {
+    "points": ("points", "xyz", "vertices", "verts", "v", "positions", "position", "pos", "point", "x", "pc", "cloud"),
+    "faces": ("faces", "f", "triangles"),
+    "normals": ("normals", "normal", "vertex_normals", "point_normals"),
+}
+# How far from 1 the length of a row may be for three unnamed columns to pass for a normal (0 is allowed as well).
+_UNIT = 0.02
+
+
+def read_table(path):
+    """Read rows of numbers, separated by commas, semicolons, tabs or blanks.
+
+    Columns are found by the names in a header line; without one, the first three are x, y, z, and the next three are the
+    normal if they have unit length. An empty cell of a row is NaN. Lines that start with # are comments, but for a
+    last one that names the columns.
+
+    Parameters
+    ----------
+    path : Path
+
+    Returns
+    -------
+    CloudData
+
+    Raises
+    ------
+    FileError
+        Binary content, a header without x, y, z, rows that are not numbers or of different lengths.
+    """
+    skip, names, cells, delimiter = _read_head(path)
+    if cells is None:
+        return CloudData(np.empty((0, 3)))
+    decimal_comma = delimiter == ";" and any("," in cell for cell in cells)
+    numeric = [_is_number(cell.replace(",", ".") if decimal_comma else cell) or not cell for cell in cells]
+    notes = []
+    if names is None:
+        usecols = None if all(numeric) else [k for k in range(len(cells)) if numeric[k]]
+        if len(cells) < 3 or not all(numeric[:3]):
+            raise FileError(str(path), f"the first row {_row(cells)!r}", "numbers x, y, z in the first three columns")
+    else:
+        roles = [column_role(name) for name in names]
+        missing = [axis for k, axis in enumerate("xyz") if k not in roles]
+        if missing or len(cells) < len(names):
+            got = f"a first line {_row(names)!r} above the row {_row(cells)!r}"
+            raise FileError(str(path), got, "columns named x, y and z, or rows of numbers without a header")
+        usecols = [k for k, role in enumerate(roles) if role is not None and numeric[k]]
+        notes += [
+            f"Column {names[k].strip()!r} does not hold numbers: left out."
+            for k, role in enumerate(roles)
+            if role is not None and not numeric[k]
+        ]
+    table = _load(path, skip, delimiter, usecols, decimal_comma)
+    if names is None:
+        cloud = _unnamed(table)
+    else:
+        kept = [names[k] for k in usecols]
+        cloud = cloud_from_columns(kept, lambda k: table[:, k])
+        if cloud is None:
+            raise FileError(str(path), f"text in the columns x, y, z: {_row(cells)!r}", "numbers")
+    cloud.notes[:0] = notes
+    return cloud
+
+
+def read_npy(path):
+    """Read an (n, 3) or (n, 6+) array, or a structured one with fields x, y, z; see :func:`read_table` for further columns."""
+    with open(path, "rb") as file:
+        if file.read(6) != b"\x93NUMPY":
+            raise FileError(str(path), "content that is no NPY array", "an NPY file", "Check the extension.")
+    try:
+        array = np.load(path, allow_pickle=False)
+    except (ValueError, OSError, EOFError, SyntaxError, MemoryError) as error:
+        if "pickle" in str(error):
+            raise FileError(
+                str(path), "an array of Python objects", "numbers", "Such arrays are pickles and are not read."
+            ) from None
+        got, remedy = f"content that cannot be read ({error})", "The file is truncated or damaged."
+        raise FileError(str(path), got, "a complete NPY file", remedy) from None
+    if array.dtype.names:
+        cloud = cloud_from_columns(array.dtype.names, lambda k: array.reshape(-1)[array.dtype.names[k]])
+        if cloud is None:
+            raise FileError(str(path), f"the fields {', '.join(array.dtype.names)}", "fields x, y and z")
+        return cloud
+    if array.ndim == 2 and array.shape[1] > 3 and array.shape[0] != 3 and array.dtype.kind in "iuf":
+        return _unnamed(array)
+    return CloudData(array)
+
+
+def read_npz(path):
+    """Read an NPZ file: points (or xyz, vertices, …), and faces, normals and labels where it has them."""
+    by_name = {key.lower(): key for key in sorted(npz.npz_keys(path))}
+    found = {what: next((by_name[k] for k in keys if k in by_name), None) for what, keys in _NPZ_KEYS.items()}
+    found["labels"] = next((key for name, key in by_name.items() if column_role(name) == 6), None)
+    axes = [by_name.get(axis) for axis in "xyz"]
+    arrays = npz.read_npz(path, [key for key in [*found.values(), *axes] if key is not None])
+    if all(axes):
+        cloud = cloud_from_columns("xyz", lambda k: arrays[axes[k]].reshape(-1))
+    elif found["points"] is not None:
+        cloud = CloudData(arrays[found["points"]])
+    else:
+        expected = f"one called {', '.join(_NPZ_KEYS['points'][:3])} (or verts, v, positions, pos)"
+        raise FileError(str(path), f"arrays called {', '.join(by_name.values()) or '(none)'}", expected)
+    cloud.faces, cloud.normals = arrays.get(found["faces"]), arrays.get(found["normals"])
+    if found["labels"] is not None:
+        cloud.labels = whole_numbers(arrays[found["labels"]])
+        if cloud.labels is None:
+            cloud.notes.append(f"The values of {found['labels']!r} are not whole numbers: labels left out.")
+    return cloud
+
+
+def _read_head(path):
+    """Lines to skip, column names or None, the cells of the first row (None: there is none), and the delimiter."""
+    names, seen_comment = None, None
+    with open(path, "rb") as file:
+        if b"\0" in file.read(4096):
+            raise FileError(str(path), "binary content", "a text file with one point per line", "Check the extension.")
+        file.seek(0)
+        for skip in range(_HEAD_LINES):
+            raw = file.readline(100_000)
+            line = raw.decode("utf-8-sig" if skip == 0 else "utf-8", "replace").strip("\r\n")
+            if not raw:
+                return skip, names, None, None
+            if not line.strip():
+                continue
+            if line.lstrip().startswith(("#", "//")):
+                seen_comment = line.lstrip().lstrip("#/")
+                continue
+            delimiter = next((d for d in (";", ",") if d in line), None)
+            cells = _cells(line, delimiter)
+            if names is None and _is_header(cells, delimiter):
+                names = cells
+                continue
+            if names is None and seen_comment is not None:
+                commented = _cells(seen_comment, next((d for d in (";", ",") if d in seen_comment), None))
+                if {0, 1, 2} <= {column_role(name) for name in commented} and len(commented) <= len(cells):
+                    names = commented
+            return skip, names, cells, delimiter
+    raise FileError(str(path), f"no row of numbers in the first {_HEAD_LINES} lines", "one point per line")
+
+
+def _cells(line, delimiter):
+    return [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
+
+
+def _is_header(cells, delimiter):
+    """Whether a line names the columns. "0,1,2", which a data frame without names writes above its rows, does."""
+    filled = [cell for cell in cells if cell]
+    if delimiter == "," and len(filled) > 2 and filled == [str(k) for k in range(len(filled))]:
+        return True
+    if delimiter == ";":
+        cells = [cell.replace(",", ".") for cell in cells]
+    return any(cell and not _is_number(cell) for cell in cells) and not all(map(_is_number, cells[:3]))
+
+
+def _load(path, skip, delimiter, usecols, decimal_comma):
+    """The wanted columns as an (n, c) array."""
+    options = {"delimiter": delimiter, "usecols": usecols, "ndmin": 2, "skiprows": skip, "encoding": "latin-1", "quotechar": '"'}
+    source = path
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            if decimal_comma:
+                source = [line.replace(",", ".") for line in path.read_text("latin-1").splitlines()]
+            try:
+                return np.loadtxt(source, **options)
+            except ValueError:
+                if delimiter is None:
+                    raise
+                # Slower: an empty cell is a missing value, and becomes NaN.
+                return np.loadtxt(source, converters=lambda cell: float(cell) if cell.strip() else np.nan, **options)
+    except (ValueError, IndexError) as error:
+        what = re.sub(r"at row (\d+)", lambda m: f"in row {int(m[1]) + 1}", str(error).split(";")[0]).rstrip(".")
+        expected = "one point per line, the same number of columns in each"
+        raise FileError(
+            str(path), f"rows that cannot be read ({what}, counting rows from 1 below any header)", expected
+        ) from None
+
+
+def _unnamed(table):
+    """A cloud from columns without names: x, y, z, and the normal where the next three columns have unit length."""
+    cloud = CloudData(table[:, :3])
+    used = 3
+    if table.shape[1] >= 6:
+        length = np.linalg.norm(table[:, 3:6].astype(float), axis=1)
+        if np.all((abs(length - 1) < _UNIT) | (length == 0)) and length.any():
+            cloud.normals, used = table[:, 3:6], 6
+    if table.shape[1] > used:
+        columns = f"{table.shape[1] - used} further columns" if table.shape[1] - used > 1 else "One further column"
+        cloud.notes.append(f"{columns} without a name left out: a header line (x y z nx ny nz label) would say what they are.")
+    return cloud
+
+
+def _is_number(cell):
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
+
+
+def _row(cells):
+    return ", ".join(cells)[:80]

@@ -1,0 +1,83 @@
+"""Reading NPZ files from anywhere: every way in which one can be broken becomes one clear error."""
+
+import struct
+import tokenize
+import zipfile
+import zlib
+
+import numpy as np
+
+from ..errors import FileError
+
+__all__ = ["npz_keys", "read_npz"]
+
+# What zipfile, zlib and numpy raise for files that are cut short, damaged, or something else entirely.
+_BROKEN = (
+    zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, SyntaxError, ValueError, TypeError, KeyError, EOFError,
+    NotImplementedError, RuntimeError, OverflowError, MemoryError,
+)  # fmt: skip
+
+
+def npz_keys(path):
+    """Names of the arrays in an NPZ file, a set of str; nothing is unpacked."""
+    with _opened(path) as archive:
+        return set(archive.files)
+
+
+def read_npz(path, keys=None):
+    """Arrays of an NPZ file by name.
+
+    Parameters
+    ----------
+    path : path-like
+    keys : iterable of str, optional
+        Only these, where they are there; default all.
+
+    Returns
+    -------
+    dict of str to array
+
+    Raises
+    ------
+    FileError
+        Missing, no NPZ, cut short, or with Python objects inside, which are never loaded.
+    """
+    out = {}
+    with _opened(path) as archive:
+        for key in archive.files if keys is None else (k for k in keys if k in archive.files):
+            try:
+                value = archive[key]
+            except ValueError as e:
+                if "pickle" in str(e).lower():
+                    got, expected = (
+                        f"Python objects in {key!r}, which are not loaded, as loading them can run code",
+                        "plain arrays",
+                    )
+                    raise FileError(str(path), got, expected, "Save the array with a plain dtype.") from None
+                raise _broken(path, f"{key!r} cannot be unpacked") from None
+            except (*_BROKEN, OSError):
+                raise _broken(path, f"{key!r} cannot be unpacked") from None
+            if not isinstance(value, np.ndarray):  # a member that is not an NPY file comes as bytes
+                raise _broken(path, f"{key!r} is no array")
+            out[key] = value
+    return out
+
+
+def _opened(path):
+    try:
+        archive = np.load(path, allow_pickle=False)
+    except FileNotFoundError:
+        raise FileError(str(path), "no such file", "an NPZ file") from None
+    except IsADirectoryError:
+        raise FileError(str(path), "a folder", "an NPZ file") from None
+    except _BROKEN:
+        raise _broken(path, "it does not open as an NPZ archive") from None
+    except OSError as e:
+        raise FileError(str(path), f"a file that cannot be read ({e.strerror or e})", "an NPZ file") from None
+    if not isinstance(archive, np.lib.npyio.NpzFile):
+        raise FileError(str(path), "a single array (NPY)", "an NPZ file, which holds several arrays by name")
+    return archive
+
+
+def _broken(path, what):
+    return FileError(str(path), f"a file that is broken or no NPZ ({what})", "a whole NPZ file", "Copy or download it again.")

@@ -1,0 +1,167 @@
+"""``load_rig``: a rig from any file that the package reads, or one of the rigs that come with it."""
+
+import importlib
+import importlib.resources
+import os
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileError, InputError
+from ..rig.build import build_rig
+from ..rig.card import nearest
+
+__all__ = ["CARD_SUFFIX", "bundled_rigs", "load_rig", "read_rig_data", "rig_for_card"]
+
+# A card named like the rig, in the rig's folder, is used without being asked for.
+CARD_SUFFIX = ".card.toml"
+
+_ENDINGS = (".npz", ".glb", ".gltf", ".pkl")
+_SMPL_KEYS = ("v_template", "kintree_table")
+
+
+def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weights=False, parts=None):
+    """Load a rig.
+
+    Parameters
+    ----------
+    path_or_name : path-like or str
+        A file: ``.npz`` (the package's own, SMPL-family, or bodies with the keys verts, faces, weights, joints,
+        joint_names, parents), ``.glb`` or ``.gltf``, ``.pkl`` (SMPL-family). Or the name of a bundled rig,
+        see :func:`bundled_rigs`.
+    card : path-like or Card, optional
+        The rig card: what the file cannot say or gets wrong. By default ``STEM.card.toml`` beside the file, where there is
+        one (``rig.notes`` say so); "none" leaves that alone.
+    shape : str or int, optional
+        Which shape, in a file of several; the first by default.
+    skin : str or int, optional
+        Which skin, in a glTF file of several.
+    normalize_weights : bool, default False
+        Divide weight rows by their sums instead of refusing rows that are more than 1 % off.
+    parts : str, optional
+        The partition in use; default the card's, else the file's, else one part per moving joint.
+
+    Returns
+    -------
+    Rig
+
+    Raises
+    ------
+    FileError, InputError
+        With what came, what was expected, and what to do.
+    """
+    data = read_rig_data(path_or_name, shape=shape, skin=skin)
+    if isinstance(card, str) and card == "none":
+        card = None
+    elif card is None and data.path is not None:
+        beside = data.path.with_name(data.path.stem + CARD_SUFFIX)
+        if beside.is_file():
+            card = beside
+            data.notes.append(f"the card {beside.name} beside the file was used")
+    return build_rig(data, card, normalize_weights=normalize_weights, parts=parts)
+
+
+def read_rig_data(path_or_name, *, shape=None, skin=None):
+    """What a rig file says, neither checked nor changed by a card; arguments as in :func:`load_rig`.
+
+    Returns
+    -------
+    RigData
+    """
+    path = _found(path_or_name)
+    ending = path.suffix.lower()
+    if ending not in _ENDINGS:
+        got = f"the ending {path.suffix!r}" if path.suffix else "a file without an ending"
+        remedy = (
+            "Export the rig as glTF 2.0 (.glb), which keeps its skin."
+            if ending in (".fbx", ".blend", ".dae", ".obj", ".ply")
+            else None
+        )
+        raise FileError(str(path), got, f"a rig file: {', '.join(_ENDINGS)}", remedy)
+    reader = _npz_reader(path) if ending == ".npz" else {".pkl": "smpl"}.get(ending, "gltf")
+    if shape is not None and reader != "body":
+        raise InputError("shape", repr(shape), f"no shape, as {path} holds one only", "Leave it out.")
+    if skin is not None and reader != "gltf":
+        raise InputError("skin", repr(skin), f"no skin, as {path} is no glTF file", "Leave it out.")
+    if reader == "gltf":
+        return _reader("gltf").read_gltf(path, skin=skin)
+    if reader == "smpl":
+        return _reader("smpl").read_smpl(path)
+    if reader == "own":
+        return _reader("npz_rig").read_rig_npz(path)
+    return _reader("npz_rig").read_body_npz(path, shape=shape)
+
+
+def rig_for_card(path_or_name, *, shape=None, skin=None):
+    """What ``write_card`` starts from: the rig as it loads without a card, or the file's bare content where it needs one.
+
+    Weight rows are normalised, whatever they sum to: a card says nothing about weights.
+
+    Returns
+    -------
+    Rig or RigData
+        RigData where the file has several root joints, of which only a card can make one tree.
+    """
+    data = read_rig_data(path_or_name, shape=shape, skin=skin)
+    if np.count_nonzero(np.asarray(data.parents) < 0) > 1:
+        return data
+    return build_rig(data, normalize_weights=True)
+
+
+def bundled_rigs():
+    """Names of the rigs that come with the package, for ``load_rig``; a sorted list of str."""
+    return sorted(_bundled())
+
+
+def _found(path_or_name):
+    """The path of a file, or of the bundled rig of that name."""
+    if not isinstance(path_or_name, (str, os.PathLike)):
+        raise InputError("path_or_name", type(path_or_name).__name__, "the path of a rig file, or the name of a bundled rig")
+    path = Path(path_or_name)
+    bundled = _bundled()
+    if str(path_or_name) in bundled and not path.is_file():
+        return bundled[str(path_or_name)]
+    if path.is_dir():
+        raise FileError(str(path_or_name), "a folder", f"a rig file: {', '.join(_ENDINGS)}")
+    if not path.is_file():
+        names = sorted(bundled)
+        expected = "the path of a rig file" + (f", or a bundled rig: {', '.join(names)}" if names else "")
+        remedy = nearest(str(path_or_name), names) if names and not path.suffix and len(path.parts) == 1 else None
+        raise FileError(
+            str(path_or_name), "no such file", expected, None if remedy and remedy.startswith("There are") else remedy
+        )
+    return path
+
+
+def _bundled():
+    """Name → path of the package's own rigs; in a checkout they lie in rigs/ beside the package."""
+    folders = []
+    try:
+        folders.append(Path(str(importlib.resources.files("lbsfit_np.rigs"))))
+    except (ModuleNotFoundError, TypeError):
+        pass
+    folders.append(Path(__file__).resolve().parents[2] / "rigs")
+    for folder in folders:
+        if folder.is_dir() and (found := {p.stem: p for p in folder.glob("*.npz")}):
+            return found
+    return {}
+
+
+def _npz_reader(path):
+    from .npz import npz_keys
+    from .npz_rig import BODY_KEYS, OWN_KEY
+
+    keys = npz_keys(path)
+    if OWN_KEY in keys:
+        return "own"
+    if any(key in keys for key in _SMPL_KEYS):
+        return "smpl"
+    if "verts" in keys:
+        return "body"
+    shown = ", ".join(sorted(keys)[:10]) or "nothing"
+    expected = f"a rig: the package's own ({OWN_KEY}, ...), SMPL-family ({', '.join(_SMPL_KEYS)}, ...), or {', '.join(BODY_KEYS)}"
+    raise FileError(str(path), f"an NPZ with {shown}", expected)
+
+
+def _reader(module):
+    return importlib.import_module(f".{module}", __package__)

@@ -1,0 +1,182 @@
+"""Scans from files: one door for all formats, which picks the reader, checks what it read, and samples meshes."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileError, InputError
+from ..scan import Scan, check_points
+from ..seeds import generator
+
+__all__ = ["SCAN_EXTENSIONS", "load_scan"]
+
+
+def _lazily(module, function):
+    """A reader that is imported when it is first used."""
+
+    def read(path):
+        from importlib import import_module
+
+        return getattr(import_module(module, __package__), function)(path)
+
+    return read
+
+
+_READERS = {
+    ".ply": _lazily(".ply", "read_ply"),
+    ".obj": _lazily(".scan_meshes", "read_obj"),
+    ".stl": _lazily(".scan_meshes", "read_stl"),
+    ".off": _lazily(".scan_meshes", "read_off"),
+    ".xyz": _lazily(".columns", "read_table"),
+    ".txt": _lazily(".columns", "read_table"),
+    ".csv": _lazily(".columns", "read_table"),
+    ".pcd": _lazily(".pcd", "read_pcd"),
+    ".npy": _lazily(".columns", "read_npy"),
+    ".npz": _lazily(".columns", "read_npz"),
+    ".glb": _lazily(".gltf_scan", "read_gltf_scan"),
+    ".gltf": _lazily(".gltf_scan", "read_gltf_scan"),
+}
+
+SCAN_EXTENSIONS = tuple(_READERS)
+
+
+def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
+    """Load a scan: a point cloud, or a mesh by its vertices or by points sampled from its surface.
+
+    Parameters
+    ----------
+    path : str or Path
+        .ply .obj .stl .off .xyz .txt .csv .pcd .npy .npz .glb .gltf; the extension picks the reader, and content that does not
+        fit it is an error. Points keep the file's order, frame and unit (glTF: the scene's frame, y up, metres).
+    n_samples : int, optional
+        Points to sample from a mesh's surface, uniformly by area; of a point cloud, a random subset of at most so many.
+        Default: all vertices of a mesh, all points of a cloud.
+    random_state : int or numpy.random.Generator, default 0
+        Seed of the samples.
+    drop_invalid : bool, default False
+        Leave out points (and faces at vertices) with NaN or infinite coordinates instead of refusing them.
+
+    Returns
+    -------
+    Scan
+        ``labels`` and ``normals`` where the file has them; sampled points take the label of the nearest corner of their
+        triangle, and interpolated normals.
+
+    Raises
+    ------
+    FileError
+        Missing, truncated or damaged file, unknown extension, no points, NaN or infinite points, all points equal, faces
+        that refer to vertices that are not there.
+    InputError
+        ``n_samples`` is not a positive whole number.
+    """
+    if n_samples is not None and (isinstance(n_samples, bool) or not isinstance(n_samples, (int, np.integer)) or n_samples < 1):
+        raise InputError("n_samples", repr(n_samples), "a positive whole number, or None for the points as they are")
+    shown = str(path)
+    cloud = _read(path, shown)
+    notes = list(cloud.notes)
+    points, valid = _checked(cloud.points, shown, drop_invalid)
+    normals = _per_point(cloud.normals, "normals", (len(valid), 3), shown)
+    labels = _per_point(cloud.labels, "labels", (len(valid),), shown)
+    faces = _checked_faces(cloud.faces, len(valid), shown)
+    if not valid.all():
+        notes.append(f"{int((~valid).sum())} of {len(valid)} points have a coordinate that is NaN or infinite: left out.")
+        normals = None if normals is None else normals[valid]
+        labels = None if labels is None else labels[valid]
+        faces = (np.cumsum(valid) - 1)[faces[valid[faces].all(axis=1)]]
+    if n_samples is not None and len(faces):
+        points, normals, labels = _sampled(points, faces, normals, labels, n_samples, random_state, shown)
+        notes.append(f"{n_samples} points sampled from the surface of {len(faces)} triangles.")
+    elif n_samples is not None and n_samples < len(points):
+        keep = Scan(points).thinned(n_samples, generator(random_state, "load_scan"))
+        notes.append(f"A random subset of {n_samples} of its {len(points)} points.")
+        points, normals, labels = (
+            points[keep],
+            None if normals is None else normals[keep],
+            None if labels is None else labels[keep],
+        )
+    for array in (points, normals, labels):  # these are ours alone: Scan need not copy what nobody else can write to
+        if array is not None:
+            array.flags.writeable = False
+    try:
+        return Scan(points, normals, labels, name=Path(path).stem, path=Path(path), notes=tuple(notes))
+    except InputError as error:
+        raise FileError(shown, error.got, error.expected, error.remedy) from None
+
+
+def _read(path, shown):
+    try:
+        path = Path(path)
+    except TypeError:
+        raise InputError("path", type(path).__name__, "the path of a file") from None
+    suffix = path.suffix.lower()
+    if suffix not in _READERS:
+        got = f"the extension {suffix!r}" if suffix else "a name without an extension"
+        raise FileError(shown, got, f"one of {' '.join(_READERS)}", "Convert the scan to one of these formats, for instance PLY.")
+    try:
+        if path.is_dir():
+            raise FileError(shown, "a folder", "a file")
+        if path.stat().st_size == 0:
+            raise FileError(shown, "an empty file (0 bytes)", "a file with points")
+        return _READERS[suffix](path)
+    except FileNotFoundError:
+        raise FileError(shown, "no such file", "a file that exists", "Check the path for typing errors.") from None
+    except OSError as error:
+        raise FileError(shown, f"a file that cannot be read ({error.strerror or error})", "a readable file") from None
+
+
+def _checked(points, shown, drop_invalid):
+    """Finite points (n', 3) and which of the file's points they are (n,) bool."""
+    points = np.asarray(points)
+    try:
+        kept = check_points(points, drop_invalid=drop_invalid)
+    except InputError as error:
+        raise FileError(shown, error.got, error.expected, error.remedy) from None
+    return kept, np.ones(len(points), bool) if len(kept) == len(points) else np.isfinite(points).all(axis=1)
+
+
+def _per_point(values, what, shape, shown):
+    if values is None:
+        return None
+    values = np.asarray(values)
+    if what == "labels" and values.shape == (*shape, 1):
+        values = values[:, 0]
+    if values.shape != shape or values.dtype.kind not in ("iu" if what == "labels" else "iuf"):
+        kind = "whole numbers" if what == "labels" else "numbers"
+        raise FileError(
+            shown, f"{what} of shape {values.shape} and type {values.dtype}", f"{kind} of shape {shape}, one row per point"
+        )
+    return values.astype(np.int64 if what == "labels" else np.float64)
+
+
+def _checked_faces(faces, n, shown):
+    if faces is None or not np.size(faces):
+        return np.empty((0, 3), dtype=int)
+    faces = np.asarray(faces)
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise FileError(shown, f"faces of shape {faces.shape} and type {faces.dtype}", "whole numbers of shape (F, 3)")
+    if faces.min() < 0 or faces.max() >= n:
+        bad = int(np.argmax(((faces < 0) | (faces >= n)).any(axis=1)))
+        expected = f"vertex numbers that the file's {n} vertices have"
+        raise FileError(shown, f"face {bad} with vertices out of range", expected, "The file is truncated or damaged.")
+    return faces.astype(int)
+
+
+def _sampled(points, faces, normals, labels, n, random_state, shown):
+    """Points on the surface, with what their triangles' corners know."""
+    from ..synthesis import sample_surface
+
+    p = points[faces]
+    if not np.any(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])):
+        raise FileError(
+            shown, "a mesh whose triangles have no area", "a surface to sample from", "Leave n_samples out to use its vertices."
+        )
+    sampled, triangle, weight = sample_surface(points, faces, n, generator(random_state, "load_scan"))
+    corners = faces[triangle]
+    if labels is not None:
+        labels = labels[corners[np.arange(n), weight.argmax(axis=1)]]
+    if normals is not None:
+        normals = np.einsum("nk,nka->na", weight, normals[corners])
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        normals = normals / np.where(length > 0, length, 1.0)
+    return sampled, normals, labels

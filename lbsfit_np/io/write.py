@@ -1,0 +1,205 @@
+"""Files written whole or not at all: each appears under its name only once it is complete."""
+
+import json
+import os
+import secrets
+import zipfile
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileError, InputError
+
+__all__ = ["atomic_path", "write_json", "write_mesh_ply", "write_npz", "write_points_ply"]
+
+
+@contextmanager
+def atomic_path(path):
+    """A temporary file beside ``path`` to write to, which takes its place when the block ends without an error.
+
+    Parameters
+    ----------
+    path : str or Path
+        Where the file shall appear; an older file there stays untouched until then.
+
+    Yields
+    ------
+    Path
+        An empty file in the same folder, with the same extension and the permissions that the user's umask gives.
+        It is removed when the block raises anything, Ctrl-C included.
+
+    Raises
+    ------
+    FileError
+        The folder does not exist or cannot be written to, the disk is full, or ``path`` is a folder.
+    """
+    final = Path(path)
+    if final.is_dir():
+        raise FileError(str(path), "a folder", "the name of a file to write")
+    if not final.parent.is_dir():
+        raise FileError(str(path), f"a folder that does not exist ({final.parent})", "an existing folder", "Create it first.")
+    temporary = final.with_name(f".{final.stem[:80]}.{secrets.token_hex(6)}.tmp{final.suffix}")
+    try:
+        # mkstemp would make it private (0600); this way the umask decides, as for any file that a user writes.
+        os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+    try:
+        yield temporary
+        os.replace(temporary, final)
+    except OSError as error:
+        temporary.unlink(missing_ok=True)
+        raise _cannot_write(path, error) from error
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+
+
+def write_mesh_ply(path, vertices, faces, *, vertex_labels=None, colors=None, normals=None, part_names=None):
+    """Write a triangle mesh as binary little-endian PLY.
+
+    Parameters
+    ----------
+    path : str or Path
+    vertices : (m, 3) array
+        Written as doubles: reading them back gives the same numbers.
+    faces : (F, 3) int array
+    vertex_labels : (m,) int array, optional
+        Property ``label``; comes back as ``labels`` from ``load_scan``.
+    colors : (m, 3) uint8 array, optional
+        Properties ``red``, ``green``, ``blue``.
+    normals : (m, 3) array, optional
+        Properties ``nx``, ``ny``, ``nz``.
+    part_names : sequence of str, optional
+        Header comments ``part 0 NAME``, ``part 1 NAME``, … that say what the labels mean.
+
+    Raises
+    ------
+    InputError, FileError
+        Arrays whose lengths differ; a path that cannot be written.
+    """
+    table = _vertex_table(vertices, normals=normals, colors=colors, labels=vertex_labels)
+    faces = np.asarray(faces)
+    if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
+        raise InputError("faces", f"{faces.dtype} values of shape {faces.shape}", "whole numbers of shape (F, 3)")
+    rows = np.empty(len(faces), dtype=[("count", "u1"), ("rows", "<i4", 3)])
+    rows["count"], rows["rows"] = 3, faces
+    _write_ply(path, table, rows, part_names)
+
+
+def write_points_ply(path, points, *, labels=None, confidence=None, colors=None, normals=None, part_names=None):
+    """Write a point cloud as binary little-endian PLY.
+
+    Parameters
+    ----------
+    path : str or Path
+    points : (n, 3) array
+        Written as doubles.
+    labels : (n,) int array, optional
+        Property ``label``.
+    confidence : (n,) array, optional
+        Property ``confidence``, a float.
+    colors, normals, part_names
+        As for :func:`write_mesh_ply`.
+    """
+    _write_ply(
+        path, _vertex_table(points, normals=normals, colors=colors, labels=labels, confidence=confidence), None, part_names
+    )
+
+
+def write_json(path, obj):
+    """Write JSON for people to read: sorted keys, two spaces of indent, NaN and infinity as null.
+
+    Takes what ``json`` takes, and NumPy scalars and arrays, tuples and paths besides.
+    """
+    text = json.dumps(_plain(obj), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, encoding="utf-8")
+
+
+def write_npz(path, /, **arrays):
+    """Write arrays as an NPZ that ``np.load(path, allow_pickle=False)`` reads; the same arrays give the same bytes.
+
+    Raises
+    ------
+    InputError
+        An array of Python objects: only a pickle could hold it.
+    """
+    arrays = {key: np.asanyarray(value) for key, value in arrays.items()}
+    for key, array in arrays.items():
+        if array.dtype.hasobject:
+            raise InputError(key, "an array of Python objects", "numbers, booleans or text, which need no pickle")
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+        # np.savez_compressed would do, but for arrays that are called "file" or "allow_pickle", and its slower level.
+        for key, array in arrays.items():
+            with archive.open(key + ".npy", "w", force_zip64=True) as entry:
+                np.lib.format.write_array(entry, array, allow_pickle=False)
+
+
+_PLY_NAMES = {"f8": "double", "f4": "float", "i4": "int", "u1": "uchar"}
+
+
+def _vertex_table(points, *, normals=None, colors=None, labels=None, confidence=None):
+    """The vertex element as a structured array, one field per property."""
+    points = np.asarray(points)
+    if points.ndim != 2 or points.shape[1] != 3:
+        raise InputError("points", f"an array of shape {points.shape}", "shape (n, 3)")
+    n = len(points)
+    columns = [(("x", "y", "z"), "<f8", points)]
+    for names, kind, argument, values, allowed in (
+        (("nx", "ny", "nz"), "<f4", "normals", normals, "iuf"),
+        (("red", "green", "blue"), "|u1", "colors", colors, "u"),  # a float 0 … 1 would silently become black
+        (("label",), "<i4", "labels", labels, "iu"),
+        (("confidence",), "<f4", "confidence", confidence, "iuf"),
+    ):
+        if values is None:
+            continue
+        values = np.asarray(values)
+        wanted = (n, 3) if len(names) == 3 else (n,)
+        if values.shape != wanted or values.dtype.kind not in allowed:
+            what = {"u": "unsigned bytes (0–255)", "iu": "whole numbers"}.get(allowed, "numbers")
+            raise InputError(argument, f"{values.dtype} values of shape {values.shape}", f"{what} of shape {wanted}")
+        columns.append((names, kind, values))
+    table = np.empty(n, dtype=[(name, kind) for names, kind, _ in columns for name in names])
+    for names, _, values in columns:
+        for k, name in enumerate(names):
+            table[name] = values if values.ndim == 1 else values[:, k]
+    return table
+
+
+def _write_ply(path, table, faces, part_names):
+    header = ["ply", "format binary_little_endian 1.0"]
+    for p, name in enumerate(part_names or ()):
+        header.append(f"comment part {p} " + " ".join(str(name).split()))
+    header.append(f"element vertex {len(table)}")
+    header += [f"property {_PLY_NAMES[table.dtype[name].str[1:]]} {name}" for name in table.dtype.names]
+    if faces is not None:
+        header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    header.append("end_header\n")
+    with atomic_path(path) as temporary, open(temporary, "wb") as file:
+        file.write("\n".join(header).encode("ascii", "backslashreplace"))
+        table.tofile(file)
+        if faces is not None:
+            faces.tofile(file)
+
+
+def _plain(obj):
+    """The same content in the types that ``json`` knows."""
+    if isinstance(obj, dict):
+        return {str(key): _plain(value) for key, value in obj.items()}
+    if isinstance(obj, (list, tuple)):
+        return [_plain(value) for value in obj]
+    if isinstance(obj, np.ndarray):
+        return _plain(obj.tolist())
+    if isinstance(obj, np.generic):
+        return _plain(obj.item())
+    if isinstance(obj, float):
+        return obj if np.isfinite(obj) else None
+    if isinstance(obj, Path):
+        return str(obj)
+    return obj
+
+
+def _cannot_write(path, error):
+    return FileError(str(path), f"an error while writing ({error.strerror or error})", "a place that can be written to")

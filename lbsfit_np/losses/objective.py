@@ -1,0 +1,120 @@
+"""The whole objective: L = L_{c²,λ} + λ_s L_{s²,λ} + λ_lap L_lap (+ λ_θ L_Θ, which the regressor's training adds)."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import InputError
+from .composite import composite_chamfer, composite_structured_chamfer
+from .laplacian import laplacian_offsets, laplacian_posed
+
+__all__ = ["LossWeights", "PRESETS", "objective"]
+
+
+@dataclass(frozen=True)
+class LossWeights:
+    """Weights of the objective's terms, for a template with a longest half-extent of 1.
+
+    Attributes
+    ----------
+    chamfer : float
+        Weight of L_{c²,λ}; 1 in the paper. 0 leaves the plain term out.
+    lam : float
+        λ, weight of the undeformed template in both composites.
+    lam_s : float
+        λ_s, weight of L_{s²,λ}.
+    lam_lap : float
+        λ_lap.
+    lam_theta : float
+        λ_θ, weight of L_Θ in training f; no part of a single scan's objective.
+    laplacian : {"posed", "offsets"}
+        ‖K V^d‖ (the paper) or ‖K (U^d − U)‖.
+    squared : bool
+        Whether the Laplacian's norm is squared.
+    """
+
+    chamfer: float = 1.0
+    lam: float = 0.5
+    lam_s: float = 1.0
+    lam_lap: float = 0.005
+    lam_theta: float = 0.5
+    laplacian: str = "posed"
+    squared: bool = False
+
+    def replace(self, **changes):
+        return replace(self, **changes)
+
+
+PRESETS = {
+    "paper": LossWeights(),
+    "default": LossWeights(lam_lap=1e-3, laplacian="offsets", squared=True),
+}
+
+
+def as_weights(weights):
+    """A preset's name or a LossWeights → LossWeights."""
+    if isinstance(weights, LossWeights):
+        return weights
+    if weights in PRESETS:
+        return PRESETS[weights]
+    raise InputError("weights", repr(weights), f"a LossWeights or one of {', '.join(map(repr, PRESETS))}")
+
+
+@dataclass(frozen=True)
+class ObjectiveValue:
+    """Value, terms and gradients of :func:`objective`."""
+
+    value: float
+    terms: dict  # unweighted: "chamfer" L_{c²,λ}, "structured" L_{s²,λ}, "laplacian" L_lap
+    grad_Vd: np.ndarray  # (m, 3)
+    grad_V: np.ndarray  # (m, 3)
+    grad_offsets: np.ndarray  # (m, 3), of the Laplacian on the offsets; the path through V^d is the skinning adjoint's
+
+
+def objective(X, Vd, V, *, weights, x_labels=None, v_labels=None, offsets=None, K=None, x_weights=None, x_index=None, x_part_index=None):
+    """L without the loop-back term, which has no part in one scan's fit.
+
+    Parameters
+    ----------
+    X : (n, 3) array
+        Scan points, in units in which the template's longest half-extent is 1.
+    Vd, V : (m, 3) arrays
+        M(Θ, U^d) and M(Θ, U).
+    weights : LossWeights
+    x_labels, v_labels : int arrays, optional
+        Parts; without them the structured term is left out.
+    offsets : (m, 3) array, optional
+        U^d − U; needed by the "offsets" Laplacian.
+    K : sparse array, optional
+        Cotangent matrix of U; without it the Laplacian is left out.
+    x_weights, x_index, x_part_index
+        Weights of the points and search structures over X, plain and with labels.
+
+    Returns
+    -------
+    ObjectiveValue
+    """
+    terms = {}
+    value = 0.0
+    grad_Vd, grad_V, grad_offsets = np.zeros_like(V), np.zeros_like(V), np.zeros_like(V)
+    if weights.chamfer:
+        terms["chamfer"], g_d, g = composite_chamfer(X, Vd, V, lam=weights.lam, x_weights=x_weights, x_index=x_index)
+        value += weights.chamfer * terms["chamfer"]
+        grad_Vd += weights.chamfer * g_d
+        grad_V += weights.chamfer * g
+    if weights.lam_s and x_labels is not None:
+        terms["structured"], g_d, g = composite_structured_chamfer(
+            X, Vd, V, x_labels, v_labels, lam=weights.lam, x_weights=x_weights, x_index=x_part_index
+        )
+        value += weights.lam_s * terms["structured"]
+        grad_Vd += weights.lam_s * g_d
+        grad_V += weights.lam_s * g
+    if weights.lam_lap and K is not None:
+        if weights.laplacian == "posed":
+            terms["laplacian"], g = laplacian_posed(Vd, K, squared=weights.squared)
+            grad_Vd += weights.lam_lap * g
+        else:
+            terms["laplacian"], g = laplacian_offsets(offsets, K, squared=weights.squared)
+            grad_offsets += weights.lam_lap * g
+        value += weights.lam_lap * terms["laplacian"]
+    return ObjectiveValue(value, terms, grad_Vd, grad_V, grad_offsets)

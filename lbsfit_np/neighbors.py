@@ -1,0 +1,69 @@
+"""Exact nearest neighbours from one point set to another, over all points or only among points of the same part."""
+
+import numpy as np
+
+__all__ = ["PointIndex"]
+
+# Parts are set apart along x by this many diameters, so that one tree serves all parts and never mixes them.
+_APART = 64.0
+
+
+class PointIndex:
+    """A search structure over one point set.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        The points searched in.
+    labels : (n,) int array, optional
+        Parts. When given, a query of part p finds the nearest point of part p only.
+    moving : bool, default False
+        True for a set that is rebuilt at every evaluation: the tree is then built faster and searched a little slower.
+    """
+
+    def __init__(self, points, labels=None, *, moving=False):
+        from scipy.spatial import cKDTree
+
+        self.points = points
+        self.labels = labels
+        self._centre = points.mean(axis=0)
+        radius = np.abs(points - self._centre).max() if len(points) else 1.0
+        self._gap = _APART * max(float(radius), np.finfo(float).tiny * 1e10)
+        self._present = None if labels is None else np.bincount(labels) > 0
+        self._tree = cKDTree(self._apart(points, labels), balanced_tree=not moving, compact_nodes=not moving)
+
+    def nearest(self, queries, labels=None):
+        """Nearest point of each query.
+
+        Parameters
+        ----------
+        queries : (k, 3) array
+        labels : (k,) int array
+            Parts of the queries; needed exactly when the index has labels.
+
+        Returns
+        -------
+        index : (k,) int array
+            Row of ``points``; −1 where no point has the query's part.
+        """
+        if self.labels is None:
+            return self._tree.query(queries)[1]
+        known = (labels < len(self._present)) & self._present[np.minimum(labels, len(self._present) - 1)]
+        index = np.full(len(queries), -1)
+        if not known.any():
+            return index
+        if np.abs(queries - self._centre).max() < self._gap / 4:
+            index[known] = self._tree.query(self._apart(queries[known], labels[known]))[1]
+        else:  # a query so far away that the gaps could not keep the parts apart
+            for p in np.unique(labels[known]):
+                rows = np.flatnonzero(self.labels == p)
+                asked = np.flatnonzero(labels == p)
+                index[asked] = rows[PointIndex(self.points[rows]).nearest(queries[asked])]
+        return index
+
+    def _apart(self, points, labels):
+        if labels is None:
+            return points
+        shifted = points - self._centre
+        shifted[:, 0] += labels * self._gap
+        return shifted

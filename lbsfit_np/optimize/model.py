@@ -1,0 +1,141 @@
+"""Model: a rig made ready for fitting, in the normalised frame; made once, shared by all scans."""
+
+from dataclasses import replace
+from functools import cached_property
+
+import numpy as np
+from scipy import sparse
+
+from ..losses.laplacian import cotangent_matrix
+from ..skinning import skin
+from .state import State
+
+__all__ = ["Model"]
+
+# The pose stages look at no more vertices than this: a pose has some tens of unknowns, and time goes with vertices.
+_COARSE = 2500
+
+
+class Model:
+    """A welded rig whose longest half-extent is 1, its proportions, and its vertices thinned for the pose stages.
+
+    Parameters
+    ----------
+    rig : Rig
+    joints : {"follow", "fixed"}, default "follow"
+    """
+
+    def __init__(self, rig, joints="follow"):
+        self.source = rig
+        self.half = rig.size / 2
+        self.rig = rig.welded.scaled(1.0 / self.half)
+        self.follow = joints == "follow"
+        self.labels = self.rig.vertex_labels
+        family = self.rig.proportions
+        self.n_coefficients = family.basis.shape[2]
+        self._basis = np.ascontiguousarray(family.basis.reshape(-1, self.n_coefficients))
+        self._whole = True
+
+    @cached_property
+    def _joint_basis(self):
+        """(3J, k): how the joints follow the proportions, R b_k."""
+        moved = self.rig.regressor @ self._basis.reshape(len(self.rig.vertices), -1)
+        return np.ascontiguousarray(moved.reshape(-1, self.n_coefficients))
+
+    @cached_property
+    def K(self):
+        """Cotangent matrix of the template."""
+        return cotangent_matrix(self.rig.vertices, self.rig.faces)
+
+    @cached_property
+    def areas(self):
+        """(m,) share of the surface that each vertex stands for."""
+        p = self.rig.vertices[self.rig.faces]
+        area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+        share = np.zeros(len(self.rig.vertices))
+        for k in range(3):
+            share += np.bincount(self.rig.faces[:, k], area, minlength=len(share))
+        return share / max(share.sum(), np.finfo(float).tiny)
+
+    @cached_property
+    def coarse(self):
+        """The model on evenly spread vertices, for stages without a residual; itself where the rig is small."""
+        m = len(self.rig.vertices)
+        if m <= _COARSE:
+            return self
+        rows = _farthest_points(self.rig.vertices, _COARSE)
+        from scipy.spatial import cKDTree
+
+        nearest = cKDTree(self.rig.vertices[rows]).query(self.rig.vertices)[1]
+        thin = object.__new__(Model)
+        thin.source, thin.half, thin.follow, thin.n_coefficients = self.source, self.half, self.follow, self.n_coefficients
+        thin.rig = replace(
+            self.rig,
+            vertices=self.rig.vertices[rows],
+            weights=sparse.csr_array(self.rig.weights[rows]),
+            regressor=sparse.csr_array((len(self.rig.parents), len(rows))),
+            faces=np.empty((0, 3), dtype=int),
+        )
+        thin.labels = self.labels[rows]
+        thin._basis = np.ascontiguousarray(self._basis.reshape(m, 3, -1)[rows].reshape(3 * len(rows), -1))
+        thin._whole = False
+        thin.__dict__["_joint_basis"] = self._joint_basis
+        thin.__dict__["areas"] = np.bincount(nearest, self.areas, minlength=len(rows))
+        return thin
+
+    def rest(self):
+        """The rest pose at the origin, moved inside the joint limits."""
+        theta = np.clip(0.0, self.rig.lower, self.rig.upper)
+        theta[self.rig.root] = 0.0
+        return State(theta, np.zeros(3), 1.0, np.zeros(self.n_coefficients), None)
+
+    def offsets(self, state):
+        """(m, 3) U^d − U of a state; None where it is 0."""
+        bones = (self._basis @ state.coefficients).reshape(-1, 3) if state.coefficients.any() else None
+        if state.residual is None:
+            return bones
+        return state.residual if bones is None else bones + state.residual
+
+    def pose(self, state):
+        """(V^d, V): the posed deformed and undeformed templates, as Posed; one object where there are no offsets."""
+        offsets = self.offsets(state)
+        place = {"translation": state.translation, "scale": state.scale}
+        V = skin(self.rig, state.theta, **place)
+        if offsets is None:
+            return V, V
+        moved = None
+        if not self.follow:
+            moved = np.zeros_like(self.rig.joints)
+        elif state.residual is None:
+            moved = (self._joint_basis @ state.coefficients).reshape(-1, 3)
+        return skin(self.rig, state.theta, **place, offsets=offsets, joint_offsets=moved), V
+
+    def offset_gradients(self, g, grad_offsets):
+        """Gradients to the coefficients and to the residual.
+
+        Parameters
+        ----------
+        g : SkinGradient
+            Of V^d.
+        grad_offsets : (m, 3) array
+            Direct gradient to the offsets, on top.
+        """
+        to_vertices = g.vertices + grad_offsets
+        coefficients = self._basis.T @ to_vertices.ravel()
+        if self.follow:
+            coefficients += self._joint_basis.T @ g.rest_joints.ravel()
+        if not self._whole:
+            return coefficients, None
+        residual = to_vertices + self.rig.regressor_transposed @ g.rest_joints if self.follow else to_vertices
+        return coefficients, residual
+
+
+def _farthest_points(points, n):
+    """(n,) rows of points spread evenly: each next one is the farthest from those before. Starts at row 0."""
+    rows = np.zeros(n, dtype=int)
+    d2 = np.full(len(points), np.inf)
+    for k in range(1, n):
+        away = points - points[rows[k - 1]]
+        np.minimum(d2, np.einsum("ij,ij->i", away, away), out=d2)
+        rows[k] = d2.argmax()
+    return np.sort(rows)

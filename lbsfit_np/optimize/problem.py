@@ -1,0 +1,97 @@
+"""Problem: one scan and one rig in a common normalised frame, and the objective between them.
+
+In this frame the template's longest half-extent is 1 and the scan, divided by the same length and by the reference
+scale, stands at its centroid: x̃ = (x − centre) / (reference scale · half). All losses are evaluated here.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from ..losses.objective import objective
+from ..neighbors import PointIndex
+from ..skinning import skin_adjoint
+
+__all__ = ["Evaluation", "Problem"]
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """An objective at a State, with its gradients to the State's fields."""
+
+    value: float
+    terms: dict
+    theta: np.ndarray
+    translation: np.ndarray
+    scale: float
+    coefficients: np.ndarray
+    residual: np.ndarray
+
+
+class Problem:
+    """The points of one scan, in the normalised frame, and the objective between them and a Model.
+
+    Parameters
+    ----------
+    X : (n, 3) array
+        Scan points, normalised.
+    x_weights : (n,) array, optional
+    """
+
+    def __init__(self, X, x_weights=None):
+        self.X = X
+        self.x_weights = x_weights
+        self._part_index = None, None
+
+    @cached_property
+    def x_index(self):
+        return PointIndex(self.X)
+
+    def part_index(self, labels):
+        """The search structure for these labels, kept until other labels come."""
+        if self._part_index[0] is not labels:
+            self._part_index = labels, PointIndex(self.X, labels)
+        return self._part_index[1]
+
+    def evaluate(self, model, state, weights, labels=None, *, ridge=0.0):
+        """Objective and gradients at a state.
+
+        Parameters
+        ----------
+        model : Model
+        state : State
+        weights : LossWeights
+        labels : (n,) int array, optional
+            Parts of the points; without them the structured term is left out.
+        ridge : float
+            Weight of ‖c‖², the proportions' own prior.
+
+        Returns
+        -------
+        Evaluation
+        """
+        Vd, V = model.pose(state)
+        L = objective(
+            self.X,
+            Vd.vertices,
+            V.vertices,
+            weights=weights,
+            x_labels=labels,
+            v_labels=model.labels,
+            offsets=Vd.rest - model.rig.vertices,
+            K=model.K if weights.lam_lap else None,
+            x_weights=self.x_weights,
+            x_index=self.x_index if weights.chamfer else None,
+            x_part_index=None if labels is None else self.part_index(labels),
+        )
+        g = skin_adjoint(Vd, L.grad_Vd)
+        theta, translation, scale = g.theta, g.translation, g.scale
+        if weights.lam:  # the undeformed template feels pose, translation and scale, never the offsets
+            h = skin_adjoint(V, L.grad_V)
+            theta, translation, scale = theta + h.theta, translation + h.translation, scale + h.scale
+        coefficients, residual = model.offset_gradients(g, L.grad_offsets)
+        c = state.coefficients
+        return Evaluation(
+            L.value + ridge * float(c @ c), L.terms, theta, translation, scale, coefficients + 2 * ridge * c, residual
+        )

@@ -1,0 +1,121 @@
+"""State: what a fit changes, and how it is laid out in the optimiser's vector. Nobody else knows that layout."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+__all__ = ["State", "Layout"]
+
+
+@dataclass(frozen=True)
+class State:
+    """A pose of a changed template, in the normalised frame of a :class:`~lbsfit_np.optimize.problem.Problem`.
+
+    The deformed template is U^d = U + Σ_k c_k b_k + residual: the proportions of the rig's bones, and the rest.
+    """
+
+    theta: np.ndarray  # (J, 3)
+    translation: np.ndarray  # (3,)
+    scale: float  # relative to the problem's reference scale
+    coefficients: np.ndarray  # (k,) c, of the rig's proportions
+    residual: np.ndarray | None  # (m, 3); None for 0
+
+    def replace(self, **changes):
+        return replace(self, **changes)
+
+
+class Layout:
+    """Which blocks of a State are free, and where they stand in the vector x.
+
+    Parameters
+    ----------
+    rig : Rig
+        Its moving joints' axes with room between their limits are free in the block "pose"; the root is unbounded.
+    free : collection of {"pose", "translation", "scale", "proportions", "residual"}
+    """
+
+    def __init__(self, rig, free, n_coefficients):
+        self._free = frozenset(free)
+        J, m = len(rig.parents), len(rig.vertices)
+        turning = (rig.upper > rig.lower) & rig.moving[:, None]
+        turning[rig.root] = True
+        self._turning = turning
+        # One unit of each block changes the loss by a comparable amount, which is what L-BFGS starts from: a single
+        # vertex counts for 1/m of the loss where an angle moves many.
+        self._residual_unit = 0.25 * np.sqrt(m)
+        sizes = {"pose": int(turning.sum()), "translation": 3, "scale": 1, "proportions": n_coefficients, "residual": 3 * m}
+        self._spans, start = {}, 0
+        for block, size in sizes.items():
+            if block in self._free:
+                self._spans[block] = slice(start, start + size)
+                start += size
+        self.size = start
+        lower, upper = rig.lower.copy(), rig.upper.copy()
+        lower[rig.root], upper[rig.root] = -np.inf, np.inf
+        self._limits = lower[turning], upper[turning]
+        self._joints = J
+
+    def pack(self, state):
+        """State → x."""
+        x = np.empty(self.size)
+        values = {
+            "pose": lambda: state.theta[self._turning],
+            "translation": lambda: state.translation,
+            "scale": lambda: np.log(state.scale),
+            "proportions": lambda: state.coefficients,
+            "residual": lambda: 0.0 if state.residual is None else state.residual.ravel() / self._residual_unit,
+        }
+        for block, span in self._spans.items():
+            x[span] = values[block]()
+        return x
+
+    def unpack(self, x, base):
+        """x → State; blocks that are not free come from ``base``."""
+        changes = {}
+        for block, span in self._spans.items():
+            value = x[span]
+            if block == "pose":
+                theta = base.theta.copy()
+                theta[self._turning] = value
+                changes["theta"] = theta
+            elif block == "translation":
+                changes["translation"] = value.copy()
+            elif block == "scale":
+                changes["scale"] = float(np.exp(value[0]))
+            elif block == "proportions":
+                changes["coefficients"] = value.copy()
+            else:
+                changes["residual"] = value.reshape(-1, 3) * self._residual_unit
+        return base.replace(**changes)
+
+    def gradient(self, state, theta, translation, scale, coefficients, residual):
+        """Gradients to the State's fields → gradient to x."""
+        g = np.empty(self.size)
+        for block, span in self._spans.items():
+            if block == "pose":
+                g[span] = theta[self._turning]
+            elif block == "translation":
+                g[span] = translation
+            elif block == "scale":
+                g[span] = scale * state.scale
+            elif block == "proportions":
+                g[span] = coefficients
+            else:
+                g[span] = residual.ravel() * self._residual_unit
+        return g
+
+    def bounds(self):
+        """(lower, upper) of x: joint limits on the pose, a factor of 3 on the scale, ±0.5 on proportions."""
+        lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
+        if "pose" in self._spans:
+            lower[self._spans["pose"]], upper[self._spans["pose"]] = self._limits
+        for block, most in (("scale", np.log(3.0)), ("proportions", 0.5)):
+            if block in self._spans:
+                lower[self._spans[block]], upper[self._spans[block]] = -most, most
+        return lower, upper
+
+    def inside(self, state):
+        """The state moved inside the joint limits."""
+        x = self.pack(state)
+        lower, upper = self.bounds()
+        return self.unpack(np.clip(x, lower, upper), state)

@@ -1,0 +1,86 @@
+"""Anomalies of a rig that can be worked with, in words: what ``lbsfit rig show`` lists besides the joints."""
+
+import numpy as np
+from scipy import sparse
+
+from .partition import leading_joint
+
+__all__ = ["listed", "mesh_notes", "size_notes", "skin_notes"]
+
+
+def mesh_notes(rig):
+    """Seam duplicates, open or non-manifold edges, several components, unused vertices, degenerate or turned faces."""
+    notes = []
+    m, n = len(rig.vertices), len(rig.welded.vertices)
+    if n < m:
+        notes.append(f"{m} vertices are {n} distinct points: duplicates at seams are welded for the geometry")
+    faces = rig.welded.faces
+    lost = len(rig.faces) - len(faces)
+    if lost:
+        notes.append(f"{lost} faces are degenerate (two corners at one point)")
+    if not len(faces):
+        return notes
+    unused = m - len(np.unique(rig.faces))
+    if unused:
+        notes.append(f"{unused} vertices belong to no face")
+    directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
+    edges, counts = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    if (counts == 1).any():
+        notes.append(f"the mesh is open: {np.count_nonzero(counts == 1)} boundary edges")
+    if (counts > 2).any():
+        notes.append(f"the mesh is not manifold: {np.count_nonzero(counts > 2)} edges with more than two faces")
+    same_way = np.unique(directed, axis=0, return_counts=True)[1]
+    if (same_way > 1).any():
+        notes.append(f"neighbouring faces are turned opposite ways at {np.count_nonzero(same_way > 1)} edges")
+    elif (counts == 2).all():
+        a, b, c = (rig.welded.vertices[faces[:, k]] for k in range(3))
+        if np.einsum("ij,ij->", a, np.cross(b, c)) < 0:
+            notes.append("the mesh is inside out: its faces are turned inwards")
+    graph = sparse.coo_array((np.ones(len(edges)), edges.T), shape=(n, n))
+    from scipy.sparse.csgraph import connected_components
+
+    _, component = connected_components(graph, directed=False)
+    pieces = len(np.unique(component[np.unique(faces)]))
+    if pieces > 1:
+        notes.append(f"the mesh consists of {pieces} separate pieces")
+    return notes
+
+
+def size_notes(rig):
+    """A size in metres that no scanned thing has: most likely the unit is another one."""
+    if rig.metres_per_unit is None:
+        return []
+    metres = rig.size * rig.metres_per_unit
+    if 0.01 <= metres <= 20.0:
+        return []
+    return [f"the rig is {metres:.3g} m long if its unit is {rig.metres_per_unit:g} m: is it? (a card's [rig] unit can say)"]
+
+
+def skin_notes(rig):
+    """Joints without weight, many influences per vertex, joints and parts that lead no vertex."""
+    notes = []
+    influences = np.diff(rig.weights.indptr)
+    if influences.max() > 4:
+        notes.append(
+            f"up to {influences.max()} joints share a vertex ({np.count_nonzero(influences > 4)} vertices with more than 4)"
+        )
+    carried = np.asarray(rig.weights.sum(axis=0)).ravel()
+    idle = [name for name, w, merged in zip(rig.joint_names, carried, rig.merged) if w == 0 and not merged]
+    if idle:
+        notes.append(f"{len(idle)} joints carry no weight: {listed(idle)}")
+    leads = np.unique(leading_joint(rig))
+    blind = [rig.joint_names[j] for j in np.flatnonzero(rig.moving) if j not in leads and carried[j] > 0]
+    if blind:
+        notes.append(
+            f"{len(blind)} moving joints have no part of their own, as no vertex belongs mostly to them: {listed(blind)}"
+        )
+    for name, groups in rig.partitions.items():
+        missing = [part for part in groups if part not in rig.with_parts(name).parts]
+        if missing:
+            notes.append(f"partition {name!r}: no vertex belongs mostly to {listed(missing)}; such parts are left out")
+    return notes
+
+
+def listed(names, most=8):
+    """Names in one line, cut after ``most``."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,350 @@
+"""From a file's content to a rig: the card applied, everything checked once, what is missing derived, oddities noted."""
+
+import os
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy import sparse
+
+from ..errors import InputError
+from .anomalies import listed, mesh_notes, size_notes, skin_notes
+from .card import Card, matching, read_card
+from .checks import Reporter, check_directions, check_joints, check_limits, check_mesh, check_tree, check_weights
+from .frames import bone_frames, child_directions
+from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, derived_limits
+from .regressor import exact_regressor, regressor_from_weights
+from .rig import Rig
+
+__all__ = ["build_rig"]
+
+
+def build_rig(data, card=None, *, normalize_weights=False, parts=None):
+    """A validated Rig from what a file says and what a card adds.
+
+    Parameters
+    ----------
+    data : RigData
+        Left as it is; the rig gets copies.
+    card : Card or path-like, optional
+        Overrides the file: hierarchy, merged and locked joints, frames, limits, partitions, unit, up, forward.
+    normalize_weights : bool, default False
+        Divide weight rows by their sums, whatever these are. Without it, sums within 1 % of 1 are put right with a note and
+        others are an error.
+    parts : str, optional
+        The partition in use; default the card's ``use_parts``, else the file's, else "joints".
+
+    Returns
+    -------
+    Rig
+        Anomalies and what was done about them stand in ``rig.notes``. Joints that move no vertex (no weight in all that
+        hangs on them) and joints that only repeat the root's turn (all weight hangs on them) are locked; the
+        latter not if a card gives them limits by name, and neither if the file is the package's own. Missing limits are derived: :func:`.limits.derived_limits`.
+
+    Raises
+    ------
+    InputError
+        For anything that cannot be used (FileError, which names the file, where ``data.path`` is known).
+    """
+    card = _as_card(card)
+    report = Reporter(data.path)
+    notes = list(data.notes)
+    names, parents, joints, frames = check_joints(report, data)
+    vertices, faces = check_mesh(report, data.vertices, data.faces)
+    weights = check_weights(report, data.weights, len(vertices), names, normalize_weights, notes)
+    unit, up, forward = (
+        mine if mine is not None else theirs
+        for mine, theirs in ((card.metres_per_unit, data.metres_per_unit), (card.up, data.up), (card.forward, data.forward))
+    )
+    check_directions(report, unit, up, forward)
+
+    parents = _hierarchy(parents, names, card)
+    root = check_tree(report, parents, names, explained=bool(card.root or card.chains or card.parents))
+    frames, turned = _frames(frames, joints, parents, names, card, up, forward)
+    regressor = _regressor(report, data, vertices, weights, parents, joints, names, notes)
+
+    state = _states(report, data, weights, parents, root, names, card, notes)
+    if state.merged_now.any():
+        weights = _merged_weights(weights, parents, state.merged)
+    lower, upper = _limits(report, data, root, names, frames, turned, state, card, notes)
+
+    partitions = _partitions(report, data, names, card)
+    granularity = next((p for p in (parts, card.use_parts, data.parts) if p is not None), "joints")
+    known = ["joints", *(p for p in partitions if p != "joints")]
+    if granularity not in known:
+        argument = (
+            "parts" if parts is not None else f"{card.where}, use_parts" if card.use_parts is not None else "parts of the file"
+        )
+        raise InputError(
+            argument,
+            repr(granularity),
+            f"one of {', '.join(known)}",
+            "Name further partitions in the rig's card, in [parts.NAME].",
+        )
+
+    rig = Rig(
+        name=str(data.name), vertices=vertices, faces=faces, weights=weights, parents=parents, joint_names=tuple(names), joints=joints,
+        frames=frames, lower=lower, upper=upper, regressor=regressor, merged=state.merged, locked=state.locked, partitions=partitions,
+        granularity=granularity, metres_per_unit=None if unit is None else float(unit), up=up, forward=forward,
+    )  # fmt: skip
+    if not len(rig.welded.faces):
+        report.fail("faces", f"{len(faces)} faces, each with two corners at one point", "at least one proper triangle")
+    for partition in known:
+        _ = rig.with_parts(partition).parts  # raises where a vertex has no part, and says what is missing
+    notes += mesh_notes(rig) + skin_notes(rig) + size_notes(rig)
+    unknown = [word for word, value in (("unit", unit), ("up axis", up), ("forward axis", forward)) if value is None]
+    if unknown:
+        notes.append(f"unknown: {', '.join(unknown)} (a card's [rig] can say)")
+    return _with_notes(rig, notes)
+
+
+@dataclass
+class _States:
+    """What each joint may do: (J,) bool arrays."""
+
+    merged: np.ndarray
+    merged_now: np.ndarray  # without those whose weights the file has moved already
+    locked: np.ndarray
+
+
+def _as_card(card):
+    if card is None:
+        return Card()
+    if isinstance(card, Card):
+        return card
+    if isinstance(card, (str, os.PathLike)):
+        return read_card(card)
+    raise InputError("card", type(card).__name__, "a Card, or the path of a card file")
+
+
+def _hierarchy(parents, names, card):
+    """The file's parents, overridden by the card's parents table, then by its chains; its root hangs on nothing."""
+    parents = parents.copy()
+    where = f"{card.where}, [hierarchy]"
+    by_chain = {}
+    for child, parent in card.parents:
+        (up,) = matching(parent, names, where)[:1]
+        for j in matching(child, names, where):
+            if j != up:  # a glob may well match the parent itself
+                parents[j] = up
+    for chain in card.chains:
+        rows = [_one(name, names, where) for name in chain]
+        for up, j in pairwise(rows):
+            if by_chain.setdefault(j, up) != up:
+                got = f"two parents for joint {names[j]!r}: {names[by_chain[j]]!r} and {names[up]!r}"
+                raise InputError(where, got, "chains that give each joint one parent")
+            parents[j] = up
+    if card.root is not None:
+        root = _one(card.root, names, where)
+        if root in by_chain:
+            raise InputError(
+                where,
+                f"the root {card.root!r} hanging on {names[by_chain[root]]!r}",
+                "a root that no chain puts below another joint",
+            )
+        parents[root] = -1
+    return parents
+
+
+def _one(name, names, where):
+    """Row of one joint: globs are no use where the order matters."""
+    rows = matching(name, names, where)
+    if len(rows) > 1:
+        raise InputError(where, f"{name!r}, which matches {len(rows)} joints", "the name of one joint")
+    return rows[0]
+
+
+def _frames(frames, joints, parents, names, card, up, forward):
+    """Rest frames after the card's [frames], and (J, 3, 3) rotations from new to old axes (None where nothing changed)."""
+    if not card.frames:
+        return frames, None
+    old, new = frames, frames.copy()
+    bones = None
+    for pattern, kind in card.frames:
+        rows = matching(pattern, names, f"{card.where}, [frames]")
+        if kind == "rig":
+            new[rows] = np.eye(3)
+            continue
+        if bones is None:
+            if up is None or forward is None:
+                raise InputError(
+                    f"{card.where}, [frames]", f"'bone' for {pattern!r}, but no up and forward axes", "both, in the card's [rig]"
+                )
+            bones = bone_frames(child_directions(joints, parents), up, forward)
+        new[rows] = bones[rows]
+    changed = np.abs(new - old).max(axis=(1, 2)) > 1e-9
+    return new, (np.swapaxes(new, 1, 2) @ old if changed.any() else None)
+
+
+def _regressor(report, data, vertices, weights, parents, joints, names, notes):
+    """The file's regressor put right to R U = J, else one from the weights."""
+    if data.regressor is None:
+        return regressor_from_weights(vertices, weights, parents, joints)
+    given = report.matrix("regressor", data.regressor, (len(joints), len(vertices)))
+    size = float(np.ptp(vertices, axis=0).max())
+    miss = np.linalg.norm(given @ vertices - joints, axis=1)
+    if miss.max() > 1e-4 * size:
+        j = int(np.argmax(miss))
+        notes.append(
+            f"the file's joint regressor misses the file's joints by up to {100 * miss[j] / size:.2g} % of the size ({names[j]}); "
+            "the positions were kept and the regressor put right"
+        )
+    made = exact_regressor(given, vertices, joints)
+    lacking = np.linalg.norm(made @ vertices - joints, axis=1) > 1e-9 * size
+    if lacking.any():  # no entries, or entries that cannot reach the joint
+        derived = regressor_from_weights(vertices, weights, parents, joints)
+        made = sparse.csr_array(sparse.vstack([(derived if bad else made)[[j]] for j, bad in enumerate(lacking)], format="csr"))
+        if not (np.abs(miss[lacking]) <= 1e-9 * size).all():
+            notes.append(
+                f"the file's joint regressor cannot give the position of {listed([names[j] for j in np.flatnonzero(lacking)])}: derived from the weights"
+            )
+    same = made.shape == given.shape and made.nnz == given.nnz and np.array_equal(made.indices, given.indices)
+    if same and np.abs(made.data - given.data).max(initial=0.0) < 1e-12:
+        return given  # exact already: to the last bit what was saved
+    return made
+
+
+def _states(report, data, weights, parents, root, names, card, notes):
+    """Merged and locked joints: the file's (our own format only), the card's, and those that could only confuse a fit."""
+    J = len(names)
+    ours = data.merged is not None or data.locked is not None
+    before = np.zeros(J, dtype=bool) if data.merged is None else _mask(report, "merged", data.merged, J)
+    locked = np.zeros(J, dtype=bool) if data.locked is None else _mask(report, "locked", data.locked, J)
+    locked_before, merged = locked.copy(), before.copy()
+    for pattern in card.merge:
+        merged[matching(pattern, names, f"{card.where}, [merge] into_parent")] = True
+    for pattern in card.lock:
+        locked[matching(pattern, names, f"{card.where}, [lock] joints")] = True
+    for word, mask, remedy in (
+        ("merged", merged, "Leave it out of [merge]."),
+        ("locked", locked, "Leave it out of [lock]; [limits] say how far sampled poses turn it."),
+    ):
+        if mask[root]:
+            where = card.where if (card.merge or card.lock) else f"{word} joints"
+            raise InputError(where, f"the root joint {names[root]!r} among the {word} joints", "any joint but the root", remedy)
+    locked &= ~merged
+    for word, now in (("merged into their parents", merged & ~before), ("locked", locked & ~locked_before)):
+        if now.any():
+            notes.append(f"{np.count_nonzero(now)} joints {word}: {listed([names[j] for j in np.flatnonzero(now)])}")
+    if not ours:
+        spoken_for = np.isin(names, [pattern for pattern, *_ in card.limits])  # by name: a glob means no joint in particular
+        idle, rootlike = _powerless(weights, parents, root)
+        idle, rootlike = idle & ~merged & ~locked, rootlike & ~merged & ~locked & ~spoken_for
+        if idle.any():
+            notes.append(
+                f"{np.count_nonzero(idle)} joints locked, as they move no vertex: {listed([names[j] for j in np.flatnonzero(idle)])}"
+            )
+        if rootlike.any():
+            notes.append(
+                f"{np.count_nonzero(rootlike)} joints locked, as they turn the whole mesh like the root: "
+                f"{listed([names[j] for j in np.flatnonzero(rootlike)])} (limits in a card would free them)"
+            )
+        locked |= idle | rootlike
+    return _States(merged, merged & ~before, locked)
+
+
+def _mask(report, field, value, J):
+    a = np.array(value)
+    if a.dtype != bool or a.shape != (J,):
+        report.fail(field, f"an array of type {a.dtype} and shape {a.shape}", f"true or false for each of the {J} joints")
+    return a
+
+
+def _powerless(weights, parents, root):
+    """Joints below the root that move no vertex, and joints that move all of them: (J,) bool each."""
+    hangs = np.asarray((weights > 0).sum(axis=0)).ravel() > 0
+    reach = np.zeros((len(parents), len(parents)), dtype=bool)  # reach[a, j]: a is j or above it
+    for j in range(len(parents)):
+        k = j
+        while k >= 0:
+            reach[k, j] = True
+            k = parents[k]
+    idle = ~reach[:, hangs].any(axis=1)
+    all_of_it = reach[:, hangs].all(axis=1)
+    idle[root] = all_of_it[root] = False
+    return idle, all_of_it
+
+
+def _merged_weights(weights, parents, merged):
+    """Each merged joint's column added to that of the nearest joint above it that is not merged."""
+    J = len(parents)
+    heir = np.arange(J)
+    for j in range(J):
+        while merged[heir[j]]:
+            heir[j] = parents[heir[j]]
+    moved = sparse.csr_array(weights @ sparse.csr_array((np.ones(J), (np.arange(J), heir)), shape=(J, J)))
+    moved.sum_duplicates()
+    moved.sort_indices()
+    return moved
+
+
+def _limits(report, data, root, names, frames, turned, state, card, notes):
+    """Limits of all joints: the file's, else derived; then the card's; 0 for joints that do not turn."""
+    J = len(names)
+    moving = ~(state.merged | state.locked)
+    animated = None if data.animated is None else report.array("animated", data.animated, (None, J, 3))
+    changed = np.zeros(J, dtype=bool)
+    if turned is not None:
+        changed = np.abs(turned - np.eye(3)).max(axis=(1, 2)) > 1e-9
+        if animated is not None:
+            animated = np.einsum("jab,kjb->kja", turned, animated)  # the same turns, about the new axes
+    lower, upper, from_animation = derived_limits(root, J, animated)
+    derived = np.ones(J, dtype=bool)
+    if data.lower is not None or data.upper is not None:
+        low, high = check_limits(report, data.lower, data.upper, names)
+        derived = changed & moving  # a box about other axes says nothing about these
+        lower[~derived], upper[~derived] = low[~derived], high[~derived]
+    for pattern, low, high in card.limits:
+        rows = matching(pattern, names, f"{card.where}, [limits]")
+        lower[rows], upper[rows] = low, high
+        derived[rows] = False
+    lower, upper = check_limits(report, lower, upper, names)
+    lower[~moving] = upper[~moving] = 0.0
+    derived &= moving
+    if derived.any():
+        ways = []
+        if (derived & from_animation).any():
+            ways.append(f"from the animations with a margin for {np.count_nonzero(derived & from_animation)}")
+        plain = derived & ~from_animation
+        plain[root] = False
+        if plain.any():
+            ways.append(
+                f"±{DEFAULT_LIMIT} rad about each axis for {np.count_nonzero(plain)} ({listed([names[j] for j in np.flatnonzero(plain)], 4)})"
+            )
+        if derived[root]:
+            ways.append(f"±{DEFAULT_ROOT_LIMIT} rad for sampling the root")
+        notes.append(
+            f"neither file nor card has limits for {np.count_nonzero(derived)} of {np.count_nonzero(moving)} moving joints; they were derived: "
+            f"{'; '.join(ways)} (a card's [limits] can say better)"
+        )
+    return lower, upper
+
+
+def _partitions(report, data, names, card):
+    """The file's partitions and the card's, as plain dictionaries of joint names."""
+    out = {}
+    for partition, groups in data.partitions.items():
+        unknown = [n for members in groups.values() for n in members if n not in names]
+        if unknown:
+            report.fail(f"partition {partition!r}", f"{unknown[0]!r}, which is no joint of the rig", "names of its joints")
+        out[str(partition)] = {str(part): tuple(members) for part, members in groups.items()}
+    for partition, groups in card.partitions.items():
+        where = f"{card.where}, [parts.{partition}]"
+        owner, expanded = {}, {}
+        for part, patterns in groups.items():
+            members = sorted({j for pattern in patterns for j in matching(pattern, names, where)})
+            for j in members:
+                if j in owner:
+                    raise InputError(
+                        where, f"joint {names[j]!r} in both {owner[j]!r} and {part!r}", "each joint in one part at most"
+                    )
+                owner[j] = part
+            expanded[part] = tuple(names[j] for j in members)
+        out[partition] = expanded
+    return out
+
+
+def _with_notes(rig, notes):
+    """The rig with each note once, in order; what was computed for them is not computed again."""
+    object.__setattr__(rig, "notes", tuple(dict.fromkeys(str(note) for note in notes)))
+    return rig

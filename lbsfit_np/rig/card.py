@@ -1,0 +1,298 @@
+"""The rig card: a small TOML file beside a rig that says what the rig's format cannot.
+
+Every table is optional; names may be globs (``*``, ``?``, ``[ab]``) wherever a table speaks of several joints.
+
+    [rig]
+    unit = "m"                    # m, cm, mm, in, ft, or the number of metres in one unit
+    up = "+y"
+    forward = "+z"
+    use_parts = "fingers"         # the partition in use; "joints" (one part per moving joint) if not said
+
+    [hierarchy]
+    root = "wrist"
+    chains = [["wrist", "thumb-base", "thumb-tip"], ["wrist", "index-base", "index-tip"]]   # each hangs on the one before
+    parents = { "prop-*" = "wrist" }                                                         # child = parent
+
+    [merge]
+    into_parent = ["*-tip"]       # give their weights to the nearest joint above that is not merged
+
+    [lock]
+    joints = ["eye-*"]            # keep their weights, never turn
+
+    [frames]
+    "*" = "bone"                  # axes that angles turn about: "bone" (y along the bone) or "rig" (the rig's axes)
+
+    [limits]                      # [lower x, y, z], [upper x, y, z]; later lines override earlier ones
+    unit = "rad"                  # or "deg"
+    "*" = [[-0.8, -0.8, -0.8], [0.8, 0.8, 0.8]]
+
+    [parts.fingers]               # a partition: part = joints; joints not named belong to the part above them
+    palm = ["wrist"]
+    thumb = ["thumb-*"]
+"""
+
+import math
+import os
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileError, InputError
+from .frames import AXES
+
+__all__ = ["UNITS", "Card", "card_text", "matching", "read_card", "write_card"]
+
+# Metres in one unit.
+UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+
+_TABLES = {
+    "rig": ("unit", "up", "forward", "use_parts"),
+    "hierarchy": ("root", "chains", "parents"),
+    "merge": ("into_parent",),
+    "lock": ("joints",),
+    "frames": None,  # keys are joints
+    "limits": None,
+    "parts": None,
+}
+_FRAME_KINDS = ("bone", "rig")
+
+
+@dataclass(frozen=True)
+class Card:
+    """What a rig card says. Names are as written: ``build_rig`` looks them up in the rig."""
+
+    metres_per_unit: float | None = None
+    up: str | None = None
+    forward: str | None = None
+    use_parts: str | None = None
+    root: str | None = None
+    chains: tuple[tuple[str, ...], ...] = ()
+    parents: tuple[tuple[str, str], ...] = ()  # (child or glob, parent)
+    merge: tuple[str, ...] = ()
+    lock: tuple[str, ...] = ()
+    frames: tuple[tuple[str, str], ...] = ()  # (joint or glob, "bone" or "rig")
+    limits: tuple[tuple[str, tuple, tuple], ...] = ()  # (joint or glob, lower (3,), upper (3,)) in radians
+    partitions: Mapping[str, Mapping[str, tuple[str, ...]]] = field(default_factory=dict)
+    path: str | None = None  # where it was read, for messages
+
+    @property
+    def where(self):
+        return "card" if self.path is None else f"card {self.path}"
+
+
+def read_card(path):
+    """Read a rig card.
+
+    Parameters
+    ----------
+    path : path-like
+        A TOML file; the module's docstring shows its tables.
+
+    Returns
+    -------
+    Card
+
+    Raises
+    ------
+    FileError
+        The file is missing, not TOML (with the line), or has unknown tables, unknown keys or values of the wrong kind.
+    """
+    path = Path(path)
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise FileError(str(path), "no such file", "a rig card", "Write one to edit with: lbsfit rig card RIG -o CARD") from None
+    except OSError as e:
+        raise FileError(str(path), f"a file that cannot be read ({e.strerror})", "a rig card") from None
+    except UnicodeDecodeError:
+        raise FileError(str(path), "bytes that are not UTF-8 text", "a rig card, which is a TOML text file") from None
+    try:
+        content = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as e:
+        raise FileError(str(path), f"text that is not TOML: {e}", "a rig card in TOML", "Put joint names in quotes.") from None
+    except RecursionError:
+        raise FileError(str(path), "brackets nested without end", "a rig card in TOML") from None
+    return _Parser(str(path)).card(content)
+
+
+def write_card(rig, path):
+    """Write a card to edit for a rig (a Rig or a RigData), with comments that explain each table.
+
+    The file is replaced in one step. Reading it back gives the rig's own settings.
+    """
+    path = Path(path)
+    scratch = path.with_name(path.name + f".{os.getpid()}.tmp")
+    try:
+        scratch.write_text(card_text(rig), encoding="utf-8")
+        os.replace(scratch, path)
+    except OSError as e:
+        scratch.unlink(missing_ok=True)
+        raise FileError(str(path), f"a place that cannot be written ({e.strerror})", "a path in an existing folder") from None
+
+
+def card_text(rig):
+    """The text that :func:`write_card` writes."""
+    from .card_text import card_text as text
+
+    return text(rig)
+
+
+def matching(pattern, names, where):
+    """Rows of the joints that a name or glob means; one error with the nearest names where it means none.
+
+    A pattern that is a joint's name to the letter means that joint, whatever ``*``, ``?`` or ``[`` it contains.
+    """
+    if pattern in names:
+        return [names.index(pattern)]
+    rows = [j for j, name in enumerate(names) if fnmatchcase(name, pattern)]
+    if not rows:
+        is_glob = any(c in pattern for c in "*?[")
+        raise InputError(
+            where,
+            f"{pattern!r}, which {'matches no joint' if is_glob else 'is no joint'} of the rig",
+            "names or globs of its joints",
+            nearest(pattern.strip("*"), names),
+        )
+    return rows
+
+
+def nearest(name, names):
+    """A sentence that names the likeliest spellings, or all names if there are few."""
+    lowered = {n.lower(): n for n in reversed(names)}
+    close = [lowered[n] for n in get_close_matches(name.lower(), list(lowered), n=4, cutoff=0.5)]
+    if not close and name:
+        close = [n for n in names if name.lower() in n.lower() or n.lower() in name.lower()][:4]
+    if close:
+        return f"Did you mean {' or '.join(map(repr, close))}?"
+    shown = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
+    return f"There are: {shown}."
+
+
+class _Parser:
+    """Checks the kinds of all values, so that a Card holds nothing else; each error names the table and key."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def card(self, content):
+        self.known(content, tuple(_TABLES), "at the top", "table")
+        for table, keys in _TABLES.items():
+            if table in content:
+                if not isinstance(content[table], dict):
+                    self.fail(f"{table} = {content[table]!r}", f"a table, written [{table}]")
+                if keys is not None:
+                    self.known(content[table], keys, f"in [{table}]", "key")
+        rig, hierarchy = content.get("rig", {}), content.get("hierarchy", {})
+        return Card(
+            metres_per_unit=self.unit(rig.get("unit")),
+            up=self.axis(rig, "up"),
+            forward=self.axis(rig, "forward"),
+            use_parts=self.text(rig, "use_parts", "[rig]"),
+            root=self.text(hierarchy, "root", "[hierarchy]"),
+            chains=self.chains(hierarchy.get("chains", [])),
+            parents=self.pairs(hierarchy.get("parents", {}), "[hierarchy] parents"),
+            merge=self.names(content.get("merge", {}).get("into_parent", []), "[merge] into_parent"),
+            lock=self.names(content.get("lock", {}).get("joints", []), "[lock] joints"),
+            frames=self.frames(content.get("frames", {})),
+            limits=self.limits(content.get("limits", {})),
+            partitions=self.partitions(content.get("parts", {})),
+            path=self.path,
+        )
+
+    def fail(self, got, expected, remedy=None):
+        raise FileError(self.path, got, expected, remedy)
+
+    def known(self, table, keys, where, kind):
+        for key in table:
+            if key not in keys:
+                close = get_close_matches(key, keys, n=1)
+                hint = f"Did you mean {close[0]!r}?" if close else None
+                self.fail(f"an unknown {kind} {key!r} {where}", f"one of {', '.join(keys)}", hint)
+
+    def text(self, table, key, where):
+        value = table.get(key)
+        if value is not None and not isinstance(value, str):
+            self.fail(f"{where} {key} = {value!r}", "text in quotes")
+        return value
+
+    def unit(self, value):
+        if value is None:
+            return None
+        if isinstance(value, str) and value in UNITS:
+            return UNITS[value]
+        if _is_number(value) and math.isfinite(value) and value > 0:
+            return float(value)
+        self.fail(f"[rig] unit = {value!r}", f"one of {', '.join(map(repr, UNITS))}, or the number of metres in one unit")
+
+    def axis(self, rig, key):
+        value = rig.get(key)
+        if value is not None and (not isinstance(value, str) or value not in AXES):
+            self.fail(f"[rig] {key} = {value!r}", f"one of {', '.join(map(repr, AXES))}")
+        return value
+
+    def names(self, value, where):
+        if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
+            self.fail(f"{where} = {value!r}", 'a list of joint names or globs, such as ["*-tip"]')
+        return tuple(value)
+
+    def chains(self, value):
+        if not isinstance(value, list) or not all(isinstance(chain, list) and len(chain) > 1 for chain in value):
+            self.fail(
+                f"[hierarchy] chains = {value!r}", 'a list of chains of at least two joints, such as [["wrist", "thumb-base"]]'
+            )
+        return tuple(self.names(chain, "a chain in [hierarchy]") for chain in value)
+
+    def pairs(self, value, where):
+        if not isinstance(value, dict) or not all(isinstance(v, str) for v in value.values()):
+            self.fail(f"{where} = {value!r}", 'a table of child = parent, such as { "thumb-base" = "wrist" }')
+        return tuple(value.items())
+
+    def frames(self, value):
+        for name, kind in value.items():
+            if kind not in _FRAME_KINDS:
+                self.fail(f"[frames] {name!r} = {kind!r}", " or ".join(map(repr, _FRAME_KINDS)))
+        return tuple(value.items())
+
+    def limits(self, value):
+        unit = value.get("unit", "rad")
+        if unit not in ("rad", "deg"):
+            self.fail(f"[limits] unit = {unit!r}", "'rad' or 'deg'")
+        factor = 1.0 if unit == "rad" else math.pi / 180.0
+        out = []
+        for name, pair in value.items():
+            if name == "unit":
+                continue
+            where = f"[limits] {name!r} = {pair!r}"
+            ok = isinstance(pair, list) and len(pair) == 2 and all(isinstance(t, list) and len(t) == 3 for t in pair)
+            if not ok or not all(_is_number(a) and math.isfinite(a) for t in pair for a in t):
+                self.fail(where, "[[lower x, y, z], [upper x, y, z]], six finite numbers")
+            lower, upper = np.array(pair, dtype=float)
+            for axis, low, high in zip("xyz", lower, upper):
+                if low > high:
+                    self.fail(
+                        f"{where}, reversed about {axis}", "lower limits that are not above the upper ones", "Swap the two."
+                    )
+            lower, upper = lower * factor, upper * factor
+            if max(np.abs(lower).max(), np.abs(upper).max()) > 2 * math.pi:
+                self.fail(where, "angles of at most one turn", 'Write unit = "deg" in [limits] if these are degrees.')
+            out.append((name, tuple(lower.tolist()), tuple(upper.tolist())))
+        return tuple(out)
+
+    def partitions(self, value):
+        out = {}
+        for name, parts in value.items():
+            if name == "joints":
+                self.fail("[parts.joints]", 'another name: "joints" always means one part per moving joint')
+            if not isinstance(parts, dict) or not parts:
+                self.fail(f"[parts] {name} = {parts!r}", f'a table [parts.{name}] with lines such as thumb = ["thumb-*"]')
+            out[name] = {part: self.names(members, f"[parts.{name}] {part}") for part, members in parts.items()}
+        return out
+
+
+def _is_number(value):
+    return isinstance(value, (int, float)) and not isinstance(value, bool)

@@ -1,0 +1,190 @@
+"""The text of a rig card to edit: a rig's present settings in TOML, and comments that say what could be changed."""
+
+import re
+
+import numpy as np
+
+from .card import UNITS
+from .data import RigData
+from .limits import derived_limits
+
+__all__ = ["card_text", "guessed_chains"]
+
+
+def card_text(rig):
+    """The card of a Rig or a RigData.
+
+    Where the file has several roots, [hierarchy] holds a guess from names and positions, for the user to check.
+
+    Returns
+    -------
+    str
+        TOML. Lines that say nothing yet are comments.
+    """
+    names = list(rig.joint_names)
+    parents = np.asarray(rig.parents)
+    lines = [f"# Rig card of {_one_line(rig.name)}: {len(names)} joints, {len(rig.vertices)} vertices.", ""]
+    lines += _rig_table(rig)
+    lines += _hierarchy_table(rig, names, parents)
+    merged = _mask(rig, "merged")
+    locked = _mask(rig, "locked")
+    lines += [
+        "[merge]",
+        "# Joints that a scan cannot show (tips, toes, a face's bones): their skin moves with the next joint above.",
+        f"into_parent = {_list(n for n, on in zip(names, merged) if on)}",
+        "",
+        "[lock]",
+        "# Joints that keep their skin but never turn.",
+        f"joints = {_list(n for n, on in zip(names, locked) if on)}",
+        "",
+        "# [frames]",
+        '# "*" = "bone"     # angles turn about: y along the bone, x across (bending), z forward; "rig": the rig\'s own axes',
+        "",
+    ]
+    lines += _limits_table(rig, names, parents, merged | locked)
+    lines += _parts_tables(rig, names)
+    return "\n".join(lines) + "\n"
+
+
+def guessed_chains(names, joints):
+    """A root and chains for joints whose file has no hierarchy: groups of names that begin alike, from near to far.
+
+    The root is the joint named wrist, hips, pelvis or root, else the one nearest to the middle of all joints.
+
+    Returns
+    -------
+    root : str
+    chains : list of list of str
+        Each from the root outwards.
+    """
+    joints = np.asarray(joints, dtype=float)
+    likely = [
+        n
+        for word in ("wrist", "hips", "pelvis", "hip", "root")
+        for n in names
+        if re.search(rf"(^|[^a-z]){word}($|[^a-z])", n.lower())
+    ]
+    middle = int(np.argmin(np.linalg.norm(joints - joints.mean(axis=0), axis=1)))
+    root = likely[0] if likely else names[middle]
+    far = np.linalg.norm(joints - joints[names.index(root)], axis=1)
+    groups = {}
+    for j in np.argsort(far, kind="stable"):
+        if names[j] != root:
+            first_word = re.split(r"[^A-Za-z]+|(?<=[a-z])(?=[A-Z])", names[j])
+            groups.setdefault(next((w.lower() for w in first_word if w), names[j]), [root]).append(names[j])
+    return root, list(groups.values())
+
+
+def _rig_table(rig):
+    unit = rig.metres_per_unit
+    named = next((f'"{name}"' for name, metres in UNITS.items() if unit == metres), repr(unit))
+    granularity = getattr(rig, "granularity", None) or getattr(rig, "parts", None)
+    use = granularity if isinstance(granularity, str) else None
+    return [
+        "[rig]",
+        f"unit = {named}"
+        if unit is not None
+        else '# unit = "m"           # unknown. m, cm, mm, in, ft, or the number of metres in one unit',
+        f'up = "{rig.up}"' if rig.up else '# up = "+y"            # unknown',
+        f'forward = "{rig.forward}"' if rig.forward else '# forward = "+z"       # unknown: where the rig looks',
+        f"use_parts = {_quote(use)}"
+        if use and use != "joints"
+        else '# use_parts = "NAME"   # one of the partitions below; else one part per moving joint',
+        "",
+    ]
+
+
+def _hierarchy_table(rig, names, parents):
+    roots = np.flatnonzero(parents < 0)
+    lines = [
+        "[hierarchy]",
+        '# chains: each joint hangs on the one before it. parents = { "child" = "parent" } does the same one by one.',
+    ]
+    if len(roots) == 1 and isinstance(rig, RigData):
+        return [*lines, "# The file says the hierarchy; lines here would override it.", f"root = {_quote(names[roots[0]])}", ""]
+    if len(roots) == 1:  # of a built rig nobody knows whether the file or a card said it: say it all
+        lines += [f"root = {_quote(names[roots[0]])}", "chains = ["]
+        return [*lines, *(f"    {_list(names[j] for j in chain)}," for chain in _chains(parents, roots[0])), "]", ""]
+    lines.append(
+        f"# The file has {len(roots)} joints without a parent. What follows is a GUESS from names and positions: check it."
+    )
+    root, chains = guessed_chains([names[j] for j in roots], np.asarray(rig.joints)[roots])
+    lines += [f"root = {_quote(root)}", "chains = ["]
+    lines += [f"    {_list(chain)}," for chain in chains]
+    return [*lines, "]", ""]
+
+
+def _chains(parents, root):
+    """The tree as chains of rows, each starting at a joint that an earlier chain has placed (or at the root)."""
+    chains, open_ends = [], [root]
+    while open_ends:
+        at = open_ends.pop(0)
+        for child in np.flatnonzero(parents == at):
+            chain = [at, child]
+            while len(below := np.flatnonzero(parents == chain[-1])) == 1:
+                chain.append(below[0])
+            chains.append(chain)
+            open_ends.append(chain[-1])
+    return chains
+
+
+def _limits_table(rig, names, parents, still):
+    lower, upper = rig.lower, rig.upper
+    lines = [
+        "[limits]",
+        '# How far each joint turns about the x, y, z of its rest frame: [lower], [upper]. Globs such as "*-finger-*" may stand for',
+        "# several joints; later lines override earlier ones. The root's serve for sampling only: a fit leaves the root free.",
+    ]
+    if lower is None:
+        lines.append("# The file has none: these are derived from its animations, or defaults.")
+        root = int(np.flatnonzero(parents < 0)[0]) if (parents < 0).any() else 0
+        if (parents < 0).sum() > 1:
+            root = names.index(
+                guessed_chains([names[j] for j in np.flatnonzero(parents < 0)], np.asarray(rig.joints)[parents < 0])[0]
+            )
+        lower, upper = np.round(derived_limits(root, len(names), rig.animated)[:2], 3)
+    lines.append('unit = "rad"')
+    for j, name in enumerate(names):
+        if not still[j]:
+            lines.append(f"{_quote(_pattern(name))} = [{_numbers(lower[j])}, {_numbers(upper[j])}]")
+    return [*lines, ""]
+
+
+def _parts_tables(rig, names):
+    lines = [
+        "# [parts.NAME]     # a partition: part = joints. Joints that are not named belong to the part above them.",
+        f"# body = [{_quote(names[0])}]",
+        "",
+    ]
+    for name, parts in rig.partitions.items():
+        lines.append(f"[parts.{_quote(name)}]")
+        lines += [f"{_quote(part)} = {_list(members)}" for part, members in parts.items()]
+        lines.append("")
+    return lines
+
+
+def _mask(rig, field):
+    value = getattr(rig, field)
+    return np.zeros(len(rig.parents), dtype=bool) if value is None else np.asarray(value)
+
+
+def _quote(text):
+    """A TOML basic string."""
+    out = text.replace("\\", "\\\\").replace('"', '\\"')
+    return '"' + "".join(c if c >= " " and c != "\x7f" else f"\\u{ord(c):04x}" for c in out) + '"'
+
+
+def _pattern(name):
+    return "uni[t]" if name == "unit" else name  # the plain word is the table's own key
+
+
+def _list(texts):
+    return "[" + ", ".join(map(_quote, texts)) + "]"
+
+
+def _numbers(row):
+    return "[" + ", ".join(repr(float(a)) for a in row) + "]"
+
+
+def _one_line(text):
+    return "".join(c if c.isprintable() else " " for c in text)

@@ -1,0 +1,209 @@
+"""Checks of a rig file's content: arrays of the right kinds, indices in range, weights that are weights, a proper tree."""
+
+import numpy as np
+from scipy import sparse
+
+from ..errors import FileError, InputError
+from .frames import AXES
+
+__all__ = ["Reporter", "check_directions", "check_joints", "check_limits", "check_mesh", "check_tree", "check_weights"]
+
+# Weight sums this near to 1 are rounding (of single-precision files) and not worth a word.
+_ROUNDING = 1e-5
+# Weight sums within 1 % of 1 are put right; others are not what the artist meant.
+_TOLERATED = 0.01
+
+
+class Reporter:
+    """Raises the errors of one rig file: they name the file where there is one."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def fail(self, field, got, expected, remedy=None):
+        if self.path is None:
+            raise InputError(field, got, expected, remedy)
+        raise FileError(str(self.path), f"{field}: {got}", expected, remedy)
+
+    def array(self, field, value, shape, kind="numbers"):
+        """A new float (kind "numbers") or int ("indices") array of a shape, where None is any length."""
+        words = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ("," if len(shape) == 1 else "") + ")"
+        try:
+            a = np.asarray(value)
+        except (TypeError, ValueError):
+            self.fail(field, type(value).__name__, f"an array of {kind} of shape {words}")
+        if a.dtype.kind not in "fiu" or (kind == "indices" and a.dtype.kind == "f"):
+            self.fail(
+                field, f"an array of type {a.dtype}", f"an array of {kind if kind == 'numbers' else 'integers'} of shape {words}"
+            )
+        if a.ndim != len(shape) or any(n is not None and n != k for n, k in zip(shape, a.shape)):
+            self.fail(field, f"shape {a.shape}", f"shape {words}")
+        if kind == "indices":
+            return a.astype(np.intp)
+        a = a.astype(float)
+        bad = ~np.isfinite(a)
+        if bad.any():
+            first = np.argwhere(bad)[0].tolist()
+            self.fail(field, f"{np.count_nonzero(bad)} values that are NaN or infinite, the first at {first}", "finite numbers")
+        return a
+
+    def matrix(self, field, value, shape):
+        """A new sparse float matrix in canonical form."""
+        if not sparse.issparse(value):
+            value = self.array(field, value, (None, None))
+        if value.shape != shape:
+            self.fail(field, f"shape {value.shape}", f"shape {shape}")
+        a = sparse.csr_array(value, dtype=float, copy=True)
+        bad = int(np.count_nonzero(~np.isfinite(a.data)))
+        if bad:
+            row = int(np.searchsorted(a.indptr, np.flatnonzero(~np.isfinite(a.data))[0], side="right")) - 1
+            self.fail(field, f"{bad} values that are NaN or infinite, the first in row {row}", "finite numbers")
+        a.sum_duplicates()
+        a.eliminate_zeros()
+        a.sort_indices()
+        return a
+
+
+def check_mesh(report, vertices, faces):
+    """Template and faces: (m, 3) float and (F, 3) int, faces in range, a mesh with some size."""
+    vertices = report.array("vertices", vertices, (None, 3))
+    faces = report.array("faces", faces, (None, 3), "indices")
+    m = len(vertices)
+    if m < 3:
+        report.fail("vertices", f"{m} vertices", "at least 3")
+    if np.ptp(vertices, axis=0).max() == 0:
+        report.fail("vertices", f"{m} vertices that are all at one point", "a mesh with some size")
+    if len(faces) == 0:
+        report.fail(
+            "faces", "no faces", "at least one triangle", "A point cloud cannot be a rig: export the mesh with its faces."
+        )
+    out = ((faces < 0) | (faces >= m)).any(axis=1)
+    if out.any():
+        first = int(np.flatnonzero(out)[0])
+        got = f"{np.count_nonzero(out)} faces out of range; the first is face {first}, {faces[first].tolist()}"
+        report.fail("faces", got, f"rows of the {m} vertices, 0 to {m - 1}")
+    return vertices, faces
+
+
+def check_weights(report, weights, m, joint_names, normalize, notes):
+    """Skinning weights as an (m, J) csr_array whose rows sum to 1."""
+    J = len(joint_names)
+    w = report.matrix("weights", weights, (m, J))
+    if (w.data < 0).any():
+        k = int(np.argmin(w.data))
+        row = int(np.searchsorted(w.indptr, k, side="right")) - 1
+        got = f"{np.count_nonzero(w.data < 0)} negative weights, the worst {w.data[k]:.3g} (vertex {row}, joint {joint_names[w.indices[k]]!r})"
+        report.fail("weights", got, "weights of 0 and more", "Clean the weights in the program that made the rig.")
+    sums = np.asarray(w.sum(axis=1)).ravel()
+    if (sums <= 0).any():
+        first = int(np.flatnonzero(sums <= 0)[0])
+        got = f"{np.count_nonzero(sums <= 0)} of {m} vertices without any weight, the first is vertex {first}"
+        report.fail(
+            "weights",
+            got,
+            "at least one joint for every vertex",
+            "Give these vertices to a joint in the program that made the rig.",
+        )
+    off = np.abs(sums - 1.0)
+    worst = int(np.argmax(off))
+    if off[worst] > _TOLERATED and not normalize:
+        count = np.count_nonzero(off > _TOLERATED)
+        got = f"{count} of {m} weight rows that do not sum to 1: they sum to {sums.min():.4g} to {sums.max():.4g}, the worst is vertex {worst} with {sums[worst]:.4g}"
+        remedy = "To divide each row by its sum, ask for it: --normalize-weights, or normalize_weights=True."
+        report.fail("weights", got, "rows that sum to 1 within 1 %", remedy)
+    if off[worst] > 1e-12:  # rows that are right to the last bits stay as they are
+        w.data /= np.repeat(sums, np.diff(w.indptr))
+    if off[worst] > _ROUNDING:
+        notes.append(
+            f"{np.count_nonzero(off > _ROUNDING)} weight rows summed to {sums.min():.6g} to {sums.max():.6g}; they were divided by their sums"
+        )
+    return w
+
+
+def check_joints(report, data):
+    """Joint names, parents (in range), positions and rest frames."""
+    names = list(data.joint_names)
+    if not names or not all(isinstance(n, str) and n for n in names):
+        report.fail(
+            "joint_names",
+            "no joints" if not names else "names that are empty or not text",
+            "a name for each of one or more joints",
+        )
+    twice = sorted({n for n in names if names.count(n) > 1})
+    if twice:
+        report.fail(
+            "joint_names", f"names that come more than once: {', '.join(map(repr, twice[:5]))}", "a different name for each joint"
+        )
+    J = len(names)
+    parents = report.array("parents", data.parents, (J,), "indices")
+    out = (parents < -1) | (parents >= J)
+    if out.any():
+        j = int(np.flatnonzero(out)[0])
+        got = f"parent {parents[j]} of joint {names[j]!r}, out of range ({np.count_nonzero(out)} such)"
+        report.fail("parents", got, f"rows of the {J} joints, 0 to {J - 1}, or -1 for a root")
+    joints = report.array("joints", data.joints, (J, 3))
+    frames = report.array("frames", data.frames, (J, 3, 3))
+    off = np.abs(np.swapaxes(frames, 1, 2) @ frames - np.eye(3)).max(axis=(1, 2))
+    if off.max() > 1e-3:
+        j = int(np.argmax(off))
+        report.fail(
+            "frames", f"axes of joint {names[j]!r} that are not orthonormal (off by {off[j]:.2g})", "unit axes at right angles"
+        )
+    left = np.linalg.det(frames) < 0
+    if left.any():
+        report.fail("frames", f"a left-handed frame of joint {names[int(np.argmax(left))]!r}", "right-handed axes, z = x × y")
+    rough = off > 1e-12
+    if rough.any():  # rounding of single-precision files: the nearest rotation
+        u, _, vt = np.linalg.svd(frames[rough])
+        frames[rough] = u @ vt
+    return names, parents, joints, frames
+
+
+def check_tree(report, parents, names, explained):
+    """One root and no cycle; returns the row of the root.
+
+    ``explained``: whether a card's [hierarchy] has been applied, which changes what the user can do about it.
+    """
+    for start in range(len(parents)):
+        path, j = [], start
+        while j >= 0 and j not in path:
+            path.append(j)
+            j = int(parents[j])
+        if j >= 0:
+            loop = [names[k] for k in path[path.index(j) :]] + [names[j]]
+            report.fail("parents", f"a cycle in the hierarchy: {' → '.join(loop)} (each hangs on the next)", "a tree of joints")
+    roots = [names[j] for j in np.flatnonzero(parents < 0)]
+    if len(roots) > 1:
+        shown = ", ".join(roots[:8]) + (f" and {len(roots) - 8} more" if len(roots) > 8 else "")
+        remedy = (
+            "Name what these hang on in the card's [hierarchy], in chains or parents."
+            if explained
+            else "Write a card with: lbsfit rig card RIG -o CARD, fill in its [hierarchy], and pass it with --card (card=...)."
+        )
+        report.fail("parents", f"{len(roots)} root joints: {shown}", "one root, on which all other joints hang", remedy)
+    return int(np.flatnonzero(parents < 0)[0])
+
+
+def check_limits(report, lower, upper, names):
+    """Limits as two (J, 3) arrays, none reversed."""
+    if lower is None or upper is None:
+        report.fail("limits", "only one of lower and upper", "both, or none")
+    lower, upper = report.array("lower", lower, (len(names), 3)), report.array("upper", upper, (len(names), 3))
+    if (lower > upper).any():
+        j, axis = np.argwhere(lower > upper)[0]
+        got = f"limits of joint {names[j]!r} reversed about {'xyz'[axis]}: lower {lower[j, axis]:.4g}, upper {upper[j, axis]:.4g}"
+        report.fail("limits", got, "lower limits that are not above the upper ones", "Swap the two.")
+    return lower, upper
+
+
+def check_directions(report, unit, up, forward):
+    """Unit and axes, where known."""
+    if unit is not None and not (
+        isinstance(unit, (int, float)) and not isinstance(unit, bool) and np.isfinite(unit) and unit > 0
+    ):
+        report.fail("metres_per_unit", repr(unit), "a positive number, or None where unknown")
+    for field, value in (("up", up), ("forward", forward)):
+        if value is not None and value not in AXES:
+            report.fail(field, repr(value), f"one of {', '.join(AXES)}, or None where unknown")
+    if up is not None and forward is not None and up[1] == forward[1]:
+        report.fail("forward", f"{forward}, along the up axis {up}", "another axis than up")

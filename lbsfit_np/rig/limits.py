@@ -1,0 +1,50 @@
+"""Joint limits for rigs whose files have none: from what their animations do, else a plain default."""
+
+import numpy as np
+
+__all__ = ["DEFAULT_LIMIT", "DEFAULT_ROOT_LIMIT", "derived_limits"]
+
+# ±0.8 rad (46°) about each axis of every moving joint. Elbows and knees bend further; but the limits are also what uniform
+# poses are drawn from, and chains of joints that all turn by more than this leave few poses without the mesh cutting itself.
+# A card says it better for each joint.
+DEFAULT_LIMIT = 0.8
+# ±0.6 rad (34°) for the root. A fit leaves the root unbounded: this is only how far sampled poses turn as a whole.
+DEFAULT_ROOT_LIMIT = 0.6
+
+_MARGIN = 0.25  # of the range seen, on each side
+_LEAST_MARGIN = 0.1  # rad: an axis that an animation never uses may still give a little
+_STILL = 1e-3  # rad: less than this over all frames is a joint that never turns
+
+
+def derived_limits(root, n_joints, animated=None):
+    """Limits for every joint, from animations where they turn it, else the default.
+
+    Parameters
+    ----------
+    root : int
+        Row of the root; always gets ±0.6 rad, as animations that walk about say nothing about sampling.
+    n_joints : int
+        J.
+    animated : (k, J, 3) array, optional
+        Rotation vectors in the rest frames, sampled from the file's animations.
+
+    Returns
+    -------
+    lower, upper : (J, 3) arrays
+        Over the frames, smallest and largest angle about each axis, widened by 25 % of the range and at least 0.1 rad on
+        each side, made to contain 0 (the rest pose), clipped to ±π. Joints that no frame turns: ±0.8 rad.
+    from_animation : (J,) bool array
+        The joints whose limits come from the animations.
+    """
+    lower = np.full((n_joints, 3), -DEFAULT_LIMIT)
+    upper = np.full((n_joints, 3), DEFAULT_LIMIT)
+    seen = np.zeros(n_joints, dtype=bool)
+    if animated is not None and len(animated):
+        low, high = animated.min(axis=0), animated.max(axis=0)
+        seen = (high - low).max(axis=1) > _STILL
+        margin = np.maximum(_MARGIN * (high - low), _LEAST_MARGIN)
+        lower[seen] = np.clip(np.minimum(low - margin, 0.0), -np.pi, np.pi)[seen]
+        upper[seen] = np.clip(np.maximum(high + margin, 0.0), -np.pi, np.pi)[seen]
+    seen[root] = False
+    lower[root], upper[root] = -DEFAULT_ROOT_LIMIT, DEFAULT_ROOT_LIMIT
+    return lower, upper, seen

@@ -1,0 +1,102 @@
+"""Proportions: how long, broad and thick each bone is, as a linear family of templates of any rig.
+
+Each moving joint j stretches what it carries about its own rest position: along its bone by 1 + ℓ_j, across it by 1 + τ_j
+(a joint with several children, such as a palm, has two factors across), and its descendants move along:
+
+    J'_c = J'_p + B_p (J_c − J_p),   U'_i = Σ_j w_ij (J'_j + B_j (u_i − J_j)),   B_j = I + Σ_k c_jk e_jk e_jkᵀ.
+
+Both are linear in the coefficients c, so U' = U + Σ_k c_k b_k with a fixed basis b.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Proportions", "proportions"]
+
+
+@dataclass(frozen=True)
+class Proportions:
+    """The linear family of a rig.
+
+    Attributes
+    ----------
+    basis : (m, 3, k) array
+        Displacement of the vertices for a unit of each coefficient, in rig units.
+    joints : (J, 3, k) array
+        Displacement of the joints.
+    length : (k,) bool array
+        Which coefficients stretch along a bone; the others widen across it.
+    """
+
+    basis: np.ndarray
+    joints: np.ndarray
+    length: np.ndarray
+
+    def offsets(self, coefficients):
+        """(m, 3): U' − U."""
+        return self.basis @ coefficients
+
+    def moved_joints(self, coefficients):
+        """(J, 3): J' − J."""
+        return self.joints @ coefficients
+
+
+def proportions(rig):
+    """The proportions of a rig; see the module's text.
+
+    Returns
+    -------
+    Proportions
+        With two coefficients for each moving joint that carries weight, three where it branches.
+    """
+    J, m = len(rig.parents), len(rig.vertices)
+    # What follows a moving joint rigidly (locked and merged joints below it) belongs to its bone.
+    bone = np.arange(J)
+    for level, up in rig.levels:
+        bone[level] = np.where(rig.moving[level], level, bone[up])
+    weight = np.zeros((m, J))
+    for j in range(J):
+        column = rig.weights[:, [j]].toarray().ravel()
+        weight[:, bone[j]] += column
+    axes = []  # (joint, direction, kind)
+    for j in np.flatnonzero(rig.moving):
+        if weight[:, j].max() < 1e-3:
+            continue
+        axes += [(j, e, kind) for e, kind in _axes(rig, j, bone, weight[:, j])]
+    k = len(axes)
+    stretch = np.zeros((J, 3, 3, k))
+    for q, (j, directions, _) in enumerate(axes):
+        stretch[j, :, :, q] = sum(np.outer(e, e) for e in directions)
+    joints = np.zeros((J, 3, k))
+    for level, up in rig.levels:
+        for c, p in zip(level, up):
+            joints[c] = joints[p] + np.einsum("abk,b->ak", stretch[bone[p]], rig.joints[c] - rig.joints[p])
+    basis = np.zeros((m, 3, k))
+    for j in np.unique(bone):
+        rows = np.flatnonzero(weight[:, j])
+        w = weight[rows, j]
+        arm = rig.vertices[rows] - rig.joints[j]
+        basis[rows] += w[:, None, None] * (joints[j] + np.einsum("abk,ib->iak", stretch[j], arm))
+    return Proportions(basis, joints, np.array([kind == "length" for _, _, kind in axes]))
+
+
+def _axes(rig, j, bone, weight):
+    """Directions to stretch joint j along, each a list of unit vectors with its kind."""
+    below = [c for c in range(len(rig.parents)) if rig.parents[c] >= 0 and bone[rig.parents[c]] == j and bone[c] != j]
+    centre = np.average(rig.vertices, axis=0, weights=weight)
+    arm = rig.vertices - rig.joints[j]
+    target = rig.joints[below].mean(axis=0) if below else centre
+    along = target - rig.joints[j]
+    if np.linalg.norm(along) < 1e-9 * rig.size:
+        along = centre - rig.joints[j]
+    spread = np.einsum("i,ia,ib->ab", weight, arm, arm)
+    if np.linalg.norm(along) < 1e-9 * rig.size:
+        along = np.linalg.eigh(spread)[1][:, -1]
+    along = along / np.linalg.norm(along)
+    flat = np.eye(3) - np.outer(along, along)
+    values, vectors = np.linalg.eigh(flat @ spread @ flat)
+    thin, broad = vectors[:, 1], vectors[:, 2]
+    if len(below) > 1:
+        return [([along], "length"), ([broad], "breadth"), ([thin], "depth")]
+    return [([along], "length"), ([broad, thin], "thickness")]

@@ -1,0 +1,171 @@
+"""Scan: the unordered points X that a fit is given, with what the file knew about them."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .errors import InputError
+from .seeds import generator
+
+__all__ = ["Scan", "check_points"]
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """An unordered point cloud in its own frame and unit, checked and immutable.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        X. Kept as float64; n ≥ 1, finite, not all equal.
+    normals : (n, 3) array, optional
+        As the source has them: length and orientation are not touched.
+    labels : (n,) int array, optional
+        The part of each point, where the source knows it; −1 and other numbers mean what the source means by them.
+    name : str, default "scan"
+        What results of this scan are called.
+    path : Path, optional
+        The file it came from.
+    notes : tuple of str
+        What was noticed or decided while reading.
+
+    Raises
+    ------
+    InputError
+        For points, normals or labels that cannot be used.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray | None = None
+    labels: np.ndarray | None = None
+    name: str = "scan"
+    path: Path | None = None
+    notes: tuple = ()
+
+    def __post_init__(self):
+        points = check_points(self.points)
+        object.__setattr__(self, "points", _frozen(points, np.float64))
+        n = len(points)
+        if self.normals is not None:
+            normals = np.asarray(self.normals)
+            if normals.shape != (n, 3) or normals.dtype.kind not in "iuf":
+                raise InputError("normals", _described(normals), f"numbers of shape ({n}, 3), one row per point")
+            object.__setattr__(self, "normals", _frozen(normals, np.float64))
+        if self.labels is not None:
+            labels = np.asarray(self.labels)
+            if labels.shape != (n,) or labels.dtype.kind not in "iu":
+                raise InputError("labels", _described(labels), f"whole numbers of shape ({n},), one per point")
+            object.__setattr__(self, "labels", _frozen(labels, np.int64))
+        object.__setattr__(self, "notes", tuple(self.notes))
+
+    def __len__(self):
+        return len(self.points)
+
+    def thinned(self, n, random_state=0):
+        """Rows of a random subset of the points, every subset equally likely.
+
+        Parameters
+        ----------
+        n : int
+            How many points are wanted; all of them where the scan has no more.
+        random_state : int or numpy.random.Generator, default 0
+
+        Returns
+        -------
+        (min(n, len(scan)),) int array
+            Ascending, no row twice.
+        """
+        if n >= len(self.points):
+            return np.arange(len(self.points))
+        rng = generator(random_state, "thinned")
+        return np.sort(rng.choice(len(self.points), n, replace=False, shuffle=False))
+
+
+def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
+    """Points that a computation can use, or one clear error.
+
+    Parameters
+    ----------
+    points : (n, 3) array-like, or anything with such an attribute ``points`` (a Scan)
+    argument : str, default "points"
+        What an error calls them.
+    minimum : int, default 1
+        The fewest points that are enough.
+    drop_invalid : bool, default False
+        Leave out points with a coordinate that is NaN or infinite instead of refusing them.
+
+    Returns
+    -------
+    (n, 3) float64 array
+        The input itself where nothing had to change.
+
+    Raises
+    ------
+    InputError
+        Wrong shape, not numbers, empty, NaN or infinite (with their count and the first index), fewer than ``minimum``,
+        or two and more points that are all equal.
+    """
+    try:
+        given = np.asarray(getattr(points, "points", points))
+        if given.dtype.kind == "O":
+            given = given.astype(float)
+    except (ValueError, TypeError):
+        raise InputError(
+            argument, "rows of different lengths or entries that are not numbers", "numbers of shape (n, 3)"
+        ) from None
+    if points is None or given.dtype.kind not in "iuf":
+        raise InputError(argument, "None" if points is None else f"values of type {given.dtype}", "numbers of shape (n, 3)")
+    if given.size == 0:
+        raise InputError(argument, "an empty cloud (0 points)", f"at least {minimum} points of shape (n, 3)")
+    if given.ndim != 2 or given.shape[1] != 3:
+        raise InputError(argument, f"an array of shape {given.shape}", "shape (n, 3), one point per row", _reshaping(given.shape))
+    array = given.astype(np.float64, copy=False)
+    finite = np.isfinite(array)
+    dropped = ""
+    if not finite.all():
+        bad = ~finite.all(axis=1)
+        count, first = int(bad.sum()), int(np.argmax(bad))
+        if not drop_invalid:
+            raise InputError(
+                argument,
+                f"{count} of {len(array)} points with a coordinate that is NaN or infinite, the first at index {first}",
+                "finite numbers",
+                "Remove them, or pass drop_invalid=True (--drop-invalid on the command line) to leave them out.",
+            )
+        array = array[~bad]
+        dropped = f" after {count} with a coordinate that is NaN or infinite were left out"
+    if len(array) < max(minimum, 1):
+        raise InputError(argument, f"{len(array)} points{dropped}", f"at least {max(minimum, 1)} points")
+    if len(array) > 1 and (array == array[0]).all():
+        raise InputError(
+            argument, f"{len(array)} points that are all equal, at {_short(array[0])}{dropped}", "points of a surface"
+        )
+    return array
+
+
+def _frozen(array, dtype):
+    """The array, read-only and contiguous; a copy wherever the caller could still write to it."""
+    out = np.ascontiguousarray(array, dtype=dtype)
+    if out.flags.writeable:
+        out = out.copy() if np.may_share_memory(out, array) else out
+        out.flags.writeable = False
+    return out
+
+
+def _described(array):
+    return f"{array.dtype} values of shape {array.shape}"
+
+
+def _short(point):
+    return "(" + ", ".join(f"{c:.6g}" for c in point) + ")"
+
+
+def _reshaping(shape):
+    if len(shape) == 2 and shape[0] == 3:
+        return "Transpose it: points.T."
+    if len(shape) == 2 and shape[1] > 3:
+        return "Pass the coordinates only: points[:, :3]."
+    if len(shape) == 3 and shape[-1] == 3:
+        return "Pass one cloud at a time; an organised cloud wants points.reshape(-1, 3)."
+    return None

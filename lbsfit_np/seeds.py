@@ -1,0 +1,40 @@
+"""One place where random streams are derived: same seed and same keys, same stream, whatever runs before or beside it."""
+
+import zlib
+
+import numpy as np
+
+from .errors import InputError
+
+__all__ = ["generator", "integer_seed"]
+
+
+def generator(random_state, *keys):
+    """An independent random stream for one purpose.
+
+    Parameters
+    ----------
+    random_state : int, numpy.random.Generator or None
+        A seed; a Generator is used as it is (and advanced); None takes fresh entropy.
+    *keys : str or int
+        What the stream is for, such as ``("scan", 3)``.
+    """
+    if isinstance(random_state, np.random.Generator):
+        return random_state
+    return np.random.default_rng(_sequence(random_state, keys))
+
+
+def integer_seed(random_state, *keys):
+    """A 31-bit integer seed, for scikit-learn, which refuses Generators."""
+    if isinstance(random_state, np.random.Generator):
+        return int(random_state.integers(2**31 - 1))
+    return int(_sequence(random_state, keys).generate_state(1)[0] & 0x7FFFFFFF)
+
+
+def _sequence(random_state, keys):
+    if random_state is None:
+        return np.random.SeedSequence()
+    if isinstance(random_state, bool) or not isinstance(random_state, (int, np.integer)) or random_state < 0:
+        raise InputError("random_state", repr(random_state), "a non-negative integer, a numpy.random.Generator or None")
+    words = [k if isinstance(k, int) else zlib.crc32(k.encode()) for k in keys]
+    return np.random.SeedSequence(int(random_state), spawn_key=tuple(words))

@@ -1,0 +1,41 @@
+"""Segmenters kept between runs: in memory and in the user's cache folder, under a key of all that they depend on."""
+
+import hashlib
+import os
+from pathlib import Path
+
+from ..errors import FileError
+from .segmenter import Segmenter
+
+__all__ = ["cached_segmenter", "cache_folder"]
+
+_MEMORY = {}
+
+
+def cache_folder():
+    """The folder of cached segmenters: $LBSFIT_CACHE, else lbsfit_np in the user's cache folder."""
+    if os.environ.get("LBSFIT_CACHE"):
+        return Path(os.environ["LBSFIT_CACHE"])
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lbsfit_np"
+
+
+def cached_segmenter(key, train):
+    """The segmenter of ``key``, trained by ``train()`` when neither memory nor the folder has it.
+
+    A folder that cannot be written to is no error: the segmenter then lasts as long as the process.
+    """
+    name = hashlib.sha256(repr(key).encode()).hexdigest()[:32]
+    if name in _MEMORY:
+        return _MEMORY[name]
+    path = cache_folder() / f"segmenter-{name}.npz"
+    try:
+        segmenter = Segmenter.load(path)
+    except FileError:
+        segmenter = train()
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            segmenter.save(path)
+        except OSError:
+            pass
+    _MEMORY[name] = segmenter
+    return segmenter

@@ -1,0 +1,112 @@
+"""Point descriptors: what the scan looks like from each of its points.
+
+For a point x, the distances from x + o_k to the scan for fixed offsets o_k (probes, near to far), the distances from
+fixed points around the centroid to the scan (the same for all points of a scan: its overall pose), the position of x
+relative to the centroid, and the scan's covariance. Distances are looked up in a voxel grid of nearest occupied voxels:
+exact to a fraction of a voxel, and far faster than one tree query a probe. Centroid and covariance are taken over occupied
+voxels, not points, so that uneven density does not move them.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+__all__ = ["Descriptor"]
+
+# Empty margin around the scan's box, in voxels; probes beyond it are looked up at its border.
+_MARGIN = 6
+# Points further than this from the median (in half sizes of the rig) are clutter: they must not blow the grid up.
+_REACH = 3.0
+
+
+@dataclass(frozen=True)
+class Descriptor:
+    """A fixed description of points of a scan. Lengths are in half sizes of the rig (longest half-extent 1).
+
+    Attributes
+    ----------
+    n_probes : int
+        Probes around each point, at distances from ``nearest`` to ``farthest``, evenly in the logarithm.
+    n_basis : int
+        Fixed points around the centroid.
+    nearest, farthest : float
+    voxel : float
+        Edge of a voxel.
+    """
+
+    n_probes: int = 150
+    n_basis: int = 96
+    nearest: float = 0.05
+    farthest: float = 1.2
+    voxel: float = 0.05
+
+    @property
+    def size(self):
+        """Number of values that describe a point."""
+        return self.n_probes + self.n_basis + 9
+
+    def __call__(self, points, rows=None):
+        """Describe points of a scan.
+
+        Parameters
+        ----------
+        points : (n, 3) array
+            The scan, in half sizes of the rig, any origin.
+        rows : (k,) int array, optional
+            Which points to describe; all by default.
+
+        Returns
+        -------
+        (k, size) float32 array
+        """
+        grid = _Grid(points, self.voxel)
+        x = (points if rows is None else points[rows]).astype(np.float32) - grid.centre
+        out = np.empty((len(x), self.size), dtype=np.float32)
+        probes = _directions(self.n_probes, 1) * np.geomspace(self.nearest, self.farthest, self.n_probes)[:, None]
+        probes = probes.astype(np.float32)
+        for start in range(0, len(x), 4096):  # keeps the (points × probes) temporaries small
+            block = slice(start, start + 4096)
+            out[block, : self.n_probes] = grid.distance(x[block, None, :] + probes)
+        basis = _directions(self.n_basis, 2) * np.geomspace(0.2, 1.1, self.n_basis)[:, None]
+        out[:, self.n_probes : self.n_probes + self.n_basis] = grid.distance(basis.astype(np.float32))
+        out[:, -9:-6] = x
+        out[:, -6:] = 4.0 * grid.covariance[np.triu_indices(3)]
+        return out
+
+
+def _directions(n, seed):
+    """(n, 3) unit vectors, the same for ever."""
+    d = np.random.default_rng(seed).standard_normal((n, 3))
+    return d / np.linalg.norm(d, axis=1, keepdims=True)
+
+
+class _Grid:
+    """Nearest occupied voxel of every voxel around a scan, each standing for the mean of its points."""
+
+    def __init__(self, points, voxel):
+        from scipy.ndimage import distance_transform_edt
+
+        points = points[np.abs(points - np.median(points, axis=0)).max(axis=1) <= _REACH]
+        self._voxel = voxel
+        self._low = points.min(axis=0) - _MARGIN * voxel
+        self._shape = np.ceil((np.ptp(points, axis=0)) / voxel).astype(int) + 2 * _MARGIN + 1
+        cells = np.ravel_multi_index(((points - self._low) / voxel).astype(int).T, self._shape)
+        n = int(self._shape.prod())
+        count = np.bincount(cells, minlength=n)
+        total = np.stack([np.bincount(cells, points[:, k], minlength=n) for k in range(3)], axis=1)
+        mean = total / np.maximum(count, 1)[:, None]
+        occupied = mean[count > 0]
+        self.centre = occupied.mean(axis=0).astype(np.float32)
+        self.covariance = np.cov(occupied.T) if len(occupied) > 1 else np.zeros((3, 3))
+        nearest = distance_transform_edt(
+            (count == 0).reshape(self._shape), return_distances=False, return_indices=True
+        ).reshape(3, -1)
+        self._mean = (mean[np.ravel_multi_index(nearest, self._shape)] - self.centre).astype(np.float32)
+        self._low = (self._low - self.centre).astype(np.float32)
+
+    def distance(self, queries):
+        """Distances of (..., 3) queries, relative to the centre, to the scan."""
+        v = np.clip(((queries - self._low) / self._voxel).astype(np.int32), 0, self._shape.astype(np.int32) - 1)
+        flat = (v[..., 0] * self._shape[1] + v[..., 1]) * self._shape[2] + v[..., 2]
+        away = self._mean[flat] - queries
+        return np.sqrt(np.einsum("...i,...i->...", away, away))

@@ -1,0 +1,242 @@
+"""Synthetic scans of a rig: poses Θ', changed shapes, surface samples with the flaws of real scans, and the whole truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from .errors import InputError
+from .rotations import matrix_from_rotvec
+from .seeds import generator
+from .skinning import skin
+
+__all__ = ["Synthesis", "SyntheticScan", "synthesize", "synthesize_nth", "uniform_poses", "sample_surface"]
+
+
+@dataclass(frozen=True)
+class Synthesis:
+    """How scans are synthesised. Lengths are shares of the rig's half size (half the longest side of its rest box).
+
+    Attributes
+    ----------
+    n_points : int
+        Points a scan.
+    shape : float
+        Standard deviation of the relative change of each bone's length and thickness (cut at two deviations).
+    noise : float
+        Standard deviation of the Gaussian noise on each coordinate.
+    holes, least_holes : int
+        Most and fewest missing regions, balls around surface points.
+    hole_radius : float
+        Largest radius of one.
+    least_hole : float
+        Smallest radius of one, as a share of the largest.
+    density : float
+        Unevenness: natural logarithm of the ratio of the densities at one deviation. 0 is even.
+    turn : float
+        Further random rotation of the whole about the root, radians, uniform in angle up to this, any axis; on top of
+        what the root's limits allow.
+    scale : float
+        Largest relative change of scale, uniform: 0.1 is 0.9 to 1.1.
+    """
+
+    n_points: int = 2500
+    shape: float = 0.08
+    noise: float = 0.004
+    holes: int = 2
+    least_holes: int = 0
+    hole_radius: float = 0.2
+    least_hole: float = 0.4
+    density: float = 0.5
+    turn: float = 0.0
+    scale: float = 0.0
+
+
+@dataclass(frozen=True)
+class SyntheticScan:
+    """A synthetic scan with its truth, in the rig's frame and unit (times ``scale``).
+
+    Attributes
+    ----------
+    points : (n, 3) array
+    labels : (n,) int array
+        True part of each point; indexes rig.parts.
+    pose : (J, 3) array
+        Θ'.
+    translation : (3,) array
+    scale : float
+    template : (m, 3) array
+        U^gt, the changed template in the rest pose.
+    template_joints : (J, 3) array
+        Its rest joint positions.
+    vertices : (m, 3) array
+        The posed changed template, true positions of the rig's vertices.
+    joints : (J, 3) array
+        True posed joint positions.
+    """
+
+    points: np.ndarray
+    labels: np.ndarray
+    pose: np.ndarray
+    translation: np.ndarray
+    scale: float
+    template: np.ndarray
+    template_joints: np.ndarray
+    vertices: np.ndarray
+    joints: np.ndarray
+
+
+def synthesize(rig, n_scans=1, *, poses=None, templates=None, random_state=None, **settings):
+    """Synthetic scans of a rig, each with its truth.
+
+    Parameters
+    ----------
+    rig : Rig
+    n_scans : int, default 1
+    poses : (k, J, 3) array, optional
+        Poses to take in turn; default: uniform within the limits (R_l, R_u).
+    templates : sequence of (vertices (m, 3), joints (J, 3)), optional
+        Changed templates to take in turn; default: random proportions (``shape``).
+    random_state : int, Generator or None
+        With an int, scan i is the same whatever ``n_scans``.
+    **settings
+        Fields of :class:`Synthesis`.
+
+    Returns
+    -------
+    list of SyntheticScan
+    """
+    settings = make_settings(settings)
+    if poses is not None:
+        poses = np.asarray(poses, dtype=float)
+        if poses.ndim != 3 or poses.shape[1:] != rig.lower.shape or not len(poses):
+            raise InputError("poses", f"shape {poses.shape}", f"shape (k, {len(rig.parents)}, 3) with k ≥ 1")
+    return [synthesize_nth(rig, i, settings, poses=poses, templates=templates, random_state=random_state) for i in range(n_scans)]
+
+
+def synthesize_nth(rig, i, settings, *, poses=None, templates=None, random_state=None):
+    """Scan ``i`` of :func:`synthesize`, for those who want one at a time."""
+    rng = generator(random_state, "synthesize", i)
+    pose = uniform_poses(rig, 1, rng)[0] if poses is None else poses[i % len(poses)]
+    template = _template(rig, settings, rng) if templates is None else templates[i % len(templates)]
+    return synthesize_one(rig, pose, template, settings, rng)
+
+
+def make_settings(settings):
+    """A Synthesis from keyword settings, with an error that lists the known ones."""
+    if isinstance(settings, Synthesis):
+        return settings
+    known = Synthesis.__dataclass_fields__
+    for name, value in settings.items():
+        if name not in known:
+            raise InputError(name, "a setting that is not known", f"one of {', '.join(known)}")
+        if not np.isscalar(value) or not np.isfinite(value) or value < 0 or (name == "n_points" and value < 1):
+            raise InputError(name, repr(value), "a number of at least 1" if name == "n_points" else "a number of at least 0")
+    return Synthesis(**settings)
+
+
+def uniform_poses(rig, n, rng):
+    """Θ' ~ Unif(R_l, R_u); (n, J, 3)."""
+    return rig.lower + rng.random((n, *rig.lower.shape)) * (rig.upper - rig.lower)
+
+
+def synthesize_one(rig, pose, template, settings, rng):
+    """One scan of a given pose and template (vertices, joints)."""
+    U, J = template
+    half = rig.size / 2
+    pose = np.array(pose, dtype=float)
+    if settings.turn:
+        pose[rig.root] = _turned(rig, pose[rig.root], settings.turn, rng)
+    scale = 1.0 + settings.scale * rng.uniform(-1, 1)
+    changed = _with_rest(rig, U, J)
+    posed = skin(changed, pose, scale=scale)
+    vertices, joints = posed.vertices, posed.joints
+    points, triangle, bary = sample_surface(vertices, rig.faces, _n_before_holes(settings), rng, density=settings.density)
+    labels = rig.vertex_labels[rig.faces[triangle, bary.argmax(axis=1)]]
+    keep = _outside_holes(points, half * scale, settings, rng)
+    points, labels = points[keep][: settings.n_points], labels[keep][: settings.n_points]
+    points = points + settings.noise * half * scale * rng.standard_normal(points.shape)
+    return SyntheticScan(points, labels, pose, np.zeros(3), scale, U, J, vertices, joints)
+
+
+def sample_surface(vertices, faces, n, rng, *, density=0.0):
+    """Points on a surface, uniform by area, or unevenly dense.
+
+    Parameters
+    ----------
+    vertices : (m, 3) array
+    faces : (F, 3) int array
+    n : int
+    rng : numpy.random.Generator
+    density : float, default 0
+        Logarithm of the density along two random smooth directions (one of position, one of the normal).
+
+    Returns
+    -------
+    points : (n, 3) array
+    triangle : (n,) int array
+        Row of ``faces``.
+    barycentric : (n, 3) array
+    """
+    p = vertices[faces]
+    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    weight = np.linalg.norm(normal, axis=1)
+    if density:
+        centre = p.mean(axis=1)
+        centre = (centre - centre.mean(axis=0)) / np.ptp(vertices, axis=0).max()
+        facing = normal / np.maximum(weight, 1e-300)[:, None]
+        directions = rng.standard_normal((2, 3))
+        weight = weight * np.exp(density * (2 * centre @ directions[0] + facing @ directions[1]))
+    cumulative = np.cumsum(weight)
+    triangle = np.searchsorted(cumulative, rng.random(n) * cumulative[-1], side="right")
+    triangle = np.minimum(triangle, len(faces) - 1)
+    a, b = np.sqrt(rng.random(n)), rng.random(n)
+    bary = np.column_stack([1 - a, a * (1 - b), a * b])
+    return np.einsum("nk,nka->na", bary, p[triangle]), triangle, bary
+
+
+def _with_rest(rig, U, J):
+    """The rig on another rest template, without the bookkeeping of a new Rig: what ``skin`` looks at, no more."""
+    return _Rest(U, J, rig.frames, rig.weights, rig.levels, rig.root, rig.parents)
+
+
+@dataclass(frozen=True)
+class _Rest:
+    vertices: np.ndarray
+    joints: np.ndarray
+    frames: np.ndarray
+    weights: object
+    levels: tuple
+    root: int
+    parents: np.ndarray
+
+
+def _template(rig, settings, rng):
+    if not settings.shape:
+        return rig.vertices, rig.joints
+    family = rig.proportions
+    c = settings.shape * np.clip(rng.standard_normal(family.basis.shape[2]), -2, 2)
+    return rig.vertices + family.offsets(c), rig.joints + family.moved_joints(c)
+
+
+def _turned(rig, theta_root, most, rng):
+    from .rotations import rotvec_from_matrix
+
+    axis = rng.standard_normal(3)
+    turn = matrix_from_rotvec(axis / np.linalg.norm(axis) * most * rng.random())
+    frame = rig.frames[rig.root]
+    return rotvec_from_matrix(frame.T @ turn @ frame @ matrix_from_rotvec(theta_root))
+
+
+def _n_before_holes(settings):
+    return settings.n_points if not settings.holes else int(1.4 * settings.n_points) + 16
+
+
+def _outside_holes(points, half, settings, rng):
+    keep = np.ones(len(points), dtype=bool)
+    for _ in range(rng.integers(settings.least_holes, settings.holes + 1) if settings.holes else 0):
+        centre = points[rng.integers(len(points))]
+        radius = settings.hole_radius * half * rng.uniform(settings.least_hole, 1.0)
+        trial = keep & (np.sum((points - centre) ** 2, axis=1) > radius**2)
+        if trial.sum() >= len(points) // 2:  # never so much that too little of the body is left
+            keep = trial
+    return np.flatnonzero(keep)

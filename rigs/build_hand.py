@@ -1,0 +1,177 @@
+"""Builds the bundled right hand: rigs/hand.npz and its contact sheet docs/rigs/hand.png.
+
+Run from the checkout, with the extra "build" installed: python -m rigs.build_hand. The same library versions give the same
+file to the last bit.
+"""
+
+from importlib import metadata
+from pathlib import Path
+
+import numpy as np
+
+from lbsfit_np.io.npz import read_npz
+from lbsfit_np.io.write import write_npz
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rig.data import RigData
+
+from .checks import bending_volume, components, edge_uses, euler_characteristic, self_intersections, volume
+from .hand_poses import POSES, pose_angles, pose_library
+from .hand_shape import BOX, FINGERS, JOINT_NAMES, PARENTS, skeleton, surface
+from .heat import heat_weights
+from .implicit import polygonise
+from .remesh import remesh
+from .sheet import contact_sheet
+
+__all__ = ["LIMITS", "build", "draw", "hand_data", "library_versions", "report"]
+
+RIG = Path(__file__).with_name("hand.npz")
+SHEET = Path(__file__).parents[1] / "docs" / "rigs" / "hand.png"
+
+# What the contact sheet shows, row by row: pose and view.
+SHOWN = (
+    ("fist", "front"), ("thumbs-up", (-25, 10)), ("point", (30, 15)), ("ok", (-55, 10)),
+    ("peace", "front"), ("pinch", (50, 15)), ("grasp cylinder", (-50, 15)), ("crossed fingers", "front"),
+    ("relaxed", (40, 15)), ("four", "front"), ("shaka", (-20, 10)), ("fist", (205, 35)),
+)  # fmt: skip
+
+_GRID = 0.0030  # of the marching cubes, metres
+_EDGE = (0.0051, 0.0074)  # wanted edge length at the fingertips and at the stump, metres
+_ROUND = 1e-7  # vertices are stored to a tenth of a micrometre
+
+# Heat of the bones: firmer bones bend more sharply and keep more volume, up to where the skin inside the bend cuts itself.
+_FIRM_PALM, _FIRM_PHALANX = 3.0, 2.5
+
+# Degrees about the rest frames' axes: ((flexion, abduction, twist) lower, upper); see README.md for the sources.
+LIMITS = {
+    "wrist": ((-34.4, -34.4, -34.4), (34.4, 34.4, 34.4)),  # ±0.6 rad: how far sampled poses turn as a whole
+    "index1": ((-30, -21, 0), (90, 15, 0)),
+    "middle1": ((-30, -17, 0), (90, 14, 0)),
+    "ring1": ((-30, -13, 0), (90, 17, 0)),
+    "pinky1": ((-30, -16, 0), (90, 26, 0)),
+    "*2": ((0, 0, 0), (100, 0, 0)),
+    "*3": ((0, 0, 0), (90, 0, 0)),
+    "thumb1": ((-15, -20, -40), (43, 40, 10)),
+    "thumb2": ((-10, 0, 0), (55, 0, 0)),
+    "thumb3": ((-15, 0, 0), (80, 0, 0)),
+}
+
+
+def hand_data():
+    """The hand as a RigData, computed from nothing but this package's own numbers."""
+    bones, skin = skeleton(), surface()
+    vertices, faces = polygonise(skin, *BOX, _GRID)
+    vertices, faces = remesh(skin, vertices, faces, _edge_length)
+    vertices, faces = _ordered(np.round(vertices / _ROUND) * _ROUND, faces)
+    segments, owner, heat = _bones(bones)
+    lower, upper = _limits()
+    return RigData(
+        name="hand",
+        vertices=vertices,
+        faces=faces,
+        weights=heat_weights(vertices, faces, segments, owner, len(JOINT_NAMES), heat=heat),
+        joint_names=list(JOINT_NAMES),
+        parents=PARENTS,
+        joints=bones.joints,
+        frames=bones.frames,
+        lower=lower,
+        upper=upper,
+        metres_per_unit=1.0,
+        up="+y",
+        forward="+z",
+        partitions={"fingers": {"palm": ("wrist",), **{f: tuple(f"{f}{k}" for k in (1, 2, 3)) for f in FINGERS}}},
+        parts="joints",
+    )
+
+
+def _edge_length(points):
+    """Finer towards the fingertips, where the skin curves more."""
+    t = np.clip((np.linalg.norm(points - [0, 0.02, 0], axis=1) - 0.03) / 0.06, 0, 1)
+    return _EDGE[1] + (_EDGE[0] - _EDGE[1]) * t
+
+
+def _ordered(vertices, faces):
+    """Vertices from the stump up, triangles by their lowest vertex: an order that does not depend on the remesher's history."""
+    order = np.lexsort((vertices[:, 2], vertices[:, 0], vertices[:, 1]))
+    rank = np.empty(len(order), dtype=np.int64)
+    rank[order] = np.arange(len(order))
+    faces = rank[faces]
+    first = faces.argmin(axis=1)
+    faces = np.take_along_axis(faces, (first[:, None] + np.arange(3)) % 3, axis=1)
+    return vertices[order], faces[np.lexsort(faces.T[::-1])]
+
+
+def _bones(bones):
+    """Segments that lead the skin, the joint that each follows, and how firmly."""
+    segments, owner, heat = [], [], []
+
+    def add(start, end, joint, firmness):
+        segments.append((start, end))
+        owner.append(joint)
+        heat.append(firmness)
+
+    add(np.array([0, -0.034, 0.0]), np.zeros(3), 0, _FIRM_PALM)
+    for f, finger in enumerate(FINGERS):
+        row = 3 * f + 1
+        carpal = np.zeros(3) if finger == "thumb" else bones.carpal[finger]
+        add(carpal, bones.joints[row], 0, _FIRM_PALM)
+        ends = [*bones.joints[row : row + 3], bones.tips[finger]]
+        for k in range(3):
+            add(ends[k], ends[k + 1], row + k, _FIRM_PHALANX)
+    return np.array(segments), np.array(owner), np.array(heat)
+
+
+def _limits():
+    lower, upper = np.zeros((len(JOINT_NAMES), 3)), np.zeros((len(JOINT_NAMES), 3))
+    for row, name in enumerate(JOINT_NAMES):
+        low, high = LIMITS[name] if name in LIMITS else LIMITS["*" + name[-1]]
+        lower[row], upper[row] = np.radians(low), np.radians(high)
+    return lower, upper
+
+
+def build(path=RIG):
+    """Write the hand with its pose library to an NPZ; returns the rig.
+
+    Beyond the rig format's keys the file has ``poses_names`` (k,) text, ``poses_theta`` (k, J, 3) radians, and ``built_with``,
+    the versions of the libraries: with the same ones a rebuild gives the same file.
+    """
+    rig = build_rig(hand_data())
+    rig.save(path)
+    names, theta = pose_library(rig.joint_names)
+    write_npz(path, **read_npz(path), poses_names=np.array(names), poses_theta=theta, built_with=np.array(library_versions()))
+    return rig
+
+
+def library_versions():
+    """The libraries that decide the last bits of a build, as text."""
+    return ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "scikit-image"))
+
+
+def report(rig):
+    """What the build measured, in lines of text."""
+    edges = np.linalg.norm(rig.vertices[rig.faces] - rig.vertices[np.roll(rig.faces, 1, axis=1)], axis=2)
+    lines = [
+        f"{len(rig.vertices)} vertices, {len(rig.faces)} triangles, edges {1e3 * edges.min():.1f} to {1e3 * edges.max():.1f} mm",
+        f"directed edges used at most {edge_uses(rig.faces)[0]} time, closed: {edge_uses(rig.faces)[1]}, "
+        f"{components(rig.faces, len(rig.vertices))} piece, Euler characteristic {euler_characteristic(rig.faces)}",
+        f"{1e6 * volume(rig.vertices, rig.faces):.0f} cm³, {len(self_intersections(rig.vertices, rig.faces))} self-intersections at rest",
+        f"at most {np.diff(rig.weights.indptr).max()} influences a vertex, {rig.weights.nnz / len(rig.vertices):.1f} on average",
+        "volume kept at a joint, bent to 30, 60, 90 degrees or its limit:",
+    ]
+    for row, name in enumerate(rig.joint_names[1:], start=1):
+        angles = np.minimum(np.radians([30, 60, 90]), rig.upper[row, 0])
+        kept = bending_volume(rig, row, angles)
+        lines.append(f"  {name:8s}" + "".join(f"{k:7.2f} at {np.degrees(a):2.0f}" for a, k in zip(angles, kept)))
+    return lines
+
+
+def draw(rig, path=SHEET):
+    """The contact sheet: rest from front and back, joints and fingers as parts, and twelve poses."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    contact_sheet(path, rig, [(pose_angles(POSES[name], list(rig.joint_names)), view) for name, view in SHOWN])
+
+
+if __name__ == "__main__":
+    hand = build()
+    draw(hand)
+    print("\n".join(report(hand)))
+    print(f"{RIG.name}: {RIG.stat().st_size / 1e3:.0f} kB")

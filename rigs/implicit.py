@@ -1,0 +1,178 @@
+"""Implicit surfaces for building rigs: lofted limbs and ellipsoids, blended smoothly, cut into triangles, projected onto.
+
+A shape is a function of points (n, 3) that returns an approximate signed distance (n,), negative inside, in metres. It has to
+be right near the surface only: blending radii are far smaller than a primitive's reach. Build time only.
+"""
+
+import numpy as np
+
+__all__ = ["Loft", "ellipsoid", "capsule", "smooth_union", "smooth_cut", "polygonise", "gradient", "project", "frame_along"]
+
+_FAR = 0.05  # value outside a primitive's box: beyond every blending radius, so that it changes nothing
+
+
+def frame_along(distal, dorsal):
+    """Right-handed axes of a limb segment: columns x = y × z (sideways), y (dorsal, made perpendicular), z (distal).
+
+    Parameters
+    ----------
+    distal, dorsal : (3,) arrays
+
+    Returns
+    -------
+    (3, 3) array
+    """
+    z = np.asarray(distal, dtype=float) / np.linalg.norm(distal)
+    y = np.asarray(dorsal, dtype=float) - np.dot(dorsal, z) * z
+    y = y / np.linalg.norm(y)
+    return np.stack([np.cross(y, z), y, z], axis=1)
+
+
+class Loft:
+    """A straight limb segment with a cross-section that changes along it: rounded superellipses through given stations.
+
+    Parameters
+    ----------
+    origin : (3,) array
+    frame : (3, 3) array
+        Columns: sideways (x), dorsal (y), along (z).
+    stations : (k, 5) array
+        Rows (s, right, left, dorsal, palmar): position along z and the four half-axes towards +x, −x, +y, −y, in metres.
+    caps : (2,) floats
+        How far the rounded ends reach beyond the first and last station, metres.
+    exponent : float, default 2.3
+        Of the superellipse; 2 is an ellipse, larger is boxier.
+    """
+
+    def __init__(self, origin, frame, stations, *, caps, exponent=2.3):
+        from scipy.interpolate import PchipInterpolator
+
+        self.origin, self.frame = np.asarray(origin, dtype=float), np.asarray(frame, dtype=float)
+        stations = np.asarray(stations, dtype=float)
+        self.start, self.end = stations[0, 0], stations[-1, 0]
+        self.profile = PchipInterpolator(stations[:, 0], stations[:, 1:], axis=0)
+        self.caps, self.exponent = caps, exponent
+        reach = stations[:, 1:].max(axis=0) + 0.012
+        self.low = np.array([-reach[1], -reach[3], self.start - caps[0] - 0.012])
+        self.high = np.array([reach[0], reach[2], self.end + caps[1] + 0.012])
+
+    def __call__(self, points):
+        local = (points - self.origin) @ self.frame
+        out = np.full(len(points), _FAR)
+        near = np.flatnonzero(((local > self.low) & (local < self.high)).all(axis=1))
+        u, v, s = local[near].T
+        inside = np.clip(s, self.start, self.end)
+        right, left, dorsal, palmar = self.profile(inside).T
+        a = np.where(u > 0, right, left)
+        b = np.where(v > 0, dorsal, palmar)
+        over = s - inside
+        c = np.where(over < 0, self.caps[0], self.caps[1])
+        e = self.exponent
+        section = (np.abs(u / a) ** e + np.abs(v / b) ** e) ** (1 / e)
+        r = np.sqrt(section**2 + (over / c) ** 2)
+        length = np.sqrt(u * u + v * v + over * over)
+        size = np.where(r > 1e-9, length / np.maximum(r, 1e-9), np.minimum(a, b))
+        out[near] = (r - 1) * size
+        return out
+
+
+def ellipsoid(centre, frame, radii):
+    """An ellipsoid whose half-axes lie along the columns of ``frame``; distances are radial."""
+    centre, radii = np.asarray(centre, dtype=float), np.asarray(radii, dtype=float)
+
+    def shape(points):
+        local = (points - centre) @ frame
+        out = np.full(len(points), _FAR)
+        near = np.flatnonzero((np.abs(local) < radii + 0.012).all(axis=1))
+        p = local[near]
+        r = np.sqrt(((p / radii) ** 2).sum(axis=1))
+        out[near] = (r - 1) * np.where(r > 1e-9, np.sqrt((p * p).sum(axis=1)) / np.maximum(r, 1e-9), radii.min())
+        return out
+
+    return shape
+
+
+def capsule(start, end, radii):
+    """A round segment from ``start`` to ``end`` whose radius goes from radii[0] to radii[1]."""
+    start, end = np.asarray(start, dtype=float), np.asarray(end, dtype=float)
+    axis = end - start
+
+    def shape(points):
+        t = np.clip((points - start) @ axis / (axis @ axis), 0, 1)
+        return np.linalg.norm(points - start - t[:, None] * axis, axis=1) - (radii[0] + t * (radii[1] - radii[0]))
+
+    return shape
+
+
+def smooth_union(shapes, radius):
+    """Union with fillets: the polynomial smooth minimum, one shape after the other.
+
+    min(a, b) − h² k / 4 with h = max(k − |a − b|, 0) / k and k the blending radius in metres.
+    """
+
+    def shape(points):
+        total = shapes[0](points)
+        for other in shapes[1:]:
+            b = other(points)
+            h = np.maximum(radius - np.abs(total - b), 0) / radius
+            total = np.minimum(total, b) - h * h * (radius / 4)
+        return total
+
+    return shape
+
+
+def smooth_cut(body, cutter, radius):
+    """``body`` without ``cutter``, with a rounded rim: −smooth_union(−body, cutter)."""
+
+    def shape(points):
+        a, b = -body(points), cutter(points)
+        h = np.maximum(radius - np.abs(a - b), 0) / radius
+        return -(np.minimum(a, b) - h * h * (radius / 4))
+
+    return shape
+
+
+def polygonise(shape, low, high, step):
+    """Zero level of a shape as a triangle mesh, by marching cubes (scikit-image, extra "build").
+
+    Parameters
+    ----------
+    shape : callable
+    low, high : (3,) arrays
+        A box that holds the shape, metres.
+    step : float
+        Grid spacing, metres.
+
+    Returns
+    -------
+    vertices : (n, 3) array
+    faces : (F, 3) int array, outward
+    """
+    from skimage.measure import marching_cubes
+
+    axes = [np.arange(lo, hi + step, step) for lo, hi in zip(low, high)]
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+    values = np.concatenate([shape(slab.reshape(-1, 3)) for slab in grid]).reshape(grid.shape[:3])
+    vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(step,) * 3, gradient_direction="descent")
+    return vertices.astype(float) + [a[0] for a in axes], faces.astype(np.int64)
+
+
+def gradient(shape, points, step=1e-5):
+    """Central differences of a shape, (n, 3)."""
+    out = np.empty_like(points)
+    for axis in range(3):
+        shift = np.zeros(3)
+        shift[axis] = step
+        out[:, axis] = (shape(points + shift) - shape(points - shift)) / (2 * step)
+    return out
+
+
+def project(shape, points, *, rounds=4, longest=0.003):
+    """Move points onto the zero level by Newton steps along the gradient, no step longer than ``longest`` metres."""
+    points = np.array(points, dtype=float)
+    for _ in range(rounds):
+        g = gradient(shape, points)
+        move = -(shape(points) / np.maximum((g * g).sum(axis=1), 1e-6))[:, None] * g
+        size = np.linalg.norm(move, axis=1, keepdims=True)
+        points += move * np.minimum(1, longest / np.maximum(size, 1e-12))
+    return points

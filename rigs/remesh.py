@@ -1,0 +1,194 @@
+"""Isotropic remeshing on an implicit surface: split, collapse, flip, relax, project (after Botsch and Kobbelt, 2004).
+
+The mesh stays a closed manifold throughout: an operation that would break that, or turn a triangle over, is not done.
+Everything is visited in a fixed order, so the result is a function of the input alone. Build time only.
+"""
+
+import numpy as np
+
+from .implicit import gradient, project
+
+__all__ = ["remesh"]
+
+
+def remesh(shape, vertices, faces, edge_length, *, rounds=8):
+    """Triangles of near-uniform size on the zero level of ``shape``.
+
+    Parameters
+    ----------
+    shape : callable
+        Signed distance, see :mod:`rigs.implicit`.
+    vertices, faces : (n, 3), (F, 3)
+        A closed manifold mesh of the surface.
+    edge_length : callable
+        (n, 3) → (n,) wanted edge lengths, metres.
+    rounds : int, default 8
+
+    Returns
+    -------
+    vertices, faces
+        Renumbered; every vertex is on the zero level.
+    """
+    mesh = _Mesh(vertices, faces)
+    for _ in range(rounds):
+        _split(mesh, edge_length, 4 / 3)
+        _collapse(mesh, edge_length, 4 / 5)
+        _flip(mesh)
+        _relax(mesh, shape)
+    for _ in range(4):
+        _flip(mesh)
+        _relax(mesh, shape)
+    return mesh.arrays()
+
+
+class _Mesh:
+    """Triangles by number and the triangles around each vertex; rows are never reused, dead ones are None."""
+
+    def __init__(self, vertices, faces):
+        self.points = [np.array(p) for p in np.asarray(vertices, dtype=float)]
+        self.faces = []
+        self.around = [set() for _ in self.points]
+        for f in np.asarray(faces).tolist():
+            self.add(f)
+
+    def add(self, face):
+        self.faces.append(tuple(face))
+        for v in face:
+            self.around[v].add(len(self.faces) - 1)
+
+    def remove(self, number):
+        for v in self.faces[number]:
+            self.around[v].discard(number)
+        self.faces[number] = None
+
+    def edges(self):
+        """All edges, each once, (E, 2), in ascending order."""
+        alive = np.array([f for f in self.faces if f is not None])
+        e = np.sort(alive[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+        return np.unique(e, axis=0)
+
+    def sides(self, a, b):
+        """Numbers of the triangles on the edge a–b."""
+        return sorted(self.around[a] & self.around[b])
+
+    def neighbours(self, v):
+        return {w for t in self.around[v] for w in self.faces[t]} - {v}
+
+    def normal(self, face, moved=None, to=None):
+        p = [to if v == moved else self.points[v] for v in face]
+        return _cross(p[1] - p[0], p[2] - p[0])
+
+    def arrays(self):
+        used = sorted({v for f in self.faces if f is not None for v in f})
+        row = {v: i for i, v in enumerate(used)}
+        faces = np.array([[row[v] for v in f] for f in self.faces if f is not None])
+        return np.array([self.points[v] for v in used]), faces
+
+
+def _cross(a, b):
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+def _measured(mesh, edge_length):
+    """Edges with their lengths relative to what is wanted at their midpoints."""
+    edges = mesh.edges()
+    points = np.array(mesh.points)
+    a, b = points[edges[:, 0]], points[edges[:, 1]]
+    return edges, np.linalg.norm(a - b, axis=1) / edge_length((a + b) / 2)
+
+
+def _split(mesh, edge_length, limit):
+    edges, ratio = _measured(mesh, edge_length)
+    for e in np.argsort(-ratio, kind="stable"):
+        if ratio[e] <= limit:
+            return
+        a, b = edges[e].tolist()
+        sides = mesh.sides(a, b)
+        if len(sides) != 2:
+            continue
+        mesh.points.append((mesh.points[a] + mesh.points[b]) / 2)
+        mesh.around.append(set())
+        m = len(mesh.points) - 1
+        for t in sides:
+            face = mesh.faces[t]
+            mesh.remove(t)
+            mesh.add([m if v == a else v for v in face])
+            mesh.add([m if v == b else v for v in face])
+
+
+def _collapse(mesh, edge_length, limit):
+    edges, ratio = _measured(mesh, edge_length)
+    for e in np.argsort(ratio, kind="stable"):
+        if ratio[e] >= limit:
+            return
+        a, b = edges[e].tolist()
+        if not mesh.around[a] or not mesh.around[b]:
+            continue
+        sides = mesh.sides(a, b)
+        if len(sides) != 2 or len(mesh.neighbours(a) & mesh.neighbours(b)) != 2:
+            continue
+        middle = (mesh.points[a] + mesh.points[b]) / 2
+        ring = np.array([mesh.points[v] for v in sorted(mesh.neighbours(a) | mesh.neighbours(b))])
+        wanted = edge_length(middle[None])[0]
+        if np.linalg.norm(ring - middle, axis=1).max() > 4 / 3 * wanted:
+            continue
+        kept = [(t, v) for v in (a, b) for t in sorted(mesh.around[v]) if t not in sides]
+        if any(not _same_way(mesh.normal(mesh.faces[t]), mesh.normal(mesh.faces[t], v, middle)) for t, v in kept):
+            continue
+        for t in sides:
+            mesh.remove(t)
+        for t in sorted(mesh.around[b]):
+            face = mesh.faces[t]
+            mesh.remove(t)
+            mesh.add([a if v == b else v for v in face])
+        mesh.points[a] = middle
+
+
+def _flip(mesh):
+    """Flip edges where that brings valences closer to 6 and does not fold the surface."""
+    for a, b in mesh.edges().tolist():
+        sides = mesh.sides(a, b)
+        if len(sides) != 2:
+            continue
+        first, second = (mesh.faces[t] for t in sides)
+        if first[(first.index(a) + 1) % 3] != b:
+            first, second = second, first
+        c = next(v for v in first if v not in (a, b))
+        d = next(v for v in second if v not in (a, b))
+        if mesh.around[c] & mesh.around[d] or c == d:
+            continue
+        valence = np.array([len(mesh.around[v]) for v in (a, b, c, d)])
+        if np.sum((valence + [-1, -1, 1, 1] - 6) ** 2) >= np.sum((valence - 6) ** 2) or valence[:2].min() <= 3:
+            continue
+        old = mesh.normal(first) + mesh.normal(second)
+        new = [mesh.normal((c, a, d)), mesh.normal((d, b, c))]
+        if not all(_same_way(old, n, 0.7) for n in new):
+            continue
+        for t in sides:
+            mesh.remove(t)
+        mesh.add((c, a, d))
+        mesh.add((d, b, c))
+
+
+def _same_way(old, new, least=0.5):
+    size = np.sqrt((old @ old) * (new @ new))
+    return size > 0 and old @ new > least * size
+
+
+def _relax(mesh, shape):
+    """Move each vertex along the surface towards the area-weighted middle of its triangles, then back onto it."""
+    alive = np.array([f for f in mesh.faces if f is not None])
+    points = np.array(mesh.points)
+    p = points[alive]
+    area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    total, middle = np.zeros(len(points)), np.zeros((len(points), 3))
+    for corner in range(3):
+        np.add.at(total, alive[:, corner], area)
+        np.add.at(middle, alive[:, corner], area[:, None] * p.mean(axis=1))
+    used = np.unique(alive)
+    move = middle[used] / total[used, None] - points[used]
+    normal = gradient(shape, points[used])
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    move -= (move * normal).sum(axis=1, keepdims=True) * normal
+    for v, q in zip(used.tolist(), project(shape, points[used] + 0.8 * move)):
+        mesh.points[v] = q

@@ -1,0 +1,98 @@
+"""A small synthetic rig for tests: a bent forearm that ends in two fingers of different length, watertight, smoothly weighted."""
+
+import numpy as np
+from scipy import sparse
+
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rig.data import RigData
+
+NAMES = ("root", "elbow", "long", "short")
+
+# Each block of cells: x, y, z ranges. The arm runs along y; two fingers with a gap between them stand on its end.
+_BLOCKS = (((0, 5), (0, 10), (0, 2)), ((0, 2), (10, 16), (0, 2)), ((3, 5), (10, 14), (0, 2)))
+_CELL = 1.0 / 16.0  # the rig is about one unit long
+_ELBOW, _KNUCKLES = 5.0, 10.0
+
+
+def make_tube_data():
+    """The raw content of the rig, valid as it is: tests break copies of it."""
+    lattice, faces = _surface()
+    x, y = lattice[:, 0], lattice[:, 1]
+    beyond_elbow = _ramp(y, _ELBOW, 2.0)
+    finger = _ramp(y, _KNUCKLES, 1.5)
+    left = x < 2.5
+    w = np.stack([1 - beyond_elbow, beyond_elbow - finger, finger * left, finger * ~left], axis=1)
+    joints = np.array([[2.5, 0.5, 1.0], [2.5, _ELBOW, 1.0], [1.0, _KNUCKLES, 1.0], [4.0, _KNUCKLES, 1.0]])
+    lower = np.array([[-0.6, -0.6, -0.6], [-0.2, -0.5, -0.8], [-0.3, -0.2, -0.5], [-0.3, -0.2, -0.5]])
+    upper = np.array([[0.6, 0.6, 0.6], [1.4, 0.5, 0.8], [1.2, 0.2, 0.4], [1.2, 0.2, 0.5]])
+    return RigData(
+        name="tube",
+        vertices=_bend(_smooth(lattice, faces)),
+        faces=faces,
+        weights=sparse.csr_array(w),
+        joint_names=list(NAMES),
+        parents=np.array([-1, 0, 1, 1]),
+        joints=_bend(joints),
+        frames=np.tile(np.eye(3), (4, 1, 1)),
+        lower=lower,
+        upper=upper,
+        metres_per_unit=0.25,
+        up="+y",
+        forward="+z",
+        partitions={"arm and fingers": {"arm": ("root", "elbow"), "fingers": ("long", "short")}},
+    )
+
+
+def make_tube_rig():
+    """A Rig of four joints (root, elbow, long and short finger), 242 vertices, one unit long, 4 parts."""
+    return build_rig(make_tube_data())
+
+
+def _surface():
+    """The outer triangles of the union of the blocks: lattice points (m, 3) and faces (F, 3), turned outwards."""
+    cells = {(i, j, k) for xs, ys, zs in _BLOCKS for i in range(*xs) for j in range(*ys) for k in range(*zs)}
+    rows, points, faces = {}, [], []
+    for cell in sorted(cells):
+        for axis in range(3):
+            for side in (0, 1):
+                beside = list(cell)
+                beside[axis] += 2 * side - 1
+                if tuple(beside) in cells:
+                    continue
+                u, v = (axis + 1) % 3, (axis + 2) % 3
+                square = []
+                for du, dv in ((0, 0), (1, 0), (1, 1), (0, 1)):
+                    corner = list(cell)
+                    corner[axis] += side
+                    corner[u] += du
+                    corner[v] += dv
+                    corner = tuple(corner)
+                    if corner not in rows:
+                        rows[corner] = len(points)
+                        points.append(corner)
+                    square.append(rows[corner])
+                a, b, c, d = square if side else square[::-1]
+                faces += [(a, b, c), (a, c, d)]
+    return np.array(points, dtype=float), np.array(faces)
+
+
+def _smooth(points, faces, steps=3):
+    edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
+    m = len(points)
+    graph = sparse.coo_array((np.ones(len(edges)), edges.T), shape=(m, m))
+    graph = sparse.csr_array(graph + graph.T)
+    for _ in range(steps):
+        points = 0.6 * points + 0.4 * (graph @ points) / graph.sum(axis=1)[:, None]
+    return points
+
+
+def _bend(points):
+    """From lattice cells to rig units, the far end bent forward so that no turn about the arm's axis maps it onto itself."""
+    p = np.array(points) * _CELL
+    p[:, 2] += 0.25 * np.maximum(p[:, 1] - 0.3, 0.0) ** 2
+    return p - np.array([2.5 * _CELL, 0.5, _CELL])
+
+
+def _ramp(t, middle, half_width):
+    s = np.clip((t - middle) / (2 * half_width) + 0.5, 0.0, 1.0)
+    return s * s * (3 - 2 * s)

@@ -1,0 +1,231 @@
+"""The renderer: exact silhouettes, right occlusion, the same picture every time; colours that differ."""
+
+import struct
+import zlib
+
+import numpy as np
+import pytest
+
+from lbsfit_np.errors import InputError
+from lbsfit_np.report.colors import part_colors
+from lbsfit_np.report.render import (
+    Mesh,
+    Points,
+    montage,
+    render,
+    render_mesh,
+    render_points,
+    write_png,
+)
+
+RED, GREEN, BLUE = (230, 20, 20), (20, 200, 20), (20, 20, 230)
+SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
+TWO = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def sphere(n=60, radius=1.0):
+    u, v = np.meshgrid(np.linspace(0, np.pi, n), np.linspace(0, 2 * np.pi, 2 * n), indexing="ij")
+    points = radius * np.stack([np.sin(u) * np.cos(v), np.cos(u), np.sin(u) * np.sin(v)], axis=-1).reshape(-1, 3)
+    a = (np.arange(n - 1)[:, None] * 2 * n + np.arange(2 * n - 1)).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + 2 * n], 1), np.stack([a + 1, a + 2 * n + 1, a + 2 * n], 1)])
+    return points, faces
+
+
+def drawn(image):
+    """Share of the pixels that something covers, antialiased edges counted by their share (for dark things on white)."""
+    return np.mean(np.any(image < 250, axis=2))
+
+
+def main_colour(pixel):
+    return ("red", "green", "blue")[int(np.argmax(pixel))]
+
+
+@pytest.mark.parametrize("view", ["front", "left", (40, 35), "top"])
+def test_a_spheres_silhouette_has_the_area_of_a_disc(view):
+    points, faces = sphere()
+    image = render_mesh(points, faces, size=(400, 400), view=view, margin=0.1, colors=(60, 60, 60))
+    assert abs(drawn(image) / (np.pi / 4 * 0.8**2) - 1) < 0.015
+    rows, columns = np.nonzero(np.any(image < 250, axis=2))
+    assert abs(rows.mean() - 199.5) < 0.5 and abs(columns.mean() - 199.5) < 0.5
+
+
+def test_a_triangle_covers_half_of_its_square_exactly():
+    image = render_mesh(SQUARE, TWO[:1], size=(200, 200), margin=0.0, colors=(0, 0, 0), frame=SQUARE)
+    assert abs(np.mean(255.0 - image) / 255 - 0.5) < 0.003
+
+
+def test_neighbouring_triangles_leave_no_crack():
+    rng = np.random.default_rng(0)
+    grid = np.stack(np.meshgrid(np.arange(30.0), np.arange(30.0), indexing="ij"), axis=-1).reshape(-1, 2)
+    inner = np.all((grid > 0) & (grid < 29), axis=1)
+    grid[inner] += rng.uniform(-0.4, 0.4, (inner.sum(), 2))
+    points = np.column_stack([grid, np.zeros(900)])
+    a = (np.arange(29)[:, None] * 30 + np.arange(29)).ravel()
+    faces = np.concatenate([np.stack([a, a + 30, a + 1], 1), np.stack([a + 1, a + 30, a + 31], 1)])
+    image = render_mesh(points, faces, size=(300, 300), margin=0.0, smooth=False)
+    assert len(np.unique(image.reshape(-1, 3), axis=0)) == 1
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_is_nearer_hides_what_is_behind(order):
+    near, far = Mesh(SQUARE * 0.5 + [0, 0, 1], TWO, RED), Mesh(SQUARE, TWO, GREEN)
+    items = [near, far][::order]
+    front = render(*items, size=(100, 100), margin=0)
+    assert main_colour(front[50, 50]) == "red" and main_colour(front[50, 10]) == "green"
+    assert main_colour(render(*items, size=(100, 100), view="back", margin=0)[50, 50]) == "green"
+
+
+def test_of_two_at_the_same_depth_the_first_stays():
+    image = render(Mesh(SQUARE, TWO, RED), Mesh(SQUARE, TWO, GREEN), size=(50, 50), margin=0)
+    assert main_colour(image[25, 25]) == "red"
+
+
+def test_crossing_triangles_share_the_picture_by_depth():
+    tilted = SQUARE.copy()
+    tilted[:, 2] = tilted[:, 0]  # in front on the right, behind on the left
+    image = render(Mesh(SQUARE, TWO, GREEN), Mesh(tilted, TWO, RED), size=(100, 100), margin=0)
+    assert main_colour(image[50, 80]) == "red" and main_colour(image[50, 20]) == "green"
+
+
+def test_points_and_meshes_hide_each_other():
+    points = np.array([[-0.5, 0, 1.0], [0.5, 0, -1.0]])
+    image = render(Mesh(SQUARE, TWO, GREEN), Points(points, BLUE, 5), size=(100, 100), margin=0)
+    assert main_colour(image[50, 25]) == "blue" and main_colour(image[50, 75]) == "green"
+
+
+def test_points_are_balls_of_their_radius():
+    image = render_points([[0.0, 0, 0]], colors=(0, 0, 0), radius=20, size=(100, 100))
+    assert abs(np.mean(255.0 - image) / 255 * 1e4 / (np.pi * 400) - 1) < 0.02
+    many = render_points(np.random.default_rng(0).normal(size=(500, 3)), size=(200, 200))
+    assert 0.005 < drawn(many) < 0.5
+
+
+@pytest.mark.parametrize(
+    "view, up, forward, expected",
+    [
+        ("front", "+y", None, ("+x", "+y")),
+        ("back", "+y", None, ("-x", "+y")),
+        ("left", "+y", None, ("-z", "+y")),
+        ("right", "+y", None, ("+z", "+y")),
+        ("top", "+y", None, ("+x", "-z")),
+        ("front", "+z", None, ("+x", "+z")),
+        ("front", "+z", "+x", ("+y", "+z")),
+        ((180, 0), "+z", None, ("-x", "+z")),
+        ("front", "+x", None, ("-y", "+x")),
+    ],
+)
+def test_views_show_the_axes_where_they_should_be(view, up, forward, expected):
+    axes = {"+x": 0, "+y": 1, "+z": 2}
+    for name, place in zip(expected, [(50, 90), (10, 50)]):
+        point = np.zeros((1, 3))
+        point[0, axes["+" + name[1]]] = 0.8 if name[0] == "+" else -0.8
+        corners = np.array([[a, b, c] for a in (-1, 1) for b in (-1, 1) for c in (-1, 1.0)])
+        image = render(Points(point, (0, 0, 0), 4), view=view, up=up, forward=forward, frame=corners, size=(100, 100), margin=0)
+        row, column = np.argwhere(np.any(image < 250, axis=2)).mean(axis=0)
+        assert abs(row - place[0]) < 3 and abs(column - place[1]) < 3
+
+
+def test_elevation_looks_from_above():
+    points = np.array([[0, 0, 1.0], [0, 0, -1.0]])  # nearer and farther on the ground
+    image = render(Points(points, np.array([RED, BLUE]), 5), view=(0, 30), size=(100, 100))
+    red, blue = (np.argwhere(image[:, :, c].astype(int) - image[:, :, 2 - c] > 60)[:, 0].mean() for c in (0, 2))
+    assert red > blue  # what is nearer stands lower in the picture
+
+
+@pytest.mark.parametrize("smooth", [True, False])
+def test_colours_by_vertex_and_by_face_and_light_from_above_left(smooth):
+    points, faces = sphere(30)
+    by_vertex = render_mesh(points, faces, colors=np.where(points[:, :1] > 0, RED, BLUE), size=(100, 100), smooth=smooth)
+    by_face = render_mesh(
+        points, faces, colors=np.where(points[faces].mean(1)[:, :1] > 0, RED, BLUE), size=(100, 100), smooth=smooth
+    )
+    for image in (by_vertex, by_face):
+        assert main_colour(image[50, 75]) == "red" and main_colour(image[50, 25]) == "blue"
+    grey = render_mesh(points, faces, size=(100, 100), smooth=smooth).sum(axis=2, dtype=int)
+    assert grey[30, 30] > grey[70, 70] + 60
+
+
+def test_winding_does_not_matter_to_the_light():
+    points, faces = sphere(30)
+    one, other = (render_mesh(points, f, size=(100, 100)).astype(int) for f in (faces, faces[:, ::-1]))
+    assert np.abs(one - other).max() <= 1
+
+
+def test_the_same_picture_every_time_and_in_any_batch(monkeypatch):
+    points, faces = sphere(25)
+    items = Mesh(points, faces), Points(points * 1.01)
+    first = render(*items, size=(150, 100))
+    assert first.shape == (100, 150, 3) and first.dtype == np.uint8
+    np.testing.assert_array_equal(first, render(*items, size=(150, 100)))
+    monkeypatch.setattr("lbsfit_np.report.raster._MOST_FRAGMENTS", 1000)
+    np.testing.assert_array_equal(first, render(*items, size=(150, 100)))
+
+
+def test_content_that_leaves_the_picture_or_is_degenerate():
+    points, faces = sphere(20)
+    image = render_mesh(points, faces, frame=points * 0.2, size=(80, 80), colors=(0, 0, 0))
+    assert drawn(image) == 1.0
+    assert drawn(render_mesh(points + [9, 0, 0], faces, frame=points, size=(80, 80))) == 0.0
+    line = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0.0]])
+    assert drawn(render_mesh(line, [[0, 1, 2]], size=(80, 80))) == 0.0
+    assert drawn(render(size=(20, 20))) == 0.0
+
+
+def test_a_common_frame_keeps_the_scale():
+    points, faces = sphere(30)
+    full, half = (drawn(render_mesh(k * points, faces, frame=points, size=(200, 200), colors=(0, 0, 0))) for k in (1.0, 0.5))
+    assert abs(full / half - 4) < 0.15
+
+
+@pytest.mark.parametrize(
+    "options, words",
+    [
+        ({"view": "behind"}, "view: got 'behind'; expected one of front"),
+        ({"up": "y"}, "up"),
+        ({"up": "+y", "forward": "-y"}, "forward"),
+        ({"colors": np.zeros((5, 3))}, r"colors: got shape \(5, 3\)"),
+    ],
+)
+def test_odd_options(options, words):
+    with pytest.raises(InputError, match=words):
+        render_mesh(SQUARE, TWO, **options)
+
+
+def test_montage_centres_and_pads():
+    a, b = np.zeros((10, 20, 3), np.uint8), np.full((4, 6, 3), 9, np.uint8)
+    out = montage([[a, b], [b]], gap=2)
+    assert out.shape == (16, 28, 3)
+    assert (out[:10, :20] == 0).all() and (out[3:7, 22:28] == 9).all() and (out[12:16, 7:13] == 9).all()
+    assert (out[10:12] == 255).all() and (out[12:16, :7] == 255).all()
+
+
+@pytest.mark.parametrize("channels", [3, 4])
+def test_png_holds_the_pixels(tmp_path, channels):
+    image = np.random.default_rng(0).integers(256, size=(7, 5, channels), dtype=np.uint8)
+    write_png(tmp_path / "a.png", image)
+    data = (tmp_path / "a.png").read_bytes()
+    assert data[:8] == b"\x89PNG\r\n\x1a\n"
+    chunks, at = {}, 8
+    while at < len(data):
+        (length,), kind = struct.unpack(">I", data[at : at + 4]), data[at + 4 : at + 8]
+        chunks[kind] = data[at + 8 : at + 8 + length]
+        assert struct.unpack(">I", data[at + 8 + length : at + 12 + length])[0] == zlib.crc32(kind + chunks[kind])
+        at += 12 + length
+    assert struct.unpack(">IIBBBBB", chunks[b"IHDR"]) == (5, 7, 8, 2 if channels == 3 else 6, 0, 0, 0)
+    rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(7, -1)
+    np.testing.assert_array_equal(rows[:, 1:].reshape(image.shape), image)
+    with pytest.raises(InputError, match="image"):
+        write_png(tmp_path / "b.png", image / 255)
+
+
+def test_part_colours_differ_and_stay():
+    colors = part_colors(60)
+    assert colors.shape == (60, 3) and colors.dtype == np.uint8
+    np.testing.assert_array_equal(colors[:10], part_colors(10))
+    assert len(np.unique(part_colors(100), axis=0)) == 100
+    assert part_colors(0).shape == (0, 3) and part_colors(1000).shape == (1000, 3)
+    for gap in (1, 2, 3):  # numbers that stand near each other
+        distance = np.linalg.norm(colors[gap:].astype(float) - colors[:-gap], axis=1)
+        assert distance[:20].min() > 65 and distance.min() > 45
+    apart = np.linalg.norm(colors[:20, None].astype(float) - colors[None, :20], axis=2) + 999 * np.eye(20)
+    assert apart.min() > 40

@@ -1,0 +1,248 @@
+"""Rig cards: reading, writing, and an error for everything that a person can mistype."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from small_rigs import make_tube_data
+
+import lbsfit_np
+from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rig.card import Card, card_text, matching, nearest, read_card, write_card
+from lbsfit_np.rig.card_text import guessed_chains
+
+FULL = """
+[rig]
+unit = "cm"
+up = "+z"
+forward = "-y"
+use_parts = "fingers"
+
+[hierarchy]
+root = "root"
+chains = [["root", "elbow", "long"], ["elbow", "short"]]
+parents = { "l*" = "elbow" }
+
+[merge]
+into_parent = ["short"]
+
+[lock]
+joints = ["lo?g"]
+
+[frames]
+"*" = "bone"
+"root" = "rig"
+
+[limits]
+unit = "deg"
+"*" = [[-90, -45, 0], [90, 45, 0]]
+"elbow" = [[0.0, 0.0, 0.0], [180, 0.0, 0.0]]
+
+[parts.fingers]
+arm = ["root", "elbow"]
+finger = ["long", "short"]
+"""
+
+
+@pytest.fixture
+def card_file(tmp_path):
+    def write(text):
+        path = tmp_path / "rig.card.toml"
+        path.write_text(text, encoding="utf-8")
+        return path
+
+    return write
+
+
+def test_everything_a_card_can_say(card_file):
+    card = read_card(card_file(FULL))
+    assert (card.metres_per_unit, card.up, card.forward, card.use_parts) == (0.01, "+z", "-y", "fingers")
+    assert (card.root, card.chains) == ("root", (("root", "elbow", "long"), ("elbow", "short")))
+    assert (card.parents, card.merge, card.lock) == ((("l*", "elbow"),), ("short",), ("lo?g",))
+    assert card.frames == (("*", "bone"), ("root", "rig"))
+    assert [name for name, *_ in card.limits] == ["*", "elbow"]
+    np.testing.assert_allclose(card.limits[0][1], [-np.pi / 2, -np.pi / 4, 0])
+    np.testing.assert_allclose(card.limits[1][2], [np.pi, 0, 0])
+    assert card.partitions == {"fingers": {"arm": ("root", "elbow"), "finger": ("long", "short")}}
+    rig = build_rig(replace(make_tube_data(), parents=np.full(4, -1)), card_file(FULL))
+    assert rig.parts == ("arm", "finger")
+    assert rig.upper[1, 0] == pytest.approx(np.pi)
+
+
+def test_empty_card_says_nothing(card_file):
+    card = read_card(card_file("# nothing\n"))
+    assert replace(card, path=None) == Card()
+
+
+def test_byte_order_mark_is_read_past(card_file):
+    assert read_card(card_file("\ufeff[rig]\nup = '+y'\n")).up == "+y"
+
+
+@pytest.mark.parametrize(("unit", "metres"), [('"mm"', 0.001), ('"in"', 0.0254), ("0.3", 0.3), ("2", 2.0)])
+def test_units(card_file, unit, metres):
+    assert read_card(card_file(f"[rig]\nunit = {unit}")).metres_per_unit == metres
+
+
+BAD = {
+    "broken TOML": ("[rig]\nup = +y\n", r"not TOML.*line 2"),
+    "names without quotes": ("[limits]\n*-tip = 1", "not TOML.*line 2.*in quotes"),
+    "key twice": ("[rig]\nup = '+y'\nup = '+z'\n", "not TOML.*line 3"),
+    "unknown table": ("[limit]\nx = 1", r"unknown table 'limit'.*rig, hierarchy.*Did you mean 'limits'"),
+    "unknown key": ("[merge]\nin_parent = []", r"unknown key 'in_parent' in \[merge\].*Did you mean 'into_parent'"),
+    "a value for a table": ("limits = 3", r"limits = 3.*a table, written \[limits\]"),
+    "unknown unit": ("[rig]\nunit = 'yard'", "unit = 'yard'.*'m', 'cm'"),
+    "unit 0": ("[rig]\nunit = 0", "unit = 0"),
+    "boolean unit": ("[rig]\nunit = true", "unit = True"),
+    "unit NaN": ("[rig]\nunit = nan", "unit = nan"),
+    "unknown axis": ("[rig]\nup = 'y'", r"up = 'y'.*'\+x'"),
+    "axis of a wrong kind": ("[rig]\nup = [1]", r"up = \[1\]"),
+    "root that is no text": ("[hierarchy]\nroot = 1", r"\[hierarchy\] root = 1.*text in quotes"),
+    "chain that is no list": ("[hierarchy]\nchains = ['a', 'b']", "chains.*list of chains"),
+    "chain of one": ("[hierarchy]\nchains = [['a']]", "at least two joints"),
+    "chain of numbers": ("[hierarchy]\nchains = [[1, 2]]", "chain.*joint names"),
+    "parents that are a list": ("[hierarchy]\nparents = ['a']", "child = parent"),
+    "parents of a wrong kind": ("[hierarchy]\nparents = { a = 1 }", "child = parent"),
+    "merge that is one text": ("[merge]\ninto_parent = '*-tip'", r"into_parent = '\*-tip'.*a list"),
+    "lock of numbers": ("[lock]\njoints = [1]", "joints = .*a list"),
+    "unknown frames": ("[frames]\n'*' = 'bones'", r"\[frames\] '\*' = 'bones'.*'bone' or 'rig'"),
+    "frames of a wrong kind": ("[frames]\n'*' = [1]", r"\[frames\] '\*' = \[1\]"),
+    "unknown angle unit": ("[limits]\nunit = 'grad'", r"\[limits\] unit = 'grad'.*'rad' or 'deg'"),
+    "limits of one number": ("[limits]\na = 1", r"\[limits\] 'a' = 1.*six finite numbers"),
+    "limits of two axes": ("[limits]\na = [[0, 0], [1, 1]]", "six finite numbers"),
+    "limits of text": ("[limits]\na = [[0, 0, 'x'], [1, 1, 1]]", "six finite numbers"),
+    "infinite limits": ("[limits]\na = [[0, 0, 0], [inf, 1, 1]]", "six finite numbers"),
+    "limits reversed": ("[limits]\na = [[0, 2, 0], [1, 1, 1]]", r"\[limits\] 'a'.*reversed about y"),
+    "degrees for radians": ("[limits]\na = [[0, 0, 0], [90, 1, 1]]", 'at most one turn.*unit = "deg"'),
+    "partition called joints": ("[parts.joints]\na = ['x']", "another name.*one part per moving joint"),
+    "partition that is a list": ("[parts]\np = ['x']", r"\[parts\] p.*\[parts\.p\]"),
+    "empty partition": ("[parts.p]", r"\[parts\] p = {}"),
+    "part that is one text": ("[parts.p]\na = 'x'", r"\[parts\.p\] a = 'x'.*a list"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_cards(card_file, case):
+    text, words = BAD[case]
+    path = card_file(text)
+    with pytest.raises(FileError, match=words) as error:
+        read_card(path)
+    assert error.value.argument == str(path)
+
+
+def test_missing_card(tmp_path):
+    with pytest.raises(FileError, match=r"nowhere\.toml.*no such file.*lbsfit rig card"):
+        read_card(tmp_path / "nowhere.toml")
+
+
+def test_card_that_is_no_text(tmp_path):
+    path = tmp_path / "c.toml"
+    path.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(FileError, match="not UTF-8"):
+        read_card(path)
+    with pytest.raises(FileError, match="cannot be read"):
+        read_card(tmp_path)
+
+
+def test_names_in_errors_say_where_they_stand(card_file):
+    path = card_file("[merge]\ninto_parent = ['shrot']")
+    with pytest.raises(InputError, match=r"rig\.card\.toml, \[merge\] into_parent: got 'shrot'.*Did you mean 'short'"):
+        build_rig(make_tube_data(), path)
+    with pytest.raises(InputError, match=r"'\*-tip', which matches no joint.*There are: root, elbow, long, short"):
+        build_rig(make_tube_data(), card_file("[merge]\ninto_parent = ['*-tip']"))
+
+
+def test_matching_prefers_names_to_the_letter():
+    names = ["a[1]", "a1", "b*", "bc"]
+    assert matching("a[1]", names, "x") == [0]
+    assert matching("b*", names, "x") == [2]
+    assert matching("a?", names, "x") == [1]
+    assert matching("[ab]?", names, "x") == [1, 2, 3]
+
+
+def test_nearest_names():
+    names = ["LeftUpLeg", "LeftLeg", "RightUpLeg", "Head"]
+    assert "'LeftUpLeg'" in nearest("leftupleg", names)
+    assert nearest("zzz", names).startswith("There are: LeftUpLeg")
+    assert "and 8 more" in nearest("zzz", [f"q{k}" for k in range(20)])
+
+
+# ---- writing ----
+
+
+def settings(rig):
+    return {
+        "parents": rig.parents.tolist(), "lower": rig.lower.tolist(), "upper": rig.upper.tolist(), "merged": rig.merged.tolist(),
+        "locked": rig.locked.tolist(), "unit": rig.metres_per_unit, "axes": (rig.up, rig.forward), "parts": rig.parts,
+        "partitions": rig.partitions, "granularity": rig.granularity,
+    }  # fmt: skip
+
+
+def test_written_card_gives_the_rigs_settings_back(tmp_path, card_file):
+    loose = replace(make_tube_data(), parents=np.full(4, -1), partitions={})
+    rig = build_rig(loose, read_card(card_file(FULL)))
+    path = tmp_path / "written.toml"
+    write_card(rig, path)
+    again = build_rig(loose, replace(read_card(path), frames=read_card(card_file(FULL)).frames))
+    assert settings(again) == settings(rig)
+    assert not list(tmp_path.glob("*.tmp"))
+
+
+def test_written_card_of_a_plain_rig(tmp_path):
+    data = make_tube_data()
+    rig = build_rig(data)
+    write_card(rig, tmp_path / "c.toml")
+    bare = replace(data, lower=None, upper=None, partitions={}, metres_per_unit=None, up=None, forward=None)
+    assert settings(build_rig(bare, tmp_path / "c.toml")) == settings(rig)
+
+
+def test_written_card_survives_odd_names(tmp_path):
+    odd = ['quote " and \\ slash', "unit", "tab\there", "*-[x]"]
+    data = replace(make_tube_data(), joint_names=odd, partitions={'p "q"': {"a = b": (odd[0],)}})
+    rig = build_rig(data)
+    write_card(rig, tmp_path / "c.toml")
+    bare = replace(data, lower=None, upper=None, partitions={})
+    assert settings(build_rig(bare, tmp_path / "c.toml")) == settings(rig)
+
+
+def test_card_of_loose_joints_guesses_a_hierarchy(tmp_path):
+    data = replace(
+        make_tube_data(),
+        joint_names=["wrist", "index-base", "index-tip", "thumb"],
+        parents=np.full(4, -1),
+        lower=None,
+        upper=None,
+    )
+    data.partitions = {}
+    text = card_text(data)
+    assert "4 joints without a parent" in text and "GUESS" in text
+    (tmp_path / "c.toml").write_text(text)
+    np.testing.assert_array_equal(build_rig(data, tmp_path / "c.toml").parents, [-1, 0, 1, 0])
+
+
+def test_guess_without_a_telling_name_starts_in_the_middle():
+    names = ["LegLeft1", "LegLeft2", "Body", "ArmLeft1"]
+    root, chains = guessed_chains(names, [[0, -1, 0], [0, -2, 0], [0, -0.4, 0], [0, 2, 0]])
+    assert root == "Body"
+    assert sorted(chains) == [["Body", "ArmLeft1"], ["Body", "LegLeft1", "LegLeft2"]]
+
+
+def test_card_that_cannot_be_written(tmp_path, tube_rig):
+    with pytest.raises(FileError, match="nowhere"):
+        write_card(tube_rig, tmp_path / "nowhere" / "c.toml")
+
+
+# ---- the project's own cards ----
+
+CARDS = sorted((Path(lbsfit_np.__file__).parent / "bench" / "cards").glob("*.toml"))
+
+
+@pytest.mark.parametrize("path", CARDS, ids=lambda path: path.stem)
+def test_own_cards_read(path):
+    card = read_card(path)
+    assert card.limits and card.merge and card.partitions
+
+
+def test_there_are_cards_for_all_shared_rigs():
+    assert {path.stem for path in CARDS} >= {"webxr_left", "mpfb2_cmu_mb", "mpfb2_mixamo", "mpfb2_default", "fox"}

@@ -1,0 +1,236 @@
+"""Rigs in NPZ files: bit-exact round trips, the bodies' format, and every way of being broken."""
+
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from scipy import sparse
+from small_rigs import make_tube_data
+
+from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.io.npz import npz_keys, read_npz
+from lbsfit_np.io.npz_rig import read_body_npz, read_rig_npz, save_rig
+from lbsfit_np.io.rigs import load_rig
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rig.card import Card
+
+
+def assert_same(a, b):
+    """Equal in every field, every bit and every type."""
+    for field in fields(a):
+        x, y = getattr(a, field.name), getattr(b, field.name)
+        arrays = [(x.data, y.data), (x.indices, y.indices), (x.indptr, y.indptr)] if sparse.issparse(x) else [(x, y)]
+        for p, q in arrays:
+            if isinstance(p, np.ndarray):
+                assert p.dtype == q.dtype and p.shape == q.shape and p.tobytes() == q.tobytes(), field.name
+            else:
+                assert p == q, field.name
+    assert a.digest == b.digest
+
+
+RIGS = {
+    "plain": lambda data: build_rig(data),
+    "merged, locked, with notes": lambda data: build_rig(
+        replace(data, lower=None, upper=None, metres_per_unit=None, up=None, forward=None, notes=["ein Wörtchen"]),
+        Card(merge=("short",), lock=("long",), partitions={"ä": {"alles": ("*",)}}, use_parts="ä"),
+    ),
+    "uneven weights": lambda data: build_rig(replace(data, weights=data.weights.toarray() * 1.003)),
+    "with seams": lambda data: build_rig(
+        replace(
+            data,
+            vertices=np.vstack([data.vertices, data.vertices[:9]]),
+            weights=np.vstack([data.weights.toarray()] + [data.weights.toarray()[:9]]),
+        )
+    ),
+    "a joint locked by itself": lambda data: build_rig(
+        replace(data, weights=data.weights.toarray() * [1, 1, 1, 0] + data.weights.toarray()[:, [3]] * [0, 1, 0, 0])
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", RIGS)
+def test_round_trip_is_exact(tmp_path, kind):
+    rig = RIGS[kind](make_tube_data())
+    rig.save(tmp_path / "rig.npz")
+    again = load_rig(tmp_path / "rig.npz")
+    assert_same(rig, again)
+    again.save(tmp_path / "again.npz")
+    assert (tmp_path / "rig.npz").read_bytes() == (tmp_path / "again.npz").read_bytes()
+
+
+def test_saved_rig_takes_a_card(tmp_path, tube_rig):
+    tube_rig.save(tmp_path / "rig.npz")
+    rig = load_rig(tmp_path / "rig.npz", card=Card(lock=("long",), limits=(("short", (0, 0, 0), (1, 0, 0)),)))
+    assert rig.locked.tolist() == [False, False, True, False]
+    np.testing.assert_array_equal(rig.upper[3], [1, 0, 0])
+    np.testing.assert_array_equal(rig.upper[1], tube_rig.upper[1])
+
+
+def test_file_has_documented_keys_and_no_objects(tmp_path, tube_rig):
+    save_rig(tube_rig, tmp_path / "rig.npz")
+    assert npz_keys(tmp_path / "rig.npz") == set(
+        "lbsfit_np_rig name vertices faces weights_data weights_indices weights_indptr parents joint_names joints frames lower upper "
+        "regressor_data regressor_indices regressor_indptr merged locked partitions granularity metres_per_unit up forward notes".split()
+    )
+    with np.load(tmp_path / "rig.npz", allow_pickle=False) as file:
+        assert file["joint_names"].tolist() == ["root", "elbow", "long", "short"]
+        assert file["lbsfit_np_rig"] == 1
+
+
+def test_saving_wants_the_ending_and_a_folder(tmp_path, tube_rig):
+    with pytest.raises(FileError, match=r"'\.rig'.*\.npz"):
+        tube_rig.save(tmp_path / "a.rig")
+    with pytest.raises(FileError, match="nowhere"):
+        tube_rig.save(tmp_path / "nowhere" / "a.npz")
+
+
+def changed(tmp_path, tube_rig, **changes):
+    """A saved rig with some arrays changed or (None) left out."""
+    tube_rig.save(tmp_path / "good.npz")
+    arrays = read_npz(tmp_path / "good.npz") | changes
+    path = tmp_path / "bad.npz"
+    np.savez(path, **{key: value for key, value in arrays.items() if value is not None})
+    return path
+
+
+BAD = {
+    "a newer version": ({"lbsfit_np_rig": np.array(2)}, "version 2.*version 1.*Update"),
+    "a version of text": ({"lbsfit_np_rig": np.array("one")}, "'lbsfit_np_rig' of type <U3.*one number"),
+    "no lower": ({"lower": None, "notes": None}, "no 'lower', 'notes'.*keys"),
+    "text for a name list": ({"joint_names": np.array(3)}, "'joint_names'.*list of texts"),
+    "vertices of no shape": ({"vertices": np.array(3.0)}, "'vertices' of type float64 and shape .*2 dimensions"),
+    "one name less": ({"joint_names": np.array(["a", "b", "c"])}, "no sparse matrix of shape|shape"),
+    "a name of numbers": ({"name": np.arange(3)}, "'name' of type.*one text"),
+    "broken JSON": ({"partitions": np.array("{")}, "'partitions'.*JSON"),
+    "another JSON": ({"partitions": np.array(json.dumps({"p": ["root"]}))}, "'partitions' of another form"),
+    "weights cut short": ({"weights_data": np.ones(3)}, "'weights' that is no sparse matrix"),
+    "weights of strange columns": (
+        {"weights_indices": np.full(10, 99), "weights_data": np.ones(10)},
+        "'weights' that is no sparse matrix",
+    ),
+    "weights of ints": ({"weights_data": np.arange(3)}, "'weights' that is no sparse matrix"),
+    "row pointers that go back": ({"regressor_indptr": np.array([0, 50, 20, 60, 70])}, "'regressor' that is no sparse matrix"),
+    "faces out of range": ({"faces": np.array([[0, 1, 5000]])}, "faces out of range"),
+    "merged of another type": ({"merged": np.zeros(4)}, "merged.*true or false"),
+    "root merged": ({"merged": np.array([True, False, False, False])}, "root joint 'root' among the merged"),
+    "objects": ({"notes": np.array([{}], dtype=object)}, "Python objects in 'notes'.*plain arrays"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_broken_own_files(tmp_path, tube_rig, case):
+    changes, words = BAD[case]
+    with pytest.raises(InputError, match=words):
+        load_rig(changed(tmp_path, tube_rig, **changes))
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_truncated_file(tmp_path, tube_rig, share):
+    tube_rig.save(tmp_path / "rig.npz")
+    whole = (tmp_path / "rig.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(FileError, match=r"cut\.npz.*broken or no NPZ.*again"):
+        load_rig(tmp_path / "cut.npz")
+
+
+def test_damaged_file(tmp_path, tube_rig):
+    tube_rig.save(tmp_path / "rig.npz")
+    damaged = bytearray((tmp_path / "rig.npz").read_bytes())
+    for k in range(len(damaged) // 3, len(damaged) // 3 + 40):
+        damaged[k] ^= 0xFF
+    (tmp_path / "rig.npz").write_bytes(bytes(damaged))
+    with pytest.raises(FileError, match="cannot be unpacked"):
+        load_rig(tmp_path / "rig.npz")
+
+
+def test_not_an_npz(tmp_path):
+    (tmp_path / "text.npz").write_text("hello")
+    with pytest.raises(FileError, match="broken or no NPZ"):
+        load_rig(tmp_path / "text.npz")
+    np.save(tmp_path / "one.npy", np.zeros(3))
+    (tmp_path / "one.npy").rename(tmp_path / "one.npz")
+    with pytest.raises(FileError, match="single array"):
+        load_rig(tmp_path / "one.npz")
+
+
+# ---- the bodies' format ----
+
+
+def body(tmp_path, **changes):
+    data = make_tube_data()
+    arrays = {
+        "verts": np.stack([data.vertices, data.vertices * 1.1]).astype(np.float32),
+        "shape_names": np.array(["slim", "tall"]),
+        "faces": data.faces.astype(np.int32),
+        "weights": data.weights.toarray().astype(np.float32),
+        "joints": np.stack([data.joints, data.joints * 1.1]).astype(np.float32),
+        "tails": np.stack([data.joints + [0, 0.2, 0.1], data.joints + [0, 0.3, 0]]).astype(np.float32),
+        "joint_names": np.array(data.joint_names),
+        "parents": data.parents,
+    } | changes
+    path = tmp_path / "body.npz"
+    np.savez(path, **{key: value for key, value in arrays.items() if value is not None})
+    return path
+
+
+def test_body_shapes_by_name_number_and_default(tmp_path):
+    path = body(tmp_path)
+    slim, tall = load_rig(path), load_rig(path, shape="tall")
+    np.testing.assert_allclose(tall.vertices, 1.1 * slim.vertices, rtol=1e-6)
+    np.testing.assert_allclose(tall.joints, 1.1 * slim.joints, rtol=1e-6)
+    for shape in (1, np.int64(1), "1"):
+        np.testing.assert_array_equal(load_rig(path, shape=shape).vertices, tall.vertices)
+    assert (slim.metres_per_unit, slim.up, slim.forward) == (1.0, "+y", "+z")
+    assert slim.vertices.dtype == float
+
+
+@pytest.mark.parametrize("shape", ["tal", 2, -1, 1.5j, "7"])
+def test_unknown_shape_lists_the_names(tmp_path, shape):
+    with pytest.raises(InputError, match=r"shape.*'slim', 'tall'.*0 to 1"):
+        load_rig(body(tmp_path), shape=shape)
+
+
+def test_body_frames_follow_the_bones(tmp_path):
+    data = read_body_npz(body(tmp_path))
+    np.testing.assert_array_equal(data.frames[0], np.eye(3))  # the root turns about the rig's axes
+    np.testing.assert_allclose(data.frames[1:, :, 1], np.tile(np.array([0, 2, 1]) / np.sqrt(5), (3, 1)), atol=1e-6)
+    np.testing.assert_allclose(data.frames[1, :, 0], [1, 0, 0], atol=1e-6)
+    without = read_body_npz(body(tmp_path, tails=None))
+    tip = without.joints[2] - without.joints[1] + without.joints[3] - without.joints[1]
+    np.testing.assert_allclose(without.frames[2, :, 1], tip / np.linalg.norm(tip), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"parents": None, "faces": None}, "no 'faces', 'parents'.*keys verts, faces"),
+        ({"verts": np.zeros((5, 3))}, r"'verts' of type float64 and shape \(5, 3\).*3 dimensions"),
+        ({"verts": np.zeros((1, 5, 2))}, r"'verts' of shape \(1, 5, 2\).*\(shapes, m, 3\)"),
+        ({"verts": np.zeros((0, 5, 3))}, "'verts' of shape"),
+        ({"joints": np.zeros((1, 4, 3))}, r"'joints' of shape \(1, 4, 3\).*\(2, 4, 3\)"),
+        ({"tails": np.zeros((2, 3, 3))}, "'tails' of shape"),
+        ({"tails": np.full((2, 4, 3), np.nan)}, "'tails'.*NaN"),
+        ({"weights": np.zeros((7, 4))}, "'weights' of shape"),
+        ({"weights": np.full((242, 4), "x")}, "'weights'.*numbers"),
+        ({"joint_names": np.arange(4)}, "'joint_names'.*list of texts"),
+        ({"parents": np.array([-1, 2, 1, 1])}, "cycle"),
+        ({"parents": np.array([-1, 0, 1, 9])}, "parent 9 of joint 'short', out of range"),
+        ({"parents": np.array([-1, 0])}, "parents"),
+        ({"faces": np.array([[0, 1, 242]])}, "faces out of range"),
+        ({"joint_names": np.array([{}, 1, 2, 3], dtype=object)}, "Python objects"),
+    ],
+)
+def test_broken_bodies(tmp_path, changes, words):
+    with pytest.raises(FileError, match=words):
+        load_rig(body(tmp_path, **changes))
+
+
+def test_names_may_be_bytes(tmp_path):
+    assert load_rig(body(tmp_path, joint_names=np.array([b"a", b"b", b"c", b"d"]))).joint_names == ("a", "b", "c", "d")
+
+
+def test_reading_own_format_checks_nothing_twice(tmp_path, tube_rig):
+    tube_rig.save(tmp_path / "rig.npz")
+    data = read_rig_npz(tmp_path / "rig.npz")
+    assert data.parts == "joints" and data.path == tmp_path / "rig.npz"

@@ -1,0 +1,163 @@
+"""Written files: whole or not at all, and read back as they were."""
+
+import json
+import os
+import stat
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.io.scans import load_scan
+from lbsfit_np.io.write import (
+    atomic_path,
+    write_json,
+    write_mesh_ply,
+    write_npz,
+    write_points_ply,
+)
+
+RNG = np.random.default_rng(0)
+POINTS = RNG.normal(size=(40, 3)) * 1e3 / 3
+FACES = RNG.permutation(40)[:39].reshape(-1, 3)
+LABELS = np.arange(40) % 7 - 1
+COLORS = RNG.integers(256, size=(40, 3), dtype=np.uint8)
+NORMALS = POINTS / np.linalg.norm(POINTS, axis=1, keepdims=True)
+
+
+def names(folder):
+    return sorted(p.name for p in folder.iterdir())
+
+
+def test_a_file_appears_only_when_its_block_ends(tmp_path):
+    path = tmp_path / "a.fit.npz"
+    path.write_text("old")
+    with atomic_path(path) as temporary:
+        assert temporary.parent == tmp_path and temporary.suffix == ".npz"
+        temporary.write_text("new")
+        assert path.read_text() == "old"
+    assert path.read_text() == "new" and names(tmp_path) == ["a.fit.npz"]
+
+
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, FileError])
+def test_nothing_is_left_behind_on_failure(tmp_path, error):
+    path = tmp_path / "a.json"
+    path.write_text("old")
+    with pytest.raises(error), atomic_path(path) as temporary:
+        temporary.write_text("half")
+        raise error("a", "b", "c") if error is FileError else error
+    assert path.read_text() == "old" and names(tmp_path) == ["a.json"]
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")
+@pytest.mark.parametrize("mask, mode", [(0o022, 0o644), (0o077, 0o600), (0o002, 0o664)])
+def test_permissions_follow_the_umask(tmp_path, mask, mode):
+    before = os.umask(mask)
+    try:
+        write_json(tmp_path / "a.json", {})
+    finally:
+        os.umask(before)
+    assert stat.S_IMODE((tmp_path / "a.json").stat().st_mode) == mode
+
+
+def test_places_that_cannot_be_written(tmp_path):
+    with pytest.raises(FileError, match="folder that does not exist.*Create it"):
+        write_json(tmp_path / "none" / "a.json", {})
+    with pytest.raises(FileError, match="got a folder"):
+        write_json(tmp_path, {})
+    with pytest.raises(FileError, match="disk is full"), atomic_path(tmp_path / "a.json") as temporary:
+        temporary.write_text("half")
+        raise OSError(28, "disk is full")
+    assert names(tmp_path) == []
+
+
+def test_long_names_still_fit(tmp_path):
+    path = tmp_path / ("x" * 245 + ".npz")
+    write_npz(path, a=1)
+    assert path.exists()
+
+
+def test_mesh_comes_back_by_load_scan(tmp_path):
+    path = tmp_path / "m.ply"
+    write_mesh_ply(path, POINTS, FACES, vertex_labels=LABELS, colors=COLORS, normals=NORMALS, part_names=["palm", "Zehe ü\nx"])
+    scan = load_scan(path)
+    np.testing.assert_array_equal(scan.points, POINTS)
+    np.testing.assert_array_equal(scan.labels, LABELS)
+    np.testing.assert_allclose(scan.normals, NORMALS, atol=1e-6)
+    header = path.read_bytes().split(b"end_header")[0].decode("ascii")
+    assert "comment part 0 palm\n" in header and "comment part 1 Zehe \\xfc x\n" in header
+
+
+def test_mesh_comes_back_by_trimesh(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    write_mesh_ply(tmp_path / "m.ply", POINTS, FACES, vertex_labels=LABELS, colors=COLORS)
+    mesh = trimesh.load(tmp_path / "m.ply", process=False, maintain_order=True)
+    np.testing.assert_array_equal(mesh.vertices, POINTS)
+    np.testing.assert_array_equal(mesh.faces, FACES)
+    np.testing.assert_array_equal(mesh.visual.vertex_colors[:, :3], COLORS)
+
+
+def test_points_come_back(tmp_path):
+    trimesh = pytest.importorskip("trimesh")
+    write_points_ply(tmp_path / "p.ply", POINTS, labels=LABELS, confidence=np.linspace(0, 1, 40), colors=COLORS)
+    np.testing.assert_array_equal(load_scan(tmp_path / "p.ply").labels, LABELS)
+    cloud = trimesh.load(tmp_path / "p.ply")
+    np.testing.assert_array_equal(cloud.vertices, POINTS)
+    np.testing.assert_array_equal(np.asarray(cloud.colors)[:, :3], COLORS)
+    write_points_ply(tmp_path / "q.ply", POINTS)
+    np.testing.assert_array_equal(load_scan(tmp_path / "q.ply").points, POINTS)
+
+
+@pytest.mark.parametrize(
+    "wrong, words",
+    [
+        ({"labels": LABELS[:5]}, r"labels: .*\(5,\).*\(40,\)"),
+        ({"labels": LABELS / 2}, "labels: got float64.*whole numbers"),
+        ({"colors": COLORS / 255}, "colors: got float64.*unsigned bytes"),
+        ({"normals": POINTS[:, :2]}, "normals"),
+        ({"confidence": np.zeros((40, 2))}, "confidence"),
+    ],
+)
+def test_arrays_that_do_not_fit_the_points(tmp_path, wrong, words):
+    with pytest.raises(InputError, match=words):
+        write_points_ply(tmp_path / "p.ply", POINTS, **wrong)
+    with pytest.raises(InputError, match="faces"):
+        write_mesh_ply(tmp_path / "p.ply", POINTS, FACES[:, :2])
+    assert names(tmp_path) == []
+
+
+def test_json_holds_numpy_and_no_nan(tmp_path):
+    obj = {
+        "z": np.float32(0.5), "a": [np.int64(3), float("nan"), (True, np.bool_(False))], "path": Path("a") / "b",
+        "array": np.array([[1.0, np.inf], [2.0, 3.0]]), 7: None, "text": "é",
+    }  # fmt: skip
+    write_json(tmp_path / "a.json", obj)
+    text = (tmp_path / "a.json").read_text(encoding="utf-8")
+    expected = {
+        "7": None, "a": [3, None, [True, False]], "array": [[1.0, None], [2.0, 3.0]], "path": str(Path("a") / "b"),
+        "text": "é", "z": 0.5,
+    }  # fmt: skip
+    assert json.loads(text) == expected
+    assert list(json.loads(text)) == sorted(expected) and text.endswith("}\n") and "é" in text
+    with pytest.raises(TypeError):
+        write_json(tmp_path / "b.json", {"a": object()})
+    assert names(tmp_path) == ["a.json"]
+
+
+def test_npz_comes_back_without_pickle_and_with_the_same_bytes(tmp_path):
+    arrays = {"file": np.arange(5), "allow_pickle": np.float32(2), "path": np.array(["a", "bc"]), "empty": np.zeros((0, 3))}
+    write_npz(tmp_path / "a.npz", **arrays)
+    with np.load(tmp_path / "a.npz", allow_pickle=False) as back:
+        assert set(back.files) == set(arrays)
+        for key, value in arrays.items():
+            np.testing.assert_array_equal(back[key], value)
+            assert back[key].dtype == value.dtype
+    write_npz(tmp_path / "b.npz", **arrays)
+    assert (tmp_path / "a.npz").read_bytes() == (tmp_path / "b.npz").read_bytes()
+
+
+def test_npz_refuses_python_objects(tmp_path):
+    with pytest.raises(InputError, match="thing: got an array of Python objects"):
+        write_npz(tmp_path / "a.npz", fine=[1, 2], thing=[None, {}])
+    assert names(tmp_path) == []
