@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["LbsfitError", "InputError", "FileError", "MissingExtraError", "check_array"]
+__all__ = ["FileError", "InputError", "LbsfitError", "MissingExtraError", "check_array"]
 
 
 class LbsfitError(Exception):

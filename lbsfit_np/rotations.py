@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["cross_matrix", "matrix_from_rotvec", "rotvec_from_matrix", "left_jacobian"]
+__all__ = ["cross_matrix", "left_jacobian", "matrix_from_rotvec", "rotvec_from_matrix"]
 
 # Below this squared angle the Taylor series is exact to the last bit of a double, and the closed form is not.
 _SERIES = 1e-4

@@ -15,7 +15,7 @@ import numpy as np
 
 from .rotations import left_jacobian, matrix_from_rotvec
 
-__all__ = ["Posed", "skin", "skin_adjoint", "JOINT_MODES"]
+__all__ = ["JOINT_MODES", "Posed", "skin", "skin_adjoint"]
 
 JOINT_MODES = ("follow", "fixed")
 

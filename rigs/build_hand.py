@@ -39,7 +39,7 @@ _EDGE = (0.0051, 0.0074)  # wanted edge length at the fingertips and at the stum
 _ROUND = 1e-7  # vertices are stored to a tenth of a micrometre
 
 # Heat of the bones: firmer bones bend more sharply and keep more volume, up to where the skin inside the bend cuts itself.
-_FIRM_PALM, _FIRM_PHALANX = 3.0, 2.5
+_FIRM_PALM, _FIRM_PHALANX = 5.0, 3.0
 
 # Degrees about the rest frames' axes: ((flexion, abduction, twist) lower, upper); see README.md for the sources.
 LIMITS = {
@@ -151,9 +151,10 @@ def report(rig):
     edges = np.linalg.norm(rig.vertices[rig.faces] - rig.vertices[np.roll(rig.faces, 1, axis=1)], axis=2)
     lines = [
         f"{len(rig.vertices)} vertices, {len(rig.faces)} triangles, edges {1e3 * edges.min():.1f} to {1e3 * edges.max():.1f} mm",
-        f"directed edges used at most {edge_uses(rig.faces)[0]} time, closed: {edge_uses(rig.faces)[1]}, "
-        f"{components(rig.faces, len(rig.vertices))} piece, Euler characteristic {euler_characteristic(rig.faces)}",
-        f"{1e6 * volume(rig.vertices, rig.faces):.0f} cm³, {len(self_intersections(rig.vertices, rig.faces))} self-intersections at rest",
+        f"triangles on one side of an edge: {edge_uses(rig.faces)[0]}; closed: {edge_uses(rig.faces)[1]}",
+        f"pieces: {components(rig.faces, len(rig.vertices))}; Euler characteristic: {euler_characteristic(rig.faces)}",
+        f"{1e6 * volume(rig.vertices, rig.faces):.0f} cm³",
+        f"self-intersections at rest: {len(self_intersections(rig.vertices, rig.faces))}",
         f"at most {np.diff(rig.weights.indptr).max()} influences a vertex, {rig.weights.nnz / len(rig.vertices):.1f} on average",
         "volume kept at a joint, bent to 30, 60, 90 degrees or its limit:",
     ]

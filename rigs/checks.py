@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["edge_uses", "euler_characteristic", "components", "volume", "self_intersections", "bending_volume"]
+__all__ = ["bending_volume", "components", "edge_uses", "euler_characteristic", "self_intersections", "volume"]
 
 
 def edge_uses(faces):

@@ -10,7 +10,7 @@ import numpy as np
 
 from .implicit import Loft, capsule, ellipsoid, frame_along, smooth_cut, smooth_union
 
-__all__ = ["JOINT_NAMES", "PARENTS", "FINGERS", "Skeleton", "skeleton", "surface", "BOX"]
+__all__ = ["BOX", "FINGERS", "JOINT_NAMES", "PARENTS", "Skeleton", "skeleton", "surface"]
 
 HAND_LENGTH, HAND_BREADTH = 0.187, 0.085
 FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # MANO's order
@@ -142,8 +142,8 @@ def surface(bones=None):
     thumb = smooth_union([_thumb(bones), *_first_web(bones)], 0.008)
     hand = smooth_union([palm, thumb], 0.008)
     hand = smooth_union([hand, *_knuckles(bones)], 0.008)
-    hand = smooth_union([hand, smooth_union(fingers, 0.005)], 0.007)
-    return smooth_union([hand, *_webs(bones)], 0.009)
+    hand = smooth_union([hand, smooth_union(fingers, 0.004)], 0.007)
+    return smooth_union([hand, *_webs(bones)], 0.012)
 
 
 def _wrist():
@@ -211,7 +211,11 @@ def _first_web(bones):
     thumb = bones.joints[bones.row("thumb", 1)], bones.joints[bones.row("thumb", 2)]
     index = bones.carpal["index"], bones.joints[bones.row("index", 1)]
     shapes = []
-    for along_thumb, along_index, radii in ((0.45, 0.35, (0.0105, 0.0115)), (0.70, 0.55, (0.0080, 0.0100)), (0.90, 0.72, (0.0062, 0.0085))):
+    for along_thumb, along_index, radii in (
+        (0.45, 0.35, (0.0105, 0.0115)),
+        (0.70, 0.55, (0.0080, 0.0100)),
+        (0.90, 0.72, (0.0062, 0.0085)),
+    ):
         a = thumb[0] + along_thumb * (thumb[1] - thumb[0])
         b = index[0] + along_index * (index[1] - index[0])
         shapes.append(capsule(a, b, radii))
@@ -238,7 +242,11 @@ def _knuckles(bones):
 def _webs(bones):
     """Skin between neighbouring fingers, reaching almost half-way up the proximal phalanges, nearer the palm's side."""
     shapes = []
-    for first, second, reach in (("index", "middle", (0.011, 0.012)), ("middle", "ring", (0.012, 0.015)), ("ring", "pinky", (0.014, 0.011))):
+    for first, second, reach in (
+        ("index", "middle", (0.011, 0.012)),
+        ("middle", "ring", (0.012, 0.015)),
+        ("ring", "pinky", (0.014, 0.011)),
+    ):
         ends = []
         for finger, r in ((first, reach[0]), (second, reach[1])):
             row = bones.row(finger, 1)

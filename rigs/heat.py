@@ -7,7 +7,7 @@ joint and H = c / d² with d the distance to that bone: near the bone the skin f
 import numpy as np
 from scipy import sparse
 
-__all__ = ["cotangent_laplacian", "bone_distances", "heat_weights", "exact_rows"]
+__all__ = ["bone_distances", "cotangent_laplacian", "exact_rows", "heat_weights"]
 
 
 def cotangent_laplacian(vertices, faces):

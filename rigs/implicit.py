@@ -6,9 +6,11 @@ be right near the surface only: blending radii are far smaller than a primitive'
 
 import numpy as np
 
-__all__ = ["Loft", "ellipsoid", "capsule", "smooth_union", "smooth_cut", "polygonise", "gradient", "project", "frame_along"]
+__all__ = ["Loft", "capsule", "ellipsoid", "frame_along", "gradient", "polygonise", "project", "smooth_cut", "smooth_union"]
 
-_FAR = 0.05  # value outside a primitive's box: beyond every blending radius, so that it changes nothing
+# Primitives are evaluated inside a box only; outside it they count as far away. The box reaches beyond every blending radius, as
+# a shape that vanished within one would leave a step in the surface.
+_REACH, _FAR = 0.022, 0.05
 
 
 def frame_along(distal, dorsal):
@@ -52,9 +54,9 @@ class Loft:
         self.start, self.end = stations[0, 0], stations[-1, 0]
         self.profile = PchipInterpolator(stations[:, 0], stations[:, 1:], axis=0)
         self.caps, self.exponent = caps, exponent
-        reach = stations[:, 1:].max(axis=0) + 0.012
-        self.low = np.array([-reach[1], -reach[3], self.start - caps[0] - 0.012])
-        self.high = np.array([reach[0], reach[2], self.end + caps[1] + 0.012])
+        reach = stations[:, 1:].max(axis=0) + _REACH
+        self.low = np.array([-reach[1], -reach[3], self.start - caps[0] - _REACH])
+        self.high = np.array([reach[0], reach[2], self.end + caps[1] + _REACH])
 
     def __call__(self, points):
         local = (points - self.origin) @ self.frame
@@ -83,7 +85,7 @@ def ellipsoid(centre, frame, radii):
     def shape(points):
         local = (points - centre) @ frame
         out = np.full(len(points), _FAR)
-        near = np.flatnonzero((np.abs(local) < radii + 0.012).all(axis=1))
+        near = np.flatnonzero((np.abs(local) < radii + _REACH).all(axis=1))
         p = local[near]
         r = np.sqrt(((p / radii) ** 2).sum(axis=1))
         out[near] = (r - 1) * np.where(r > 1e-9, np.sqrt((p * p).sum(axis=1)) / np.maximum(r, 1e-9), radii.min())
@@ -107,7 +109,7 @@ def capsule(start, end, radii):
 def smooth_union(shapes, radius):
     """Union with fillets: the polynomial smooth minimum, one shape after the other.
 
-    min(a, b) − h² k / 4 with h = max(k − |a − b|, 0) / k and k the blending radius in metres.
+    min(a, b) − h² k / 4 with h = max(k − |a − b|, 0) / k and k the blending radius, at most 0.02 m.
     """
 
     def shape(points):

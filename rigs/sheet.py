@@ -23,7 +23,7 @@ def contact_sheet(path, rig, poses, *, size=(360, 390), columns=4):
         Of one picture, pixels.
     columns : int
     """
-    options = dict(size=size, up=rig.up, forward=rig.forward)
+    options = {"size": size, "up": rig.up, "forward": rig.forward}
 
     def draw(vertices, view, colors=_SKIN):
         return render_mesh(vertices, rig.faces, colors=np.asarray(colors), view=view, **options)

@@ -1,5 +1,7 @@
 """load_rig: picks the reader, finds cards and bundled rigs; all rigs of the shared folder load."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -194,7 +196,7 @@ def test_left_hand_says_what_limits_toml_says(real, shared_rigs):
     # -z points to the next joint of the finger
     for finger in ("index", "middle", "ring", "pinky"):
         rows = [rig.joint_names.index(f"{finger}-finger-phalanx-{bone}") for bone in ("proximal", "intermediate", "distal")]
-        for near, far in zip(rows, rows[1:]):
+        for near, far in pairwise(rows):
             assert rig.parents[far] == near
             bone = rig.joints[far] - rig.joints[near]
             assert -rig.frames[near, :, 2] @ bone > 0.95 * np.linalg.norm(bone)
@@ -222,6 +224,14 @@ def test_guessed_card_of_the_left_hand_is_its_hierarchy(shared_rigs, real, tmp_p
 def test_mixamo_weights_are_refused_unless_asked(shared_rigs):
     with pytest.raises(FileError, match=r"5915 of 13380 weight rows.*0\.2 to 1\.498.*normalize"):
         load_rig(shared_rigs / "mpfb2_body" / "mpfb2_mixamo.npz")
+
+
+def test_a_card_of_such_a_rig_can_be_written(shared_rigs, real, tmp_path):
+    file = shared_rigs / "mpfb2_body" / "mpfb2_mixamo.npz"
+    write_card(rig_for_card(file), tmp_path / "c.toml")
+    rig = load_rig(file, card=tmp_path / "c.toml", normalize_weights=True)
+    np.testing.assert_array_equal(rig.parents, real("mpfb2_mixamo").parents)
+    assert any("2 moving joints have no part of their own" in note for note in real("mpfb2_mixamo").notes)
 
 
 def test_fox_limits_come_from_its_animations(shared_rigs):

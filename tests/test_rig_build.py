@@ -1,5 +1,6 @@
 """build_rig: what it accepts, derives, notes and refuses."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.card import Card
 from lbsfit_np.rig.data import RigData
 from lbsfit_np.rig.describe import describe
+from lbsfit_np.rig.frames import bone_frames
 from lbsfit_np.rig.limits import derived_limits
 from lbsfit_np.rotations import matrix_from_rotvec
 
@@ -64,6 +66,12 @@ def test_rig_is_immutable_and_leaves_the_data_alone():
     assert abs(rig.weights.sum(axis=1) - 1).max() < 1e-12
 
 
+def test_rig_travels_to_other_processes(tube_rig):
+    tube_rig.welded.vertex_labels  # noqa: B018 - what has been computed goes along
+    again = pickle.loads(pickle.dumps(tube_rig))
+    assert again.digest == tube_rig.digest and again.parts == tube_rig.parts
+
+
 def test_partitions(tube_rig):
     assert tube_rig.parts == NAMES
     assert set(np.unique(tube_rig.vertex_labels)) == {0, 1, 2, 3}
@@ -101,6 +109,13 @@ def test_weights_close_to_one_are_put_right_with_a_note():
     rig = build_rig(replace(data, weights=sparse.csr_array(sparse.diags_array(factor) @ data.weights)))
     assert abs(rig.weights.sum(axis=1) - 1).max() < 1e-12
     assert any("10 weight rows" in note and "1.009" in note for note in rig.notes)
+
+
+@pytest.mark.parametrize("factor", [0.989, 1.011])
+def test_one_per_cent_is_the_limit(factor):
+    data = make_tube_data()
+    with pytest.raises(InputError, match=f"242 of 242 weight rows.*{factor}"):
+        build_rig(replace(data, weights=data.weights * factor))
 
 
 def test_weights_far_from_one_are_an_error_that_says_how_far_unless_asked():
@@ -220,7 +235,7 @@ def test_card_gives_a_hierarchy_to_loose_joints():
     loose = replace(make_tube_data(), parents=np.full(4, -1))
     card = Card(root="root", chains=(("root", "elbow", "long"), ("elbow", "short")))
     np.testing.assert_array_equal(build_rig(loose, card).parents, [-1, 0, 1, 1])
-    by_table = Card(parents=(("*", "elbow"), ("elbow", "root")), root="root")
+    by_table = Card(parents=(("elbow", "root"), ("*", "elbow")), root="root")  # the glob matches its own parent, too
     np.testing.assert_array_equal(build_rig(loose, by_table).parents, [-1, 0, 1, 1])
 
 
@@ -274,6 +289,8 @@ def test_locked_joints_keep_their_skin_and_never_turn():
     assert (rig.lower[3] == 0).all()
     assert rig.parts == ("root", "elbow", "long")
     assert any("1 joints locked: short" in note for note in rig.notes)
+    both = build_rig(make_tube_data(), Card(lock=("short", "long"), merge=("short",)))
+    assert both.locked.tolist() == [False, False, True, False] and both.merged.tolist() == [False, False, False, True]
 
 
 @pytest.mark.parametrize("field", ["merge", "lock"])
@@ -343,6 +360,18 @@ def test_card_frames_follow_bones():
         build_rig(replace(make_tube_data(), forward=None), Card(frames=(("*", "bone"),)))
 
 
+def test_bone_frames_point_up_for_feet_and_mirror_left_and_right():
+    foot, left, right = bone_frames([[0.1, -0.3, 1.2], [0.7, -0.7, 0.2], [-0.7, -0.7, 0.2]], "+y", "+z")
+    assert foot[1, 2] > 0.9  # z up
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    for angles in np.eye(3):
+        there = matrix_from_rotvec(left @ angles)
+        here = matrix_from_rotvec(right @ (angles * [1, -1, -1]))
+        np.testing.assert_allclose(mirror @ there @ mirror, here, atol=1e-12)
+    turned = bone_frames([[0.1, 1.2, 0.3]], "+z", "+y")[0]  # z up, facing y: a bone that points forward
+    assert turned[2, 2] > 0.9
+
+
 def test_changed_frames_carry_animations_over_and_drop_the_files_limits():
     data = make_tube_data()
     wide = np.zeros((3, 4, 3))
@@ -372,6 +401,7 @@ def test_limits_from_animations():
     animated = np.zeros((5, 3, 3))
     animated[:, 1, 0] = [0.2, 0.4, 1.0, 0.6, 0.2]
     animated[:, 2, 2] = [-3.0, 0, 0, 0, 0]
+    animated[:, 0, 1] = [0, 1, 2, 3, 3]  # the root walks in a circle: no matter
     lower, upper, seen = derived_limits(0, 3, animated)
     np.testing.assert_array_equal(seen, [False, True, True])
     np.testing.assert_allclose(upper[1], [1.0 + 0.25 * 0.8, 0.1, 0.1])

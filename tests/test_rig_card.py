@@ -200,7 +200,7 @@ def test_written_card_of_a_plain_rig(tmp_path):
 def test_written_card_survives_odd_names(tmp_path):
     odd = ['quote " and \\ slash', "unit", "tab\there", "*-[x]"]
     data = replace(make_tube_data(), joint_names=odd, partitions={'p "q"': {"a = b": (odd[0],)}})
-    rig = build_rig(data)
+    rig = build_rig(replace(data, name="two\nlines = 3"))
     write_card(rig, tmp_path / "c.toml")
     bare = replace(data, lower=None, upper=None, partitions={})
     assert settings(build_rig(bare, tmp_path / "c.toml")) == settings(rig)

@@ -53,10 +53,11 @@ BODY_KEYS = ("verts", "faces", "weights", "joints", "joint_names", "parents")
 _VERSION = 1
 
 _OWN_KEYS = (
-    "name", "vertices", "faces", "weights_data", "weights_indices", "weights_indptr", "parents", "joint_names", "joints", "frames",
-    "lower", "upper", "regressor_data", "regressor_indices", "regressor_indptr", "merged", "locked", "partitions", "granularity",
-    "metres_per_unit", "up", "forward", "notes",
-)  # fmt: skip
+    *("name", "vertices", "faces", "weights_data", "weights_indices", "weights_indptr"),
+    *("parents", "joint_names", "joints", "frames", "lower", "upper"),
+    *("regressor_data", "regressor_indices", "regressor_indptr", "merged", "locked", "partitions", "granularity"),
+    *("metres_per_unit", "up", "forward", "notes"),
+)
 
 
 def save_rig(rig, path):

@@ -11,7 +11,7 @@ from ..rig.rig import Rig
 from ..scan import check_points
 from ..segmentation.cache import cached_segmenter
 from ..segmentation.descriptors import Descriptor
-from ..segmentation.segmenter import Segmenter, train_segmenter
+from ..segmentation.segmenter import train_segmenter
 from ..skinning import JOINT_MODES
 from ..synthesis import make_settings, synthesize_nth
 

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..neighbors import PointIndex
+from .checks import check_index, check_set, check_weights
 
 __all__ = ["chamfer", "one_sided_terms"]
 
@@ -27,9 +28,17 @@ def chamfer(X, V, *, x_weights=None, x_index=None):
         In squared units of X.
     grad : (m, 3) array
         ∂L_c/∂V, exact wherever every nearest neighbour is unique.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, an empty set, numbers that are not finite, weights that are negative or all 0.
     """
-    X, V = np.asarray(X, dtype=float), np.asarray(V, dtype=float)
-    x_index = PointIndex(X) if x_index is None else x_index
+    X, V = check_set("X", X), check_set("V", V)
+    x_weights = check_weights("x_weights", x_weights, len(X))
+    if x_index is None:
+        x_index = PointIndex(X)
+    check_index("x_index", x_index, X, labelled=False)
     to_V = PointIndex(V, moving=True).nearest(X)
     to_X = x_index.nearest(V)
     return one_sided_terms(X, V, to_V, to_X, x_weights)

@@ -1,6 +1,9 @@
 """Composite losses L_{c²,λ} and L_{s²,λ}: the deformed and the undeformed template under one pose."""
 
+import numpy as np
+
 from .chamfer import chamfer
+from .checks import check_number, check_same_length, check_set
 from .structured import structured_chamfer
 
 __all__ = ["composite_chamfer", "composite_structured_chamfer"]
@@ -36,8 +39,12 @@ def composite_structured_chamfer(X, Vd, V, x_labels, v_labels, *, lam=0.5, x_wei
 
 
 def _composite(loss, X, Vd, V, lam, labels, x_weights, x_index):
+    check_number("lam", lam)
     value, grad_Vd = loss(X, Vd, *labels, x_weights=x_weights, x_index=x_index)
     if Vd is V:  # no offsets: one search serves both
         return (1 + lam) * value, grad_Vd, lam * grad_Vd
+    check_same_length("V", check_set("V", V), "Vd", grad_Vd)
+    if lam == 0:  # searching costs the same whatever λ
+        return value, grad_Vd, np.zeros_like(grad_Vd)
     second, grad_V = loss(X, V, *labels, x_weights=x_weights, x_index=x_index)
     return value + lam * second, grad_Vd, lam * grad_V

@@ -3,7 +3,10 @@
 import numpy as np
 from scipy import sparse
 
-__all__ = ["cotangent_matrix", "laplacian_posed", "laplacian_offsets"]
+from ..errors import InputError
+from .checks import check_set
+
+__all__ = ["cotangent_matrix", "laplacian_offsets", "laplacian_posed"]
 
 
 def cotangent_matrix(vertices, faces):
@@ -21,7 +24,13 @@ def cotangent_matrix(vertices, faces):
     -------
     (m, m) sparse csr_array
         Without unit: cotangents do not change with scale.
+
+    Raises
+    ------
+    InputError
+        Wrong shapes, numbers that are not finite, faces out of range.
     """
+    vertices, faces = check_set("vertices", vertices), _faces(faces, len(vertices))
     m = len(vertices)
     rows, cols, vals = [], [], []
     p = vertices[faces]
@@ -60,7 +69,7 @@ def laplacian_posed(Vd, K, *, squared=False):
     grad : (m, 3) array
         ∂L_lap/∂V^d; 0 where the norm is 0.
     """
-    return _norm(np.asarray(Vd, dtype=float), K, squared)
+    return _norm("Vd", Vd, K, squared)
 
 
 def laplacian_offsets(offsets, K, *, squared=False):
@@ -79,10 +88,23 @@ def laplacian_offsets(offsets, K, *, squared=False):
     grad : (m, 3) array
         ∂L_lap/∂offsets; 0 where the norm is 0.
     """
-    return _norm(np.asarray(offsets, dtype=float), K, squared)
+    return _norm("offsets", offsets, K, squared)
 
 
-def _norm(Y, K, squared):
+def _faces(faces, m):
+    faces = np.asarray(faces)
+    if faces.ndim != 2 or faces.shape[1] != 3 or (faces.dtype.kind not in "iu" and faces.size):
+        raise InputError("faces", f"{faces.dtype} values of shape {faces.shape}", "integers of shape (F, 3)")
+    if faces.size and (faces.min() < 0 or faces.max() >= m):
+        raise InputError("faces", f"rows from {faces.min()} to {faces.max()}", f"rows of the {m} vertices, 0 to {m - 1}")
+    return faces
+
+
+def _norm(argument, Y, K, squared):
+    Y = check_set(argument, Y)
+    if getattr(K, "shape", None) != (len(Y), len(Y)):
+        got = type(K).__name__ if not hasattr(K, "shape") else f"shape {K.shape}"
+        raise InputError("K", got, f"shape ({len(Y)}, {len(Y)}), one row for each of the {len(Y)} vertices in {argument}")
     KY = K @ Y
     square = float(np.vdot(KY, KY))
     if squared:

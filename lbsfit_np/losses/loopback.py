@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from ..errors import InputError
+
 __all__ = ["loopback"]
 
 
@@ -21,7 +23,20 @@ def loopback(predicted, theta):
         Squared radians.
     grad : array of the same shape
         ∂L_Θ/∂predicted.
+
+    Raises
+    ------
+    InputError
+        Wrong or different shapes, an empty batch.
     """
-    away = np.asarray(predicted, dtype=float) - np.asarray(theta, dtype=float)
+    try:
+        predicted, theta = np.asarray(predicted, dtype=float), np.asarray(theta, dtype=float)
+    except (TypeError, ValueError):
+        raise InputError("predicted and theta", "something else than numbers", "arrays of shape (J, 3) or (B, J, 3)") from None
+    if predicted.ndim not in (2, 3) or predicted.shape[-1] != 3 or not predicted.size:
+        raise InputError("predicted", f"shape {predicted.shape}", "shape (J, 3) or (B, J, 3)")
+    if theta.shape != predicted.shape:
+        raise InputError("theta", f"shape {theta.shape}", f"shape {predicted.shape}, as predicted has")
+    away = predicted - theta
     batch = len(away) if away.ndim == 3 else 1
     return float(np.vdot(away, away)) / batch, (2.0 / batch) * away

@@ -5,10 +5,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
+from .checks import check_number, check_same_length, check_set
 from .composite import composite_chamfer, composite_structured_chamfer
 from .laplacian import laplacian_offsets, laplacian_posed
 
-__all__ = ["LossWeights", "PRESETS", "objective"]
+__all__ = ["PRESETS", "LossWeights", "objective"]
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,12 @@ class LossWeights:
     laplacian: str = "posed"
     squared: bool = False
 
+    def __post_init__(self):
+        for name in ("chamfer", "lam", "lam_s", "lam_lap", "lam_theta"):
+            check_number(name, getattr(self, name))
+        if self.laplacian not in ("posed", "offsets"):
+            raise InputError("laplacian", repr(self.laplacian), "'posed' or 'offsets'")
+
     def replace(self, **changes):
         return replace(self, **changes)
 
@@ -55,7 +62,7 @@ def as_weights(weights):
     """A preset's name or a LossWeights → LossWeights."""
     if isinstance(weights, LossWeights):
         return weights
-    if weights in PRESETS:
+    if isinstance(weights, str) and weights in PRESETS:
         return PRESETS[weights]
     raise InputError("weights", repr(weights), f"a LossWeights or one of {', '.join(map(repr, PRESETS))}")
 
@@ -80,7 +87,7 @@ def objective(X, Vd, V, *, weights, x_labels=None, v_labels=None, offsets=None, 
         Scan points, in units in which the template's longest half-extent is 1.
     Vd, V : (m, 3) arrays
         M(Θ, U^d) and M(Θ, U).
-    weights : LossWeights
+    weights : LossWeights or {"default", "paper"}
     x_labels, v_labels : int arrays, optional
         Parts; without them the structured term is left out.
     offsets : (m, 3) array, optional
@@ -93,7 +100,17 @@ def objective(X, Vd, V, *, weights, x_labels=None, v_labels=None, offsets=None, 
     Returns
     -------
     ObjectiveValue
+
+    Raises
+    ------
+    InputError
+        As in the terms; labels or offsets that a term needs and that are missing.
     """
+    weights = as_weights(weights)
+    Vd, V = (check_set("V", V),) * 2 if Vd is V else (check_set("Vd", Vd), check_set("V", V))
+    check_same_length("V", V, "Vd", Vd)
+    if x_labels is not None and v_labels is None:
+        raise InputError("v_labels", "None", "the part of each vertex, where x_labels are given")
     terms = {}
     value = 0.0
     grad_Vd, grad_V, grad_offsets = np.zeros_like(V), np.zeros_like(V), np.zeros_like(V)
@@ -114,6 +131,8 @@ def objective(X, Vd, V, *, weights, x_labels=None, v_labels=None, offsets=None, 
             terms["laplacian"], g = laplacian_posed(Vd, K, squared=weights.squared)
             grad_Vd += weights.lam_lap * g
         else:
+            if offsets is None:
+                raise InputError("offsets", "None", "U^d − U, shape (m, 3)", "The 'offsets' Laplacian looks at them.")
             terms["laplacian"], g = laplacian_offsets(offsets, K, squared=weights.squared)
             grad_offsets += weights.lam_lap * g
         value += weights.lam_lap * terms["laplacian"]

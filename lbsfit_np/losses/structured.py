@@ -1,9 +1,8 @@
 """Structured Chamfer distance L_s(X, V): nearest neighbours only among points of the same part."""
 
-import numpy as np
-
 from ..neighbors import PointIndex
 from .chamfer import one_sided_terms
+from .checks import check_index, check_labels, check_set, check_weights
 
 __all__ = ["structured_chamfer"]
 
@@ -34,10 +33,18 @@ def structured_chamfer(X, V, x_labels, v_labels, *, x_weights=None, x_index=None
         In squared units of X.
     grad : (m, 3) array
         ∂L_s/∂V.
+
+    Raises
+    ------
+    InputError
+        As in :func:`chamfer`; labels of a wrong length, not integers, or negative.
     """
-    X, V = np.asarray(X, dtype=float), np.asarray(V, dtype=float)
-    x_labels, v_labels = np.asarray(x_labels), np.asarray(v_labels)
-    x_index = PointIndex(X, x_labels) if x_index is None else x_index
+    X, V = check_set("X", X), check_set("V", V)
+    x_labels, v_labels = check_labels("x_labels", x_labels, len(X)), check_labels("v_labels", v_labels, len(V))
+    x_weights = check_weights("x_weights", x_weights, len(X))
+    if x_index is None:
+        x_index = PointIndex(X, x_labels)
+    check_index("x_index", x_index, X, labelled=True)
     to_V = PointIndex(V, v_labels, moving=True).nearest(X, x_labels)
     to_X = x_index.nearest(V, v_labels)
     return one_sided_terms(X, V, to_V, to_X, x_weights)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["State", "Layout"]
+__all__ = ["Layout", "State"]
 
 
 @dataclass(frozen=True)

@@ -37,9 +37,10 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     Returns
     -------
     Rig
-        Anomalies and what was done about them stand in ``rig.notes``. Joints that move no vertex (no weight in all that
-        hangs on them) and joints that only repeat the root's turn (all weight hangs on them) are locked; the
-        latter not if a card gives them limits by name, and neither if the file is the package's own. Missing limits are derived: :func:`.limits.derived_limits`.
+        Anomalies and what was done about them stand in ``rig.notes``. Missing limits are derived, see
+        :func:`.limits.derived_limits`. Joints that move no vertex (no weight in all that hangs on them) are locked, and so are
+        joints that only repeat the root's turn (all weight hangs on them), unless a card gives these limits by name; nothing
+        is locked by itself in the package's own files.
 
     Raises
     ------
@@ -83,10 +84,25 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
         )
 
     rig = Rig(
-        name=str(data.name), vertices=vertices, faces=faces, weights=weights, parents=parents, joint_names=tuple(names), joints=joints,
-        frames=frames, lower=lower, upper=upper, regressor=regressor, merged=state.merged, locked=state.locked, partitions=partitions,
-        granularity=granularity, metres_per_unit=None if unit is None else float(unit), up=up, forward=forward,
-    )  # fmt: skip
+        name=str(data.name),
+        vertices=vertices,
+        faces=faces,
+        weights=weights,
+        parents=parents,
+        joint_names=tuple(names),
+        joints=joints,
+        frames=frames,
+        lower=lower,
+        upper=upper,
+        regressor=regressor,
+        merged=state.merged,
+        locked=state.locked,
+        partitions=partitions,
+        granularity=granularity,
+        metres_per_unit=None if unit is None else float(unit),
+        up=up,
+        forward=forward,
+    )
     if not len(rig.welded.faces):
         report.fail("faces", f"{len(faces)} faces, each with two corners at one point", "at least one proper triangle")
     for partition in known:
@@ -181,13 +197,15 @@ def _regressor(report, data, vertices, weights, parents, joints, names, notes):
     if data.regressor is None:
         return regressor_from_weights(vertices, weights, parents, joints)
     given = report.matrix("regressor", data.regressor, (len(joints), len(vertices)))
+    if data.merged is not None:
+        return given  # our own format: as good as it gets, to the last bit
     size = float(np.ptp(vertices, axis=0).max())
     miss = np.linalg.norm(given @ vertices - joints, axis=1)
     if miss.max() > 1e-4 * size:
         j = int(np.argmax(miss))
         notes.append(
-            f"the file's joint regressor misses the file's joints by up to {100 * miss[j] / size:.2g} % of the size ({names[j]}); "
-            "the positions were kept and the regressor put right"
+            f"the file's joint regressor misses the file's joints by up to {100 * miss[j] / size:.2g} % of the size "
+            f"({names[j]}); the positions were kept and the regressor put right"
         )
     made = exact_regressor(given, vertices, joints)
     lacking = np.linalg.norm(made @ vertices - joints, axis=1) > 1e-9 * size
@@ -196,11 +214,8 @@ def _regressor(report, data, vertices, weights, parents, joints, names, notes):
         made = sparse.csr_array(sparse.vstack([(derived if bad else made)[[j]] for j, bad in enumerate(lacking)], format="csr"))
         if not (np.abs(miss[lacking]) <= 1e-9 * size).all():
             notes.append(
-                f"the file's joint regressor cannot give the position of {listed([names[j] for j in np.flatnonzero(lacking)])}: derived from the weights"
+                f"the file's joint regressor cannot give the position of {_named(names, lacking)}: derived from the weights"
             )
-    same = made.shape == given.shape and made.nnz == given.nnz and np.array_equal(made.indices, given.indices)
-    if same and np.abs(made.data - given.data).max(initial=0.0) < 1e-12:
-        return given  # exact already: to the last bit what was saved
     return made
 
 
@@ -225,19 +240,17 @@ def _states(report, data, weights, parents, root, names, card, notes):
     locked &= ~merged
     for word, now in (("merged into their parents", merged & ~before), ("locked", locked & ~locked_before)):
         if now.any():
-            notes.append(f"{np.count_nonzero(now)} joints {word}: {listed([names[j] for j in np.flatnonzero(now)])}")
+            notes.append(f"{np.count_nonzero(now)} joints {word}: {_named(names, now)}")
     if not ours:
         spoken_for = np.isin(names, [pattern for pattern, *_ in card.limits])  # by name: a glob means no joint in particular
         idle, rootlike = _powerless(weights, parents, root)
         idle, rootlike = idle & ~merged & ~locked, rootlike & ~merged & ~locked & ~spoken_for
         if idle.any():
-            notes.append(
-                f"{np.count_nonzero(idle)} joints locked, as they move no vertex: {listed([names[j] for j in np.flatnonzero(idle)])}"
-            )
+            notes.append(f"{np.count_nonzero(idle)} joints locked, as they move no vertex: {_named(names, idle)}")
         if rootlike.any():
             notes.append(
                 f"{np.count_nonzero(rootlike)} joints locked, as they turn the whole mesh like the root: "
-                f"{listed([names[j] for j in np.flatnonzero(rootlike)])} (limits in a card would free them)"
+                f"{_named(names, rootlike)} (limits in a card would free them)"
             )
         locked |= idle | rootlike
     return _States(merged, merged & ~before, locked)
@@ -308,14 +321,12 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
         plain = derived & ~from_animation
         plain[root] = False
         if plain.any():
-            ways.append(
-                f"±{DEFAULT_LIMIT} rad about each axis for {np.count_nonzero(plain)} ({listed([names[j] for j in np.flatnonzero(plain)], 4)})"
-            )
+            ways.append(f"±{DEFAULT_LIMIT} rad about each axis for {np.count_nonzero(plain)} ({_named(names, plain, 4)})")
         if derived[root]:
             ways.append(f"±{DEFAULT_ROOT_LIMIT} rad for sampling the root")
         notes.append(
-            f"neither file nor card has limits for {np.count_nonzero(derived)} of {np.count_nonzero(moving)} moving joints; they were derived: "
-            f"{'; '.join(ways)} (a card's [limits] can say better)"
+            f"neither file nor card has limits for {np.count_nonzero(derived)} of {np.count_nonzero(moving)} moving joints; "
+            f"they were derived: {'; '.join(ways)} (a card's [limits] can say better)"
         )
     return lower, upper
 
@@ -342,6 +353,10 @@ def _partitions(report, data, names, card):
             expanded[part] = tuple(names[j] for j in members)
         out[partition] = expanded
     return out
+
+
+def _named(names, mask, most=8):
+    return listed([names[j] for j in np.flatnonzero(mask)], most)
 
 
 def _with_notes(rig, notes):

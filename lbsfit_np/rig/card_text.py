@@ -132,7 +132,7 @@ def _limits_table(rig, names, parents, still):
     lower, upper = rig.lower, rig.upper
     lines = [
         "[limits]",
-        '# How far each joint turns about the x, y, z of its rest frame: [lower], [upper]. Globs such as "*-finger-*" may stand for',
+        "# How far each joint turns about the x, y, z of its rest frame: [lower], [upper]. Globs, such as *-finger-*, stand for",
         "# several joints; later lines override earlier ones. The root's serve for sampling only: a fit leaves the root free.",
     ]
     if lower is None:

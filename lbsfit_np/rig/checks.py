@@ -92,7 +92,8 @@ def check_weights(report, weights, m, joint_names, normalize, notes):
     if (w.data < 0).any():
         k = int(np.argmin(w.data))
         row = int(np.searchsorted(w.indptr, k, side="right")) - 1
-        got = f"{np.count_nonzero(w.data < 0)} negative weights, the worst {w.data[k]:.3g} (vertex {row}, joint {joint_names[w.indices[k]]!r})"
+        worst = f"{w.data[k]:.3g} (vertex {row}, joint {joint_names[w.indices[k]]!r})"
+        got = f"{np.count_nonzero(w.data < 0)} negative weights, the worst {worst}"
         report.fail("weights", got, "weights of 0 and more", "Clean the weights in the program that made the rig.")
     sums = np.asarray(w.sum(axis=1)).ravel()
     if (sums <= 0).any():
@@ -108,14 +109,18 @@ def check_weights(report, weights, m, joint_names, normalize, notes):
     worst = int(np.argmax(off))
     if off[worst] > _TOLERATED and not normalize:
         count = np.count_nonzero(off > _TOLERATED)
-        got = f"{count} of {m} weight rows that do not sum to 1: they sum to {sums.min():.4g} to {sums.max():.4g}, the worst is vertex {worst} with {sums[worst]:.4g}"
+        got = (
+            f"{count} of {m} weight rows that do not sum to 1: they sum to {sums.min():.4g} to {sums.max():.4g}, "
+            f"the worst is vertex {worst} with {sums[worst]:.4g}"
+        )
         remedy = "To divide each row by its sum, ask for it: --normalize-weights, or normalize_weights=True."
         report.fail("weights", got, "rows that sum to 1 within 1 %", remedy)
     if off[worst] > 1e-12:  # rows that are right to the last bits stay as they are
         w.data /= np.repeat(sums, np.diff(w.indptr))
     if off[worst] > _ROUNDING:
         notes.append(
-            f"{np.count_nonzero(off > _ROUNDING)} weight rows summed to {sums.min():.6g} to {sums.max():.6g}; they were divided by their sums"
+            f"{np.count_nonzero(off > _ROUNDING)} weight rows summed to {sums.min():.6g} to {sums.max():.6g}; "
+            "they were divided by their sums"
         )
     return w
 

@@ -95,7 +95,8 @@ def _axes(rig, j, bone, weight):
         along = np.linalg.eigh(spread)[1][:, -1]
     along = along / np.linalg.norm(along)
     flat = np.eye(3) - np.outer(along, along)
-    values, vectors = np.linalg.eigh(flat @ spread @ flat)
+    # The negative eigenvalue keeps ``along`` first also where the mesh is flat and has no extent in a second direction.
+    _, vectors = np.linalg.eigh(flat @ spread @ flat - np.trace(spread) * np.outer(along, along))
     thin, broad = vectors[:, 1], vectors[:, 2]
     if len(below) > 1:
         return [([along], "length"), ([broad], "breadth"), ([thin], "depth")]

@@ -4,6 +4,7 @@ import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from numbers import Real
 
 import numpy as np
 from scipy import sparse
@@ -208,7 +209,7 @@ class Rig:
             translation = check_array("translation", translation, (3,))
         if offsets is not None:
             offsets = check_array("offsets", offsets, self.vertices.shape)
-        if not (np.isscalar(scale) and np.isfinite(scale) and scale > 0):
+        if not isinstance(scale, Real) or not 0 < scale < np.inf:
             raise InputError("scale", repr(scale), "a positive number")
         if joints not in JOINT_MODES:
             raise InputError("joints", repr(joints), " or ".join(map(repr, JOINT_MODES)))

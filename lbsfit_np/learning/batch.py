@@ -1,0 +1,170 @@
+"""Many scans with one fitter, one after the other or by worker processes: the same results in both cases."""
+
+import pickle
+import time
+import traceback
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..errors import InputError, LbsfitError
+from ..scan import check_points
+from .workers import Workers
+
+__all__ = ["ScanOutcome", "fit_scans"]
+
+
+@dataclass(frozen=True)
+class ScanOutcome:
+    """What became of one scan.
+
+    Attributes
+    ----------
+    index : int
+        Which of the scans.
+    result : FitResult or other
+        The fit, or what ``finish`` made of it; None where it failed.
+    error : str or None
+        Why it failed, in words; None where it did not.
+    details : str or None
+        The traceback of a failure that nobody foresaw.
+    seconds : float
+        For reading, fitting and finishing it.
+    """
+
+    index: int
+    result: object = None
+    error: str | None = None
+    details: str | None = None
+    seconds: float = 0.0
+
+
+def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=None):
+    """Fit many scans; one that fails does not stop the others.
+
+    Parameters
+    ----------
+    fitter : LBSFitter
+        Where it has no segmenter yet, it is pretrained once, here, as soon as a scan has been read that can be fitted.
+    scans : iterable
+        Of each scan the (n, 3) points, the Scan, or a callable without arguments that returns one of these, such as
+        ``functools.partial(load_scan, path)``. Callables are called where the scan is fitted; their errors are failures of
+        their scan alone.
+    jobs : int, default 1
+        Worker processes; with 1 all happens in this one. They are started afresh ("spawn"), so that a script must call this
+        under ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``, results are the same to the last
+        bit whatever ``jobs`` is.
+    finish : callable (index, scan, result) → object, optional
+        What to do with a fit in the process that made it, such as writing it to files; what it returns takes the result's
+        place in the outcome. With several jobs it must be picklable.
+    on_result : callable (ScanOutcome), optional
+        Called in this process for each scan as it is done, in order of completion.
+    pretrain : callable (fitter), optional
+        Instead of ``fitter.pretrain()``.
+
+    Returns
+    -------
+    list of ScanOutcome
+        In the order of ``scans``.
+
+    Raises
+    ------
+    InputError
+        ``jobs``, or parameters of the fitter, cannot be used.
+    KeyboardInterrupt
+        On Ctrl-C, once workers have ended and ``on_result`` has had all that was finished.
+    """
+    if isinstance(jobs, bool) or not isinstance(jobs, (int, np.integer)) or jobs < 1:
+        raise InputError("jobs", repr(jobs), "a positive whole number of worker processes")
+    scans = list(scans)
+    outcomes = {}
+
+    def report(outcome):
+        outcomes[outcome.index] = outcome
+        if on_result is not None:
+            on_result(outcome)
+
+    read = _pretrained(fitter, scans, report, pretrain)
+    todo = [i for i in range(len(scans)) if i not in outcomes]
+    if jobs == 1 or len(todo) < 2:
+        for i in todo:
+            report(_fit_one(fitter, finish, i, read.pop(i, scans[i])))
+    else:
+        _fit_by_workers(fitter, finish, scans, deque(todo), int(jobs), report)
+    return [outcomes[i] for i in range(len(scans))]
+
+
+def _pretrained(fitter, scans, report, pretrain):
+    """Pretrain the fitter where it wants that; returns the scan, by index, that was read to see that this is worth while."""
+    if getattr(fitter, "segmenter_", None) is not None:
+        return {}
+    for i, source in enumerate(scans):
+        started = time.perf_counter()
+        try:
+            scan = source() if callable(source) else source
+            check_points(scan, minimum=len(fitter.rig.parts))
+        except Exception as error:
+            report(_failure(i, error, started))
+            continue
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1):  # on a machine that does other things too, BLAS threads make training many times slower
+            fitter.pretrain() if pretrain is None else pretrain(fitter)
+        return {i: scan}
+    return {}
+
+
+def _fit_one(fitter, finish, index, source):
+    started = time.perf_counter()
+    try:
+        scan = source() if callable(source) else source
+        result = fitter.fit_scan(scan)
+        if result.status != "ok":
+            return ScanOutcome(index, error=result.message, seconds=time.perf_counter() - started)
+        if finish is not None:
+            result = finish(index, scan, result)
+    except Exception as error:
+        return _failure(index, error, started)
+    return ScanOutcome(index, result, seconds=time.perf_counter() - started)
+
+
+def _failure(index, error, started):
+    seconds = time.perf_counter() - started
+    if isinstance(error, LbsfitError):
+        return ScanOutcome(index, error=str(error), seconds=seconds)
+    words = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return ScanOutcome(index, error=words, details=traceback.format_exc(), seconds=seconds)
+
+
+@dataclass
+class _Work:
+    """What every worker is given once: a task of its is (index, source)."""
+
+    fitter: object
+    finish: object
+
+    def __call__(self, task):
+        return _fit_one(self.fitter, self.finish, *task)
+
+
+def _fit_by_workers(fitter, finish, scans, todo, jobs, report):
+    with Workers(_Work(fitter, finish), min(jobs, len(todo))) as workers:
+
+        def take(answers):
+            for (index, _), outcome, death in answers:
+                report(outcome if death is None else ScanOutcome(index, error=f"the process that fitted it ended: {death}"))
+
+        try:
+            while todo or workers.busy:
+                while todo and workers.idle:
+                    index = todo.popleft()
+                    try:
+                        workers.give((index, scans[index]))
+                    except (pickle.PicklingError, AttributeError, TypeError) as error:
+                        report(ScanOutcome(index, error=f"it cannot be sent to a worker process: {error}"))
+                if workers.busy:
+                    take(workers.answers())
+        except BaseException:
+            take(workers.stop())
+            raise

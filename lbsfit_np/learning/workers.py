@@ -1,0 +1,200 @@
+"""Worker processes that each do one task at a time: the death of one costs its own task only, and Ctrl-C ends them tidily."""
+
+import pickle
+import signal
+from contextlib import contextmanager
+
+from ..errors import InputError
+
+__all__ = ["Workers"]
+
+_READY = "ready"
+
+
+class Workers:
+    """A context manager that keeps up to ``n`` processes, each of which has its own copy of ``work``.
+
+    Parameters
+    ----------
+    work : callable (task) → answer
+        Sent to each process once; must be picklable, and must not raise.
+    n : int
+
+    Raises
+    ------
+    InputError
+        ``work`` cannot be pickled, or processes end before they begin.
+    """
+
+    def __init__(self, work, n):
+        try:
+            self._payload = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            remedy = "Use functions from the top level of a module, or jobs=1."
+            raise InputError("jobs", f"more than 1 with what cannot be sent to processes ({error})", "picklable work", remedy) from None
+        self._n = n
+        self._workers = []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.stop()
+
+    @property
+    def busy(self):
+        """Whether a task is being done."""
+        return any(w.task is not None for w in self._workers)
+
+    @property
+    def idle(self):
+        """Whether another task can be given."""
+        return len(self._workers) < self._n or any(w.task is None for w in self._workers)
+
+    def give(self, task):
+        """Have a process do ``task``, a new one while there are fewer than n."""
+        worker = next((w for w in self._workers if w.task is None), None)
+        if worker is None:
+            worker = _Worker(self._payload)
+            self._workers.append(worker)
+        worker.give(task)
+
+    def answers(self):
+        """Wait for at least one answer; a list of (task, answer, None), or (task, None, how its process died)."""
+        from multiprocessing.connection import wait
+
+        ready = set(wait([w.connection for w in self._workers if w.task is not None]))
+        return [a for w in list(self._workers) if w.connection in ready for a in self._received(w)]
+
+    def stop(self):
+        """End all processes, in the middle of a task if need be; returns answers that had been given by then."""
+        for w in self._workers:
+            w.ask_to_end()
+        late = []
+        for w in self._workers:
+            w.join()
+            late += w.last_answers()
+            w.connection.close()
+        self._workers = []
+        return late
+
+    def _received(self, worker):
+        task = worker.task
+        try:
+            answer = worker.receive()
+        except (EOFError, OSError):
+            self._workers.remove(worker)
+            worker.join()
+            worker.connection.close()
+            if not worker.ready:
+                raise InputError(
+                    "jobs",
+                    f"worker processes that end before they begin ({worker.death})",
+                    "processes that start",
+                    'In a script, call this under `if __name__ == "__main__":`.',
+                ) from None
+            return [(task, None, worker.death)]
+        if not worker.ready:
+            worker.ready = True
+            return []
+        worker.task = None
+        return [(task, answer, None)]
+
+
+class _Worker:
+    """One process and the connection to it."""
+
+    def __init__(self, payload):
+        import multiprocessing
+
+        context = multiprocessing.get_context("spawn")  # a fork of a process with BLAS threads may hang
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, payload), daemon=True)
+        with _without_interrupts():
+            self.process.start()
+        theirs.close()
+        self.ready = False
+        self.task = None
+        self._torn = False
+
+    def give(self, task):
+        data = pickle.dumps(task, protocol=pickle.HIGHEST_PROTOCOL)
+        self.task = task
+        try:
+            self.connection.send_bytes(data)
+        except OSError:
+            pass  # it has died: what is received next says so
+
+    def receive(self):
+        self._torn = True  # until all of the message is here: after a Ctrl-C in between, the rest of it means nothing
+        message = self.connection.recv()
+        self._torn = False
+        return message
+
+    def ask_to_end(self):
+        if self.task is None:
+            self.give(None)
+        else:
+            self.process.terminate()
+
+    def join(self):
+        self.process.join(10)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
+    def last_answers(self):
+        """What it had answered before it ended."""
+        try:
+            while self.task is not None and not self._torn and self.connection.poll():
+                answer = self.receive()
+                if self.ready:
+                    return [(self.task, answer, None)]
+                self.ready = True
+        except (EOFError, OSError):
+            pass
+        return []
+
+    @property
+    def death(self):
+        code = self.process.exitcode
+        if code is not None and code < 0:
+            try:
+                name = signal.Signals(-code).name
+            except ValueError:
+                name = f"signal {-code}"
+            return f"killed by {name}" + (", perhaps for want of memory" if name == "SIGKILL" else "")
+        return f"exit code {code}"
+
+
+@contextmanager
+def _without_interrupts():
+    """Ctrl-C goes to the parent alone: a process that starts in here never sees it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(connection, payload):
+    """A worker's life: do tasks until there are no more, the parent is gone, or it is told to end."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _end)
+    try:
+        work = pickle.loads(payload)
+        from threadpoolctl import threadpool_limits
+
+        threadpool_limits(1)  # the processes share the cores
+        connection.send(_READY)
+        while (task := pickle.loads(connection.recv_bytes())) is not None:
+            connection.send(work(task))
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        pass  # the parent is gone
+
+
+def _end(signum, frame):
+    raise SystemExit(128 + signum)  # unwinds, so that half-written files are removed
