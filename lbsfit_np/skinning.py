@@ -96,7 +96,8 @@ def skin(rig, theta, *, translation=None, scale=1.0, offsets=None, joint_offsets
     m = rest + np.einsum("iab,ib->ia", blended[:, :9].reshape(-1, 3, 3), rest) + blended[:, 9:]
     t = 0.0 if translation is None else np.asarray(translation, dtype=float)
     unscaled = rest_joints + shift
-    return Posed(scale * m + t, scale * unscaled + t, rig, float(scale), follow, omega, R, A, rest, rest_joints, m, unscaled, blended)
+    vertices, posed_joints = scale * m + t, scale * unscaled + t
+    return Posed(vertices, posed_joints, rig, float(scale), follow, omega, R, A, rest, rest_joints, m, unscaled, blended)
 
 
 @dataclass(frozen=True)

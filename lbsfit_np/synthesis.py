@@ -1,15 +1,17 @@
 """Synthetic scans of a rig: poses Θ', changed shapes, surface samples with the flaws of real scans, and the whole truth."""
 
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, check_array
+from .rig.chains import chains
 from .rotations import matrix_from_rotvec
 from .seeds import generator
 from .skinning import skin
 
-__all__ = ["Synthesis", "SyntheticScan", "synthesize", "synthesize_nth", "uniform_poses", "sample_surface"]
+__all__ = ["Synthesis", "SyntheticScan", "TrainingScans", "sample_surface", "synthesize", "synthesize_nth", "training_poses", "uniform_poses"]
 
 
 @dataclass(frozen=True)
@@ -49,6 +51,16 @@ class Synthesis:
     density: float = 0.5
     turn: float = 0.0
     scale: float = 0.0
+
+
+# What settings may be, where it is more than a number of at least 0: kind, least, most.
+_RANGES = {
+    "n_points": (Integral, 1, np.inf),
+    "holes": (Integral, 0, np.inf),
+    "least_holes": (Integral, 0, np.inf),
+    "least_hole": (Real, 0, 1),
+    "scale": (Real, 0, 0.9),
+}
 
 
 @dataclass(frozen=True)
@@ -104,21 +116,49 @@ def synthesize(rig, n_scans=1, *, poses=None, templates=None, random_state=None,
     Returns
     -------
     list of SyntheticScan
+
+    Raises
+    ------
+    InputError
+        A setting that is not known or out of range; poses or templates that do not fit the rig.
     """
     settings = make_settings(settings)
+    if isinstance(n_scans, bool) or not isinstance(n_scans, Integral) or n_scans < 0:
+        raise InputError("n_scans", repr(n_scans), "an integer of at least 0")
     if poses is not None:
-        poses = np.asarray(poses, dtype=float)
-        if poses.ndim != 3 or poses.shape[1:] != rig.lower.shape or not len(poses):
-            raise InputError("poses", f"shape {poses.shape}", f"shape (k, {len(rig.parents)}, 3) with k ≥ 1")
+        shape = np.shape(poses)
+        if len(shape) != 3 or shape[1:] != rig.lower.shape or not shape[0]:
+            raise InputError("poses", f"shape {shape}", f"shape (k, {len(rig.parents)}, 3) with k ≥ 1")
+        poses = check_array("poses", poses, shape)
+    if templates is not None:
+        templates = [_checked_template(rig, k, template) for k, template in enumerate(templates)]
+        if not templates:
+            raise InputError("templates", "none", "one or more pairs (vertices, joints), or None for random proportions")
     return [synthesize_nth(rig, i, settings, poses=poses, templates=templates, random_state=random_state) for i in range(n_scans)]
 
 
 def synthesize_nth(rig, i, settings, *, poses=None, templates=None, random_state=None):
-    """Scan ``i`` of :func:`synthesize`, for those who want one at a time."""
+    """Scan ``i`` of :func:`synthesize`, for those who want one at a time; ``poses`` may be a function (rig, n, rng) → poses."""
     rng = generator(random_state, "synthesize", i)
-    pose = uniform_poses(rig, 1, rng)[0] if poses is None else poses[i % len(poses)]
+    if poses is None or callable(poses):
+        pose = (poses or uniform_poses)(rig, 1, rng)[0]
+    else:
+        pose = poses[i % len(poses)]
     template = _template(rig, settings, rng) if templates is None else templates[i % len(templates)]
     return synthesize_one(rig, pose, template, settings, rng)
+
+
+@dataclass(frozen=True)
+class TrainingScans:
+    """i → (points, labels, 1.0): the i-th scan for training s, the same in any process."""
+
+    rig: object
+    settings: Synthesis
+    random_state: int | None
+
+    def __call__(self, i):
+        scan = synthesize_nth(self.rig, i, self.settings, poses=training_poses, random_state=self.random_state)
+        return scan.points, scan.labels, 1.0
 
 
 def make_settings(settings):
@@ -129,14 +169,45 @@ def make_settings(settings):
     for name, value in settings.items():
         if name not in known:
             raise InputError(name, "a setting that is not known", f"one of {', '.join(known)}")
-        if not np.isscalar(value) or not np.isfinite(value) or value < 0 or (name == "n_points" and value < 1):
-            raise InputError(name, repr(value), "a number of at least 1" if name == "n_points" else "a number of at least 0")
-    return Synthesis(**settings)
+        kind, least, most = _RANGES.get(name, (Real, 0, np.inf))
+        if isinstance(value, bool) or not isinstance(value, kind) or not (least <= value <= most and value < np.inf):
+            what = "an integer" if kind is Integral else "a number"
+            bounds = f"of at least {least}" + ("" if most == np.inf else f" and at most {most}")
+            raise InputError(name, repr(value), f"{what} {bounds}")
+    made = Synthesis(**settings)
+    if made.least_holes > made.holes:
+        raise InputError("least_holes", str(made.least_holes), f"at most holes, {made.holes}", "Set holes, too.")
+    return made
 
 
 def uniform_poses(rig, n, rng):
     """Θ' ~ Unif(R_l, R_u); (n, J, 3)."""
     return rig.lower + rng.random((n, *rig.lower.shape)) * (rig.upper - rig.lower)
+
+
+def training_poses(rig, n, rng, *, correlated=0.5):
+    """Poses for training s: uniform in each angle, independent in some scans and correlated in others.
+
+    Independent angles almost never make a fist or a flat hand. In a share ``correlated`` of the poses the angles of a chain,
+    and chains among themselves, rise and fall together (a Gaussian copula with random strengths), which keeps every
+    angle's own distribution Unif(R_l, R_u).
+
+    Returns
+    -------
+    (n, J, 3) array
+    """
+    from scipy.special import ndtr
+
+    chain = chains(rig)
+    poses = uniform_poses(rig, n, rng)
+    for i in np.flatnonzero(rng.random(n) < correlated):
+        within, among = rng.uniform(0.3, 0.95), rng.uniform(0.0, 0.95)
+        shared = np.sqrt(among) * rng.standard_normal(3) + np.sqrt(1 - among) * rng.standard_normal((chain.max() + 1, 3))
+        u = ndtr(np.sqrt(within) * shared[chain] + np.sqrt(1 - within) * rng.standard_normal(rig.lower.shape))
+        root = poses[i, rig.root].copy()
+        poses[i] = rig.lower + u * (rig.upper - rig.lower)
+        poses[i, rig.root] = root  # the root turns the whole; it has no reason to go with the rest
+    return poses
 
 
 def synthesize_one(rig, pose, template, settings, rng):
@@ -208,6 +279,13 @@ class _Rest:
     levels: tuple
     root: int
     parents: np.ndarray
+
+
+def _checked_template(rig, k, template):
+    if not isinstance(template, (tuple, list)) or len(template) != 2:
+        raise InputError(f"templates[{k}]", type(template).__name__, "a pair (vertices (m, 3), joints (J, 3))")
+    shapes = rig.vertices.shape, rig.joints.shape
+    return tuple(check_array(f"templates[{k}][{i}]", a, shape) for i, (a, shape) in enumerate(zip(template, shapes)))
 
 
 def _template(rig, settings, rng):

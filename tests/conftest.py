@@ -22,3 +22,11 @@ def tube_rig():
     from small_rigs import make_tube_rig
 
     return make_tube_rig()
+
+
+@pytest.fixture(scope="session")
+def tube_fitter(tube_rig):
+    """A fitter of the tube rig with a segmenter of its own, trained for a few seconds."""
+    from lbsfit_np import LBSFitter
+
+    return LBSFitter(tube_rig, training_scans=60, random_state=0).pretrain()

@@ -923,7 +923,7 @@ def test_damaged_files_never_raise_anything_else(tmp_path):
         float("nan"),
     ]
     refused = 0
-    for k in range(400):
+    for _ in range(400):
         root = json.loads(json.dumps(writer.json))
         root["buffers"] = [{"byteLength": len(writer.binary), "uri": "data:;base64," + base64.b64encode(writer.binary).decode()}]
         for _ in range(int(rng.integers(1, 3))):

@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from lbsfit_np.rotations import cross_matrix, left_jacobian, matrix_from_rotvec, rotvec_from_matrix
+from lbsfit_np.rotations import (
+    cross_matrix,
+    left_jacobian,
+    matrix_from_rotvec,
+    rotvec_from_matrix,
+)
 
 ANGLES = [0.0, 1e-300, 1e-12, 1e-8, 1e-5, 1e-3, 9.999e-3, 1.0001e-2, 0.1, 1.0, 2.5, np.pi - 1e-6, np.pi, np.pi + 1e-6, 6.0, 9.0]
 

@@ -265,7 +265,7 @@ def test_gltf_applies_world_transforms(tmp_path, extension):
 
 def test_gltf_skins_stand_in_the_pose_of_the_file(tmp_path):
     root, blob = (json.loads(part) if k == 0 else part for k, part in enumerate(gltf(inline=False)))
-    # Joint 4 has moved by (0, 5, 0) since the bind pose, joint 5 has turned by 180° about y; the mesh's own node counts for nothing.
+    # Joint 4 has moved by (0, 5, 0) since the bind pose, joint 5 has turned by 180° about y; the mesh's own node does not count.
     bind = np.tile(np.eye(4, dtype="<f4"), (2, 1, 1))
     joints = np.array([[0, 0, 0, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0]], dtype="u1")
     weights = np.array([[1, 0, 0, 0], [1, 0, 0, 0], [0.5, 0.5, 0, 0], [0, 0, 0, 0]], dtype="<f4")

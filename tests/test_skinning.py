@@ -160,11 +160,9 @@ def test_locked_and_merged_joints_ride_along(get_rig):
     rig = get_rig("hand")
     assert rig.merged.any()
     theta = np.zeros_like(rig.joints)
-    theta[rig.merged] = 0.5  # turning them moves no vertex: their weights stand in their parents' columns
-    assert np.abs(rig.pose(theta)[:, :] - rig.vertices).max() > 0 or rig.weights[:, rig.merged].nnz == 0
+    assert rig.weights[:, np.flatnonzero(rig.merged)].nnz == 0
     leaves = rig.merged & ~np.isin(np.arange(len(rig.parents)), rig.parents)
-    theta[:] = 0.0
-    theta[leaves] = 0.5
+    theta[leaves] = 0.5  # turning them moves no vertex: their weights stand in their parents' columns
     np.testing.assert_allclose(rig.pose(theta), rig.vertices, atol=1e-15)
 
 

@@ -7,6 +7,8 @@ smooth random field: a fit can come near such a template, and never has it in it
 
 import numpy as np
 
+from ..rig.chains import chains
+
 __all__ = ["subject"]
 
 
@@ -28,7 +30,7 @@ def subject(rig, rng, *, amount=0.12, thickness=0.12):
     vertices : (m, 3) array
     joints : (J, 3) array
     """
-    chain = _chains(rig)
+    chain = chains(rig)
     lengths = 1 + amount * rng.uniform(-1, 1, chain.max() + 1)
     thick = thickness * rng.uniform(-1, 1, chain.max() + 1)
     J = rig.joints.copy()
@@ -52,24 +54,6 @@ def subject(rig, rng, *, amount=0.12, thickness=0.12):
         across = np.linalg.norm(arm - reach[:, None] * along, axis=1)
         radius[rows] += w[rows, j] * thick[chain[j]] * np.minimum(across, 0.3 * rig.size)
     return U + radius[:, None] * _normals(U, rig.faces), J
-
-
-def _chains(rig):
-    """(J,) int: the unbranched run of moving joints that each joint belongs to; 0 is the root's."""
-    moving = rig.moving
-    bone = np.arange(len(rig.parents))
-    for level, up in rig.levels:
-        bone[level] = np.where(moving[level], level, bone[up])
-    ahead = np.zeros(len(bone), dtype=int)
-    for j in np.flatnonzero(moving):
-        if rig.parents[j] >= 0:
-            ahead[bone[rig.parents[j]]] += 1
-    chain = np.zeros(len(bone), dtype=int)
-    for level, up in rig.levels:
-        for c, p in zip(level, up):
-            starts = moving[c] and (ahead[bone[p]] > 1 or bone[p] == rig.root)
-            chain[c] = chain.max() + 1 if starts else chain[p]
-    return chain
 
 
 def _normals(vertices, faces):

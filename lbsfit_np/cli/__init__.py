@@ -1,1 +1,80 @@
-"""."""
+"""The command line ``lbsfit``: one module a command, each with ``add_parser`` and a function that runs it."""
+
+import importlib
+import os
+import sys
+import warnings
+
+from .. import __version__
+from ..errors import LbsfitError
+from .parsing import Parser, formatter
+
+__all__ = ["main"]
+
+# Modules of this package; each has add_parser(commands), which sets ``run``. Heavy imports wait until a command runs.
+_COMMANDS = ("fit", "demo", "rig")
+
+_EPILOG = """\
+examples:
+  lbsfit demo -o demo                        see it work on a rig and a scan that the package makes itself
+  lbsfit fit hand.glb scans/*.ply -o fits    fit scans
+  lbsfit rig show hand.glb                   what is in a rig
+
+exit codes: 0 all done, 1 some scans failed, 2 usage or unreadable rig, 130 stopped by Ctrl-C
+"""
+
+
+def main(argv=None):
+    """Run a command.
+
+    Parameters
+    ----------
+    argv : list of str, optional
+        Default ``sys.argv[1:]``.
+
+    Returns
+    -------
+    int
+        The exit code: 0 all done, 1 some scans failed, 2 usage or unreadable input, 130 stopped by Ctrl-C, 143 by SIGTERM.
+    """
+    if argv is None:
+        for stream in (sys.stdout, sys.stderr):
+            stream.reconfigure(errors="replace")  # a terminal that lacks a letter shows "?" rather than an error
+    try:
+        arguments = _parser().parse_args(argv)
+    except SystemExit as stop:  # after --help, --version, or a usage error that has been printed
+        return stop.code or 0
+    try:
+        with warnings.catch_warnings():
+            warnings.showwarning = _show_warning
+            return arguments.run(arguments)
+    except LbsfitError as error:
+        print(f"lbsfit: error: {error}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader of our output, such as head, has had enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt:
+        print("lbsfit: stopped", file=sys.stderr)
+        return 130
+    except MemoryError:
+        print("lbsfit: error: out of memory", file=sys.stderr)
+        return 2
+
+
+def _parser():
+    parser = Parser(
+        prog="lbsfit",
+        description="Fit rigged meshes to point clouds: joint angles, a registered mesh, and the part of every point.",
+        epilog=_EPILOG,
+        formatter_class=formatter,
+    )
+    parser.add_argument("--version", action="version", version=f"lbsfit {__version__}")
+    commands = parser.add_subparsers(metavar="COMMAND", required=True, title="commands")
+    for name in _COMMANDS:
+        importlib.import_module(f".{name}", __name__).add_parser(commands)
+    return parser
+
+
+def _show_warning(message, category, filename, lineno, file=None, line=None):
+    print(f"lbsfit: warning: {message}", file=sys.stderr)

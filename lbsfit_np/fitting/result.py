@@ -96,16 +96,18 @@ class FitResult:
     @classmethod
     def load(cls, path):
         """Read what :meth:`save` wrote."""
+        from ..io.npz import read_npz
+
+        z = read_npz(path)
+        if "lbsfit_np_result" not in z:
+            raise FileError(str(path), "an NPZ without the key lbsfit_np_result", "a result that was saved with FitResult.save")
+        if z["lbsfit_np_result"].tolist() != _FORMAT:
+            raise FileError(str(path), f"result format {z['lbsfit_np_result']}", f"format {_FORMAT}", "Fit again.")
         try:
-            with np.load(path, allow_pickle=False) as z:
-                if int(z["lbsfit_np_result"]) != _FORMAT:
-                    raise FileError(str(path), f"result format {int(z['lbsfit_np_result'])}", f"format {_FORMAT}", "Fit again.")
-                fields = {name: z[name] for name in _ARRAYS}
-                fields.update({name: z[name].item() for name in _SCALARS})
-                return cls(terms=json.loads(str(z["terms"])), parts=tuple(z["parts"].tolist()), **fields)
-        except FileNotFoundError:
-            raise FileError(str(path), "no such file", "a result that was saved with FitResult.save") from None
-        except FileError:
-            raise
-        except Exception as error:  # zipfile, json, keys: whatever is wrong with it, it is not one of ours
-            raise FileError(str(path), f"a file that cannot be read ({error})", "a result that was saved with FitResult.save") from None
+            fields = {name: z[name] for name in _ARRAYS}
+            fields.update({name: z[name].item() for name in _SCALARS})
+            return cls(terms=json.loads(str(z["terms"])), parts=tuple(z["parts"].tolist()), **fields)
+        except (KeyError, TypeError, ValueError) as error:
+            raise FileError(
+                str(path), f"a result that lacks something or is broken ({error})", "a result that was saved with FitResult.save"
+            ) from None

@@ -83,9 +83,9 @@ def fit_points(model, points, *, segmenter=None, settings=None, theta0=None, lab
 
 
 def _fit(model, points, segmenter, settings, theta0, labels, point_weights, random_state, started):
-    reference = reference_scale(points, model.source, settings.scale)
-    unit = reference.scale * model.half
     rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
+    reference = reference_scale(points[rows], model.source, settings.scale)
+    unit = reference.scale * model.half
     centre = points[rows].mean(axis=0)
     X = (points[rows] - centre) / unit
     a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
@@ -140,7 +140,7 @@ class _Search:
             self.evaluations += start.evaluations
             outcome = self._minimise(start.state, _STRUCTURED, ("pose", "translation"), model)
             Vd, _ = model.pose(outcome.state)
-            score = chamfer(X, Vd.vertices, x_index=self.problem.x_index)[0]
+            score = chamfer(X, Vd.vertices, x_weights=self.problem.x_weights, x_index=self.problem.x_index)[0]
             if score < best:
                 best, self.state = score, outcome.state
 

@@ -1,1 +1,1 @@
-"""."""
+"""Files: one format a module. Units and frames are converted here and nowhere else; holds no method."""

@@ -1,1 +1,1 @@
-"""."""
+"""The estimator: what is learnt once for a rig, and many scans fitted with it."""

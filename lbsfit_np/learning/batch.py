@@ -104,13 +104,13 @@ def _pretrained(fitter, scans, report, pretrain):
         try:
             scan = source() if callable(source) else source
             check_points(scan, minimum=len(fitter.rig.parts))
-        except Exception as error:
+        except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             report(_failure(i, error, started))
             continue
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(1):  # on a machine that does other things too, BLAS threads make training many times slower
-            fitter.pretrain() if pretrain is None else pretrain(fitter)
+        if pretrain is None:
+            fitter.pretrain()
+        else:
+            pretrain(fitter)
         return {i: scan}
     return {}
 
@@ -124,7 +124,7 @@ def _fit_one(fitter, finish, index, source):
             return ScanOutcome(index, error=result.message, seconds=time.perf_counter() - started)
         if finish is not None:
             result = finish(index, scan, result)
-    except Exception as error:
+    except Exception as error:  # noqa: BLE001 (the same)
         return _failure(index, error, started)
     return ScanOutcome(index, result, seconds=time.perf_counter() - started)
 

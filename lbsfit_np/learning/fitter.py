@@ -1,5 +1,7 @@
 """LBSFitter: the estimator. Pretrains the segmenter on synthetic scans of the rig, and fits scans with it."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from sklearn.base import BaseEstimator
 
@@ -13,7 +15,7 @@ from ..segmentation.cache import cached_segmenter
 from ..segmentation.descriptors import Descriptor
 from ..segmentation.segmenter import train_segmenter
 from ..skinning import JOINT_MODES
-from ..synthesis import make_settings, synthesize_nth
+from ..synthesis import Synthesis, TrainingScans, make_settings
 
 __all__ = ["LBSFitter", "fit_scan"]
 
@@ -32,11 +34,13 @@ class LBSFitter(BaseEstimator):
         Whether isotropic scale is found with the pose, or is 1 (scan and rig in one unit).
     max_points : int, default 2500
         Points of a scan that take part in the optimisation; all are labelled.
-    training_scans : int, default 2000
+    training_scans : int, default 4000
         Synthetic scans that the segmenter is trained on.
     training : dict, optional
         Fields of ``synthesis.Synthesis`` for them, such as ``{"turn": 3.14, "scale": 0.2}``.
-    random_state : int, Generator or None
+    n_jobs : int, optional
+        Processes for synthesising training scans; results do not depend on it.
+    random_state : int or None
 
     Attributes
     ----------
@@ -52,8 +56,9 @@ class LBSFitter(BaseEstimator):
         joints="follow",
         scale="estimate",
         max_points=2500,
-        training_scans=2000,
+        training_scans=4000,
         training=None,
+        n_jobs=None,
         random_state=None,
     ):
         self.rig = rig
@@ -63,6 +68,7 @@ class LBSFitter(BaseEstimator):
         self.max_points = max_points
         self.training_scans = training_scans
         self.training = training
+        self.n_jobs = n_jobs
         self.random_state = random_state
 
     def pretrain(self, *, cache=False, progress=None):
@@ -73,7 +79,7 @@ class LBSFitter(BaseEstimator):
         cache : bool, default False
             Whether to look in, and add to, the cache of segmenters.
         progress : callable, optional
-            Wraps the iterable of synthetic scans, as ``tqdm`` does.
+            Called with the share done, in [0, 1].
 
         Returns
         -------
@@ -84,14 +90,20 @@ class LBSFitter(BaseEstimator):
         settings = make_settings(self.training or {})
 
         def train():
-            indices = range(self.training_scans)
-            scans = (synthesize_nth(rig, i, settings, random_state=seed) for i in (progress(indices) if progress else indices))
-            return train_segmenter(rig, ((s.points, s.labels, 1.0) for s in scans), random_state=seed)
+            return train_segmenter(
+                rig,
+                TrainingScans(rig, settings, seed),
+                self.training_scans,
+                random_state=seed,
+                n_jobs=self.n_jobs,
+                progress=progress,
+            )
 
         if not cache or not isinstance(seed, (int, np.integer)):
             self.segmenter_ = train()
         else:
-            self.segmenter_ = cached_segmenter((rig.digest, settings, self.training_scans, Descriptor(), int(seed)), train)
+            key = rig.digest, settings, self.training_scans, Descriptor(), Training(), int(seed)
+            self.segmenter_ = cached_segmenter(key, train)
         return self
 
     def fit_scan(self, points, *, theta0=None, labels=None, point_weights=None):
@@ -112,6 +124,10 @@ class LBSFitter(BaseEstimator):
         -------
         FitResult
         """
+        return self._fit_scan(points, theta0, labels, point_weights)
+
+    def _fit_scan(self, points, theta0, labels, point_weights, *, cache=False):
+        """:meth:`fit_scan`, with the cache of segmenters where asked; all is checked before anything is trained."""
         self._check()
         rig = self.rig
         points = check_points(points, minimum=len(rig.parts))
@@ -121,10 +137,13 @@ class LBSFitter(BaseEstimator):
             point_weights = check_array("point_weights", point_weights, (len(points),))
             if point_weights.min() < 0:
                 raise InputError("point_weights", f"{int((point_weights < 0).sum())} negative values", "values of at least 0")
+            if np.count_nonzero(point_weights) < len(rig.parts):
+                got = f"{np.count_nonzero(point_weights)} positive values"
+                raise InputError("point_weights", got, f"at least {len(rig.parts)}, as many as the rig has parts")
         if labels is not None:
             labels = _labels(labels, len(points), rig.parts)
         elif getattr(self, "segmenter_", None) is None:
-            self.pretrain()
+            self.pretrain(cache=cache)
         if labels is None:
             self.segmenter_.check_rig(rig)
         return fit_points(
@@ -149,6 +168,8 @@ class LBSFitter(BaseEstimator):
         if not isinstance(self.rig, Rig):
             raise InputError("rig", type(self.rig).__name__, "a Rig", "Read one with load_rig.")
         as_weights(self.weights)
+        if not isinstance(self.training, (type(None), Mapping, Synthesis)):
+            raise InputError("training", type(self.training).__name__, "a dict of fields of synthesis.Synthesis")
         if self.joints not in JOINT_MODES:
             raise InputError("joints", repr(self.joints), " or ".join(map(repr, JOINT_MODES)))
         if self.scale not in ("estimate", "fixed"):
@@ -176,10 +197,7 @@ def fit_scan(rig, points, *, theta0=None, labels=None, point_weights=None, rando
     FitResult
     """
     fitter = LBSFitter(rig, random_state=random_state, **parameters)
-    if labels is None:
-        check_points(points, minimum=len(rig.parts))
-        fitter.pretrain(cache=True)
-    return fitter.fit_scan(points, theta0=theta0, labels=labels, point_weights=point_weights)
+    return fitter._fit_scan(points, theta0, labels, point_weights, cache=True)
 
 
 def _labels(labels, n, parts):
@@ -190,5 +208,6 @@ def _labels(labels, n, parts):
         raise InputError("labels", f"values of type {labels.dtype}", "integers that index rig.parts")
     bad = np.flatnonzero((labels < 0) | (labels >= len(parts)))
     if len(bad):
-        raise InputError("labels", f"{labels[bad[0]]} at index {bad[0]}", f"integers from 0 to {len(parts) - 1}, which index rig.parts")
+        got = f"{labels[bad[0]]} at index {bad[0]}"
+        raise InputError("labels", got, f"integers from 0 to {len(parts) - 1}, which index rig.parts")
     return labels.astype(int)

@@ -31,7 +31,9 @@ class Workers:
             self._payload = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             remedy = "Use functions from the top level of a module, or jobs=1."
-            raise InputError("jobs", f"more than 1 with what cannot be sent to processes ({error})", "picklable work", remedy) from None
+            raise InputError(
+                "jobs", f"more than 1 with what cannot be sent to processes ({error})", "picklable work", remedy
+            ) from None
         self._n = n
         self._workers = []
 

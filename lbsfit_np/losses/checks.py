@@ -40,7 +40,8 @@ def check_labels(argument, value, n):
     if a.dtype.kind not in "iu":
         raise InputError(argument, f"values of type {a.dtype}", "integers")
     if a.dtype.kind == "i" and a.min() < 0:
-        raise InputError(argument, f"{a.min()} at index {a.argmin()}", "integers of at least 0", "Leave points without a part out.")
+        got = f"{a.min()} at index {a.argmin()}"
+        raise InputError(argument, got, "integers of at least 0", "Leave points without a part out.")
     return a
 
 

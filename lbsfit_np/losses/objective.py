@@ -49,6 +49,7 @@ class LossWeights:
             raise InputError("laplacian", repr(self.laplacian), "'posed' or 'offsets'")
 
     def replace(self, **changes):
+        """The same weights but for some."""
         return replace(self, **changes)
 
 
@@ -78,7 +79,9 @@ class ObjectiveValue:
     grad_offsets: np.ndarray  # (m, 3), of the Laplacian on the offsets; the path through V^d is the skinning adjoint's
 
 
-def objective(X, Vd, V, *, weights, x_labels=None, v_labels=None, offsets=None, K=None, x_weights=None, x_index=None, x_part_index=None):
+def objective(
+    X, Vd, V, *, weights, x_labels=None, v_labels=None, offsets=None, K=None, x_weights=None, x_index=None, x_part_index=None
+):
     """L without the loop-back term, which has no part in one scan's fit.
 
     Parameters

@@ -46,10 +46,13 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-7):
     layout = Layout(rig, free, len(state.coefficients))
     state = layout.inside(state)
     best = [np.inf, state]
+    finite = True
 
     def fun(x):
+        nonlocal finite
         s = layout.unpack(x, state)
         e = evaluate(s)
+        finite = finite and bool(np.isfinite(e.value))
         if e.value < best[0]:
             best[:] = e.value, s
         return e.value, layout.gradient(s, e.theta, e.translation, e.scale, e.coefficients, e.residual)
@@ -63,8 +66,8 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-7):
         options={"maxiter": max_iterations, "maxfun": 2 * max_iterations + 20, "ftol": tolerance, "gtol": 1e-8, "maxcor": 20},
     )
     # Status 2 is a line search that could not go on, which at a non-smooth optimum (nearest neighbours switch) is an end, too.
-    converged = bool(np.isfinite(best[0])) and result.status in (0, 2)
+    converged = finite and result.status in (0, 2)
     message = result.message if isinstance(result.message, str) else result.message.decode()
-    if not np.isfinite(best[0]):
+    if not finite:
         message = "the objective is not finite"
     return Outcome(best[1], float(best[0]), converged, message, int(result.nfev))

@@ -46,6 +46,7 @@ class Problem:
 
     @cached_property
     def x_index(self):
+        """The search structure over the points, without labels."""
         return PointIndex(self.X)
 
     def part_index(self, labels):

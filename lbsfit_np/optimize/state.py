@@ -21,6 +21,7 @@ class State:
     residual: np.ndarray | None  # (m, 3); None for 0
 
     def replace(self, **changes):
+        """The same state but for some fields."""
         return replace(self, **changes)
 
 
@@ -36,7 +37,7 @@ class Layout:
 
     def __init__(self, rig, free, n_coefficients):
         self._free = frozenset(free)
-        J, m = len(rig.parents), len(rig.vertices)
+        m = len(rig.vertices)
         turning = (rig.upper > rig.lower) & rig.moving[:, None]
         turning[rig.root] = True
         self._turning = turning
@@ -52,8 +53,8 @@ class Layout:
         self.size = start
         lower, upper = rig.lower.copy(), rig.upper.copy()
         lower[rig.root], upper[rig.root] = -np.inf, np.inf
+        self._all_limits = lower, upper
         self._limits = lower[turning], upper[turning]
-        self._joints = J
 
     def pack(self, state):
         """State → x."""
@@ -115,7 +116,8 @@ class Layout:
         return lower, upper
 
     def inside(self, state):
-        """The state moved inside the joint limits."""
+        """The state moved inside the limits; joints and axes that cannot turn are put back to where they are held."""
+        state = state.replace(theta=np.clip(state.theta, *self._all_limits))
         x = self.pack(state)
         lower, upper = self.bounds()
         return self.unpack(np.clip(x, lower, upper), state)

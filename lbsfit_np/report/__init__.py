@@ -1,1 +1,1 @@
-"""."""
+"""Pictures of fits, drawn with NumPy. Holds no method."""

@@ -82,6 +82,7 @@ class Card:
 
     @property
     def where(self):
+        """What errors call it."""
         return "card" if self.path is None else f"card {self.path}"
 
 

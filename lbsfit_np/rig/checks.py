@@ -21,6 +21,7 @@ class Reporter:
         self.path = path
 
     def fail(self, field, got, expected, remedy=None):
+        """Raise a FileError that names the file and the field, or an InputError where there is no file."""
         if self.path is None:
             raise InputError(field, got, expected, remedy)
         raise FileError(str(self.path), f"{field}: {got}", expected, remedy)

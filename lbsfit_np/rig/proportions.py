@@ -12,6 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .chains import bones
+
 __all__ = ["Proportions", "proportions"]
 
 
@@ -52,9 +54,7 @@ def proportions(rig):
     """
     J, m = len(rig.parents), len(rig.vertices)
     # What follows a moving joint rigidly (locked and merged joints below it) belongs to its bone.
-    bone = np.arange(J)
-    for level, up in rig.levels:
-        bone[level] = np.where(rig.moving[level], level, bone[up])
+    bone = bones(rig)
     weight = np.zeros((m, J))
     for j in range(J):
         column = rig.weights[:, [j]].toarray().ravel()

@@ -123,10 +123,12 @@ class Rig:
 
     @cached_property
     def weights_transposed(self):
+        """(J, m) sparse csr_array, for the adjoint."""
         return sparse.csr_array(self.weights.T)
 
     @cached_property
     def regressor_transposed(self):
+        """(m, J) sparse csr_array, for the adjoint."""
         return sparse.csr_array(self.regressor.T)
 
     @cached_property
@@ -219,7 +221,8 @@ class Rig:
         """The same rig with another of its partitions in use."""
         known = ["joints", *(n for n in self.partitions if n != "joints")]
         if granularity not in known:
-            raise InputError("parts", repr(granularity), f"one of {', '.join(known)}", "Name further partitions in the rig's card.")
+            remedy = "Name further partitions in the rig's card."
+            raise InputError("parts", repr(granularity), f"one of {', '.join(known)}", remedy)
         return replace(self, granularity=granularity)
 
     def with_template(self, vertices, joints=None):

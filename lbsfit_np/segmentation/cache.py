@@ -7,7 +7,7 @@ from pathlib import Path
 from ..errors import FileError
 from .segmenter import Segmenter
 
-__all__ = ["cached_segmenter", "cache_folder"]
+__all__ = ["cache_folder", "cached_segmenter"]
 
 _MEMORY = {}
 
@@ -35,7 +35,7 @@ def cached_segmenter(key, train):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             segmenter.save(path)
-        except OSError:
+        except (OSError, FileError):
             pass
     _MEMORY[name] = segmenter
     return segmenter

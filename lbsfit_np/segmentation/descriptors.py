@@ -60,7 +60,7 @@ class Descriptor:
         (k, size) float32 array
         """
         grid = _Grid(points, self.voxel)
-        x = (points if rows is None else points[rows]).astype(np.float32) - grid.centre
+        x = ((points if rows is None else points[rows]) - grid.centre).astype(np.float32)
         out = np.empty((len(x), self.size), dtype=np.float32)
         probes = _directions(self.n_probes, 1) * np.geomspace(self.nearest, self.farthest, self.n_probes)[:, None]
         probes = probes.astype(np.float32)
@@ -86,17 +86,18 @@ class _Grid:
     def __init__(self, points, voxel):
         from scipy.ndimage import distance_transform_edt
 
-        points = points[np.abs(points - np.median(points, axis=0)).max(axis=1) <= _REACH]
+        away = np.abs(points - np.median(points, axis=0)).max(axis=1)
+        points = points[away <= max(_REACH, away.min())]
         self._voxel = voxel
-        self._low = points.min(axis=0) - _MARGIN * voxel
-        self._shape = np.ceil((np.ptp(points, axis=0)) / voxel).astype(int) + 2 * _MARGIN + 1
+        self._low = points.min(axis=0) - (_MARGIN + 0.5) * voxel  # half a voxel: on a border, rounding would choose the side
+        self._shape = np.ceil((np.ptp(points, axis=0)) / voxel).astype(int) + 2 * _MARGIN + 2
         cells = np.ravel_multi_index(((points - self._low) / voxel).astype(int).T, self._shape)
         n = int(self._shape.prod())
         count = np.bincount(cells, minlength=n)
         total = np.stack([np.bincount(cells, points[:, k], minlength=n) for k in range(3)], axis=1)
         mean = total / np.maximum(count, 1)[:, None]
         occupied = mean[count > 0]
-        self.centre = occupied.mean(axis=0).astype(np.float32)
+        self.centre = occupied.mean(axis=0)
         self.covariance = np.cov(occupied.T) if len(occupied) > 1 else np.zeros((3, 3))
         nearest = distance_transform_edt(
             (count == 0).reshape(self._shape), return_distances=False, return_indices=True

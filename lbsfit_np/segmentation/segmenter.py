@@ -1,7 +1,6 @@
 """The segmenter s: X → the part of each point; a scikit-learn classifier on point descriptors."""
 
 import json
-import warnings
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -10,9 +9,32 @@ from ..errors import FileError, InputError
 from ..seeds import generator, integer_seed
 from .descriptors import Descriptor
 
-__all__ = ["Segmenter", "train_segmenter"]
+__all__ = ["Segmenter", "Training", "train_segmenter"]
 
 _FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Training:
+    """How the classifier is trained.
+
+    Attributes
+    ----------
+    points_per_scan : int
+        Points described in each scan, drawn by the seed.
+    hidden : tuple of int
+        Hidden layers of the MLPClassifier.
+    epochs : int
+    average_from : int
+        Epoch from which on the weights are averaged.
+    learning_rate : float
+    """
+
+    points_per_scan: int = 120
+    hidden: tuple = (384, 192, 96)
+    epochs: int = 4
+    average_from: int = 1
+    learning_rate: float = 2e-3
 
 
 @dataclass(frozen=True)
@@ -72,6 +94,21 @@ class Segmenter:
         """(k,) int: the most probable part of each point; arguments as in :meth:`predict_proba`."""
         return self.predict_proba(points, scale=scale, rows=rows).argmax(axis=1)
 
+    def __post_init__(self):
+        """Raise ValueError unless the arrays fit together, so that no broken file fails later, far from its name."""
+        widths = [self.descriptor.size]
+        if self.classifier is not None:
+            for w, b in zip(self.classifier.coefs_, self.classifier.intercepts_, strict=True):
+                if w.ndim != 2 or w.shape[0] != widths[-1] or b.shape != w.shape[1:]:
+                    raise ValueError("layers that do not fit together")
+                widths.append(w.shape[1])
+            classes = np.asarray(self.classifier.classes_)
+            outputs = widths[-1] if widths[-1] > 1 else 2
+            if classes.dtype.kind not in "iu" or classes.shape != (outputs,) or classes.min() < 0 or classes.max() >= self.n_parts:
+                raise ValueError("classes that do not fit the parts")
+        if self.mean.shape != (self.descriptor.size,) or self.deviation.shape != (self.descriptor.size,):
+            raise ValueError("a standardisation that does not fit the descriptor")
+
     def check_rig(self, rig):
         """Raise unless this segmenter belongs to ``rig``."""
         if rig.welded.digest != self.rig_digest:
@@ -129,56 +166,99 @@ class Segmenter:
             raise FileError(str(path), f"a file that cannot be read ({error})", "a segmenter that was saved with Segmenter.save") from None
 
 
-def train_segmenter(rig, scans, *, points_per_scan=150, hidden=(256, 128), epochs=12, descriptor=None, random_state=None):
+def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, random_state=None, n_jobs=None, progress=None):
     """Train s on labelled scans of a rig.
 
     Parameters
     ----------
     rig : Rig
         The welded rig.
-    scans : iterable of (points, labels, scale)
-        Points in the scan's unit, labels that index rig.parts, and the scan's units in a rig unit.
-    points_per_scan : int
-        Points described in each scan, drawn by the seed.
-    hidden : tuple of int
-        Hidden layers of the MLPClassifier.
-    epochs : int
+    scan : callable
+        i → (points, labels, scale) of scan i: points in the scan's unit, labels that index rig.parts, and the scan's units
+        in a rig unit. Picklable where ``n_jobs`` asks for processes.
+    n_scans : int
+    training : Training, optional
     descriptor : Descriptor, optional
     random_state : int or None
+    n_jobs : int, optional
+        Processes that synthesise and describe scans; the result does not depend on it.
+    progress : callable, optional
+        Called with the share done, in [0, 1].
 
     Returns
     -------
     Segmenter
     """
-    descriptor = descriptor or Descriptor()
+    from joblib import Parallel, delayed
+    from threadpoolctl import threadpool_limits
+
+    descriptor, training = descriptor or Descriptor(), training or Training()
+    progress = progress or (lambda share: None)
     half = rig.size / 2
+    batches = np.array_split(np.arange(n_scans), max(1, n_scans // 50))
+    described = Parallel(n_jobs=n_jobs, return_as="generator")(
+        delayed(_describe)(scan, batch, descriptor, half, training.points_per_scan, random_state) for batch in batches
+    )
     X, y = [], []
-    for i, (points, labels, scale) in enumerate(scans):
-        rng = generator(random_state, "segmenter points", i)
-        rows = rng.choice(len(points), min(points_per_scan, len(points)), replace=False)
-        X.append(descriptor(np.asarray(points) / (scale * half), rows))
-        y.append(np.asarray(labels)[rows])
+    for k, (x, labels) in enumerate(described):
+        X.append(x)
+        y.append(labels)
+        progress(_DESCRIBING * (k + 1) / len(batches))
     X, y = np.concatenate(X), np.concatenate(y)
     mean, deviation = X.mean(axis=0, dtype=float).astype(np.float32), X.std(axis=0, dtype=float).astype(np.float32) + np.float32(1e-6)
     X -= mean
     X /= deviation
-    n_parts = len(rig.parts)
     classifier = None
     if len(np.unique(y)) > 1:
-        classifier = _train(X, y, hidden, epochs, integer_seed(random_state, "segmenter"))
-    return Segmenter(classifier, mean, deviation, descriptor, n_parts, half, rig.digest)
+        with threadpool_limits(1):  # the result must not depend on the number of threads, and a second one gains little
+            classifier = _train(X, y, training, random_state, lambda share: progress(_DESCRIBING + (1 - _DESCRIBING) * share))
+    return Segmenter(classifier, mean, deviation, descriptor, len(rig.parts), half, rig.digest)
 
 
-def _train(X, y, hidden, epochs, seed):
-    from sklearn.exceptions import ConvergenceWarning
+# Share of the training time that goes into synthesis and descriptors, for the progress bar.
+_DESCRIBING = 0.5
+
+
+def _describe(scan, indices, descriptor, half, points_per_scan, random_state):
+    """Descriptors and labels of some points of some scans."""
+    X, y = [], []
+    for i in indices:
+        points, labels, scale = scan(int(i))
+        rng = generator(random_state, "segmenter points", int(i))
+        rows = rng.choice(len(points), min(points_per_scan, len(points)), replace=False)
+        X.append(descriptor(points / (scale * half), rows))
+        y.append(labels[rows])
+    return np.concatenate(X), np.concatenate(y)
+
+
+def _train(X, y, training, random_state, progress):
+    """Epochs of Adam in chunks; the weights after each chunk past the first epochs are averaged, which generalises better."""
     from sklearn.neural_network import MLPClassifier
 
     classifier = MLPClassifier(
-        hidden, batch_size=min(1024, len(X)), max_iter=epochs, learning_rate_init=2e-3, n_iter_no_change=epochs, random_state=seed
+        training.hidden,
+        batch_size=min(1024, len(X)),
+        learning_rate_init=training.learning_rate,
+        random_state=integer_seed(random_state, "segmenter"),
     )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ConvergenceWarning)  # the number of epochs is the budget, not a failure
-        return classifier.fit(X, y)
+    rng = generator(random_state, "segmenter order")
+    classes = np.unique(y)
+    averaged, count = None, 0
+    for epoch in range(training.epochs):
+        for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
+            classifier.partial_fit(X[rows], y[rows], classes=classes)
+            progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
+            if epoch >= training.average_from:
+                count += 1
+                now = classifier.coefs_ + classifier.intercepts_
+                averaged = [w.copy() for w in now] if averaged is None else [a + (w - a) / count for a, w in zip(averaged, now, strict=True)]
+    n = len(classifier.coefs_)
+    classifier.coefs_, classifier.intercepts_ = averaged[:n], averaged[n:]
+    return classifier
+
+
+# Chunks an epoch: how often the weights are looked at for the average.
+_CHUNKS = 4
 
 
 def _rebuilt(arrays, n_layers, out_activation):

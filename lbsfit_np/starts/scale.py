@@ -37,6 +37,8 @@ def reference_scale(points, rig, mode):
     ReferenceScale
     """
     ratio = _extent(points) / _extent(rig.vertices)
+    if not 0 < ratio < np.inf:
+        raise InputError("points", f"an extent of {_extent(points):.3g}", "coordinates that double precision can square")
     if mode == "fixed":
         if not 0.2 <= ratio <= 3.0:
             raise InputError(
@@ -57,4 +59,6 @@ def reference_scale(points, rig, mode):
 
 def _extent(points):
     """Twice the 95th percentile of the distance from the median point: a size that a few outliers do not change."""
-    return 2 * float(np.percentile(np.linalg.norm(points - np.median(points, axis=0), axis=1), 95))
+    with np.errstate(all="ignore"):  # what is too large to square comes out as infinite, which the caller refuses
+        away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
+        return 2 * float(np.percentile(away, 95) or away.max())  # 0 where nearly all points are at one place

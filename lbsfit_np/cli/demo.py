@@ -1,0 +1,159 @@
+"""``lbsfit demo``: a scan with known truth, fitted as a user would fit it, and compared with that truth."""
+
+import os
+import time
+from pathlib import Path
+
+from ..errors import InputError
+from .fit import OPTIONS, fit_files
+from .outputs import SUMMARY, check_outputs, make_folder
+from .parsing import Option, add_options, formatter, natural, positive, settings
+from .progress import say
+
+__all__ = ["add_parser"]
+
+_OPTIONS = (
+    Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o"),
+    Option("rig", "a bundled rig or a rig file", default="hand", metavar="RIG"),
+    Option("seed", "seed of the scan and of the fit", natural, 0, metavar="N"),
+    Option("points", "points of the scan", positive, 2500, metavar="N"),
+    *(o for o in OPTIONS if o.name == "training-scans"),
+    Option("existing", "what to do where results exist already", default="error", choices=("error", "replace")),
+)
+
+_DESCRIPTION = """\
+Make a scan of a bundled rig, with noise, holes and uneven density, of a shape and in a pose that the fit does not know;
+fit it as `lbsfit fit` does; print the errors against the truth; and draw a picture. Takes about a minute, most of it for
+training the segmenter, which is kept for the next time.
+"""
+
+_EPILOG = """\
+example:
+  lbsfit demo -o demo
+"""
+
+_FILES = """\
+In {out}:
+  rig.npz          the rig
+  scan.ply         the scan that was fitted: points, nothing else
+  scan.fit.npz     the fit: joint angles, registered vertices, joints, labels, ...; lbsfit_np.FitResult.load reads it
+  scan.mesh.ply    the registered mesh in the scan's frame
+  scan.labels.ply  the scan's points with their parts and confidence
+  summary.json     how the fit went, with all settings and versions
+  truth.npz        the true pose, translation, template, vertices, joints and labels, by these keys
+  demo.png         left to right: the scan coloured by the parts found, the true mesh, the registered mesh; two views
+Again, as for a scan of your own: lbsfit fit {out}/rig.npz {out}/scan.ply -o OUT"""
+
+
+def add_parser(commands):
+    """Add ``lbsfit demo`` to the subparsers ``commands``."""
+    parser = commands.add_parser(
+        "demo",
+        help="fit a scan that the package makes itself",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=formatter,
+    )
+    add_options(parser, _OPTIONS)
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments):
+    from ..fitting.result import FitResult
+    from ..io.rigs import load_rig
+    from ..io.write import write_npz, write_points_ply
+
+    started = time.perf_counter()
+    values = settings(arguments, _OPTIONS)
+    if values["output"] is None:
+        raise InputError("-o/--output", "nothing", "a folder to write to", "Add -o demo.")
+    rig = load_rig(values["rig"])
+    out = Path(values["output"])
+    paths = {
+        "rig": out / "rig.npz",
+        "scan": out / "scan.ply",
+        "truth": out / "truth.npz",
+        "picture": out / "demo.png",
+    }
+    chosen = {option.key: option.default for option in OPTIONS} | {
+        "output": str(out), "card": "none", "seed": values["seed"], "training_scans": values["training_scans"],
+        "jobs": min(2, os.cpu_count() or 1),
+    }  # fmt: skip
+    fits = [out / f"scan.{ending}" for ending in ("fit.npz", "mesh.ply", "labels.ply")]
+    check_outputs([*paths.values(), *fits, out / SUMMARY], out, inputs=[values["rig"]], existing=values["existing"])
+    make_folder(out)
+    truth = _scan_with_truth(rig, values)
+    rig.save(paths["rig"])
+    write_points_ply(paths["scan"], truth.points)
+    write_npz(
+        paths["truth"],
+        pose=truth.pose, translation=truth.translation, scale=truth.scale, template=truth.template,
+        template_joints=truth.template_joints, vertices=truth.vertices, joints=truth.joints, labels=truth.labels,
+    )  # fmt: skip
+    code = fit_files(str(paths["rig"]), [str(paths["scan"])], chosen | {"existing": "replace"})
+    if code:
+        return code
+    result = FitResult.load(out / "scan.fit.npz")
+    _draw(paths["picture"], rig, truth, result)
+    say(_report(rig, truth, result))
+    say(_FILES.format(out=out))
+    say(f"{time.perf_counter() - started:.0f} s in all")
+    return 0
+
+
+def _scan_with_truth(rig, values):
+    """A scan of a changed shape, in a pose within the limits, moved away from the origin; none that training ever sees."""
+    from dataclasses import replace
+
+    from ..seeds import generator, integer_seed
+    from ..synthesis import synthesize
+
+    seed = integer_seed(values["seed"], "demo")
+    truth = synthesize(rig, 1, random_state=seed, n_points=values["points"], least_holes=1)[0]
+    t = rig.size * generator(seed, "demo translation").uniform(-1, 1, 3)
+    return replace(truth, points=truth.points + t, translation=t, vertices=truth.vertices + t, joints=truth.joints + t)
+
+
+def _report(rig, truth, result):
+    """The errors, in words."""
+    import numpy as np
+
+    def mean_distance(a, b):
+        return float(np.linalg.norm(a - b, axis=1).mean())
+
+    resting = truth.points.mean(axis=0) - rig.vertices.mean(axis=0)
+    moving = rig.moving
+    rows = [
+        ("joints", result.joints[moving], truth.joints[moving], rig.joints[moving] + resting),
+        ("vertices", result.vertices, truth.vertices, rig.vertices + resting),
+    ]
+    lines = ["", f"Mean errors against the truth (the rig is {_length(rig.size, rig)} long):"]
+    for name, found, true, rest in rows:
+        error, before = mean_distance(found, true), mean_distance(rest, true)
+        lines.append(
+            f"  {name:<10}{_length(error, rig):>9}, {100 * error / rig.size:4.1f} % of the rig's size"
+            f"   (before the fit, at rest on the scan's centroid: {_length(before, rig)})"
+        )
+    lines.append(f"  {'labels':<10}{100 * (result.labels == truth.labels).mean():7.1f} % of the points have their right part")
+    return "\n".join(lines) + "\n"
+
+
+def _length(value, rig):
+    if rig.metres_per_unit is None:
+        return f"{value:.4g}"
+    return f"{1000 * rig.metres_per_unit * value:.1f} mm"
+
+
+def _draw(path, rig, truth, result):
+    from ..report.colors import part_colors
+    from ..report.render import Mesh, Points, montage, render, write_png
+
+    colors = part_colors(len(rig.parts))
+    items = (
+        Points(truth.points, colors[result.labels]),
+        Mesh(truth.vertices, rig.faces),
+        Mesh(result.vertices, rig.faces, colors[rig.vertex_labels]),
+    )
+    axes = {"up": rig.up or "+y", "forward": rig.forward, "frame": truth.vertices}
+    rows = [[render(item, view=view, size=(420, 480), **axes) for item in items] for view in ("front", "oblique")]
+    write_png(path, montage(rows))

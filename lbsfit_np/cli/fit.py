@@ -1,0 +1,295 @@
+"""``lbsfit fit``: fit a rig to scans from files, and write what was found."""
+
+import functools
+import platform
+import signal
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+from ..errors import FileError, InputError
+from . import outputs
+from .parsing import Option, add_options, formatter, natural, positive, settings
+from .progress import Progress, say
+
+__all__ = ["OPTIONS", "add_parser", "fit_files"]
+
+RIG_OPTIONS = (
+    Option(
+        "card",
+        'the rig card; by default RIG\'s name with .card.toml, where there is one; "none" for none',
+        metavar="FILE",
+        is_path=True,
+    ),
+    Option("shape", "which shape, in a rig file of several; by default the first", metavar="NAME"),
+    Option("skin", "which skin, in a glTF file of several", metavar="NAME"),
+    Option("normalize-weights", "divide skinning weights by their sums, however far these are from 1", bool, False),
+    Option("parts", "which partition of the rig labels mean; by default the card's or the rig's own", metavar="NAME"),
+)
+
+OPTIONS = (
+    Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o", is_path=True),
+    *RIG_OPTIONS,
+    Option("scale", "whether the scan's scale is found, or is the rig's", default="estimate", choices=("estimate", "fixed")),
+    Option("weights", "weights of the objective", default="default", choices=("default", "paper")),
+    Option("joints", "whether joints follow the changed template", default="follow", choices=("follow", "fixed")),
+    Option(
+        "samples",
+        "points to sample from a scan that is a mesh, or to keep of a point cloud; by default all",
+        positive,
+        metavar="N",
+    ),
+    Option("drop-invalid", "leave out points that are NaN or infinite instead of refusing the scan", bool, False),
+    Option("max-points", "points of a scan that take part in the optimisation; all are labelled", positive, 2500, metavar="N"),
+    Option("segmenter", "a segmenter saved by Segmenter.save, instead of a trained one", metavar="FILE", is_path=True),
+    Option("training-scans", "synthetic scans that the segmenter is trained on", positive, 4000, metavar="N"),
+    Option(
+        "training",
+        "how these are made: a field of lbsfit_np.synthesis.Synthesis, such as turn=3.14 or scale=0.2; may be repeated",
+        default={},
+        metavar="NAME=NUMBER",
+        table=True,
+    ),
+    Option("seed", "seed of all that is random", natural, 0, metavar="N"),
+    Option("jobs", "worker processes; the results do not depend on it", positive, 1, metavar="N"),
+    Option("existing", "what to do where results exist already", default="error", choices=("error", "skip", "replace")),
+)
+
+_DESCRIPTION = """\
+Fit a rig to scans. Of each scan NAME.EXTENSION, OUT gets
+
+  NAME.fit.npz     joint angles, translation, scale, offsets, registered vertices, joints, labels (FitResult.load reads it)
+  NAME.mesh.ply    the registered mesh: the rig's vertices and faces in the scan's frame and unit
+  NAME.labels.ply  every point of the scan with its part, the confidence, and a colour for the part
+
+and OUT/summary.json tells how each of this run's scans went. Files appear when they are complete. Inputs are never
+overwritten. After Ctrl-C, the same command with --existing skip does the rest.
+"""
+
+_EPILOG = """\
+examples:
+  lbsfit fit hand scan.ply -o fits
+  lbsfit fit body.glb scans/*.ply -o fits --card body.toml --jobs 4 --existing skip
+  lbsfit fit body.glb scans/*.ply --config fit.toml
+
+  fit.toml, with any of the options above by their long names; paths are relative to it:
+      output = "fits"
+      card = "body.toml"
+      jobs = 4
+      drop-invalid = true
+      training = { turn = 3.14, scale = 0.2 }
+
+The trained segmenter is kept in $LBSFIT_CACHE, else in the user's cache folder.
+Exit code: 0 all fitted, 1 some scans failed (named with reasons; the others are written), 2 usage or unreadable rig,
+130 stopped by Ctrl-C.
+"""
+
+
+def add_parser(commands):
+    """Add ``lbsfit fit`` to the subparsers ``commands``."""
+    parser = commands.add_parser(
+        "fit", help="fit a rig to scans", description=_DESCRIPTION, epilog=_EPILOG, formatter_class=formatter
+    )
+    parser.add_argument("rig", metavar="RIG", help="a rig file (.npz .glb .gltf .pkl), or a bundled rig, see: lbsfit rig list")
+    parser.add_argument(
+        "scans", metavar="SCAN", nargs="+", help="scan files: .ply .obj .stl .off .xyz .txt .csv .pcd .npy .npz .glb .gltf"
+    )
+    add_options(parser, OPTIONS)
+    parser.add_argument("--config", metavar="FILE", help="a TOML file with these options; the command line wins")
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments):
+    values = settings(arguments, OPTIONS, arguments.config)
+    if values["output"] is None:
+        raise InputError("-o/--output", "nothing", "a folder to write to", "Add -o OUT.")
+    return fit_files(arguments.rig, arguments.scans, values, inputs=[arguments.config] if arguments.config else [])
+
+
+def load_rig_with(path, values, *, quiet=False):
+    """The rig with the options of ``RIG_OPTIONS``; prints what was noted about it."""
+    from ..io.rigs import load_rig
+
+    names = ("card", "shape", "skin", "normalize_weights", "parts")
+    rig = load_rig(path, **{name: values[name] for name in names})
+    if not quiet:
+        for note in rig.notes:
+            say(f"note: {rig.name}: {note}")
+    return rig
+
+
+def fit_files(rig_path, scans, values, *, inputs=()):
+    """Fit scans from files and write the results.
+
+    Parameters
+    ----------
+    rig_path : str
+    scans : list of str
+    values : dict
+        Of every option in ``OPTIONS``.
+    inputs : sequence of str
+        Further files that must not be overwritten.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    started = time.perf_counter()
+    out = Path(values["output"])
+    read = [rig_path, values["segmenter"], values["card"] if values["card"] != "none" else None, *inputs]
+    files = outputs.plan(scans, out, inputs=[p for p in read if p], existing=values["existing"])
+    rig = load_rig_with(rig_path, values)
+    fitter = _fitter(rig, values)
+    kept = _kept(files, rig) if values["existing"] == "skip" else {}
+    todo = tuple(f for f in files if f.name not in kept)
+    if kept:
+        say(f"{len(kept)} of {len(files)} scans are fitted already and kept")
+    outputs.make_folder(out)
+    entries = dict(kept)
+    progress = Progress(len(todo))
+
+    def on_result(outcome):
+        f = todo[outcome.index]
+        if outcome.error is None:
+            entries[f.name] = outcome.result
+        else:
+            entries[f.name] = outputs.entry(f, "failed", message=outcome.error, seconds=round(outcome.seconds, 3))
+            if outcome.details:
+                entries[f.name]["details"] = outcome.details
+        progress.scan(entries[f.name])
+
+    stopped = None
+    try:
+        with _terminable():
+            _fit(fitter, todo, values, on_result, progress)
+    except BaseException as reason:  # noqa: BLE001 (raised again below, once the summary is safe)
+        stopped = reason
+    finally:
+        progress.close()
+    counts = {s: sum(e["status"] == s for e in entries.values()) for s in ("ok", "skipped", "failed")}
+    if entries:
+        summary = {
+            "rig": {"path": str(rig_path), "name": rig.name, "digest": rig.digest, "parts": rig.parts, "notes": rig.notes},
+            "scans": [entries[f.name] for f in files if f.name in entries],
+            "not_done": [f.name for f in files if f.name not in entries],
+            "counts": counts,
+            "stopped": stopped is not None,
+            "seconds": round(time.perf_counter() - started, 3),
+            "seed": values["seed"],
+            "settings": values,
+            "versions": _versions(),
+        }
+        _write_summary(out / outputs.SUMMARY, summary)
+    if stopped is not None and not isinstance(stopped, KeyboardInterrupt):
+        raise stopped
+    return _farewell(counts, len(files), out, stopped)
+
+
+def _fitter(rig, values):
+    from ..learning.fitter import LBSFitter
+    from ..synthesis import make_settings
+
+    make_settings(values["training"])
+    fitter = LBSFitter(
+        rig,
+        weights=values["weights"],
+        joints=values["joints"],
+        scale=values["scale"],
+        max_points=values["max_points"],
+        training_scans=values["training_scans"],
+        training=values["training"],
+        n_jobs=values["jobs"],
+        random_state=values["seed"],
+    )
+    if values["segmenter"] is not None:
+        from ..segmentation.segmenter import Segmenter
+
+        segmenter = Segmenter.load(values["segmenter"])
+        segmenter.check_rig(rig)
+        fitter.segmenter_ = segmenter
+    return fitter
+
+
+def _fit(fitter, todo, values, on_result, progress):
+    from ..io.scans import load_scan
+    from ..learning.batch import fit_scans
+
+    load = {"n_samples": values["samples"], "random_state": values["seed"], "drop_invalid": values["drop_invalid"]}
+    fit_scans(
+        fitter,
+        [functools.partial(load_scan, f.source, **load) for f in todo],
+        jobs=values["jobs"],
+        finish=outputs.Writer(fitter.rig, todo),
+        on_result=on_result,
+        pretrain=lambda fitter: fitter.pretrain(cache=True, progress=progress.training),
+    )
+
+
+def _kept(files, rig):
+    """Entries, by name, of the scans whose fits are there and whole."""
+    from ..fitting.result import FitResult
+
+    kept = {}
+    for f in files:
+        if not all(path.is_file() for path in f.paths.values()):
+            continue
+        try:
+            result = FitResult.load(f.fit)
+        except FileError:
+            say(f"{f.name}: {f.fit} cannot be read, so it is fitted again")
+            continue
+        if result.rig_digest != rig.digest:
+            raise InputError(
+                "--existing skip",
+                f"{f.fit}, a fit of another rig (or of other parts or limits of this one)",
+                f"fits of rig {rig.name!r}",
+                "Choose another folder, or --existing replace.",
+            )
+        kept[f.name] = outputs.fitted_entry(f, result, status="skipped")
+    return kept
+
+
+def _write_summary(path, summary):
+    from ..io.write import write_json
+
+    write_json(path, summary)
+
+
+def _versions():
+    from importlib.metadata import version
+
+    from .. import __version__
+
+    libraries = ("numpy", "scipy", "scikit-learn", "trimesh")
+    return {"lbsfit_np": __version__, "python": platform.python_version(), **{name: version(name) for name in libraries}}
+
+
+def _farewell(counts, n, out, stopped):
+    done = counts["ok"] + counts["skipped"]
+    if stopped is not None:
+        rest = "; the same command with --existing skip does the rest" if done else ""
+        say(f"stopped: {done} of {n} scans are fitted and kept in {out}{rest}" if done else "stopped before a scan was fitted")
+        return 143 if isinstance(stopped, _Terminated) else 130
+    say(f"{done} of {n} scans fitted" + (f", {counts['failed']} failed" if counts["failed"] else "") + f"; results in {out}")
+    return 1 if counts["failed"] else 0
+
+
+class _Terminated(KeyboardInterrupt):
+    """SIGTERM, handled as Ctrl-C is."""
+
+
+@contextmanager
+def _terminable():
+    def terminate(signum, frame):
+        raise _Terminated
+
+    try:
+        before = signal.signal(signal.SIGTERM, terminate)
+    except ValueError:  # not the main thread: signals are somebody else's
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)

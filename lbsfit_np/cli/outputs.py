@@ -1,0 +1,212 @@
+"""What a run writes, and where: names settled and checked before any work starts, files of one scan written together."""
+
+import os
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import FileError, InputError
+
+__all__ = ["SUMMARY", "ScanFiles", "Writer", "check_outputs", "entry", "fitted_entry", "make_folder", "plan", "same_file"]
+
+SUMMARY = "summary.json"
+
+
+@dataclass(frozen=True)
+class ScanFiles:
+    """A scan and the files of its fit.
+
+    Attributes
+    ----------
+    source : str
+        Path of the scan as given.
+    name : str
+        Its file name without the extension.
+    fit, mesh, labels : Path
+    """
+
+    source: str
+    name: str
+    fit: Path
+    mesh: Path
+    labels: Path
+
+    @property
+    def paths(self):
+        """What each file is → its path."""
+        return {"fit": self.fit, "mesh": self.mesh, "labels": self.labels}
+
+
+def plan(sources, out, *, inputs, existing):
+    """The files of every scan, after all that can go wrong with their names has been ruled out.
+
+    Parameters
+    ----------
+    sources : list of str
+        Paths of the scans.
+    out : str or Path
+        The folder to write to; need not exist yet.
+    inputs : list of str
+        Other files that are read, and so never written.
+    existing : {"error", "skip", "replace"}
+
+    Returns
+    -------
+    list of ScanFiles
+
+    Raises
+    ------
+    InputError, FileError
+        Scans that do not exist, names that clash, outputs that are inputs or folders, outputs that exist already.
+    """
+    _check_sources(sources)
+    out = Path(out)
+    files = []
+    for source in sources:
+        name = Path(source).stem
+        files.append(ScanFiles(source, name, out / f"{name}.fit.npz", out / f"{name}.mesh.ply", out / f"{name}.labels.ply"))
+    _check_clashes(files, out)
+    check_outputs(
+        [path for f in files for path in f.paths.values()] + [out / SUMMARY], out, inputs=[*sources, *inputs], existing=existing
+    )
+    return files
+
+
+def check_outputs(paths, out, *, inputs, existing):
+    """Raise where files to write are inputs, folders, or, with ``existing="error"``, there already."""
+    if out.exists() and not out.is_dir():
+        raise FileError(str(out), "a file", "a folder to write to, or a name for a new one")
+    for path in paths:
+        for source in inputs:
+            if same_file(path, source):
+                remedy = "An input is never overwritten: choose another folder."
+                raise InputError("-o", f"{out}, where {path.name} is an input ({source})", "a folder for the results", remedy)
+        if path.is_dir():
+            raise FileError(str(path), "a folder", "the name of a file to write")
+    there = [path for path in paths if os.path.lexists(path)]
+    if there and existing == "error":
+        raise InputError(
+            "-o",
+            f"{out}, where {_listed([path.name for path in there])} exist{'s' if len(there) == 1 else ''} already",
+            "a folder without results of these names",
+            "Choose another folder, or --existing replace; lbsfit fit also has --existing skip, which keeps finished fits.",
+        )
+
+
+def make_folder(out):
+    """Create the folder to write to, and see that it can be written to."""
+    out = Path(out)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FileError(str(out), f"a folder that cannot be made ({error.strerror})", "a folder to write to") from None
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise FileError(str(out), "a folder that cannot be written to", "a folder to write to")
+
+
+def same_file(a, b):
+    """Whether two paths are one file, or would be where upper and lower case are the same."""
+    try:
+        return os.path.samefile(a, b)
+    except OSError:
+        return _folded(os.path.abspath(a)) == _folded(os.path.abspath(b))
+
+
+def entry(scan, status, **facts):
+    """What the summary says about one scan; file names are relative to its folder."""
+    return {"name": scan.name, "input": scan.source, "status": status, **facts}
+
+
+@dataclass(frozen=True)
+class Writer:
+    """``finish`` of ``fit_scans``: writes the files of a scan and returns its entry in the summary.
+
+    Attributes
+    ----------
+    rig : Rig
+    files : tuple of ScanFiles
+    """
+
+    rig: object
+    files: tuple
+
+    def __call__(self, index, scan, result):
+        from ..io.write import atomic_path, write_mesh_ply, write_points_ply
+        from ..report.colors import part_colors
+
+        files, rig = self.files[index], self.rig
+        colors = part_colors(len(rig.parts))
+        # All three get their names only once all three are complete; the fit last, as it stands for the whole.
+        with atomic_path(files.fit) as fit, atomic_path(files.mesh) as mesh, atomic_path(files.labels) as labels:
+            result.save(fit)
+            write_mesh_ply(
+                mesh,
+                result.vertices,
+                rig.faces,
+                vertex_labels=rig.vertex_labels,
+                colors=colors[rig.vertex_labels],
+                part_names=rig.parts,
+            )
+            write_points_ply(
+                labels,
+                scan.points,
+                labels=result.labels,
+                confidence=result.confidence,
+                colors=colors[result.labels],
+                normals=scan.normals,
+                part_names=rig.parts,
+            )
+        return fitted_entry(files, result, notes=scan.notes)
+
+
+def fitted_entry(files, result, *, status="ok", notes=()):
+    """The entry of a scan whose fit is there."""
+    return entry(
+        files,
+        status,
+        message=result.message,
+        converged=result.converged,
+        terms=result.terms,
+        evaluations=result.evaluations,
+        seconds=round(result.seconds, 3),
+        scale=result.scale,
+        points=len(result.labels),
+        files={kind: path.name for kind, path in files.paths.items()},
+        notes=list(notes),
+    )
+
+
+def _check_sources(sources):
+    missing = [s for s in sources if not os.path.exists(s)]
+    if missing:
+        what = "a file that does not exist" if len(missing) == 1 else f"{len(missing)} files that do not exist"
+        raise InputError(
+            "SCAN", f"{what}: {_listed(missing)}", "scan files that exist", "Check the paths; nothing has been fitted."
+        )
+    folders = [s for s in sources if os.path.isdir(s)]
+    if folders:
+        raise InputError(
+            "SCAN", f"a folder: {_listed(folders)}", "scan files", f"Name the files in it, such as {folders[0]}/*.ply"
+        )
+
+
+def _check_clashes(files, out):
+    seen = {}
+    for f in files:
+        other = seen.setdefault(_folded(f.name), f)
+        if other is not f:
+            what = "given twice" if same_file(f.source, other.source) else f"and {f.source}"
+            raise InputError(
+                "SCAN",
+                f"{other.source} {what}, whose results would both be called {out / f.name}.*",
+                "scans whose names differ by more than their extension and upper or lower case",
+                "Rename one, or fit them into different folders.",
+            )
+
+
+def _folded(text):
+    return unicodedata.normalize("NFC", str(text)).casefold()
+
+
+def _listed(names, most=5):
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

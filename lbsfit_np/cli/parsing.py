@@ -1,0 +1,199 @@
+"""argparse as this command line uses it: errors in one line, and options that a configuration file can give as well."""
+
+import argparse
+import tomllib
+from dataclasses import dataclass
+from difflib import get_close_matches
+from pathlib import Path
+
+from ..errors import FileError
+
+__all__ = ["Option", "Parser", "add_options", "formatter", "natural", "positive", "settings"]
+
+
+class Parser(argparse.ArgumentParser):
+    """An ArgumentParser whose errors look like all others of the program, and that knows no abbreviations."""
+
+    def __init__(self, **keywords):
+        super().__init__(**{"allow_abbrev": False, **keywords})
+
+    def error(self, message):
+        """Print one line, and exit with code 2."""
+        self.exit(2, f"lbsfit: error: {message} (see: {self.prog} --help)\n")
+
+
+def formatter(prog):
+    """Help with line breaks of descriptions and examples kept."""
+    return argparse.RawDescriptionHelpFormatter(prog, max_help_position=32, width=110)
+
+
+def positive(text):
+    """A whole number of at least 1, from text."""
+    return _whole(text, 1)
+
+
+def natural(text):
+    """A whole number of at least 0, from text."""
+    return _whole(text, 0)
+
+
+def _whole(text, least):
+    try:
+        value = int(text)
+    except ValueError:
+        value = least - 1
+    if value < least:
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at least {least}")
+    return value
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option of the command line and of the configuration file.
+
+    Attributes
+    ----------
+    name : str
+        Without dashes, such as "drop-invalid".
+    help : str
+    kind : callable (str) → value, or bool
+        bool makes a switch with a ``--no-`` form.
+    default : object
+    metavar : str
+    choices : tuple of str
+    flag : str or None
+        A short form, such as "-o".
+    is_path : bool
+        In a configuration file it is relative to the file's folder.
+    table : bool
+        NAME=NUMBER, as often as wanted; in a configuration file a table.
+    """
+
+    name: str
+    help: str
+    kind: object = str
+    default: object = None
+    metavar: str | None = None
+    choices: tuple = ()
+    flag: str | None = None
+    is_path: bool = False
+    table: bool = False
+
+    @property
+    def key(self):
+        """The name with underscores, as in the settings."""
+        return self.name.replace("-", "_")
+
+
+def add_options(parser, options):
+    """Add options to a parser; those that are not given leave no trace in the namespace, see :func:`settings`."""
+    for option in options:
+        names = [*([option.flag] if option.flag else []), f"--{option.name}"]
+        keywords = {"default": argparse.SUPPRESS, "dest": option.key, "help": _help(option)}
+        if option.kind is bool:
+            keywords["action"] = argparse.BooleanOptionalAction
+        elif option.choices:
+            keywords |= {"choices": option.choices}
+        else:
+            keywords |= {"type": option.kind, "metavar": option.metavar}
+        if option.table:
+            keywords |= {"type": _pair, "action": "append"}
+        parser.add_argument(*names, **keywords)
+
+
+def settings(arguments, options, config=None):
+    """The value of every option: the command line's, else the configuration file's, else the default.
+
+    Parameters
+    ----------
+    arguments : argparse.Namespace
+    options : sequence of Option
+    config : str, optional
+        Path of a TOML file.
+
+    Returns
+    -------
+    dict of str to value
+        By option name with underscores.
+
+    Raises
+    ------
+    FileError
+        The file is missing or no TOML, has unknown keys, or values of the wrong kind.
+    """
+    given = {o.key: getattr(arguments, o.key) for o in options if hasattr(arguments, o.key)}
+    for option in options:
+        if option.table and option.key in given:
+            given[option.key] = dict(given[option.key])
+    from_file = {} if config is None else _read_config(config, options)
+    return {o.key: given.get(o.key, from_file.get(o.key, o.default)) for o in options}
+
+
+def _help(option):
+    if option.kind is bool:
+        return option.help + f" (default: {'yes' if option.default else 'no'})"
+    if option.default is None or option.table:
+        return option.help
+    return option.help + f" (default: {option.default})"
+
+
+def _pair(text):
+    name, _, value = text.partition("=")
+    for kind in (int, float):
+        try:
+            return name.strip().replace("-", "_"), kind(value)
+        except ValueError:
+            continue
+    raise argparse.ArgumentTypeError(f"got {text!r}; expected NAME=NUMBER, such as turn=3.14")
+
+
+def _read_config(path, options):
+    expected = "a configuration file: TOML with the options of this command"
+    try:
+        content = tomllib.loads(Path(path).read_bytes().decode("utf-8-sig"))
+    except FileNotFoundError:
+        raise FileError(str(path), "no such file", expected) from None
+    except OSError as error:
+        raise FileError(str(path), f"a file that cannot be read ({error.strerror})", expected) from None
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise FileError(str(path), f"text that is not TOML ({error})", expected) from None
+    known = {o.name: o for o in options} | {o.key: o for o in options}
+    out = {}
+    for key, value in content.items():
+        if key not in known:
+            close = get_close_matches(key, known, n=1)
+            names = ", ".join(o.name for o in options)
+            raise FileError(
+                str(path), f"the unknown option {key!r}", f"one of {names}", f"Did you mean {close[0]!r}?" if close else None
+            )
+        option = known[key]
+        if option.key in out:
+            raise FileError(str(path), f"the option {option.name!r} twice", "each option once")
+        out[option.key] = _checked(value, option, path)
+    return out
+
+
+def _checked(value, option, path):
+    """A configuration file's value, held to what the command line would take."""
+    if option.kind is bool:
+        if isinstance(value, bool):
+            return value
+        raise FileError(str(path), f"{option.name} = {value!r}", "true or false")
+    if option.table:
+        if isinstance(value, dict) and all(type(v) in (int, float) for v in value.values()):
+            return {name.replace("-", "_"): v for name, v in value.items()}
+        raise FileError(str(path), f"{option.name} = {value!r}", "a table of numbers, such as { turn = 3.14 }")
+    if option.choices:
+        if value in option.choices:
+            return value
+        raise FileError(str(path), f"{option.name} = {value!r}", " or ".join(map(repr, option.choices)))
+    if option.kind is str:
+        if not isinstance(value, str):
+            raise FileError(str(path), f"{option.name} = {value!r}", "text in quotes")
+        return str(Path(path).parent / value) if option.is_path and value != "none" else value
+    if type(value) is not int:
+        raise FileError(str(path), f"{option.name} = {value!r}", "a whole number")
+    try:
+        return option.kind(str(value))
+    except argparse.ArgumentTypeError as error:
+        raise FileError(str(path), f"{option.name}: {error}", "another number") from None

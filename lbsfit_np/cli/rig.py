@@ -1,0 +1,99 @@
+"""``lbsfit rig``: look at a rig, write a card for it, list the rigs that come with the package."""
+
+import os
+from pathlib import Path
+
+from ..errors import FileError, InputError
+from .fit import RIG_OPTIONS, load_rig_with
+from .outputs import same_file
+from .parsing import Option, add_options, formatter, settings
+
+__all__ = ["add_parser"]
+
+_FROM_FILE = tuple(o for o in RIG_OPTIONS if o.name in ("shape", "skin"))
+_CARD_OPTIONS = (
+    Option("output", "the card to write", metavar="CARD", flag="-o"),
+    *_FROM_FILE,
+    Option("existing", "what to do where CARD exists already", default="error", choices=("error", "replace")),
+)
+_SHOW_OPTIONS = (*RIG_OPTIONS, Option("degrees", "show limits in degrees instead of radians", bool, False))
+
+_CARD_EPILOG = """\
+example:
+  lbsfit rig card hand.glb -o hand.card.toml     then edit it; a card of this name beside hand.glb is used by itself
+  lbsfit rig show hand.glb                       see what it does
+"""
+
+
+def add_parser(commands):
+    """Add ``lbsfit rig`` and its actions to the subparsers ``commands``."""
+    parser = commands.add_parser("rig", help="show a rig, write a card for it, list the bundled ones", formatter_class=formatter)
+    parser.description = "Look at rigs, and write cards: small text files that say what a rig's format cannot."
+    actions = parser.add_subparsers(metavar="ACTION", required=True, title="actions")
+
+    show = actions.add_parser(
+        "show",
+        help="print joints, limits, parts and anomalies",
+        description="Print a rig's joint tree with limits, parts and weights, and every anomaly found.",
+        epilog="example:\n  lbsfit rig show body.glb --card body.toml --degrees\n",
+        formatter_class=formatter,
+    )
+    show.add_argument("file", metavar="FILE", help="a rig file (.npz .glb .gltf .pkl), or a bundled rig, see: lbsfit rig list")
+    add_options(show, _SHOW_OPTIONS)
+    show.set_defaults(run=_show)
+
+    card = actions.add_parser(
+        "card",
+        help="write a card to edit",
+        description="Write a rig's settings as a card to edit: hierarchy, limits, locked and merged joints, parts, unit, axes.",
+        epilog=_CARD_EPILOG,
+        formatter_class=formatter,
+    )
+    card.add_argument("file", metavar="FILE", help="a rig file, or a bundled rig")
+    add_options(card, _CARD_OPTIONS)
+    card.set_defaults(run=_card)
+
+    bundled = actions.add_parser(
+        "list",
+        help="list the bundled rigs",
+        description="List the rigs that come with the package.",
+        epilog="example:\n  lbsfit rig list\n",
+        formatter_class=formatter,
+    )
+    bundled.set_defaults(run=_list)
+
+
+def _show(arguments):
+    from ..rig.describe import describe
+
+    values = settings(arguments, _SHOW_OPTIONS)
+    print(describe(load_rig_with(arguments.file, values, quiet=True), degrees=values["degrees"]), end="")
+    return 0
+
+
+def _card(arguments):
+    from ..io.rigs import rig_for_card
+    from ..rig.card import write_card
+
+    values = settings(arguments, _CARD_OPTIONS)
+    path = values["output"]
+    if path is None:
+        raise InputError("-o/--output", "nothing", "the card to write", "Add -o CARD.")
+    if same_file(path, arguments.file):
+        raise InputError("-o/--output", f"{path}, which is the rig itself", "another name", "An input is never overwritten.")
+    if Path(path).is_dir():
+        raise FileError(path, "a folder", "the name of a card to write")
+    if os.path.lexists(path) and values["existing"] == "error":
+        raise FileError(path, "a file that exists already", "a new name", "Choose another, or --existing replace.")
+    write_card(rig_for_card(arguments.file, shape=values["shape"], skin=values["skin"]), path)
+    print(f"{path} written; edit it, and pass it with --card {path}")
+    return 0
+
+
+def _list(arguments):
+    from ..io.rigs import bundled_rigs, load_rig
+
+    for name in bundled_rigs():
+        rig = load_rig(name)
+        print(f"{name}: {len(rig.vertices)} vertices, {len(rig.parents)} joints, {len(rig.parts)} parts ({', '.join(rig.parts)})")
+    return 0

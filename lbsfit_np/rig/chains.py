@@ -1,0 +1,28 @@
+"""Chains: the unbranched runs of moving joints that a hierarchy falls into, such as fingers, arms, a tail."""
+
+import numpy as np
+
+__all__ = ["bones", "chains"]
+
+
+def bones(rig):
+    """(J,) int: the moving joint that each joint follows rigidly; itself where it moves."""
+    bone = np.arange(len(rig.parents))
+    for level, up in rig.levels:
+        bone[level] = np.where(rig.moving[level], level, bone[up])
+    return bone
+
+
+def chains(rig):
+    """(J,) int: the chain of each joint, numbered from the root's, 0; locked joints are with what they follow."""
+    bone = bones(rig)
+    branches = np.zeros(len(bone), dtype=int)
+    for j in np.flatnonzero(rig.moving):
+        if j != rig.root:
+            branches[bone[rig.parents[j]]] += 1
+    chain = np.zeros(len(bone), dtype=int)
+    for level, up in rig.levels:
+        for c, p in zip(level, up, strict=True):
+            above = bone[p]
+            chain[c] = chain.max() + 1 if rig.moving[c] and (branches[above] > 1 or above == rig.root) else chain[p]
+    return chain

@@ -1,0 +1,174 @@
+"""Many scans with one fitter: order, failures, worker processes, Ctrl-C."""
+
+import functools
+import multiprocessing
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+from lbsfit_np.io.write import atomic_path
+from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.workers import Workers
+
+POSIX = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
+PACKAGE_PARENT = str(Path(lbs.__file__).resolve().parents[1])
+
+
+@pytest.fixture(scope="module")
+def clouds(tube_rig):
+    return [s.points for s in lbs.synthesize(tube_rig, 3, random_state=5, n_points=400)]
+
+
+@pytest.fixture(scope="module")
+def alone(tube_fitter, clouds):
+    """What one process finds."""
+    return fit_scans(tube_fitter, clouds)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_results_do_not_depend_on_jobs_or_order(tube_fitter, clouds, alone, jobs):
+    outcomes = fit_scans(tube_fitter, clouds[::-1], jobs=jobs)
+    assert [o.index for o in outcomes] == [0, 1, 2]
+    for ours, theirs in zip(outcomes, alone[::-1]):
+        for name in ("pose", "translation", "scale", "offsets", "vertices", "joints", "labels", "confidence"):
+            np.testing.assert_array_equal(getattr(ours.result, name), getattr(theirs.result, name), err_msg=name)
+        assert ours.result.terms == theirs.result.terms
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_bad_scan_fails_alone(tube_fitter, clouds, jobs):
+    seen = []
+    scans = [np.full((9, 3), np.nan), clouds[0], functools.partial(lbs.load_scan, "nowhere.ply"), _broken, clouds[1]]
+    outcomes = fit_scans(tube_fitter, scans, jobs=jobs, on_result=seen.append)
+    assert [o.error is None for o in outcomes] == [False, True, False, False, True]
+    assert "NaN" in outcomes[0].error and "nowhere.ply" in outcomes[2].error
+    assert outcomes[3].error == "ZeroDivisionError: division by zero" and "_broken" in outcomes[3].details
+    assert outcomes[0].details is None and outcomes[0].result is None
+    assert sorted(o.index for o in seen) == [0, 1, 2, 3, 4]
+
+
+def test_finish_takes_the_place_of_the_result(tube_fitter, clouds):
+    for jobs in (1, 2):
+        outcomes = fit_scans(tube_fitter, clouds[:2], jobs=jobs, finish=_described)
+        assert [o.result for o in outcomes] == [(0, 400, "ok"), (1, 400, "ok")]
+
+
+def test_a_result_that_is_not_finite_is_a_failure(tube_fitter, clouds, alone, monkeypatch):
+    bad = replace(alone[0].result, status="failed", message="not finite")
+    monkeypatch.setattr(type(tube_fitter), "fit_scan", lambda self, scan: bad)
+    outcome = fit_scans(tube_fitter, clouds[:1], finish=_described)[0]
+    assert (outcome.error, outcome.result) == ("not finite", None)
+
+
+def test_training_waits_for_a_scan_that_can_be_fitted(tube_rig, clouds):
+    calls = []
+    fitter = lbs.LBSFitter(tube_rig, training_scans=5, random_state=0)
+    outcomes = fit_scans(fitter, [np.zeros((9, 3)), np.zeros((2, 3))], pretrain=calls.append)
+    assert not calls and "all equal" in outcomes[0].error and "at least 4 points" in outcomes[1].error
+
+    def pretrain(fitter):
+        calls.append(fitter)
+        fitter.pretrain()
+
+    reads = []
+    outcomes = fit_scans(fitter, [np.zeros((9, 3)), lambda: reads.append(1) or clouds[0]], pretrain=pretrain)
+    assert calls == [fitter] and outcomes[1].error is None
+    assert len(reads) == 1  # what was read before the training is not read again
+
+
+def test_no_scans_is_no_work(tube_rig):
+    assert fit_scans(lbs.LBSFitter(tube_rig), [], jobs=2) == []
+
+
+@pytest.mark.parametrize("jobs", [0, -1, 1.5, True, "2"])
+def test_jobs_that_cannot_be(tube_fitter, clouds, jobs):
+    with pytest.raises(InputError, match="jobs: got .*expected a positive whole number"):
+        fit_scans(tube_fitter, clouds, jobs=jobs)
+
+
+def test_what_cannot_be_sent_to_processes(tube_fitter, clouds):
+    with pytest.raises(InputError, match="jobs: .*cannot be sent.*top level of a module"):
+        fit_scans(tube_fitter, clouds, jobs=2, finish=lambda index, scan, result: None)
+    outcomes = fit_scans(tube_fitter, [lambda: clouds[0], clouds[1]], jobs=2)
+    assert "cannot be sent" in outcomes[0].error and outcomes[1].error is None
+
+
+@POSIX
+def test_the_death_of_a_worker_costs_its_scan_only(tube_fitter, clouds):
+    outcomes = fit_scans(tube_fitter, clouds, jobs=2, finish=_killed_at_1)
+    assert [o.result for o in outcomes] == [0, None, 2]
+    assert "SIGKILL" in outcomes[1].error and "memory" in outcomes[1].error
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_an_interrupt_ends_workers_and_passes_on(tube_fitter, clouds, jobs):
+    seen = []
+
+    def on_result(outcome):
+        seen.append(outcome.index)
+        if len(seen) == 1:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_scans(tube_fitter, clouds, jobs=jobs, on_result=on_result)
+    assert 1 <= len(seen) < 3
+    assert not multiprocessing.active_children()
+
+
+def test_a_script_without_a_main_guard_is_told_so(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text("from lbsfit_np.learning.workers import Workers\nw = Workers(len, 1)\nw.give([1])\nw.answers()\n")
+    done = subprocess.run(
+        [sys.executable, str(script)],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"PYTHONPATH": PACKAGE_PARENT},
+        timeout=120,
+    )
+    assert "InputError: jobs: got worker processes that end before they begin" in done.stderr
+    assert 'if __name__ == "__main__":' in done.stderr
+
+
+@POSIX
+def test_workers_that_are_ended_in_the_middle_tidy_up(tmp_path):
+    with Workers(_written, 2) as workers:
+        workers.give((tmp_path / "slow", 600))
+        workers.give((tmp_path / "quick", 0))
+        answers = []
+        while not answers or not list(tmp_path.glob(".slow*")):
+            if len(answers) == 0:
+                answers = workers.answers()
+        assert answers == [((tmp_path / "quick", 0), "written", None)] and workers.busy and workers.idle
+        assert workers.stop() == []
+    assert not multiprocessing.active_children()
+    assert [path.name for path in tmp_path.iterdir()] == ["quick"]  # the other's temporary file is gone
+
+
+def _broken():
+    return 1 / 0
+
+
+def _described(index, scan, result):
+    return index, len(scan), result.status
+
+
+def _killed_at_1(index, scan, result):
+    if index == 1:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return index
+
+
+def _written(task):
+    path, seconds = task
+    with atomic_path(path):
+        time.sleep(seconds)
+    return "written"

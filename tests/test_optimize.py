@@ -1,0 +1,272 @@
+"""What every fit stands on: the layout of the unknowns, the objective's gradient to all of them, the minimiser, the scale."""
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+from lbsfit_np.losses import PRESETS, LossWeights
+from lbsfit_np.optimize.lbfgs import minimise
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.state import Layout, State
+from lbsfit_np.starts.parts import start_from_parts
+from lbsfit_np.starts.scale import reference_scale
+
+ALL = ("pose", "translation", "scale", "proportions", "residual")
+
+
+def _state(model, seed=0, residual=True):
+    rng = np.random.default_rng(seed)
+    rig = model.rig
+    theta = rig.lower + rng.random(rig.lower.shape) * (rig.upper - rig.lower)
+    theta[rig.root] = rng.uniform(-2, 2, 3)
+    noise = 0.03 * rng.standard_normal(rig.vertices.shape) if residual else None
+    return State(theta, rng.uniform(-0.3, 0.3, 3), 1.15, 0.1 * rng.standard_normal(model.n_coefficients), noise)
+
+
+@pytest.fixture(scope="module")
+def body(shared_rigs):
+    card = Path(lbs.__file__).parent / "bench" / "cards" / "mpfb2_cmu_mb.toml"
+    return Model(lbs.load_rig(shared_rigs / "mpfb2_body" / "mpfb2_cmu_mb.npz", card=card))
+
+
+# ---- the layout ----
+
+
+@pytest.mark.parametrize(
+    "free", [ALL, ("pose",), ("translation", "scale"), ("pose", "translation", "proportions"), ("residual",)]
+)
+def test_there_and_back(tube_rig, free):
+    model = Model(tube_rig)
+    state, base = _state(model), _state(model, 1)
+    layout = Layout(model.rig, free, model.n_coefficients)
+    x = layout.pack(state)
+    assert x.shape == (layout.size,)
+    again = layout.unpack(x, base)
+    fields = dict(zip(ALL, ("theta", "translation", "scale", "coefficients", "residual")))
+    for block, field in fields.items():
+        np.testing.assert_allclose(
+            getattr(again, field), getattr(state if block in free else base, field), rtol=1e-14, err_msg=field
+        )
+
+
+def test_only_what_can_turn_is_free(shared_rigs):
+    card = Path(lbs.__file__).parent / "bench" / "cards" / "webxr_left.toml"
+    rig = lbs.load_rig(shared_rigs / "webxr_hand" / "left.glb", card=card)
+    layout = Layout(rig, ("pose",), 0)
+    assert layout.size == 3 + 3 + 2 * 1 + 4 * (2 + 1 + 1)  # wrist, thumb's three, four fingers
+    lower, upper = layout.bounds()
+    assert np.isinf(lower).sum() == np.isinf(upper).sum() == 3  # the root's
+    assert (lower < upper).all()
+
+
+def test_inside_respects_limits_and_locks(tube_rig, shared_rigs):
+    card = Path(lbs.__file__).parent / "bench" / "cards" / "webxr_left.toml"
+    for rig in (tube_rig, lbs.load_rig(shared_rigs / "webxr_hand" / "left.glb", card=card)):
+        wild = State(np.full(rig.lower.shape, 2.0), np.zeros(3), 50.0, np.array([0.9, -0.9]), None)
+        state = Layout(rig, ("pose", "scale", "proportions"), 2).inside(wild)
+        others = np.arange(len(rig.parents)) != rig.root
+        assert (state.theta[others] >= rig.lower[others]).all() and (state.theta[others] <= rig.upper[others]).all()
+        np.testing.assert_array_equal(state.theta[rig.root], 2.0)
+        assert (state.theta[rig.merged | rig.locked] == 0).all()
+        assert state.scale == pytest.approx(3.0)
+        np.testing.assert_array_equal(state.coefficients, [0.5, -0.5])
+
+
+# ---- the objective's gradient to all unknowns ----
+
+
+@pytest.mark.parametrize("joints", ["follow", "fixed"])
+@pytest.mark.parametrize("weights", ["paper", "default", LossWeights(chamfer=0.0, lam=0.0, lam_lap=0.0)])
+@pytest.mark.parametrize("residual", [True, False])
+def test_gradient_to_the_optimisers_vector(tube_rig, joints, weights, residual):
+    model = Model(tube_rig, joints)
+    weights = PRESETS.get(weights, weights) if isinstance(weights, str) else weights
+    rng = np.random.default_rng(0)
+    state = _state(model, residual=residual)
+    target = model.pose(_state(model, 2))[0].vertices
+    problem = Problem(target[rng.integers(0, len(target), 90)] + 0.05 * rng.standard_normal((90, 3)), rng.random(90))
+    labels = rng.integers(0, 4, 90)
+    layout = Layout(model.rig, ALL, model.n_coefficients)
+
+    def value(x):
+        return problem.evaluate(model, layout.unpack(x, state), weights, labels, ridge=0.01).value
+
+    e = problem.evaluate(model, state, weights, labels, ridge=0.01)
+    gradient = layout.gradient(state, e.theta, e.translation, e.scale, e.coefficients, e.residual)
+    x = layout.pack(state)
+    h = 1e-6
+    for span in (slice(0, 12), slice(12, 15), slice(15, 16), slice(16, 25), slice(25, None, 7)):
+        rows = np.arange(layout.size)[span]
+        found = np.array([(value(x + h * e_k) - value(x - h * e_k)) / (2 * h) for e_k in np.eye(layout.size)[rows]])
+        np.testing.assert_allclose(found, gradient[rows], rtol=0, atol=2e-6 * np.abs(gradient[rows]).max())
+
+
+def test_a_large_rig_is_thinned_for_its_poses(body):
+    coarse = body.coarse
+    assert len(coarse.rig.vertices) == 2500 and len(body.rig.vertices) == 13380
+    state = _state(body, residual=False)
+    rows = [int(np.flatnonzero((body.rig.vertices == v).all(axis=1))[0]) for v in coarse.rig.vertices[::100]]
+    for full, thin in zip(body.pose(state), coarse.pose(state)):
+        np.testing.assert_allclose(thin.vertices[::100], full.vertices[rows], atol=1e-12)
+        np.testing.assert_allclose(thin.joints, full.joints, atol=1e-12)
+    np.testing.assert_array_equal(coarse.labels[::100], body.labels[rows])
+    assert coarse.areas.sum() == pytest.approx(1.0) and body.areas.sum() == pytest.approx(1.0)
+    assert set(coarse.labels) == set(body.labels)
+
+
+def test_gradient_of_the_thinned_rig(body):
+    model, rng = body.coarse, np.random.default_rng(1)
+    state = _state(body, residual=False)
+    problem = Problem(model.pose(_state(body, 3, residual=False))[0].vertices[::9] + 0.02)
+    weights = LossWeights(lam=0.5, lam_lap=0.0)
+    free = ("pose", "translation", "scale", "proportions")
+    layout = Layout(model.rig, free, model.n_coefficients)
+
+    def value(x):
+        return problem.evaluate(model, layout.unpack(x, state), weights, model.labels[::9]).value
+
+    e = problem.evaluate(model, state, weights, model.labels[::9])
+    gradient = layout.gradient(state, e.theta, e.translation, e.scale, e.coefficients, e.residual)
+    x, h = layout.pack(state), 1e-6
+    for _ in range(10):
+        d = rng.standard_normal(layout.size)
+        slope = (value(x + h * d) - value(x - h * d)) / (2 * h)
+        assert abs(slope - gradient @ d) < 1e-5 * np.linalg.norm(gradient)
+
+
+def test_a_model_is_the_rig_with_a_longest_half_extent_of_1(tube_rig):
+    for factor in (1.0, 1000.0):
+        model = Model(tube_rig.scaled(factor))
+        assert np.ptp(model.rig.vertices, axis=0).max() == pytest.approx(2.0, rel=1e-14)
+        assert model.half == pytest.approx(factor * tube_rig.size / 2)
+
+
+# ---- the minimiser ----
+
+
+def _quadratic(target):
+    def evaluate(s):
+        away = s.theta - target
+        zero = np.zeros(3)
+        return SimpleNamespace(
+            value=float(np.vdot(away, away)), theta=2 * away, translation=zero, scale=0.0, coefficients=np.zeros(0), residual=None
+        )
+
+    return evaluate
+
+
+def test_it_stops_at_the_limits_and_leaves_the_root_free(tube_rig):
+    target = np.full((4, 3), 3.0)
+    start = State(np.zeros((4, 3)), np.zeros(3), 1.0, np.zeros(0), None)
+    outcome = minimise(_quadratic(target), start, tube_rig, ("pose",), max_iterations=50)
+    np.testing.assert_allclose(outcome.state.theta[0], 3.0, atol=1e-6)
+    np.testing.assert_allclose(outcome.state.theta[1:], tube_rig.upper[1:], atol=1e-12)
+    assert outcome.converged and outcome.evaluations >= 2
+    assert outcome.value == pytest.approx(np.sum((outcome.state.theta - target) ** 2))
+    np.testing.assert_array_equal(start.theta, 0.0)
+
+
+def test_running_out_of_iterations_is_not_convergence(tube_rig):
+    model = Model(tube_rig)
+    problem = Problem(model.pose(_state(model, 2))[0].vertices)
+    outcome = minimise(
+        lambda s: problem.evaluate(model, s, LossWeights(lam=0.0, lam_lap=0.0)),
+        model.rest(),
+        model.rig,
+        ALL[:3],
+        max_iterations=2,
+    )
+    assert not outcome.converged and "ITERATIONS" in outcome.message.upper()
+
+
+@pytest.mark.parametrize("good", [0, 3])
+def test_an_objective_that_is_not_finite_is_said(tube_rig, good):
+    inner, calls = _quadratic(np.full((4, 3), 0.1)), []
+
+    def evaluate(s):
+        e = inner(s)
+        calls.append(e.value)
+        if len(calls) > good:
+            e.value = np.nan
+        return e
+
+    start = State(np.zeros((4, 3)), np.zeros(3), 1.0, np.zeros(0), None)
+    outcome = minimise(evaluate, start, tube_rig, ("pose",), max_iterations=50)
+    assert not outcome.converged
+    if good == 0:
+        assert "not finite" in outcome.message
+    assert np.isfinite(outcome.state.theta).all()
+
+
+# ---- starts ----
+
+
+def test_parts_in_place_give_the_pose(tube_rig):
+    model, errors = Model(tube_rig), []
+    for seed in range(4):
+        truth = _state(model, seed, residual=False).replace(coefficients=np.zeros(model.n_coefficients), scale=1.0)
+        truth.theta[0] *= 0.4  # the root: what the limits of a sampled pose allow
+        posed = model.pose(truth)[0]
+        known = np.eye(4)[model.labels]
+        free = start_from_parts(model, posed.vertices, known, x_weights=model.areas, pull=1e-9, max_iterations=300)
+        assert free.value < 1e-3  # squared distance of the centroids: within 0.03
+        held = model.pose(start_from_parts(model, posed.vertices, known, x_weights=model.areas).state)[0]
+        before = model.pose(model.rest())[0].joints + (posed.vertices.mean(axis=0) - model.rig.vertices.mean(axis=0))
+        errors.append([np.linalg.norm(joints - posed.joints, axis=1).mean() for joints in (held.joints, before)])
+    found, unmoved = np.mean(errors, axis=0)
+    assert found < 0.2 and found < 0.5 * unmoved
+
+
+def test_a_part_without_points_leaves_its_joints_alone(tube_rig):
+    model = Model(tube_rig)
+    V = model.rig.vertices + [0.5, 0.0, 0.2]
+    seen = model.labels != 3
+    outcome = start_from_parts(model, V[seen], np.eye(4)[model.labels[seen]])
+    assert np.isfinite(outcome.state.theta).all()
+    np.testing.assert_allclose(outcome.state.theta[3], np.clip(0.0, tube_rig.lower[3], tube_rig.upper[3]), atol=0.02)
+
+
+# ---- the reference scale ----
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0, 100.0, 10.0, 0.1, 0.01, 0.001, 39.3701, 25.4])
+def test_units_are_recognised(tube_rig, unit):
+    for s in lbs.synthesize(tube_rig, 5, random_state=0):
+        found = reference_scale(unit * s.points, tube_rig, "estimate").scale
+        assert 0.55 < found / unit < 1.8
+        if unit in (1.0, 1000.0, 0.001):
+            assert found == unit
+
+
+def test_an_odd_size_is_taken_as_it_is(tube_rig):
+    s = lbs.synthesize(tube_rig, 1, random_state=0)[0]
+    found = reference_scale(1e5 * s.points, tube_rig, "estimate")
+    assert 0.5e5 < found.scale < 2e5 and "no known unit" in found.note
+
+
+def test_outliers_do_not_change_the_unit(tube_rig):
+    s = lbs.synthesize(tube_rig, 1, random_state=0)[0]
+    far = np.vstack([s.points, np.random.default_rng(0).uniform(-50, 50, (len(s.points) // 30, 3))])
+    assert reference_scale(far, tube_rig, "estimate").scale == 1.0
+
+
+def test_a_fixed_scale_wants_the_rigs_unit(tube_rig):
+    s = lbs.synthesize(tube_rig, 1, random_state=0)[0]
+    assert reference_scale(s.points, tube_rig, "fixed").scale == 1.0
+    for factor in (1000.0, 0.01):
+        with pytest.raises(InputError, match="scale: got 'fixed' for a scan whose extent.*scale='estimate'"):
+            reference_scale(factor * s.points, tube_rig, "fixed")
+
+
+def test_extents_without_a_number_are_errors(tube_rig):
+    s = lbs.synthesize(tube_rig, 1, random_state=0)[0]
+    with pytest.raises(InputError, match="points: got an extent of"):
+        reference_scale(1e300 * s.points, tube_rig, "estimate")
+    piled = np.zeros((100, 3))
+    piled[0] = tube_rig.size
+    assert np.isfinite(reference_scale(piled, tube_rig, "estimate").scale)
