@@ -6,10 +6,12 @@ __all__ = ["refined_labels", "labels_from_mesh"]
 
 # A part that the segmenter excludes is not quite impossible: the fitted mesh may know better.
 _FLOOR = 1e-3
+# τ: the classifier is surer than it is right, so its word counts half.
+_TEMPER = 0.5
 
 
-def refined_labels(X, proba, V, v_labels, sigma):
-    """argmax_p (p_seg(p | x) + floor) · exp(−d_p(x)² / 2σ²), d_p the distance from x to the nearest vertex of part p.
+def refined_labels(X, proba, V, v_labels, sigma, *, doubt=0.0):
+    """argmax_p of q_p ∝ (p_seg(p | x) + floor)^τ · exp(−d_p(x)² / 2σ²), d_p the distance from x to the nearest vertex of part p.
 
     Parameters
     ----------
@@ -20,6 +22,8 @@ def refined_labels(X, proba, V, v_labels, sigma):
     v_labels : (m,) int array
     sigma : float
         In units of X.
+    doubt : float, default 0
+        Points whose largest q is smaller get the label n_parts, which no vertex has: they take no part in L_s.
 
     Returns
     -------
@@ -32,8 +36,12 @@ def refined_labels(X, proba, V, v_labels, sigma):
         part = V[v_labels == p]
         if len(part):
             d = cKDTree(part).query(X)[0]
-            score[:, p] = np.log(proba[:, p] + _FLOOR) - d**2 / (2 * sigma**2)
-    return score.argmax(axis=1)
+            score[:, p] = _TEMPER * np.log(proba[:, p] + _FLOOR) - d**2 / (2 * sigma**2)
+    labels = score.argmax(axis=1)
+    if doubt:
+        best = score[np.arange(len(X)), labels]
+        labels[1.0 / np.exp(score - best[:, None]).sum(axis=1) < doubt] = proba.shape[1]
+    return labels
 
 
 def labels_from_mesh(points, V, v_labels, n_parts, sigma, *, proba=None, proba_points=None, chunk=200_000):
@@ -75,7 +83,7 @@ def labels_from_mesh(points, V, v_labels, n_parts, sigma, *, proba=None, proba_p
         score = np.zeros((len(x), n_parts))
         np.add.at(score, (np.arange(len(x))[:, None], v_labels[near]), vote)
         if known is not None:
-            score *= proba[known.query(x)[1]] + _FLOOR
+            score *= (proba[known.query(x)[1]] + _FLOOR) ** _TEMPER
         best = score.argmax(axis=1)
         labels[start : start + len(x)] = best
         confidence[start : start + len(x)] = score[np.arange(len(x)), best] / score.sum(axis=1)

@@ -41,6 +41,8 @@ class FitSettings:
         σ of each refinement of the labels, each followed by a pose stage.
     ridge : float
         Weight of ‖c‖² on the bones' proportions.
+    doubt : float
+        Points whose label is less probable than this take no part in the structured term while labels are refined.
     """
 
     weights: LossWeights = field(default_factory=lambda: PRESETS["default"])
@@ -48,8 +50,9 @@ class FitSettings:
     max_points: int = 2500
     pose_iterations: int = 40
     full_iterations: int = 60
-    refinements: tuple = (0.1, 0.07, 0.05, 0.035)
+    refinements: tuple = (0.15, 0.1, 0.07, 0.05, 0.035, 0.025)
     ridge: float = 1e-4
+    doubt: float = 0.8
 
 
 def fit_points(model, points, *, segmenter=None, settings=None, theta0=None, labels=None, point_weights=None, random_state=None):
@@ -161,7 +164,7 @@ class _Search:
     def _relabel(self, sigma):
         if not self.labels_known:
             Vd, _ = self.model.coarse.pose(self.state)
-            self.labels = refined_labels(self.problem.X, self.proba, Vd.vertices, self.model.coarse.labels, sigma)
+            self.labels = refined_labels(self.problem.X, self.proba, Vd.vertices, self.model.coarse.labels, sigma, doubt=self.settings.doubt)
 
     def _minimise(self, state, weights, free, model, *, max_iterations=None, tolerance=1e-5):
         outcome = minimise(

@@ -14,6 +14,7 @@ from ..scan import check_points
 from ..segmentation.cache import cached_segmenter
 from ..segmentation.descriptors import Descriptor
 from ..segmentation.segmenter import train_segmenter
+from ..segmentation.stage import Training
 from ..skinning import JOINT_MODES
 from ..synthesis import Synthesis, TrainingScans, make_settings
 

@@ -1,4 +1,4 @@
-"""The segmenter s: X → the part of each point; a scikit-learn classifier on point descriptors."""
+"""The segmenter s: X → the part of each point; scikit-learn classifiers on point descriptors, the second in context."""
 
 import json
 from dataclasses import asdict, dataclass
@@ -6,35 +6,14 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from ..errors import FileError, InputError
-from ..seeds import generator, integer_seed
+from ..seeds import generator
+from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor
+from .stage import Stage, Training, train_stage
 
-__all__ = ["Segmenter", "Training", "train_segmenter"]
+__all__ = ["Segmenter", "train_segmenter"]
 
-_FORMAT = 1
-
-
-@dataclass(frozen=True)
-class Training:
-    """How the classifier is trained.
-
-    Attributes
-    ----------
-    points_per_scan : int
-        Points described in each scan, drawn by the seed.
-    hidden : tuple of int
-        Hidden layers of the MLPClassifier.
-    epochs : int
-    average_from : int
-        Epoch from which on the weights are averaged.
-    learning_rate : float
-    """
-
-    points_per_scan: int = 120
-    hidden: tuple = (384, 192, 96)
-    epochs: int = 4
-    average_from: int = 1
-    learning_rate: float = 2e-3
+_FORMAT = 2
 
 
 @dataclass(frozen=True)
@@ -43,9 +22,8 @@ class Segmenter:
 
     Attributes
     ----------
-    classifier : sklearn.neural_network.MLPClassifier
-    mean, deviation : (d,) arrays
-        Standardisation of the descriptors.
+    stages : tuple of one or two Stage
+        The first sees a point's descriptor; the second also sees what the first said of its surroundings.
     descriptor : Descriptor
     n_parts : int
     half : float
@@ -54,13 +32,17 @@ class Segmenter:
         ``Rig.digest`` of the welded rig that it was trained on.
     """
 
-    classifier: object
-    mean: np.ndarray
-    deviation: np.ndarray
+    stages: tuple
     descriptor: Descriptor
     n_parts: int
     half: float
     rig_digest: str
+
+    def __post_init__(self):
+        """Raise ValueError unless the stages fit the descriptor and each other."""
+        widths = [self.descriptor.size, self.descriptor.size + context_size(self.n_parts)]
+        if not 1 <= len(self.stages) <= 2 or any(len(s.mean) != w for s, w in zip(self.stages, widths, strict=False)):
+            raise ValueError("stages that do not fit the descriptor")
 
     def predict_proba(self, points, *, scale=1.0, rows=None):
         """Probability of each part for points of a scan.
@@ -79,35 +61,15 @@ class Segmenter:
         (k, n_parts) array
             Rows sum to 1.
         """
-        X = self.descriptor(np.asarray(points, dtype=float) / (scale * self.half), rows)
-        proba = np.zeros((len(X), self.n_parts))
-        if self.classifier is None:
-            proba[:, 0] = 1.0
-            return proba
-        X -= self.mean
-        X /= self.deviation
-        p = self.classifier.predict_proba(X)
-        proba[:, self.classifier.classes_] = p
-        return proba
+        points = np.asarray(points, dtype=float) / (scale * self.half)
+        rows = np.arange(len(points)) if rows is None else rows
+        if len(self.stages) == 1:
+            return self.stages[0].predict_proba(self.descriptor(points, rows))
+        return self.stages[1].predict_proba(_in_context(points, rows, self.descriptor, self.stages[0]))
 
     def predict(self, points, *, scale=1.0, rows=None):
         """(k,) int: the most probable part of each point; arguments as in :meth:`predict_proba`."""
         return self.predict_proba(points, scale=scale, rows=rows).argmax(axis=1)
-
-    def __post_init__(self):
-        """Raise ValueError unless the arrays fit together, so that no broken file fails later, far from its name."""
-        widths = [self.descriptor.size]
-        if self.classifier is not None:
-            for w, b in zip(self.classifier.coefs_, self.classifier.intercepts_, strict=True):
-                if w.ndim != 2 or w.shape[0] != widths[-1] or b.shape != w.shape[1:]:
-                    raise ValueError("layers that do not fit together")
-                widths.append(w.shape[1])
-            classes = np.asarray(self.classifier.classes_)
-            outputs = widths[-1] if widths[-1] > 1 else 2
-            if classes.dtype.kind not in "iu" or classes.shape != (outputs,) or classes.min() < 0 or classes.max() >= self.n_parts:
-                raise ValueError("classes that do not fit the parts")
-        if self.mean.shape != (self.descriptor.size,) or self.deviation.shape != (self.descriptor.size,):
-            raise ValueError("a standardisation that does not fit the descriptor")
 
     def check_rig(self, rig):
         """Raise unless this segmenter belongs to ``rig``."""
@@ -129,41 +91,30 @@ class Segmenter:
             "n_parts": self.n_parts,
             "half": self.half,
             "rig_digest": self.rig_digest,
-            "out_activation": None if self.classifier is None else self.classifier.out_activation_,
+            "stages": len(self.stages),
         }
-        arrays = {"mean": self.mean, "deviation": self.deviation}
-        if self.classifier is not None:
-            arrays["classes"] = self.classifier.classes_
-            for k, (w, b) in enumerate(zip(self.classifier.coefs_, self.classifier.intercepts_)):
-                arrays[f"coefs_{k}"], arrays[f"intercepts_{k}"] = w, b
+        arrays = {}
+        for k, stage in enumerate(self.stages):
+            arrays.update(stage.arrays(f"stage_{k}"))
         write_npz(path, lbsfit_np_segmenter=np.array(json.dumps(header)), **arrays)
 
     @classmethod
     def load(cls, path):
         """Read what :meth:`save` wrote."""
+        from ..io.npz import read_npz
+
+        arrays = read_npz(path)
+        expected = "a segmenter that was saved with Segmenter.save"
         try:
-            with np.load(path, allow_pickle=False) as z:
-                header = json.loads(str(z["lbsfit_np_segmenter"]))
-                arrays = {k: z[k] for k in z.files if k != "lbsfit_np_segmenter"}
-            if header["format"] != _FORMAT:
-                raise FileError(str(path), f"segmenter format {header['format']}", f"format {_FORMAT}", "Train it again.")
-            n_layers = sum(k.startswith("coefs_") for k in arrays)
-            classifier = None if not n_layers else _rebuilt(arrays, n_layers, header["out_activation"])
-            return cls(
-                classifier,
-                arrays["mean"],
-                arrays["deviation"],
-                Descriptor(**header["descriptor"]),
-                int(header["n_parts"]),
-                float(header["half"]),
-                header["rig_digest"],
-            )
-        except FileNotFoundError:
-            raise FileError(str(path), "no such file", "a segmenter that was saved with Segmenter.save") from None
-        except FileError:
-            raise
-        except Exception as error:  # zipfile, json, keys: whatever is wrong with it, it is not one of ours
-            raise FileError(str(path), f"a file that cannot be read ({error})", "a segmenter that was saved with Segmenter.save") from None
+            header = json.loads(str(arrays["lbsfit_np_segmenter"]))
+            version = header["format"]
+            if version == _FORMAT:
+                n_parts = int(header["n_parts"])
+                stages = tuple(Stage.from_arrays(arrays, f"stage_{k}", n_parts) for k in range(int(header["stages"])))
+                return cls(stages, Descriptor(**header["descriptor"]), n_parts, float(header["half"]), header["rig_digest"])
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+            raise FileError(str(path), f"a file whose content does not fit ({error})", expected, "Train it again.") from None
+        raise FileError(str(path), f"segmenter format {version}", f"format {_FORMAT}", "Train it again.")
 
 
 def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, random_state=None, n_jobs=None, progress=None):
@@ -189,89 +140,65 @@ def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, rando
     -------
     Segmenter
     """
-    from joblib import Parallel, delayed
-    from threadpoolctl import threadpool_limits
-
     descriptor, training = descriptor or Descriptor(), training or Training()
     progress = progress or (lambda share: None)
-    half = rig.size / 2
-    batches = np.array_split(np.arange(n_scans), max(1, n_scans // 50))
-    described = Parallel(n_jobs=n_jobs, return_as="generator")(
-        delayed(_describe)(scan, batch, descriptor, half, training.points_per_scan, random_state) for batch in batches
-    )
+    n_parts, half = len(rig.parts), rig.size / 2
+    n_second = int(training.second * n_scans) if n_parts > 1 else 0
+    n_first = n_scans - n_second
+    spans = [(0, n_first), (n_first, n_scans)] if n_second else [(0, n_first)]
+    stages = ()
+    for name, (start, stop) in zip(("first", "second"), spans, strict=False):
+        done, share = start / n_scans, (stop - start) / n_scans / 2
+        describe = _Describe(scan, descriptor, half, training.points_per_scan, random_state, stages[0] if stages else None)
+        X, y = _describe_all(describe, start, stop, n_jobs, lambda p, d=done, s=share: progress(d + s * p))
+        stage = train_stage(X, y, n_parts, training, random_state, name, lambda p, d=done, s=share: progress(d + s * (1 + p)))
+        stages += (stage,)
+    return Segmenter(stages, descriptor, n_parts, half, rig.digest)
+
+
+@dataclass(frozen=True)
+class _Describe:
+    """Indices of scans → descriptions and labels of some points of each; made to be sent to another process."""
+
+    scan: object
+    descriptor: Descriptor
+    half: float
+    points_per_scan: int
+    random_state: int | None
+    first: Stage | None
+
+    def __call__(self, indices):
+        X, y = [], []
+        for i in map(int, indices):
+            points, labels, scale = self.scan(i)
+            points = points / (scale * self.half)
+            rng = generator(self.random_state, "segmenter points", i)
+            rows = rng.choice(len(points), min(self.points_per_scan, len(points)), replace=False)
+            X.append(self.descriptor(points, rows) if self.first is None else _in_context(points, rows, self.descriptor, self.first))
+            y.append(labels[rows])
+        return np.concatenate(X), np.concatenate(y)
+
+
+def _describe_all(describe, start, stop, n_jobs, progress):
+    from joblib import Parallel, delayed
+
+    batches = np.array_split(np.arange(start, stop), max(1, (stop - start) // 50))
     X, y = [], []
-    for k, (x, labels) in enumerate(described):
+    for k, (x, labels) in enumerate(Parallel(n_jobs=n_jobs, return_as="generator")(delayed(describe)(b) for b in batches)):
         X.append(x)
         y.append(labels)
-        progress(_DESCRIBING * (k + 1) / len(batches))
-    X, y = np.concatenate(X), np.concatenate(y)
-    mean, deviation = X.mean(axis=0, dtype=float).astype(np.float32), X.std(axis=0, dtype=float).astype(np.float32) + np.float32(1e-6)
-    X -= mean
-    X /= deviation
-    classifier = None
-    if len(np.unique(y)) > 1:
-        with threadpool_limits(1):  # the result must not depend on the number of threads, and a second one gains little
-            classifier = _train(X, y, training, random_state, lambda share: progress(_DESCRIBING + (1 - _DESCRIBING) * share))
-    return Segmenter(classifier, mean, deviation, descriptor, len(rig.parts), half, rig.digest)
-
-
-# Share of the training time that goes into synthesis and descriptors, for the progress bar.
-_DESCRIBING = 0.5
-
-
-def _describe(scan, indices, descriptor, half, points_per_scan, random_state):
-    """Descriptors and labels of some points of some scans."""
-    X, y = [], []
-    for i in indices:
-        points, labels, scale = scan(int(i))
-        rng = generator(random_state, "segmenter points", int(i))
-        rows = rng.choice(len(points), min(points_per_scan, len(points)), replace=False)
-        X.append(descriptor(points / (scale * half), rows))
-        y.append(labels[rows])
+        progress((k + 1) / len(batches))
     return np.concatenate(X), np.concatenate(y)
 
 
-def _train(X, y, training, random_state, progress):
-    """Epochs of Adam in chunks; the weights after each chunk past the first epochs are averaged, which generalises better."""
-    from sklearn.neural_network import MLPClassifier
+def _in_context(points, rows, descriptor, first):
+    """Descriptors of some points, with the context that the first stage gives them."""
+    from threadpoolctl import threadpool_limits
 
-    classifier = MLPClassifier(
-        training.hidden,
-        batch_size=min(1024, len(X)),
-        learning_rate_init=training.learning_rate,
-        random_state=integer_seed(random_state, "segmenter"),
-    )
-    rng = generator(random_state, "segmenter order")
-    classes = np.unique(y)
-    averaged, count = None, 0
-    for epoch in range(training.epochs):
-        for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
-            classifier.partial_fit(X[rows], y[rows], classes=classes)
-            progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
-            if epoch >= training.average_from:
-                count += 1
-                now = classifier.coefs_ + classifier.intercepts_
-                averaged = [w.copy() for w in now] if averaged is None else [a + (w - a) / count for a, w in zip(averaged, now, strict=True)]
-    n = len(classifier.coefs_)
-    classifier.coefs_, classifier.intercepts_ = averaged[:n], averaged[n:]
-    return classifier
-
-
-# Chunks an epoch: how often the weights are looked at for the average.
-_CHUNKS = 4
-
-
-def _rebuilt(arrays, n_layers, out_activation):
-    """An MLPClassifier that predicts, from its fitted attributes."""
-    from sklearn.neural_network import MLPClassifier
-
-    coefs = [arrays[f"coefs_{k}"] for k in range(n_layers)]
-    classifier = MLPClassifier(tuple(w.shape[1] for w in coefs[:-1]))
-    classifier.coefs_ = coefs
-    classifier.intercepts_ = [arrays[f"intercepts_{k}"] for k in range(n_layers)]
-    classifier.classes_ = arrays["classes"]
-    classifier.n_features_in_ = coefs[0].shape[0]
-    classifier.n_layers_ = n_layers + 1
-    classifier.n_outputs_ = coefs[-1].shape[1]
-    classifier.out_activation_ = out_activation
-    return classifier
+    # Evenly spread rows of a scan in its own order: no randomness where one scan has to be labelled.
+    around = np.linspace(0, len(points) - 1, min(CONTEXT_POINTS, len(points))).astype(int)
+    own = descriptor(points, np.concatenate([rows, around]))
+    with threadpool_limits(1):
+        proba = first.predict_proba(own.copy())
+    k = len(rows)
+    return np.hstack([own[:k], context(points[rows], proba[:k], points[around], proba[k:])])

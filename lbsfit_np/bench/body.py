@@ -1,0 +1,40 @@
+"""The body's benchmark set: mpfb2_cmu_mb, its other two shapes in poses from real motion."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ..io.bvh import read_bvh
+from ..io.rigs import load_rig
+from ..seeds import generator
+from ..synthesis import Synthesis, synthesize_one
+from .retarget import bvh_thetas
+
+__all__ = ["body_rig", "body_scans"]
+
+# Lengths in half sizes of the rig: noise of 2.5 mm and a hole of up to 15 cm on a body of 1.6 m.
+SCAN = Synthesis(n_points=5000, noise=0.003, holes=1, hole_radius=0.18, density=0.5)
+SHAPES = ("male_avg", "male_heavy")
+
+
+def body_rig(data, shape="female_avg"):
+    """One shape of the body with the benchmark's card."""
+    card = Path(__file__).with_name("cards") / "mpfb2_cmu_mb.toml"
+    return load_rig(Path(data) / "mpfb2_body" / "mpfb2_cmu_mb.npz", card=card, shape=shape)
+
+
+def body_scans(rig, data, n=20, *, seed):
+    """``n`` scans of the two other shapes with their truth, in poses drawn from the motion, facing the rig's way.
+
+    The clip starts with a calibration pose in frame 0, which is left out; the root's turn about the up axis is removed.
+    """
+    motion = read_bvh(Path(data) / "motion" / "01_01.bvh")
+    subjects = [body_rig(data, shape) for shape in SHAPES]
+    rng = generator(seed, "body frames")
+    frames = np.sort(rng.choice(np.arange(1, len(motion.rotations)), n, replace=False))
+    scans = []
+    for i, frame in enumerate(frames):
+        other = subjects[i % len(subjects)]
+        pose = bvh_thetas(other, motion, [int(frame)], face_forward=True)[0]
+        scans.append(synthesize_one(rig, pose, (other.vertices, other.joints), SCAN, generator(seed, "body", i)))
+    return scans

@@ -1,0 +1,173 @@
+"""Stage: one standardised scikit-learn classifier, kept as arrays so that saving it needs no pickle."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..seeds import generator, integer_seed
+
+__all__ = ["Stage", "Training", "train_stage"]
+
+
+@dataclass(frozen=True)
+class Training:
+    """How the classifiers are trained.
+
+    Attributes
+    ----------
+    points_per_scan : int
+        Points described in each scan, drawn by the seed.
+    hidden : tuple of int
+        Hidden layers of the MLPClassifier.
+    epochs : int
+    average_from : int
+        Epoch from which on the weights are averaged.
+    learning_rate : float
+    second : float
+        Share of the scans that train the second stage; 0 leaves it out. The first never sees them, so that the second
+        learns from answers as good as a new scan's.
+    """
+
+    points_per_scan: int = 120
+    hidden: tuple = (256, 128, 64)
+    epochs: int = 4
+    average_from: int = 1
+    learning_rate: float = 2e-3
+    second: float = 0.5
+
+
+# Chunks an epoch: how often the weights are looked at for the average.
+_CHUNKS = 4
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A classifier of standardised descriptions.
+
+    Attributes
+    ----------
+    mean, deviation : (d,) arrays
+    classifier : sklearn.neural_network.MLPClassifier or None
+        None where all points are of one part.
+    n_parts : int
+    only : int
+        That part.
+    """
+
+    mean: np.ndarray
+    deviation: np.ndarray
+    classifier: object
+    n_parts: int
+    only: int = 0
+
+    def __post_init__(self):
+        """Raise ValueError unless the arrays fit together, so that no broken file fails later, far from its name."""
+        if self.mean.ndim != 1 or self.mean.shape != self.deviation.shape:
+            raise ValueError("a standardisation that does not fit together")
+        if self.classifier is None:
+            if not 0 <= self.only < self.n_parts:
+                raise ValueError("a part that is none")
+            return
+        width = len(self.mean)
+        for w, b in zip(self.classifier.coefs_, self.classifier.intercepts_, strict=True):
+            if w.ndim != 2 or w.shape[0] != width or b.shape != w.shape[1:]:
+                raise ValueError("layers that do not fit together")
+            width = w.shape[1]
+        classes = np.asarray(self.classifier.classes_)
+        outputs = width if width > 1 else 2
+        if classes.dtype.kind not in "iu" or classes.shape != (outputs,) or classes.min() < 0 or classes.max() >= self.n_parts:
+            raise ValueError("classes that do not fit the parts")
+
+    def predict_proba(self, X):
+        """(k, n_parts) probabilities of (k, d) float32 descriptions, which are overwritten."""
+        proba = np.zeros((len(X), self.n_parts))
+        if self.classifier is None:
+            proba[:, self.only] = 1.0
+            return proba
+        X -= self.mean
+        X /= self.deviation
+        proba[:, self.classifier.classes_] = self.classifier.predict_proba(X)
+        return proba
+
+    def arrays(self, prefix):
+        """The stage as named arrays; :meth:`from_arrays` reads them back."""
+        out = {f"{prefix}_mean": self.mean, f"{prefix}_deviation": self.deviation, f"{prefix}_only": np.array(self.only)}
+        if self.classifier is not None:
+            out[f"{prefix}_classes"] = self.classifier.classes_
+            for k, (w, b) in enumerate(zip(self.classifier.coefs_, self.classifier.intercepts_, strict=True)):
+                out[f"{prefix}_coefs_{k}"], out[f"{prefix}_intercepts_{k}"] = w, b
+        return out
+
+    @classmethod
+    def from_arrays(cls, arrays, prefix, n_parts):
+        """A stage from what :meth:`arrays` gave."""
+        from sklearn.neural_network import MLPClassifier
+
+        classifier = None
+        n_layers = sum(k.startswith(f"{prefix}_coefs_") for k in arrays)
+        if n_layers:
+            coefs = [arrays[f"{prefix}_coefs_{k}"] for k in range(n_layers)]
+            classifier = MLPClassifier(tuple(w.shape[1] for w in coefs[:-1]))
+            classifier.coefs_ = coefs
+            classifier.intercepts_ = [arrays[f"{prefix}_intercepts_{k}"] for k in range(n_layers)]
+            classifier.classes_ = arrays[f"{prefix}_classes"]
+            classifier.n_features_in_ = coefs[0].shape[0]
+            classifier.n_layers_ = n_layers + 1
+            classifier.n_outputs_ = coefs[-1].shape[1]
+            classifier.out_activation_ = "softmax" if len(classifier.classes_) > 2 else "logistic"
+        return cls(arrays[f"{prefix}_mean"], arrays[f"{prefix}_deviation"], classifier, n_parts, int(arrays[f"{prefix}_only"]))
+
+
+def train_stage(X, y, n_parts, training, random_state, name, progress):
+    """Train one stage: epochs of Adam in chunks, and the mean of the weights over the later ones, which generalises better.
+
+    Parameters
+    ----------
+    X : (k, d) float32 array
+        Overwritten.
+    y : (k,) int array
+    n_parts : int
+    training : Training
+    random_state : int or None
+    name : str
+        Names the random streams.
+    progress : callable
+        Called with the share done.
+
+    Returns
+    -------
+    Stage
+    """
+    from sklearn.neural_network import MLPClassifier
+    from threadpoolctl import threadpool_limits
+
+    mean = X.mean(axis=0, dtype=float).astype(np.float32)
+    deviation = X.std(axis=0, dtype=float).astype(np.float32) + np.float32(1e-6)
+    classes = np.unique(y)
+    if len(classes) == 1:
+        return Stage(mean, deviation, None, n_parts, int(classes[0]))
+    X -= mean
+    X /= deviation
+    classifier = MLPClassifier(
+        training.hidden,
+        batch_size=max(1, min(1024, len(X) // _CHUNKS)),
+        learning_rate_init=training.learning_rate,
+        random_state=integer_seed(random_state, name),
+    )
+    rng = generator(random_state, name, "order")
+    averaged, count = None, 0
+    with threadpool_limits(1):  # the result must not depend on the number of threads, and a second one gains little
+        for epoch in range(training.epochs):
+            for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
+                classifier.partial_fit(X[rows], y[rows], classes=classes)
+                progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
+                if epoch >= training.average_from:
+                    count += 1
+                    now = classifier.coefs_ + classifier.intercepts_
+                    if averaged is None:
+                        averaged = [w.copy() for w in now]
+                    else:
+                        averaged = [a + (w - a) / count for a, w in zip(averaged, now, strict=True)]
+    n = len(classifier.coefs_)
+    classifier.coefs_, classifier.intercepts_ = averaged[:n], averaged[n:]
+    return Stage(mean, deviation, classifier, n_parts)
