@@ -40,7 +40,17 @@ class FileError(InputError):
 
 
 class MissingExtraError(LbsfitError, ImportError):
-    """An optional dependency that is not installed; names the extra that brings it."""
+    """An optional dependency that is not installed; names the extra that brings it.
+
+    Parameters
+    ----------
+    module : str
+        What is missing.
+    extra : str
+        The extra of setup.cfg that brings it.
+    what : str
+        What needs it, at the start of the message.
+    """
 
     def __init__(self, module, extra, what):
         self.module, self.extra, self.what = module, extra, what

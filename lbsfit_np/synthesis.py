@@ -21,7 +21,7 @@ class Synthesis:
     Attributes
     ----------
     n_points : int
-        Points a scan.
+        Points a scan; fewer where holes took many.
     shape : float
         Standard deviation of the relative change of each bone's length and thickness (cut at two deviations).
     noise : float
@@ -190,11 +190,20 @@ def training_poses(rig, n, rng, *, correlated=0.5):
 
     Independent angles almost never make a fist or a flat hand. In a share ``correlated`` of the poses the angles of a chain,
     and chains among themselves, rise and fall together (a Gaussian copula with random strengths), which keeps every
-    angle's own distribution Unif(R_l, R_u).
+    angle's own distribution Unif(R_l, R_u). The root's angles are always independent.
+
+    Parameters
+    ----------
+    rig : Rig
+    n : int
+    rng : numpy.random.Generator
+    correlated : float, default 0.5
+        Probability that a pose is a correlated one.
 
     Returns
     -------
     (n, J, 3) array
+        Radians.
     """
     from scipy.special import ndtr
 

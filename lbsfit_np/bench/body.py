@@ -10,7 +10,7 @@ from ..seeds import generator
 from ..synthesis import Synthesis, synthesize_one
 from .retarget import bvh_thetas
 
-__all__ = ["body_rig", "body_scans"]
+__all__ = ["SHAPES", "body_rig", "body_scans"]
 
 # Lengths in half sizes of the rig: noise of 2.5 mm and a hole of up to 15 cm on a body of 1.6 m.
 SCAN = Synthesis(n_points=5000, noise=0.003, holes=1, hole_radius=0.18, density=0.5)
@@ -26,7 +26,8 @@ def body_rig(data, shape="female_avg"):
 def body_scans(rig, data, n=20, *, seed):
     """``n`` scans of the two other shapes with their truth, in poses drawn from the motion, facing the rig's way.
 
-    The clip starts with a calibration pose in frame 0, which is left out; the root's turn about the up axis is removed.
+    Scan i is of shape ``SHAPES[i % 2]``; its pose is given in the frames of ``rig``, to go with its template. The clip starts
+    with a calibration pose in frame 0, which is left out; the root's turn about the up axis is removed.
     """
     motion = read_bvh(Path(data) / "motion" / "01_01.bvh")
     subjects = [body_rig(data, shape) for shape in SHAPES]
@@ -36,5 +37,6 @@ def body_scans(rig, data, n=20, *, seed):
     for i, frame in enumerate(frames):
         other = subjects[i % len(subjects)]
         pose = bvh_thetas(other, motion, [int(frame)], face_forward=True)[0]
+        pose = np.einsum("jba,jbc,jc->ja", rig.frames, other.frames, pose)  # the same turns, about the rig's own axes
         scans.append(synthesize_one(rig, pose, (other.vertices, other.joints), SCAN, generator(seed, "body", i)))
     return scans

@@ -12,7 +12,7 @@ from .parsing import Parser, formatter
 __all__ = ["main"]
 
 # Modules of this package; each has add_parser(commands), which sets ``run``. Heavy imports wait until a command runs.
-_COMMANDS = ("fit", "demo", "rig")
+_COMMANDS = ("fit", "demo", "rig", "bench")
 
 _EPILOG = """\
 examples:

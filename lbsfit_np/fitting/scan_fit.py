@@ -8,20 +8,14 @@ import numpy as np
 from ..errors import InputError
 from ..losses.chamfer import chamfer
 from ..losses.objective import PRESETS, LossWeights
-from ..optimize.lbfgs import minimise
 from ..optimize.problem import Problem
 from ..seeds import generator
-from ..starts.parts import start_from_parts
 from ..starts.scale import reference_scale
-from .labels import labels_from_mesh, refined_labels
+from .labels import labels_from_mesh
 from .result import FitResult
+from .search import Search
 
 __all__ = ["FitSettings", "fit_points"]
-
-# Pose stages look for the pose alone: the structured term leads, and the undeformed template's own term is not needed
-# before there are offsets.
-_STRUCTURED = LossWeights(chamfer=0.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
-_BOTH = LossWeights(chamfer=1.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
 
 
 @dataclass(frozen=True)
@@ -41,6 +35,8 @@ class FitSettings:
         σ of each refinement of the labels, each followed by a pose stage.
     ridge : float
         Weight of ‖c‖² on the bones' proportions.
+    finalists : int
+        Hypotheses that are refined after scouting.
     doubt : float
         Points whose label is less probable than this take no part in the structured term while labels are refined.
     """
@@ -51,7 +47,8 @@ class FitSettings:
     pose_iterations: int = 40
     full_iterations: int = 60
     refinements: tuple = (0.15, 0.1, 0.07, 0.05, 0.035, 0.025)
-    ridge: float = 1e-4
+    ridge: float = 1e-3
+    finalists: int = 2
     doubt: float = 0.8
 
 
@@ -99,84 +96,23 @@ def _fit(model, points, segmenter, settings, theta0, labels, point_weights, rand
     else:
         proba = np.eye(n_parts)[labels[rows]]
 
-    search = _Search(model, problem, proba, labels is not None, settings)
-    search.start(theta0)
-    search.refine()
-    last = search.full()
+    search = Search(model, problem, proba, labels is not None, settings).run(theta0)
+    last = search.outcome
 
     state, place = last.state, (unit, centre)
     Vd, _ = model.pose(state)
     vertices = Vd.vertices * unit + centre
     evaluation = problem.evaluate(model, state, settings.weights, search.labels)
-    terms = dict(evaluation.terms, total=evaluation.value, recon=float(np.sqrt(chamfer(X, Vd.vertices, x_index=problem.x_index)[0])))
+    recon = float(np.sqrt(chamfer(X, Vd.vertices, x_index=problem.x_index)[0]))
+    terms = dict(evaluation.terms, total=evaluation.value, recon=recon)
     if labels is None:
         final, confidence = labels_from_mesh(
-            points, vertices, model.labels, n_parts, settings.refinements[-1] * unit, proba=proba, proba_points=points[rows]
+            points, vertices, model.labels, n_parts, settings.refinements[-1] * unit, proba=search.proba, proba_points=points[rows]
         )
     else:
         final, confidence = labels.copy(), np.ones(len(points))
     finite = bool(np.isfinite(vertices).all() and np.isfinite(evaluation.value))
     return _result(model, state, place, terms, final, confidence, last, search.evaluations, reference.note, finite, started)
-
-
-class _Search:
-    """The stages of one fit, with the state, labels and count of evaluations that they pass on."""
-
-    def __init__(self, model, problem, proba, labels_known, settings):
-        self.model, self.problem, self.proba, self.settings = model, problem, proba, settings
-        self.labels_known = labels_known
-        self.labels = proba.argmax(axis=1)
-        self.free = ("pose", "translation") if settings.scale == "fixed" else ("pose", "translation", "scale")
-        self.state = None
-        self.evaluations = 0
-
-    def start(self, theta0):
-        """Several starts, each brought to its pose by the structured term; the one with the lowest Chamfer distance goes on."""
-        model, X = self.model.coarse, self.problem.X
-        if theta0 is not None:
-            given = self.model.rest().replace(theta=np.array(theta0, dtype=float))
-            starts = [start_from_parts(model, X, self.proba, state=given, free=("translation",))]
-        else:
-            starts = [start_from_parts(model, X, self.proba, x_weights=self.problem.x_weights)]
-        best = np.inf
-        for start in starts:
-            self.evaluations += start.evaluations
-            outcome = self._minimise(start.state, _STRUCTURED, ("pose", "translation"), model)
-            Vd, _ = model.pose(outcome.state)
-            score = chamfer(X, Vd.vertices, x_weights=self.problem.x_weights, x_index=self.problem.x_index)[0]
-            if score < best:
-                best, self.state = score, outcome.state
-
-    def refine(self):
-        """Labels by probability and distance in turn with poses and proportions, ever closer."""
-        for sigma in self.settings.refinements:
-            self._relabel(sigma)
-            self.state = self._minimise(self.state, _BOTH, (*self.free, "proportions"), self.model.coarse).state
-
-    def full(self):
-        """The full objective over everything together."""
-        self._relabel(self.settings.refinements[-1])
-        free = (*self.free, "proportions", "residual")
-        return self._minimise(
-            self.state, self.settings.weights, free, self.model, max_iterations=self.settings.full_iterations, tolerance=1e-6
-        )
-
-    def _relabel(self, sigma):
-        if not self.labels_known:
-            Vd, _ = self.model.coarse.pose(self.state)
-            self.labels = refined_labels(self.problem.X, self.proba, Vd.vertices, self.model.coarse.labels, sigma, doubt=self.settings.doubt)
-
-    def _minimise(self, state, weights, free, model, *, max_iterations=None, tolerance=1e-5):
-        outcome = minimise(
-            lambda s: self.problem.evaluate(model, s, weights, self.labels, ridge=self.settings.ridge),
-            state,
-            model.rig,
-            free,
-            max_iterations=max_iterations or self.settings.pose_iterations,
-            tolerance=tolerance,
-        )
-        self.evaluations += outcome.evaluations
-        return outcome
 
 
 def _thinned(n, point_weights, most, rng):

@@ -73,7 +73,10 @@ class LBSFitter(BaseEstimator):
         self.random_state = random_state
 
     def pretrain(self, *, cache=False, progress=None):
-        """Train the segmenter s on uniform poses of the template (step 1 of Algorithm 1).
+        """Train the segmenter s on synthetic scans of the rig (step 1 of Algorithm 1).
+
+        Poses are uniform within the limits, in half of the scans correlated between joints (``synthesis.training_poses``);
+        shapes and scans vary as ``training`` says.
 
         Parameters
         ----------

@@ -9,7 +9,7 @@ __all__ = ["chamfer", "one_sided_terms"]
 
 
 def chamfer(X, V, *, x_weights=None, x_index=None):
-    """L_c(X, V) = 1/n Σ_i ‖x_i − N_V(x_i)‖² + 1/m Σ_j ‖v_j − N_X(v_j)‖²  (eq. 4 of the paper).
+    """L_c(X, V) = 1/n Σ_i ‖x_i − N_V(x_i)‖² + 1/m Σ_j ‖v_j − N_X(v_j)‖²  (eq. 3 of the paper).
 
     Parameters
     ----------

@@ -10,7 +10,7 @@ __all__ = ["composite_chamfer", "composite_structured_chamfer"]
 
 
 def composite_chamfer(X, Vd, V, *, lam=0.5, x_weights=None, x_index=None):
-    """L_{c²,λ} = L_c(X, V^d) + λ L_c(X, V)  (eq. 5 of the paper).
+    """L_{c²,λ} = L_c(X, V^d) + λ L_c(X, V)  (eq. 4 of the paper).
 
     The second term keeps the pose honest: without it the offsets explain everything and Θ goes to 0.
 
@@ -34,7 +34,7 @@ def composite_chamfer(X, Vd, V, *, lam=0.5, x_weights=None, x_index=None):
 
 
 def composite_structured_chamfer(X, Vd, V, x_labels, v_labels, *, lam=0.5, x_weights=None, x_index=None):
-    """L_{s²,λ} = L_s(X, V^d) + λ L_s(X, V)  (eq. 8 of the paper); arguments as in the two functions that it joins."""
+    """L_{s²,λ} = L_s(X, V^d) + λ L_s(X, V)  (eq. 6 of the paper); arguments as in the two functions that it joins."""
     return _composite(structured_chamfer, X, Vd, V, lam, (x_labels, v_labels), x_weights, x_index)
 
 

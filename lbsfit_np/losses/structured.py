@@ -8,7 +8,7 @@ __all__ = ["structured_chamfer"]
 
 
 def structured_chamfer(X, V, x_labels, v_labels, *, x_weights=None, x_index=None):
-    """L_s(X, V) = 1/n Σ_i ‖x_i − N_{V^s(x_i)}(x_i)‖² + 1/m Σ_j ‖v_j − N_{X^s(v_j)}(v_j)‖²  (eq. 7 of the paper).
+    """L_s(X, V) = 1/n Σ_i ‖x_i − N_{V^s(x_i)}(x_i)‖² + 1/m Σ_j ‖v_j − N_{X^s(v_j)}(v_j)‖²  (eq. 5 of the paper).
 
     Points of a part that is empty on the other side contribute 0; the divisors stay n and m.
 

@@ -1,0 +1,117 @@
+"""The variant shown beside the fits: plain Chamfer from the rest pose on the scan's centroid. No labels, no segmenter."""
+
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ..fitting.labels import labels_from_mesh
+from ..fitting.result import FitResult
+from ..fitting.scan_fit import FitSettings
+from ..losses.chamfer import chamfer
+from ..losses.objective import LossWeights
+from ..optimize.lbfgs import minimise
+from ..optimize.model import Model
+from ..optimize.problem import Problem
+from ..starts.scale import reference_scale
+
+__all__ = ["PlainChamfer"]
+
+_PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
+# Votes of the mesh for the points' labels, in half sizes; it is the fit alone that labels them.
+_SIGMA = 0.025
+
+
+@dataclass(frozen=True)
+class PlainChamfer:
+    """Fits scans by L_c alone, with the model, optimiser and objective that the fit proper has.
+
+    First the pose, translation and scale by L_c(X, V) from the rest pose, the template's mean vertex on the scan's centroid;
+    then the full objective without its structured term, over pose, translation, scale and offsets together.
+
+    Attributes
+    ----------
+    rig : Rig
+    settings : FitSettings
+        Its weights, scale mode, ridge and limit of points count here; the iterations are this variant's own.
+    pose_iterations, full_iterations : int
+        Enough to converge in: most fits end before.
+    """
+
+    rig: object
+    settings: FitSettings = field(default_factory=FitSettings)
+    pose_iterations: int = 250
+    full_iterations: int = 100
+
+    def fit_scan(self, scan):
+        """Fit one scan: anything with ``points`` (n, 3). At most ``settings.max_points`` of them, evenly spread rows, take part.
+
+        Returns
+        -------
+        FitResult
+            Labels are those of the nearest fitted vertices.
+        """
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1):
+            return self._fit(np.asarray(scan.points, dtype=float), time.perf_counter())
+
+    @cached_property
+    def _model(self):
+        return Model(self.rig)
+
+    def _fit(self, points, started):
+        settings, model = self.settings, self._model
+        rows = np.linspace(0, len(points) - 1, min(settings.max_points, len(points))).astype(int)
+        unit = reference_scale(points[rows], self.rig, settings.scale).scale * model.half
+        centre = points[rows].mean(axis=0)
+        problem = Problem((points[rows] - centre) / unit)
+        free = ("pose", "translation") if settings.scale == "fixed" else ("pose", "translation", "scale")
+
+        start = model.rest()
+        V, _ = model.pose(start)
+        start = start.replace(translation=-V.vertices.mean(axis=0))
+        first = self._minimise(problem, model.coarse, start, _PLAIN, free, self.pose_iterations)
+        weights = settings.weights.replace(lam_s=0.0)
+        free = (*free, "proportions", "residual")
+        last = self._minimise(problem, model, first.state, weights, free, self.full_iterations)
+        return self._result(model, problem, points, last, (unit, centre), weights, first.evaluations + last.evaluations, started)
+
+    def _minimise(self, problem, model, state, weights, free, iterations):
+        return minimise(
+            lambda s: problem.evaluate(model, s, weights, ridge=self.settings.ridge),
+            state,
+            model.rig,
+            free,
+            max_iterations=iterations,
+            tolerance=1e-6,
+        )
+
+    def _result(self, model, problem, points, last, place, weights, evaluations, started):
+        (unit, centre), state, rig = place, last.state, self.rig
+        scale, translation = float(state.scale * unit / model.half), state.translation * unit + centre
+        offsets = model.offsets(state)
+        offsets = np.zeros_like(rig.vertices) if offsets is None else offsets[rig.weld] * model.half
+        vertices = rig.pose(state.theta, translation, scale, offsets)
+        labels, confidence = labels_from_mesh(points, vertices, rig.vertex_labels, len(rig.parts), _SIGMA * unit)
+        evaluation = problem.evaluate(model, state, weights, ridge=self.settings.ridge)
+        Vd, _ = model.pose(state)
+        return FitResult(
+            pose=state.theta.copy(),
+            translation=translation,
+            scale=scale,
+            offsets=offsets,
+            vertices=vertices,
+            joints=rig.pose_joints(state.theta, translation, scale, offsets),
+            labels=labels,
+            confidence=confidence,
+            terms=dict(evaluation.terms, total=evaluation.value, recon=float(np.sqrt(chamfer(problem.X, Vd.vertices)[0]))),
+            converged=last.converged,
+            status="ok" if np.isfinite(vertices).all() else "failed",
+            message=last.message,
+            evaluations=evaluations,
+            seconds=time.perf_counter() - started,
+            parts=rig.parts,
+            rig_digest=rig.digest,
+        )

@@ -1,0 +1,42 @@
+"""Where figures come from: versions, the machine, and the commit of the code."""
+
+import os
+import platform
+import subprocess
+from pathlib import Path
+
+__all__ = ["environment"]
+
+
+def environment():
+    """A dict of versions, the platform, the number of CPUs that may be used, and the commit (None outside a checkout)."""
+    from importlib.metadata import version
+
+    from .. import __version__
+
+    libraries = ("numpy", "scipy", "scikit-learn")
+    affinity = getattr(os, "sched_getaffinity", None)
+    return {
+        "lbsfit_np": __version__,
+        **{name: version(name) for name in libraries},
+        "python": platform.python_version(),
+        "platform": f"{platform.system()} {platform.machine()}",
+        "cpus": len(affinity(0)) if affinity else os.cpu_count(),
+        "commit": _commit(),
+    }
+
+
+def _commit():
+    """The commit that this file belongs to, with "+changes" where the checkout differs from it."""
+    here = Path(__file__).resolve()
+
+    def git(*arguments):
+        done = subprocess.run(["git", "-C", str(here.parent), *arguments], capture_output=True, text=True, timeout=10, check=True)
+        return done.stdout.strip()
+
+    try:
+        git("ls-files", "--error-unmatch", here.name)  # an installed package may stand within somebody else's repository
+        package = str(here.parents[1])
+        return git("rev-parse", "HEAD") + ("+changes" if git("status", "--porcelain", "--", package) else "")
+    except (OSError, subprocess.SubprocessError):
+        return None

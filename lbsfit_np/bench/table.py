@@ -1,0 +1,81 @@
+"""A benchmark's report as a table, plain or in Markdown."""
+
+from .run import ROWS
+
+__all__ = ["table"]
+
+# Heading, measure, average, and format of each column.
+_COLUMNS = (
+    ("joints", "joint_error", "mean", "length"),
+    ("(median)", "joint_error", "median", "length"),
+    ("vertices", "vertex_error", "mean", "length"),
+    ("segmenter", "segmenter_labels", "mean", ".3f"),
+    ("labels", "labels", "mean", ".3f"),
+    ("recon", "recon", "mean", "length"),
+    ("at truth", "recon_truth", "mean", "length"),
+    ("s a scan", "seconds", "mean", ".2f"),
+    ("evaluations", "evaluations", "mean", ".0f"),
+    ("failed", "failed", None, "d"),
+)
+
+
+def table(report, *, markdown=False):
+    """The figures of a report in rows: each way of fitting by seed, and over the seeds.
+
+    Parameters
+    ----------
+    report : dict
+        Of :func:`lbsfit_np.bench.run.run_bench`, complete or not.
+    markdown : bool, default False
+
+    Returns
+    -------
+    str
+    """
+    rows = [("fit", "seed", *(heading for heading, *_ in _COLUMNS))]
+    for row, content in report["rows"].items():
+        for seed, entry in content["seeds"].items():
+            rows.append((ROWS[row], seed, *_cells(entry, report["unit"])))
+        if len(content["seeds"]) > 1:
+            rows.append((ROWS[row], "all", *_cells(content["over_seeds"], report["unit"])))
+    text = _markdown(rows) if markdown else _plain(rows)
+    return f"{text}\n\n{_legend(report)}"
+
+
+def _cells(entry, unit):
+    for _, measure, average, style in _COLUMNS:
+        value = entry[measure] if average is None else entry[average].get(measure)
+        if style == "length":
+            style = ".2f" if unit == "cm" else ".4f"
+        yield "–" if value is None else format(value, style)
+
+
+def _legend(report):
+    unit = "cm" if report["unit"] == "cm" else "half sizes of the rig ([−1, 1]³)"
+    env = report["environment"]
+    of_seeds = "; all: the median over the seeds" if len(report["seeds"]) > 1 else ""
+    aims = {name: f"{'≥' if name == 'labels' else '≤'} {aim:g}" for name, aim in report["aims"].items()}
+    return "\n".join(
+        (
+            f"{report['scans_a_seed']} scans a seed, means over them{of_seeds}. Lengths in {unit}.",
+            f"To reach with the own segmenter: {', '.join(f'{name} {aim}' for name, aim in aims.items())}.",
+            f"Segmenter trained on {report['settings']['fitter']['training_scans']} synthetic scans; "
+            f"lbsfit_np {env['lbsfit_np']}, numpy {env['numpy']}, scipy {env['scipy']}, scikit-learn {env['scikit-learn']}, "
+            f"Python {env['python']}, {env['cpus']} CPUs, jobs {report['settings']['jobs']}.",
+        )
+    )
+
+
+def _plain(rows):
+    widths = [max(len(row[c]) for row in rows) for c in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [row[0].ljust(widths[0]), *(cell.rjust(width) for cell, width in zip(row[1:], widths[1:]))]
+        lines.append("  ".join(cells))
+    return "\n".join(lines)
+
+
+def _markdown(rows):
+    lines = ["| " + " | ".join(row) + " |" for row in rows]
+    lines.insert(1, "|---|" + "---:|" * (len(rows[0]) - 1))
+    return "\n".join(lines)

@@ -1,0 +1,196 @@
+"""``lbsfit bench``: the figures of the documentation, measured again on real rigs."""
+
+import argparse
+import sys
+from pathlib import Path
+
+from ..errors import InputError
+from .fit import OPTIONS
+from .outputs import check_outputs, make_folder
+from .parsing import Option, add_options, formatter, natural, positive, settings
+from .progress import Progress, say
+
+__all__ = ["add_parser"]
+
+RESULTS = "results.json"
+ROW_NAMES = ("own", "plain", "oracle")
+
+_HELP = {
+    "hand": "an artist's hand: changed shapes in uniform and in natural poses",
+    "body": "a body: two other people in poses from motion capture",
+}
+
+_DESCRIPTION = {
+    "hand": """\
+Fit the hand of DIR/webxr_hand to synthetic scans of changed shapes, half in uniform poses and half near the natural ones of
+DIR/hand_poses, and compare the fits with the truth. Lengths in half sizes of the rig.
+""",
+    "body": """\
+Fit one body of DIR/mpfb2_body to synthetic scans of its two other shapes in poses from DIR/motion, and compare the fits with
+the truth. Lengths in cm.
+""",
+}
+
+_MORE = """
+Three rows: the fit as users get it (own); plain Chamfer from the rest pose (plain); and the fit with the true labels given
+(oracle). OUT gets results.json (every figure, settings, versions), after each row anew, and for each seed a picture of own
+fits from the worst to the best.
+"""
+
+_EPILOG = """\
+example:
+  lbsfit bench {name} --data rigs -o bench-{name} --jobs 2
+
+Exit code: 0 all fitted, 1 some scans failed (named with reasons), 2 usage or unreadable data, 130 stopped by Ctrl-C.
+"""
+
+
+def add_parser(commands):
+    """Add ``lbsfit bench`` and its benchmarks to the subparsers ``commands``."""
+    parser = commands.add_parser("bench", help="measure the documented figures again", formatter_class=formatter)
+    parser.description = "Benchmarks on real rigs, which do not come with the package."
+    benches = parser.add_subparsers(metavar="BENCHMARK", required=True, title="benchmarks")
+    for name, n_scans in (("hand", 40), ("body", 20)):
+        bench = benches.add_parser(
+            name,
+            help=_HELP[name],
+            description=_DESCRIPTION[name] + _MORE,
+            epilog=_EPILOG.format(name=name),
+            formatter_class=formatter,
+        )
+        options = _options(n_scans)
+        add_options(bench, options)
+        bench.set_defaults(run=lambda arguments, name=name, options=options: _run(name, settings(arguments, options)))
+
+
+def _options(n_scans):
+    return (
+        Option("data", "the folder of real rigs, poses and motion", metavar="DIR"),
+        Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o"),
+        Option("scans", "scans a seed", positive, n_scans, metavar="N"),
+        Option("seeds", "seeds of the test's scans, with commas; training has its own", _seeds, "100,101,102", metavar="N,N"),
+        Option("rows", "which ways of fitting, with commas: own, plain, oracle", _rows, ",".join(ROW_NAMES), metavar="NAME,…"),
+        *(o for o in OPTIONS if o.name in ("training-scans", "jobs")),
+        Option("pictures", "fits to show of each seed, from the worst to the best", natural, 3, metavar="K"),
+        Option("markdown", "print the table as Markdown", bool, False),
+        Option("existing", "what to do where results exist already", default="error", choices=("error", "replace")),
+    )
+
+
+def _seeds(text):
+    """The text itself, once it is known to be different whole numbers with commas between them."""
+    parts = text.split(",")
+    if not all(part.strip().isdecimal() for part in parts) or len({int(part) for part in parts}) < len(parts):
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected different whole numbers with commas, such as 100,101,102")
+    return text
+
+
+def _rows(text):
+    """The text itself, once it is known to be different names of rows with commas between them."""
+    names = text.split(",")
+    if not set(names) <= set(ROW_NAMES) or len(set(names)) < len(names):
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected some of {', '.join(ROW_NAMES)}, with commas")
+    return text
+
+
+def _run(name, values):
+    from ..bench.run import BENCHES, run_bench
+    from ..io.write import write_json
+
+    for key, option, example in (("data", "--data", "--data DIR"), ("output", "-o/--output", "-o OUT")):
+        if values[key] is None:
+            raise InputError(option, "nothing", "a folder", f"Add {example}.")
+    bench = BENCHES[name]
+    bench.check_data(values["data"])
+    seeds = [int(s) for s in values["seeds"].split(",")]
+    out = Path(values["output"])
+    results = out / RESULTS
+    pictures = {seed: out / f"seed-{seed}.png" for seed in seeds} if values["pictures"] and "own" in values["rows"] else {}
+    check_outputs([results, *pictures.values()], out, inputs=[], existing=values["existing"])
+    make_folder(out)
+    progress = _BenchProgress()
+
+    def on_row(report, row, seed):
+        write_json(results, report)
+        progress.row(report, row, seed)
+
+    try:
+        report, fits = run_bench(
+            bench,
+            values["data"],
+            seeds=seeds,
+            n_scans=values["scans"],
+            training_scans=values["training_scans"],
+            jobs=values["jobs"],
+            rows=values["rows"].split(","),
+            training_progress=progress.training,
+            on_scan=progress.one_scan,
+            on_row=on_row,
+        )
+    finally:
+        progress.close()
+    if pictures:
+        report["pictures"] = _draw(bench, values, fits, pictures)
+    write_json(results, report)
+    return _farewell(report, values, out)
+
+
+def _draw(bench, values, fits, paths):
+    """Draw a picture a seed; returns file → the scans that it shows, from top to bottom."""
+    from ..bench.pictures import picture, shown
+    from ..report.render import write_png
+
+    rig = bench.load()[0](values["data"])
+    drawn = {}
+    for seed, path in paths.items():
+        rows = shown(fits[seed], values["pictures"])
+        if rows:
+            write_png(path, picture(rig, fits[seed], rows))
+            drawn[path.name] = rows
+    return drawn
+
+
+def _farewell(report, values, out):
+    from ..bench.table import table
+
+    say("")
+    say(table(report, markdown=values["markdown"]))
+    say(f"\nresults in {out}")
+    failures = [
+        (row, seed, scan)
+        for row, content in report["rows"].items()
+        for seed, entry in content["seeds"].items()
+        for scan in entry["scans"]
+        if "failed" in scan
+    ]
+    for row, seed, scan in failures:
+        say(f"failed: {row}, seed {seed}, scan {scan['scan']}: {scan['failed']}")
+    return 1 if failures else 0
+
+
+class _BenchProgress(Progress):
+    """Training as in every command; then a bar a row on a terminal, and a line when it is done."""
+
+    def __init__(self):
+        super().__init__(0)
+
+    def one_scan(self, row, seed, done, total):
+        """``done`` of the ``total`` scans of a row are fitted."""
+        if not self.terminal:
+            return
+        if self._bar is None:
+            from tqdm import tqdm
+
+            from ..bench.run import ROWS
+
+            self._bar = tqdm(total=total, desc=f"seed {seed}, {ROWS[row]}", unit="scan", leave=False, file=sys.stderr)
+        self._bar.update(done - self._bar.n)
+
+    def row(self, report, row, seed):
+        """A row of a seed is complete."""
+        self.close()
+        content = report["rows"][row]
+        entry = content["seeds"][str(seed)]
+        error = entry["mean"].get("joint_error")
+        words = "all failed" if error is None else f"mean joint error {error:.4g} {report['unit']}"
+        self.line(f"seed {seed}, {content['what']}: {len(entry['scans'])} scans in {entry['wall_seconds']:.0f} s, {words}")

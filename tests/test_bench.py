@@ -1,0 +1,344 @@
+"""The benchmarks: subjects and scans with consistent truth, measures, the plain baseline, and the command."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.bench import baseline as baseline_module
+from lbsfit_np.bench.baseline import PlainChamfer
+from lbsfit_np.bench.body import SHAPES, body_rig, body_scans
+from lbsfit_np.bench.hand import hand_rig, hand_scans, natural_poses
+from lbsfit_np.bench.measure import joint_error, label_accuracy, recon, vertex_error
+from lbsfit_np.bench.pictures import shown
+from lbsfit_np.bench.retarget import bvh_thetas
+from lbsfit_np.bench.run import BENCHES, MEASURES, ROWS, run_bench
+from lbsfit_np.bench.subjects import subject
+from lbsfit_np.bench.table import table
+from lbsfit_np.cli import main
+from lbsfit_np.cli.bench import ROW_NAMES
+from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.io.bvh import read_bvh
+from lbsfit_np.rig.chains import chains
+from lbsfit_np.synthesis import Synthesis, synthesize_nth, training_poses
+
+QUICK = ("--scans", "2", "--seeds", "7", "--training-scans", "60")
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory):
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(cache, monkeypatch):
+    monkeypatch.setenv("LBSFIT_CACHE", str(cache))
+
+
+@pytest.fixture
+def run(capsys):
+    """Run the program in this process; returns its exit code, output and errors."""
+
+    def run(*arguments):
+        capsys.readouterr()
+        code = main(["bench", *map(str, arguments)])
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def hand(shared_rigs):
+    return hand_rig(shared_rigs)
+
+
+@pytest.fixture(scope="module")
+def body(shared_rigs):
+    return body_rig(shared_rigs)
+
+
+@pytest.fixture(scope="module")
+def ran(shared_rigs, cache, tmp_path_factory):
+    """A folder with the results of a tiny run of the hand, its exit code and the report."""
+    out = tmp_path_factory.mktemp("ran") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LBSFIT_CACHE", str(cache))
+        code = main(["bench", "hand", "--data", str(shared_rigs), "-o", str(out), "--pictures", "2", *QUICK])
+    return out, code, json.loads((out / "results.json").read_text(encoding="utf-8"))
+
+
+# ---- subjects ----
+
+
+def bone_ratios(rig, joints):
+    child = np.flatnonzero(rig.parents >= 0)
+    before = np.linalg.norm(rig.joints[child] - rig.joints[rig.parents[child]], axis=1)
+    after = np.linalg.norm(joints[child] - joints[rig.parents[child]], axis=1)
+    return child[before > 0], (after / np.maximum(before, 1e-300))[before > 0]
+
+
+@pytest.mark.parametrize("which", ["tube_rig", "hand"])
+def test_subjects_are_changed_shapes_with_the_joints_that_go_with_them(which, request):
+    rig = request.getfixturevalue(which)
+    for seed in range(3):
+        U, J = subject(rig, np.random.default_rng(seed))
+        moved = np.linalg.norm(U - rig.vertices, axis=1) / rig.size
+        assert 0.005 < moved.mean() and moved.max() < 0.2
+        child, ratio = bone_ratios(rig, J)
+        assert np.abs(ratio - 1).max() <= 0.12 + 1e-9 and np.ptp(ratio) > 0.01
+        chain = chains(rig)
+        for c in np.unique(chain[child]):  # one length a chain
+            np.testing.assert_allclose(ratio[chain[child] == c], ratio[chain[child] == c][0], atol=1e-9)
+        # the joints stay within the skin: about where the regressor puts them
+        followed = rig.joints + rig.regressor @ (U - rig.vertices)
+        assert np.linalg.norm(followed - J, axis=1)[rig.moving].mean() < 0.03 * rig.size
+
+
+def test_a_subject_without_changes_is_the_rig(tube_rig):
+    U, J = subject(tube_rig, np.random.default_rng(0), amount=0.0, thickness=0.0)
+    np.testing.assert_allclose(U, tube_rig.vertices, atol=1e-12)
+    np.testing.assert_allclose(J, tube_rig.joints, atol=1e-12)
+
+
+def test_thickness_alone_leaves_the_joints(tube_rig):
+    U, J = subject(tube_rig, np.random.default_rng(0), amount=0.0)
+    np.testing.assert_allclose(J, tube_rig.joints, atol=1e-12)
+    assert np.abs(U - tube_rig.vertices).max() > 0.001
+
+
+# ---- the sets ----
+
+
+def test_hand_scans_are_as_defined_and_the_same_each_time(hand, shared_rigs):
+    scans, again = hand_scans(hand, shared_rigs, 4, seed=7), hand_scans(hand, shared_rigs, 2, seed=7)
+    for a, b in zip(scans, again):
+        np.testing.assert_array_equal(a.points, b.points)
+        np.testing.assert_array_equal(a.pose, b.pose)
+    assert np.abs(hand_scans(hand, shared_rigs, 1, seed=8)[0].pose - scans[0].pose).max() > 0.01
+    natural = natural_poses(hand, shared_rigs)
+    for i, s in enumerate(scans):
+        assert s.points.shape == (2500, 3) and set(np.unique(s.labels)) <= set(range(16))
+        assert np.abs(s.pose[hand.root]).max() <= 0.6
+        joints = np.arange(len(hand.parents)) != hand.root
+        away = np.abs(s.pose[joints] - natural[:, joints]).max(axis=(1, 2)).min()
+        assert away <= 0.1 if i % 2 else away > 0.1
+        posed = hand.with_template(s.template, s.template_joints)
+        np.testing.assert_allclose(posed.pose(s.pose), s.vertices, atol=1e-12)
+        np.testing.assert_allclose(posed.pose_joints(s.pose), s.joints, atol=1e-12)
+
+
+def test_training_never_sees_the_tests_poses_or_shapes(hand, shared_rigs):
+    """Not even where both have one seed: the streams have keys of their own, and the shapes are of different families."""
+    test = hand_scans(hand, shared_rigs, 6, seed=0)
+    trained = [synthesize_nth(hand, i, Synthesis(), poses=training_poses, random_state=0) for i in range(6)]
+    for a in test:
+        for b in trained:
+            assert np.abs(a.pose - b.pose).max() > 0.05
+            assert np.linalg.norm(a.template - b.template, axis=1).mean() > 0.002 * hand.size
+
+
+def test_body_scans_are_other_people_in_poses_of_the_motion(body, shared_rigs):
+    scans, again = body_scans(body, shared_rigs, 4, seed=7), body_scans(body, shared_rigs, 4, seed=7)
+    people = [body_rig(shared_rigs, shape) for shape in SHAPES]
+    clip = read_bvh(shared_rigs / "motion" / "01_01.bvh")
+    motion = [bvh_thetas(person, clip, np.arange(1, len(clip.rotations)), face_forward=True) for person in people]
+    for i, s in enumerate(scans):
+        np.testing.assert_array_equal(s.points, again[i].points)
+        person = people[i % 2]
+        np.testing.assert_array_equal(s.template, person.vertices)
+        # the truth is the rig's, on the person's template ...
+        np.testing.assert_allclose(body.with_template(s.template, s.template_joints).pose(s.pose), s.vertices, atol=1e-12)
+        # ... and the person's own, whose frames differ from the rig's
+        own = np.einsum("jba,jbc,jc->ja", person.frames, body.frames, s.pose)
+        assert np.abs(motion[i % 2] - own).max(axis=(1, 2)).min() < 1e-9
+        np.testing.assert_allclose(person.pose(own), s.vertices, atol=1e-12)
+        np.testing.assert_allclose(person.pose_joints(own), s.joints, atol=1e-12)
+        turning = np.arange(len(body.parents)) != body.root
+        assert (s.pose <= body.upper + 1e-9)[turning].all() and (s.pose >= body.lower - 1e-9)[turning].all()
+        assert s.points.shape == (5000, 3)
+
+
+# ---- measures ----
+
+
+def test_measures_are_what_they_say():
+    a = np.array([[0.0, 0, 0], [1, 0, 0], [5, 5, 5]])
+    b = a + [[0.3, 0.4, 0], [0, 0, 1], [9, 9, 9]]
+    assert joint_error(a, b, np.array([True, True, False])) == pytest.approx(0.75)
+    assert vertex_error(a[:2], b[:2]) == pytest.approx(0.75)
+    assert label_accuracy(np.array([0, 1, 2, 2]), np.array([0, 1, 2, 0])) == 0.75
+    assert recon(a[:1], np.array([[0.0, 0, 2]])) == pytest.approx(np.sqrt(8))
+
+
+# ---- the plain baseline ----
+
+
+def test_the_baseline_recovers_a_pose_near_rest(tube_rig):
+    pose = np.clip(0.15, tube_rig.lower, tube_rig.upper) * (tube_rig.upper > tube_rig.lower)
+    scan = lbs.synthesize(tube_rig, 1, poses=pose[None], shape=0.0, noise=0.0, holes=0, random_state=1)[0]
+    moved = replace(scan, points=scan.points * 1000 + [5.0, 6.0, 7.0])  # in another unit, elsewhere
+    fit = PlainChamfer(tube_rig).fit_scan(moved)
+    unit = tube_rig.size / 2
+    assert joint_error(fit.joints, scan.joints * 1000 + [5, 6, 7], tube_rig.moving) / 1000 < 0.03 * unit
+    assert vertex_error(fit.vertices, scan.vertices * 1000 + [5, 6, 7]) / 1000 < 0.03 * unit
+    np.testing.assert_allclose(tube_rig.pose(fit.pose, fit.translation, fit.scale, fit.offsets), fit.vertices, rtol=1e-9)
+    assert fit.status == "ok" and fit.evaluations > 5 and label_accuracy(fit.labels, scan.labels) > 0.85
+    at_rest = tube_rig.joints + scan.points.mean(axis=0) - tube_rig.vertices.mean(axis=0)
+    assert joint_error(at_rest, scan.joints, tube_rig.moving) > 0.05 * unit
+
+
+# ---- the command ----
+
+
+def test_a_run_writes_every_figure(ran):
+    out, code, report = ran
+    assert code == 0
+    assert sorted(p.name for p in out.iterdir()) == ["results.json", "seed-7.png"]
+    assert report["complete"] and report["benchmark"] == "hand" and report["seeds"] == [7] and report["scans_a_seed"] == 2
+    assert set(report["rows"]) == set(ROWS)
+    assert {"numpy", "scipy", "scikit-learn", "lbsfit_np", "python", "cpus", "commit"} <= set(report["environment"])
+    assert report["settings"]["fitter"]["training_scans"] == 60 and report["settings"]["fitter"]["random_state"] == 0
+    assert report["settings"]["test_scans"]["n_points"] == 2500
+    for row, content in report["rows"].items():
+        seed = content["seeds"]["7"]
+        assert [s["scan"] for s in seed["scans"]] == [0, 1] and seed["failed"] == 0
+        lacks = {"own": set(), "plain": {"segmenter_labels"}, "oracle": {"segmenter_labels", "labels"}}[row]
+        for scan in seed["scans"]:
+            assert {"scan", "kind", "converged", "message", *set(MEASURES) - lacks} == set(scan)
+        for measure in set(MEASURES) - lacks:
+            values = [s[measure] for s in seed["scans"]]
+            assert seed["mean"][measure] == pytest.approx(np.mean(values))
+            assert content["over_seeds"]["median"][measure] == pytest.approx(np.median(values))
+        assert set(seed["mean_by_kind"]) == {"uniform pose", "natural pose"}
+    assert report["pictures"] == {"seed-7.png": [0, 1]} or report["pictures"] == {"seed-7.png": [1, 0]}
+
+
+def test_lengths_are_in_half_sizes_and_true_labels_help(ran, hand):
+    report = ran[2]
+    assert report["rig_units_in_a_unit"] == pytest.approx(hand.size / 2)
+    scan = {row: content["seeds"]["7"]["mean"] for row, content in report["rows"].items()}
+    for measure, most in (("joint_error", 0.045), ("vertex_error", 0.06), ("recon", 0.06)):
+        assert 0.01 < scan["oracle"][measure] < most
+    assert 0.03 < scan["own"]["recon_truth"] < 0.06
+    assert scan["oracle"]["joint_error"] < scan["own"]["joint_error"]
+    assert 0.3 < scan["own"]["segmenter_labels"] < 1
+
+
+def test_another_run_gives_the_same_figures_whatever_the_jobs(ran, shared_rigs):
+    report = ran[2]
+    again, fits = run_bench(BENCHES["hand"], shared_rigs, seeds=[7], n_scans=2, training_scans=60, jobs=2, rows=("own",))
+    for a, b in zip(again["rows"]["own"]["seeds"]["7"]["scans"], report["rows"]["own"]["seeds"]["7"]["scans"], strict=True):
+        assert {k: v for k, v in a.items() if k != "seconds"} == {k: v for k, v in b.items() if k != "seconds"}
+    assert len(fits[7]) == 2 and fits[7][0][1].vertices.shape == fits[7][0][0].vertices.shape
+
+
+def test_the_table_in_both_forms(ran):
+    report = ran[2]
+    plain, markdown = table(report), table(report, markdown=True)
+    for text in (plain, markdown):
+        for row in ROWS.values():
+            assert row in text
+        assert f"{report['rows']['own']['seeds']['7']['mean']['joint_error']:.4f}" in text
+        assert "half sizes" in text and "joint_error ≤ 0.045" in text
+    lines = markdown.splitlines()
+    assert len({line.count("|") for line in lines[: 2 + len(ROWS)]}) == 1
+    assert "| all |" not in markdown  # one seed only
+    rows = report["rows"]
+    two = {row: content | {"seeds": {**content["seeds"], "8": content["seeds"]["7"]}} for row, content in rows.items()}
+    assert table(report | {"rows": two}, markdown=True).count("| all |") == len(ROWS)
+
+
+def test_shown_are_worst_median_and_best():
+    fits = [(None, None if e is None else e, {"joint_error": e}) for e in (0.3, 0.1, None, 0.5, 0.2, 0.4)]
+    assert shown(fits, 3) == [3, 0, 1]
+    assert shown(fits, 1) == [3] and shown(fits, 0) == []
+    assert sorted(shown(fits, 9)) == [0, 1, 3, 4, 5]
+
+
+def test_results_are_not_overwritten_unless_asked(ran, run, shared_rigs):
+    out = ran[0]
+    before = (out / "results.json").read_bytes()
+    code, _, err = run("hand", "--data", shared_rigs, "-o", out, *QUICK)
+    assert code == 2 and "results.json" in err and "--existing replace" in err
+    assert (out / "results.json").read_bytes() == before
+
+
+def test_scans_that_fail_are_named(run, shared_rigs, tmp_path, monkeypatch):
+    fit = PlainChamfer.fit_scan
+    count = iter(range(10))
+
+    def sometimes(self, scan):
+        if next(count) == 0:
+            raise InputError("points", "something odd", "something else")
+        return fit(self, scan)
+
+    monkeypatch.setattr(baseline_module.PlainChamfer, "fit_scan", sometimes)
+    code, out, _ = run("hand", "--data", shared_rigs, "-o", tmp_path / "out", "--rows", "plain", "--markdown", *QUICK)
+    assert code == 1
+    assert "failed: plain, seed 7, scan 0: points: got something odd" in out and "| plain Chamfer from rest | 7 |" in out
+    entry = json.loads((tmp_path / "out" / "results.json").read_text(encoding="utf-8"))["rows"]["plain"]["seeds"]["7"]
+    assert entry["failed"] == 1 and "failed" in entry["scans"][0]
+    assert entry["mean"]["joint_error"] == entry["scans"][1]["joint_error"]
+    assert [p.name for p in (tmp_path / "out").iterdir()] == ["results.json"]
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_data_that_are_not_there(run, tmp_path, name):
+    code, _, err = run(name, "--data", tmp_path / "nowhere", "-o", tmp_path / "out")
+    assert code == 2 and err.count("\n") == 1 and "nowhere" in err and "no such folder" in err
+    code, _, err = run(name, "--data", tmp_path, "-o", tmp_path / "out")
+    assert code == 2 and err.count("\n") == 1
+    assert all(f in err for f in BENCHES[name].files)
+    (tmp_path / "file").write_text("")
+    code, _, err = run(name, "--data", tmp_path / "file", "-o", tmp_path / "out")
+    assert code == 2 and "a file" in err and not (tmp_path / "out").exists()
+
+
+def test_data_that_lack_one_thing(tmp_path):
+    (tmp_path / "webxr_hand").mkdir()
+    (tmp_path / "webxr_hand" / "left.glb").write_bytes(b"")
+    with pytest.raises(FileError, match=r"without hand_poses/\*\.handpose; expected a folder that holds hand_poses, webxr_hand"):
+        BENCHES["hand"].check_data(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ((), "--data: got nothing"),
+        (("--data", "DATA"), "-o/--output: got nothing"),
+        (("--data", "DATA", "-o", "OUT", "--seeds", "1,x"), "different whole numbers"),
+        (("--data", "DATA", "-o", "OUT", "--seeds", "1,1"), "different whole numbers"),
+        (("--data", "DATA", "-o", "OUT", "--seeds", "-1"), "seeds"),
+        (("--data", "DATA", "-o", "OUT", "--rows", "own,owl"), "own, plain, oracle"),
+        (("--data", "DATA", "-o", "OUT", "--scans", "0"), "at least 1"),
+        (("--data", "DATA", "-o", "OUT", "--jobs", "0"), "at least 1"),
+    ],
+)
+def test_usage(run, shared_rigs, tmp_path, arguments, words):
+    places = {"DATA": shared_rigs, "OUT": tmp_path / "out"}
+    code, _, err = run("body", *(places.get(a, a) for a in arguments))
+    assert code == 2 and err.count("\n") == 1 and words in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_help_shows_defaults_and_an_example(run):
+    for name, scans in (("hand", 40), ("body", 20)):
+        code, out, _ = run(name, "--help")
+        out = " ".join(out.split())
+        assert code == 0 and f"(default: {scans})" in out and "(default: 100,101,102)" in out and f"lbsfit bench {name}" in out
+    code, out, _ = run("--help")
+    assert code == 0 and "hand" in out and "body" in out
+    assert main(["bench"]) == 2
+
+
+def test_seeds_and_rows_of_a_run(shared_rigs):
+    assert tuple(ROWS) == ROW_NAMES
+    for seeds in ([], [1, 1], [-1]):
+        with pytest.raises(InputError, match="seeds"):
+            run_bench(BENCHES["hand"], shared_rigs, seeds=seeds)
+    with pytest.raises(InputError, match="some of own, plain, oracle"):
+        run_bench(BENCHES["hand"], shared_rigs, rows=("owl",))
