@@ -11,7 +11,16 @@ from .rotations import matrix_from_rotvec
 from .seeds import generator
 from .skinning import skin
 
-__all__ = ["Synthesis", "SyntheticScan", "TrainingScans", "sample_surface", "synthesize", "synthesize_nth", "training_poses", "uniform_poses"]
+__all__ = [
+    "Synthesis",
+    "SyntheticScan",
+    "TrainingScans",
+    "sample_surface",
+    "synthesize",
+    "synthesize_nth",
+    "training_poses",
+    "uniform_poses",
+]
 
 
 @dataclass(frozen=True)

@@ -29,4 +29,4 @@ def tube_fitter(tube_rig):
     """A fitter of the tube rig with a segmenter of its own, trained for a few seconds."""
     from lbsfit_np import LBSFitter
 
-    return LBSFitter(tube_rig, training_scans=60, random_state=0).pretrain()
+    return LBSFitter(tube_rig, training_scans=300, random_state=0).pretrain()

@@ -3,7 +3,7 @@
 import io
 import json
 import zipfile
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pytest
@@ -13,16 +13,32 @@ import lbsfit_np as lbs
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.segmentation import cache
+from lbsfit_np.segmentation.context import CONTEXT_POINTS, context, context_size
 from lbsfit_np.segmentation.descriptors import Descriptor
 from lbsfit_np.segmentation.segmenter import Segmenter, train_segmenter
+from lbsfit_np.segmentation.stage import Stage, Training, train_stage
+from lbsfit_np.synthesis import Synthesis, TrainingScans
+
+
+@dataclass
+class Scans:
+    """i → scan i of a list, and which were asked for."""
+
+    scans: list
+    asked: list = field(default_factory=list)
+
+    def __call__(self, i):
+        self.asked.append(i)
+        return self.scans[i]
 
 
 def _scans(rig, n, seed=0, **settings):
-    return [(s.points, s.labels, 1.0) for s in lbs.synthesize(rig, n, random_state=seed, n_points=400, **settings)]
+    return Scans([(s.points, s.labels, 1.0) for s in lbs.synthesize(rig, n, random_state=seed, n_points=400, **settings)])
 
 
-def _train(rig, seed=0, n=4):
-    return train_segmenter(rig, _scans(rig, n), points_per_scan=60, random_state=seed)
+def _train(rig, seed=0, n=4, second=0.5, **options):
+    training = Training(points_per_scan=60, second=second)
+    return train_segmenter(rig, _scans(rig, n), n, training=training, random_state=seed, **options)
 
 
 @pytest.fixture(scope="module")
@@ -117,12 +133,163 @@ def test_a_seed_trains_the_same_segmenter(tube_rig, small, scan):
 
 
 def test_training_leaves_its_scans_alone(tube_rig):
-    scans = _scans(tube_rig, 2)
-    kept = [(p.copy(), y.copy()) for p, y, _ in scans]
-    train_segmenter(tube_rig, scans, points_per_scan=20, random_state=0)
-    for (p, y, _), (q, z) in zip(scans, kept):
+    scan = _scans(tube_rig, 2)
+    kept = [(p.copy(), y.copy()) for p, y, _ in scan.scans]
+    train_segmenter(tube_rig, scan, 2, training=Training(points_per_scan=20), random_state=0)
+    for (p, y, _), (q, z) in zip(scan.scans, kept, strict=True):
         np.testing.assert_array_equal(p, q)
         np.testing.assert_array_equal(y, z)
+
+
+def test_progress_goes_from_nothing_to_all(tube_rig):
+    for rig, second in ((tube_rig, 0.5), (tube_rig, 0.0), (_in_parts(ONE), 0.5)):
+        seen = []
+        _train(rig, second=second, progress=seen.append)
+        assert len(seen) > 1 and seen[0] > 0 and seen[-1] == pytest.approx(1.0)
+        assert (np.diff(seen) >= -1e-12).all()
+
+
+def test_processes_change_nothing(tube_rig, scan):
+    """Enough scans that each of the two stages has a batch for each process."""
+    scans = TrainingScans(tube_rig, Synthesis(n_points=120), 3)
+    training = Training(points_per_scan=20, hidden=(16,))
+    one, two = (train_segmenter(tube_rig, scans, 200, training=training, random_state=3, n_jobs=n) for n in (1, 2))
+    for a, b in zip(one.stages, two.stages, strict=True):
+        for name, array in a.arrays("s").items():
+            np.testing.assert_array_equal(array, b.arrays("s")[name])
+    np.testing.assert_array_equal(one.predict_proba(scan.points), two.predict_proba(scan.points))
+
+
+@pytest.mark.parametrize("average_from", [0, 1, 5])
+def test_weights_are_averaged_over_the_later_epochs(tube_rig, average_from):
+    """A start of the average after the last epoch means the last epoch, not nothing."""
+    rng = np.random.default_rng(0)
+    X = rng.standard_normal((400, 5)).astype(np.float32)
+    y = (X[:, 0] > 0).astype(int)
+
+    def train(**options):
+        training = Training(hidden=(8,), learning_rate=0.02, **options)
+        return train_stage(X.copy(), y, 2, training, 0, "test", lambda share: None)
+
+    stage = train(epochs=2, average_from=average_from)
+    same = np.array_equal(stage.classifier.coefs_[0], train(epochs=2, average_from=1).classifier.coefs_[0])
+    assert same == (average_from >= 1)
+    long = train(epochs=30, average_from=average_from)
+    assert (long.predict_proba(X.copy()).argmax(axis=1) == y).mean() > 0.95
+
+
+# ---- the two stages ----
+
+
+def test_the_first_stage_sees_descriptors_and_the_second_their_context(tube_rig, small, scan):
+    first, second = small.stages
+    assert len(first.mean) == Descriptor().size
+    assert len(second.mean) == Descriptor().size + context_size(4)
+    X = scan.points / (tube_rig.size / 2)
+    around = np.linspace(0, len(X) - 1, CONTEXT_POINTS).astype(int)
+    own = small.descriptor(X)
+    proba = first.predict_proba(own.copy())
+    expected = second.predict_proba(np.hstack([own, context(X, proba, X[around], proba[around])]))
+    np.testing.assert_allclose(small.predict_proba(scan.points), expected, atol=1e-5)
+    assert np.abs(expected - proba).max() > 0.01
+
+
+def test_the_second_stage_learns_from_scans_that_the_first_has_not_seen(tube_rig):
+    scans = _scans(tube_rig, 8)
+    first_of_two = train_segmenter(tube_rig, scans, 8, training=Training(points_per_scan=30, second=0.25), random_state=0).stages[0]
+    assert scans.asked == list(range(8))
+    alone = train_segmenter(tube_rig, scans, 6, training=Training(points_per_scan=30, second=0.0), random_state=0).stages[0]
+    for name, array in alone.arrays("s").items():
+        np.testing.assert_array_equal(array, first_of_two.arrays("s")[name])
+
+
+def test_without_a_second_stage_the_first_decides(tube_rig, scan, tmp_path):
+    scans = _scans(tube_rig, 4)
+    s = train_segmenter(tube_rig, scans, 4, training=Training(points_per_scan=60, second=0.0), random_state=0)
+    assert len(s.stages) == 1 and scans.asked == [0, 1, 2, 3]
+    expected = s.stages[0].predict_proba(_describe(scan.points, tube_rig))
+    np.testing.assert_array_equal(s.predict_proba(scan.points), expected)
+    s.save(tmp_path / "s.npz")
+    again = Segmenter.load(tmp_path / "s.npz")
+    assert len(again.stages) == 1
+    np.testing.assert_array_equal(again.predict_proba(scan.points), expected)
+
+
+def test_stages_have_to_fit_the_descriptor_and_each_other(small):
+    first, second = small.stages
+    for stages in ((), (second,), (first, first), (second, first), (first, second, second)):
+        with pytest.raises(ValueError, match="stages that do not fit"):
+            replace(small, stages=stages)
+
+
+def test_a_stage_of_one_part_is_sure():
+    X = np.random.default_rng(0).standard_normal((20, 3)).astype(np.float32)
+    seen = []
+    stage = train_stage(X, np.full(20, 2), 4, Training(), 0, "test", seen.append)
+    assert stage.classifier is None and seen == [1.0]
+    np.testing.assert_array_equal(stage.predict_proba(X[:5]), np.tile([0.0, 0, 1, 0], (5, 1)))
+    again = Stage.from_arrays(stage.arrays("s"), "s", 4)
+    np.testing.assert_array_equal(again.predict_proba(X[:5]), np.tile([0.0, 0, 1, 0], (5, 1)))
+
+
+# ---- context ----
+
+
+def _context_parts(values, n_parts):
+    """The blocks of a row of context by name."""
+    names = ("own", 1), ("near", 1), ("wide", 1), ("relative", 3), ("centroids", 3), ("shares", 1), ("spreads", 1)
+    ends = np.cumsum([k * n_parts for _, k in names])[:-1]
+    return {name: block for (name, _), block in zip(names, np.split(values, ends, axis=1), strict=True)}
+
+
+def test_context_of_a_labelling_made_by_hand():
+    """Parts 0 and 1 of two points each, part 2 nowhere; all relative to the mean of the points, (5.5, 0, 0)."""
+    around = np.array([[0.0, 0, 0], [2, 0, 0], [10, 1, 0], [10, -1, 0]])
+    labels = np.eye(3)[[0, 0, 1, 1]]
+    found = context(np.array([[0.0, 0, 0], [5.5, 0, 7]]), np.array([[0.7, 0.2, 0.1], [0.1, 0.1, 0.8]]), around, labels)
+    assert found.shape == (2, context_size(3)) == (2, 33) and found.dtype == np.float32
+    block = _context_parts(found, 3)
+    np.testing.assert_allclose(block["own"], [[0.7, 0.2, 0.1], [0.1, 0.1, 0.8]], atol=1e-6)
+    np.testing.assert_allclose(block["near"], [[0.5, 0.5, 0.0]] * 2)
+    np.testing.assert_allclose(block["wide"], [[0.5, 0.5, 0.0]] * 2)
+    np.testing.assert_allclose(block["relative"], [[-1, 0, 0, -10, 0, 0, -5.5, 0, 0], [4.5, 0, 7, -4.5, 0, 7, 0, 0, 7]], atol=1e-6)
+    np.testing.assert_allclose(block["centroids"], [[-4.5, 0, 0, 4.5, 0, 0, 0, 0, 0]] * 2, atol=1e-6)
+    np.testing.assert_allclose(block["shares"], [[0.5, 0.5, 0.0]] * 2)
+    np.testing.assert_allclose(block["spreads"], [[1.0, 1.0, 0.0]] * 2, atol=1e-6)
+
+
+def test_context_is_near_and_wide():
+    """On a line of points, 20 of part 0 and then 20 of part 1: the 8 and the 30 nearest of 18.2."""
+    around = np.column_stack([np.arange(40.0), np.zeros(40), np.zeros(40)])
+    block = _context_parts(context(np.array([[18.2, 0, 0]]), np.array([[1.0, 0]]), around, np.eye(2)[np.arange(40) // 20]), 2)
+    np.testing.assert_allclose(block["near"], [[5 / 8, 3 / 8]])
+    np.testing.assert_allclose(block["wide"], [[16 / 30, 14 / 30]], atol=1e-6)
+
+
+def test_context_weighs_by_probability():
+    rng = np.random.default_rng(0)
+    around, p = rng.standard_normal((50, 3)), rng.dirichlet(np.ones(3), 50)
+    block = _context_parts(context(around[:1], p[:1], around, p), 3)
+    centred = around - around.mean(axis=0)
+    for k in range(3):
+        mean = np.average(centred, axis=0, weights=p[:, k])
+        spread = np.sqrt(np.average((centred - mean) ** 2, axis=0, weights=p[:, k])).sum()
+        np.testing.assert_allclose(block["centroids"][0, 3 * k : 3 * k + 3], mean, atol=1e-6)
+        assert block["spreads"][0, k] == pytest.approx(spread, abs=1e-6)
+        assert block["shares"][0, k] == pytest.approx(p[:, k].mean(), abs=1e-6)
+
+
+def test_context_does_not_depend_on_the_place_and_takes_few_points():
+    rng = np.random.default_rng(1)
+    x, around = rng.standard_normal((6, 3)), rng.standard_normal((60, 3))
+    p, q = rng.dirichlet(np.ones(4), 6), rng.dirichlet(np.ones(4), 60)
+    before = context(x, p, around, q)
+    np.testing.assert_allclose(context(x + [3.0, -2, 9], p, around + [3.0, -2, 9], q), before, atol=1e-5)
+    for n in (1, 2, 9):
+        assert np.isfinite(context(x, p, around[:n], q[:n])).all()
+
+
+# ---- what it learns from, and for whom ----
 
 
 def test_predicting_leaves_the_points_alone(small, scan):
@@ -137,7 +304,9 @@ def test_the_scans_scale_is_taken_out(small, scan):
 
 def test_rows_are_a_choice_of_points(small, scan):
     rows = np.arange(0, 1000, 7)
-    np.testing.assert_allclose(small.predict_proba(scan.points, rows=rows), small.predict_proba(scan.points)[rows], atol=1e-6)
+    one = replace(small, stages=small.stages[:1])
+    for s, atol in ((one, 1e-6), (small, 1e-5)):  # single precision; the second stage adds its rounding to the first's
+        np.testing.assert_allclose(s.predict_proba(scan.points, rows=rows), s.predict_proba(scan.points)[rows], atol=atol)
 
 
 def _in_parts(parts):
@@ -153,6 +322,7 @@ def test_rigs_of_one_and_two_parts(tmp_path, parts, scan):
     rig = _in_parts(parts)
     assert rig.parts == tuple(parts)
     s = _train(rig)
+    assert len(s.stages) == len(parts)  # of a single part there is nothing to say in context
     proba = s.predict_proba(scan.points)
     assert proba.shape == (len(scan.points), len(parts))
     np.testing.assert_allclose(proba.sum(axis=1), 1.0, atol=1e-5)
@@ -161,8 +331,8 @@ def test_rigs_of_one_and_two_parts(tmp_path, parts, scan):
 
 
 def test_a_part_that_no_scan_shows_is_never_found(tube_rig, scan):
-    scans = [(p[y != 1], y[y != 1], 1.0) for p, y, _ in _scans(tube_rig, 2)]
-    proba = train_segmenter(tube_rig, scans, points_per_scan=20, random_state=0).predict_proba(scan.points)
+    scans = Scans([(p[y != 1], y[y != 1], 1.0) for p, y, _ in _scans(tube_rig, 8).scans])
+    proba = train_segmenter(tube_rig, scans, 8, training=Training(points_per_scan=20), random_state=0).predict_proba(scan.points)
     assert proba.shape == (len(scan.points), 4)
     assert (proba[:, 1] == 0).all() and (proba[:, [0, 2, 3]].max(axis=0) > 0).all()
 
@@ -232,15 +402,25 @@ def _rewritten(path, **changes):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"mean": None},
-        {"deviation": None},
-        {"classes": None},
-        {"intercepts_0": None},
+        {"stage_0_mean": None},
+        {"stage_0_deviation": None},
+        {"stage_0_classes": None},
+        {"stage_0_only": None},
+        {"stage_0_intercepts_0": None},
+        {"stage_0_coefs_1": None},
+        {"stage_1_mean": None},
+        {"stage_1_classes": None},
+        {"stage_1_intercepts_2": None},
         {"lbsfit_np_segmenter": None},
         {"lbsfit_np_segmenter": np.array("{")},
         {"lbsfit_np_segmenter": np.array(json.dumps({"format": 1}))},
         {"lbsfit_np_segmenter": np.array(json.dumps({"format": 999}))},
-        {"mean": np.array([{"an": "object"}], dtype=object)},
+        {"lbsfit_np_segmenter": np.array(json.dumps({"format": 2}))},
+        {"lbsfit_np_segmenter": np.array(json.dumps([2]))},
+        {"lbsfit_np_segmenter": np.array("[" * 100_000)},
+        {"lbsfit_np_segmenter": np.array("2")},
+        {"lbsfit_np_segmenter": np.zeros(3)},
+        {"stage_0_mean": np.array([{"an": "object"}], dtype=object)},
     ],
 )
 def test_a_file_that_lacks_something_is_one_clear_error(saved, changes):
@@ -252,15 +432,45 @@ def test_a_file_that_lacks_something_is_one_clear_error(saved, changes):
 @pytest.mark.parametrize(
     "changes",
     [
-        {"mean": np.zeros(3, np.float32)},
-        {"classes": np.array([0, 1, 2, 9])},
-        {"classes": np.array([0, 1])},
-        {"coefs_0": np.zeros((4, 4), np.float32)},
+        {"stage_0_mean": np.zeros(3, np.float32)},
+        {"stage_0_mean": np.float32(0)},
+        {"stage_0_classes": np.array([0, 1, 2, 9])},
+        {"stage_0_classes": np.array([0, 1])},
+        {"stage_0_classes": np.array([0.0, 1, 2, 3])},
+        {"stage_0_coefs_0": np.zeros((4, 4), np.float32)},
+        {"stage_0_coefs_0": np.zeros(4, np.float32)},
+        {"stage_1_mean": np.zeros(3, np.float32)},
+        {"stage_1_classes": np.array([-1, 1, 2, 3])},
+        {"stage_1_coefs_0": np.zeros((4, 4), np.float32)},
+        {"stage_1_intercepts_1": np.zeros(3, np.float32)},
     ],
 )
 def test_arrays_that_do_not_fit_together_are_one_clear_error(saved, changes):
     _rewritten(saved, **changes)
     with pytest.raises(FileError, match=r"s\.npz"):
+        Segmenter.load(saved)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"stages": 0},
+        {"stages": 3},
+        {"stages": "many"},
+        {"n_parts": 3},
+        {"n_parts": 5},
+        {"n_parts": None},
+        {"half": "long"},
+        {"descriptor": {"n_probes": 3}},
+        {"descriptor": {"n_probes": "3"}},
+        {"descriptor": {"wobble": 3}},
+        {"descriptor": 5},
+    ],
+)
+def test_a_header_that_does_not_fit_is_one_clear_error(saved, changes):
+    header = json.loads(str(_arrays(saved)["lbsfit_np_segmenter"]))
+    _rewritten(saved, lbsfit_np_segmenter=np.array(json.dumps(header | changes)))
+    with pytest.raises(FileError, match=r"s\.npz.*saved with Segmenter.save.*Train it again"):
         Segmenter.load(saved)
 
 
@@ -287,7 +497,8 @@ def test_nothing_in_a_file_is_run(saved, tmp_path):
     np.lib.format.write_array(trap, np.array([Trap()], dtype=object), allow_pickle=True)
     with zipfile.ZipFile(saved) as z:
         members = {n: z.read(n) for n in z.namelist()}
-    members["mean.npy"] = trap.getvalue()
+    assert "stage_0_mean.npy" in members
+    members["stage_0_mean.npy"] = trap.getvalue()
     with zipfile.ZipFile(saved, "w") as z:
         for name, content in members.items():
             z.writestr(name, content)
@@ -385,7 +596,7 @@ def test_pretraining_uses_the_cache_when_asked(empty_cache, tube_rig, scan):
     assert len(list(empty_cache.iterdir())) == 1
     cache._MEMORY.clear()
 
-    def no_progress(indices):
+    def no_progress(share):
         raise AssertionError("trained again")
 
     b = fitter().pretrain(cache=True, progress=no_progress)

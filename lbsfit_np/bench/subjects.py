@@ -46,7 +46,8 @@ def subject(rig, rng, *, amount=0.12, thickness=0.12):
         if not len(rows):
             continue
         p = rig.parents[j]
-        along = rig.joints[j] - rig.joints[p] if p >= 0 and chain[p] == chain[j] else rig.vertices[rows].mean(axis=0) - rig.joints[j]
+        within = p >= 0 and chain[p] == chain[j]
+        along = (rig.joints[j] if within else rig.vertices[rows].mean(axis=0)) - rig.joints[p if within else j]
         along = along / max(np.linalg.norm(along), 1e-12 * rig.size)
         arm = rig.vertices[rows] - rig.joints[j]
         reach = arm @ along

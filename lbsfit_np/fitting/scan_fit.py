@@ -29,14 +29,16 @@ class FitSettings:
     scale : {"estimate", "fixed"}
     max_points : int
         Points that take part in the optimisation; a larger scan is thinned by the seed.
-    pose_iterations, full_iterations : int
-        L-BFGS iterations of each pose stage and of the full stage.
+    pose_iterations, plain_iterations, full_iterations : int
+        L-BFGS iterations, at most, of each pose stage, of the last pose stage, which has the plain term only, and of the
+        full stage.
+    full_tolerance : float
+        Relative decrease of the objective in one iteration below which the last pose stage and the full stage have
+        converged.
     refinements : tuple of float
         σ of each refinement of the labels, each followed by a pose stage.
     ridge : float
         Weight of ‖c‖² on the bones' proportions.
-    finalists : int
-        Hypotheses that are refined after scouting.
     doubt : float
         Points whose label is less probable than this take no part in the structured term while labels are refined.
     """
@@ -45,10 +47,11 @@ class FitSettings:
     scale: str = "estimate"
     max_points: int = 2500
     pose_iterations: int = 40
-    full_iterations: int = 60
+    plain_iterations: int = 100
+    full_iterations: int = 100
+    full_tolerance: float = 1e-6
     refinements: tuple = (0.15, 0.1, 0.07, 0.05, 0.035, 0.025)
     ridge: float = 1e-3
-    finalists: int = 2
     doubt: float = 0.8
 
 
@@ -107,7 +110,7 @@ def _fit(model, points, segmenter, settings, theta0, labels, point_weights, rand
     terms = dict(evaluation.terms, total=evaluation.value, recon=recon)
     if labels is None:
         final, confidence = labels_from_mesh(
-            points, vertices, model.labels, n_parts, settings.refinements[-1] * unit, proba=search.proba, proba_points=points[rows]
+            points, vertices, model.labels, n_parts, settings.refinements[-1] * unit, proba=proba, proba_points=points[rows]
         )
     else:
         final, confidence = labels.copy(), np.ones(len(points))

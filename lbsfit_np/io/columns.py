@@ -77,18 +77,7 @@ def read_table(path):
 
 def read_npy(path):
     """Read an (n, 3) or (n, 6+) array, or a structured one with fields x, y, z; see :func:`read_table` for further columns."""
-    with open(path, "rb") as file:
-        if file.read(6) != b"\x93NUMPY":
-            raise FileError(str(path), "content that is no NPY array", "an NPY file", "Check the extension.")
-    try:
-        array = np.load(path, allow_pickle=False)
-    except (ValueError, OSError, EOFError, SyntaxError, MemoryError) as error:
-        if "pickle" in str(error):
-            raise FileError(
-                str(path), "an array of Python objects", "numbers", "Such arrays are pickles and are not read."
-            ) from None
-        got, remedy = f"content that cannot be read ({error})", "The file is truncated or damaged."
-        raise FileError(str(path), got, "a complete NPY file", remedy) from None
+    array = npz.read_npy(path)
     if array.dtype.names:
         cloud = cloud_from_columns(array.dtype.names, lambda k: array.reshape(-1)[array.dtype.names[k]])
         if cloud is None:

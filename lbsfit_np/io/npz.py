@@ -1,4 +1,4 @@
-"""Reading NPZ files from anywhere: every way in which one can be broken becomes one clear error."""
+"""Reading NPZ and NPY files from anywhere: every way in which one can be broken becomes one clear error."""
 
 import struct
 import tokenize
@@ -9,12 +9,12 @@ import numpy as np
 
 from ..errors import FileError
 
-__all__ = ["npz_keys", "read_npz"]
+__all__ = ["npz_keys", "read_npy", "read_npz"]
 
 # What zipfile, zlib and numpy raise for files that are cut short, damaged, or something else entirely.
 _BROKEN = (
-    zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, SyntaxError, ValueError, TypeError, KeyError, EOFError,
-    NotImplementedError, RuntimeError, OverflowError, MemoryError,
+    zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, SyntaxError, ValueError, TypeError, KeyError, IndexError,
+    EOFError, NotImplementedError, RuntimeError, OverflowError, MemoryError,
 )  # fmt: skip
 
 
@@ -61,6 +61,33 @@ def read_npz(path, keys=None):
                 raise _broken(path, f"{key!r} is no array")
             out[key] = value
     return out
+
+
+def read_npy(path):
+    """The array of an NPY file.
+
+    Raises
+    ------
+    FileError
+        Missing, no NPY, cut short, damaged, or an array of Python objects, which are never loaded.
+    """
+    try:
+        with open(path, "rb") as file:
+            magic = file.read(6)
+    except FileNotFoundError:
+        raise FileError(str(path), "no such file", "an NPY file") from None
+    except OSError as error:
+        raise FileError(str(path), f"a file that cannot be read ({error.strerror or error})", "an NPY file") from None
+    if magic != b"\x93NUMPY":
+        raise FileError(str(path), "content that is no NPY array", "an NPY file", "Check the extension.")
+    try:
+        return np.load(path, allow_pickle=False)
+    except (*_BROKEN, OSError) as error:
+        if isinstance(error, ValueError) and "pickle" in str(error):
+            got, remedy = "an array of Python objects", "Such arrays are pickles and are not read."
+            raise FileError(str(path), got, "numbers", remedy) from None
+        got, remedy = f"content that cannot be read ({error})", "The file is truncated or damaged."
+        raise FileError(str(path), got, "a complete NPY file", remedy) from None
 
 
 def _opened(path):

@@ -87,6 +87,11 @@ class Rig:
         m, J = self.weights.shape
         return f"<Rig {self.name!r}: {m} vertices, {J} joints ({int(self.moving.sum())} moving), {len(self.parts)} parts>"
 
+    def __setstate__(self, state):
+        """Restore a pickled rig; NumPy's pickles forget that arrays were locked."""
+        self.__dict__.update(state)
+        self.__post_init__()
+
     def __deepcopy__(self, memo):
         return self  # immutable: a copy would be the same rig
 

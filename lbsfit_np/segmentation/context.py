@@ -38,8 +38,7 @@ def context(x, proba, around, around_proba):
     """
     from scipy.spatial import cKDTree
 
-    k, n_parts = proba.shape
-    c = len(around)
+    k, c = len(x), len(around)
     centre = around.mean(axis=0)
     x, around = x - centre, around - centre
     mass = around_proba.sum(axis=0)

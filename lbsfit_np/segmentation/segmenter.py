@@ -112,7 +112,7 @@ class Segmenter:
                 n_parts = int(header["n_parts"])
                 stages = tuple(Stage.from_arrays(arrays, f"stage_{k}", n_parts) for k in range(int(header["stages"])))
                 return cls(stages, Descriptor(**header["descriptor"]), n_parts, float(header["half"]), header["rig_digest"])
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
             raise FileError(str(path), f"a file whose content does not fit ({error})", expected, "Train it again.") from None
         raise FileError(str(path), f"segmenter format {version}", f"format {_FORMAT}", "Train it again.")
 
@@ -174,7 +174,10 @@ class _Describe:
             points = points / (scale * self.half)
             rng = generator(self.random_state, "segmenter points", i)
             rows = rng.choice(len(points), min(self.points_per_scan, len(points)), replace=False)
-            X.append(self.descriptor(points, rows) if self.first is None else _in_context(points, rows, self.descriptor, self.first))
+            if self.first is None:
+                X.append(self.descriptor(points, rows))
+            else:
+                X.append(_in_context(points, rows, self.descriptor, self.first))
             y.append(labels[rows])
         return np.concatenate(X), np.concatenate(y)
 

@@ -21,7 +21,7 @@ class Training:
         Hidden layers of the MLPClassifier.
     epochs : int
     average_from : int
-        Epoch from which on the weights are averaged.
+        Epoch from which on the weights are averaged; the last one where there are no more.
     learning_rate : float
     second : float
         Share of the scans that train the second stage; 0 leaves it out. The first never sees them, so that the second
@@ -145,6 +145,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress):
     deviation = X.std(axis=0, dtype=float).astype(np.float32) + np.float32(1e-6)
     classes = np.unique(y)
     if len(classes) == 1:
+        progress(1.0)
         return Stage(mean, deviation, None, n_parts, int(classes[0]))
     X -= mean
     X /= deviation
@@ -161,7 +162,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress):
             for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
                 classifier.partial_fit(X[rows], y[rows], classes=classes)
                 progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
-                if epoch >= training.average_from:
+                if epoch >= min(training.average_from, training.epochs - 1):
                     count += 1
                     now = classifier.coefs_ + classifier.intercepts_
                     if averaged is None:
