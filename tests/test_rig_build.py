@@ -72,6 +72,22 @@ def test_rig_travels_to_other_processes(tube_rig):
     assert again.digest == tube_rig.digest and again.parts == tube_rig.parts
 
 
+@pytest.mark.parametrize("protocol", [2, pickle.HIGHEST_PROTOCOL])
+def test_rig_is_immutable_in_other_processes_too(tube_rig, protocol):
+    again = pickle.loads(pickle.dumps(tube_rig, protocol=protocol))
+    sparse_arrays = [getattr(rig, name) for rig in (tube_rig, again) for name in ("weights", "regressor")]
+    arrays = [getattr(again, name) for name in ("vertices", "faces", "parents", "joints", "frames", "lower", "upper", "merged")]
+    arrays += [getattr(a, name) for a in sparse_arrays for name in ("data", "indices", "indptr")]
+    assert not any(array.flags.writeable for array in [*arrays, again.locked])
+    with pytest.raises(ValueError, match="read-only"):
+        again.vertices[0] = 0
+    with pytest.raises(AttributeError):
+        again.vertices = tube_rig.vertices
+    theta = np.full(again.lower.shape, 0.2)
+    np.testing.assert_array_equal(again.pose(theta), tube_rig.pose(theta))
+    np.testing.assert_array_equal(again.scaled(2.0).vertices, 2 * tube_rig.vertices)
+
+
 def test_partitions(tube_rig):
     assert tube_rig.parts == NAMES
     assert set(np.unique(tube_rig.vertex_labels)) == {0, 1, 2, 3}

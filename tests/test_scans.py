@@ -2,9 +2,11 @@
 
 import json
 import struct
+import zipfile
 
 import numpy as np
 import pytest
+from npy_files import DAMAGED_HEADERS, damaged, npy
 
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.io.scans import SCAN_EXTENSIONS, load_scan
@@ -482,6 +484,30 @@ def test_bad_arrays_in_files(tmp_path):
     data = (tmp_path / "l.npz").read_bytes()
     with pytest.raises(FileError, match="broken"):
         load_scan(write(tmp_path, "cut.npz", data[:-90]))
+
+
+@pytest.mark.parametrize("header", DAMAGED_HEADERS)
+def test_damaged_npy_headers_are_one_clear_error(tmp_path, header):
+    with pytest.raises(FileError, match=r"bad\.npy: got content that cannot be read.*truncated or damaged"):
+        load_scan(write(tmp_path, "bad.npy", npy(header)))
+    path = tmp_path / "bad.npz"
+    with zipfile.ZipFile(path, "w") as archive:
+        archive.writestr("points.npy", npy(header))
+    with pytest.raises(FileError, match=r"bad\.npz.*'points' cannot be unpacked"):
+        load_scan(path)
+
+
+@pytest.mark.filterwarnings("ignore")  # NumPy's, of headers that Python 2 may have written
+def test_no_damage_to_an_npy_file_lets_a_library_error_out(tmp_path):
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "good.npy", POINTS)
+    good = (tmp_path / "good.npy").read_bytes()
+    for _ in range(1500):
+        path = write(tmp_path, "bad.npy", damaged(good, rng))
+        try:
+            load_scan(path)
+        except FileError:
+            pass
 
 
 def test_missing_files_folders_and_odd_arguments(tmp_path):

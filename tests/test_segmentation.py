@@ -194,13 +194,25 @@ def test_the_first_stage_sees_descriptors_and_the_second_their_context(tube_rig,
     assert np.abs(expected - proba).max() > 0.01
 
 
+def test_the_second_stage_is_worth_its_while(tube_fitter, tube_rig):
+    second = tube_fitter.segmenter_
+    first = replace(second, stages=second.stages[:1])
+    scans = lbs.synthesize(tube_rig, 8, random_state=78)
+    right = [np.mean([(s.predict(scan.points) == scan.labels).mean() for scan in scans]) for s in (first, second)]
+    assert right[1] > right[0] > 0.8
+
+
 def test_the_second_stage_learns_from_scans_that_the_first_has_not_seen(tube_rig):
-    scans = _scans(tube_rig, 8)
-    first_of_two = train_segmenter(tube_rig, scans, 8, training=Training(points_per_scan=30, second=0.25), random_state=0).stages[0]
-    assert scans.asked == list(range(8))
-    alone = train_segmenter(tube_rig, scans, 6, training=Training(points_per_scan=30, second=0.0), random_state=0).stages[0]
-    for name, array in alone.arrays("s").items():
-        np.testing.assert_array_equal(array, first_of_two.arrays("s")[name])
+    def train(n, second):
+        scans = _scans(tube_rig, 8)
+        s = train_segmenter(tube_rig, scans, n, training=Training(points_per_scan=30, second=second), random_state=0)
+        assert scans.asked == list(range(n))
+        return s.stages
+
+    both, alone = train(8, 0.25), train(6, 0.0)
+    assert len(both) == 2 and len(alone) == 1
+    for name, array in alone[0].arrays("s").items():
+        np.testing.assert_array_equal(array, both[0].arrays("s")[name])
 
 
 def test_without_a_second_stage_the_first_decides(tube_rig, scan, tmp_path):
@@ -252,7 +264,8 @@ def test_context_of_a_labelling_made_by_hand():
     np.testing.assert_allclose(block["own"], [[0.7, 0.2, 0.1], [0.1, 0.1, 0.8]], atol=1e-6)
     np.testing.assert_allclose(block["near"], [[0.5, 0.5, 0.0]] * 2)
     np.testing.assert_allclose(block["wide"], [[0.5, 0.5, 0.0]] * 2)
-    np.testing.assert_allclose(block["relative"], [[-1, 0, 0, -10, 0, 0, -5.5, 0, 0], [4.5, 0, 7, -4.5, 0, 7, 0, 0, 7]], atol=1e-6)
+    relative = [[-1, 0, 0, -10, 0, 0, -5.5, 0, 0], [4.5, 0, 7, -4.5, 0, 7, 0, 0, 7]]
+    np.testing.assert_allclose(block["relative"], relative, atol=1e-6)
     np.testing.assert_allclose(block["centroids"], [[-4.5, 0, 0, 4.5, 0, 0, 0, 0, 0]] * 2, atol=1e-6)
     np.testing.assert_allclose(block["shares"], [[0.5, 0.5, 0.0]] * 2)
     np.testing.assert_allclose(block["spreads"], [[1.0, 1.0, 0.0]] * 2, atol=1e-6)

@@ -3,9 +3,11 @@
 import pickle
 import sys
 import types
+import zipfile
 
 import numpy as np
 import pytest
+from npy_files import DAMAGED_HEADERS, npy
 from scipy import sparse
 
 from lbsfit_np.errors import FileError
@@ -226,6 +228,18 @@ def test_damaged_npz(tmp_path):
     data[300:340] = bytes(40)  # inside the first array: its checksum fails
     path.write_bytes(data)
     with pytest.raises(FileError, match="'v_template' cannot be unpacked"):
+        read_smpl(path)
+
+
+@pytest.mark.parametrize("header", DAMAGED_HEADERS)
+def test_damaged_npy_headers_in_an_npz(tmp_path, header):
+    path = save(tmp_path, model(), ".npz")
+    with zipfile.ZipFile(path) as archive:
+        members = {name: archive.read(name) for name in archive.namelist()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(name, npy(header) if name == "weights.npy" else content)
+    with pytest.raises(FileError, match="'weights' cannot be unpacked"):
         read_smpl(path)
 
 

@@ -9,6 +9,7 @@ from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.skinning import skin
 from lbsfit_np.synthesis import (
     Synthesis,
+    TrainingScans,
     make_settings,
     sample_surface,
     synthesize_nth,
@@ -147,20 +148,90 @@ def test_uniform_poses_fill_the_limits(tube_rig):
     assert np.abs(np.corrcoef(u.T) - np.eye(12)).max() < 0.08
 
 
-def test_training_poses_move_together_and_keep_each_angles_own_distribution(tube_rig):
+def _shares(rig, poses):
+    """Where angles stand between their limits, 0 to 1."""
+    return (poses - rig.lower) / (rig.upper - rig.lower)
+
+
+def _training_poses_one_by_one(rig, n, **options):
+    """As training draws them: each from a stream of its own."""
+    return np.concatenate([training_poses(rig, 1, np.random.default_rng(i), **options) for i in range(n)])
+
+
+@pytest.mark.parametrize("correlated", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_training_poses_keep_each_angles_own_distribution(tube_rig, correlated, one_by_one):
     from scipy.stats import kstest
 
-    poses = training_poses(tube_rig, 3000, np.random.default_rng(0), correlated=1.0)
-    low, high = tube_rig.lower, tube_rig.upper
-    assert (poses >= low).all() and (poses <= high).all()
-    u = ((poses - low) / (high - low))[:, :, 0]
+    if one_by_one:
+        poses = _training_poses_one_by_one(tube_rig, 3000, correlated=correlated)
+    else:
+        poses = training_poses(tube_rig, 3000, np.random.default_rng(0), correlated=correlated)
+    assert poses.shape == (3000, 4, 3)
+    assert (poses >= tube_rig.lower).all() and (poses <= tube_rig.upper).all()
+    u = _shares(tube_rig, poses).reshape(3000, -1)
+    assert max(kstest(angle, "uniform").statistic for angle in u.T) < 0.035
+
+
+def test_training_poses_move_together(tube_rig):
+    def together(**options):
+        return np.corrcoef(_shares(tube_rig, training_poses(tube_rig, 3000, np.random.default_rng(0), **options))[:, :, 0].T)
+
+    long, short = 2, 3
+    assert together(correlated=1.0)[long, short] > 0.15
+    assert 0.08 < together()[long, short] < together(correlated=1.0)[long, short]
+    assert abs(together(correlated=0.0)[long, short]) < 0.08
+
+
+def test_training_poses_have_fists_and_flat_hands():
+    """All fingers bent, or all straight: next to never by independent angles, now and then by correlated ones."""
+    rig = lbs.load_rig("hand")
+    fingers = [j for j, name in enumerate(rig.joint_names) if rig.moving[j] and not name.startswith("thumb") and j != rig.root]
+    bends = [(j, int(np.argmax(rig.upper[j] - rig.lower[j]))) for j in fingers]
+    rows, axes = np.array(bends).T
+
+    def share(of, **options):
+        poses = training_poses(rig, 2000, np.random.default_rng(1), **options)[:, rows, axes]
+        u = (poses - rig.lower[rows, axes]) / (rig.upper - rig.lower)[rows, axes]
+        return of(u).mean()
+
+    for of in (lambda u: (u > 0.5).all(axis=1), lambda u: (u < 0.5).all(axis=1)):
+        assert share(of, correlated=0.0) < 0.005
+        assert share(of, correlated=1.0) > 0.03
+        assert share(of) > 0.015
+
+
+@pytest.mark.parametrize("one_by_one", [False, True])
+def test_the_roots_angles_are_independent_of_all(tube_rig, one_by_one):
+    if one_by_one:
+        poses = _training_poses_one_by_one(tube_rig, 3000, correlated=1.0)
+    else:
+        poses = training_poses(tube_rig, 3000, np.random.default_rng(0), correlated=1.0)
+    together = np.corrcoef(_shares(tube_rig, poses).reshape(3000, -1).T) - np.eye(12)
+    root = slice(3 * tube_rig.root, 3 * tube_rig.root + 3)
+    assert np.abs(together[root]).max() < 0.08
+    assert np.abs(together[3:, 3:]).max() > 0.15
+
+
+def test_axes_of_a_joint_do_not_move_together(tube_rig):
+    """Bending says nothing about spreading: strengths are shared, directions are not."""
+    u = _shares(tube_rig, training_poses(tube_rig, 3000, np.random.default_rng(0), correlated=1.0))
     for j in range(4):
-        assert kstest(u[:, j], "uniform").statistic < 0.05
-    together = np.corrcoef(u.T)
-    assert together[2, 3] > 0.15  # two fingers
-    assert np.abs(together[0, 1:]).max() < 0.08  # the root goes its own way
-    independent = training_poses(tube_rig, 3000, np.random.default_rng(0), correlated=0.0)
-    assert abs(np.corrcoef(independent[:, 2, 0], independent[:, 3, 0])[0, 1]) < 0.08
+        assert np.abs(np.corrcoef(u[:, j].T) - np.eye(3)).max() < 0.08
+
+
+def test_training_scans_are_the_same_in_any_process(tube_rig):
+    import pickle
+
+    scans = TrainingScans(tube_rig, Synthesis(n_points=150), 7)
+    again = pickle.loads(pickle.dumps(scans))
+    for i in (5, 0):
+        points, labels, scale = scans(i)
+        assert points.shape == (150, 3) and labels.shape == (150,) and scale == 1.0
+        np.testing.assert_array_equal(again(i)[0], points)
+        np.testing.assert_array_equal(again(i)[1], labels)
+    assert not np.array_equal(scans(0)[0], scans(1)[0])
+    assert not np.array_equal(TrainingScans(tube_rig, Synthesis(n_points=150), 8)(0)[0], scans(0)[0])
 
 
 def test_locked_axes_stay_where_they_are(shared_rigs):

@@ -6,10 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
+from ..fitting.assemble import assemble, registered
 from ..fitting.labels import labels_from_mesh
-from ..fitting.result import FitResult
 from ..fitting.scan_fit import FitSettings
-from ..losses.chamfer import chamfer
 from ..losses.objective import LossWeights
 from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
@@ -64,7 +63,8 @@ class PlainChamfer:
     def _fit(self, points, started):
         settings, model = self.settings, self._model
         rows = np.linspace(0, len(points) - 1, min(settings.max_points, len(points))).astype(int)
-        unit = reference_scale(points[rows], self.rig, settings.scale).scale * model.half
+        reference = reference_scale(points[rows], self.rig, settings.scale)
+        unit = reference.scale * model.half
         centre = points[rows].mean(axis=0)
         problem = Problem((points[rows] - centre) / unit)
         free = ("pose", "translation") if settings.scale == "fixed" else ("pose", "translation", "scale")
@@ -76,7 +76,21 @@ class PlainChamfer:
         weights = settings.weights.replace(lam_s=0.0)
         free = (*free, "proportions", "residual")
         last = self._minimise(problem, model, first.state, weights, free, self.full_iterations)
-        return self._result(model, problem, points, last, (unit, centre), weights, first.evaluations + last.evaluations, started)
+        vertices = registered(model, last.state, unit, centre)
+        labels, confidence = labels_from_mesh(points, vertices, model.labels, len(self.rig.parts), _SIGMA * unit)
+        return assemble(
+            model,
+            problem,
+            last,
+            unit=unit,
+            centre=centre,
+            evaluation=problem.evaluate(model, last.state, weights, ridge=settings.ridge),
+            labels=labels,
+            confidence=confidence,
+            evaluations=first.evaluations + last.evaluations,
+            note=reference.note,
+            started=started,
+        )
 
     def _minimise(self, problem, model, state, weights, free, iterations):
         return minimise(
@@ -86,32 +100,4 @@ class PlainChamfer:
             free,
             max_iterations=iterations,
             tolerance=1e-6,
-        )
-
-    def _result(self, model, problem, points, last, place, weights, evaluations, started):
-        (unit, centre), state, rig = place, last.state, self.rig
-        scale, translation = float(state.scale * unit / model.half), state.translation * unit + centre
-        offsets = model.offsets(state)
-        offsets = np.zeros_like(rig.vertices) if offsets is None else offsets[rig.weld] * model.half
-        vertices = rig.pose(state.theta, translation, scale, offsets)
-        labels, confidence = labels_from_mesh(points, vertices, rig.vertex_labels, len(rig.parts), _SIGMA * unit)
-        evaluation = problem.evaluate(model, state, weights, ridge=self.settings.ridge)
-        Vd, _ = model.pose(state)
-        return FitResult(
-            pose=state.theta.copy(),
-            translation=translation,
-            scale=scale,
-            offsets=offsets,
-            vertices=vertices,
-            joints=rig.pose_joints(state.theta, translation, scale, offsets),
-            labels=labels,
-            confidence=confidence,
-            terms=dict(evaluation.terms, total=evaluation.value, recon=float(np.sqrt(chamfer(problem.X, Vd.vertices)[0]))),
-            converged=last.converged,
-            status="ok" if np.isfinite(vertices).all() else "failed",
-            message=last.message,
-            evaluations=evaluations,
-            seconds=time.perf_counter() - started,
-            parts=rig.parts,
-            rig_digest=rig.digest,
         )

@@ -13,7 +13,7 @@ from .progress import Progress, say
 __all__ = ["add_parser"]
 
 RESULTS = "results.json"
-ROW_NAMES = ("own", "plain", "oracle")
+ROW_NAMES = ("own", "plain", "oracle", "paper")
 
 _HELP = {
     "hand": "an artist's hand: changed shapes in uniform and in natural poses",
@@ -32,9 +32,9 @@ the truth. Lengths in cm.
 }
 
 _MORE = """
-Three rows: the fit as users get it (own); plain Chamfer from the rest pose (plain); and the fit with the true labels given
-(oracle). OUT gets results.json (every figure, settings, versions), after each row anew, and for each seed a picture of own
-fits from the worst to the best.
+Rows: the fit as users get it (own); plain Chamfer from the rest pose (plain); the fit with the true labels given
+(oracle); and, if asked for, the fit with the paper's weights (paper). OUT gets results.json (every figure, settings,
+versions), after each row anew, and for each seed a picture of own fits from the worst to the best.
 """
 
 _EPILOG = """\
@@ -69,7 +69,7 @@ def _options(n_scans):
         Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o"),
         Option("scans", "scans a seed", positive, n_scans, metavar="N"),
         Option("seeds", "seeds of the test's scans, with commas; training has its own", _seeds, "100,101,102", metavar="N,N"),
-        Option("rows", "which ways of fitting, with commas: own, plain, oracle", _rows, ",".join(ROW_NAMES), metavar="NAME,…"),
+        Option("rows", "ways of fitting, with commas: own, plain, oracle, paper", _rows, "own,plain,oracle", metavar="NAME,…"),
         *(o for o in OPTIONS if o.name in ("training-scans", "jobs")),
         Option("pictures", "fits to show of each seed, from the worst to the best", natural, 3, metavar="K"),
         Option("markdown", "print the table as Markdown", bool, False),

@@ -11,7 +11,7 @@ __all__ = ["FitResult"]
 
 _FORMAT = 1
 _ARRAYS = ("pose", "translation", "offsets", "vertices", "joints", "labels", "confidence")
-_SCALARS = ("scale", "converged", "status", "message", "evaluations", "seconds", "rig_digest")
+_SCALARS = ("scale", "converged", "status", "message", "evaluations", "seconds", "joint_mode", "rig_digest")
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,6 +48,8 @@ class FitResult:
         Evaluations of an objective, over all stages.
     seconds : float
     parts : tuple of str
+    joint_mode : {"follow", "fixed"}
+        What ``joints=`` was: ``rig.pose`` needs it to give ``vertices`` back.
     rig_digest : str
         ``Rig.digest`` of the rig.
     """
@@ -67,6 +69,7 @@ class FitResult:
     evaluations: int
     seconds: float
     parts: tuple
+    joint_mode: str
     rig_digest: str
 
     def __post_init__(self):
@@ -77,8 +80,9 @@ class FitResult:
         """Write as NPZ, atomically.
 
         Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``vertices``, ``joints``, ``labels``,
-        ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``evaluations``, ``seconds``, ``rig_digest`` as
-        0-d arrays; ``parts`` as text; ``terms`` as JSON text; ``lbsfit_np_result``, the format's number.
+        ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``evaluations``, ``seconds``,
+        ``joint_mode``, ``rig_digest`` as 0-d arrays; ``parts`` as text; ``terms`` as JSON text; ``lbsfit_np_result``, the
+        format's number.
         """
         from ..io.write import write_npz
 

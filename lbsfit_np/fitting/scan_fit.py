@@ -6,13 +6,12 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import InputError
-from ..losses.chamfer import chamfer
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.scale import reference_scale
+from .assemble import assemble, registered
 from .labels import labels_from_mesh
-from .result import FitResult
 from .search import Search
 
 __all__ = ["FitSettings", "fit_points"]
@@ -100,22 +99,32 @@ def _fit(model, points, segmenter, settings, theta0, labels, point_weights, rand
         proba = np.eye(n_parts)[labels[rows]]
 
     search = Search(model, problem, proba, labels is not None, settings).run(theta0)
-    last = search.outcome
-
-    state, place = last.state, (unit, centre)
-    Vd, _ = model.pose(state)
-    vertices = Vd.vertices * unit + centre
-    evaluation = problem.evaluate(model, state, settings.weights, search.labels)
-    recon = float(np.sqrt(chamfer(X, Vd.vertices, x_index=problem.x_index)[0]))
-    terms = dict(evaluation.terms, total=evaluation.value, recon=recon)
+    state = search.outcome.state
     if labels is None:
-        final, confidence = labels_from_mesh(
-            points, vertices, model.labels, n_parts, settings.refinements[-1] * unit, proba=proba, proba_points=points[rows]
+        labels, confidence = labels_from_mesh(
+            points,
+            registered(model, state, unit, centre),
+            model.labels,
+            n_parts,
+            settings.refinements[-1] * unit,
+            proba=proba,
+            proba_points=points[rows],
         )
     else:
-        final, confidence = labels.copy(), np.ones(len(points))
-    finite = bool(np.isfinite(vertices).all() and np.isfinite(evaluation.value))
-    return _result(model, state, place, terms, final, confidence, last, search.evaluations, reference.note, finite, started)
+        labels, confidence = labels.copy(), np.ones(len(points))
+    return assemble(
+        model,
+        problem,
+        search.outcome,
+        unit=unit,
+        centre=centre,
+        evaluation=problem.evaluate(model, state, settings.weights, search.labels),
+        labels=labels,
+        confidence=confidence,
+        evaluations=search.evaluations,
+        note=reference.note,
+        started=started,
+    )
 
 
 def _thinned(n, point_weights, most, rng):
@@ -124,33 +133,3 @@ def _thinned(n, point_weights, most, rng):
     if not len(rows):
         raise InputError("point_weights", "all zeros", "at least one positive weight")
     return rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
-
-
-def _result(model, state, place, terms, labels, confidence, last, evaluations, note, finite, started):
-    """The fit in the scan's frame and on the rig's original vertices."""
-    unit, centre = place
-    rig = model.source
-    scale = state.scale * unit / model.half
-    translation = state.translation * unit + centre
-    offsets = model.offsets(state)
-    offsets = np.zeros_like(rig.vertices) if offsets is None else offsets[rig.weld] * model.half
-    return FitResult(
-        pose=state.theta.copy(),
-        translation=translation,
-        scale=float(scale),
-        offsets=offsets,
-        vertices=rig.pose(state.theta, translation, scale, offsets, joints="follow" if model.follow else "fixed"),
-        joints=rig.pose_joints(state.theta, translation, scale, offsets, joints="follow" if model.follow else "fixed"),
-        labels=labels,
-        confidence=confidence,
-        terms=terms,
-        converged=last.converged,
-        status="ok" if finite else "failed",
-        message=(("converged" if last.converged else f"stopped at the limit ({last.message})") + f"; {note}")
-        if finite
-        else "the fit is not finite; check the scan for wild points",
-        evaluations=evaluations,
-        seconds=time.perf_counter() - started,
-        parts=rig.parts,
-        rig_digest=rig.digest,
-    )

@@ -1,0 +1,134 @@
+"""Labels from a fitted mesh and the segmenter's word: the formula, its doubt, and votes with confidence."""
+
+import numpy as np
+import pytest
+
+from lbsfit_np.fitting.labels import labels_from_mesh, refined_labels
+from lbsfit_np.losses import structured_chamfer
+
+# Two parts of one vertex each, two units apart, and a third part without vertices.
+V = np.array([[0.0, 0, 0], [2.0, 0, 0]])
+V_LABELS = np.array([0, 1])
+
+
+def _posterior(X, proba, V, v_labels, sigma):
+    """q of the docstring, by loops, normalised."""
+    q = np.zeros(proba.shape)
+    for i, x in enumerate(X):
+        for p in range(proba.shape[1]):
+            part = V[v_labels == p]
+            if len(part):
+                d = min(np.linalg.norm(x - v) for v in part)
+                q[i, p] = np.sqrt(proba[i, p] + 1e-3) * np.exp(-(d**2) / (2 * sigma**2))
+    return q / q.sum(axis=1, keepdims=True)
+
+
+@pytest.fixture
+def case():
+    rng = np.random.default_rng(0)
+    X, proba = rng.standard_normal((300, 3)), rng.dirichlet(np.full(4, 0.5), 300)
+    return X, proba, rng.standard_normal((60, 3)), rng.integers(4, size=60)
+
+
+@pytest.mark.parametrize("sigma", [0.2, 0.5, 5.0])
+def test_labels_are_the_most_probable_parts(case, sigma):
+    X, proba, V, v_labels = case
+    expected = _posterior(X, proba, V, v_labels, sigma).argmax(axis=1)
+    np.testing.assert_array_equal(refined_labels(X, proba, V, v_labels, sigma), expected)
+
+
+@pytest.mark.parametrize("doubt", [0.3, 0.5, 0.8, 0.99])
+def test_doubtful_points_get_a_label_that_no_vertex_has(case, doubt):
+    X, proba, V, v_labels = case
+    q = _posterior(X, proba, V, v_labels, 0.5)
+    labels = refined_labels(X, proba, V, v_labels, 0.5, doubt=doubt)
+    sure = q.max(axis=1) >= doubt
+    assert 0 < sure.sum() < len(X)
+    np.testing.assert_array_equal(labels, np.where(sure, q.argmax(axis=1), 4))
+
+
+def test_doubtful_points_take_no_part_in_the_structured_term(case):
+    X, proba, V, v_labels = case
+    labels = refined_labels(X, proba, V, v_labels, 0.5, doubt=0.8)
+    doubtful = labels == 4
+    value, grad = structured_chamfer(X, V, labels, v_labels)
+    moved = X.copy()
+    moved[doubtful] += 3.0
+    again, grad_again = structured_chamfer(moved, V, labels, v_labels)
+    assert doubtful.any() and value == again
+    np.testing.assert_array_equal(grad, grad_again)
+
+
+def test_near_the_distance_decides_and_far_the_segmenter():
+    X = np.array([[0.9, 0.0, 0.0]])
+    against = np.array([[0.2, 0.8, 0.0]])  # √(0.8 / 0.2) = 2; the distances speak for part 0 by exp(0.2 / σ²)
+    assert refined_labels(X, against, V, V_LABELS, 0.3) == 0
+    assert refined_labels(X, against, V, V_LABELS, 3.0) == 1
+
+
+def test_a_part_that_the_segmenter_excludes_is_not_impossible():
+    excluded = np.array([[0.0, 1.0, 0.0]])
+    assert refined_labels(np.array([[0.1, 0, 0]]), excluded, V, V_LABELS, 0.3) == 0
+    assert refined_labels(np.array([[0.9, 0, 0]]), excluded, V, V_LABELS, 0.3) == 1
+
+
+@pytest.mark.parametrize("doubt", [0.0, 0.8])
+def test_a_part_without_vertices_is_nobodys(doubt):
+    certain = np.array([[0.0, 0.0, 1.0], [0.5, 0.0, 0.5]])
+    labels = refined_labels(np.array([[0.0, 0, 0], [0.0, 0, 0]]), certain, V, V_LABELS, 0.1, doubt=doubt)
+    assert labels.tolist() == [0, 0]
+
+
+def test_without_doubt_every_point_has_a_part():
+    X = np.array([[1.0, 0.0, 0.0], [1.0, 5.0, 0.0]])  # as far from either
+    even = np.full((2, 3), 1 / 3)
+    assert set(refined_labels(X, even, V, V_LABELS, 0.3)) <= {0, 1}
+    assert refined_labels(X, even, V, V_LABELS, 0.3, doubt=0.6).tolist() == [3, 3]
+
+
+def test_far_from_everything_nothing_overflows():
+    X = np.array([[1e3, 0.0, 0.0], [1e3, 1e3, 0.0]])
+    with np.errstate(over="raise", invalid="raise", divide="raise"):
+        labels = refined_labels(X, np.full((2, 3), 1 / 3), V, V_LABELS, 0.01, doubt=0.8)
+    assert labels.tolist() == [1, 1]
+
+
+def test_nothing_that_is_given_changes(case):
+    kept = [a.copy() for a in case]
+    refined_labels(*case, 0.3, doubt=0.8)
+    labels_from_mesh(case[0], case[2], case[3], 4, 0.3, proba=case[1], proba_points=case[0])
+    for a, b in zip(case, kept, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+# ---- labels of all points ----
+
+
+def _votes(x, V, v_labels, n_parts, sigma, word):
+    d = np.linalg.norm(V - x, axis=1)
+    score = np.zeros(n_parts)
+    for k in np.argsort(d)[:8]:
+        score[v_labels[k]] += np.exp(-(d[k] ** 2) / (2 * sigma**2))
+    return score * np.sqrt(word + 1e-3)
+
+
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("chunk", [7, 200_000])
+def test_the_nearest_vertices_vote(case, known, chunk):
+    X, proba, V, v_labels = case
+    asked = X[::3] if known else None
+    given = {"proba": proba[::3], "proba_points": asked} if known else {}
+    labels, confidence = labels_from_mesh(X, V, v_labels, 4, 0.5, chunk=chunk, **given)
+    for i, x in enumerate(X):
+        word = proba[::3][np.linalg.norm(asked - x, axis=1).argmin()] if known else np.full(4, 0.999)
+        score = _votes(x, V, v_labels, 4, 0.5, word)
+        assert labels[i] == score.argmax()
+        assert confidence[i] == pytest.approx(score.max() / score.sum(), rel=1e-9)
+
+
+def test_votes_of_a_mesh_of_few_vertices():
+    labels, confidence = labels_from_mesh(np.array([[0.1, 0, 0], [2.1, 0, 0], [50.0, 0, 0]]), V, V_LABELS, 3, 0.2)
+    assert labels.tolist() == [0, 1, 1]
+    np.testing.assert_allclose(confidence, 1.0, atol=1e-6)
+    labels, confidence = labels_from_mesh(np.array([[1.0, 0, 0]]), V, V_LABELS, 3, 0.2)
+    assert confidence == pytest.approx(0.5)
