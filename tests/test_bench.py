@@ -67,7 +67,8 @@ def ran(shared_rigs, cache, tmp_path_factory):
     out = tmp_path_factory.mktemp("ran") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LBSFIT_CACHE", str(cache))
-        code = main(["bench", "hand", "--data", str(shared_rigs), "-o", str(out), "--pictures", "2", *QUICK])
+        rows = ("--rows", ",".join(ROWS))
+        code = main(["bench", "hand", "--data", str(shared_rigs), "-o", str(out), "--pictures", "2", *rows, *QUICK])
     return out, code, json.loads((out / "results.json").read_text(encoding="utf-8"))
 
 
@@ -206,7 +207,7 @@ def test_a_run_writes_every_figure(ran):
     for row, content in report["rows"].items():
         seed = content["seeds"]["7"]
         assert [s["scan"] for s in seed["scans"]] == [0, 1] and seed["failed"] == 0
-        lacks = {"own": set(), "plain": {"segmenter_labels"}, "oracle": {"segmenter_labels", "labels"}}[row]
+        lacks = {"own": set(), "paper": set(), "plain": {"segmenter_labels"}, "oracle": {"segmenter_labels", "labels"}}[row]
         for scan in seed["scans"]:
             assert {"scan", "kind", "converged", "message", *set(MEASURES) - lacks} == set(scan)
         for measure in set(MEASURES) - lacks:
@@ -225,6 +226,8 @@ def test_lengths_are_in_half_sizes_and_true_labels_help(ran, hand):
         assert 0.01 < scan["oracle"][measure] < most
     assert 0.03 < scan["own"]["recon_truth"] < 0.06
     assert scan["oracle"]["joint_error"] < scan["own"]["joint_error"]
+    assert scan["paper"]["segmenter_labels"] == scan["own"]["segmenter_labels"]
+    assert scan["paper"]["vertex_error"] != scan["own"]["vertex_error"]
     assert 0.3 < scan["own"]["segmenter_labels"] < 1
 
 
