@@ -21,6 +21,10 @@ from ..synthesis import Synthesis, TrainingScans, make_settings
 __all__ = ["LBSFitter", "fit_scan"]
 
 
+# Beside Synthesis' own defaults: the reference scale is a guess, and people are not of the rig's size.
+_TRAINING = {"scale": 0.05}
+
+
 class LBSFitter(BaseEstimator):
     """Fit a rig to point clouds; scikit-learn's estimator conventions.
 
@@ -38,7 +42,7 @@ class LBSFitter(BaseEstimator):
     training_scans : int, default 4000
         Synthetic scans that the segmenter is trained on.
     training : dict, optional
-        Fields of ``synthesis.Synthesis`` for them, such as ``{"turn": 3.14, "scale": 0.2}``.
+        Fields of ``synthesis.Synthesis`` for them, such as ``{"turn": 3.14, "scale": 0.2}``; ``scale`` is 0.05 unless given.
     n_jobs : int, optional
         Processes for synthesising training scans; results do not depend on it.
     random_state : int or None
@@ -91,7 +95,7 @@ class LBSFitter(BaseEstimator):
         """
         self._check()
         rig, seed = self.rig.welded, self.random_state
-        settings = make_settings(self.training or {})
+        settings = make_settings(_TRAINING | dict(self.training or {}))
 
         def train():
             return train_segmenter(
