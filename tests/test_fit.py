@@ -14,7 +14,7 @@ from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.losses import PRESETS, chamfer, cotangent_matrix, structured_chamfer
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.segmentation import cache
-from lbsfit_np.synthesis import uniform_poses
+from lbsfit_np.synthesis import Synthesis, uniform_poses
 
 CLEAN = {"noise": 0.0, "holes": 0, "density": 0.0}
 
@@ -548,3 +548,16 @@ def test_one_call_names_its_errors_before_training(tube_rig, scan, monkeypatch):
         lbs.fit_scan(tube_rig, scan.points, point_weights=np.zeros(2500))
     with pytest.raises(InputError, match="rig: got str"):
         lbs.fit_scan("left.glb", scan.points)
+
+
+def test_training_scans_vary_in_scale_unless_told_otherwise(tube_rig, monkeypatch):
+    seen = []
+
+    def settings_only(rig, scans, *args, **kwargs):
+        seen.append(scans.settings)
+
+    monkeypatch.setattr("lbsfit_np.learning.fitter.train_segmenter", settings_only)
+    for training in (None, {"noise": 0.01}, {"scale": 0.2}, Synthesis(turn=1.0)):
+        lbs.LBSFitter(tube_rig, training=training, random_state=0).pretrain()
+    assert [s.scale for s in seen] == [0.05, 0.05, 0.2, 0.0]
+    assert (seen[1].noise, seen[3].turn) == (0.01, 1.0)

@@ -95,7 +95,8 @@ class LBSFitter(BaseEstimator):
         """
         self._check()
         rig, seed = self.rig.welded, self.random_state
-        settings = make_settings(_TRAINING | dict(self.training or {}))
+        given = self.training or {}
+        settings = given if isinstance(given, Synthesis) else make_settings(_TRAINING | dict(given))
 
         def train():
             return train_segmenter(
