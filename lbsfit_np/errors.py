@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["FileError", "InputError", "LbsfitError", "MissingExtraError", "check_array", "listed", "shown"]
+__all__ = ["FileError", "InputError", "LbsfitError", "MissingExtraError", "brief", "check_array", "listed"]
 
 
 class LbsfitError(Exception):
@@ -80,7 +80,7 @@ def listed(names, most=8):
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
-def shown(value, most=100):
+def brief(value, most=100):
     """``repr`` of a value for a message, cut after ``most`` characters; whole numbers may have too many digits for ``repr``."""
     try:
         text = repr(value)

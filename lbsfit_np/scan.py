@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, brief
 from .seeds import generator
 
 __all__ = ["Scan", "check_points"]
@@ -59,6 +59,12 @@ class Scan:
             object.__setattr__(self, "labels", _frozen(labels, np.int64))
         object.__setattr__(self, "notes", tuple(self.notes))
 
+    def __setstate__(self, state):
+        self.__dict__.update(state)
+        for array in (self.points, self.normals, self.labels):  # pickle and copy forget that they are read-only
+            if array is not None:
+                array.flags.writeable = False
+
     def __len__(self):
         return len(self.points)
 
@@ -75,7 +81,14 @@ class Scan:
         -------
         (min(n, len(scan)),) int array
             Ascending, no row twice.
+
+        Raises
+        ------
+        InputError
+            ``n`` is not a positive whole number.
         """
+        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1:
+            raise InputError("n", brief(n), "a positive whole number of points")
         if n >= len(self.points):
             return np.arange(len(self.points))
         rng = generator(random_state, "thinned")
@@ -114,6 +127,8 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         raise InputError(
             argument, "rows of different lengths or entries that are not numbers", "numbers of shape (n, 3)"
         ) from None
+    except OverflowError:
+        raise InputError(argument, "whole numbers beyond double precision", "numbers of shape (n, 3)") from None
     if points is None or given.dtype.kind not in "iuf":
         raise InputError(argument, "None" if points is None else f"values of type {given.dtype}", "numbers of shape (n, 3)")
     if given.size == 0:
@@ -145,11 +160,14 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
 
 
 def _frozen(array, dtype):
-    """The array, read-only and contiguous; a copy wherever the caller could still write to it."""
+    """The array, read-only and contiguous; a copy wherever the caller could still write to it.
+
+    A read-only array that does not own its data is a view of something that may well be written to.
+    """
     out = np.ascontiguousarray(array, dtype=dtype)
-    if out.flags.writeable:
-        out = out.copy() if np.may_share_memory(out, array) else out
-        out.flags.writeable = False
+    if np.may_share_memory(out, array) and (out.flags.writeable or not out.flags.owndata):
+        out = out.copy()
+    out.flags.writeable = False
     return out
 
 

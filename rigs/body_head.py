@@ -45,7 +45,7 @@ def head(bones, f):
     skull = smooth_cut(skull, _blob((0.033, 1.607, 0.106), (0.018, 0.010, 0.016)), 0.012)
     skull = smooth_union([skull, _blob((0.032, 1.606, 0.081), (0.0155, 0.0105, 0.0135))], 0.004)
     skull = smooth_union([skull, *_lips()], 0.008)
-    return smooth_union([smooth_union([skull, *_nose()], 0.009), *_ear()], 0.006)
+    return smooth_union([smooth_union([skull, *_nose()], 0.009), *_ear()], 0.012)
 
 
 def _blob(centre, radii):

@@ -25,17 +25,17 @@ from .remesh import remesh
 from .shape_directions import shape_direction
 from .sheet import contact_sheet
 
-__all__ = ["LEVELS", "body_data", "build", "draw", "library_versions", "mirror_of", "mirrored_joints", "report"]
+__all__ = ["LEVELS", "body_data", "build", "draw", "library_versions", "mirror_of", "mirrored", "mirrored_joints", "report"]
 
 FOLDER = Path(__file__).parent
 SHEET = FOLDER.parent / "docs" / "rigs" / "body.png"
 
 # Whom and what the contact sheet shows after the rest pose: people, and poses with the view.
 PEOPLE = (
-    {"figure": 1.0, "height": 1.63, "weight": 57.0},
-    {"figure": -1.0, "height": 1.80, "weight": 72.0, "muscle": 1.0},
-    {"weight": 95.0, "figure": -0.5},
-    {"height": 1.90, "weight": 60.0, "legs": 0.04},
+    {"figure": 1.0, "height": 1.63},
+    {"figure": -1.0, "height": 1.80, "muscle": 1.0},
+    {"height": 1.74, "weight": 92.0, "figure": -0.5},
+    {"height": 1.90, "weight": 56.0, "legs": 0.04},
 )
 SHOWN = (
     ("standing", (-90, 0)), ("walking", (50, 10)), ("running", (60, 10)), ("contrapposto", "front"),
@@ -48,6 +48,7 @@ SHOWN = (
 _GRID, _BLOCKS = 0.004, 6  # of the marching cubes, metres
 _ROUND = 1e-7  # vertices are stored to a tenth of a micrometre
 _INFLUENCES, _LEAST, _STEPS = 8, 0.004, 1 << 14
+_CROSSING = 0.04  # metres from the middle where the other side's limbs lead no skin any more
 
 # Wanted edge lengths of the two levels, metres.
 LEVELS = {
@@ -56,8 +57,8 @@ LEVELS = {
         "tips": 0.0056, "ankle": 0.0155, "toes": 0.0096,
     },
     "body-coarse": {
-        "trunk": 0.046, "limbs": 0.038, "head": 0.030, "face": 0.019, "nose": 0.017, "palm": 0.018, "fingers": 0.0115,
-        "tips": 0.0105, "ankle": 0.028, "toes": 0.021,
+        "trunk": 0.052, "limbs": 0.042, "head": 0.033, "face": 0.018, "nose": 0.0135, "palm": 0.0215, "fingers": 0.0096,
+        "tips": 0.0078, "ankle": 0.030, "toes": 0.022,
     },
 }  # fmt: skip
 
@@ -76,7 +77,7 @@ def body_data(name="body"):
     bones, skin = skeleton(), surface()
     half, faces = polygonise(skin, *BOX, _GRID, blocks=_BLOCKS)
     half, faces = remesh(skin, half, faces, _edge_length(bones, **LEVELS[name]), rounds=8)
-    vertices, faces = _mirrored(np.round(half / _ROUND) * _ROUND, faces)
+    vertices, faces = mirrored(np.round(half / _ROUND) * _ROUND, faces)
     lower, upper = limits()
     weights = _weights(vertices, faces, bones)
     return RigData(
@@ -120,7 +121,7 @@ def _edge_length(bones, *, trunk, limbs, head, face, nose, palm, fingers, tips, 
         arm = ((np.stack([x, y, z], axis=1) - shoulder) @ along) * ((x > 0.15) & (y > 0.8))
         out = np.full(len(points), trunk)
         out += (limbs - trunk) * np.maximum(_ramp(arm, 0.0, 0.10), _ramp(y, 0.80, 0.65))
-        out += (palm - limbs) * _ramp(arm, reach - 0.06, reach + 0.02)
+        out += (palm - limbs) * _ramp(arm, reach - 0.20, reach + 0.02)
         out += (fingers - palm) * _ramp(arm, reach + 0.04, reach + 0.08)
         out += (tips - fingers) * _ramp(arm, reach + 0.11, reach + 0.15)
         out += (ankle - limbs) * _ramp(y, 0.14, 0.08)
@@ -143,7 +144,7 @@ def _ramp(x, start, end):
 # ---- symmetry ----
 
 
-def _mirrored(half, faces):
+def mirrored(half, faces):
     """A whole from its half with x ≥ 0, in an order that does not depend on the remesher's history.
 
     Vertices from the soles up, each with its mirror image next to it; triangles by their lowest vertex.
@@ -187,6 +188,8 @@ def _weights(vertices, faces, bones):
     twin, sides = mirror_of(vertices), mirrored_joints()
     dense = np.maximum((dense + dense[twin][:, sides]) / 2, 0)
     left = vertices[:, 0] >= 0
+    right_limbs = [k for k, name in enumerate(JOINT_NAMES) if name.startswith("right")]
+    dense[:, right_limbs] *= _ramp(vertices[:, :1], _CROSSING, 0.0)  # only near the middle do limbs reach the other side
     rows = _whole_rows(dense[left], vertices[left, 0] == 0, sides)
     whole = np.empty(dense.shape, dtype=np.int64)
     whole[left] = rows
@@ -209,6 +212,12 @@ def _whole_rows(w, middle, sides):
     whole[np.arange(len(w)), takes] += _STEPS - whole.sum(axis=1)
     return whole
 
+
+# Heat of the bones: firmer ones bend more sharply and keep more volume, up to where the skin inside the bend cuts itself.
+_FIRM = {
+    "pelvis": 4.0, "spine1": 1.5, "spine2": 2.0, "spine3": 4.0, "neck": 1.5, "head": 2.0, "collar": 2.0, "hip": 6.0, "knee": 12.0,
+    "ankle": 4.0, "foot": 4.0, "shoulder": 1.6, "elbow": 5.0, "wrist": 4.0, "hand": 4.0,
+}  # fmt: skip
 
 # Segments that lead the skin of the trunk: joint, start, end, of the left half. The trunk's skin is far from its spine, so ribs
 # and hip bone lead it too, or arms and thighs would.
@@ -236,35 +245,35 @@ def _bones(bones):
     """Segments, the joint that each follows, and how firmly."""
     segments, owner, heat = [], [], []
 
-    def add(joint, start, end, firm):
+    def add(joint, start, end):
         for side in ("",) if joint in JOINT_NAMES else ("left", "right"):
             name = f"{side}_{joint}" if side else joint
             flips = ([-1, 1, 1],) if side == "right" else ([1, 1, 1],) if side else ([1, 1, 1], [-1, 1, 1])
             for flip in flips:
                 segments.append((np.array(start) * flip, np.array(end) * flip))
                 owner.append(JOINT_NAMES.index(name))
-                heat.append(firm)
+                heat.append(_FIRM[joint])
 
     for joint, start, end in _SEGMENTS:
-        add(joint, start, end, 1.5)
+        add(joint, start, end)
     at = bones.left
     hip, knee, ankle, ball = (at(n) for n in ("hip", "knee", "ankle", "foot"))
     shoulder, elbow, wrist, knuckles = (at(n) for n in ("shoulder", "elbow", "wrist", "hand"))
     toes = ball + (ball - ankle) * [0.5, 0, 0.5]
-    add("hip", hip + 0.10 * (knee - hip), knee, 3.0)
-    add("knee", knee, ankle, 3.0)
-    add("ankle", ankle, ball, 3.0)
-    add("ankle", ankle, ankle + [0, -0.03, -0.035], 3.0)
-    add("foot", ball, toes, 3.0)
-    add("shoulder", shoulder + 0.06 * (elbow - shoulder), elbow, 2.0)
-    add("elbow", elbow, wrist, 3.0)
-    add("wrist", wrist, knuckles, 3.0)
+    add("hip", hip + 0.10 * (knee - hip), knee)
+    add("knee", knee, ankle)
+    add("ankle", ankle, ball)
+    add("ankle", ankle, ankle + [0, -0.03, -0.035])
+    add("foot", ball, toes)
+    add("shoulder", shoulder + 0.06 * (elbow - shoulder), elbow)
+    add("elbow", elbow, wrist)
+    add("wrist", wrist, knuckles)
     w = (knuckles - wrist) / np.linalg.norm(knuckles - wrist)
     u = -bones.frames[bones.row("left_wrist")][:, 0]
     v = -bones.frames[bones.row("left_wrist")][:, 1]
-    add("wrist", wrist, wrist + 0.055 * u - 0.030 * v + 0.085 * w, 3.0)
+    add("wrist", wrist, wrist + 0.055 * u - 0.030 * v + 0.085 * w)
     for across, far in ((0.026, 0.165), (0.0, 0.175), (-0.024, 0.165), (-0.045, 0.14)):
-        add("hand", wrist + 0.8 * across * u + 0.088 * w, wrist + across * u - 0.03 * v + far * w, 3.0)
+        add("hand", wrist + 0.8 * across * u + 0.088 * w, wrist + across * u - 0.03 * v + far * w)
     return np.array(segments), np.array(owner), np.array(heat)
 
 
@@ -275,7 +284,7 @@ def _bones(bones):
 # default of its own stature and weight, and 0 of the others. Sources in README.md.
 PARAMETERS = {
     "height": ("m", 1.50, 1.95, 0.090, None),
-    "weight": ("kg", 50.0, 100.0, 11.0, 1.0),
+    "weight": ("kg at 1.72 m", 50.0, 95.0, 11.0, 1.0),
     "figure": ("", -1.0, 1.0, 0.5, 0.5),
     "muscle": ("", -1.0, 1.0, 0.4, 0.5),
     "legs": ("", -0.07, 0.07, 0.025, 0.03),
@@ -402,7 +411,7 @@ def draw(rig, path=SHEET):
         rig,
         [(rig.poses[name], view) for name, view in SHOWN],
         subjects=[rig.subject(amount=0, **person) for person in PEOPLE],
-        size=(330, 410),
+        size=(310, 385),
     )
 
 

@@ -1,5 +1,6 @@
 """Many scans with one fitter: order, failures, worker processes, Ctrl-C."""
 
+import copy
 import functools
 import multiprocessing
 import os
@@ -93,6 +94,21 @@ def test_no_scans_is_no_work(tube_rig):
 def test_jobs_that_cannot_be(tube_fitter, clouds, jobs):
     with pytest.raises(InputError, match="jobs: got .*expected a positive whole number"):
         fit_scans(tube_fitter, clouds, jobs=jobs)
+
+
+@pytest.mark.parametrize("parameters", [{"weights": "foo"}, {"scale": "big"}, {"max_points": 0}])
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_parameters_of_the_fitter_that_cannot_be(tube_fitter, clouds, parameters, jobs):
+    """One error, not a failure of every scan."""
+    fitter = copy.copy(tube_fitter)
+    for name, value in parameters.items():
+        setattr(fitter, name, value)
+    seen = []
+    with pytest.raises(InputError, match=next(iter(parameters))):
+        fit_scans(fitter, clouds, jobs=jobs, on_result=seen.append)
+    with pytest.raises(InputError, match="rig: got str"):
+        fit_scans(lbs.LBSFitter("x"), clouds, jobs=jobs, on_result=seen.append)
+    assert not seen
 
 
 def test_what_cannot_be_sent_to_processes(tube_fitter, clouds):

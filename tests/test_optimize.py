@@ -1,5 +1,6 @@
 """What every fit stands on: the layout of the unknowns, the objective's gradient to all of them, the minimiser, the scale."""
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -234,19 +235,35 @@ def test_a_part_without_points_leaves_its_joints_alone(tube_rig):
 # ---- the reference scale ----
 
 
-@pytest.mark.parametrize("unit", [1.0, 1000.0, 100.0, 10.0, 0.1, 0.01, 0.001, 39.3701, 25.4])
-def test_units_are_recognised(tube_rig, unit):
-    for s in lbs.synthesize(tube_rig, 5, random_state=0):
-        found = reference_scale(unit * s.points, tube_rig, "estimate").scale
-        assert 0.55 < found / unit < 1.8
-        if unit in (1.0, 1000.0, 0.001):
-            assert found == unit
+@pytest.mark.parametrize("metres", [1.0, 0.01, 0.25])
+@pytest.mark.parametrize(("name", "unit"), [("metres", 1.0), ("centimetres", 0.01), ("millimetres", 0.001), ("inches", 0.0254)])
+def test_units_of_scans_are_told_where_the_rigs_is_known(tube_rig, metres, name, unit):
+    rig = replace(tube_rig, metres_per_unit=metres)
+    for s in lbs.synthesize(rig, 5, random_state=0):
+        found = reference_scale(metres / unit * s.points, rig, "estimate")
+        if 0.4 <= metres / unit <= 1.8:
+            assert (found.scale, found.note) == (1.0, "scan and rig are in one unit")
+        else:
+            assert found.scale == metres / unit and f"seems to be in {name}" in found.note
 
 
-def test_an_odd_size_is_taken_as_it_is(tube_rig):
+@pytest.mark.parametrize("unit", [1000.0, 10.0, 25.4, 0.01, 39.3701])
+def test_without_the_rigs_unit_the_extents_decide(tube_rig, unit):
+    """No factor is likelier than another then: 2.54 or 10 would be found in anything."""
+    rig = replace(tube_rig, metres_per_unit=None)
+    for s in lbs.synthesize(rig, 5, random_state=0):
+        found = reference_scale(unit * s.points, rig, "estimate")
+        assert 0.55 < found.scale / unit < 1.8 and found.scale != unit
+        assert "a guess from the extents" in found.note
+        assert reference_scale(s.points, rig, "estimate").scale == 1.0
+
+
+@pytest.mark.parametrize("unit", [1e5, 3.0, 1 / 39.3701])
+def test_an_odd_size_is_taken_as_it_is(tube_rig, unit):
+    rig = replace(tube_rig, metres_per_unit=1.0)
     s = lbs.synthesize(tube_rig, 1, random_state=0)[0]
-    found = reference_scale(1e5 * s.points, tube_rig, "estimate")
-    assert 0.5e5 < found.scale < 2e5 and "no known unit" in found.note
+    found = reference_scale(unit * s.points, rig, "estimate")
+    assert 0.5 * unit < found.scale < 2 * unit and "a guess from the extents" in found.note
 
 
 def test_outliers_do_not_change_the_unit(tube_rig):
@@ -265,8 +282,11 @@ def test_a_fixed_scale_wants_the_rigs_unit(tube_rig):
 
 def test_extents_without_a_number_are_errors(tube_rig):
     s = lbs.synthesize(tube_rig, 1, random_state=0)[0]
-    with pytest.raises(InputError, match="points: got an extent of"):
+    with pytest.raises(InputError, match="points: got an extent of .*that double precision can square"):
         reference_scale(1e300 * s.points, tube_rig, "estimate")
+    for place in (np.zeros((1, 3)), np.full((100, 3), 7.0), 1e-200 * s.points):
+        with pytest.raises(InputError, match="points: got an extent of 0, as of points at one place; .*spread"):
+            reference_scale(place, tube_rig, "estimate")
     piled = np.zeros((100, 3))
     piled[0] = tube_rig.size
     assert np.isfinite(reference_scale(piled, tube_rig, "estimate").scale)

@@ -1,6 +1,8 @@
 """Scans: every format gives back what was written, and every broken file gives one clear error."""
 
+import copy
 import json
+import pickle
 import struct
 import zipfile
 
@@ -9,6 +11,7 @@ import pytest
 from npy_files import DAMAGED_HEADERS, damaged, npy
 
 from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.io import scans
 from lbsfit_np.io.scans import SCAN_EXTENSIONS, load_scan
 from lbsfit_np.scan import Scan, check_points
 
@@ -386,7 +389,78 @@ def test_drop_invalid_takes_normals_labels_and_faces_along(tmp_path):
     assert on_tetrahedron(load_scan(tmp_path / "s.npz", drop_invalid=True, n_samples=99).points) < 1e-9
 
 
+LIST_HEAD = "ply\nformat {form} 1.0\nelement vertex 4\nproperty list uchar short seen\nproperty float x\nproperty double y\n"
+LIST_HEAD += "property float z\nproperty list uchar float shades\nproperty uchar label\n"
+
+
+@pytest.mark.parametrize("lengths", [(2, 2, 2, 2), (0, 3, 1, 0)])
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+@pytest.mark.parametrize("faces", [True, False])
+def test_ply_vertices_with_lists(tmp_path, form, lengths, faces):
+    order = ">" if "big" in form else "<"
+    head = LIST_HEAD.format(form=form) + "element face 4\nproperty list uchar int vertex_indices\n" * faces + "end_header\n"
+    text, data = "", b""
+    for (x, y, z), label, n in zip(POINTS, LABELS, lengths):
+        text += " ".join(map(str, [n, *range(n), x, y, z, n, *range(n), label])) + "\n"
+        data += struct.pack(f"{order}B{n}hfdfB{n}fB", n, *range(n), x, y, z, n, *range(n), label)
+    text += "".join(f"3 {a} {b} {c}\n" for a, b, c in FACES) * faces
+    data += b"".join(struct.pack(f"{order}B3i", 3, *f) for f in FACES) * faces
+    path = write(tmp_path, "lists.ply", head.encode() + (text.encode() if form == "ascii" else data))
+    scan = load_scan(path)
+    np.testing.assert_array_equal(scan.points, POINTS)
+    np.testing.assert_array_equal(scan.labels, LABELS)
+    if faces:
+        assert on_tetrahedron(load_scan(path, n_samples=50).points) < 1e-6
+    with pytest.raises(FileError, match="ends after 3 of 4 (vertex|face) rows|the (vertex|face) row 3"):
+        load_scan(write(tmp_path, "cut.ply", path.read_bytes()[:-2]))
+
+
+def test_the_first_of_two_columns_of_one_name_counts(tmp_path):
+    head = "ply\nformat ascii 1.0\nelement vertex 2\n" + "".join(f"property float {a}\n" for a in "xxyz") + "end_header\n"
+    np.testing.assert_array_equal(load_scan(write(tmp_path, "p.ply", head + "1 9 2 3\n4 9 5 6\n")).points, [[1, 2, 3], [4, 5, 6]])
+
+
+def label_files(kind, first, second):
+    """A scan of two points in three text formats whose labels are declared to be of one type and written as two words."""
+    ply_kind = {"I": "int", "U": "uint", "F": "float"}[kind]
+    head = "".join(f"property float {a}\n" for a in "xyz") + f"property {ply_kind} label\nend_header\n"
+    rows = f"0 0 0 {first}\n1 0 0 {second}\n"
+    return {
+        "a.ply": "ply\nformat ascii 1.0\nelement vertex 2\n" + head + rows,
+        "a.pcd": f"VERSION .7\nFIELDS x y z label\nSIZE 4 4 4 4\nTYPE F F F {kind}\nCOUNT 1 1 1 1\nPOINTS 2\nDATA ascii\n{rows}",
+        "a.csv": "x y z label\n" + rows,
+    }
+
+
+@pytest.mark.parametrize("kind", ["I", "U", "F"])
+@pytest.mark.parametrize(("first", "second"), [("1e30", "2"), ("nan", "2"), ("1.5", "2"), ("-inf", "3")])
+def test_labels_that_are_no_whole_numbers_are_left_out_with_a_note(tmp_path, kind, first, second):
+    for name, text in label_files(kind, first, second).items():
+        scan = load_scan(write(tmp_path, name, text))
+        assert scan.labels is None and "'label' are not whole numbers of at most 64 bits" in scan.notes[0], name
+
+
+@pytest.mark.parametrize("kind", ["I", "U", "F"])
+def test_labels_are_what_is_written_whatever_their_type(tmp_path, kind):
+    for name, text in label_files(kind, "-5", "3e2").items():
+        np.testing.assert_array_equal(load_scan(write(tmp_path, name, text)).labels, [-5, 300], err_msg=name)
+
+
+def test_labels_beyond_64_bits_are_left_out_with_a_note(tmp_path):
+    np.savez(tmp_path / "a.npz", points=POINTS, labels=np.array([1, 2, 3, 2**63], dtype=np.uint64))
+    scan = load_scan(tmp_path / "a.npz")
+    assert scan.labels is None and "at most 64 bits" in scan.notes[0]
+    np.savez(tmp_path / "b.npz", points=POINTS, labels=np.array([1, 2, 3, 4], dtype=np.uint64))
+    np.testing.assert_array_equal(load_scan(tmp_path / "b.npz").labels, [1, 2, 3, 4])
+
+
 # ---- bad files ----
+
+
+def huge_ascii_ply(count):
+    head = "".join(f"property float {a}\n" for a in "xyz")
+    return f"ply\nformat ascii 1.0\nelement vertex {count}\n{head}end_header\n{rows(POINTS)}"
+
 
 NAN_PLY = ply_header("ascii", labels=False, faces=False) + rows(POINTS * [[1, np.nan, 1]], NORMALS, LABELS).encode()
 EMPTY_PLY = b"ply\nformat ascii 1.0\nelement vertex 0\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
@@ -402,12 +476,17 @@ BAD = {
     "nan.ply": (lambda: NAN_PLY, "4 of 4 points.*first at index 0.*drop_invalid"),
     "empty.ply": (lambda: EMPTY_PLY, "empty cloud"),
     "novertex.ply": (lambda: b"ply\nformat ascii 1.0\nend_header\n", "without an element 'vertex'"),
-    "noz.ply": (lambda: ascii_ply().replace(b"float z", b"float w"), "the properties x, y, w.*the properties x, y and z"),
+    "noz.ply": (lambda: ascii_ply().replace(b"float z", b"float w"), "vertex properties x, y, w.*vertex properties x, y and z"),
     "odd.ply": (lambda: ascii_ply().replace(b"float z", b"quad z"), "header line 'property quad z'"),
     "form.ply": (lambda: ascii_ply().replace(b"ascii", b"morse"), "header line 'format morse"),
     "text.ply": (lambda: rows(POINTS), "does not start with 'ply'.*extension"),
     "words.ply": (lambda: ascii_ply().replace(b"1.5", b"one"), "'one'"),
     "range.ply": (lambda: ascii_ply().replace(b"3 0 1 2", b"3 0 1 4"), "face 0 with vertices out of range"),
+    "huge3.ply": (lambda: huge_ascii_ply("99999999999999999999999"), "ends after 4 of 99999999999999999999999 vertex rows"),
+    "digits.ply": (lambda: huge_ascii_ply("9" * 5000), "header line 'element vertex 999"),
+    "index.ply": (lambda: ascii_ply().replace(b"3 0 1 2", b"3 0 1 " + b"9" * 30), "the face row 0"),
+    "floats.ply": (lambda: binary_ply("<").replace(b"uchar int vert", b"uchar float vert"), "faces of .*float32"),
+    "count.ply": (lambda: binary_ply("<").replace(b"list uchar", b"list float"), "header line 'property list float"),
     "lie.obj": (ascii_ply, "no vertices"),
     "bad.obj": (lambda: obj() + b"f 1 two 3\n", "line 18.*'f 1 two 3'"),
     "zero.obj": (lambda: obj() + b"f 0 1 2\n", "face 4 with vertices out of range"),
@@ -425,6 +504,13 @@ BAD = {
     "binary.off": (lambda: b"OFF BINARY\n" + bytes(40), "binary"),
     "counts.off": (lambda: b"OFF\nfour 4 0\n", "'four 4 0'.*numbers of vertices"),
     "range.off": (lambda: off().replace(b"3 0 1 2", b"3 0 1 4"), "face 0 with vertices out of range"),
+    "index.off": (lambda: off().replace(b"3 0 1 2", b"3 0 1 " + b"9" * 30), "face 0: '3 0 1 999"),
+    "vertices.off": (lambda: off().replace(b"4 4 0", b"9" * 30 + b" 4 0"), "ends after 8 of 9+ vertices"),
+    "faces.off": (lambda: off().replace(b"4 4 0", b"4 " + b"9" * 30 + b" 0"), "ends after 4 of 9+ faces"),
+    "points.pcd": (lambda: ascii_pcd().replace(b"POINTS 4", b"POINTS " + b"9" * 30), "ends after 4 of 9+ points"),
+    "points2.pcd": (lambda: binary_pcd().replace(b"POINTS 4", b"POINTS " + b"9" * 30), "ends after 4 of 9+ points"),
+    "points3.pcd": (lambda: compressed_pcd().replace(b"POINTS 4", b"POINTS " + b"9" * 30), "too short for its points"),
+    "counts.pcd": (lambda: binary_pcd().replace(b"1 3 1", b"1 99999999999 1"), "the header"),
     "short.pcd": (lambda: ascii_pcd()[:-70], "ends after 2 of 4|cannot be read"),
     "short2.pcd": (lambda: binary_pcd()[:-40], "ends after 2 of 4 points"),
     "short3.pcd": (lambda: compressed_pcd()[:-5], "compressed block that is too short"),
@@ -486,6 +572,58 @@ def test_bad_arrays_in_files(tmp_path):
         load_scan(write(tmp_path, "cut.npz", data[:-90]))
 
 
+ROW = np.arange(4.0)
+ODD_COLUMNS = {
+    "lengths": ({"x": ROW, "y": ROW[:3], "z": ROW}, "arrays of different lengths .*x 4, y 3, z 4"),
+    "text": ({"x": ROW.astype(str), "y": ROW, "z": ROW}, "arrays with <U32 values of shape .* in 'x'.*one number per point"),
+    "complex": ({"x": ROW, "y": ROW + 1j, "z": ROW}, "complex128 values .* in 'y'"),
+}
+
+
+@pytest.mark.parametrize("case", ODD_COLUMNS)
+def test_columns_that_are_no_columns(tmp_path, case):
+    columns, words = ODD_COLUMNS[case]
+    np.savez(tmp_path / "a.npz", **columns)
+    with pytest.raises(FileError, match=words):
+        load_scan(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [("U3", "fields with <U3"), ("2f4", r"shape \(3, 2\)"), ("c16", "complex128"), ("M8[s]", "datetime64"), ("?", "bool")],
+)
+def test_fields_that_are_no_numbers(tmp_path, kind, words):
+    np.save(tmp_path / "a.npy", np.zeros(3, dtype=[("x", kind), ("y", "f4"), ("z", "f4")]))
+    with pytest.raises(FileError, match=f"{words}.* in 'x'"):
+        load_scan(tmp_path / "a.npy")
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (ValueError("odd"), r"content that cannot be read \(odd\).*complete PLY file"),
+        (OverflowError("odd"), r"content that cannot be read \(odd\)"),
+        (TypeError("odd"), r"content that cannot be read \(odd\)"),
+        (IndexError("odd"), r"content that cannot be read \(odd\)"),
+        (MemoryError(), "more than memory can hold"),
+        (PermissionError(13, "Permission denied"), r"cannot be read \(Permission denied\)"),
+    ],
+)
+def test_what_a_reader_does_not_foresee_is_one_clear_error(tmp_path, monkeypatch, error, words):
+    def read(path):
+        raise error
+
+    monkeypatch.setitem(scans._READERS, ".ply", read)
+    with pytest.raises(FileError, match=words):
+        load_scan(write(tmp_path, "a.ply", ascii_ply()))
+
+
+@pytest.mark.parametrize(("name", "words"), [("a" * 300 + ".ply", "too long"), ("a\0b.ply", "NUL"), ("a\0b.npy", "NUL")])
+def test_names_that_no_file_has(name, words):
+    with pytest.raises(FileError, match=words):
+        load_scan(name)
+
+
 @pytest.mark.parametrize("header", DAMAGED_HEADERS)
 def test_damaged_npy_headers_are_one_clear_error(tmp_path, header):
     with pytest.raises(FileError, match=r"bad\.npy: got content that cannot be read.*truncated or damaged"):
@@ -518,7 +656,7 @@ def test_missing_files_folders_and_odd_arguments(tmp_path):
         load_scan(tmp_path / "folder.ply")
     with pytest.raises(InputError, match="path: got int"):
         load_scan(3)
-    for odd in (0, -1, 2.5, True):
+    for odd in (0, -1, 2.5, True, 10**30):
         with pytest.raises(InputError, match="n_samples"):
             load_scan(write(tmp_path, "p.ply", ascii_ply()), n_samples=odd)
     with pytest.raises(FileError, match="no area"):
@@ -573,6 +711,7 @@ def test_check_points_takes_scans_lists_and_integers():
         ([[0, 0, 0], [1, 2, np.nan], [np.inf, 0, 0]], "2 of 3 points .*first at index 1.*drop_invalid.*--drop-invalid"),
         (np.ones((9, 3)), r"9 points that are all equal, at \(1, 1, 1\)"),
         (None, "numbers"),
+        ([[10**400, 0, 0], [1, 2, 3]], "whole numbers beyond double precision"),
     ],
 )
 def test_check_points_refuses(points, words):
@@ -604,6 +743,40 @@ def test_scan_is_its_own_and_read_only():
         Scan(POINTS, labels=[0.5, 1, 2, 3])
     with pytest.raises(InputError, match="normals"):
         Scan(POINTS, normals=NORMALS[:2])
+
+
+def test_a_read_only_view_of_what_others_write_to_is_copied():
+    points, labels = POINTS.copy(), LABELS.copy()
+    views = points.view(), labels.view()
+    for view in views:
+        view.flags.writeable = False
+    scan = Scan(views[0], views[0], views[1])
+    points[:], labels[:] = 9, 9
+    np.testing.assert_array_equal(scan.points, POINTS)
+    np.testing.assert_array_equal(scan.normals, POINTS)
+    np.testing.assert_array_equal(scan.labels, LABELS)
+
+
+def test_a_read_only_array_of_its_own_is_not_copied():
+    points = POINTS.copy()
+    points.flags.writeable = False
+    assert Scan(points).points is points
+
+
+@pytest.mark.parametrize("again", [lambda scan: pickle.loads(pickle.dumps(scan)), copy.copy, copy.deepcopy])
+def test_a_scan_stays_read_only_when_it_travels(again):
+    scan = again(Scan(POINTS, NORMALS, LABELS, name="s", notes=("n",)))
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert (scan.name, scan.notes, again(Scan(POINTS)).labels) == ("s", ("n",), None)
+    for array in (scan.points, scan.normals, scan.labels):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@pytest.mark.parametrize("n", [0, -1, 2.5, True, "3", None])
+def test_thinned_wants_a_count(n):
+    with pytest.raises(InputError, match="n: got .*a positive whole number of points"):
+        Scan(POINTS).thinned(n)
 
 
 def test_thinned_is_a_sorted_subset_by_seed():

@@ -9,7 +9,6 @@ import sys
 import threading
 import zipfile
 from dataclasses import dataclass, field, replace
-
 from pathlib import Path
 
 import numpy as np

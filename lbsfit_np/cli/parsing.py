@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
-from ..errors import FileError, InputError, shown
+from ..errors import FileError, InputError, brief
 
 __all__ = ["Option", "Parser", "add_options", "formatter", "natural", "positive", "settings"]
 
@@ -46,9 +46,9 @@ def _whole(text, least):
     except ValueError:
         value = least - 1
     if value < least:
-        raise argparse.ArgumentTypeError(f"got {shown(text)}; expected a whole number of at least {least}")
+        raise argparse.ArgumentTypeError(f"got {brief(text)}; expected a whole number of at least {least}")
     if value > _LARGEST:
-        raise argparse.ArgumentTypeError(f"got {shown(text)}; expected a whole number of at most {_LARGEST}")
+        raise argparse.ArgumentTypeError(f"got {brief(text)}; expected a whole number of at most {_LARGEST}")
     return value
 
 
@@ -156,7 +156,7 @@ def _pair(text):
                 return name.strip().replace("-", "_"), number
         except ValueError:
             continue
-    raise argparse.ArgumentTypeError(f"got {shown(text)}; expected NAME=NUMBER, such as turn=3.14")
+    raise argparse.ArgumentTypeError(f"got {brief(text)}; expected NAME=NUMBER, such as turn=3.14")
 
 
 def _is_finite(number):
@@ -197,21 +197,21 @@ def _checked(value, option, path):
     if option.kind is bool:
         if isinstance(value, bool):
             return value
-        raise FileError(str(path), f"{option.name} = {shown(value)}", "true or false")
+        raise FileError(str(path), f"{option.name} = {brief(value)}", "true or false")
     if option.table:
         if isinstance(value, dict) and all(type(v) in (int, float) and _is_finite(v) for v in value.values()):
             return {name.replace("-", "_"): v for name, v in value.items()}
-        raise FileError(str(path), f"{option.name} = {shown(value)}", "a table of numbers, such as { turn = 3.14 }")
+        raise FileError(str(path), f"{option.name} = {brief(value)}", "a table of numbers, such as { turn = 3.14 }")
     if option.choices:
         if value in option.choices:
             return value
-        raise FileError(str(path), f"{option.name} = {shown(value)}", " or ".join(map(repr, option.choices)))
+        raise FileError(str(path), f"{option.name} = {brief(value)}", " or ".join(map(repr, option.choices)))
     if option.kind is str:
         if not isinstance(value, str) or not value:
-            raise FileError(str(path), f"{option.name} = {shown(value)}", "text in quotes")
+            raise FileError(str(path), f"{option.name} = {brief(value)}", "text in quotes")
         return str(Path(path).parent / value) if option.is_path and value != "none" else value
     if type(value) is not int or not _is_finite(value):
-        raise FileError(str(path), f"{option.name} = {shown(value)}", "a whole number")
+        raise FileError(str(path), f"{option.name} = {brief(value)}", "a whole number")
     try:
         return option.kind(str(value))
     except argparse.ArgumentTypeError as error:

@@ -59,6 +59,7 @@ def cloud_from_columns(path, what, names, column):
     what : str
         What the format calls columns, such as "fields".
     names : sequence of str
+        "" for a column that cannot be used.
     column : callable
         ``column(k)`` gives the (n,) values of the k-th name; called for those of :func:`columns_by_role` only.
 
@@ -74,7 +75,7 @@ def cloud_from_columns(path, what, names, column):
     """
     where = columns_by_role(names)
     if not {0, 1, 2} <= where.keys():
-        raise FileError(str(path), f"the {what} {listed(names, 40) or '(none)'}", f"the {what} x, y and z")
+        raise FileError(str(path), f"the {what} {listed([n for n in names if n], 40) or '(none)'}", f"the {what} x, y and z")
     columns = {role: _numbers(path, what, names[k], column(k)) for role, k in where.items() if role < 6}
     if len({len(values) for values in columns.values()}) > 1:
         lengths = ", ".join(f"{names[where[role]]} {len(values)}" for role, values in sorted(columns.items()))

@@ -49,14 +49,13 @@ def read_ply(path):
         for name, (count, properties) in elements.items():
             if cloud is not None and (name != "face" or faces is not None):
                 continue  # edges, materials and the like stand last: nothing here looks at them
-            wanted = {"vertex": _vertex_columns, "face": _face_columns}.get(name, lambda properties: [])(properties)
+            wanted = _vertex_columns(properties) if name == "vertex" else _face_columns(properties) if name == "face" else []
             if order is None:
                 columns = _read_ascii(file, path, name, count, properties, wanted)
             else:
                 columns = _read_binary(file, order, path, name, count, properties, wanted)
             if name == "vertex":
-                names = _scalar_names(properties)
-                cloud = cloud_from_columns(path, "vertex properties", names, columns.__getitem__)
+                cloud = cloud_from_columns(path, "vertex properties", _scalar_names(properties), columns.__getitem__)
             elif name == "face" and wanted:
                 faces = fans(*columns[wanted[0]])
             if "face" not in elements and cloud is not None:

@@ -1,10 +1,11 @@
 """Scans from files: one door for all formats, which picks the reader, checks what it read, and samples meshes."""
 
+import sys
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, LbsfitError, brief
 from ..scan import Scan, check_points
 from ..seeds import generator
 
@@ -71,7 +72,9 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
         ``n_samples`` is not a positive whole number.
     """
     if n_samples is not None and (isinstance(n_samples, bool) or not isinstance(n_samples, (int, np.integer)) or n_samples < 1):
-        raise InputError("n_samples", repr(n_samples), "a positive whole number, or None for the points as they are")
+        raise InputError("n_samples", brief(n_samples), "a positive whole number, or None for the points as they are")
+    if n_samples is not None and n_samples > sys.maxsize:
+        raise InputError("n_samples", brief(n_samples), "as many points as memory can hold")
     shown = str(path)
     cloud = _read(path, shown)
     notes = list(cloud.notes)
@@ -113,16 +116,25 @@ def _read(path, shown):
     if suffix not in _READERS:
         got = f"the extension {suffix!r}" if suffix else "a name without an extension"
         raise FileError(shown, got, f"one of {' '.join(_READERS)}", "Convert the scan to one of these formats, for instance PLY.")
+    if "\0" in shown:
+        raise FileError(repr(shown), "a name with a NUL character, which no file has", "the path of a file")
     try:
         if path.is_dir():
             raise FileError(shown, "a folder", "a file")
         if path.stat().st_size == 0:
             raise FileError(shown, "an empty file (0 bytes)", "a file with points")
         return _READERS[suffix](path)
+    except LbsfitError:
+        raise
     except FileNotFoundError:
         raise FileError(shown, "no such file", "a file that exists", "Check the path for typing errors.") from None
     except OSError as error:
         raise FileError(shown, f"a file that cannot be read ({error.strerror or error})", "a readable file") from None
+    except MemoryError:
+        raise FileError(shown, "more than memory can hold", "a smaller scan", "The file may be damaged.") from None
+    except (ValueError, OverflowError, TypeError, LookupError) as error:  # damage that its reader has not foreseen
+        got = f"content that cannot be read ({error})"
+        raise FileError(shown, got, f"a complete {suffix[1:].upper()} file", "The file is truncated or damaged.") from error
 
 
 def _checked(points, shown, drop_invalid):

@@ -1,10 +1,11 @@
 """Checks of the losses' arguments: one clear error for each bad one, at a few microseconds a call."""
 
+import sys
 from numbers import Real
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, brief
 
 __all__ = ["check_index", "check_labels", "check_number", "check_same_length", "check_set", "check_weights"]
 
@@ -81,5 +82,5 @@ def check_index(argument, index, points, labelled):
 
 def check_number(argument, value):
     """Raise unless ``value`` is a finite number of at least 0."""
-    if not isinstance(value, Real) or not 0 <= value < np.inf:
-        raise InputError(argument, repr(value), "a finite number of at least 0")
+    if not isinstance(value, Real) or not 0 <= value <= sys.float_info.max:
+        raise InputError(argument, brief(value), "a finite number of at least 0")

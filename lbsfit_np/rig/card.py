@@ -43,7 +43,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, listed, shown
+from ..errors import FileError, InputError, brief, listed
 from .frames import AXES
 
 __all__ = ["UNITS", "Card", "card_text", "matching", "read_card", "write_card"]
@@ -194,7 +194,7 @@ class _Parser:
         for table, keys in _TABLES.items():
             if table in content:
                 if not isinstance(content[table], dict):
-                    self.fail(f"{table} = {shown(content[table])}", f"a table, written [{table}]")
+                    self.fail(f"{table} = {brief(content[table])}", f"a table, written [{table}]")
                 if keys is not None:
                     self.known(content[table], keys, f"in [{table}]", "key")
         rig, hierarchy = content.get("rig", {}), content.get("hierarchy", {})
@@ -227,7 +227,7 @@ class _Parser:
     def text(self, table, key, where):
         value = table.get(key)
         if value is not None and not isinstance(value, str):
-            self.fail(f"{where} {key} = {shown(value)}", "text in quotes")
+            self.fail(f"{where} {key} = {brief(value)}", "text in quotes")
         return value
 
     def unit(self, value):
@@ -237,47 +237,48 @@ class _Parser:
             return UNITS[value]
         if _is_finite(value) and value > 0:
             return float(value)
-        self.fail(f"[rig] unit = {shown(value)}", f"one of {', '.join(map(repr, UNITS))}, or the number of metres in one unit")
+        self.fail(f"[rig] unit = {brief(value)}", f"one of {', '.join(map(repr, UNITS))}, or the number of metres in one unit")
 
     def axis(self, rig, key):
         value = rig.get(key)
         if value is not None and (not isinstance(value, str) or value not in AXES):
-            self.fail(f"[rig] {key} = {shown(value)}", f"one of {', '.join(map(repr, AXES))}")
+            self.fail(f"[rig] {key} = {brief(value)}", f"one of {', '.join(map(repr, AXES))}")
         return value
 
     def names(self, value, where):
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            self.fail(f"{where} = {shown(value)}", 'a list of joint names or globs, such as ["*-tip"]')
+            self.fail(f"{where} = {brief(value)}", 'a list of joint names or globs, such as ["*-tip"]')
         return tuple(value)
 
     def chains(self, value):
         if not isinstance(value, list) or not all(isinstance(chain, list) and len(chain) > 1 for chain in value):
             self.fail(
-                f"[hierarchy] chains = {shown(value)}", 'a list of chains of at least two joints, such as [["wrist", "thumb-base"]]'
+                f"[hierarchy] chains = {brief(value)}",
+                'a list of chains of at least two joints, such as [["wrist", "thumb-base"]]',
             )
         return tuple(self.names(chain, "a chain in [hierarchy]") for chain in value)
 
     def pairs(self, value, where):
         if not isinstance(value, dict) or not all(isinstance(v, str) for v in value.values()):
-            self.fail(f"{where} = {shown(value)}", 'a table of child = parent, such as { "thumb-base" = "wrist" }')
+            self.fail(f"{where} = {brief(value)}", 'a table of child = parent, such as { "thumb-base" = "wrist" }')
         return tuple(value.items())
 
     def frames(self, value):
         for name, kind in value.items():
             if kind not in _FRAME_KINDS:
-                self.fail(f"[frames] {name!r} = {shown(kind)}", " or ".join(map(repr, _FRAME_KINDS)))
+                self.fail(f"[frames] {name!r} = {brief(kind)}", " or ".join(map(repr, _FRAME_KINDS)))
         return tuple(value.items())
 
     def limits(self, value):
         unit = value.get("unit", "rad")
         if unit not in ("rad", "deg"):
-            self.fail(f"[limits] unit = {shown(unit)}", "'rad' or 'deg'")
+            self.fail(f"[limits] unit = {brief(unit)}", "'rad' or 'deg'")
         factor = 1.0 if unit == "rad" else math.pi / 180.0
         out = []
         for name, pair in value.items():
             if name == "unit":
                 continue
-            where = f"[limits] {name!r} = {shown(pair)}"
+            where = f"[limits] {name!r} = {brief(pair)}"
             ok = isinstance(pair, list) and len(pair) == 2 and all(isinstance(t, list) and len(t) == 3 for t in pair)
             if not ok or not all(_is_finite(a) for t in pair for a in t):
                 self.fail(where, "[[lower x, y, z], [upper x, y, z]], six finite numbers")
@@ -299,7 +300,7 @@ class _Parser:
             if name == "joints":
                 self.fail("[parts.joints]", 'another name: "joints" always means one part per moving joint')
             if not isinstance(parts, dict) or not parts:
-                self.fail(f"[parts] {name} = {shown(parts)}", f'a table [parts.{name}] with lines such as thumb = ["thumb-*"]')
+                self.fail(f"[parts] {name} = {brief(parts)}", f'a table [parts.{name}] with lines such as thumb = ["thumb-*"]')
             out[name] = {part: self.names(members, f"[parts.{name}] {part}") for part, members in parts.items()}
         return out
 

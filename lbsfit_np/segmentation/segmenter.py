@@ -6,7 +6,7 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import FileError, InputError, shown
+from ..errors import FileError, InputError, brief
 from ..losses.checks import check_set
 from ..seeds import generator
 from ..workers import Workers
@@ -71,7 +71,7 @@ class Segmenter:
         """
         points = check_set("points", getattr(points, "points", points))
         if isinstance(scale, bool) or not isinstance(scale, Real) or not 0 < scale < np.inf:
-            raise InputError("scale", shown(scale), "a positive finite number")
+            raise InputError("scale", brief(scale), "a positive finite number")
         rows = np.arange(len(points)) if rows is None else _checked_rows(rows, len(points))
         points = points / (scale * self.half)
         if len(self.stages) == 1:
@@ -255,7 +255,7 @@ def _jobs(n_jobs, random_state):
     if n_jobs is None:
         return 1
     if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs == 0:
-        raise InputError("n_jobs", shown(n_jobs), "a positive whole number of processes, −1 for one a processor, or None for one")
+        raise InputError("n_jobs", brief(n_jobs), "a positive whole number of processes, −1 for one a processor, or None for one")
     if isinstance(random_state, np.random.Generator):
         return 1  # copies of it in several processes would draw the same numbers for different scans
     if multiprocessing.current_process().daemon:

@@ -10,8 +10,8 @@ __all__ = ["ReferenceScale", "reference_scale"]
 
 # A pose can fold a body to a fraction of its rest extent but hardly stretch it: a ratio in this range is one unit for both.
 _SAME_UNIT = 0.4, 1.8
-# Scan units in a rig unit when the two differ by metres, centimetres, millimetres or inches.
-_UNITS = (1000.0, 100.0, 10.0, 0.1, 0.01, 0.001, 39.3701, 1 / 39.3701, 2.54, 1 / 2.54, 25.4, 1 / 25.4)
+# Metres in the units that scans are usually in.
+_UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 
 
 @dataclass(frozen=True)
@@ -35,10 +35,21 @@ def reference_scale(points, rig, mode):
     Returns
     -------
     ReferenceScale
+        ``estimate``: 1 where the extents allow it; else from metres, centimetres, millimetres or inches to the rig's unit, where
+        that is known and the extents allow one of these; else the ratio of the extents.
+
+    Raises
+    ------
+    InputError
+        An extent of 0, as of a single point, or one too large to compute with; a scan that is not in the rig's unit and shall be.
     """
-    ratio = _extent(points) / _extent(rig.vertices)
+    extent = _extent(points)
+    if extent == 0:
+        expected = "points that are spread over a surface"
+        raise InputError("points", "an extent of 0, as of points at one place", expected, "Check that the scan has coordinates.")
+    ratio = extent / _extent(rig.vertices)
     if not 0 < ratio < np.inf:
-        raise InputError("points", f"an extent of {_extent(points):.3g}", "coordinates that double precision can square")
+        raise InputError("points", f"an extent of {extent:.3g}", "coordinates that double precision can square")
     if mode == "fixed":
         if not 0.2 <= ratio <= 3.0:
             raise InputError(
@@ -50,11 +61,14 @@ def reference_scale(points, rig, mode):
         return ReferenceScale(1.0, "scale fixed at 1")
     if _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
         return ReferenceScale(1.0, "scan and rig are in one unit")
-    fitting = [u for u in _UNITS if _SAME_UNIT[0] <= ratio / u <= _SAME_UNIT[1]]
+    fitting = {}
+    if rig.metres_per_unit is not None:
+        fitting = {name: rig.metres_per_unit / metres for name, metres in _UNITS.items()}
+        fitting = {name: unit for name, unit in fitting.items() if _SAME_UNIT[0] <= ratio / unit <= _SAME_UNIT[1]}
     if fitting:
-        unit = min(fitting, key=lambda u: abs(np.log(ratio / u / 0.9)))
-        return ReferenceScale(unit, f"one rig unit is about {unit:.6g} scan units")
-    return ReferenceScale(ratio, f"no known unit: one rig unit taken as {ratio:.4g} scan units")
+        name, unit = min(fitting.items(), key=lambda item: abs(np.log(ratio / item[1] / 0.9)))
+        return ReferenceScale(unit, f"the scan seems to be in {name}: one rig unit is {unit:.6g} scan units")
+    return ReferenceScale(ratio, f"the scale is a guess from the extents: one rig unit taken as {ratio:.4g} scan units")
 
 
 def _extent(points):

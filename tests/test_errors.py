@@ -1,0 +1,41 @@
+"""The words of errors, and the check that most arrays of users go through."""
+
+import numpy as np
+import pytest
+
+from lbsfit_np.errors import InputError, brief, check_array, listed
+
+
+def test_names_are_listed_up_to_a_number():
+    assert listed([]) == ""
+    assert listed(["a", "b"]) == "a, b"
+    assert listed(list("abc"), 3) == "a, b, c"
+    assert listed(list("abcde"), 3) == "a, b, c and 2 more"
+    assert listed(list("abcdefghij")).endswith("h and 2 more")
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [("a", "'a'"), (None, "None"), ("a" * 200, "'" + "a" * 99 + "…"), ([10**5000], "a number of several thousand digits")],
+)
+def test_values_are_shown_in_brief(value, words):
+    assert brief(value) == words
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        ("abc", "pose: got str; expected an array of numbers of shape"),
+        ([[1, 2], [3]], "pose: got list"),
+        ([[10**400, 0], [0, 0]], "pose: got whole numbers beyond double precision"),
+        (np.zeros((3, 2)), r"pose: got shape \(3, 2\); expected shape \(2, 2\)"),
+        ([[np.nan, 0], [np.inf, 0]], "pose: got 2 values that are NaN or infinite"),
+    ],
+)
+def test_arrays_that_are_none(value, words):
+    with pytest.raises(InputError, match=words):
+        check_array("pose", value, (2, 2))
+
+
+def test_whole_numbers_become_floats():
+    assert check_array("pose", [[10**30, 0], [0, 1]], (2, 2)).tolist() == [[1e30, 0.0], [0.0, 1.0]]
