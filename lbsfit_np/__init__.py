@@ -7,10 +7,12 @@ __version__ = "0.1.0"
 # Public names and where they live; loaded on first use, so that importing the package stays fast.
 _HOMES = {
     "Rig": "rig.rig",
+    "bundled_rigs": "io.rigs",
     "load_rig": "io.rigs",
     "Scan": "scan",
     "load_scan": "io.scans",
     "losses": None,
+    "natural_poses": "synthesis",
     "synthesize": "synthesis",
     "LBSFitter": "learning.fitter",
     "fit_scan": "learning.fitter",

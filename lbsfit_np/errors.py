@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["FileError", "InputError", "LbsfitError", "MissingExtraError", "check_array"]
+__all__ = ["FileError", "InputError", "LbsfitError", "MissingExtraError", "check_array", "listed", "shown"]
 
 
 class LbsfitError(Exception):
@@ -66,8 +66,24 @@ def check_array(argument, value, shape):
         a = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise InputError(argument, type(value).__name__, f"an array of numbers of shape {shape}") from None
+    except OverflowError:
+        raise InputError(argument, "whole numbers beyond double precision", f"an array of numbers of shape {shape}") from None
     if a.shape != tuple(shape):
         raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}")
     if not np.isfinite(a).all():
         raise InputError(argument, f"{int((~np.isfinite(a)).sum())} values that are NaN or infinite", "finite numbers")
     return a
+
+
+def listed(names, most=8):
+    """Names in one line for a message, cut after ``most``."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def shown(value, most=100):
+    """``repr`` of a value for a message, cut after ``most`` characters; whole numbers may have too many digits for ``repr``."""
+    try:
+        text = repr(value)
+    except ValueError:
+        return "a number of several thousand digits"
+    return text if len(text) <= most else f"{text[:most]}…"

@@ -7,7 +7,7 @@ import numpy as np
 
 from .errors import InputError, check_array
 from .rig.chains import chains
-from .rotations import matrix_from_rotvec
+from .rotations import matrix_from_rotvec, rotvec_from_matrix
 from .seeds import generator
 from .skinning import skin
 
@@ -15,6 +15,7 @@ __all__ = [
     "Synthesis",
     "SyntheticScan",
     "TrainingScans",
+    "natural_poses",
     "sample_surface",
     "synthesize",
     "synthesize_nth",
@@ -72,6 +73,10 @@ _RANGES = {
 }
 
 
+_POSES = ("uniform", "natural", "mixed")
+_POSE_NOISE = 0.05  # rad
+
+
 @dataclass(frozen=True)
 class SyntheticScan:
     """A synthetic scan with its truth, in the rig's frame and unit (times ``scale``).
@@ -106,15 +111,16 @@ class SyntheticScan:
     joints: np.ndarray
 
 
-def synthesize(rig, n_scans=1, *, poses=None, templates=None, random_state=None, **settings):
+def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=None, **settings):
     """Synthetic scans of a rig, each with its truth.
 
     Parameters
     ----------
     rig : Rig
     n_scans : int, default 1
-    poses : (k, J, 3) array, optional
-        Poses to take in turn; default: uniform within the limits (R_l, R_u).
+    poses : {"uniform", "natural", "mixed"} or (k, J, 3) array, default "uniform"
+        Uniform within the limits (R_l, R_u); near the rig's library of natural poses (:func:`natural_poses`); uniform and
+        natural in turn; or poses to take in turn.
     templates : sequence of (vertices (m, 3), joints (J, 3)), optional
         Changed templates to take in turn; default: random proportions (``shape``).
     random_state : int, Generator or None
@@ -129,12 +135,17 @@ def synthesize(rig, n_scans=1, *, poses=None, templates=None, random_state=None,
     Raises
     ------
     InputError
-        A setting that is not known or out of range; poses or templates that do not fit the rig.
+        A setting that is not known or out of range; poses or templates that do not fit the rig; natural poses of a rig
+        without a library.
     """
     settings = make_settings(settings)
-    if isinstance(n_scans, bool) or not isinstance(n_scans, Integral) or n_scans < 0:
-        raise InputError("n_scans", repr(n_scans), "an integer of at least 0")
-    if poses is not None:
+    _check_count("n_scans", n_scans)
+    if isinstance(poses, str):
+        if poses not in _POSES:
+            raise InputError("poses", repr(poses), f"{', '.join(map(repr, _POSES))}, or an array (k, J, 3)")
+        if poses != "uniform":
+            _check_library(rig, poses)
+    elif poses is not None:
         shape = np.shape(poses)
         if len(shape) != 3 or shape[1:] != rig.lower.shape or not shape[0]:
             raise InputError("poses", f"shape {shape}", f"shape (k, {len(rig.parents)}, 3) with k ≥ 1")
@@ -149,8 +160,10 @@ def synthesize(rig, n_scans=1, *, poses=None, templates=None, random_state=None,
 def synthesize_nth(rig, i, settings, *, poses=None, templates=None, random_state=None):
     """Scan ``i`` of :func:`synthesize`, for those who want one at a time; ``poses`` may be a function (rig, n, rng) → poses."""
     rng = generator(random_state, "synthesize", i)
-    if poses is None or callable(poses):
-        pose = (poses or uniform_poses)(rig, 1, rng)[0]
+    if poses is None or isinstance(poses, str):
+        poses = natural_poses if poses == "natural" or (poses == "mixed" and i % 2) else uniform_poses
+    if callable(poses):
+        pose = poses(rig, 1, rng)[0]
     else:
         pose = poses[i % len(poses)]
     template = with_random_proportions(rig, settings.shape, rng) if templates is None else templates[i % len(templates)]
@@ -192,6 +205,63 @@ def make_settings(settings):
 def uniform_poses(rig, n, rng):
     """Θ' ~ Unif(R_l, R_u); (n, J, 3)."""
     return rig.lower + rng.random((n, *rig.lower.shape)) * (rig.upper - rig.lower)
+
+
+def natural_poses(rig, n, random_state=None):
+    """Poses near those of the rig's library.
+
+    Each is a pose of the library, in half of the cases blended with a second one, (1 − t) θ + t θ' with t ~ Unif(0, 1); then
+    Gaussian noise of 0.05 rad about every axis that moves, cut to the limits. The root has the library's angles, turned
+    further by angles that are uniform within the root's limits.
+
+    Parameters
+    ----------
+    rig : Rig
+        With ``poses``.
+    n : int
+    random_state : int, Generator or None
+
+    Returns
+    -------
+    (n, J, 3) array
+        Radians.
+
+    Raises
+    ------
+    InputError
+        The rig has no library.
+    """
+    _check_library(rig, "natural")
+    _check_count("n", n)
+    rng = generator(random_state, "natural_poses")
+    library = np.stack(list(rig.poses.values()))
+    k, root = len(library), rig.root
+    first = rng.integers(k, size=n)
+    second = (first + rng.integers(1, k, size=n)) % k if k > 1 else first
+    t = (rng.random(n) * (rng.random(n) < 0.5))[:, None, None]
+    poses = (1 - t) * library[first] + t * library[second]
+    blended_root = poses[:, root].copy()
+    poses += _POSE_NOISE * rng.standard_normal(poses.shape)
+    poses = np.clip(poses, rig.lower, rig.upper)  # axes that do not move have no room for the noise
+    turn = rig.lower[root] + rng.random((n, 3)) * (rig.upper[root] - rig.lower[root])
+    # In the root's own frame: the library's turn first, then the further one.
+    poses[:, root] = rotvec_from_matrix(matrix_from_rotvec(turn) @ matrix_from_rotvec(blended_root))
+    return poses
+
+
+def _check_count(argument, n):
+    if isinstance(n, bool) or not isinstance(n, Integral) or n < 0:
+        raise InputError(argument, repr(n), "an integer of at least 0")
+
+
+def _check_library(rig, poses):
+    if not rig.poses:
+        raise InputError(
+            "poses",
+            f"{poses!r} for the rig {rig.name!r}, which has no library of natural poses",
+            "'uniform', or an array (k, J, 3) of poses",
+            "The bundled rigs have a library.",
+        )
 
 
 def training_poses(rig, n, rng, *, correlated=0.5):
@@ -317,8 +387,6 @@ def with_random_proportions(rig, amount, rng, template=None):
 
 
 def _turned(rig, theta_root, most, rng):
-    from .rotations import rotvec_from_matrix
-
     axis = rng.standard_normal(3)
     turn = matrix_from_rotvec(axis / np.linalg.norm(axis) * most * rng.random())
     frame = rig.frames[rig.root]

@@ -1,7 +1,7 @@
-"""Builds the bundled right hand: rigs/hand.npz and its contact sheet docs/rigs/hand.png.
+"""Builds the bundled right hand: rigs/hand.npz, rigs/hand-coarse.npz and the contact sheet docs/rigs/hand.png.
 
 Run from the checkout, with the extra "build" installed: python -m rigs.build_hand. The same library versions give the same
-file to the last bit.
+files to the last bit.
 """
 
 from importlib import metadata
@@ -13,18 +13,20 @@ from lbsfit_np.io.npz import read_npz
 from lbsfit_np.io.write import write_npz
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.data import RigData
+from lbsfit_np.rig.shapes import ShapeSpace
 
 from .checks import bending_volume, components, edge_uses, euler_characteristic, self_intersections, volume
 from .hand_poses import POSES, pose_angles, pose_library
-from .hand_shape import BOX, FINGERS, JOINT_NAMES, PARENTS, skeleton, surface
+from .hand_shape import BOX, FINGERS, JOINT_NAMES, PARAMETERS, PARENTS, Person, skeleton, surface
 from .heat import heat_weights
 from .implicit import polygonise
 from .remesh import remesh
+from .shape_directions import shape_direction
 from .sheet import contact_sheet
 
-__all__ = ["LIMITS", "build", "draw", "hand_data", "library_versions", "report"]
+__all__ = ["LEVELS", "LIMITS", "build", "draw", "hand_data", "library_versions", "report"]
 
-RIG = Path(__file__).with_name("hand.npz")
+FOLDER = Path(__file__).parent
 SHEET = Path(__file__).parents[1] / "docs" / "rigs" / "hand.png"
 
 # What the contact sheet shows, row by row: pose and view.
@@ -34,9 +36,20 @@ SHOWN = (
     ("relaxed", (40, 15)), ("four", "front"), ("shaka", (-20, 10)), ("fist", (205, 35)),
 )  # fmt: skip
 
+# Changes of the shape parameters that the contact sheet shows, in standard deviations.
+PEOPLE = (
+    {"length": -2.0, "breadth": -1.5},
+    {"length": 2.0, "breadth": 1.5},
+    {"breadth": 2.5, "thickness": 2.5, "fingers": -2.5, "thumb": -1.0},
+    {"breadth": -2.5, "thickness": -2.0, "fingers": 2.5, "thumb": 1.5},
+)
+
 _GRID = 0.0030  # of the marching cubes, metres
-_EDGE = (0.0051, 0.0074)  # wanted edge length at the fingertips and at the stump, metres
+# Wanted edge length at the fingertips and at the stump, metres, and rounds of remeshing. Fingers bear no coarser triangles.
+LEVELS = {"hand": ((0.0051, 0.0074), 8), "hand-coarse": ((0.0072, 0.0180), 6)}
 _ROUND = 1e-7  # vertices are stored to a tenth of a micrometre
+_DEVIATIONS = 1.5  # shape directions are differences between people this many standard deviations to either side
+_ROUNDED = 2e-5  # metres over four standard deviations
 
 # Heat of the bones: firmer bones bend more sharply and keep more volume, up to where the skin inside the bend cuts itself.
 _FIRM_PALM, _FIRM_PHALANX = 5.0, 3.0
@@ -55,17 +68,22 @@ LIMITS = {
     "thumb3": ((-15, 0, 0), (80, 0, 0)),
 }
 
+# MANO's right hand rests flat as this one does, with fingers along −x (here +y), the palm down, −y (here +z), and the thumb's
+# side towards +z (here +x). The fingers' directions within the palm are taken to be the same.
+MANO_REST = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 
-def hand_data():
-    """The hand as a RigData, computed from nothing but this package's own numbers."""
+
+def hand_data(name="hand"):
+    """The hand as a RigData, computed from nothing but this package's own numbers; ``name`` is one of ``LEVELS``."""
     bones, skin = skeleton(), surface()
+    edges, rounds = LEVELS[name]
     vertices, faces = polygonise(skin, *BOX, _GRID)
-    vertices, faces = remesh(skin, vertices, faces, _edge_length)
+    vertices, faces = remesh(skin, vertices, faces, lambda points: _edge_length(points, *edges), rounds=rounds)
     vertices, faces = _ordered(np.round(vertices / _ROUND) * _ROUND, faces)
     segments, owner, heat = _bones(bones)
     lower, upper = _limits()
     return RigData(
-        name="hand",
+        name=name,
         vertices=vertices,
         faces=faces,
         weights=heat_weights(vertices, faces, segments, owner, len(JOINT_NAMES), heat=heat),
@@ -80,13 +98,16 @@ def hand_data():
         forward="+z",
         partitions={"fingers": {"palm": ("wrist",), **{f: tuple(f"{f}{k}" for k in (1, 2, 3)) for f in FINGERS}}},
         parts="joints",
+        poses=dict(zip(*pose_library(JOINT_NAMES))),
+        shapes=_shapes(vertices, faces),
+        smpl_rest=np.tile(MANO_REST, (len(JOINT_NAMES), 1, 1)),
     )
 
 
-def _edge_length(points):
+def _edge_length(points, tip, stump):
     """Finer towards the fingertips, where the skin curves more."""
     t = np.clip((np.linalg.norm(points - [0, 0.02, 0], axis=1) - 0.03) / 0.06, 0, 1)
-    return _EDGE[1] + (_EDGE[0] - _EDGE[1]) * t
+    return stump + (tip - stump) * t
 
 
 def _ordered(vertices, faces):
@@ -120,6 +141,39 @@ def _bones(bones):
     return np.array(segments), np.array(owner), np.array(heat)
 
 
+def _shapes(vertices, faces):
+    """Shape parameters: the mesh carried onto the skins of people who differ in one number."""
+    segments, _, heat = _bones(skeleton())
+    B = len(segments)
+    rows = np.arange(2 * B).reshape(B, 2)  # both ends of every segment, in the place of joints
+    along = heat_weights(vertices, faces, segments, rows[:, 0], 2 * B, heat=heat)
+    directions, joints = [], []
+    for name, (_, _, default, spread, _) in PARAMETERS.items():
+
+        def person(change, name=name, default=default):
+            return skeleton(Person(**{name: default + change}))
+
+        def change(amount, person=person):
+            bones = person(amount)
+            return surface(bones), _bones(bones)[0].reshape(-1, 3)
+
+        step = _DEVIATIONS * spread
+        directions.append(shape_direction(vertices, faces, along, rows, rows[:, 0], change, step=step)[0])
+        joints.append((person(step).joints - person(-step).joints) / (2 * step))
+    lower, upper, default, spread = np.array([row[:4] for row in PARAMETERS.values()]).T
+    space = ShapeSpace(
+        names=tuple(PARAMETERS),
+        units=tuple(row[4] for row in PARAMETERS.values()),
+        lower=lower,
+        upper=upper,
+        default=default,
+        spread=spread,
+        vertices=np.array(directions),
+        joints=np.round(joints, 9) + 0.0,
+    )
+    return space.rounded(_ROUNDED)
+
+
 def _limits():
     lower, upper = np.zeros((len(JOINT_NAMES), 3)), np.zeros((len(JOINT_NAMES), 3))
     for row, name in enumerate(JOINT_NAMES):
@@ -128,16 +182,15 @@ def _limits():
     return lower, upper
 
 
-def build(path=RIG):
-    """Write the hand with its pose library to an NPZ; returns the rig.
+def build(name="hand", folder=FOLDER):
+    """Write one of the ``LEVELS`` to folder/name.npz; returns the rig.
 
-    Beyond the rig format's keys the file has ``poses_names`` (k,) text, ``poses_theta`` (k, J, 3) radians, and ``built_with``,
-    the versions of the libraries: with the same ones a rebuild gives the same file.
+    Beyond the rig format's keys the file has ``built_with``, the versions of the libraries: with the same ones a rebuild gives
+    the same file.
     """
-    rig = build_rig(hand_data())
+    rig, path = build_rig(hand_data(name)), folder / f"{name}.npz"
     rig.save(path)
-    names, theta = pose_library(rig.joint_names)
-    write_npz(path, **read_npz(path), poses_names=np.array(names), poses_theta=theta, built_with=np.array(library_versions()))
+    write_npz(path, **read_npz(path), built_with=np.array(library_versions()))
     return rig
 
 
@@ -166,13 +219,17 @@ def report(rig):
 
 
 def draw(rig, path=SHEET):
-    """The contact sheet: rest from front and back, joints and fingers as parts, and twelve poses."""
+    """The contact sheet: rest from front and back, joints and fingers as parts, four other people, and twelve poses."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    contact_sheet(path, rig, [(pose_angles(POSES[name], list(rig.joint_names)), view) for name, view in SHOWN])
+    s = rig.shapes
+    people = [{n: s.default[s.names.index(n)] + k * s.spread[s.names.index(n)] for n, k in p.items()} for p in PEOPLE]
+    poses = [(pose_angles(POSES[name], list(rig.joint_names)), view) for name, view in SHOWN]
+    contact_sheet(path, rig, poses, subjects=[rig.subject(amount=0, **p) for p in people])
 
 
 if __name__ == "__main__":
-    hand = build()
-    draw(hand)
-    print("\n".join(report(hand)))
-    print(f"{RIG.name}: {RIG.stat().st_size / 1e3:.0f} kB")
+    for level in LEVELS:
+        rig = build(level)
+        print("\n".join([f"{level}.npz: {(FOLDER / f'{level}.npz').stat().st_size / 1e3:.0f} kB", *report(rig)]))
+        if level == "hand":
+            draw(rig)

@@ -10,13 +10,22 @@ import numpy as np
 
 from .implicit import Loft, capsule, ellipsoid, frame_along, smooth_cut, smooth_union
 
-__all__ = ["BOX", "FINGERS", "JOINT_NAMES", "PARENTS", "Skeleton", "skeleton", "surface"]
+__all__ = ["BOX", "FINGERS", "JOINT_NAMES", "PARAMETERS", "PARENTS", "Person", "Skeleton", "skeleton", "surface"]
 
 HAND_LENGTH, HAND_BREADTH = 0.187, 0.085
 FINGERS = ("index", "middle", "pinky", "ring", "thumb")  # MANO's order
 JOINT_NAMES = ("wrist", *(f"{finger}{k}" for finger in FINGERS for k in (1, 2, 3)))
 PARENTS = np.array([-1, *(p for f in range(5) for p in (0, 3 * f + 1, 3 * f + 2))])
 BOX = (np.array([-0.085, -0.055, -0.035]), np.array([0.125, 0.205, 0.06]))
+
+# In what people differ: lower, upper, default, standard deviation (the others held), unit. See Person and README.md.
+PARAMETERS = {
+    "length": (0.155, 0.215, HAND_LENGTH, 0.0115, "m"),
+    "breadth": (0.070, 0.100, HAND_BREADTH, 0.0045, "m"),
+    "thickness": (0.80, 1.20, 1.0, 0.06, ""),
+    "fingers": (0.90, 1.10, 1.0, 0.025, ""),
+    "thumb": (0.85, 1.15, 1.0, 0.04, ""),
+}
 
 # Phalanges: proximal, middle, distal, in hand lengths. Thumb: metacarpal, proximal, distal.
 _SEGMENTS = {
@@ -46,39 +55,89 @@ _THUMB_DORSAL = (0.76, -0.46, -0.46)  # where the thumb's nail looks
 
 
 @dataclass(frozen=True)
+class Person:
+    """In what hands differ; the defaults are the bundled hand's.
+
+    Attributes
+    ----------
+    length : float
+        Wrist joint to the tip of the middle finger, metres. Lengthens palm and fingers alike.
+    breadth : float
+        Across the knuckles, metres. Broadens palm and fingers.
+    thickness : float
+        From the back of the hand to the palm, of palm and fingers, as a share of the default.
+    fingers : float
+        Length of the four fingers as a share of what it is for a hand of this length; the palm makes up for it.
+    thumb : float
+        Length of the thumb, likewise.
+    """
+
+    length: float = HAND_LENGTH
+    breadth: float = HAND_BREADTH
+    thickness: float = 1.0
+    fingers: float = 1.0
+    thumb: float = 1.0
+
+    @property
+    def across(self):
+        return self.breadth / HAND_BREADTH
+
+    @property
+    def palm(self):
+        """Factor of lengths within the palm."""
+        knuckle, finger = _METACARPAL["middle"][1][1], sum(_SEGMENTS["middle"])
+        return self.length / HAND_LENGTH * ((knuckle + finger * (1 - self.fingers)) / knuckle)
+
+    @property
+    def axes(self):
+        """Factors along the rig's axes within the palm, (3,)."""
+        return np.array([self.across, self.palm, self.thickness])
+
+    def section(self, rows):
+        """Rows (s, right, left, dorsal, palmar) of a loft with this person's half-axes."""
+        return np.asarray(rows) * [1, self.across, self.across, self.thickness, self.thickness]
+
+    def segments(self, finger):
+        """Lengths of a finger's bones, metres."""
+        return np.array(_SEGMENTS[finger]) * self.length * (self.thumb if finger == "thumb" else self.fingers)
+
+
+@dataclass(frozen=True)
 class Skeleton:
-    """Joints (16, 3), frames (16, 3, 3) with columns flexion, abduction, twist axis, and fingertips by finger."""
+    """Joints (16, 3), frames (16, 3, 3) with columns flexion, abduction, twist axis, fingertips by finger, and whose it is."""
 
     joints: np.ndarray
     frames: np.ndarray
     tips: dict
     carpal: dict  # finger -> proximal end of its metacarpal
+    person: Person
 
     def row(self, finger, k):
         return JOINT_NAMES.index(f"{finger}{k}")
 
 
-def _place(at):
-    return np.array([at[0] * HAND_BREADTH, at[1] * HAND_LENGTH, at[2]])
+def _place(at, person):
+    return np.array([at[0] * HAND_BREADTH, at[1] * HAND_LENGTH, at[2]]) * person.axes
 
 
-def skeleton():
-    """Joint positions and anatomical rest frames.
+def skeleton(person=None):
+    """Joint positions and anatomical rest frames of a person, by default the bundled hand's.
 
     In every frame x is the axis of flexion (positive bends towards the palm), y of abduction (it points out of the back of
     the hand; positive turns towards the thumb's side) and z runs along the bone to the tip (twist). The wrist's frame has
     x = +x, y = −z and z = +y of the rig.
     """
+    person = person or Person()
     joints, frames, tips, carpal = np.zeros((16, 3)), np.zeros((16, 3, 3)), {}, {}
     frames[0] = frame_along([0, 1, 0], [0, 0, -1])
     for f, finger in enumerate(FINGERS):
-        lengths = np.array(_SEGMENTS[finger]) * HAND_LENGTH
+        lengths = person.segments(finger)
         if finger == "thumb":
-            carpal[finger] = at = _place(_THUMB_ROOT)
+            carpal[finger] = at = _place(_THUMB_ROOT, person)
             directions = [_THUMB_DIRECTION, _THUMB_OUTER, _THUMB_OUTER]
             dorsal = _THUMB_DORSAL
         else:
-            carpal[finger], at = (_place(p) for p in _METACARPAL[finger])
+            carpal[finger], at = (_place(p, person) for p in _METACARPAL[finger])
             spread, roll = np.radians(_SPREAD[finger]), np.radians(_ROLL[finger])
             directions = [(np.sin(spread), np.cos(spread), 0.0)] * 3
             dorsal = (np.sin(roll), 0.0, -np.cos(roll))
@@ -86,8 +145,8 @@ def skeleton():
             row = 3 * f + 1 + k
             joints[row], frames[row] = at, frame_along(directions[k], dorsal)
             at = at + lengths[k] * frames[row][:, 2]
-        tips[finger] = at + _FLESH * HAND_LENGTH * frames[row][:, 2]
-    return Skeleton(joints, frames, tips, carpal)
+        tips[finger] = at + _FLESH * person.length * frames[row][:, 2]
+    return Skeleton(joints, frames, tips, carpal, person)
 
 
 # Cross-sections of a finger of thickness 1: position (bone number + fraction of that bone), half breadth, dorsal, palmar, mm.
@@ -112,7 +171,7 @@ _THUMB_STATIONS = (
 )
 
 
-def _digit(bones, frame, start, stations, scale, tip):
+def _digit(person, bones, frame, start, stations, scale, tip):
     """A loft along straight bones; ``bones`` are lengths, ``tip`` the distance from ``start`` to the fingertip."""
     ends = np.concatenate([[0.0], np.cumsum(bones)])
     rows = []
@@ -120,7 +179,7 @@ def _digit(bones, frame, start, stations, scale, tip):
         k = int(np.clip(np.floor(where), 0, len(bones) - 1))
         along = ends[k] + (where - k) * bones[k]
         rows.append((along, *(0.001 * scale * np.array([breadth, breadth, dorsal, palmar]))))
-    return Loft(start, frame, rows, caps=(0.006, tip - rows[-1][0]))
+    return Loft(start, frame, person.section(rows), caps=(0.006, tip - rows[-1][0]))
 
 
 def surface(bones=None):
@@ -129,15 +188,18 @@ def surface(bones=None):
     Parameters
     ----------
     bones : Skeleton, optional
+        Of a person; by default the bundled hand's.
 
     Returns
     -------
     callable
     """
     bones = bones or skeleton()
-    palm = smooth_union([_wrist(), smooth_union(_metacarpals(bones), 0.010)], 0.018)
-    palm = smooth_union([palm, _hypothenar(), *_thenar(bones)], 0.014)
-    palm = smooth_cut(palm, ellipsoid((0.000, 0.053, 0.0265), np.eye(3), (0.015, 0.026, 0.0105)), 0.010)
+    axes = bones.person.axes
+    palm = smooth_union([_wrist(axes), smooth_union(_metacarpals(bones), 0.010)], 0.018)
+    palm = smooth_union([palm, _hypothenar(axes), *_thenar(bones)], 0.014)
+    hollow = ellipsoid(np.array([0.000, 0.053, 0.0265]) * axes, np.eye(3), np.array([0.015, 0.026, 0.0105]) * axes)
+    palm = smooth_cut(palm, hollow, 0.010)
     fingers = [_finger(bones, finger) for finger in ("index", "middle", "ring", "pinky")]
     thumb = smooth_union([_thumb(bones), *_first_web(bones)], 0.008)
     hand = smooth_union([palm, thumb], 0.008)
@@ -146,7 +208,8 @@ def surface(bones=None):
     return smooth_union([hand, *_webs(bones)], 0.012)
 
 
-def _wrist():
+def _wrist(axes):
+    across, along, deep = axes
     frame = frame_along([0, 1, 0], [0, 0, -1])
     rows = [  # s, right (thumb side), left, dorsal, palmar
         (-0.034, 0.0295, 0.0295, 0.0205, 0.0200),
@@ -155,6 +218,7 @@ def _wrist():
         (0.008, 0.0270, 0.0285, 0.0165, 0.0172),
         (0.022, 0.0245, 0.0290, 0.0140, 0.0160),
     ]
+    rows = np.array(rows) * [along, across, across, deep, deep]
     return Loft((0, 0, 0.0010), frame, rows, caps=(0.012, 0.016), exponent=2.15)
 
 
@@ -173,13 +237,14 @@ def _metacarpals(bones):
             (length, 0.0108 * t + right, 0.0108 * t + left, 0.0105 * t, 0.0158 * t),
             (length + 0.008, 0.0100 * t + right / 2, 0.0100 * t + left / 2, 0.0085 * t, 0.0145 * t),
         ]
-        shapes.append(Loft(start, frame, rows, caps=(0.010, 0.009), exponent=2.4))
+        shapes.append(Loft(start, frame, bones.person.section(rows), caps=(0.010, 0.009), exponent=2.4))
     return shapes
 
 
-def _hypothenar():
+def _hypothenar(axes):
     frame = frame_along([-0.22, 0.97, 0.02], [-0.35, 0, -0.9])
-    return ellipsoid((-0.0275, 0.033, 0.0080), frame, (0.0135, 0.0110, 0.0330))
+    radii = np.array([0.0135, 0.0110, 0.0330]) * axes[[0, 2, 1]]
+    return ellipsoid(np.array([-0.0275, 0.033, 0.0080]) * axes, frame, radii)
 
 
 def _thenar(bones):
@@ -191,19 +256,21 @@ def _thenar(bones):
         (0.5 * length, 0.0105, 0.0125, 0.0098, 0.0140),
         (length, 0.0108, 0.0108, 0.0102, 0.0122),
     ]
-    eminence = (start + end) / 2 + np.array([-0.010, -0.003, 0.004])
+    axes = bones.person.axes
+    eminence = (start + end) / 2 + np.array([-0.010, -0.003, 0.004]) * axes
+    radii = np.array([0.0165, 0.0135, 0.0300]) * axes[[0, 2, 1]]
     return [
-        Loft(start, frame, rows, caps=(0.009, 0.008)),
-        ellipsoid(eminence, frame_along(end - start + [-0.004, 0.014, 0], [0, 0, -1]), (0.0165, 0.0135, 0.0300)),
+        Loft(start, frame, bones.person.section(rows), caps=(0.009, 0.008)),
+        ellipsoid(eminence, frame_along(end - start + [-0.004, 0.014, 0], [0, 0, -1]), radii),
     ]
 
 
 def _thumb(bones):
     row = bones.row("thumb", 2)
     start = bones.joints[row]
-    lengths = np.array(_SEGMENTS["thumb"][1:]) * HAND_LENGTH
+    lengths = bones.person.segments("thumb")[1:]
     tip = np.linalg.norm(bones.tips["thumb"] - start)
-    return _digit(lengths, bones.frames[row], start, _THUMB_STATIONS, 1.0, tip)
+    return _digit(bones.person, lengths, bones.frames[row], start, _THUMB_STATIONS, 1.0, tip)
 
 
 def _first_web(bones):
@@ -225,17 +292,18 @@ def _first_web(bones):
 def _finger(bones, finger):
     row = bones.row(finger, 1)
     start = bones.joints[row]
-    lengths = np.array(_SEGMENTS[finger]) * HAND_LENGTH
+    lengths = bones.person.segments(finger)
     tip = np.linalg.norm(bones.tips[finger] - start)
-    return _digit(lengths, bones.frames[row], start, _FINGER_STATIONS, _THICKNESS[finger], tip)
+    return _digit(bones.person, lengths, bones.frames[row], start, _FINGER_STATIONS, _THICKNESS[finger], tip)
 
 
 def _knuckles(bones):
     shapes = []
     for finger in ("index", "middle", "ring", "pinky"):
         row, t = bones.row(finger, 1), _THICKNESS[finger]
-        centre = bones.joints[row] + bones.frames[row] @ np.array([0, 0.0055 * t, -0.001])
-        shapes.append(ellipsoid(centre, bones.frames[row], np.array([0.0078, 0.0068, 0.0105]) * t))
+        across, deep = bones.person.across, bones.person.thickness
+        centre = bones.joints[row] + bones.frames[row] @ np.array([0, 0.0055 * t * deep, -0.001])
+        shapes.append(ellipsoid(centre, bones.frames[row], np.array([0.0078, 0.0068, 0.0105]) * t * [across, deep, 1]))
     return shapes
 
 
@@ -250,6 +318,7 @@ def _webs(bones):
         ends = []
         for finger, r in ((first, reach[0]), (second, reach[1])):
             row = bones.row(finger, 1)
-            ends.append(bones.joints[row] + bones.frames[row] @ np.array([0, -0.0030, r]))
+            along = r * bones.person.length / HAND_LENGTH * bones.person.fingers
+            ends.append(bones.joints[row] + bones.frames[row] @ np.array([0, -0.0030 * bones.person.thickness, along]))
         shapes.append(capsule(*ends, (0.0055, 0.0055)))
     return shapes

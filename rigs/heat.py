@@ -7,7 +7,7 @@ joint and H = c / d² with d the distance to that bone: near the bone the skin f
 import numpy as np
 from scipy import sparse
 
-__all__ = ["bone_distances", "cotangent_laplacian", "exact_rows", "heat_weights"]
+__all__ = ["bone_distances", "cotangent_laplacian", "diffused", "exact_rows", "heat_weights"]
 
 
 def cotangent_laplacian(vertices, faces):
@@ -48,7 +48,28 @@ def bone_distances(vertices, bones):
 
 
 def heat_weights(vertices, faces, bones, owner, n_joints, *, heat=1.0, influences=8, least=0.004):
-    """Smooth weights of every vertex on the joints.
+    """Smooth weights of every vertex on the joints, in exact rows.
+
+    Parameters
+    ----------
+    vertices, faces, bones, owner, n_joints, heat
+        As for :func:`diffused`.
+    influences : int, default 8
+        At most that many joints a vertex.
+    least : float
+        Weights below this are dropped.
+
+    Returns
+    -------
+    (n, n_joints) csr_array
+        Rows sum to exactly 1.
+    """
+    weights = diffused(vertices, faces, bones, owner, n_joints, heat=heat)
+    return exact_rows(weights, influences=influences, least=least)
+
+
+def diffused(vertices, faces, bones, owner, n_joints, *, heat=1.0):
+    """The steady state of the diffusion, before anything is cut or rounded.
 
     Parameters
     ----------
@@ -61,15 +82,11 @@ def heat_weights(vertices, faces, bones, owner, n_joints, *, heat=1.0, influence
     n_joints : int
     heat : float or (B,) array, default 1
         c: larger keeps the transition between bones shorter.
-    influences : int, default 8
-        At most that many joints a vertex.
-    least : float
-        Weights below this are dropped.
 
     Returns
     -------
-    (n, n_joints) csr_array
-        Rows sum to exactly 1.
+    (n, n_joints) array
+        Rows sum to 1 but for rounding.
     """
     from scipy.sparse.linalg import splu
 
@@ -79,8 +96,7 @@ def heat_weights(vertices, faces, bones, owner, n_joints, *, heat=1.0, influence
     stiffness, areas = cotangent_laplacian(vertices, faces)
     source = np.zeros((len(vertices), n_joints))
     source[np.arange(len(vertices)), np.asarray(owner)[nearest]] = areas * H
-    weights = splu(sparse.csc_array(stiffness + sparse.diags_array(areas * H))).solve(source)
-    return exact_rows(weights, influences=influences, least=least)
+    return splu(sparse.csc_array(stiffness + sparse.diags_array(areas * H))).solve(source)
 
 
 def exact_rows(weights, *, influences=8, least=0.004, steps=1 << 14):

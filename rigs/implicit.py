@@ -9,7 +9,7 @@ import numpy as np
 __all__ = ["Loft", "capsule", "ellipsoid", "frame_along", "gradient", "polygonise", "project", "smooth_cut", "smooth_union"]
 
 # Primitives are evaluated inside a box only; outside it they count as far away. The box reaches beyond every blending radius, as
-# a shape that vanished within one would leave a step in the surface.
+# a shape that vanished within one would leave a step in the surface. What is larger than a hand is given a longer reach.
 _REACH, _FAR = 0.022, 0.05
 
 
@@ -44,23 +44,25 @@ class Loft:
         How far the rounded ends reach beyond the first and last station, metres.
     exponent : float, default 2.3
         Of the superellipse; 2 is an ellipse, larger is boxier.
+    reach : float, default 0.022
+        How far outside it is still evaluated, metres; longer than every blending radius.
     """
 
-    def __init__(self, origin, frame, stations, *, caps, exponent=2.3):
+    def __init__(self, origin, frame, stations, *, caps, exponent=2.3, reach=_REACH):
         from scipy.interpolate import PchipInterpolator
 
         self.origin, self.frame = np.asarray(origin, dtype=float), np.asarray(frame, dtype=float)
         stations = np.asarray(stations, dtype=float)
         self.start, self.end = stations[0, 0], stations[-1, 0]
         self.profile = PchipInterpolator(stations[:, 0], stations[:, 1:], axis=0)
-        self.caps, self.exponent = caps, exponent
-        reach = stations[:, 1:].max(axis=0) + _REACH
-        self.low = np.array([-reach[1], -reach[3], self.start - caps[0] - _REACH])
-        self.high = np.array([reach[0], reach[2], self.end + caps[1] + _REACH])
+        self.caps, self.exponent, self.far = caps, exponent, max(_FAR, 2 * reach)
+        most = stations[:, 1:].max(axis=0) + reach
+        self.low = np.array([-most[1], -most[3], self.start - caps[0] - reach])
+        self.high = np.array([most[0], most[2], self.end + caps[1] + reach])
 
     def __call__(self, points):
         local = (points - self.origin) @ self.frame
-        out = np.full(len(points), _FAR)
+        out = np.full(len(points), self.far)
         near = np.flatnonzero(((local > self.low) & (local < self.high)).all(axis=1))
         u, v, s = local[near].T
         inside = np.clip(s, self.start, self.end)
@@ -78,14 +80,14 @@ class Loft:
         return out
 
 
-def ellipsoid(centre, frame, radii):
-    """An ellipsoid whose half-axes lie along the columns of ``frame``; distances are radial."""
+def ellipsoid(centre, frame, radii, *, reach=_REACH):
+    """An ellipsoid whose half-axes lie along the columns of ``frame``; distances are radial. ``reach`` as for a Loft."""
     centre, radii = np.asarray(centre, dtype=float), np.asarray(radii, dtype=float)
 
     def shape(points):
         local = (points - centre) @ frame
-        out = np.full(len(points), _FAR)
-        near = np.flatnonzero((np.abs(local) < radii + _REACH).all(axis=1))
+        out = np.full(len(points), max(_FAR, 2 * reach))
+        near = np.flatnonzero((np.abs(local) < radii + reach).all(axis=1))
         p = local[near]
         r = np.sqrt(((p / radii) ** 2).sum(axis=1))
         out[near] = (r - 1) * np.where(r > 1e-9, np.sqrt((p * p).sum(axis=1)) / np.maximum(r, 1e-9), radii.min())
@@ -134,7 +136,7 @@ def smooth_cut(body, cutter, radius):
     return shape
 
 
-def polygonise(shape, low, high, step):
+def polygonise(shape, low, high, step, *, blocks=1):
     """Zero level of a shape as a triangle mesh, by marching cubes (scikit-image, extra "build").
 
     Parameters
@@ -144,6 +146,9 @@ def polygonise(shape, low, high, step):
         A box that holds the shape, metres.
     step : float
         Grid spacing, metres.
+    blocks : int, default 1
+        With more than 1 the shape is first evaluated at every ``blocks``-th grid point, and at the others only where the surface
+        can be near; elsewhere the value of the nearest of those is taken.
 
     Returns
     -------
@@ -153,10 +158,28 @@ def polygonise(shape, low, high, step):
     from skimage.measure import marching_cubes
 
     axes = [np.arange(lo, hi + step, step) for lo, hi in zip(low, high)]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
-    values = np.concatenate([shape(slab.reshape(-1, 3)) for slab in grid]).reshape(grid.shape[:3])
+    if blocks > 1:
+        values = _near_surface(shape, axes, step, blocks)
+    else:
+        grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1)
+        values = np.concatenate([shape(slab.reshape(-1, 3)) for slab in grid]).reshape(grid.shape[:3])
     vertices, faces, _, _ = marching_cubes(values, 0.0, spacing=(step,) * 3, gradient_direction="descent")
     return vertices.astype(float) + [a[0] for a in axes], faces.astype(np.int64)
+
+
+def _near_surface(shape, axes, step, blocks):
+    """Values on a grid: exact within about one block of the surface, else those of the block's middle."""
+    middle = [(a[::blocks] + np.minimum(a[::blocks] + (blocks - 1) * step, a[-1])) / 2 for a in axes]
+    coarse = np.stack(np.meshgrid(*middle, indexing="ij"), axis=-1)
+    rough = np.concatenate([shape(slab.reshape(-1, 3)) for slab in coarse]).reshape(coarse.shape[:3])
+    index = np.ix_(*(np.arange(len(a)) // blocks for a in axes))
+    values = rough[index]
+    # A block's corner is 0.87 edges from its middle; the rest is for distances that are not exact.
+    near = np.argwhere(np.abs(values) < 1.6 * blocks * step)
+    points = np.stack([a[i] for a, i in zip(axes, near.T)], axis=1)
+    for chunk in np.array_split(np.arange(len(near)), max(1, len(near) // 100_000)):
+        values[tuple(near[chunk].T)] = shape(points[chunk])
+    return values
 
 
 def gradient(shape, points, step=1e-5):

@@ -1,7 +1,9 @@
 """Isotropic remeshing on an implicit surface: split, collapse, flip, relax, project (after Botsch and Kobbelt, 2004).
 
-The mesh stays a closed manifold throughout: an operation that would break that, or turn a triangle over, is not done.
-Everything is visited in a fixed order, so the result is a function of the input alone. Build time only.
+The mesh stays a manifold throughout: an operation that would break that, or turn a triangle over, is not done. It is closed, or
+it is one half of a symmetric one, whose rim lies in the mirror plane x = 0 and stays there; no edge but the rim's own joins two
+vertices of the rim, so that the mesh and its mirror image together are a closed manifold. Everything is visited in a fixed
+order, so the result is a function of the input alone. Build time only.
 """
 
 import numpy as np
@@ -19,7 +21,7 @@ def remesh(shape, vertices, faces, edge_length, *, rounds=8):
     shape : callable
         Signed distance, see :mod:`rigs.implicit`.
     vertices, faces : (n, 3), (F, 3)
-        A closed manifold mesh of the surface.
+        A closed manifold mesh of the surface, or its half with x ≥ 0.
     edge_length : callable
         (n, 3) → (n,) wanted edge lengths, metres.
     rounds : int, default 8
@@ -50,6 +52,8 @@ class _Mesh:
         self.around = [set() for _ in self.points]
         for f in np.asarray(faces).tolist():
             self.add(f)
+        edges, uses = np.unique(_sides_of(np.asarray(faces)), axis=0, return_counts=True)
+        self.rim = set(edges[uses == 1].ravel().tolist())  # vertices in the mirror plane
 
     def add(self, face):
         self.faces.append(tuple(face))
@@ -63,13 +67,15 @@ class _Mesh:
 
     def edges(self):
         """All edges, each once, (E, 2), in ascending order."""
-        alive = np.array([f for f in self.faces if f is not None])
-        e = np.sort(alive[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-        return np.unique(e, axis=0)
+        return np.unique(_sides_of(np.array([f for f in self.faces if f is not None])), axis=0)
 
     def sides(self, a, b):
         """Numbers of the triangles on the edge a–b."""
         return sorted(self.around[a] & self.around[b])
+
+    def chord(self, a, b):
+        """Whether the edge a–b joins two vertices of the rim without being part of it."""
+        return a in self.rim and b in self.rim and len(self.sides(a, b)) == 2
 
     def neighbours(self, v):
         return {w for t in self.around[v] for w in self.faces[t]} - {v}
@@ -83,6 +89,11 @@ class _Mesh:
         row = {v: i for i, v in enumerate(used)}
         faces = np.array([[row[v] for v in f] for f in self.faces if f is not None])
         return np.array([self.points[v] for v in used]), faces
+
+
+def _sides_of(faces):
+    """The edges of all triangles, (3 F, 2), the lower vertex first."""
+    return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
 
 
 def _cross(a, b):
@@ -99,16 +110,19 @@ def _measured(mesh, edge_length):
 
 def _split(mesh, edge_length, limit):
     edges, ratio = _measured(mesh, edge_length)
+    ratio[[mesh.chord(a, b) for a, b in edges.tolist()]] += 1000  # have to go in any case
     for e in np.argsort(-ratio, kind="stable"):
         if ratio[e] <= limit:
             return
         a, b = edges[e].tolist()
         sides = mesh.sides(a, b)
-        if len(sides) != 2:
+        if len(sides) != 2 and not (len(sides) == 1 and mesh.rim):
             continue
         mesh.points.append((mesh.points[a] + mesh.points[b]) / 2)
         mesh.around.append(set())
         m = len(mesh.points) - 1
+        if len(sides) == 1:
+            mesh.rim.add(m)
         for t in sides:
             face = mesh.faces[t]
             mesh.remove(t)
@@ -125,9 +139,15 @@ def _collapse(mesh, edge_length, limit):
         if not mesh.around[a] or not mesh.around[b]:
             continue
         sides = mesh.sides(a, b)
-        if len(sides) != 2 or len(mesh.neighbours(a) & mesh.neighbours(b)) != 2:
+        common = mesh.neighbours(a) & mesh.neighbours(b)
+        if len(sides) != (1 if a in mesh.rim and b in mesh.rim else 2) or len(common) != len(sides):
             continue
         middle = (mesh.points[a] + mesh.points[b]) / 2
+        if len(sides) == 2 and (a in mesh.rim or b in mesh.rim):
+            a, b = (a, b) if a in mesh.rim else (b, a)
+            if (mesh.neighbours(b) & mesh.rim) - common - {a}:
+                continue
+            middle = mesh.points[a].copy()
         ring = np.array([mesh.points[v] for v in sorted(mesh.neighbours(a) | mesh.neighbours(b))])
         wanted = edge_length(middle[None])[0]
         if np.linalg.norm(ring - middle, axis=1).max() > 4 / 3 * wanted:
@@ -155,10 +175,13 @@ def _flip(mesh):
             first, second = second, first
         c = next(v for v in first if v not in (a, b))
         d = next(v for v in second if v not in (a, b))
-        if mesh.around[c] & mesh.around[d] or c == d:
+        if mesh.around[c] & mesh.around[d] or c == d or (c in mesh.rim and d in mesh.rim):
             continue
-        valence = np.array([len(mesh.around[v]) for v in (a, b, c, d)])
-        if np.sum((valence + [-1, -1, 1, 1] - 6) ** 2) >= np.sum((valence - 6) ** 2) or valence[:2].min() <= 3:
+        # A vertex of the rim has as many triangles again on the other side of the mirror.
+        both = np.array([1 + (v in mesh.rim) for v in (a, b, c, d)])
+        valence = both * [len(mesh.around[v]) for v in (a, b, c, d)]
+        less = valence + both * [-1, -1, 1, 1]
+        if np.sum((less - 6) ** 2) >= np.sum((valence - 6) ** 2) or less[:2].min() < 3:
             continue
         old = mesh.normal(first) + mesh.normal(second)
         new = [mesh.normal((c, a, d)), mesh.normal((d, b, c))]
@@ -186,9 +209,13 @@ def _relax(mesh, shape):
         np.add.at(total, alive[:, corner], area)
         np.add.at(middle, alive[:, corner], area[:, None] * p.mean(axis=1))
     used = np.unique(alive)
+    rim = np.isin(used, sorted(mesh.rim))
     move = middle[used] / total[used, None] - points[used]
+    move[rim, 0] = 0.0
     normal = gradient(shape, points[used])
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
     move -= (move * normal).sum(axis=1, keepdims=True) * normal
-    for v, q in zip(used.tolist(), project(shape, points[used] + 0.8 * move)):
+    moved = project(shape, points[used] + 0.8 * move)
+    moved[rim, 0] = 0.0
+    for v, q in zip(used.tolist(), moved):
         mesh.points[v] = q

@@ -5,8 +5,9 @@ import importlib
 import numpy as np
 import pytest
 
+from lbsfit_np.errors import FileError
 from lbsfit_np.io.npz import read_npz
-from lbsfit_np.io.rigs import load_rig, read_rig_data
+from lbsfit_np.io.rigs import about_bundled, bundled_rigs, load_rig, read_rig_data
 
 
 def _module(name):
@@ -218,6 +219,112 @@ def test_fingers_that_touch_do(hand, pose, finger):
     assert np.linalg.norm(thumb[:, None] - other[None], axis=2).min() < 0.004
 
 
+# ---- people ----
+
+
+@pytest.mark.parametrize("name", ["hand", "hand-coarse"])
+@pytest.mark.parametrize("parameter", list(hand_shape.PARAMETERS))
+def test_shape_parameters_lead_to_the_skin_of_that_person(name, parameter):
+    """The directions are differences; two deviations away the mesh still lies on what the anatomy says."""
+    rig = load_rig(name)
+    s, k = rig.shapes, list(hand_shape.PARAMETERS).index(parameter)
+    assert s.names == tuple(hand_shape.PARAMETERS)
+    for value in (s.default[k] - 2 * s.spread[k], s.default[k] + 2 * s.spread[k]):
+        bones = hand_shape.skeleton(hand_shape.Person(**{parameter: value}))
+        person = rig.subject(amount=0, **{parameter: value})
+        assert np.abs(hand_shape.surface(bones)(person.vertices)).max() < 1e-3
+        assert person.joints == pytest.approx(bones.joints, abs=2e-5)
+        assert len(checks.self_intersections(person.vertices, person.faces)) == 0
+        moved = np.linalg.norm(person.vertices - rig.vertices, axis=1)
+        assert moved.max() > 0.0015
+
+
+def test_default_person_is_the_bundled_hand():
+    default = hand_shape.Person()
+    for key, (lower, upper, value, spread, _) in hand_shape.PARAMETERS.items():
+        assert getattr(default, key) == value and lower < value < upper and spread > 0
+
+
+# ---- the coarse level ----
+
+
+def test_coarse_level_has_all_but_the_vertices(hand):
+    coarse = load_rig("hand-coarse")
+    assert 450 < len(coarse.vertices) < 600
+    for field in ("joints", "frames", "lower", "upper", "parents", "smpl_rest", "merged", "locked"):
+        assert np.array_equal(getattr(coarse, field), getattr(hand, field)), field
+    assert coarse.joint_names == hand.joint_names and coarse.partitions == hand.partitions
+    assert list(coarse.poses) == list(hand.poses)
+    assert all(np.array_equal(coarse.poses[name], hand.poses[name]) for name in hand.poses)
+    assert coarse.parts == hand.parts and coarse.name == "hand-coarse"
+
+
+def test_coarse_skin_is_well_made(hand):
+    coarse = load_rig("hand-coarse")
+    assert checks.edge_uses(coarse.faces) == (1, True)
+    assert checks.euler_characteristic(coarse.faces) == 2
+    assert checks.components(coarse.faces, len(coarse.vertices)) == 1
+    assert len(checks.self_intersections(coarse.vertices, coarse.faces)) == 0
+    assert np.abs(hand_shape.surface()(coarse.vertices)).max() < 2e-5
+    p = coarse.vertices[coarse.faces]
+    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    outward = implicit.gradient(hand_shape.surface(), p.mean(axis=1))
+    assert (np.einsum("ij,ij->i", normal, outward) > 0).all()
+    assert np.array_equal(read_rig_data("hand-coarse").weights.sum(axis=1), np.ones(len(coarse.vertices)))
+    volumes = [checks.volume(r.vertices, r.faces) for r in (coarse, hand)]
+    assert volumes[0] == pytest.approx(volumes[1], rel=0.06)  # inscribed
+
+
+def test_coarse_skin_follows_the_fine_one(hand):
+    """In every natural pose the coarse skin lies near the fine one."""
+    from scipy.spatial import cKDTree
+
+    coarse = load_rig("hand-coarse")
+    for theta in list(hand.poses.values())[::6]:
+        near = cKDTree(hand.pose(theta)).query(coarse.pose(theta))[0]
+        assert near.mean() < 0.004 and near.max() < 0.012
+
+
+# ---- names ----
+
+
+def test_left_levels_are_images_of_the_right_ones():
+    for left, right in (("hand-left", "hand"), ("hand-left-coarse", "hand-coarse")):
+        assert np.array_equal(load_rig(left).vertices, load_rig(right).vertices * [-1, 1, 1])
+
+
+def test_bundled_names():
+    names = bundled_rigs()
+    assert names == sorted(names) and {"hand", "hand-coarse", "hand-left", "hand-left-coarse"} <= set(names)
+    assert all(about_bundled(name) for name in names)
+
+
+@pytest.mark.parametrize("name", bundled_rigs())
+def test_every_bundled_rig(name):
+    rig = load_rig(name)
+    assert rig.name == name and (rig.metres_per_unit, rig.up, rig.forward) == (1.0, "+y", "+z")
+    assert len(rig.poses) >= 30 and rig.smpl_rest is not None and len(rig.shapes) >= 3
+    for theta in rig.poses.values():
+        assert (theta >= rig.lower - 1e-9).all() and (theta <= rig.upper + 1e-9).all()
+    assert read_rig_data(name).path.stat().st_size < 1_000_000
+    with np.load(read_rig_data(name).path, allow_pickle=False) as file:
+        assert file["shapes_vertices"].dtype == np.int16
+
+
+@pytest.mark.parametrize("wrong", ["hnad", "hand-right", "hand-left-fine"])
+def test_unknown_names_list_the_known(wrong):
+    with pytest.raises(FileError, match="bundled rig: .*hand, hand-coarse, hand-left, hand-left-coarse"):
+        load_rig(wrong)
+
+
+def test_a_file_of_the_name_wins(tmp_path, tube_rig, monkeypatch):
+    tube_rig.save(tmp_path / "rig.npz")
+    (tmp_path / "rig.npz").rename(tmp_path / "hand-left")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileError, match="hand-left: got a file without an ending"):
+        load_rig("hand-left")
+
+
 # ---- the file and its making ----
 
 
@@ -232,18 +339,21 @@ def test_the_file_is_what_its_sources_say(hand, hand_file):
     assert bones.joints == pytest.approx(hand.joints, abs=1e-12)
     assert bones.frames == pytest.approx(hand.frames, abs=1e-12)
     names, theta = hand_poses.pose_library(hand.joint_names)
-    assert names == tuple(hand_file[1]["poses_names"].tolist())
+    assert names == tuple(hand_file[1]["poses_names"].tolist()) == tuple(hand.poses)
     assert theta == pytest.approx(hand_file[1]["poses_theta"], abs=1e-12)
+    assert np.array_equal(hand.poses["fist"], hand_file[1]["poses_theta"][names.index("fist")])
 
 
-def test_rebuilding_gives_the_shipped_file(hand_file, tmp_path):
+@pytest.mark.parametrize("name", ["hand", "hand-coarse"])
+def test_rebuilding_gives_the_shipped_file(name, tmp_path):
     pytest.importorskip("skimage", reason="building rigs needs the extra 'build'")
     build_hand = _module("build_hand")
-    path, arrays = hand_file
-    if str(arrays["built_with"]) != build_hand.library_versions():
-        pytest.skip(f"the shipped file was built with {arrays['built_with']}")
-    build_hand.build(tmp_path / "hand.npz")
-    assert (tmp_path / "hand.npz").read_bytes() == path.read_bytes()
+    path = read_rig_data(name).path
+    built_with = str(read_npz(path)["built_with"])
+    if built_with != build_hand.library_versions():
+        pytest.skip(f"the shipped file was built with {built_with}")
+    build_hand.build(name, tmp_path)
+    assert (tmp_path / f"{name}.npz").read_bytes() == path.read_bytes()
 
 
 # ---- the tools ----

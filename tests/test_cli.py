@@ -436,6 +436,12 @@ def test_configuration_files(made, tmp_path, run):
         ("training = 3", ["training", "a table of numbers"]),
         ("max-points = 9\nmax_points = 9", ["'max-points' twice"]),
         ("seed = ", ["no", "TOML"]),
+        ("seed = " + "1" * 5000, ["that is not TOML", "digits"]),
+        ("seed = 0x" + "f" * 5000, ["seed", "thousand digits", "a whole number"]),
+        ("seed = 1" + "0" * 400, ["seed = 1000", "…", "a whole number"]),
+        ("jobs = 100000000000000000000", ["jobs", "at most 9223372036854775807"]),
+        ("training = { turn = 1" + "0" * 400 + " }", ["training", "a table of numbers"]),
+        ('output = ""', ["output", "text in quotes"]),
     ],
 )
 def test_bad_configuration_files(text, words, made, tmp_path, run):
@@ -464,6 +470,18 @@ def test_bad_configuration_files(text, words, made, tmp_path, run):
         (("fit", "tube.npz", "one.ply", "-o", "out", "--shape", "tall"), ["shape", "'tall'"]),
         (("fit", "tube.npz", "one.ply", "-o", "one.ply"), ["one.ply", "a folder to write to"]),
         (("fit", "tube.npz", ".", "-o", "out"), ["a folder", "Name the files in it"]),
+        (("fit", "tube.npz", "one.ply", "-o", ""), ["-o/--output", "an empty text", "OUT (folder to write to"]),
+        (("demo", "-o", ""), ["-o/--output", "an empty text"]),
+        (("rig", "card", "tube.npz", "-o", ""), ["-o/--output", "an empty text"]),
+        (("bench", "roundtrip", "-o", ""), ["-o/--output", "an empty text"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--card", ""), ["--card", "an empty text"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--samples", "9" * 30), ["--samples", "at most 9223372036854775807"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--training", "turn=1" + "0" * 400), ["--training", "NAME=NUMBER"]),
+        (("fit", "tube.npz", "one.ply", "-o", "o" * 300), ["ooo", "cannot be made", "too long"]),
+        (("fit", "tube.npz", "s" * 300 + ".ply", "-o", "out"), ["SCAN", "does not exist"]),
+        (("fit", "r" * 300 + ".npz", "one.ply", "-o", "out"), ["rrr", "no such file"]),
+        (("rig", "show", "r" * 300 + ".npz"), ["rrr", "no such file"]),
+        (("rig", "card", "tube.npz", "-o", "c" * 300), ["ccc", "too long"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--see", "3"), ["--see"]),
         (("rig", "card", "tube.npz"), ["-o/--output"]),
         (("demo",), ["-o/--output"]),
@@ -475,6 +493,29 @@ def test_usage_errors(arguments, words, made, run, monkeypatch):
     line = one_line(err)
     assert code == 2 and all(word in line for word in words), line
     assert not (made / "out").exists() or not list((made / "out").iterdir())
+
+
+def test_names_of_results_that_are_too_long_are_found_before_any_work(made, tmp_path, run):
+    scan = tmp_path / ("s" * 246 + ".ply")  # 250 bytes: the scan can be read, but its .labels.ply could not be written
+    scan.write_bytes((made / "one.ply").read_bytes())
+    code, _, err = run("fit", made / "tube.npz", scan, "-o", tmp_path / "out", *QUICK)
+    assert code == 2 and "too long for a file" in one_line(err) and "Rename the scan" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_nul_in_a_configured_path_is_one_clear_error(made, tmp_path, run):
+    (tmp_path / "fit.toml").write_text('output = "a\\u0000b"\n')
+    code, _, err = run("fit", made / "tube.npz", made / "one.ply", "--config", tmp_path / "fit.toml")
+    assert code == 2 and "cannot be made" in one_line(err)
+
+
+def test_an_error_of_the_system_that_nobody_foresaw_is_one_line(run, monkeypatch):
+    def full(rig, **_):
+        raise OSError(28, "No space left on device", "somewhere")
+
+    monkeypatch.setattr("lbsfit_np.rig.describe.describe", full)
+    code, _, err = run("rig", "show", "hand")
+    assert code == 2 and one_line(err) == "lbsfit: error: somewhere: No space left on device"
 
 
 def test_a_saved_segmenter(fitted, made, tube_rig, tmp_path, run, monkeypatch):
@@ -565,7 +606,25 @@ def test_rig_card(made, tmp_path, run):
 
 def test_rig_list(run):
     code, text, _ = run("rig", "list")
-    assert code == 0 and "hand: " in text
+    assert code == 0
+    heading, *lines = text.splitlines()
+    assert heading.split() == ["name", "vertices", "joints", "poses", "what", "it", "is"]
+    rows = {line.split()[0]: line.split(maxsplit=4)[1:] for line in lines}
+    assert list(rows) == lbs.bundled_rigs()
+    assert rows["hand"] == ["1585", "16", "42", "a right hand, MANO's 16 joints"]
+    assert rows["hand-left-coarse"][3].startswith("a left hand") and "fewer vertices" in rows["hand-left-coarse"][3]
+
+
+def test_rig_show_of_a_bundled_rig(run):
+    code, text, _ = run("rig", "show", "hand-left")
+    assert code == 0
+    for words in (
+        "42 natural: flat, spread",
+        "length 0.155 to 0.215 m, here 0.187",
+        "thumb 0.85 to 1.15, here 1",
+        "to_smpl_pose and from_smpl_pose",
+    ):
+        assert words in text, words
 
 
 def test_demo(made, tmp_path, run):

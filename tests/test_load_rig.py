@@ -250,3 +250,15 @@ def test_motion_stays_inside_the_bodys_limits(real, shared_rigs):
     rig = real("mpfb2_cmu_mb")
     theta = retarget.bvh_thetas(rig, read_bvh(shared_rigs / "motion" / "01_01.bvh"), range(0, 2752, 8))
     assert np.abs(retarget.limit_excess(rig, theta)).max() == 0.0
+
+
+@pytest.mark.parametrize("name", ["a" * 300 + ".npz", "a\0b.npz", "a" * 300, "a\0b"])
+def test_names_that_cannot_be(name):
+    with pytest.raises(FileError, match="no such file"):
+        load_rig(name)
+
+
+def test_a_name_too_long_for_a_card_beside_it_has_none(tmp_path, tube_rig):
+    path = tmp_path / ("r" * 250 + ".npz")
+    tube_rig.save(path)
+    assert load_rig(path).digest == tube_rig.digest

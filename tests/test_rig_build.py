@@ -271,6 +271,7 @@ def test_card_can_change_the_root():
         (Card(chains=(("root", "elbw"),)), r"\[hierarchy\].*'elbw'.*no joint.*Did you mean 'elbow'"),
         (Card(chains=(("root", "elbow", "long", "root"),)), "cycle"),
         (Card(chains=(("root", "*o*"),)), "matches 4 joints.*one joint"),
+        (Card(parents=(("short", "*o*"),)), r"\[hierarchy\]: got '\*o\*', which matches 4 joints.*one joint"),
     ],
 )
 def test_card_hierarchy_errors(card, words):

@@ -96,6 +96,10 @@ BAD = {
     "unit 0": ("[rig]\nunit = 0", "unit = 0"),
     "boolean unit": ("[rig]\nunit = true", "unit = True"),
     "unit NaN": ("[rig]\nunit = nan", "unit = nan"),
+    "unit beyond double precision": ("[rig]\nunit = 1" + "0" * 400, r"unit = 10+….*metres in one unit"),
+    "unit of too many digits": ("[rig]\nunit = " + "1" * 5000, "a number of several thousand digits.*rig card"),
+    "unit of too many digits for text": ("[rig]\nunit = 0x" + "f" * 5000, "unit = a number of several thousand digits"),
+    "limits beyond double precision": ("[limits]\na = [[0, 0, 0], [1" + "0" * 400 + ", 1, 1]]", "six finite numbers"),
     "unknown axis": ("[rig]\nup = 'y'", r"up = 'y'.*'\+x'"),
     "axis of a wrong kind": ("[rig]\nup = [1]", r"up = \[1\]"),
     "root that is no text": ("[hierarchy]\nroot = 1", r"\[hierarchy\] root = 1.*text in quotes"),
@@ -134,6 +138,15 @@ def test_bad_cards(card_file, case):
 def test_missing_card(tmp_path):
     with pytest.raises(FileError, match=r"nowhere\.toml.*no such file.*lbsfit rig card"):
         read_card(tmp_path / "nowhere.toml")
+
+
+@pytest.mark.parametrize(("name", "words"), [("a\0b.toml", "no file can have"), ("a" * 300 + ".toml", "too long")])
+def test_card_of_an_impossible_name(tmp_path, tube_rig, name, words):
+    with pytest.raises(FileError, match=words):
+        read_card(tmp_path / name)
+    with pytest.raises(FileError, match="a place that cannot be written"):
+        write_card(tube_rig, tmp_path / name)
+    assert not list(tmp_path.iterdir())
 
 
 def test_card_that_is_no_text(tmp_path):
@@ -231,6 +244,11 @@ def test_guess_without_a_telling_name_starts_in_the_middle():
 def test_card_that_cannot_be_written(tmp_path, tube_rig):
     with pytest.raises(FileError, match="nowhere"):
         write_card(tube_rig, tmp_path / "nowhere" / "c.toml")
+    for folder in (tmp_path, "."):
+        with pytest.raises(FileError, match="a folder"):
+            write_card(tube_rig, folder)
+    write_card(tube_rig, tmp_path / ("c" * 250 + ".toml"))
+    assert [len(p.name) for p in tmp_path.iterdir()] == [255]
 
 
 # ---- the project's own cards ----

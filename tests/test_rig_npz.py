@@ -15,6 +15,7 @@ from lbsfit_np.io.npz_rig import read_body_npz, read_rig_npz, save_rig
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.card import Card
+from lbsfit_np.rig.shapes import ShapeSpace
 
 
 def assert_same(a, b):
@@ -22,12 +23,39 @@ def assert_same(a, b):
     for field in fields(a):
         x, y = getattr(a, field.name), getattr(b, field.name)
         arrays = [(x.data, y.data), (x.indices, y.indices), (x.indptr, y.indptr)] if sparse.issparse(x) else [(x, y)]
+        if field.name == "poses":
+            assert list(x) == list(y)
+            arrays = list(zip(x.values(), y.values()))
+        if isinstance(x, ShapeSpace):
+            arrays = [(getattr(x, f.name), getattr(y, f.name)) for f in fields(x)]
         for p, q in arrays:
             if isinstance(p, np.ndarray):
                 assert p.dtype == q.dtype and p.shape == q.shape and p.tobytes() == q.tobytes(), field.name
             else:
                 assert p == q, field.name
     assert a.digest == b.digest
+
+
+def furnished(data):
+    """With all that a bundled rig has besides: poses, shape parameters, the relation to SMPL."""
+    rng = np.random.default_rng(0)
+    frames = np.linalg.qr(rng.standard_normal((4, 3, 3)))[0]
+    frames *= np.linalg.det(frames)[:, None, None]
+    return replace(
+        data,
+        poses={"ä": rng.standard_normal((4, 3)), "b": np.zeros((4, 3))},
+        shapes=ShapeSpace(
+            names=("height", "girth"),
+            units=("m", ""),
+            lower=np.array([0.5, -1.0]),
+            upper=np.array([2.0, 1.0]),
+            default=np.array([1.0, 0.0]),
+            spread=np.array([0.1, 0.5]),
+            vertices=rng.standard_normal((2, 242, 3)),
+            joints=rng.standard_normal((2, 4, 3)),
+        ),
+        smpl_rest=frames,
+    )
 
 
 RIGS = {
@@ -47,6 +75,11 @@ RIGS = {
             weights=np.vstack([data.weights.toarray()] + [data.weights.toarray()[:9]]),
         )
     ),
+    "furnished": lambda data: build_rig(furnished(data)),
+    "furnished, rounded directions": lambda data: build_rig(replace(furnished(data), shapes=furnished(data).shapes.rounded())),
+    "furnished, in another unit": lambda data: build_rig(
+        replace(furnished(data), shapes=furnished(data).shapes.rounded())
+    ).scaled(39.37),
     "a joint locked by itself": lambda data: build_rig(
         replace(data, weights=data.weights.toarray() * [1, 1, 1, 0] + data.weights.toarray()[:, [3]] * [0, 1, 0, 0])
     ),
@@ -88,10 +121,31 @@ def test_file_has_documented_keys_and_no_objects(tmp_path, tube_rig):
     table = npz_rig.__doc__.split("=\n")[2].splitlines()
     documented = {key for line in table if line[0] != "=" for key in line[:21].strip().split(", ")}
     assert npz_keys(tmp_path / "rig.npz") == documented
-    assert len(documented) == 24
+    assert len(documented) == 36
     with np.load(tmp_path / "rig.npz", allow_pickle=False) as file:
         assert file["joint_names"].tolist() == ["root", "elbow", "long", "short"]
         assert file["lbsfit_np_rig"] == 1
+
+
+def test_rounded_directions_take_two_bytes_a_number(tmp_path):
+    data = furnished(make_tube_data())
+    exact, rounded = (build_rig(replace(data, shapes=s)) for s in (data.shapes, data.shapes.rounded()))
+    for rig, kind in ((exact, "float64"), (rounded, "int16")):
+        rig.save(tmp_path / "rig.npz")
+        with np.load(tmp_path / "rig.npz", allow_pickle=False) as file:
+            assert file["shapes_vertices"].dtype == kind
+    assert np.abs(exact.shapes.vertices - rounded.shapes.vertices).max() < np.abs(exact.shapes.vertices).max() / 32767
+
+
+def test_files_of_before_poses_and_shapes_load(tmp_path, tube_rig):
+    later = ("poses_", "shapes_", "smpl_")
+    path = changed(tmp_path, tube_rig, **{k: None for k in read_saved(tmp_path, tube_rig) if k.startswith(later)})
+    assert_same(load_rig(path), tube_rig)
+
+
+def read_saved(tmp_path, rig):
+    rig.save(tmp_path / "saved.npz")
+    return read_npz(tmp_path / "saved.npz")
 
 
 def test_saving_wants_the_ending_and_a_folder(tmp_path, tube_rig):
@@ -130,6 +184,19 @@ BAD = {
     "faces out of range": ({"faces": np.array([[0, 1, 5000]])}, "faces out of range"),
     "merged of another type": ({"merged": np.zeros(4)}, "merged.*true or false"),
     "root merged": ({"merged": np.array([True, False, False, False])}, "root joint 'root' among the merged"),
+    "poses without names": ({"poses_names": None}, "no 'poses_names'.*keys poses_names, poses_theta"),
+    "more names than poses": ({"poses_names": np.array(["a"])}, "1 different names.*0 poses.*name for each"),
+    "two poses of a name": (
+        {"poses_names": np.array(["a", "a"]), "poses_theta": np.zeros((2, 4, 3))},
+        "1 different names.*2 poses.*name for each",
+    ),
+    "poses of other joints": ({"poses_names": np.array(["a"]), "poses_theta": np.zeros((1, 5, 3))}, r"pose 'a': shape \(5, 3\)"),
+    "poses of NaN": ({"poses_names": np.array(["a"]), "poses_theta": np.full((1, 4, 3), np.nan)}, "pose 'a'.*NaN"),
+    "shapes without names": ({"shapes_names": None}, "no 'shapes_names'"),
+    "a step too many": ({"shapes_step": np.ones(1)}, "1 steps.*0 directions"),
+    "a parameter without numbers": ({"shapes_names": np.array(["tall"])}, "shapes, units: .*text for each of the 1"),
+    "no rotations to SMPL": ({"smpl_rest": np.ones((4, 3, 3))}, "smpl_rest: axes of joint 'root' that are not orthonormal"),
+    "rotations of other joints": ({"smpl_rest": np.tile(np.eye(3), (5, 1, 1))}, r"smpl_rest: shape \(5, 3, 3\)"),
     "objects": ({"notes": np.array([{}], dtype=object)}, "Python objects in 'notes'.*plain arrays"),
 }
 

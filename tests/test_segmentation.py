@@ -2,17 +2,26 @@
 
 import io
 import json
+import os
+import signal
+import subprocess
+import sys
+import threading
 import zipfile
 from dataclasses import dataclass, field, replace
 
+from pathlib import Path
+
 import numpy as np
 import pytest
+import sklearn
 from small_rigs import make_tube_data, make_tube_rig
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.segmentation import cache
+from lbsfit_np.segmentation import context as context_module
 from lbsfit_np.segmentation.context import CONTEXT_POINTS, context, context_size
 from lbsfit_np.segmentation.descriptors import Descriptor
 from lbsfit_np.segmentation.segmenter import Segmenter, train_segmenter
@@ -160,6 +169,150 @@ def test_processes_change_nothing(tube_rig, scan):
     np.testing.assert_array_equal(one.predict_proba(scan.points), two.predict_proba(scan.points))
 
 
+@pytest.mark.parametrize("n_jobs", [0, True, 1.5, "2"])
+def test_a_number_of_processes_that_cannot_be(tube_rig, n_jobs):
+    with pytest.raises(InputError, match="n_jobs: got .*expected a positive whole number of processes"):
+        _train(tube_rig, n_jobs=n_jobs)
+
+
+def test_what_cannot_be_sent_to_processes(tube_rig):
+    with pytest.raises(InputError, match="n_jobs: .*cannot be sent.*top level of a module, or n_jobs=1"):
+        train_segmenter(tube_rig, lambda i: None, 200, random_state=0, n_jobs=2)
+
+
+def _fails(i):
+    raise InputError("scan", "one that cannot be made", "another")
+
+
+def _dies(i):
+    os._exit(7)
+
+
+def test_errors_in_processes_arrive(tube_rig):
+    with pytest.raises(InputError, match="scan: got one that cannot be made"):
+        train_segmenter(tube_rig, _fails, 200, random_state=0, n_jobs=2)
+    with pytest.raises(InputError, match=r"n_jobs: got a process that ended \(exit code 7\)"):
+        train_segmenter(tube_rig, _dies, 200, random_state=0, n_jobs=2)
+
+
+class Drawn:
+    """Scans that a shared Generator draws, so that copies of it would draw the same ones twice."""
+
+    def __init__(self, rig, rng):
+        self.rig, self.rng = rig, rng
+
+    def __call__(self, i):
+        s = lbs.synthesize(self.rig, 1, random_state=self.rng, n_points=120)[0]
+        return s.points, s.labels, 1.0
+
+
+def test_a_generator_is_never_copied_into_processes(tube_rig, scan):
+    training = Training(points_per_scan=20, hidden=(16,))
+
+    def trained(n_jobs):
+        rng = np.random.default_rng(3)
+        return train_segmenter(tube_rig, Drawn(tube_rig, rng), 200, training=training, random_state=rng, n_jobs=n_jobs)
+
+    np.testing.assert_array_equal(trained(1).predict_proba(scan.points), trained(2).predict_proba(scan.points))
+
+
+# ---- interrupts ----
+
+
+class Terminated(KeyboardInterrupt):
+    """What a program's own handler of SIGTERM may raise."""
+
+
+def _raise_terminated(signum, frame):
+    raise Terminated
+
+
+def _interrupting(monkeypatch, interrupt, at=3):
+    """Have ``interrupt`` called in the middle of scikit-learn's ``partial_fit``, which catches KeyboardInterrupt."""
+    from sklearn.neural_network import _multilayer_perceptron as mlp
+
+    batches, calls = mlp.gen_batches, []
+
+    def gen_batches(*args):
+        calls.append(1)
+        if len(calls) == at:
+            interrupt()
+        return batches(*args)
+
+    monkeypatch.setattr(mlp, "gen_batches", gen_batches)
+    return calls
+
+
+@pytest.mark.filterwarnings("ignore:Training interrupted")
+@pytest.mark.parametrize("number, raised", [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)])
+def test_ctrl_c_in_the_middle_of_training_is_no_segmenter(empty_cache, tube_rig, monkeypatch, number, raised):
+    calls = _interrupting(monkeypatch, lambda: signal.raise_signal(number))
+    before = signal.getsignal(number)
+    mine = signal.default_int_handler if number == signal.SIGINT else _raise_terminated
+    signal.signal(number, mine)
+    try:
+        with pytest.raises(raised):
+            cache.cached_segmenter("key", lambda: _train(tube_rig))
+        assert signal.getsignal(number) is mine
+    finally:
+        signal.signal(number, before)
+    assert len(calls) == 3  # it did not go on
+    assert not cache._MEMORY and not (empty_cache.exists() and list(empty_cache.iterdir()))
+
+
+@pytest.mark.filterwarnings("ignore:Training interrupted")
+def test_an_interrupt_that_is_no_signal_passes_too(tube_rig, monkeypatch):
+    """As in another thread, where no signal arrives."""
+
+    def interrupt():
+        raise KeyboardInterrupt
+
+    calls, raised = _interrupting(monkeypatch, interrupt), []
+
+    def work():
+        try:
+            _train(tube_rig)
+        except KeyboardInterrupt as error:
+            raised.append(error)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert len(raised) == 1 and len(calls) == 3
+
+
+_SCRIPT = """
+import lbsfit_np as lbs
+from lbsfit_np.segmentation.segmenter import train_segmenter
+from lbsfit_np.synthesis import Synthesis, TrainingScans
+
+if __name__ == "__main__":
+    rig = lbs.load_rig("hand")
+    scans = TrainingScans(rig, Synthesis(), 0)
+    train_segmenter(rig.welded, scans, 100_000, random_state=0, n_jobs=2, progress=lambda share: print("going", flush=True))
+"""
+
+
+@pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+def test_ctrl_c_ends_the_processes_without_their_tracebacks(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(_SCRIPT)
+    environment = os.environ | {"PYTHONPATH": str(Path(lbs.__file__).resolve().parents[1])}
+    process = subprocess.Popen(
+        [sys.executable, str(script)],
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
+    )
+    assert process.stdout.readline() == "going\n"
+    os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all processes
+    _, said = process.communicate(timeout=120)  # its end means that no process holds the pipes any more
+    assert said.count("Traceback") == 1 and said.rstrip().endswith("KeyboardInterrupt")
+
+
 @pytest.mark.parametrize("average_from", [0, 1, 5])
 def test_weights_are_averaged_over_the_later_epochs(tube_rig, average_from):
     """A start of the average after the last epoch means the last epoch, not nothing."""
@@ -303,6 +456,33 @@ def test_context_does_not_depend_on_the_place_and_takes_few_points():
 
 
 # ---- what it learns from, and for whom ----
+
+
+@pytest.mark.parametrize(
+    "points, options, words",
+    [
+        (np.full((5, 3), np.nan), {}, "points: got 5 points that are NaN"),
+        (np.empty((0, 3)), {}, "points: got an empty set"),
+        (np.zeros((5, 2)), {}, r"points: got shape \(5, 2\)"),
+        ("abc", {}, "points: got str"),
+        ([[10**400, 0, 0]], {}, "points: got .*double precision"),
+        (np.eye(3), {"scale": 0.0}, "scale: got 0.0; expected a positive finite number"),
+        (np.eye(3), {"scale": -1}, "scale"),
+        (np.eye(3), {"scale": np.nan}, "scale"),
+        (np.eye(3), {"scale": "2"}, "scale"),
+        (np.eye(3), {"rows": [3]}, "rows: got numbers from 3 to 3; expected rows of the 3 points"),
+        (np.eye(3), {"rows": [0.5]}, "rows: got float64"),
+        (np.eye(3), {"rows": []}, r"rows: got .*shape \(0,\)"),
+    ],
+)
+def test_points_that_cannot_be_labelled(small, points, options, words):
+    for method in (small.predict, small.predict_proba):
+        with pytest.raises(InputError, match=words):
+            method(points, **options)
+
+
+def test_a_scan_is_labelled_as_its_points_are(small, scan):
+    np.testing.assert_array_equal(small.predict(lbs.Scan(scan.points)), small.predict(scan.points))
 
 
 def test_predicting_leaves_the_points_alone(small, scan):
@@ -556,6 +736,25 @@ def test_the_cache_trains_once(empty_cache, small, scan):
     cache.cached_segmenter(("a", 2), train)
     assert train.calls == 2
     assert len(list(empty_cache.iterdir())) == 2
+
+
+@pytest.mark.parametrize(
+    "place, name, value",
+    [
+        (cache, "RECIPE", cache.RECIPE + 1),
+        (cache, "__version__", "another"),
+        (sklearn, "__version__", "another"),
+        (context_module, "CONTEXT_POINTS", 700),
+        (context_module, "NEAR", 7),
+        (context_module, "WIDE", 31),
+    ],
+)
+def test_another_recipe_is_another_segmenter(empty_cache, small, monkeypatch, place, name, value):
+    train = Trainer(small)
+    cache.cached_segmenter("key", train)
+    monkeypatch.setattr(place, name, value)
+    cache.cached_segmenter("key", train)
+    assert train.calls == 2 and len(list(empty_cache.iterdir())) == 2
 
 
 def test_the_folder_is_the_users_to_choose(monkeypatch, tmp_path):

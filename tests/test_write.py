@@ -76,6 +76,27 @@ def test_long_names_still_fit(tmp_path):
     path = tmp_path / ("x" * 245 + ".npz")
     write_npz(path, a=1)
     assert path.exists()
+    for name in ("界" * 80 + ".fit.npz", "é" * 100 + "." + "x" * 54):  # up to 255 bytes, which are fewer letters
+        with atomic_path(tmp_path / name) as temporary:
+            temporary.write_text("new")
+        assert (tmp_path / name).read_text() == "new"
+
+
+@pytest.mark.parametrize(
+    ("path", "words"),
+    [("x" * 300 + ".npz", "too long"), ("a\0b.npz", "null"), ("", "a folder"), (".", "a folder"), ("..", "a folder")],
+)
+def test_names_that_cannot_be_are_refused_before_the_block(tmp_path, monkeypatch, path, words):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(FileError, match=words), atomic_path(path):
+        raise RuntimeError("too late")
+    assert names(tmp_path) == []
+
+
+@pytest.mark.parametrize("path", [None, 3, b"a.npz"])
+def test_what_is_no_path(path):
+    with pytest.raises(InputError, match=f"path: got {type(path).__name__}; expected the name of a file"):
+        write_npz(path, a=1)
 
 
 def test_mesh_comes_back_by_load_scan(tmp_path):

@@ -2,7 +2,7 @@
 
 from .run import ROWS
 
-__all__ = ["table"]
+__all__ = ["layout", "table"]
 
 # Heading, measure, average, and format of each column.
 _COLUMNS = (
@@ -38,8 +38,12 @@ def table(report, *, markdown=False):
             rows.append((ROWS[row], seed, *_cells(entry, report["unit"])))
         if len(content["seeds"]) > 1:
             rows.append((ROWS[row], "all", *_cells(content["over_seeds"], report["unit"])))
-    text = _markdown(rows) if markdown else _plain(rows)
-    return f"{text}\n\n{_legend(report)}"
+    return f"{layout(rows, markdown=markdown)}\n\n{_legend(report)}"
+
+
+def layout(rows, *, markdown=False):
+    """Rows of texts, the first a heading, as a table; the first column to the left, the others to the right."""
+    return _markdown(rows) if markdown else _plain(rows)
 
 
 def _cells(entry, unit):

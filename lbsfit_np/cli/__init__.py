@@ -57,6 +57,10 @@ def main(argv=None):
     except KeyboardInterrupt:
         print("lbsfit: stopped", file=sys.stderr)
         return 130
+    except OSError as error:  # one that no reader or writer has foreseen
+        where = "" if error.filename is None else f"{error.filename}: "
+        print(f"lbsfit: error: {where}{error.strerror or error}", file=sys.stderr)
+        return 2
     except MemoryError:
         print("lbsfit: error: out of memory", file=sys.stderr)
         return 2

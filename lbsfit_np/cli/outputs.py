@@ -5,11 +5,13 @@ import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, listed
 
 __all__ = ["SUMMARY", "ScanFiles", "Writer", "check_outputs", "entry", "fitted_entry", "make_folder", "plan", "same_file"]
 
 SUMMARY = "summary.json"
+
+_LONGEST_NAME = 255  # in all common file systems: bytes on POSIX, letters on Windows
 
 
 @dataclass(frozen=True)
@@ -73,21 +75,23 @@ def plan(sources, out, *, inputs, existing):
 
 
 def check_outputs(paths, out, *, inputs, existing):
-    """Raise where files to write are inputs, folders, or, with ``existing="error"``, there already."""
-    if out.exists() and not out.is_dir():
+    """Raise where files to write have names that are too long, are inputs, folders, or, with ``existing="error"``, there."""
+    if os.path.exists(out) and not os.path.isdir(out):
         raise FileError(str(out), "a file", "a folder to write to, or a name for a new one")
     for path in paths:
+        if len(os.fsencode(path.name) if os.name == "posix" else path.name) > _LONGEST_NAME:
+            raise FileError(str(path), "a name that is too long for a file", f"at most {_LONGEST_NAME} bytes", "Rename the scan.")
         for source in inputs:
             if same_file(path, source):
                 remedy = "An input is never overwritten: choose another folder."
                 raise InputError("-o", f"{out}, where {path.name} is an input ({source})", "a folder for the results", remedy)
-        if path.is_dir():
+        if os.path.isdir(path):
             raise FileError(str(path), "a folder", "the name of a file to write")
     there = [path for path in paths if os.path.lexists(path)]
     if there and existing == "error":
         raise InputError(
             "-o",
-            f"{out}, where {_listed([path.name for path in there])} exist{'s' if len(there) == 1 else ''} already",
+            f"{out}, where {listed([path.name for path in there], 5)} exist{'s' if len(there) == 1 else ''} already",
             "a folder without results of these names",
             "Choose another folder, or --existing replace; lbsfit fit also has --existing skip, which keeps finished fits.",
         )
@@ -98,8 +102,9 @@ def make_folder(out):
     out = Path(out)
     try:
         out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FileError(str(out), f"a folder that cannot be made ({error.strerror})", "a folder to write to") from None
+    except (OSError, ValueError) as error:  # ValueError: NUL in the name
+        why = getattr(error, "strerror", None) or error
+        raise FileError(str(out), f"a folder that cannot be made ({why})", "a folder to write to") from None
     if not os.access(out, os.W_OK | os.X_OK):
         raise FileError(str(out), "a folder that cannot be written to", "a folder to write to")
 
@@ -108,7 +113,7 @@ def same_file(a, b):
     """Whether two paths are one file, or would be where upper and lower case are the same."""
     try:
         return os.path.samefile(a, b)
-    except OSError:
+    except (OSError, ValueError):
         return _folded(os.path.abspath(a)) == _folded(os.path.abspath(b))
 
 
@@ -181,12 +186,12 @@ def _check_sources(sources):
     if missing:
         what = "a file that does not exist" if len(missing) == 1 else f"{len(missing)} files that do not exist"
         raise InputError(
-            "SCAN", f"{what}: {_listed(missing)}", "scan files that exist", "Check the paths; nothing has been fitted."
+            "SCAN", f"{what}: {listed(missing, 5)}", "scan files that exist", "Check the paths; nothing has been fitted."
         )
     folders = [s for s in sources if os.path.isdir(s)]
     if folders:
         raise InputError(
-            "SCAN", f"a folder: {_listed(folders)}", "scan files", f"Name the files in it, such as {folders[0]}/*.ply"
+            "SCAN", f"a folder: {listed(folders, 5)}", "scan files", f"Name the files in it, such as {folders[0]}/*.ply"
         )
 
 
@@ -206,7 +211,3 @@ def _check_clashes(files, out):
 
 def _folded(text):
     return unicodedata.normalize("NFC", str(text)).casefold()
-
-
-def _listed(names, most=5):
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,14 +1,17 @@
 """argparse as this command line uses it: errors in one line, and options that a configuration file can give as well."""
 
 import argparse
+import math
 import tomllib
 from dataclasses import dataclass
 from difflib import get_close_matches
 from pathlib import Path
 
-from ..errors import FileError
+from ..errors import FileError, InputError, shown
 
 __all__ = ["Option", "Parser", "add_options", "formatter", "natural", "positive", "settings"]
+
+_LARGEST = 2**63 - 1  # what arrays can count
 
 
 class Parser(argparse.ArgumentParser):
@@ -43,7 +46,9 @@ def _whole(text, least):
     except ValueError:
         value = least - 1
     if value < least:
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected a whole number of at least {least}")
+        raise argparse.ArgumentTypeError(f"got {shown(text)}; expected a whole number of at least {least}")
+    if value > _LARGEST:
+        raise argparse.ArgumentTypeError(f"got {shown(text)}; expected a whole number of at most {_LARGEST}")
     return value
 
 
@@ -120,11 +125,16 @@ def settings(arguments, options, config=None):
     ------
     FileError
         The file is missing or no TOML, has unknown keys, or values of the wrong kind.
+    InputError
+        A text is empty.
     """
     given = {o.key: getattr(arguments, o.key) for o in options if hasattr(arguments, o.key)}
     for option in options:
         if option.table and option.key in given:
             given[option.key] = dict(given[option.key])
+        if option.kind is str and not option.table and given.get(option.key) == "":
+            flags = "/".join([*([option.flag] if option.flag else []), f"--{option.name}"])
+            raise InputError(flags, "an empty text", f"{option.metavar} ({option.help})")
     from_file = {} if config is None else _read_config(config, options)
     return {o.key: given.get(o.key, from_file.get(o.key, o.default)) for o in options}
 
@@ -141,10 +151,19 @@ def _pair(text):
     name, _, value = text.partition("=")
     for kind in (int, float):
         try:
-            return name.strip().replace("-", "_"), kind(value)
+            number = kind(value)
+            if _is_finite(number):
+                return name.strip().replace("-", "_"), number
         except ValueError:
             continue
-    raise argparse.ArgumentTypeError(f"got {text!r}; expected NAME=NUMBER, such as turn=3.14")
+    raise argparse.ArgumentTypeError(f"got {shown(text)}; expected NAME=NUMBER, such as turn=3.14")
+
+
+def _is_finite(number):
+    try:
+        return math.isfinite(number)
+    except OverflowError:  # a whole number beyond double precision
+        return False
 
 
 def _read_config(path, options):
@@ -155,7 +174,7 @@ def _read_config(path, options):
         raise FileError(str(path), "no such file", expected) from None
     except OSError as error:
         raise FileError(str(path), f"a file that cannot be read ({error.strerror})", expected) from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # ValueError: of TOML, of UTF-8, of numbers of thousands of digits, of NUL
         raise FileError(str(path), f"text that is not TOML ({error})", expected) from None
     known = {o.name: o for o in options} | {o.key: o for o in options}
     out = {}
@@ -178,21 +197,21 @@ def _checked(value, option, path):
     if option.kind is bool:
         if isinstance(value, bool):
             return value
-        raise FileError(str(path), f"{option.name} = {value!r}", "true or false")
+        raise FileError(str(path), f"{option.name} = {shown(value)}", "true or false")
     if option.table:
-        if isinstance(value, dict) and all(type(v) in (int, float) for v in value.values()):
+        if isinstance(value, dict) and all(type(v) in (int, float) and _is_finite(v) for v in value.values()):
             return {name.replace("-", "_"): v for name, v in value.items()}
-        raise FileError(str(path), f"{option.name} = {value!r}", "a table of numbers, such as { turn = 3.14 }")
+        raise FileError(str(path), f"{option.name} = {shown(value)}", "a table of numbers, such as { turn = 3.14 }")
     if option.choices:
         if value in option.choices:
             return value
-        raise FileError(str(path), f"{option.name} = {value!r}", " or ".join(map(repr, option.choices)))
+        raise FileError(str(path), f"{option.name} = {shown(value)}", " or ".join(map(repr, option.choices)))
     if option.kind is str:
-        if not isinstance(value, str):
-            raise FileError(str(path), f"{option.name} = {value!r}", "text in quotes")
+        if not isinstance(value, str) or not value:
+            raise FileError(str(path), f"{option.name} = {shown(value)}", "text in quotes")
         return str(Path(path).parent / value) if option.is_path and value != "none" else value
-    if type(value) is not int:
-        raise FileError(str(path), f"{option.name} = {value!r}", "a whole number")
+    if type(value) is not int or not _is_finite(value):
+        raise FileError(str(path), f"{option.name} = {shown(value)}", "a whole number")
     try:
         return option.kind(str(value))
     except argparse.ArgumentTypeError as error:

@@ -91,9 +91,14 @@ def _card(arguments):
 
 
 def _list(arguments):
-    from ..io.rigs import bundled_rigs, load_rig
+    from ..io.rigs import about_bundled, bundled_rigs, load_rig
 
+    rows = [("name", "vertices", "joints", "poses", "what it is")]
     for name in bundled_rigs():
         rig = load_rig(name)
-        print(f"{name}: {len(rig.vertices)} vertices, {len(rig.parents)} joints, {len(rig.parts)} parts ({', '.join(rig.parts)})")
+        rows.append((name, f"{len(rig.vertices)}", f"{len(rig.parents)}", f"{len(rig.poses)}", about_bundled(name)))
+    widths = [max(len(row[k]) for row in rows) for k in range(4)]
+    for name, *numbers, about in rows:
+        cells = [name.ljust(widths[0]), *(number.rjust(width) for number, width in zip(numbers, widths[1:])), about]
+        print("  ".join(cells).rstrip())
     return 0

@@ -5,7 +5,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-__all__ = ["CloudData", "cloud_from_columns", "column_role", "fans", "whole_numbers"]
+from ..errors import FileError, listed
+
+__all__ = ["CloudData", "cloud_from_columns", "column_role", "columns_by_role", "fans", "set_labels"]
 
 
 @dataclass
@@ -38,42 +40,70 @@ def column_role(name):
     return 6 if _LABEL.fullmatch(name) else None
 
 
-def cloud_from_columns(names, column):
+def columns_by_role(names):
+    """Role, as :func:`column_role` gives it, → index of the first column that has it."""
+    found = {}
+    for k, name in enumerate(names):
+        role = column_role(name)
+        if role is not None:
+            found.setdefault(role, k)
+    return found
+
+
+def cloud_from_columns(path, what, names, column):
     """Put a cloud together from named columns.
 
     Parameters
     ----------
+    path : Path
+    what : str
+        What the format calls columns, such as "fields".
     names : sequence of str
     column : callable
-        ``column(k)`` gives the (n,) values of the k-th name.
+        ``column(k)`` gives the (n,) values of the k-th name; called for those of :func:`columns_by_role` only.
 
     Returns
     -------
-    CloudData or None
-        None where x, y or z is missing. Labels that are not whole numbers are left out, and a note says so.
+    CloudData
+        Labels that are not whole numbers are left out, and a note says so.
+
+    Raises
+    ------
+    FileError
+        x, y or z is missing; columns that are not numbers, or of different lengths.
     """
-    where = {}
-    for k, name in enumerate(names):
-        role = column_role(name)
-        if role is not None:
-            where.setdefault(role, k)
+    where = columns_by_role(names)
     if not {0, 1, 2} <= where.keys():
-        return None
-    cloud = CloudData(_stacked(column, [where[r] for r in (0, 1, 2)]))
+        raise FileError(str(path), f"the {what} {listed(names, 40) or '(none)'}", f"the {what} x, y and z")
+    columns = {role: _numbers(path, what, names[k], column(k)) for role, k in where.items() if role < 6}
+    if len({len(values) for values in columns.values()}) > 1:
+        lengths = ", ".join(f"{names[where[role]]} {len(values)}" for role, values in sorted(columns.items()))
+        raise FileError(str(path), f"{what} of different lengths ({lengths})", "one value per point in each")
+    cloud = CloudData(_stacked([columns[r] for r in (0, 1, 2)]))
     if {3, 4, 5} <= where.keys():
-        cloud.normals = _stacked(column, [where[r] for r in (3, 4, 5)])
+        cloud.normals = _stacked([columns[r] for r in (3, 4, 5)])
     if 6 in where:
-        cloud.labels = whole_numbers(column(where[6]))
-        if cloud.labels is None:
-            cloud.notes.append(f"The values of {names[where[6]]!r} are not whole numbers: labels left out.")
+        set_labels(cloud, names[where[6]], column(where[6]))
     return cloud
 
 
-def whole_numbers(values):
+def set_labels(cloud, name, values):
+    """Give a cloud its labels, or a note that says why not."""
+    cloud.labels = _whole_numbers(values)
+    if cloud.labels is None:
+        cloud.notes.append(f"The values of {name!r} are not whole numbers of at most 64 bits: labels left out.")
+
+
+def _whole_numbers(values):
     """The values as integers, or None where that would change them."""
     values = np.asarray(values)
-    if values.dtype.kind == "f" and np.isfinite(values).all() and (values == np.rint(values)).all():
-        values = values.astype(np.int64)
+    if values.dtype.kind == "f":
+        # Not: a comparison with NaN is false. 2**63 is the first number that 64 bits do not hold.
+        if not ((values == np.rint(values)) & (np.abs(values) < 2.0**63)).all():
+            return None
+        return values.astype(np.int64)
+    if values.dtype.kind == "u" and values.size and values.max() > np.iinfo(np.int64).max:
+        return None
     return values if values.dtype.kind in "iu" else None
 
 
@@ -98,9 +128,17 @@ def fans(corners_of_faces, corners):
     return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=1)
 
 
-def _stacked(column, rows):
-    first = np.asarray(column(rows[0]))
-    out = np.empty((len(first), 3))
-    for k, row in enumerate(rows):
-        out[:, k] = column(row)
+def _numbers(path, what, name, values):
+    values = np.asarray(values)
+    if values.ndim != 1 or values.dtype.kind not in "iuf":
+        got = f"{what} with {values.dtype} values of shape {values.shape} in {name!r}"
+        raise FileError(str(path), got, "one number per point in each")
+    return values
+
+
+def _stacked(columns):
+    """(n, 3) float64."""
+    out = np.empty((len(columns[0]), 3))
+    for k, values in enumerate(columns):
+        out[:, k] = values
     return out

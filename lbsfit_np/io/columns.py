@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import FileError
 from . import npz
-from .cloud import CloudData, cloud_from_columns, column_role, whole_numbers
+from .cloud import CloudData, cloud_from_columns, column_role, set_labels
 
 __all__ = ["read_npy", "read_npz", "read_table"]
 
@@ -53,8 +53,7 @@ def read_table(path):
             raise FileError(str(path), f"the first row {_row(cells)!r}", "numbers x, y, z in the first three columns")
     else:
         roles = [column_role(name) for name in names]
-        missing = [axis for k, axis in enumerate("xyz") if k not in roles]
-        if missing or len(cells) < len(names):
+        if not {0, 1, 2} <= set(roles) or len(cells) < len(names):
             got = f"a first line {_row(names)!r} above the row {_row(cells)!r}"
             raise FileError(str(path), got, "columns named x, y and z, or rows of numbers without a header")
         usecols = [k for k, role in enumerate(roles) if role is not None and numeric[k]]
@@ -63,14 +62,13 @@ def read_table(path):
             for k, role in enumerate(roles)
             if role is not None and not numeric[k]
         ]
+        if not {0, 1, 2} <= {roles[k] for k in usecols}:
+            raise FileError(str(path), f"text in the columns x, y, z: {_row(cells)!r}", "numbers")
     table = _load(path, skip, delimiter, usecols, decimal_comma)
     if names is None:
         cloud = _unnamed(table)
     else:
-        kept = [names[k] for k in usecols]
-        cloud = cloud_from_columns(kept, lambda k: table[:, k])
-        if cloud is None:
-            raise FileError(str(path), f"text in the columns x, y, z: {_row(cells)!r}", "numbers")
+        cloud = cloud_from_columns(path, "columns", [names[k] for k in usecols], lambda k: table[:, k])
     cloud.notes[:0] = notes
     return cloud
 
@@ -79,10 +77,7 @@ def read_npy(path):
     """Read an (n, 3) or (n, 6+) array, or a structured one with fields x, y, z; see :func:`read_table` for further columns."""
     array = npz.read_npy(path)
     if array.dtype.names:
-        cloud = cloud_from_columns(array.dtype.names, lambda k: array.reshape(-1)[array.dtype.names[k]])
-        if cloud is None:
-            raise FileError(str(path), f"the fields {', '.join(array.dtype.names)}", "fields x, y and z")
-        return cloud
+        return cloud_from_columns(path, "fields", array.dtype.names, lambda k: array.reshape(-1)[array.dtype.names[k]])
     if array.ndim == 2 and array.shape[1] > 3 and array.shape[0] != 3 and array.dtype.kind in "iuf":
         return _unnamed(array)
     return CloudData(array)
@@ -96,7 +91,7 @@ def read_npz(path):
     axes = [by_name.get(axis) for axis in "xyz"]
     arrays = npz.read_npz(path, [key for key in [*found.values(), *axes] if key is not None])
     if all(axes):
-        cloud = cloud_from_columns("xyz", lambda k: arrays[axes[k]].reshape(-1))
+        cloud = cloud_from_columns(path, "arrays", axes, lambda k: arrays[axes[k]].reshape(-1))
     elif found["points"] is not None:
         cloud = CloudData(arrays[found["points"]])
     else:
@@ -104,9 +99,7 @@ def read_npz(path):
         raise FileError(str(path), f"arrays called {', '.join(by_name.values()) or '(none)'}", expected)
     cloud.faces, cloud.normals = arrays.get(found["faces"]), arrays.get(found["normals"])
     if found["labels"] is not None:
-        cloud.labels = whole_numbers(arrays[found["labels"]])
-        if cloud.labels is None:
-            cloud.notes.append(f"The values of {found['labels']!r} are not whole numbers: labels left out.")
+        set_labels(cloud, found["labels"], arrays[found["labels"]])
     return cloud
 
 

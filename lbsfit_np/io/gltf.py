@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, listed
 from ..rig.data import RigData
 from ..rotations import rotvec_from_matrix
 from .gltf_buffers import open_gltf
@@ -137,26 +137,26 @@ def _choose_skin(document, graph, wanted, notes):
             found, "a mesh with a skin", "Export the rig with its armature and skinning; a plain mesh is a scan, not a rig."
         )
     named = {s: document.name(skins[s], f"skin {s}") for s in users}
-    listed = ", ".join(f"{s} ({name!r})" for s, name in sorted(named.items()))
-    index = _skin_index(document, wanted, named, listed, skins)
+    choices = ", ".join(f"{s} ({name!r})" for s, name in sorted(named.items()))
+    index = _skin_index(document, wanted, named, choices, skins)
     if len(users) > 1:
-        notes.append(f"the file has several skins in use: {listed}; this is {index}")
+        notes.append(f"the file has several skins in use: {choices}; this is {index}")
     if props:
-        notes.append(f"{len(props)} mesh(es) without a skin left out: {_some(props)}")
+        notes.append(f"{len(props)} mesh(es) without a skin left out: {listed(props, 5)}")
     return index, _shown(document, graph, users[index], notes)
 
 
-def _skin_index(document, wanted, named, listed, skins):
+def _skin_index(document, wanted, named, choices, skins):
     if wanted is None:
         if len(named) > 1:
             raise InputError(
-                "skin", f"no choice, where meshes of {document.path} use several", f"one of {listed}", "Name one: skin=."
+                "skin", f"no choice, where meshes of {document.path} use several", f"one of {choices}", "Name one: skin=."
             )
         return next(iter(named))
     if isinstance(wanted, str):
         matching = [s for s, name in named.items() if name == wanted]
         if len(matching) > 1:
-            raise InputError("skin", f"{wanted!r}, the name of {len(matching)} skins", f"one of {listed}", "Give its index.")
+            raise InputError("skin", f"{wanted!r}, the name of {len(matching)} skins", f"one of {choices}", "Give its index.")
         if matching:
             return matching[0]
         if wanted.isdecimal() and int(wanted) in named:
@@ -164,9 +164,9 @@ def _skin_index(document, wanted, named, listed, skins):
     elif isinstance(wanted, (int, np.integer)) and not isinstance(wanted, bool) and int(wanted) in named:
         return int(wanted)
     unused = [document.name(s, f"skin {i}") for i, s in enumerate(skins) if i not in named]
-    also = f" No mesh uses {_some([repr(u) for u in unused])}." if unused else ""
+    also = f" No mesh uses {listed([repr(u) for u in unused], 5)}." if unused else ""
     raise InputError(
-        "skin", repr(wanted), f"a skin that meshes of {document.path} use: {listed}", "Give its name or index." + also
+        "skin", repr(wanted), f"a skin that meshes of {document.path} use: {choices}", "Give its name or index." + also
     )
 
 
@@ -179,7 +179,7 @@ def _shown(document, graph, mesh_nodes, notes):
     shown = [i for i in mesh_nodes if tops.intersection([i, *graph.ancestors(i)])]
     if shown and len(shown) < len(mesh_nodes):
         hidden = [graph.label(i) for i in mesh_nodes if i not in shown]
-        notes.append(f"{len(hidden)} skinned mesh(es) outside the file's scene left out: {_some(hidden)}")
+        notes.append(f"{len(hidden)} skinned mesh(es) outside the file's scene left out: {listed(hidden, 5)}")
     return shown or mesh_nodes
 
 
@@ -211,9 +211,9 @@ def _joint_names(graph, joints, notes):
             repeated.append(name)
         names.append(name)
     if unnamed:
-        notes.append(f"{len(unnamed)} joint(s) without a name, called by their nodes: {_some(unnamed)}")
+        notes.append(f"{len(unnamed)} joint(s) without a name, called by their nodes: {listed(unnamed, 5)}")
     if repeated:
-        notes.append(f"{len(repeated)} joint(s) with a name that another has, numbered: {_some(repeated)}")
+        notes.append(f"{len(repeated)} joint(s) with a name that another has, numbered: {listed(repeated, 5)}")
     return names
 
 
@@ -296,7 +296,3 @@ def _unkept(moved, parents, rest, names, size):
             "only rotations are kept"
         )
     return notes
-
-
-def _some(words, most=5):
-    return ", ".join(words[:most]) + (f" and {len(words) - most} more" if len(words) > most else "")

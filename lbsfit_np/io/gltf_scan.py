@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .cloud import CloudData, column_role
+from .cloud import CloudData, column_role, set_labels
 from .gltf_buffers import open_gltf
 from .gltf_nodes import NodeGraph
 
@@ -37,6 +37,7 @@ def read_gltf_scan(path):
             pieces += _mesh(document, mesh, nodes.worlds[i], matrices, notes)
     if not pieces:
         return CloudData(np.empty((0, 3)), notes=notes)
+    notes += [note for p in pieces for note in p.notes]
     start = np.cumsum([0] + [len(p.points) for p in pieces])
     return CloudData(
         np.concatenate([p.points for p in pieces]),
@@ -128,8 +129,8 @@ def _vertices(document, attributes, position, world, matrices, where):
     label = next((name for name in attributes if name.startswith("_") and column_role(name.strip("_")) == 6), None)
     if label is not None:
         labels = document.accessor(document.integer(attributes, label, where), where, ("SCALAR",))
-        if len(labels) == n and (labels == np.rint(labels)).all():
-            piece.labels = labels.astype(int)
+        if len(labels) == n:
+            set_labels(piece, label, labels)
     return piece
 
 

@@ -1,6 +1,6 @@
 """Rigs in NPZ files: the package's own format, which keeps a Rig to the last bit, and the bodies' simple one.
 
-Own format, version 1; all arrays plain (no pickle), J joints, m vertices, F faces:
+Own format, version 1; all arrays plain (no pickle), J joints, m vertices, F faces; what follows notes may be absent:
 
 =====================  ==========  =====================================================================================
 key                    shape       content
@@ -26,6 +26,18 @@ granularity            ()          text, the partition in use
 metres_per_unit        ()          float, NaN where unknown
 up, forward            ()          text such as "+y", empty where unknown
 notes                  ()          text, JSON: [notes]
+poses_names            (k,)        text, names of the natural poses; k may be 0
+poses_theta            (k, J, 3)   float, rotation vectors in radians
+shapes_names           (K,)        text, shape parameters; K may be 0
+shapes_units           (K,)        text
+shapes_lower           (K,)        float, range
+shapes_upper           (K,)        float
+shapes_default         (K,)        float, values of the template
+shapes_spread          (K,)        float, standard deviations
+shapes_vertices        (K, m, 3)   int16 or float, times its step the change of the template for a unit of the parameter
+shapes_step            (K,)        float
+shapes_joints          (K, J, 3)   float, change of the joints
+smpl_rest              (J, 3, 3)   float, from the rest pose to SMPL's or MANO's; (0, 3, 3) where unknown
 =====================  ==========  =====================================================================================
 
 The bodies' format: verts (shapes, m, 3), shape_names, faces (F, 3), weights (m, J) dense, joints (shapes, J, 3) heads, tails
@@ -43,6 +55,7 @@ from ..errors import FileError, InputError
 from ..rig.card import nearest
 from ..rig.data import RigData
 from ..rig.frames import bone_frames, child_directions
+from ..rig.shapes import ShapeSpace, from_counts, to_counts
 from .npz import read_npz
 from .write import write_npz
 
@@ -58,6 +71,9 @@ _OWN_KEYS = (
     *("regressor_data", "regressor_indices", "regressor_indptr", "merged", "locked", "partitions", "granularity"),
     *("metres_per_unit", "up", "forward", "notes"),
 )
+_POSE_KEYS = ("poses_names", "poses_theta")
+_SHAPE_NUMBERS = ("lower", "upper", "default", "spread")
+_SHAPE_KEYS = tuple(f"shapes_{key}" for key in ("names", "units", *_SHAPE_NUMBERS, "vertices", "step", "joints"))
 
 
 def save_rig(rig, path):
@@ -86,7 +102,25 @@ def save_rig(rig, path):
     arrays["metres_per_unit"] = np.array(np.nan if rig.metres_per_unit is None else rig.metres_per_unit)
     arrays["up"], arrays["forward"] = np.array(rig.up or ""), np.array(rig.forward or "")
     arrays["notes"] = np.array(json.dumps(list(rig.notes)))
+    arrays["poses_names"] = np.array(list(rig.poses), dtype=str)
+    arrays["poses_theta"] = np.array([*rig.poses.values()], dtype=float).reshape(-1, len(rig.parents), 3)
+    arrays |= _shape_arrays(rig)
+    arrays["smpl_rest"] = np.empty((0, 3, 3)) if rig.smpl_rest is None else rig.smpl_rest
     write_npz(path, **arrays)
+
+
+def _shape_arrays(rig):
+    s = rig.shapes
+    m, J = rig.weights.shape
+    if s is None:
+        none = np.empty(0)
+        s = ShapeSpace(
+            **dict.fromkeys(_SHAPE_NUMBERS, none), names=(), units=(), vertices=np.empty((0, m, 3)), joints=np.empty((0, J, 3))
+        )
+    counts, steps = to_counts(s.vertices)
+    arrays = {"names": np.array(s.names, dtype=str), "units": np.array(s.units, dtype=str)}
+    arrays |= {key: getattr(s, key) for key in _SHAPE_NUMBERS} | {"vertices": counts, "step": steps, "joints": s.joints}
+    return {f"shapes_{key}": value for key, value in arrays.items()}
 
 
 def read_rig_npz(path):
@@ -101,7 +135,7 @@ def read_rig_npz(path):
     FileError
         Missing, broken, of a newer version, or with keys missing or of the wrong kind.
     """
-    file = _Arrays(path, (OWN_KEY, *_OWN_KEYS))
+    file = _Arrays(path, (OWN_KEY, *_OWN_KEYS, *_POSE_KEYS, *_SHAPE_KEYS, "smpl_rest"))
     version = file.number(OWN_KEY)
     if version != _VERSION:
         raise FileError(
@@ -134,8 +168,40 @@ def read_rig_npz(path):
         locked=file["locked"],
         partitions={name: {p: tuple(js) for p, js in parts.items()} for name, parts in partitions.items()},
         parts=file.text("granularity"),
+        poses=_poses(file),
+        shapes=_shapes(file),
+        smpl_rest=file["smpl_rest"] if "smpl_rest" in file and len(file.numbers("smpl_rest", 3)) else None,
         notes=[str(note) for note in notes],
         path=Path(path),
+    )
+
+
+def _poses(file):
+    if not any(key in file for key in _POSE_KEYS):
+        return {}
+    file.require(_POSE_KEYS)
+    names, theta = file.names("poses_names"), file.numbers("poses_theta", 3)
+    if len(theta) != len(names) or len(set(names)) < len(names):
+        got = f"{len(set(names))} different names in 'poses_names' and {len(theta)} poses in 'poses_theta'"
+        raise FileError(file.path, got, "a name for each pose")
+    return dict(zip(names, theta))
+
+
+def _shapes(file):
+    if not any(key in file for key in _SHAPE_KEYS):
+        return None
+    file.require(_SHAPE_KEYS)
+    names, units = file.names("shapes_names"), file.names("shapes_units")
+    counts, steps = file.numbers("shapes_vertices", 3), file.numbers("shapes_step", 1)
+    if len(counts) != len(steps):
+        raise FileError(file.path, f"{len(steps)} steps in 'shapes_step' for {len(counts)} directions", "one for each")
+    numbers = {key: file.numbers(f"shapes_{key}", 1) for key in _SHAPE_NUMBERS}
+    return ShapeSpace(
+        names=tuple(names),
+        units=tuple(units),
+        vertices=from_counts(counts, steps),
+        joints=file.numbers("shapes_joints", 3),
+        **numbers,
     )
 
 

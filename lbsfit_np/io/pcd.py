@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 
 from ..errors import FileError
-from .cloud import cloud_from_columns, column_role
+from .cloud import cloud_from_columns, columns_by_role
 
 __all__ = ["read_pcd"]
 
@@ -40,10 +40,7 @@ def read_pcd(path):
             columns = _read_binary(file, path, dtypes, n)
         else:
             columns = _read_compressed(file, path, dtypes, n)
-    cloud = cloud_from_columns(names, lambda k: columns[k])
-    if cloud is None:
-        raise FileError(str(path), f"the fields {', '.join(names)}", "fields x, y and z")
-    return cloud
+    return cloud_from_columns(path, "fields", names, columns.__getitem__)
 
 
 def _read_header(file, path):
@@ -77,22 +74,21 @@ def _read_header(file, path):
 
 
 def _read_ascii(file, path, names, dtypes, n):
+    """Field number → values, of the fields that are looked at; as floats, so that no value wraps around in a field's type."""
     first = np.cumsum([0] + [d.shape[0] for d in dtypes])
-    wanted = [k for k, name in enumerate(names) if column_role(name) is not None]
+    wanted = sorted(columns_by_role(names).values())
     if n == 0 or not wanted:
-        return [np.empty(0)] * len(names)
+        return dict.fromkeys(wanted, np.empty(0))
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy warns of blank lines and of no lines at all
-            table = np.loadtxt(file, comments=None, usecols=[first[k] for k in wanted], max_rows=n, ndmin=2)
+            rows = min(n, os.fstat(file.fileno()).st_size)  # no file has more rows than bytes
+            table = np.loadtxt(file, comments=None, usecols=[first[k] for k in wanted], max_rows=rows, ndmin=2)
     except ValueError as error:
         raise FileError(str(path), f"rows that cannot be read ({error})", f"numbers for {', '.join(names)}") from None
     if len(table) < n:
         raise _truncated(path, len(table), n)
-    columns = [None] * len(names)
-    for k, at in enumerate(wanted):
-        columns[at] = table[:, k].astype(dtypes[at].base) if dtypes[at].base.kind in "iu" else table[:, k]
-    return columns
+    return dict(zip(wanted, table.T))
 
 
 def _read_binary(file, path, dtypes, n):

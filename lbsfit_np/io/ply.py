@@ -6,11 +6,12 @@ Our own reader, because the labels have to come back, vertices must keep their o
 import io
 import os
 import warnings
+from array import array
 
 import numpy as np
 
 from ..errors import FileError
-from .cloud import cloud_from_columns, column_role, fans
+from .cloud import cloud_from_columns, columns_by_role, fans
 
 __all__ = ["read_ply"]
 
@@ -48,16 +49,16 @@ def read_ply(path):
         for name, (count, properties) in elements.items():
             if cloud is not None and (name != "face" or faces is not None):
                 continue  # edges, materials and the like stand last: nothing here looks at them
-            wanted = {"vertex": _vertex_properties(properties), "face": _face_properties(properties)}.get(name, [])
-            read = _read_ascii if order is None else _read_binary
-            table = read(file, order, path, name, count, properties, wanted)
+            wanted = {"vertex": _vertex_columns, "face": _face_columns}.get(name, lambda properties: [])(properties)
+            if order is None:
+                columns = _read_ascii(file, path, name, count, properties, wanted)
+            else:
+                columns = _read_binary(file, order, path, name, count, properties, wanted)
             if name == "vertex":
-                cloud = cloud_from_columns(list(table), list(table.values()).__getitem__)
-                if cloud is None:
-                    got = ", ".join(p[0] for p in properties) or "none"
-                    raise FileError(str(path), f"vertices with the properties {got}", "vertices with the properties x, y and z")
+                names = _scalar_names(properties)
+                cloud = cloud_from_columns(path, "vertex properties", names, columns.__getitem__)
             elif name == "face" and wanted:
-                faces = fans(*table[wanted[0]])
+                faces = fans(*columns[wanted[0]])
             if "face" not in elements and cloud is not None:
                 break
     if faces is not None:
@@ -88,6 +89,8 @@ def _read_header(file, path):
                 properties = []
                 elements[words[1]] = (_count(words[2]), properties)
             elif words[:2] == ["property", "list"]:
+                if _TYPES[words[2]][0] == "f":
+                    raise ValueError
                 properties.append((words[4], _TYPES[words[3]], _TYPES[words[2]]))
             elif words[0] == "property":
                 properties.append((words[2], _TYPES[words[1]], None))
@@ -105,55 +108,70 @@ def _count(word):
     return int(word)
 
 
-def _vertex_properties(properties):
-    return [name for name, _, length in properties if length is None and column_role(name) is not None]
+def _scalar_names(properties):
+    """The properties' names, "" for lists."""
+    return [name if length is None else "" for name, _, length in properties]
 
 
-def _face_properties(properties):
-    return [name for name, _, length in properties if length is not None and name in ("vertex_indices", "vertex_index")][:1]
+def _vertex_columns(properties):
+    """Which properties of a vertex are looked at."""
+    return sorted(columns_by_role(_scalar_names(properties)).values())
 
 
-def _read_ascii(file, order, path, element, count, properties, wanted):
-    """One element's wanted columns: name → values, or for a list name → (lengths, flat values)."""
+def _face_columns(properties):
+    """The property that lists a face's corners, if there is one."""
+    return [k for k, (name, _, length) in enumerate(properties) if length and name in ("vertex_indices", "vertex_index")][:1]
+
+
+def _read_ascii(file, path, element, count, properties, wanted):
+    """An element's wanted properties: number of the property → values, or for a list → (lengths, flat values).
+
+    Scalars come as floats, whatever their type, so that no value is cut or wraps around.
+    """
     if count == 0:
         return _empty(properties, wanted)
     if all(length is None for _, _, length in properties):
-        rows = [k for k, p in enumerate(properties) if p[0] in wanted]
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # numpy warns of blank lines and of no lines at all
-                table = np.loadtxt(file, comments=None, max_rows=count, usecols=rows or (0,), ndmin=2)
+                rows = min(count, os.fstat(file.fileno()).st_size)  # no file has more rows than bytes
+                table = np.loadtxt(file, comments=None, max_rows=rows, usecols=wanted or (0,), ndmin=2)
         except (ValueError, IndexError) as error:
             raise FileError(str(path), f"{element} rows that cannot be read ({error})", _numbers(properties)) from None
         if len(table) < count:
             raise _truncated(path, element, len(table), count)
-        return {properties[row][0]: _typed(table[:, k], properties[row][1]) for k, row in enumerate(rows)}
-    lists = {name: ([], []) for name in wanted}
-    scalars = {}
-    for k in range(count):
+        return dict(zip(wanted, table.T))
+    lists = {k: (array("q"), array("q")) for k in wanted if properties[k][2]}
+    scalars = {k: array("d") for k in wanted if k not in lists}
+    for row in range(count):
         words = file.readline().split()
         if not words:
-            raise _truncated(path, element, k, count)
+            raise _truncated(path, element, row, count)
         at = 0
         try:
-            for name, _, length in properties:
+            for k, (_, _, length) in enumerate(properties):
                 if length is None:
+                    if k in scalars:
+                        scalars[k].append(float(words[at]))
                     at += 1
                     continue
                 n = int(words[at])
                 if n < 0 or at + 1 + n > len(words):
                     raise IndexError
-                if name in lists:
-                    lists[name][0].append(n)
-                    lists[name][1].extend(map(int, words[at + 1 : at + 1 + n]))
+                if k in lists:
+                    lists[k][0].append(n)
+                    lists[k][1].extend(map(int, words[at + 1 : at + 1 + n]))
                 at += 1 + n
-        except (ValueError, IndexError):
-            got = f"the {element} row {k}: {' '.join(words)[:60]!r}"
+            if at > len(words):
+                raise IndexError
+        except (ValueError, IndexError, OverflowError):
+            got = f"the {element} row {row}: {' '.join(words)[:60]!r}"
             raise FileError(str(path), got, _numbers(properties), "The file is truncated or damaged.") from None
-    return scalars | {name: (np.array(n, dtype=int), np.array(v, dtype=int)) for name, (n, v) in lists.items()}
+    return {k: np.array(v) for k, v in scalars.items()} | {k: (np.array(n), np.array(v)) for k, (n, v) in lists.items()}
 
 
 def _read_binary(file, order, path, element, count, properties, wanted):
+    """As :func:`_read_ascii`, from binary rows; values have the file's types."""
     if count == 0:
         return _empty(properties, wanted)
     if all(length is None for _, _, length in properties):
@@ -164,14 +182,14 @@ def _read_binary(file, order, path, element, count, properties, wanted):
         if there < count:
             raise _truncated(path, element, there, count)
         table = np.fromfile(file, dtype=dtype, count=count)
-        return {name: table[f"{k}"] for k, (name, _, _) in enumerate(properties) if name in wanted}
+        return {k: table[f"{k}"] for k in wanted}
     start = file.tell()
     data = file.read()
-    table, used = _equal_lists(data, order, count, properties, wanted) or _walked_lists(
+    columns, used = _equal_lists(data, order, count, properties, wanted) or _walked_lists(
         data, order, path, element, count, properties, wanted
     )
     file.seek(start + used)
-    return table
+    return columns
 
 
 def _equal_lists(data, order, count, properties, wanted):
@@ -193,49 +211,38 @@ def _equal_lists(data, order, count, properties, wanted):
     if dtype.itemsize * count > len(data):
         return None
     table = np.frombuffer(data, dtype, count)
-    lists = [k for k, p in enumerate(properties) if p[2] is not None]
-    if any((table[f"n{k}"] != table[f"n{k}"][0]).any() for k in lists):
+    if any((table[f"n{k}"] != table[f"n{k}"][0]).any() for k, p in enumerate(properties) if p[2]):
         return None
-    out = {}
-    for k in lists:
-        if properties[k][0] in wanted:
-            out[properties[k][0]] = table[f"n{k}"].astype(int), table[f"{k}"].reshape(-1).astype(int)
-    return out, dtype.itemsize * count
+    columns = {k: (table[f"n{k}"].astype(int), table[f"{k}"].reshape(-1)) if properties[k][2] else table[f"{k}"] for k in wanted}
+    return columns, dtype.itemsize * count
 
 
 def _walked_lists(data, order, path, element, count, properties, wanted):
     """Rows with lists of different lengths, one after the other."""
-    sizes = [(name, np.dtype(order + kind), length and np.dtype(order + length)) for name, kind, length in properties]
-    lists = {name: ([], []) for name in wanted}
+    kinds = [(np.dtype(order + kind), length and np.dtype(order + length)) for _, kind, length in properties]
+    found = {k: ([], []) for k in wanted}  # lengths, values
     at = 0
     for row in range(count):
-        for name, kind, length in sizes:
-            if length is None:
-                at += kind.itemsize
-                continue
-            if at + length.itemsize > len(data):
-                raise _truncated(path, element, row, count)
-            n = int(np.frombuffer(data, length, 1, at)[0])
-            at += length.itemsize
+        for k, (kind, length) in enumerate(kinds):
+            n = 1
+            if length is not None:
+                if at + length.itemsize > len(data):
+                    raise _truncated(path, element, row, count)
+                n = int(np.frombuffer(data, length, 1, at)[0])
+                at += length.itemsize
             if n < 0 or at + n * kind.itemsize > len(data):
                 raise _truncated(path, element, row, count)
-            if name in lists:
-                lists[name][0].append(n)
-                lists[name][1].append(np.frombuffer(data, kind, n, at))
+            if k in found:
+                found[k][0].append(n)
+                found[k][1].append(np.frombuffer(data, kind, n, at))
             at += n * kind.itemsize
-    if at > len(data):
-        raise _truncated(path, element, count - 1, count)
-    return {name: (np.array(n, dtype=int), np.concatenate(v).astype(int)) for name, (n, v) in lists.items()}, at
-
-
-def _typed(values, kind):
-    return values.astype(int) if kind[0] in "iu" else values
+    columns = {k: (np.array(n, dtype=int), np.concatenate(v)) for k, (n, v) in found.items()}
+    return {k: c if properties[k][2] else c[1] for k, c in columns.items()}, at
 
 
 def _empty(properties, wanted):
-    kinds = {name: (kind, length) for name, kind, length in properties}
     none = np.empty(0, dtype=int)
-    return {name: (none, none) if kinds[name][1] else np.empty(0, dtype=kinds[name][0]) for name in wanted}
+    return {k: (none, none) if properties[k][2] else np.empty(0) for k in wanted}
 
 
 def _numbers(properties):

@@ -10,14 +10,26 @@ import numpy as np
 from ..errors import FileError, InputError
 from ..rig.build import build_rig
 from ..rig.card import nearest
+from ..rig.mirror import mirrored
 
-__all__ = ["CARD_SUFFIX", "bundled_rigs", "load_rig", "read_rig_data", "rig_for_card"]
+__all__ = ["CARD_SUFFIX", "about_bundled", "bundled_rigs", "load_rig", "read_rig_data", "rig_for_card"]
 
 # A card named like the rig, in the rig's folder, is used without being asked for.
 CARD_SUFFIX = ".card.toml"
 
 _ENDINGS = (".npz", ".glb", ".gltf", ".pkl")
 _SMPL_KEYS = ("v_template", "kintree_table")
+
+# Bundled rigs that have no file of their own, as each is the mirror image of another.
+_MIRRORED = {"hand-left": "hand", "hand-left-coarse": "hand-coarse"}
+
+# What the bundled rigs are; names that end in -coarse are the same with fewer vertices.
+_ABOUT = {
+    "body": "a person in A-pose, SMPL's 24 joints",
+    "hand": "a right hand, MANO's 16 joints",
+    "hand-left": "a left hand, the mirror image of hand",
+}
+_COARSE = "-coarse"
 
 
 def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weights=False, parts=None):
@@ -55,7 +67,7 @@ def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weight
         card = None
     elif card is None and data.path is not None:
         beside = data.path.with_name(data.path.stem + CARD_SUFFIX)
-        if beside.is_file():
+        if os.path.isfile(beside):
             card = beside
             data.notes.append(f"the card {beside.name} beside the file was used")
     return build_rig(data, card, normalize_weights=normalize_weights, parts=parts)
@@ -68,6 +80,8 @@ def read_rig_data(path_or_name, *, shape=None, skin=None):
     -------
     RigData
     """
+    if _is_mirrored(path_or_name):
+        return mirrored(read_rig_data(_MIRRORED[path_or_name], shape=shape, skin=skin), path_or_name)
     path = _found(path_or_name)
     ending = path.suffix.lower()
     if ending not in _ENDINGS:
@@ -110,7 +124,18 @@ def rig_for_card(path_or_name, *, shape=None, skin=None):
 
 def bundled_rigs():
     """Names of the rigs that come with the package, for ``load_rig``; a sorted list of str."""
-    return sorted(_bundled())
+    files = _bundled()
+    return sorted([*files, *(name for name, original in _MIRRORED.items() if original in files)])
+
+
+def about_bundled(name):
+    """What a bundled rig is, in a few words."""
+    about = _ABOUT.get(name.removesuffix(_COARSE), "")
+    return about + ", with fewer vertices" if about and name.endswith(_COARSE) else about
+
+
+def _is_mirrored(name):
+    return isinstance(name, str) and name in _MIRRORED and _MIRRORED[name] in _bundled() and not Path(name).is_file()
 
 
 def _found(path_or_name):
@@ -119,12 +144,12 @@ def _found(path_or_name):
         raise InputError("path_or_name", type(path_or_name).__name__, "the path of a rig file, or the name of a bundled rig")
     path = Path(path_or_name)
     bundled = _bundled()
-    if str(path_or_name) in bundled and not path.is_file():
+    if str(path_or_name) in bundled and not os.path.isfile(path):
         return bundled[str(path_or_name)]
-    if path.is_dir():
+    if os.path.isdir(path):
         raise FileError(str(path_or_name), "a folder", f"a rig file: {', '.join(_ENDINGS)}")
-    if not path.is_file():
-        names = sorted(bundled)
+    if not os.path.isfile(path):  # os.path's tests, unlike Path's, raise for no name, be it too long or impossible
+        names = bundled_rigs()
         expected = "the path of a rig file" + (f", or a bundled rig: {', '.join(names)}" if names else "")
         remedy = nearest(str(path_or_name), names) if names and not path.suffix and len(path.parts) == 1 else None
         raise FileError(

@@ -6,6 +6,7 @@ vertices have to come as the file lists them, and a broken file has to be an err
 """
 
 import re
+import sys
 import warnings
 from array import array
 from itertools import islice
@@ -120,8 +121,8 @@ def read_off(path):
             raise FileError(
                 str(path), f"the line {counts[:60]!r}", "the numbers of vertices, faces and edges", _TRUNCATED
             ) from None
-        table = _loaded(path, islice(lines, n), "x y z", range(6 if magic[3] else 3)) if n else np.empty((0, 3))
-        faces = list(islice(lines, f))
+        table = _loaded(path, islice(lines, min(n, sys.maxsize)), "x y z", range(6 if magic[3] else 3)) if n else np.empty((0, 3))
+        faces = list(islice(lines, min(f, sys.maxsize)))
     if len(table) < n or len(faces) < f:
         got = (
             f"a file that ends after {len(table)} of {n} vertices"
@@ -137,7 +138,7 @@ def read_off(path):
             corners.extend(map(int, words[1 : size + 1]))
             if not 0 <= size < len(words):
                 raise ValueError
-        except ValueError:
+        except (ValueError, OverflowError):
             raise FileError(str(path), f"face {row}: {line[:60]!r}", "a count and as many vertex numbers", _TRUNCATED) from None
         lengths.append(size)
     cloud = CloudData(table[:, :3], fans(np.array(lengths, dtype=int), np.array(corners, dtype=int)))

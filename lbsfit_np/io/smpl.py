@@ -89,6 +89,7 @@ def read_smpl(path):
         metres_per_unit=1.0,
         up="+y" if body else None,
         forward="+z" if body else None,
+        smpl_rest=np.broadcast_to(np.eye(3), (J, 3, 3)).copy(),
         notes=_notes(model, family, J),
         path=path,
     )

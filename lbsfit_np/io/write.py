@@ -32,14 +32,25 @@ def atomic_path(path):
     Raises
     ------
     FileError
-        The folder does not exist or cannot be written to, the disk is full, or ``path`` is a folder.
+        The folder does not exist or cannot be written to, the disk is full, ``path`` is a folder or a name that cannot be.
+    InputError
+        ``path`` is no path.
     """
-    final = Path(path)
-    if final.is_dir():
+    try:
+        final = Path(path)
+    except TypeError:
+        raise InputError("path", type(path).__name__, "the name of a file to write") from None
+    if not final.name or os.path.isdir(final):
         raise FileError(str(path), "a folder", "the name of a file to write")
-    if not final.parent.is_dir():
+    if not os.path.isdir(final.parent):
         raise FileError(str(path), f"a folder that does not exist ({final.parent})", "an existing folder", "Create it first.")
-    temporary = final.with_name(f".{final.stem[:80]}.{secrets.token_hex(6)}.tmp{final.suffix}")
+    temporary = final.with_name(f".{_start(final.stem)}.{secrets.token_hex(6)}.tmp{_start(final.suffix)}")
+    try:
+        os.lstat(final)
+    except FileNotFoundError:
+        pass
+    except (OSError, ValueError) as error:  # a name that is too long, or with NUL in it: known before anything is computed
+        raise _cannot_write(path, error) from error
     try:
         # mkstemp would make it private (0600); this way the umask decides, as for any file that a user writes.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
@@ -201,5 +212,11 @@ def _plain(obj):
     return obj
 
 
+def _start(name, most=80):
+    """The start of a name, of at most so many bytes: file systems count these, not letters."""
+    return name.encode("utf-8", "ignore")[:most].decode("utf-8", "ignore")
+
+
 def _cannot_write(path, error):
-    return FileError(str(path), f"an error while writing ({error.strerror or error})", "a place that can be written to")
+    why = getattr(error, "strerror", None) or error
+    return FileError(str(path), f"an error while writing ({why})", "a place that can be written to")

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError, LbsfitError
 from ..scan import check_points
-from .workers import Workers
+from ..workers import Workers
 
 __all__ = ["ScanOutcome", "fit_scans"]
 
@@ -77,6 +77,8 @@ def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=No
     """
     if isinstance(jobs, bool) or not isinstance(jobs, (int, np.integer)) or jobs < 1:
         raise InputError("jobs", repr(jobs), "a positive whole number of worker processes")
+    if hasattr(fitter, "_check"):
+        fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
     scans = list(scans)
     outcomes = {}
 

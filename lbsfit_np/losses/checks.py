@@ -8,6 +8,9 @@ from ..errors import InputError
 
 __all__ = ["check_index", "check_labels", "check_number", "check_same_length", "check_set", "check_weights"]
 
+# Searching within parts takes memory, and loses digits, in proportion to the largest label.
+_MOST_PARTS = 2**16
+
 
 def check_set(argument, value):
     """A point set as a finite, non-empty (k, 3) float array; the input itself where it is one."""
@@ -15,6 +18,8 @@ def check_set(argument, value):
         a = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise InputError(argument, type(value).__name__, "numbers of shape (k, 3)") from None
+    except OverflowError:
+        raise InputError(argument, "whole numbers beyond double precision", "numbers of shape (k, 3)") from None
     if a.ndim != 2 or a.shape[1] != 3:
         raise InputError(argument, f"shape {a.shape}", "shape (k, 3), one point a row")
     if not len(a):
@@ -42,6 +47,9 @@ def check_labels(argument, value, n):
     if a.dtype.kind == "i" and a.min() < 0:
         got = f"{a.min()} at index {a.argmin()}"
         raise InputError(argument, got, "integers of at least 0", "Leave points without a part out.")
+    if a.max() >= _MOST_PARTS:
+        got = f"{a.max()} at index {a.argmax()}"
+        raise InputError(argument, got, f"integers below {_MOST_PARTS}", "Number the parts from 0 on.")
     return a
 
 
@@ -53,6 +61,8 @@ def check_weights(argument, value, n):
         a = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
         raise InputError(argument, type(value).__name__, f"numbers of shape ({n},)") from None
+    except OverflowError:
+        raise InputError(argument, "whole numbers beyond double precision", f"numbers of shape ({n},)") from None
     if a.shape != (n,):
         raise InputError(argument, f"shape {a.shape}", f"shape ({n},), one weight a point")
     if not (a.min() >= 0 and 0 < a.sum() < np.inf):  # not: NaN fails every comparison

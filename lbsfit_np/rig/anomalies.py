@@ -3,9 +3,10 @@
 import numpy as np
 from scipy import sparse
 
+from ..errors import listed
 from .partition import leading_joint
 
-__all__ = ["listed", "mesh_notes", "size_notes", "skin_notes"]
+__all__ = ["mesh_notes", "size_notes", "skin_notes"]
 
 
 def mesh_notes(rig):
@@ -79,8 +80,3 @@ def skin_notes(rig):
         if missing:
             notes.append(f"partition {name!r}: no vertex belongs mostly to {listed(missing)}; such parts are left out")
     return notes
-
-
-def listed(names, most=8):
-    """Names in one line, cut after ``most``."""
-    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

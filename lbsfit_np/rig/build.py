@@ -7,14 +7,25 @@ from itertools import pairwise
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError
-from .anomalies import listed, mesh_notes, size_notes, skin_notes
+from ..errors import InputError, listed
+from .anomalies import mesh_notes, size_notes, skin_notes
 from .card import Card, matching, read_card
-from .checks import Reporter, check_directions, check_joints, check_limits, check_mesh, check_tree, check_weights
+from .checks import (
+    Reporter,
+    check_directions,
+    check_joints,
+    check_limits,
+    check_mesh,
+    check_poses,
+    check_rotations,
+    check_tree,
+    check_weights,
+)
 from .frames import bone_frames, child_directions
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, derived_limits
 from .regressor import exact_regressor, regressor_from_weights
 from .rig import Rig
+from .shapes import check_shapes
 
 __all__ = ["build_rig"]
 
@@ -68,6 +79,8 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     if state.merged_now.any():
         weights = _merged_weights(weights, parents, state.merged)
     lower, upper = _limits(report, data, root, names, frames, turned, state, card, notes)
+    poses, smpl_rest = _library(report, data, names, parents, turned, state, notes)
+    shapes = check_shapes(report, data.shapes, len(vertices), len(names))
 
     partitions = _partitions(report, data, names, card)
     granularity = next((p for p in (parts, card.use_parts, data.parts) if p is not None), "joints")
@@ -102,6 +115,9 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
         metres_per_unit=None if unit is None else float(unit),
         up=up,
         forward=forward,
+        poses=poses,
+        shapes=shapes,
+        smpl_rest=smpl_rest,
     )
     if not len(rig.welded.faces):
         report.fail("faces", f"{len(faces)} faces, each with two corners at one point", "at least one proper triangle")
@@ -139,7 +155,7 @@ def _hierarchy(parents, names, card):
     where = f"{card.where}, [hierarchy]"
     by_chain = {}
     for child, parent in card.parents:
-        (up,) = matching(parent, names, where)[:1]
+        up = _one(parent, names, where)
         for j in matching(child, names, where):
             if j != up:  # a glob may well match the parent itself
                 parents[j] = up
@@ -329,6 +345,25 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
             f"they were derived: {'; '.join(ways)} (a card's [limits] can say better)"
         )
     return lower, upper
+
+
+def _library(report, data, names, parents, turned, state, notes):
+    """The natural poses about the rig's axes, without turns of joints that do not turn; and ``smpl_rest``.
+
+    Both say how joints turn relative to their parents: where a card gives other parents they mean nothing any more.
+    """
+    poses = check_poses(report, data.poses, names)
+    rest = None if data.smpl_rest is None else check_rotations(report, "smpl_rest", data.smpl_rest, names)
+    if (poses or rest is not None) and not np.array_equal(parents, data.parents):
+        notes.append("the file's natural poses and its relation to SMPL are left out, as the card changes the hierarchy")
+        return {}, None
+    still = state.merged | state.locked
+    for name, theta in poses.items():
+        if turned is not None:
+            theta = np.einsum("jab,jb->ja", turned, theta)
+        theta[still] = 0.0
+        poses[name] = theta
+    return poses, rest
 
 
 def _partitions(report, data, names, card):

@@ -33,6 +33,7 @@ Every table is optional; names may be globs (``*``, ``?``, ``[ab]``) wherever a 
 
 import math
 import os
+import secrets
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -42,7 +43,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, listed, shown
 from .frames import AXES
 
 __all__ = ["UNITS", "Card", "card_text", "matching", "read_card", "write_card"]
@@ -112,10 +113,14 @@ def read_card(path):
         raise FileError(str(path), f"a file that cannot be read ({e.strerror})", "a rig card") from None
     except UnicodeDecodeError:
         raise FileError(str(path), "bytes that are not UTF-8 text", "a rig card, which is a TOML text file") from None
+    except ValueError:  # what open says of NUL in a name
+        raise FileError(repr(str(path)), "a path that no file can have", "a rig card") from None
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as e:
         raise FileError(str(path), f"text that is not TOML: {e}", "a rig card in TOML", "Put joint names in quotes.") from None
+    except ValueError:  # what int says
+        raise FileError(str(path), "a number of several thousand digits", "a rig card in TOML") from None
     except RecursionError:
         raise FileError(str(path), "brackets nested without end", "a rig card in TOML") from None
     return _Parser(str(path)).card(content)
@@ -127,13 +132,18 @@ def write_card(rig, path):
     The file is replaced in one step. Reading it back gives the rig's own settings.
     """
     path = Path(path)
-    scratch = path.with_name(path.name + f".{os.getpid()}.tmp")
+    text = card_text(rig)
+    if not path.name or os.path.isdir(path):
+        raise FileError(str(path), "a folder", "the name of a card to write")
+    scratch = path.with_name(f".{secrets.token_hex(6)}.tmp")
     try:
-        scratch.write_text(card_text(rig), encoding="utf-8")
+        scratch.write_text(text, encoding="utf-8")
         os.replace(scratch, path)
-    except OSError as e:
-        scratch.unlink(missing_ok=True)
-        raise FileError(str(path), f"a place that cannot be written ({e.strerror})", "a path in an existing folder") from None
+    except (OSError, ValueError) as e:
+        if os.path.lexists(scratch):
+            scratch.unlink()
+        why = getattr(e, "strerror", None) or e
+        raise FileError(str(path), f"a place that cannot be written ({why})", "a path in an existing folder") from None
 
 
 def card_text(rig):
@@ -170,8 +180,7 @@ def nearest(name, names):
         close = [n for n in names if name.lower() in n.lower() or n.lower() in name.lower()][:4]
     if close:
         return f"Did you mean {' or '.join(map(repr, close))}?"
-    shown = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-    return f"There are: {shown}."
+    return f"There are: {listed(names, 12)}."
 
 
 class _Parser:
@@ -185,7 +194,7 @@ class _Parser:
         for table, keys in _TABLES.items():
             if table in content:
                 if not isinstance(content[table], dict):
-                    self.fail(f"{table} = {content[table]!r}", f"a table, written [{table}]")
+                    self.fail(f"{table} = {shown(content[table])}", f"a table, written [{table}]")
                 if keys is not None:
                     self.known(content[table], keys, f"in [{table}]", "key")
         rig, hierarchy = content.get("rig", {}), content.get("hierarchy", {})
@@ -218,7 +227,7 @@ class _Parser:
     def text(self, table, key, where):
         value = table.get(key)
         if value is not None and not isinstance(value, str):
-            self.fail(f"{where} {key} = {value!r}", "text in quotes")
+            self.fail(f"{where} {key} = {shown(value)}", "text in quotes")
         return value
 
     def unit(self, value):
@@ -226,51 +235,51 @@ class _Parser:
             return None
         if isinstance(value, str) and value in UNITS:
             return UNITS[value]
-        if _is_number(value) and math.isfinite(value) and value > 0:
+        if _is_finite(value) and value > 0:
             return float(value)
-        self.fail(f"[rig] unit = {value!r}", f"one of {', '.join(map(repr, UNITS))}, or the number of metres in one unit")
+        self.fail(f"[rig] unit = {shown(value)}", f"one of {', '.join(map(repr, UNITS))}, or the number of metres in one unit")
 
     def axis(self, rig, key):
         value = rig.get(key)
         if value is not None and (not isinstance(value, str) or value not in AXES):
-            self.fail(f"[rig] {key} = {value!r}", f"one of {', '.join(map(repr, AXES))}")
+            self.fail(f"[rig] {key} = {shown(value)}", f"one of {', '.join(map(repr, AXES))}")
         return value
 
     def names(self, value, where):
         if not isinstance(value, list) or not all(isinstance(v, str) for v in value):
-            self.fail(f"{where} = {value!r}", 'a list of joint names or globs, such as ["*-tip"]')
+            self.fail(f"{where} = {shown(value)}", 'a list of joint names or globs, such as ["*-tip"]')
         return tuple(value)
 
     def chains(self, value):
         if not isinstance(value, list) or not all(isinstance(chain, list) and len(chain) > 1 for chain in value):
             self.fail(
-                f"[hierarchy] chains = {value!r}", 'a list of chains of at least two joints, such as [["wrist", "thumb-base"]]'
+                f"[hierarchy] chains = {shown(value)}", 'a list of chains of at least two joints, such as [["wrist", "thumb-base"]]'
             )
         return tuple(self.names(chain, "a chain in [hierarchy]") for chain in value)
 
     def pairs(self, value, where):
         if not isinstance(value, dict) or not all(isinstance(v, str) for v in value.values()):
-            self.fail(f"{where} = {value!r}", 'a table of child = parent, such as { "thumb-base" = "wrist" }')
+            self.fail(f"{where} = {shown(value)}", 'a table of child = parent, such as { "thumb-base" = "wrist" }')
         return tuple(value.items())
 
     def frames(self, value):
         for name, kind in value.items():
             if kind not in _FRAME_KINDS:
-                self.fail(f"[frames] {name!r} = {kind!r}", " or ".join(map(repr, _FRAME_KINDS)))
+                self.fail(f"[frames] {name!r} = {shown(kind)}", " or ".join(map(repr, _FRAME_KINDS)))
         return tuple(value.items())
 
     def limits(self, value):
         unit = value.get("unit", "rad")
         if unit not in ("rad", "deg"):
-            self.fail(f"[limits] unit = {unit!r}", "'rad' or 'deg'")
+            self.fail(f"[limits] unit = {shown(unit)}", "'rad' or 'deg'")
         factor = 1.0 if unit == "rad" else math.pi / 180.0
         out = []
         for name, pair in value.items():
             if name == "unit":
                 continue
-            where = f"[limits] {name!r} = {pair!r}"
+            where = f"[limits] {name!r} = {shown(pair)}"
             ok = isinstance(pair, list) and len(pair) == 2 and all(isinstance(t, list) and len(t) == 3 for t in pair)
-            if not ok or not all(_is_number(a) and math.isfinite(a) for t in pair for a in t):
+            if not ok or not all(_is_finite(a) for t in pair for a in t):
                 self.fail(where, "[[lower x, y, z], [upper x, y, z]], six finite numbers")
             lower, upper = np.array(pair, dtype=float)
             for axis, low, high in zip("xyz", lower, upper):
@@ -290,10 +299,14 @@ class _Parser:
             if name == "joints":
                 self.fail("[parts.joints]", 'another name: "joints" always means one part per moving joint')
             if not isinstance(parts, dict) or not parts:
-                self.fail(f"[parts] {name} = {parts!r}", f'a table [parts.{name}] with lines such as thumb = ["thumb-*"]')
+                self.fail(f"[parts] {name} = {shown(parts)}", f'a table [parts.{name}] with lines such as thumb = ["thumb-*"]')
             out[name] = {part: self.names(members, f"[parts.{name}] {part}") for part, members in parts.items()}
         return out
 
 
-def _is_number(value):
-    return isinstance(value, (int, float)) and not isinstance(value, bool)
+def _is_finite(value):
+    """Whether a value is a number that double precision can hold; TOML's whole numbers may be larger."""
+    try:
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:
+        return False

@@ -1,12 +1,24 @@
 """Checks of a rig file's content: arrays of the right kinds, indices in range, weights that are weights, a proper tree."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from scipy import sparse
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, listed
 from .frames import AXES
 
-__all__ = ["Reporter", "check_directions", "check_joints", "check_limits", "check_mesh", "check_tree", "check_weights"]
+__all__ = [
+    "Reporter",
+    "check_directions",
+    "check_joints",
+    "check_limits",
+    "check_mesh",
+    "check_poses",
+    "check_rotations",
+    "check_tree",
+    "check_weights",
+]
 
 # Weight sums this near to 1 are rounding (of single-precision files) and not worth a word.
 _ROUNDING = 1e-5
@@ -148,21 +160,35 @@ def check_joints(report, data):
         got = f"parent {parents[j]} of joint {names[j]!r}, out of range ({np.count_nonzero(out)} such)"
         report.fail("parents", got, f"rows of the {J} joints, 0 to {J - 1}, or -1 for a root")
     joints = report.array("joints", data.joints, (J, 3))
-    frames = report.array("frames", data.frames, (J, 3, 3))
+    return names, parents, joints, check_rotations(report, "frames", data.frames, names)
+
+
+def check_rotations(report, field, value, names):
+    """A rotation for each joint as a new (J, 3, 3) array; columns are axes."""
+    frames = report.array(field, value, (len(names), 3, 3))
     off = np.abs(np.swapaxes(frames, 1, 2) @ frames - np.eye(3)).max(axis=(1, 2))
     if off.max() > 1e-3:
         j = int(np.argmax(off))
         report.fail(
-            "frames", f"axes of joint {names[j]!r} that are not orthonormal (off by {off[j]:.2g})", "unit axes at right angles"
+            field, f"axes of joint {names[j]!r} that are not orthonormal (off by {off[j]:.2g})", "unit axes at right angles"
         )
     left = np.linalg.det(frames) < 0
     if left.any():
-        report.fail("frames", f"a left-handed frame of joint {names[int(np.argmax(left))]!r}", "right-handed axes, z = x × y")
+        report.fail(field, f"a left-handed frame of joint {names[int(np.argmax(left))]!r}", "right-handed axes, z = x × y")
     rough = off > 1e-12
     if rough.any():  # rounding of single-precision files: the nearest rotation
         u, _, vt = np.linalg.svd(frames[rough])
         frames[rough] = u @ vt
-    return names, parents, joints, frames
+    return frames
+
+
+def check_poses(report, poses, names):
+    """Name → (J, 3) array of its own, in the order given."""
+    if not isinstance(poses, Mapping):
+        report.fail("poses", type(poses).__name__, "a mapping of names to poses (J, 3)")
+    if not all(isinstance(name, str) and name for name in poses):
+        report.fail("poses", "names that are empty or not text", "a name for each pose")
+    return {name: report.array(f"pose {name!r}", theta, (len(names), 3)) for name, theta in poses.items()}
 
 
 def check_tree(report, parents, names, explained):
@@ -180,13 +206,12 @@ def check_tree(report, parents, names, explained):
             report.fail("parents", f"a cycle in the hierarchy: {' → '.join(loop)} (each hangs on the next)", "a tree of joints")
     roots = [names[j] for j in np.flatnonzero(parents < 0)]
     if len(roots) > 1:
-        shown = ", ".join(roots[:8]) + (f" and {len(roots) - 8} more" if len(roots) > 8 else "")
         remedy = (
             "Name what these hang on in the card's [hierarchy], in chains or parents."
             if explained
             else "Write a card with: lbsfit rig card RIG -o CARD, fill in its [hierarchy], and pass it with --card (card=...)."
         )
-        report.fail("parents", f"{len(roots)} root joints: {shown}", "one root, on which all other joints hang", remedy)
+        report.fail("parents", f"{len(roots)} root joints: {listed(roots)}", "one root, on which all other joints hang", remedy)
     return int(np.flatnonzero(parents < 0)[0])
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
+from .shapes import ShapeSpace
+
 __all__ = ["RigData"]
 
 
@@ -37,5 +39,8 @@ class RigData:
     locked: np.ndarray | None = None  # (J,) bool: locked; only our own NPZ has this
     partitions: Mapping[str, Mapping[str, tuple[str, ...]]] = field(default_factory=dict)  # name -> part -> joint names
     parts: str | None = None  # the partition in use, where the file says
+    poses: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (J, 3) rotation vectors: natural poses
+    shapes: ShapeSpace | None = None  # shape parameters
+    smpl_rest: np.ndarray | None = None  # (J, 3, 3) A_j: from this rig's rest pose to SMPL's or MANO's, see rig.smpl_pose
     notes: list[str] = field(default_factory=list)  # anomalies met while reading, in words
     path: Path | None = None  # the file, where there is one

@@ -2,13 +2,14 @@
 
 import numpy as np
 
+from ..errors import listed
 from .card import UNITS
 
 __all__ = ["describe"]
 
 
 def describe(rig, *, degrees=False):
-    """The rig's size and axes, its joint tree with limits, parts and weights, and every anomaly.
+    """The rig's size, axes, poses and shape parameters, its joint tree with limits, parts and weights, and every anomaly.
 
     Parameters
     ----------
@@ -52,6 +53,13 @@ def _facts(rig):
     yield "unit", words
     yield "size", f"{sides}" + (f" {name}" if name else "" if unit is None else " units")
     yield "axes", f"up {rig.up or 'unknown'}, forward {rig.forward or 'unknown'}"
+    if rig.poses:
+        yield "poses", f"{len(rig.poses)} natural: {listed(list(rig.poses), 6)}"
+    if rig.shapes is not None:
+        for k, d in enumerate(rig.shapes.default):
+            yield "shape" if k == 0 else "", f"{rig.shapes.words(k)}, here {d:.4g}"
+    if rig.smpl_rest is not None:
+        yield "SMPL", "to_smpl_pose and from_smpl_pose convert poses"
     yield "digest", rig.digest[:16]
 
 

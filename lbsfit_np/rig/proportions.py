@@ -29,11 +29,14 @@ class Proportions:
         Displacement of the joints.
     length : (k,) bool array
         Which coefficients stretch along a bone; the others widen across it.
+    owner : (k,) int array
+        The joint that each coefficient stretches about.
     """
 
     basis: np.ndarray
     joints: np.ndarray
     length: np.ndarray
+    owner: np.ndarray
 
     def offsets(self, coefficients):
         """(m, 3): U' − U."""
@@ -78,7 +81,8 @@ def proportions(rig):
         w = weight[rows, j]
         arm = rig.vertices[rows] - rig.joints[j]
         basis[rows] += w[:, None, None] * (joints[j] + np.einsum("abk,ib->iak", stretch[j], arm))
-    return Proportions(basis, joints, np.array([kind == "length" for _, _, kind in axes]))
+    length = np.array([kind == "length" for _, _, kind in axes], dtype=bool)
+    return Proportions(basis, joints, length, np.array([j for j, _, _ in axes], dtype=int))
 
 
 def _axes(rig, j, bone, weight):

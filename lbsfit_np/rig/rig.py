@@ -12,6 +12,7 @@ from scipy import sparse
 from ..errors import InputError, check_array
 from .partition import parts_of_joints, vertex_parts
 from .proportions import proportions
+from .shapes import ShapeSpace
 from .weld import weld_map
 
 __all__ = ["Rig"]
@@ -54,6 +55,12 @@ class Rig:
         Such as "+y"; None where unknown.
     notes : tuple of str
         Anomalies met while reading and what was done about them.
+    poses : mapping of str to (J, 3) array
+        A library of natural poses, radians in the rest frames; empty where there is none.
+    shapes : ShapeSpace or None
+        Shape parameters and what they do (``rig.shapes.ShapeSpace``); :meth:`subject` sets them.
+    smpl_rest : (J, 3, 3) array or None
+        Rotations from this rig's rest pose to that of SMPL or MANO (``rig.smpl_pose``), where the joints are theirs.
     """
 
     name: str
@@ -75,9 +82,12 @@ class Rig:
     up: str | None = None
     forward: str | None = None
     notes: tuple = ()
+    poses: Mapping = field(default_factory=dict)
+    shapes: ShapeSpace | None = None
+    smpl_rest: np.ndarray | None = None
 
     def __post_init__(self):
-        for value in self.__dict__.values():
+        for value in (*self.__dict__.values(), *self.poses.values()):
             arrays = (value.data, value.indices, value.indptr) if sparse.issparse(value) else (value,)
             for array in arrays:
                 if isinstance(array, np.ndarray):
@@ -250,7 +260,92 @@ class Rig:
     def scaled(self, factor):
         """The same rig in another unit: all lengths times ``factor``."""
         unit = None if self.metres_per_unit is None else self.metres_per_unit / factor
-        return replace(self, vertices=self.vertices * factor, joints=self.joints * factor, metres_per_unit=unit)
+        shapes = None if self.shapes is None else self.shapes.mapped(lambda directions: directions * factor)
+        return replace(
+            self, vertices=self.vertices * factor, joints=self.joints * factor, metres_per_unit=unit, shapes=shapes
+        )
+
+    def mirrored(self, name=None, *, axis="x"):
+        """The mirror image: a left hand from a right one. The same angles give the mirrored pose.
+
+        Parameters
+        ----------
+        name : str, optional
+            By default this rig's with left and right exchanged, or with "-mirrored".
+        axis : {"x", "y", "z"}, default "x"
+            The coordinate that changes its sign.
+
+        Returns
+        -------
+        Rig
+            ``mirrored.pose(theta)`` is ``pose(theta)`` with that coordinate negated. Joints keep their rows; left and right
+            change places in the names of joints, parts and poses, and where that renames joints, ``smpl_rest`` is left out.
+        """
+        from .mirror import mirrored
+
+        return mirrored(self, name, axis=axis)
+
+    def subject(self, random_state=None, *, amount=1.0, **parameters):
+        """The same rig on another person's template, with that person's joints.
+
+        Parameters
+        ----------
+        random_state : int, Generator or None
+            With an int, always the same person.
+        amount : float, default 1
+            How far people differ, from 0 to 2: 1 is as in reality, and 0 is this rig with the given parameters only.
+        **parameters
+            Values of shape parameters (``rig.shapes`` names them with range and unit). The others are drawn around their
+            defaults with the spread of people times ``amount``, within their ranges.
+
+        Returns
+        -------
+        Rig
+            Its template is U + Σ (v − default) D (``rig.shapes.ShapeSpace``), and its ``shapes.default`` are the values v.
+            On top, each bone's length and thickness vary (``rig.proportions``) with a standard deviation of 0.03 ``amount``,
+            0.08 ``amount`` for rigs without shape parameters, cut at two deviations, left and right limbs alike; with
+            amount=0 nothing but the given parameters changes.
+
+        Raises
+        ------
+        InputError
+            A parameter that is not known or out of its range; ``amount`` out of its range.
+        """
+        from .subject import subject
+
+        return subject(self, random_state, amount, parameters)
+
+    def to_smpl_pose(self, theta):
+        """A pose in SMPL's or MANO's convention.
+
+        Parameters
+        ----------
+        theta : (J, 3) array
+            Radians, in this rig's rest frames.
+
+        Returns
+        -------
+        (J, 3) array
+            Rotation vectors relative to the parents, in frames parallel to the world's, from the rest pose of SMPL (T-pose, y
+            up, facing +z) or MANO (flat hand; the pose parameters with the mean pose added). The first row turns the whole.
+
+        Raises
+        ------
+        InputError
+            A rig that has no ``smpl_rest``.
+        """
+        from .smpl_pose import to_smpl_pose
+
+        return to_smpl_pose(self, theta)
+
+    def from_smpl_pose(self, pose):
+        """The angles, (J, 3), of a pose in SMPL's or MANO's convention: (J, 3), or flat (3 J,).
+
+        The inverse of :meth:`to_smpl_pose`. Nothing is clipped to this rig's limits. Errors as there.
+        """
+        from .smpl_pose import from_smpl_pose
+
+        return from_smpl_pose(self, pose)
 
     def save(self, path):
         """Write the rig as the package's own NPZ (no pickle); ``load_rig`` reads it back."""
@@ -279,4 +374,5 @@ def weld_rig(rig):
         faces=faces[proper],
         weights=sparse.csr_array(mean @ rig.weights),
         regressor=sparse.csr_array(rig.regressor @ sparse.csr_array(member.T)),
+        shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, first]),
     )

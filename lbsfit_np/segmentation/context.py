@@ -7,11 +7,13 @@ so notice that two fingertips claim one finger, which no point can see by itself
 
 import numpy as np
 
-__all__ = ["CONTEXT_POINTS", "context", "context_size"]
+__all__ = ["CONTEXT_POINTS", "NEAR", "WIDE", "context", "context_size"]
 
 # Points of a scan that the context is taken from, always about as many, as neighbourhoods are counted in points.
 CONTEXT_POINTS = 800
-_NEAR, _WIDE = 8, 30
+# Neighbours in the nearer and the wider mean.
+NEAR = 8
+WIDE = 30
 
 
 def context_size(n_parts):
@@ -45,8 +47,8 @@ def context(x, proba, around, around_proba):
     weight = around_proba / np.maximum(mass, 1e-3)
     centroids = weight.T @ around
     spreads = np.sqrt(np.maximum(weight.T @ around**2 - centroids**2, 0.0)).sum(axis=1)
-    nearest = cKDTree(around).query(x, k=min(_WIDE, c))[1].reshape(k, -1)
-    near = around_proba[nearest[:, :_NEAR]].mean(axis=1)
+    nearest = cKDTree(around).query(x, k=min(WIDE, c))[1].reshape(k, -1)
+    near = around_proba[nearest[:, :NEAR]].mean(axis=1)
     wide = around_proba[nearest].mean(axis=1)
     relative = (x[:, None, :] - centroids).reshape(k, -1)
     whole = np.concatenate([centroids.ravel(), mass / c, spreads])

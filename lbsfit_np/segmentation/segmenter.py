@@ -2,11 +2,14 @@
 
 import json
 from dataclasses import asdict, dataclass
+from numbers import Real
 
 import numpy as np
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, shown
+from ..losses.checks import check_set
 from ..seeds import generator
+from ..workers import Workers
 from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor
 from .stage import Stage, Training, train_stage
@@ -49,8 +52,8 @@ class Segmenter:
 
         Parameters
         ----------
-        points : (n, 3) array
-            The scan, in its own unit.
+        points : (n, 3) array or Scan
+            The scan, in its own unit; n ≥ 1, finite.
         scale : float, default 1
             The scan's units in a rig unit.
         rows : (k,) int array, optional
@@ -60,9 +63,17 @@ class Segmenter:
         -------
         (k, n_parts) array
             Rows sum to 1.
+
+        Raises
+        ------
+        InputError
+            Points, a scale or rows that cannot be used.
         """
-        points = np.asarray(points, dtype=float) / (scale * self.half)
-        rows = np.arange(len(points)) if rows is None else rows
+        points = check_set("points", getattr(points, "points", points))
+        if isinstance(scale, bool) or not isinstance(scale, Real) or not 0 < scale < np.inf:
+            raise InputError("scale", shown(scale), "a positive finite number")
+        rows = np.arange(len(points)) if rows is None else _checked_rows(rows, len(points))
+        points = points / (scale * self.half)
         if len(self.stages) == 1:
             return self.stages[0].predict_proba(self.descriptor(points, rows))
         return self.stages[1].predict_proba(_in_context(points, rows, self.descriptor, self.stages[0]))
@@ -117,7 +128,9 @@ class Segmenter:
         raise FileError(str(path), f"segmenter format {version}", f"format {_FORMAT}", "Train it again.")
 
 
-def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, random_state=None, n_jobs=None, progress=None, start=None):
+def train_segmenter(
+    rig, scan, n_scans, *, training=None, descriptor=None, random_state=None, n_jobs=None, progress=None, start=None
+):
     """Train s on labelled scans of a rig.
 
     Parameters
@@ -130,9 +143,11 @@ def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, rando
     n_scans : int
     training : Training, optional
     descriptor : Descriptor, optional
-    random_state : int or None
+    random_state : int, Generator or None
     n_jobs : int, optional
-        Processes that synthesise and describe scans; the result does not depend on it.
+        Processes that synthesise and describe scans: None is 1, −1 as many as there are processors. With more than one, a
+        script must call this under ``if __name__ == "__main__":``. The result does not depend on it. A Generator as
+        ``random_state`` stays in one process.
     progress : callable, optional
         Called with the share done, in [0, 1].
     start : Segmenter, optional
@@ -141,7 +156,15 @@ def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, rando
     Returns
     -------
     Segmenter
+
+    Raises
+    ------
+    InputError
+        ``n_jobs`` cannot be used, ``scan`` cannot be sent to processes, or one of them was killed.
+    KeyboardInterrupt
+        On Ctrl-C, once all processes have ended.
     """
+    jobs = _jobs(n_jobs, random_state)
     descriptor, training = descriptor or (start.descriptor if start else Descriptor()), training or Training()
     progress = progress or (lambda share: None)
     n_parts, half = len(rig.parts), rig.size / 2
@@ -152,7 +175,7 @@ def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, rando
     for k, (name, (begin, stop)) in enumerate(zip(("first", "second"), spans, strict=False)):
         done, share = begin / n_scans, (stop - begin) / n_scans / 2
         describe = _Describe(scan, descriptor, half, training.points_per_scan, random_state, stages[0] if stages else None)
-        X, y = _describe_all(describe, begin, stop, n_jobs, lambda p, d=done, s=share: progress(d + s * p))
+        X, y = _describe_all(describe, begin, stop, jobs, lambda p, d=done, s=share: progress(d + s * p))
         stage = train_stage(
             X,
             y,
@@ -193,16 +216,64 @@ class _Describe:
         return np.concatenate(X), np.concatenate(y)
 
 
-def _describe_all(describe, start, stop, n_jobs, progress):
-    from joblib import Parallel, delayed
-
+def _describe_all(describe, start, stop, jobs, progress):
+    """Descriptions and labels of the scans from ``start`` to ``stop``, in their order whatever ``jobs`` is."""
     batches = np.array_split(np.arange(start, stop), max(1, (stop - start) // 50))
-    X, y = [], []
-    for k, (x, labels) in enumerate(Parallel(n_jobs=n_jobs, return_as="generator")(delayed(describe)(b) for b in batches)):
-        X.append(x)
-        y.append(labels)
-        progress((k + 1) / len(batches))
+    if min(jobs, len(batches)) == 1:
+        done = {}
+        for k, batch in enumerate(batches):
+            done[k] = describe(batch)
+            progress((k + 1) / len(batches))
+    else:
+        done = _by_workers(describe, batches, min(jobs, len(batches)), progress)
+    X, y = zip(*(done[k] for k in range(len(batches))), strict=True)
     return np.concatenate(X), np.concatenate(y)
+
+
+def _by_workers(describe, batches, jobs, progress):
+    """k → description of batch k."""
+    todo, done = list(enumerate(batches))[::-1], {}
+    with Workers(_Answered(describe), jobs, argument="n_jobs") as workers:
+        while len(done) < len(batches):
+            while todo and workers.idle:
+                workers.give(todo.pop())
+            for (k, _), answer, death in workers.answers():
+                if death is not None:
+                    raise InputError("n_jobs", f"a process that ended ({death})", "processes that live", "Use fewer of them.")
+                done[k], error = answer
+                if error is not None:
+                    raise error
+                progress(len(done) / len(batches))
+    return done
+
+
+@dataclass(frozen=True)
+class _Answered:
+    """What a process does: a batch → (its description, None), or (None, the error)."""
+
+    describe: _Describe
+
+    def __call__(self, task):
+        try:
+            return self.describe(task[1]), None
+        except Exception as error:  # noqa: BLE001 (raised again where the answer arrives)
+            return None, error
+
+
+def _jobs(n_jobs, random_state):
+    """The number of processes to use."""
+    import multiprocessing
+    import os
+
+    if n_jobs is None:
+        return 1
+    if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs == 0:
+        raise InputError("n_jobs", shown(n_jobs), "a positive whole number of processes, −1 for one a processor, or None for one")
+    if isinstance(random_state, np.random.Generator):
+        return 1  # copies of it in several processes would draw the same numbers for different scans
+    if multiprocessing.current_process().daemon:
+        return 1  # such a process may not start others
+    return int(n_jobs) if n_jobs > 0 else max(1, (os.cpu_count() or 1) + 1 + int(n_jobs))
 
 
 def _in_context(points, rows, descriptor, first):
@@ -216,3 +287,12 @@ def _in_context(points, rows, descriptor, first):
         proba = first.predict_proba(own.copy())
     k = len(rows)
     return np.hstack([own[:k], context(points[rows], proba[:k], points[around], proba[k:])])
+
+
+def _checked_rows(rows, n):
+    rows = np.asarray(rows)
+    if rows.ndim != 1 or not rows.size or rows.dtype.kind not in "iu":
+        raise InputError("rows", f"{rows.dtype} values of shape {rows.shape}", "whole numbers of shape (k,), k ≥ 1")
+    if not (rows.min() >= 0 and rows.max() < n):
+        raise InputError("rows", f"numbers from {rows.min()} to {rows.max()}", f"rows of the {n} points")
+    return rows.astype(int)

@@ -1,5 +1,7 @@
 """Stage: one standardised scikit-learn classifier, kept as arrays so that saving it needs no pickle."""
 
+import signal
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
@@ -139,6 +141,11 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     Returns
     -------
     Stage
+
+    Raises
+    ------
+    KeyboardInterrupt
+        On Ctrl-C, at once: what is trained by half is never returned.
     """
     from sklearn.neural_network import MLPClassifier
     from threadpoolctl import threadpool_limits
@@ -170,7 +177,10 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     with threadpool_limits(1):  # the result must not depend on the number of threads, and a second one gains little
         for epoch in range(training.epochs):
             for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
-                classifier.partial_fit(X[rows], y[rows], classes=classes)
+                with _passing_interrupts():
+                    classifier.partial_fit(X[rows], y[rows], classes=classes)
+                if len(classifier.loss_curve_) <= epoch * _CHUNKS + k:
+                    raise KeyboardInterrupt  # one that was no signal, such as another thread can raise here
                 progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
                 if epoch >= min(training.average_from, training.epochs - 1):
                     count += 1
@@ -182,3 +192,38 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     n = len(classifier.coefs_)
     classifier.coefs_, classifier.intercepts_ = averaged[:n], averaged[n:]
     return Stage(mean, deviation, classifier, n_parts)
+
+
+@contextmanager
+def _passing_interrupts():
+    """Raise what Ctrl-C raised in the block (or SIGTERM, where it has such a handler), even if the block has caught it.
+
+    ``partial_fit`` catches KeyboardInterrupt, warns, and returns as if the training were complete.
+    """
+    raised, before = [], {}
+
+    def noting(handler):
+        def handle(signum, frame):
+            try:
+                handler(signum, frame)
+            except KeyboardInterrupt as interrupt:
+                raised.append(interrupt)
+                raise
+
+        return handle
+
+    try:
+        for number in (signal.SIGINT, signal.SIGTERM):
+            handler = signal.getsignal(number)
+            if callable(handler):
+                signal.signal(number, noting(handler))
+                before[number] = handler
+    except ValueError:
+        pass  # not the main thread: no signal arrives here
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if raised:
+            raise raised[0]

@@ -4,7 +4,7 @@ import pickle
 import signal
 from contextlib import contextmanager
 
-from ..errors import InputError
+from .errors import InputError
 
 __all__ = ["Workers"]
 
@@ -19,6 +19,8 @@ class Workers:
     work : callable (task) → answer
         Sent to each process once; must be picklable, and must not raise.
     n : int
+    argument : str, default "jobs"
+        What errors call the number of processes.
 
     Raises
     ------
@@ -26,15 +28,16 @@ class Workers:
         ``work`` cannot be pickled, or processes end before they begin.
     """
 
-    def __init__(self, work, n):
+    def __init__(self, work, n, *, argument="jobs"):
         try:
             self._payload = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
-            remedy = "Use functions from the top level of a module, or jobs=1."
+            remedy = f"Use functions from the top level of a module, or {argument}=1."
             raise InputError(
-                "jobs", f"more than 1 with what cannot be sent to processes ({error})", "picklable work", remedy
+                argument, f"more than 1 with what cannot be sent to processes ({error})", "picklable work", remedy
             ) from None
         self._n = n
+        self._argument = argument
         self._workers = []
 
     def __enter__(self):
@@ -90,7 +93,7 @@ class Workers:
             worker.connection.close()
             if not worker.ready:
                 raise InputError(
-                    "jobs",
+                    self._argument,
                     f"worker processes that end before they begin ({worker.death})",
                     "processes that start",
                     'In a script, call this under `if __name__ == "__main__":`.',
