@@ -70,7 +70,8 @@ class Refit:
         if proba is not None:
             starts.append(self._from_parts(problem, proba, labels_known))
             if labels_known:
-                state, _ = self._near.pose(problem, starts[-1], free=self.free, labels=proba.argmax(axis=1), iterations=_NEAR_STEPS)
+                labels = proba.argmax(axis=1)
+                state, _ = self._near.pose(problem, starts[-1], free=self.free, labels=labels, iterations=_NEAR_STEPS)
                 return state, self._chamfer(problem, state), len(starts) - 1
         near = [self._far.pose(few, s, free=self.free, iterations=_FAR_STEPS)[0] for s in starts]
         order = np.argsort([self._chamfer(few, s) for s in near], kind="stable")[:_SURVIVORS]
@@ -102,9 +103,10 @@ class Refit:
         free = self.free
 
         def go(state, weights, labels, steps):
-            return minimise(
-                lambda s: problem.evaluate(model, s, weights, labels), state, model.rig, free, max_iterations=steps, tolerance=1e-5
-            ).state
+            def evaluate(s):
+                return problem.evaluate(model, s, weights, labels)
+
+            return minimise(evaluate, state, model.rig, free, max_iterations=steps, tolerance=2e-3).state
 
         state = go(state, _STRUCTURED, labels, 30)
         for sigma in () if labels_known else _SIGMAS:

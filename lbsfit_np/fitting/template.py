@@ -16,7 +16,6 @@ from scipy import sparse
 
 from ..losses.laplacian import cotangent_matrix
 from ..optimize.gauss_newton import GaussNewton
-from ..optimize.model import Model
 from ..optimize.surface import closest_on_mesh, faces_around, vertex_normals
 from .labels import refined_labels
 

@@ -53,7 +53,7 @@ class GaussNewton:
         areas = model.areas[self._pulling]
         self._pull_weights = areas / max(areas.sum(), np.finfo(float).tiny)
 
-    def pose(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12):
+    def pose(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12, prior=None):
         """The pose of one scan, its template as it is.
 
         Parameters
@@ -65,6 +65,8 @@ class GaussNewton:
             Where given, points look only at surface of their own part, and vertices do not pull; points with a label that no
             vertex has are left out.
         iterations : int
+        prior : ((J, 3) array, float), optional
+            Angles Θ⁰ and a weight ω: adds ω ‖Θ − Θ⁰‖², such as for a pose between its neighbours' in a sequence.
 
         Returns
         -------
@@ -72,7 +74,7 @@ class GaussNewton:
         value : float
             E without the ridge.
         """
-        states, values = self._minimise([problem], [state], [labels], np.ones(1), free, False, iterations)
+        states, values = self._minimise([problem], [state], [labels], np.ones(1), free, False, iterations, prior)
         return states[0], float(values[0])
 
     def shared(self, problems, states, *, free=("pose", "translation"), labels=None, scan_weights=None, iterations=12):
@@ -100,13 +102,15 @@ class GaussNewton:
 
     # ---- the steps ----
 
-    def _minimise(self, problems, states, labels, weights, free, shared, iterations):
+    def _minimise(self, problems, states, labels, weights, free, shared, iterations, prior=None):
         layout = Layout(self.model.rig, free, self.model.n_coefficients)
         states = [layout.inside(s) for s in states]
         used = np.flatnonzero(weights > 0)
 
         def measure(states):
             made = [self._normal_equations(problems[i], states[i], labels[i], layout, shared) for i in used]
+            if prior is not None:
+                made[0].hold(states[0].theta - prior[0], prior[1], layout.turning)
             c = states[0].coefficients
             total = float(weights[used] @ [m.value for m in made]) + (self.ridge * float(c @ c) if shared else 0.0)
             return made, total
@@ -216,7 +220,16 @@ class _Normal:
         self.value += float(weight @ (e2 * near))
         w = weight * near**2  # dρ/de²
         across = np.einsum("na,nap->np", normal, jacobian)
-        rows = np.concatenate([across * np.sqrt(w)[:, None], (jacobian * np.sqrt(tangential * w)[:, None, None]).reshape(-1, self.size)])
-        right = np.concatenate([along * np.sqrt(w), (r * np.sqrt(tangential * w)[:, None]).ravel()])
+        u, v = np.sqrt(w), np.sqrt(tangential * w)
+        rows = np.concatenate([across * u[:, None], (jacobian * v[:, None, None]).reshape(-1, self.size)])
+        right = np.concatenate([along * u, (r * v[:, None]).ravel()])
         self.H += rows.T @ rows
         self.g += rows.T @ right
+
+    def hold(self, away, weight, turning):
+        """Angles that are ``away`` (J, 3) from where they are wanted; the pose's columns come first."""
+        away = away[turning]
+        n = len(away)
+        self.value += weight * float(away @ away)
+        self.H[np.arange(n), np.arange(n)] += weight
+        self.g[:n] -= weight * away

@@ -89,7 +89,8 @@ def closest_on_mesh(queries, nearest, vertices, faces, around):
     bu, bv = U[kind, row, which], V[kind, row, which]
     corners, p = corners[row, which], p[row, which]
     barycentric = np.column_stack([1 - bu - bv, bu, bv])
-    return Closest(corners, barycentric, np.einsum("nk,nka->na", barycentric, p), _unit(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])))
+    normals = _unit(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
+    return Closest(corners, barycentric, np.einsum("nk,nka->na", barycentric, p), normals)
 
 
 def vertex_normals(vertices, faces):

@@ -14,7 +14,7 @@ from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor
 from .stage import Stage, Training, train_stage
 
-__all__ = ["Segmenter", "train_segmenter"]
+__all__ = ["Segmenter", "jobs_of", "train_segmenter"]
 
 _FORMAT = 2
 
@@ -164,7 +164,7 @@ def train_segmenter(
     KeyboardInterrupt
         On Ctrl-C, once all processes have ended.
     """
-    jobs = _jobs(n_jobs, random_state)
+    jobs = jobs_of(n_jobs, random_state)
     descriptor, training = descriptor or (start.descriptor if start else Descriptor()), training or Training()
     progress = progress or (lambda share: None)
     n_parts, half = len(rig.parts), rig.size / 2
@@ -260,7 +260,7 @@ class _Answered:
             return None, error
 
 
-def _jobs(n_jobs, random_state):
+def jobs_of(n_jobs, random_state):
     """The number of processes to use."""
     import multiprocessing
     import os

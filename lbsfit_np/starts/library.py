@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..segmentation.descriptors import describe_scan
 from ..seeds import integer_seed
+from ..segmentation.descriptors import describe_scan
 
 __all__ = ["PoseLibrary", "build_library"]
 
@@ -71,29 +71,26 @@ class PoseLibrary:
         return cls(*(arrays[f"{prefix}_{name}"] for name in ("looks", "poses", "mean", "deviation")), layers)
 
 
-def build_library(scans, half, *, random_state):
+def build_library(looks, poses, *, random_state):
     """A library of synthetic scans, and f trained on it with scikit-learn's MLPRegressor.
 
     Parameters
     ----------
-    scans : iterable of (points (n, 3), pose (J, 3))
-        Points in the rig's unit.
-    half : float
-        Half the rig's size, in the same unit.
+    looks : (N, d) float32 array
+        ``describe_scan`` of each.
+    poses : (N, J, 3) array
+        Their Θ'.
     random_state : int
 
     Returns
     -------
     PoseLibrary
     """
+    import warnings
+
     from sklearn.neural_network import MLPRegressor
     from threadpoolctl import threadpool_limits
 
-    looks, poses = [], []
-    for points, pose in scans:
-        looks.append(describe_scan(points / half))
-        poses.append(pose)
-    looks, poses = np.array(looks), np.array(poses)
     mean = looks.mean(axis=0)
     deviation = looks.std(axis=0) + np.float32(1e-6)
     network = MLPRegressor(
@@ -106,8 +103,6 @@ def build_library(scans, half, *, random_state):
         alpha=1e-3,
         random_state=integer_seed(random_state, "regressor"),
     )
-    import warnings
-
     with threadpool_limits(1), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that all epochs were used is the plan, no failure to converge
         network.fit((looks - mean) / deviation, poses.reshape(len(poses), -1).astype(np.float32))
