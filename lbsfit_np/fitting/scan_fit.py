@@ -48,7 +48,7 @@ class FitSettings:
     pose_iterations: int = 40
     plain_iterations: int = 100
     full_iterations: int = 100
-    full_tolerance: float = 1e-6
+    full_tolerance: float = 4e-4
     refinements: tuple = (0.15, 0.1, 0.07, 0.05, 0.035, 0.025)
     ridge: float = 1e-3
     doubt: float = 0.8

@@ -91,7 +91,7 @@ class Search:
             V = model.pose(state)[0].vertices
             self.labels = refined_labels(self.problem.X, self.proba, V, model.labels, sigma, doubt=self.settings.doubt)
 
-    def _minimise(self, state, weights, free, model, *, max_iterations=None, tolerance=1e-5):
+    def _minimise(self, state, weights, free, model, *, max_iterations=None, tolerance=3e-3):
         outcome = minimise(
             lambda s: self.problem.evaluate(model, s, weights, self.labels, ridge=self.settings.ridge),
             state,

@@ -20,7 +20,7 @@ class Outcome:
     evaluations: int
 
 
-def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-7):
+def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-5):
     """Minimise an objective over some blocks of a state, within the joint limits.
 
     Parameters
@@ -33,7 +33,7 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-7):
     free : collection of str
         Blocks to change, as in :class:`Layout`.
     max_iterations : int
-    tolerance : float, default 1e-7
+    tolerance : float, default 1e-5
         Relative decrease of the objective in one iteration below which the fit has converged.
 
     Returns
