@@ -166,7 +166,7 @@ def synthesize_nth(rig, i, settings, *, poses=None, templates=None, random_state
         pose = poses(rig, 1, rng)[0]
     else:
         pose = poses[i % len(poses)]
-    template = _template(rig, settings, rng) if templates is None else templates[i % len(templates)]
+    template = with_random_proportions(rig, settings.shape, rng) if templates is None else templates[i % len(templates)]
     return synthesize_one(rig, pose, template, settings, rng)
 
 
@@ -376,12 +376,14 @@ def _checked_template(rig, k, template):
     return tuple(check_array(f"templates[{k}][{i}]", a, shape) for i, (a, shape) in enumerate(zip(template, shapes)))
 
 
-def _template(rig, settings, rng):
-    if not settings.shape:
-        return rig.vertices, rig.joints
+def with_random_proportions(rig, amount, rng, template=None):
+    """A template (vertices, joints), the rig's by default, with random bone lengths and thicknesses of deviation ``amount``."""
+    U, J = (rig.vertices, rig.joints) if template is None else template
+    if not amount:
+        return U, J
     family = rig.proportions
-    c = settings.shape * np.clip(rng.standard_normal(family.basis.shape[2]), -2, 2)
-    return rig.vertices + family.offsets(c), rig.joints + family.moved_joints(c)
+    c = amount * np.clip(rng.standard_normal(family.basis.shape[2]), -2, 2)
+    return U + family.offsets(c), J + family.moved_joints(c)
 
 
 def _turned(rig, theta_root, most, rng):

@@ -99,5 +99,5 @@ class PlainChamfer:
             model.rig,
             free,
             max_iterations=iterations,
-            tolerance=1e-6,
+            tolerance=4e-4,
         )

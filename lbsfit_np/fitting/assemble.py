@@ -15,12 +15,15 @@ def registered(model, state, unit, centre):
     return model.pose(state)[0].vertices * unit + centre
 
 
-def assemble(model, problem, last, *, unit, centre, evaluation, labels, confidence, evaluations, note, started):
+def assemble(rig, model, problem, last, *, unit, centre, evaluation, labels, confidence, evaluations, note, started):
     """The fit in the scan's frame and on the rig's original vertices.
 
     Parameters
     ----------
+    rig : Rig
+        What offsets refer to.
     model : Model
+        That was fitted: of the rig, or of a template of it.
     problem : Problem
     last : Outcome
         Of the last stage.
@@ -42,11 +45,13 @@ def assemble(model, problem, last, *, unit, centre, evaluation, labels, confiden
     -------
     FitResult
     """
-    rig, state = model.source, last.state
-    mode = "follow" if model.follow else "fixed"
+    state, template = last.state, model.source
     scale, translation = float(state.scale * unit / model.half), state.translation * unit + centre
-    offsets = model.offsets(state)
-    offsets = np.zeros_like(rig.vertices) if offsets is None else offsets[rig.weld] * model.half
+    offsets, rest_joints = template.vertices - rig.vertices, template.joints
+    own = model.offsets(state)
+    if own is not None:
+        offsets = offsets + own[rig.weld] * model.half
+        rest_joints = rest_joints + model.joint_offsets(state) * model.half
     place = state.theta, translation, scale, offsets
     V = model.pose(state)[0].vertices
     recon = float(np.sqrt(chamfer(problem.X, V, x_weights=problem.x_weights, x_index=problem.x_index)[0]))
@@ -57,8 +62,9 @@ def assemble(model, problem, last, *, unit, centre, evaluation, labels, confiden
         translation=translation,
         scale=scale,
         offsets=offsets,
-        vertices=rig.pose(*place, joints=mode),
-        joints=rig.pose_joints(*place, joints=mode),
+        rest_joints=np.array(rest_joints),
+        vertices=rig.pose(*place, joints=rest_joints),
+        joints=rig.pose_joints(*place, joints=rest_joints),
         labels=labels,
         confidence=confidence,
         terms=dict(evaluation.terms, total=evaluation.value, recon=recon),
@@ -68,6 +74,5 @@ def assemble(model, problem, last, *, unit, centre, evaluation, labels, confiden
         evaluations=evaluations,
         seconds=time.perf_counter() - started,
         parts=rig.parts,
-        joint_mode=mode,
         rig_digest=rig.digest,
     )

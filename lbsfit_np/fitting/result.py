@@ -9,14 +9,16 @@ from ..errors import FileError
 
 __all__ = ["FitResult"]
 
-_FORMAT = 1
-_ARRAYS = ("pose", "translation", "offsets", "vertices", "joints", "labels", "confidence")
-_SCALARS = ("scale", "converged", "status", "message", "evaluations", "seconds", "joint_mode", "rig_digest")
+_FORMAT = 2
+_ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "labels", "confidence")
+_SCALARS = ("scale", "converged", "status", "message", "evaluations", "seconds", "rig_digest")
 
 
 @dataclass(frozen=True, eq=False)
 class FitResult:
-    """The fit of one scan. ``vertices = scale · M(Θ, U + offsets) + translation`` is ``rig.pose`` of its own fields.
+    """The fit of one scan. ``vertices = scale · M(Θ, U + offsets) + translation``.
+
+    ``rig.pose(r.pose, r.translation, r.scale, r.offsets, joints=r.rest_joints)`` gives the vertices back.
 
     Attributes
     ----------
@@ -28,6 +30,8 @@ class FitResult:
         Scan units in a rig unit.
     offsets : (m, 3) array
         U^d − U, in rig units.
+    rest_joints : (J, 3) array
+        Joint positions of U^d in the rest pose, in rig units.
     vertices : (m, 3) array
         The registered mesh in the scan's frame and unit: the rig's vertices in their order.
     joints : (J, 3) array
@@ -48,8 +52,6 @@ class FitResult:
         Evaluations of an objective, over all stages.
     seconds : float
     parts : tuple of str
-    joint_mode : {"follow", "fixed"}
-        What ``joints=`` was: ``rig.pose`` needs it to give ``vertices`` back.
     rig_digest : str
         ``Rig.digest`` of the rig.
     """
@@ -58,6 +60,7 @@ class FitResult:
     translation: np.ndarray
     scale: float
     offsets: np.ndarray
+    rest_joints: np.ndarray
     vertices: np.ndarray
     joints: np.ndarray
     labels: np.ndarray
@@ -69,7 +72,6 @@ class FitResult:
     evaluations: int
     seconds: float
     parts: tuple
-    joint_mode: str
     rig_digest: str
 
     def __post_init__(self):
@@ -79,9 +81,9 @@ class FitResult:
     def save(self, path):
         """Write as NPZ, atomically.
 
-        Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``vertices``, ``joints``, ``labels``,
-        ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``evaluations``, ``seconds``,
-        ``joint_mode``, ``rig_digest`` as 0-d arrays; ``parts`` as text; ``terms`` as JSON text; ``lbsfit_np_result``, the
+        Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``rest_joints``, ``vertices``, ``joints``,
+        ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``evaluations``, ``seconds``,
+        ``rig_digest`` as 0-d arrays; ``parts`` as text; ``terms`` as JSON text; ``lbsfit_np_result``, the
         format's number.
         """
         from ..io.write import write_npz
@@ -110,8 +112,37 @@ class FitResult:
         try:
             fields = {name: z[name] for name in _ARRAYS}
             fields.update({name: z[name].item() for name in _SCALARS})
-            return cls(terms=json.loads(str(z["terms"])), parts=tuple(z["parts"].tolist()), **fields)
-        except (KeyError, TypeError, ValueError) as error:
+            terms = json.loads(str(z["terms"]))
+            if z["parts"].ndim != 1:
+                raise ValueError("parts that are no list")
+            _check(fields, terms)
+            return cls(terms=terms, parts=tuple(z["parts"].tolist()), **fields)
+        except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             raise FileError(
                 str(path), f"a result that lacks something or is broken ({error})", "a result that was saved with FitResult.save"
             ) from None
+
+
+def _check(fields, terms):
+    """Raise ValueError unless the fields are of the right kinds and fit together."""
+    J, m, n = len(fields["pose"]), len(fields["offsets"]), len(fields["labels"])
+    shapes = {
+        "pose": (J, 3),
+        "translation": (3,),
+        "offsets": (m, 3),
+        "rest_joints": (J, 3),
+        "vertices": (m, 3),
+        "joints": (J, 3),
+        "labels": (n,),
+        "confidence": (n,),
+    }
+    for name, shape in shapes.items():
+        if fields[name].shape != shape or fields[name].dtype.kind not in ("iu" if name == "labels" else "f"):
+            raise ValueError(f"{name} of type {fields[name].dtype} and shape {fields[name].shape}")
+    kinds = {"scale": float, "converged": bool, "status": str, "message": str, "evaluations": int, "seconds": float}
+    kinds["rig_digest"] = str
+    for name, kind in kinds.items():
+        if not isinstance(fields[name], kind):
+            raise ValueError(f"{name} is {fields[name]!r}")
+    if not isinstance(terms, dict) or not all(isinstance(v, float) for v in terms.values()):
+        raise ValueError("terms that are no numbers")

@@ -14,7 +14,7 @@ from .assemble import assemble, registered
 from .labels import labels_from_mesh
 from .search import Search
 
-__all__ = ["FitSettings", "fit_points"]
+__all__ = ["FitSettings", "fit_points", "prepare_pose"]
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class FitSettings:
     pose_iterations: int = 40
     plain_iterations: int = 100
     full_iterations: int = 100
-    full_tolerance: float = 1e-6
+    full_tolerance: float = 4e-4
     refinements: tuple = (0.15, 0.1, 0.07, 0.05, 0.035, 0.025)
     ridge: float = 1e-3
     doubt: float = 0.8
@@ -84,6 +84,23 @@ def fit_points(model, points, *, segmenter=None, settings=None, theta0=None, lab
         return _fit(model, points, segmenter, settings, theta0, labels, point_weights, random_state, started)
 
 
+def prepare_pose(model, problem, proba, settings):
+    """The State of one scan after the pose stages, without the full objective; for those who go on with a shared template.
+
+    Parameters
+    ----------
+    model : Model
+    problem : Problem
+    proba : (n, n_parts) array
+    settings : FitSettings
+
+    Returns
+    -------
+    State
+    """
+    return Search(model, problem, proba, False, settings).pose()
+
+
 def _fit(model, points, segmenter, settings, theta0, labels, point_weights, random_state, started):
     rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
     reference = reference_scale(points[rows], model.source, settings.scale)
@@ -113,6 +130,7 @@ def _fit(model, points, segmenter, settings, theta0, labels, point_weights, rand
     else:
         labels, confidence = labels.copy(), np.ones(len(points))
     return assemble(
+        model.source,
         model,
         problem,
         search.outcome,

@@ -41,6 +41,10 @@ class Search:
 
     def run(self, theta0=None):
         """Start, refine, fit; returns self."""
+        return self.full(self.pose(theta0))
+
+    def pose(self, theta0=None):
+        """The stages before the full objective: the State with pose, place and proportions."""
         state = self._start(theta0)
         for sigma in self.settings.refinements:
             self._relabel(state, sigma)
@@ -54,11 +58,15 @@ class Search:
                 max_iterations=self.settings.plain_iterations,
                 tolerance=self.settings.full_tolerance,
             ).state
+        return state
+
+    def full(self, state, free=None):
+        """The full objective, from where the pose stages ended; returns self."""
         self._relabel(state, self.settings.refinements[-1])
         self.outcome = self._minimise(
             state,
             self.settings.weights,
-            ("pose", *self.place, "proportions", "residual"),
+            ("pose", *self.place, "proportions", "residual") if free is None else free,
             self.model,
             max_iterations=self.settings.full_iterations,
             tolerance=self.settings.full_tolerance,
@@ -83,7 +91,7 @@ class Search:
             V = model.pose(state)[0].vertices
             self.labels = refined_labels(self.problem.X, self.proba, V, model.labels, sigma, doubt=self.settings.doubt)
 
-    def _minimise(self, state, weights, free, model, *, max_iterations=None, tolerance=1e-5):
+    def _minimise(self, state, weights, free, model, *, max_iterations=None, tolerance=3e-3):
         outcome = minimise(
             lambda s: self.problem.evaluate(model, s, weights, self.labels, ridge=self.settings.ridge),
             state,

@@ -59,7 +59,7 @@ from ..rig.shapes import ShapeSpace, from_counts, to_counts
 from .npz import read_npz
 from .write import write_npz
 
-__all__ = ["BODY_KEYS", "OWN_KEY", "read_body_npz", "read_rig_npz", "save_rig"]
+__all__ = ["BODY_KEYS", "OWN_KEY", "read_body_npz", "read_rig_npz", "rig_arrays", "save_rig"]
 
 OWN_KEY = "lbsfit_np_rig"
 BODY_KEYS = ("verts", "faces", "weights", "joints", "joint_names", "parents")
@@ -88,6 +88,11 @@ def save_rig(rig, path):
     path = Path(path)
     if path.suffix.lower() != ".npz":
         raise FileError(str(path), f"the ending {path.suffix!r}", "a name that ends in .npz")
+    write_npz(path, **rig_arrays(rig))
+
+
+def rig_arrays(rig):
+    """A Rig as the named arrays of the package's own format; a file may hold further ones beside them."""
     arrays = {OWN_KEY: np.array(_VERSION), "name": np.array(rig.name)}
     for key in ("vertices", "faces", "parents", "joints", "frames", "lower", "upper", "merged", "locked"):
         arrays[key] = getattr(rig, key)
@@ -106,7 +111,7 @@ def save_rig(rig, path):
     arrays["poses_theta"] = np.array([*rig.poses.values()], dtype=float).reshape(-1, len(rig.parents), 3)
     arrays |= _shape_arrays(rig)
     arrays["smpl_rest"] = np.empty((0, 3, 3)) if rig.smpl_rest is None else rig.smpl_rest
-    write_npz(path, **arrays)
+    return arrays
 
 
 def _shape_arrays(rig):

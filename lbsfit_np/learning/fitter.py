@@ -1,22 +1,28 @@
-"""LBSFitter: the estimator. Pretrains the segmenter on synthetic scans of the rig, and fits scans with it."""
+"""LBSFitter: the estimator. Fits single scans, learns from collections of scans, and fits new scans with what it has learned."""
 
-from collections.abc import Mapping
+import warnings
 
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from ..errors import InputError, check_array
+from ..errors import InputError, LbsfitError, check_array, shown
 from ..fitting.scan_fit import FitSettings, fit_points
+from ..fitting.template_fit import TemplateFit
 from ..losses.objective import as_weights
 from ..optimize.model import Model
-from ..rig.rig import Rig
 from ..scan import check_points
+from ..seeds import integer_seed
 from ..segmentation.cache import cached_segmenter
 from ..segmentation.descriptors import Descriptor
 from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
-from ..skinning import JOINT_MODES
 from ..synthesis import Synthesis, TrainingScans, make_settings
+from .archive import read_fitter, write_fitter
+from .collection import read_collection
+from .finish import fit_free_form, fit_new, results_of
+from .loop import Loop, LoopSettings
+from .parameters import check_labels, check_parameters
+from .variants import as_variant
 
 __all__ = ["LBSFitter", "fit_scan"]
 
@@ -41,16 +47,41 @@ class LBSFitter(BaseEstimator):
         Points of a scan that take part in the optimisation; all are labelled.
     training_scans : int, default 4000
         Synthetic scans that the segmenter is trained on.
+    variant : {"joint", "pose-only", "rand", "cd", "free-form"}, default "joint"
+        What :meth:`fit` learns from, as in the paper's ablations: everything; the segmenter from the fits' poses but not their
+        templates; the segmenter from uniform poses only; no labels at all; no skinning at all, vertices move freely.
+    rounds : int, default 4
+        Rounds of :meth:`fit`, at most.
+    held_out : float, default 0.1
+        Share of the scans that :meth:`fit` leaves out of learning to tell when to stop; 0 takes all and does every round.
+    sequence : bool, default False
+        Whether the scans of each subject are in order of time: each then starts from its neighbours, too.
+    smooth : float, default 0
+        With ``sequence``: weight of ‖Θ − Θ⁰‖², Θ⁰ the mean of the neighbours' angles, against the mean squared distance to the
+        surface in squared half sizes of the rig; 1e-5 is a little, 1e-3 much.
     training : dict, optional
         Fields of ``synthesis.Synthesis`` for them, such as ``{"turn": 3.14, "scale": 0.2}``; ``scale`` is 0.05 unless given.
     n_jobs : int, optional
-        Processes for synthesising training scans; results do not depend on it.
-    random_state : int or None
+        Processes, for training and for the scans of :meth:`fit`; results do not depend on it.
+    random_state : int, Generator or None
 
     Attributes
     ----------
-    segmenter_ : Segmenter
-        After :meth:`pretrain`.
+    segmenter_ : Segmenter or None
+        s, after :meth:`pretrain`, :meth:`fit_scan` or :meth:`fit`; None in variants without labels.
+    regressor_ : PoseLibrary
+        f, and the poses it was trained on; after :meth:`fit`, as all below.
+    template_ : dict of id to Rig
+        The rig on each subject's own template.
+    unit_ : dict of id to float
+        Scan units in a rig unit.
+    results_ : list of FitResult or None
+        Of each scan; None where it could not be used.
+    failures_ : dict of int to str
+        Why, by the number of the scan.
+    history_ : list of dict
+        One entry a round, round 0 the fits of the scans by themselves: "recon" and "recon_held_out" (√L_c of the scans that
+        teach and of those left out, half sizes of the rig), "new_starts_won", "seconds".
     """
 
     def __init__(
@@ -63,6 +94,11 @@ class LBSFitter(BaseEstimator):
         max_points=2500,
         training_scans=4000,
         training=None,
+        variant="joint",
+        rounds=4,
+        held_out=0.1,
+        sequence=False,
+        smooth=0.0,
         n_jobs=None,
         random_state=None,
     ):
@@ -73,6 +109,11 @@ class LBSFitter(BaseEstimator):
         self.max_points = max_points
         self.training_scans = training_scans
         self.training = training
+        self.variant = variant
+        self.rounds = rounds
+        self.held_out = held_out
+        self.sequence = sequence
+        self.smooth = smooth
         self.n_jobs = n_jobs
         self.random_state = random_state
 
@@ -94,9 +135,7 @@ class LBSFitter(BaseEstimator):
         self
         """
         self._check()
-        rig, seed = self.rig.welded, self.random_state
-        given = self.training or {}
-        settings = given if isinstance(given, Synthesis) else make_settings(_TRAINING | dict(given))
+        rig, seed, settings = self.rig.welded, self._seed(), self._synthesis()
 
         def train():
             return train_segmenter(
@@ -108,20 +147,145 @@ class LBSFitter(BaseEstimator):
                 progress=progress,
             )
 
-        if not cache or not isinstance(seed, (int, np.integer)):
+        if not cache or not isinstance(self.random_state, (int, np.integer)):
             self.segmenter_ = train()
         else:
             key = rig.digest, settings, self.training_scans, Descriptor(), Training(), int(seed)
             self.segmenter_ = cached_segmenter(key, train)
+        self._pretrained = self.segmenter_
         return self
 
-    def fit_scan(self, points, *, theta0=None, labels=None, point_weights=None):
-        """Fit one scan; pretrains first where that has not been done and labels are not given.
+    def fit(self, scans, subjects=None, *, cache=False, progress=None):
+        """Learn from a collection of scans: Algorithm 1 of the paper, see ``learning.loop``.
+
+        Parameters
+        ----------
+        scans : sequence
+            Of each scan the (n, 3) points, the Scan, or a callable without arguments that returns one. In one unit, and with
+            ``sequence`` in order of time.
+        subjects : sequence of str or int, optional
+            Who was scanned, one id for each scan; one subject by default. The scans of a subject share a template.
+        cache : bool, default False
+            As in :meth:`pretrain`.
+        progress : callable (stage, share, figures), optional
+            Called with the name of what is done, the share done in [0, 1], and, at the end of a round, its entry of ``history_``.
+
+        Returns
+        -------
+        self
+
+        Raises
+        ------
+        InputError
+            Before any work: parameters, ids of the wrong number, different units, no scan that can be used, or too few to leave
+            any out. A single scan that cannot be used is left out, with a warning and its reason in ``failures_``.
+        """
+        self._check()
+        variant, seed = as_variant(self.variant), self._seed()
+        collection = read_collection(
+            self.rig,
+            scans,
+            subjects,
+            max_points=self.max_points,
+            held_out=self.held_out if variant.skinning else 0.0,
+            scale=self.scale,
+            random_state=seed,
+        )
+        if collection.failures:
+            first = min(collection.failures)
+            words = f"{len(collection.failures)} of {collection.n} scans cannot be used; scan {first}: "
+            warnings.warn(words + collection.failures[first], stacklevel=2)
+        progress = progress or (lambda stage, share, figures=None: None)
+        settings, jobs = self._fit_settings(), self._jobs()
+        self.failures_ = dict(collection.failures)
+        if not variant.skinning:
+            self.segmenter_ = self.regressor_ = None
+            self.template_, self.unit_ = dict.fromkeys(collection.subjects, self.rig), dict.fromkeys(collection.subjects, 1.0)
+            self.history_ = []
+            self.results_ = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress)
+            return self
+        segmenter = getattr(self, "_pretrained", None) if variant.labels else None
+        if variant.labels and segmenter is None:
+            segmenter = self.pretrain(cache=cache, progress=lambda share: progress("pretraining", share)).segmenter_
+        if segmenter is not None:
+            segmenter.check_rig(self.rig)
+        loop = Loop(
+            self.rig,
+            collection,
+            variant,
+            segmenter,
+            fit_settings=settings,
+            settings=LoopSettings(rounds=int(self.rounds)),
+            synthesis=self._synthesis(),
+            joints=self.joints,
+            sequence=self.sequence,
+            smooth=self.smooth,
+            jobs=jobs,
+            random_state=seed,
+            progress=progress,
+        )
+        learned = loop.run()
+        self.segmenter_, self.regressor_ = learned.segmenter, learned.library
+        self.template_ = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
+        self.unit_, self.history_ = learned.units, learned.history
+        self.results_ = results_of(self.rig, self.template_, self.joints, collection, settings, jobs=jobs, progress=progress)
+        return self
+
+    def transform(self, scans, subjects=None):
+        """Registered vertices of scans, fitted with what was learned.
+
+        Parameters
+        ----------
+        scans, subjects
+            As in :meth:`fit`; without subjects each scan takes the template that explains it best.
+
+        Returns
+        -------
+        (N, m, 3) array
+            In each scan's frame and unit; NaN where a scan could not be fitted, with a warning.
+        """
+        results = self._fit_all(scans, subjects)
+        return np.array([np.full(self.rig.vertices.shape, np.nan) if r is None else r.vertices for r in results])
+
+    def score(self, scans, subjects=None):
+        """Minus the mean of √L_c over scans fitted with what was learned, in half sizes of the rig: higher is better."""
+        results = [r for r in self._fit_all(scans, subjects) if r is not None]
+        return -float(np.mean([r.terms["recon"] for r in results])) if results else float("nan")
+
+    def save(self, path):
+        """Write what was learned, and the rig, as one NPZ without pickle; :meth:`load` and ``lbsfit fit`` read it."""
+        self._check_learned()
+        write_fitter(self, path)
+
+    @classmethod
+    def load(cls, path):
+        """Read what :meth:`save` wrote; ``results_`` are not part of it.
+
+        Returns
+        -------
+        LBSFitter
+        """
+
+        def make(rig, parameters, fields):
+            fitter = cls(rig, **parameters)
+            for name, value in fields.items():
+                setattr(fitter, name, value)
+            fitter._check()
+            return fitter
+
+        return read_fitter(path, make)
+
+    def fit_scan(self, points, *, subject=None, theta0=None, labels=None, point_weights=None):
+        """Fit one scan: with the learned templates after :meth:`fit`, else by itself.
+
+        By itself, it pretrains first where that has not been done and labels are not given.
 
         Parameters
         ----------
         points : (n, 3) array or Scan
             In any unit that ``scale`` allows.
+        subject : str or int, optional
+            After :meth:`fit`: whose template to use; by default the one that explains the scan best.
         theta0 : (J, 3) array, optional
             A known start, radians.
         labels : (n,) int array, optional
@@ -133,9 +297,9 @@ class LBSFitter(BaseEstimator):
         -------
         FitResult
         """
-        return self._fit_scan(points, theta0, labels, point_weights)
+        return self._fit_scan(points, theta0, labels, point_weights, subject=subject)
 
-    def _fit_scan(self, points, theta0, labels, point_weights, *, cache=False):
+    def _fit_scan(self, points, theta0, labels, point_weights, *, subject=None, cache=False):
         """:meth:`fit_scan`, with the cache of segmenters where asked; all is checked before anything is trained."""
         self._check()
         rig = self.rig
@@ -150,7 +314,16 @@ class LBSFitter(BaseEstimator):
                 got = f"{np.count_nonzero(point_weights)} positive values"
                 raise InputError("point_weights", got, f"at least {len(rig.parts)}, as many as the rig has parts")
         if labels is not None:
-            labels = _labels(labels, len(points), rig.parts)
+            labels = check_labels(labels, len(points), rig.parts)
+        learned = getattr(self, "template_", None)
+        if subject is not None and (learned is None or subject not in learned):
+            known = "no subject, as nothing was learned yet" if learned is None else f"one of {', '.join(map(repr, learned))}"
+            raise InputError("subject", shown(subject), known)
+        if learned is not None:
+            self._check_learned()
+            return fit_new(self, points, [subject] if subject is not None else list(learned), theta0, labels, point_weights)
+        if labels is not None:
+            pass
         elif getattr(self, "segmenter_", None) is None:
             self.pretrain(cache=cache)
         if labels is None:
@@ -159,12 +332,63 @@ class LBSFitter(BaseEstimator):
             self._model(),
             points,
             segmenter=None if labels is not None else self.segmenter_,
-            settings=FitSettings(weights=as_weights(self.weights), scale=self.scale, max_points=self.max_points),
+            settings=self._fit_settings(),
             theta0=theta0,
             labels=labels,
             point_weights=point_weights,
             random_state=self.random_state,
         )
+
+    def _fit_all(self, scans, subjects):
+        self._check_learned()
+        scans = list(scans)
+        if subjects is not None and len(subjects) != len(scans):
+            raise InputError("subjects", f"{len(subjects)} ids", f"{len(scans)}, one for each scan")
+        results = []
+        for i, scan in enumerate(scans):
+            try:
+                points = scan() if callable(scan) else scan
+                results.append(self.fit_scan(points, subject=None if subjects is None else subjects[i]))
+            except LbsfitError as error:
+                warnings.warn(f"scan {i} cannot be fitted: {error}", stacklevel=3)
+                results.append(None)
+        return results
+
+    def _template_fit(self, subject):
+        """Fits on one subject's template, its model kept."""
+        kept = self.__dict__.setdefault("_fits", {})
+        template = self.template_[subject]
+        if subject not in kept or kept[subject][0] is not template:
+            kept[subject] = template, Model(template, self.joints, half=self.rig.size / 2)
+        return TemplateFit(self.rig, kept[subject][1], self._fit_settings())
+
+    def _check_learned(self):
+        self._check()
+        templates = getattr(self, "template_", None)
+        if templates is None:
+            raise InputError("fitter", "one that has learned nothing", "one that has learned", "Call fit(scans) first.")
+        if any(t.faces.shape != self.rig.faces.shape or t.joint_names != self.rig.joint_names for t in templates.values()):
+            raise InputError("rig", f"{self.rig.name!r}", "the rig that the fitter learned with", "Learn again with this one.")
+        if self.segmenter_ is not None:
+            self.segmenter_.check_rig(self.rig)
+
+    def _fit_settings(self):
+        return FitSettings(weights=as_weights(self.weights), scale=self.scale, max_points=self.max_points)
+
+    def _synthesis(self):
+        given = self.training or {}
+        return given if isinstance(given, Synthesis) else make_settings(_TRAINING | dict(given))
+
+    def _seed(self):
+        """One whole number for all that is random; a Generator or None gives another one each time."""
+        if isinstance(self.random_state, (int, np.integer)) and not isinstance(self.random_state, bool):
+            return self.random_state
+        return integer_seed(self.random_state, "fitter")
+
+    def _jobs(self):
+        from ..segmentation.segmenter import jobs_of
+
+        return jobs_of(self.n_jobs, self._seed())
 
     def _model(self):
         """The rig made ready, kept until ``rig`` or ``joints`` change."""
@@ -174,19 +398,7 @@ class LBSFitter(BaseEstimator):
         return kept[2]
 
     def _check(self):
-        if not isinstance(self.rig, Rig):
-            raise InputError("rig", type(self.rig).__name__, "a Rig", "Read one with load_rig.")
-        as_weights(self.weights)
-        if not isinstance(self.training, (type(None), Mapping, Synthesis)):
-            raise InputError("training", type(self.training).__name__, "a dict of fields of synthesis.Synthesis")
-        if self.joints not in JOINT_MODES:
-            raise InputError("joints", repr(self.joints), " or ".join(map(repr, JOINT_MODES)))
-        if self.scale not in ("estimate", "fixed"):
-            raise InputError("scale", repr(self.scale), "'estimate' or 'fixed'")
-        for name in ("max_points", "training_scans"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-                raise InputError(name, repr(value), "a positive integer")
+        check_parameters(self)
 
 
 def fit_scan(rig, points, *, theta0=None, labels=None, point_weights=None, random_state=0, **parameters):
@@ -207,16 +419,3 @@ def fit_scan(rig, points, *, theta0=None, labels=None, point_weights=None, rando
     """
     fitter = LBSFitter(rig, random_state=random_state, **parameters)
     return fitter._fit_scan(points, theta0, labels, point_weights, cache=True)
-
-
-def _labels(labels, n, parts):
-    labels = np.asarray(labels)
-    if labels.shape != (n,):
-        raise InputError("labels", f"shape {labels.shape}", f"shape ({n},), one for each point")
-    if labels.dtype.kind not in "iu":
-        raise InputError("labels", f"values of type {labels.dtype}", "integers that index rig.parts")
-    bad = np.flatnonzero((labels < 0) | (labels >= len(parts)))
-    if len(bad):
-        got = f"{labels[bad[0]]} at index {bad[0]}"
-        raise InputError("labels", got, f"integers from 0 to {len(parts) - 1}, which index rig.parts")
-    return labels.astype(int)

@@ -20,7 +20,7 @@ class Outcome:
     evaluations: int
 
 
-def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-7):
+def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-5):
     """Minimise an objective over some blocks of a state, within the joint limits.
 
     Parameters
@@ -33,7 +33,7 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-7):
     free : collection of str
         Blocks to change, as in :class:`Layout`.
     max_iterations : int
-    tolerance : float, default 1e-7
+    tolerance : float, default 1e-5
         Relative decrease of the objective in one iteration below which the fit has converged.
 
     Returns
@@ -47,6 +47,10 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-7):
     state = layout.inside(state)
     best = [np.inf, state]
     finite = True
+    # The optimiser's own test compares a decrease with max(|f|, 1): in units of the first value it is the relative one that
+    # is promised, whatever the weights and the scale.
+    first = abs(evaluate(state).value)
+    unit = first if 0 < first < np.inf else 1.0
 
     def fun(x):
         nonlocal finite
@@ -55,7 +59,7 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-7):
         finite = finite and bool(np.isfinite(e.value))
         if e.value < best[0]:
             best[:] = e.value, s
-        return e.value, layout.gradient(s, e.theta, e.translation, e.scale, e.coefficients, e.residual)
+        return e.value / unit, layout.gradient(s, e.theta, e.translation, e.scale, e.coefficients, e.residual) / unit
 
     result = minimize(
         fun,
@@ -70,4 +74,4 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-7):
     message = result.message if isinstance(result.message, str) else result.message.decode()
     if not finite:
         message = "the objective is not finite"
-    return Outcome(best[1], float(best[0]), converged, message, int(result.nfev))
+    return Outcome(best[1], float(best[0]), converged, message, int(result.nfev) + 1)

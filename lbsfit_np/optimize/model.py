@@ -10,7 +10,7 @@ from ..losses.laplacian import cotangent_matrix
 from ..skinning import skin
 from .state import State
 
-__all__ = ["Model"]
+__all__ = ["Model", "farthest_points"]
 
 # The pose stages look at no more vertices than this: a pose has some tens of unknowns, and time goes with vertices.
 _COARSE = 2500
@@ -23,24 +23,35 @@ class Model:
     ----------
     rig : Rig
     joints : {"follow", "fixed"}, default "follow"
+    shifts : float, default 0
+        Where positive, the family has three more coefficients a joint below the root, which move its rest position alone by
+        this many half sizes a unit. One scan cannot tell where in the flesh a joint lies; many poses of one subject can.
+    half : float, optional
+        What the normalised frame's unit is, in rig units; half the rig's size by default. Templates of several subjects of one
+        rig are looked at in the rig's own unit, so that weights mean the same for all.
     """
 
-    def __init__(self, rig, joints="follow"):
+    def __init__(self, rig, joints="follow", *, shifts=0.0, half=None):
         self.source = rig
-        self.half = rig.size / 2
+        self.half = rig.size / 2 if half is None else half
         self.rig = rig.welded.scaled(1.0 / self.half)
         self.follow = joints == "follow"
         self.labels = self.rig.vertex_labels
         family = self.rig.proportions
-        self.n_coefficients = family.basis.shape[2]
-        self._basis = np.ascontiguousarray(family.basis.reshape(-1, self.n_coefficients))
+        self._shifts = _shifts(self.rig, shifts) if shifts else np.empty((3 * len(rig.parents), 0))
+        basis = family.basis.reshape(-1, family.basis.shape[2])
+        self.basis = np.hstack([basis, np.zeros((len(basis), self._shifts.shape[1]))])
+        self.n_coefficients = self.basis.shape[1]
         self._whole = True
 
     @cached_property
-    def _joint_basis(self):
-        """(3J, k): how the joints follow the proportions, R b_k."""
-        moved = self.rig.regressor @ self._basis.reshape(len(self.rig.vertices), -1)
-        return np.ascontiguousarray(moved.reshape(-1, self.n_coefficients))
+    def joint_basis(self):
+        """(3J, k): how the rest joints move with the coefficients: R b_k, or a shift of their own."""
+        k = self.n_coefficients - self._shifts.shape[1]
+        if not self.follow:
+            return np.hstack([np.zeros((len(self._shifts), k)), self._shifts])
+        moved = self.rig.regressor @ self.basis[:, :k].reshape(len(self.rig.vertices), -1)
+        return np.hstack([moved.reshape(-1, k), self._shifts])
 
     @cached_property
     def K(self):
@@ -63,7 +74,7 @@ class Model:
         m = len(self.rig.vertices)
         if m <= _COARSE:
             return self
-        rows = _farthest_points(self.rig.vertices, _COARSE)
+        rows = farthest_points(self.rig.vertices, _COARSE)
         from scipy.spatial import cKDTree
 
         nearest = cKDTree(self.rig.vertices[rows]).query(self.rig.vertices)[1]
@@ -77,9 +88,9 @@ class Model:
             faces=np.empty((0, 3), dtype=int),
         )
         thin.labels = self.labels[rows]
-        thin._basis = np.ascontiguousarray(self._basis.reshape(m, 3, -1)[rows].reshape(3 * len(rows), -1))
+        thin.basis = np.ascontiguousarray(self.basis.reshape(m, 3, -1)[rows].reshape(3 * len(rows), -1))
         thin._whole = False
-        thin.__dict__["_joint_basis"] = self._joint_basis
+        thin.__dict__["joint_basis"] = self.joint_basis
         thin.__dict__["areas"] = np.bincount(nearest, self.areas, minlength=len(rows))
         return thin
 
@@ -91,7 +102,7 @@ class Model:
 
     def offsets(self, state):
         """(m, 3) U^d − U of a state; None where it is 0."""
-        bones = (self._basis @ state.coefficients).reshape(-1, 3) if state.coefficients.any() else None
+        bones = (self.basis @ state.coefficients).reshape(-1, 3) if state.coefficients.any() else None
         if state.residual is None:
             return bones
         return state.residual if bones is None else bones + state.residual
@@ -103,12 +114,14 @@ class Model:
         V = skin(self.rig, state.theta, **place)
         if offsets is None:
             return V, V
-        moved = None
-        if not self.follow:
-            moved = np.zeros_like(self.rig.joints)
-        elif state.residual is None:
-            moved = (self._joint_basis @ state.coefficients).reshape(-1, 3)
-        return skin(self.rig, state.theta, **place, offsets=offsets, joint_offsets=moved), V
+        return skin(self.rig, state.theta, **place, offsets=offsets, joint_offsets=self.joint_offsets(state)), V
+
+    def joint_offsets(self, state):
+        """(J, 3): how far the rest joints of a state's template lie from the rig's."""
+        moved = (self.joint_basis @ state.coefficients).reshape(-1, 3)
+        if self.follow and state.residual is not None:
+            moved = moved + self.rig.regressor @ state.residual
+        return moved
 
     def offset_gradients(self, g, grad_offsets):
         """Gradients to the coefficients and to the residual.
@@ -121,16 +134,21 @@ class Model:
             Direct gradient to the offsets, on top.
         """
         to_vertices = g.vertices + grad_offsets
-        coefficients = self._basis.T @ to_vertices.ravel()
-        if self.follow:
-            coefficients += self._joint_basis.T @ g.rest_joints.ravel()
+        coefficients = self.basis.T @ to_vertices.ravel() + self.joint_basis.T @ g.rest_joints.ravel()
         if not self._whole:
             return coefficients, None
         residual = to_vertices + self.rig.regressor_transposed @ g.rest_joints if self.follow else to_vertices
         return coefficients, residual
 
 
-def _farthest_points(points, n):
+def _shifts(rig, size):
+    """(3J, k): unit shifts, ``size`` long, of the joints whose place matters: moving ones below the root."""
+    free = rig.moving.copy()
+    free[rig.root] = False
+    return size * np.eye(3 * len(rig.parents))[:, np.repeat(free, 3)]
+
+
+def farthest_points(points, n):
     """(n,) rows of points spread evenly: each next one is the farthest from those before. Starts at row 0."""
     rows = np.zeros(n, dtype=int)
     d2 = np.full(len(points), np.inf)

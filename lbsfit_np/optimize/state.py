@@ -40,7 +40,7 @@ class Layout:
         m = len(rig.vertices)
         turning = (rig.upper > rig.lower) & rig.moving[:, None]
         turning[rig.root] = True
-        self._turning = turning
+        self.turning = turning
         # One unit of each block changes the loss by a comparable amount, which is what L-BFGS starts from: a single
         # vertex counts for 1/m of the loss where an angle moves many.
         self._residual_unit = 0.25 * np.sqrt(m)
@@ -51,6 +51,7 @@ class Layout:
                 self._spans[block] = slice(start, start + size)
                 start += size
         self.size = start
+        self.blocks = tuple(self._spans)
         lower, upper = rig.lower.copy(), rig.upper.copy()
         lower[rig.root], upper[rig.root] = -np.inf, np.inf
         self._all_limits = lower, upper
@@ -60,7 +61,7 @@ class Layout:
         """State → x."""
         x = np.empty(self.size)
         values = {
-            "pose": lambda: state.theta[self._turning],
+            "pose": lambda: state.theta[self.turning],
             "translation": lambda: state.translation,
             "scale": lambda: np.log(state.scale),
             "proportions": lambda: state.coefficients,
@@ -77,7 +78,7 @@ class Layout:
             value = x[span]
             if block == "pose":
                 theta = base.theta.copy()
-                theta[self._turning] = value
+                theta[self.turning] = value
                 changes["theta"] = theta
             elif block == "translation":
                 changes["translation"] = value.copy()
@@ -94,7 +95,7 @@ class Layout:
         g = np.empty(self.size)
         for block, span in self._spans.items():
             if block == "pose":
-                g[span] = theta[self._turning]
+                g[span] = theta[self.turning]
             elif block == "translation":
                 g[span] = translation
             elif block == "scale":
@@ -104,6 +105,14 @@ class Layout:
             else:
                 g[span] = residual.ravel() * self._residual_unit
         return g
+
+    def gradient_of(self, state):
+        """(size,) ∂field/∂x of each entry: what turns a Jacobian to the State's fields into one to x."""
+        ones = np.ones_like
+        m3 = self._spans["residual"].stop - self._spans["residual"].start if "residual" in self._spans else 0
+        return self.gradient(
+            state, ones(state.theta), ones(state.translation), 1.0, ones(state.coefficients), np.ones(m3)
+        )
 
     def bounds(self):
         """(lower, upper) of x: joint limits on the pose, a factor of 3 on the scale, ±0.5 on proportions."""

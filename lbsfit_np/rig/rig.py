@@ -182,13 +182,12 @@ class Rig:
 
     @cached_property
     def digest(self):
-        """Hex digest of all that a segmenter or a fit depends on: geometry, weights, hierarchy, limits, parts."""
+        """Hex digest of all that a segmenter or a fit depends on: geometry, weights, regressor, hierarchy, limits, parts."""
         h = hashlib.sha256()
         for a in (self.vertices, self.faces, self.parents, self.joints, self.frames, self.lower, self.upper):
-            h.update(np.ascontiguousarray(np.round(a, 12) if a.dtype.kind == "f" else a.astype(np.int64)).tobytes())
-        w = self.weights.tocoo()
-        h.update(np.ascontiguousarray(np.stack([w.row, w.col]).astype(np.int64)).tobytes())
-        h.update(np.round(w.data, 12).tobytes())
+            h.update(_bytes(a))
+        for matrix in (self.weights.tocoo(), self.regressor.tocoo()):
+            h.update(_bytes(np.stack([matrix.row, matrix.col])) + _bytes(matrix.data))
         h.update("\0".join(self.joint_names + self.parts).encode())
         h.update(self.part_of_joint.astype(np.int64).tobytes())
         return h.hexdigest()
@@ -206,7 +205,8 @@ class Rig:
         scale : float, default 1
         offsets : (m, 3) array, optional
             In rig units.
-        joints : {"follow", "fixed"}, default "follow"
+        joints : {"follow", "fixed"} or (J, 3) array, default "follow"
+            Whether the rest joints follow the offsets through the regressor, or stay; or where they are.
 
         Returns
         -------
@@ -228,9 +228,13 @@ class Rig:
             offsets = check_array("offsets", offsets, self.vertices.shape)
         if not isinstance(scale, Real) or not 0 < scale < np.inf:
             raise InputError("scale", repr(scale), "a positive number")
-        if joints not in JOINT_MODES:
-            raise InputError("joints", repr(joints), " or ".join(map(repr, JOINT_MODES)))
-        return skin(self, theta, translation=translation, scale=scale, offsets=offsets, joints=joints)
+        moved = None
+        if not isinstance(joints, str):
+            moved, joints = check_array("joints", joints, self.joints.shape) - self.joints, "follow"
+        elif joints not in JOINT_MODES:
+            expected = f"{' or '.join(map(repr, JOINT_MODES))}, or rest positions of shape {self.joints.shape}"
+            raise InputError("joints", repr(joints), expected)
+        return skin(self, theta, translation=translation, scale=scale, offsets=offsets, joint_offsets=moved, joints=joints)
 
     def with_parts(self, granularity):
         """The same rig with another of its partitions in use."""
@@ -352,6 +356,11 @@ class Rig:
         from ..io.npz_rig import save_rig
 
         save_rig(self, path)
+
+
+def _bytes(a):
+    """An array's content, the same whatever its layout, its integer type and the sign of its zeros."""
+    return np.ascontiguousarray(np.round(a, 12) + 0.0 if a.dtype.kind == "f" else a.astype(np.int64)).tobytes()
 
 
 def weld_rig(rig):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Descriptor"]
+__all__ = ["Descriptor", "describe_scan"]
 
 # Empty margin around the scan's box, in voxels; probes beyond it are looked up at its border.
 _MARGIN = 6
@@ -72,6 +72,24 @@ class Descriptor:
         out[:, -9:-6] = x
         out[:, -6:] = 4.0 * grid.covariance[np.triu_indices(3)]
         return out
+
+
+def describe_scan(points, *, n_basis=384, voxel=0.05):
+    """A whole scan as one vector: distances from fixed points around its centroid to the scan.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        In half sizes of the rig, any origin.
+    n_basis : int
+    voxel : float
+
+    Returns
+    -------
+    (n_basis,) float32 array
+    """
+    basis = _directions(n_basis, 3) * np.geomspace(0.15, 1.1, n_basis)[:, None]
+    return _Grid(points, voxel).distance(basis.astype(np.float32))
 
 
 def _directions(n, seed):

@@ -14,7 +14,7 @@ from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor
 from .stage import Stage, Training, train_stage
 
-__all__ = ["Segmenter", "train_segmenter"]
+__all__ = ["Segmenter", "jobs_of", "train_segmenter"]
 
 _FORMAT = 2
 
@@ -128,7 +128,9 @@ class Segmenter:
         raise FileError(str(path), f"segmenter format {version}", f"format {_FORMAT}", "Train it again.")
 
 
-def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, random_state=None, n_jobs=None, progress=None):
+def train_segmenter(
+    rig, scan, n_scans, *, training=None, descriptor=None, random_state=None, n_jobs=None, progress=None, start=None
+):
     """Train s on labelled scans of a rig.
 
     Parameters
@@ -148,6 +150,8 @@ def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, rando
         ``random_state`` stays in one process.
     progress : callable, optional
         Called with the share done, in [0, 1].
+    start : Segmenter, optional
+        Go on training from this one (with its descriptor) instead of from nothing.
 
     Returns
     -------
@@ -160,19 +164,28 @@ def train_segmenter(rig, scan, n_scans, *, training=None, descriptor=None, rando
     KeyboardInterrupt
         On Ctrl-C, once all processes have ended.
     """
-    jobs = _jobs(n_jobs, random_state)
-    descriptor, training = descriptor or Descriptor(), training or Training()
+    jobs = jobs_of(n_jobs, random_state)
+    descriptor, training = descriptor or (start.descriptor if start else Descriptor()), training or Training()
     progress = progress or (lambda share: None)
     n_parts, half = len(rig.parts), rig.size / 2
     n_second = int(training.second * n_scans) if n_parts > 1 else 0
     n_first = n_scans - n_second
     spans = [(0, n_first), (n_first, n_scans)] if n_second else [(0, n_first)]
     stages = ()
-    for name, (start, stop) in zip(("first", "second"), spans, strict=False):
-        done, share = start / n_scans, (stop - start) / n_scans / 2
+    for k, (name, (begin, stop)) in enumerate(zip(("first", "second"), spans, strict=False)):
+        done, share = begin / n_scans, (stop - begin) / n_scans / 2
         describe = _Describe(scan, descriptor, half, training.points_per_scan, random_state, stages[0] if stages else None)
-        X, y = _describe_all(describe, start, stop, jobs, lambda p, d=done, s=share: progress(d + s * p))
-        stage = train_stage(X, y, n_parts, training, random_state, name, lambda p, d=done, s=share: progress(d + s * (1 + p)))
+        X, y = _describe_all(describe, begin, stop, jobs, lambda p, d=done, s=share: progress(d + s * p))
+        stage = train_stage(
+            X,
+            y,
+            n_parts,
+            training,
+            random_state,
+            name,
+            lambda p, d=done, s=share: progress(d + s * (1 + p)),
+            start=start.stages[k] if start and k < len(start.stages) else None,
+        )
         stages += (stage,)
     return Segmenter(stages, descriptor, n_parts, half, rig.digest)
 
@@ -247,7 +260,7 @@ class _Answered:
             return None, error
 
 
-def _jobs(n_jobs, random_state):
+def jobs_of(n_jobs, random_state):
     """The number of processes to use."""
     import multiprocessing
     import os

@@ -120,7 +120,7 @@ class Stage:
         return cls(arrays[f"{prefix}_mean"], arrays[f"{prefix}_deviation"], classifier, n_parts, int(arrays[f"{prefix}_only"]))
 
 
-def train_stage(X, y, n_parts, training, random_state, name, progress):
+def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=None):
     """Train one stage: epochs of Adam in chunks, and the mean of the weights over the later ones, which generalises better.
 
     Parameters
@@ -135,6 +135,8 @@ def train_stage(X, y, n_parts, training, random_state, name, progress):
         Names the random streams.
     progress : callable
         Called with the share done.
+    start : Stage, optional
+        Go on from these weights and this standardisation; taken up only where it knows the same parts.
 
     Returns
     -------
@@ -151,6 +153,10 @@ def train_stage(X, y, n_parts, training, random_state, name, progress):
     mean = X.mean(axis=0, dtype=float).astype(np.float32)
     deviation = X.std(axis=0, dtype=float).astype(np.float32) + np.float32(1e-6)
     classes = np.unique(y)
+    if start is not None and not (start.classifier is not None and np.isin(classes, start.classifier.classes_).all()):
+        start = None
+    if start is not None:
+        mean, deviation, classes = start.mean, start.deviation, start.classifier.classes_
     if len(classes) == 1:
         progress(1.0)
         return Stage(mean, deviation, None, n_parts, int(classes[0]))
@@ -162,6 +168,10 @@ def train_stage(X, y, n_parts, training, random_state, name, progress):
         learning_rate_init=training.learning_rate,
         random_state=integer_seed(random_state, name),
     )
+    if start is not None:  # scikit-learn makes its optimiser with the weights, so they are written into what it made
+        classifier.partial_fit(X[:1], y[:1], classes=classes)
+        for own, given in zip(classifier.coefs_ + classifier.intercepts_, start.classifier.coefs_ + start.classifier.intercepts_):
+            own[...] = given
     rng = generator(random_state, name, "order")
     averaged, count = None, 0
     with threadpool_limits(1):  # the result must not depend on the number of threads, and a second one gains little

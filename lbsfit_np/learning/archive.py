@@ -1,0 +1,140 @@
+"""A learned fitter in one NPZ, no pickle: a rig file of the package's own format with what was learned beside it.
+
+``load_rig`` reads such a file as the rig, ``LBSFitter.load`` as the fitter.
+"""
+
+import json
+from dataclasses import asdict
+
+import numpy as np
+
+from ..errors import FileError, InputError
+from ..losses.objective import LossWeights
+from ..segmentation.descriptors import Descriptor
+from ..segmentation.segmenter import Segmenter
+from ..segmentation.stage import Stage
+from ..starts.library import PoseLibrary
+
+__all__ = ["MODEL_KEY", "read_fitter", "write_fitter"]
+
+MODEL_KEY = "lbsfit_np_model"
+_FORMAT = 1
+_EXPECTED = "a model that was saved with LBSFitter.save or written by lbsfit learn"
+
+
+def write_fitter(fitter, path):
+    """Write a learned LBSFitter.
+
+    Parameters
+    ----------
+    fitter : LBSFitter
+        After ``fit``.
+    path : path-like
+        Should end in ``.npz``.
+    """
+    from pathlib import Path
+
+    from ..io.npz_rig import rig_arrays
+    from ..io.write import write_npz
+
+    if Path(path).suffix.lower() != ".npz":
+        raise FileError(str(path), f"the ending {Path(path).suffix!r}", "a name that ends in .npz")
+    subjects = list(fitter.template_)
+    parameters = {k: v for k, v in fitter.get_params(deep=False).items() if k not in ("rig", "n_jobs")}
+    if isinstance(parameters["weights"], LossWeights):
+        parameters["weights"] = asdict(parameters["weights"])
+    if parameters["training"] is not None and not isinstance(parameters["training"], dict):
+        parameters["training"] = asdict(parameters["training"])
+    if not isinstance(parameters["random_state"], (int, np.integer, type(None))):
+        parameters["random_state"] = None
+    header = {
+        "format": _FORMAT,
+        "parameters": parameters,
+        "subjects": subjects,
+        "units": [fitter.unit_[s] for s in subjects],
+        "history": fitter.history_,
+        "rig_digest": fitter.rig.digest,
+    }
+    arrays = rig_arrays(fitter.rig)
+    arrays["model_vertices"] = np.array([fitter.template_[s].vertices for s in subjects])
+    arrays["model_joints"] = np.array([fitter.template_[s].joints for s in subjects])
+    segmenter, library = fitter.segmenter_, fitter.regressor_
+    if segmenter is not None:
+        header["segmenter"] = {
+            "descriptor": asdict(segmenter.descriptor),
+            "n_parts": segmenter.n_parts,
+            "half": segmenter.half,
+            "rig_digest": segmenter.rig_digest,
+            "stages": len(segmenter.stages),
+        }
+        for k, stage in enumerate(segmenter.stages):
+            arrays |= stage.arrays(f"model_stage_{k}")
+    header["library"] = library is not None
+    if library is not None:
+        arrays |= library.arrays("model_library")
+    try:
+        text = json.dumps(header, default=_plain)
+    except TypeError as error:
+        raise InputError("fitter", f"parameters that cannot be saved ({error})", "numbers, text and settings") from None
+    write_npz(path, **{MODEL_KEY: np.array(text)}, **arrays)
+
+
+def read_fitter(path, make):
+    """What :func:`write_fitter` wrote.
+
+    Parameters
+    ----------
+    path : path-like
+    make : callable (rig, parameters, fields) → fitter
+
+    Returns
+    -------
+    What ``make`` returns.
+
+    Raises
+    ------
+    FileError
+        No such file, or one that is broken or no model.
+    """
+    from ..io.npz import npz_keys, read_npz
+    from ..io.rigs import load_rig
+
+    if MODEL_KEY not in npz_keys(path):
+        raise FileError(str(path), f"an NPZ without the key {MODEL_KEY}", _EXPECTED)
+    rig = load_rig(path, card="none")
+    arrays = read_npz(path)
+    try:
+        header = json.loads(str(arrays[MODEL_KEY]))
+        if header["format"] != _FORMAT:
+            raise FileError(str(path), f"model format {header['format']}", f"format {_FORMAT}", "Learn it again.")
+        parameters = dict(header["parameters"])
+        rig = rig.with_parts(header["granularity"]) if "granularity" in header else rig
+        if isinstance(parameters["weights"], dict):
+            parameters["weights"] = LossWeights(**parameters["weights"])
+        subjects = header["subjects"]
+        U, J = arrays["model_vertices"], arrays["model_joints"]
+        if U.shape != (len(subjects), *rig.vertices.shape) or J.shape != (len(subjects), *rig.joints.shape):
+            raise ValueError("templates that do not fit the rig")
+        segmenter = None
+        if "segmenter" in header:
+            h = header["segmenter"]
+            stages = tuple(Stage.from_arrays(arrays, f"model_stage_{k}", h["n_parts"]) for k in range(h["stages"]))
+            segmenter = Segmenter(stages, Descriptor(**h["descriptor"]), h["n_parts"], h["half"], h["rig_digest"])
+        fields = {
+            "template_": {s: rig.with_template(u, j) for s, u, j in zip(subjects, U, J, strict=True)},
+            "unit_": dict(zip(subjects, map(float, header["units"]), strict=True)),
+            "segmenter_": segmenter,
+            "regressor_": PoseLibrary.from_arrays(arrays, "model_library") if header["library"] else None,
+            "history_": header["history"],
+        }
+        return make(rig, parameters, fields)
+    except FileError:
+        raise
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError) as error:
+        raise FileError(str(path), f"a model whose content does not fit ({error})", _EXPECTED, "Learn it again.") from None
+
+
+def _plain(value):
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a {type(value).__name__}")

@@ -1,0 +1,182 @@
+"""The scans of a collection made ready for the loop: read, checked, in one unit, grouped by subject; bad ones set aside."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ..errors import InputError, LbsfitError, shown
+from ..optimize.problem import Problem
+from ..scan import check_points
+from ..seeds import generator
+from ..starts.scale import _extent as extent
+from ..starts.scale import reference_scale
+
+__all__ = ["Collection", "Member", "read_collection"]
+
+# A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
+_ONE_UNIT = 6.0
+
+
+@dataclass
+class Member:
+    """One scan of the collection and what is known of it so far.
+
+    Attributes
+    ----------
+    index : int
+        Which of the scans given.
+    points : (n, 3) array
+    rows : (k,) int array
+        Points that take part in the optimisation.
+    centre : (3,) array
+        Origin of the normalised frame.
+    subject : object
+        Its subject's id.
+    held_out : bool
+        Left out of learning, to tell when to stop.
+    """
+
+    index: int
+    points: np.ndarray
+    rows: np.ndarray
+    centre: np.ndarray
+    subject: object
+    unit: float = 1.0
+    held_out: bool = False
+    problem: Problem = None
+    proba: np.ndarray = None
+    state: object = None
+    loss: float = np.inf
+
+    def use_unit(self, unit, half):
+        """Put the scan into the normalised frame: ``unit`` scan units in a rig unit, ``half`` rig units in one of the frame."""
+        self.unit = unit
+        self.problem = Problem((self.points[self.rows] - self.centre) / (unit * half))
+
+
+@dataclass
+class Collection:
+    """The members that can be fitted, and why others cannot.
+
+    Attributes
+    ----------
+    n : int
+        Scans given.
+    members : list of Member
+    failures : dict of int to str
+    """
+
+    n: int
+    members: list = field(default_factory=list)
+    failures: dict = field(default_factory=dict)
+
+    @property
+    def subjects(self):
+        """Ids in the order of their first scans."""
+        return list(dict.fromkeys(m.subject for m in self.members))
+
+    def of(self, subject):
+        """The members of one subject."""
+        return [m for m in self.members if m.subject == subject]
+
+
+def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state):
+    """Read and check the scans of a collection.
+
+    Parameters
+    ----------
+    rig : Rig
+    scans : sequence
+        Of points, Scans, or callables that return one.
+    subjects : sequence or None
+    max_points : int
+    held_out : float
+        Share of the scans to leave out, at least one where positive.
+    scale : {"estimate", "fixed"}
+    random_state : int
+
+    Returns
+    -------
+    Collection
+
+    Raises
+    ------
+    InputError
+        Subjects of the wrong number, no scan that can be used, different units, too few scans to leave any out.
+    """
+    scans = list(scans)
+    if not scans:
+        raise InputError("scans", "none", "one or more scans")
+    if subjects is None:
+        subjects = [0] * len(scans)
+    elif isinstance(subjects, str) or not hasattr(subjects, "__len__"):
+        raise InputError("subjects", shown(subjects), "a sequence with one id for each scan")
+    else:
+        subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
+        if len(subjects) != len(scans):
+            raise InputError("subjects", f"{len(subjects)} ids", f"{len(scans)}, one for each scan")
+        for s in subjects:
+            if not isinstance(s, (str, int)):
+                raise InputError("subjects", shown(s), "ids that are text or whole numbers")
+    collection = Collection(len(scans))
+    for i, (source, subject) in enumerate(zip(scans, subjects)):
+        try:
+            points = check_points(source() if callable(source) else source, minimum=len(rig.parts))
+            rows = np.arange(len(points))
+            if len(points) > max_points:
+                rows = np.sort(generator(random_state, "thin", i).choice(len(points), max_points, replace=False))
+            reference = reference_scale(points[rows], rig, scale)
+        except LbsfitError as error:
+            collection.failures[i] = str(error)
+            continue
+        member = Member(i, points, rows, points[rows].mean(axis=0), subject, reference.scale)
+        collection.members.append(member)
+    if not collection.members:
+        first = next(iter(collection.failures.values()))
+        raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be read")
+    _check_units(collection, scale)
+    _hold_out(collection, held_out, random_state)
+    return collection
+
+
+def _check_units(collection, scale):
+    """All members get the unit that most of them are in; refuse a mixture."""
+    extents = np.array([extent(m.points[m.rows]) for m in collection.members])
+    middle = np.median(extents)
+    odd = np.flatnonzero((extents > _ONE_UNIT * middle) | (extents < middle / _ONE_UNIT))
+    if len(odd):
+        at = ", ".join(str(collection.members[i].index) for i in odd[:5])
+        raise InputError(
+            "scans",
+            f"different units: scan {at} {'has' if len(odd) == 1 else 'have'} an extent of {extents[odd[0]]:.3g}, "
+            f"the middle one is {middle:.3g}",
+            "scans of one collection in one unit",
+            "Convert them, or learn from each kind by itself.",
+        )
+    unit = float(np.median([m.unit for m in collection.members]))
+    for m in collection.members:
+        m.unit = unit
+
+
+def _hold_out(collection, share, random_state):
+    members = collection.members
+    if not share:
+        return
+    count = max(1, round(share * len(members)))
+    if len(members) - count < 2:
+        raise InputError(
+            "scans",
+            f"{len(members)} that can be used",
+            f"at least {count + 2}, so that {count} can be left out to tell when to stop",
+            "Give more scans, or pass held_out=0 to learn from all for a fixed number of rounds.",
+        )
+    order = generator(random_state, "held out").permutation(len(members))
+    # Each subject keeps two scans at least as long as that is possible: its template needs them.
+    left = {s: len(collection.of(s)) for s in collection.subjects}
+    taken = 0
+    for needed in (3, 1):
+        for i in order:
+            if taken < count and not members[i].held_out and left[members[i].subject] >= needed:
+                members[i].held_out = True
+                left[members[i].subject] -= 1
+                taken += 1
