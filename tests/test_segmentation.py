@@ -280,6 +280,18 @@ def test_an_interrupt_that_is_no_signal_passes_too(tube_rig, monkeypatch):
     assert len(raised) == 1 and len(calls) == 3
 
 
+@pytest.mark.filterwarnings("ignore:Training interrupted")
+@pytest.mark.parametrize("at", [1, 2, 3])
+def test_a_training_from_a_start_is_interrupted_too(tube_rig, small, monkeypatch, at):
+    def interrupt():
+        raise KeyboardInterrupt
+
+    calls = _interrupting(monkeypatch, interrupt, at)
+    with pytest.raises(KeyboardInterrupt):
+        _train(tube_rig, start=small)
+    assert len(calls) == at
+
+
 _SCRIPT = """
 import lbsfit_np as lbs
 from lbsfit_np.segmentation.segmenter import train_segmenter

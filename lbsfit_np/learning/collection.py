@@ -4,12 +4,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import InputError, LbsfitError, shown
+from ..errors import InputError, LbsfitError, brief
 from ..optimize.problem import Problem
 from ..scan import check_points
 from ..seeds import generator
-from ..starts.scale import _extent as extent
-from ..starts.scale import reference_scale
+from ..starts.scale import extent, reference_scale
 
 __all__ = ["Collection", "Member", "read_collection"]
 
@@ -110,14 +109,14 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     if subjects is None:
         subjects = [0] * len(scans)
     elif isinstance(subjects, str) or not hasattr(subjects, "__len__"):
-        raise InputError("subjects", shown(subjects), "a sequence with one id for each scan")
+        raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
     else:
         subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
         if len(subjects) != len(scans):
             raise InputError("subjects", f"{len(subjects)} ids", f"{len(scans)}, one for each scan")
         for s in subjects:
             if not isinstance(s, (str, int)):
-                raise InputError("subjects", shown(s), "ids that are text or whole numbers")
+                raise InputError("subjects", brief(s), "ids that are text or whole numbers")
     collection = Collection(len(scans))
     for i, (source, subject) in enumerate(zip(scans, subjects)):
         try:

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from ..errors import InputError, LbsfitError, check_array, shown
+from ..errors import InputError, LbsfitError, check_array, brief
 from ..fitting.scan_fit import FitSettings, fit_points
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import as_weights
@@ -318,7 +318,7 @@ class LBSFitter(BaseEstimator):
         learned = getattr(self, "template_", None)
         if subject is not None and (learned is None or subject not in learned):
             known = "no subject, as nothing was learned yet" if learned is None else f"one of {', '.join(map(repr, learned))}"
-            raise InputError("subject", shown(subject), known)
+            raise InputError("subject", brief(subject), known)
         if learned is not None:
             self._check_learned()
             return fit_new(self, points, [subject] if subject is not None else list(learned), theta0, labels, point_weights)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..errors import InputError, shown
+from ..errors import InputError, brief
 from ..losses.objective import as_weights
 from ..rig.rig import Rig
 from ..skinning import JOINT_MODES
@@ -30,9 +30,9 @@ def check_parameters(fitter):
         value = getattr(fitter, name)
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low <= value <= high:
             most = "" if high == np.inf else f" and at most {high}"
-            raise InputError(name, shown(value), f"a number of at least {low}{most}")
+            raise InputError(name, brief(value), f"a number of at least {low}{most}")
     if not isinstance(fitter.sequence, (bool, np.bool_)):
-        raise InputError("sequence", shown(fitter.sequence), "True or False")
+        raise InputError("sequence", brief(fitter.sequence), "True or False")
     for name in ("max_points", "training_scans", "rounds"):
         value = getattr(fitter, name)
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ..errors import InputError, shown
+from ..errors import InputError, brief
 
 __all__ = ["VARIANTS", "Variant", "as_variant"]
 
@@ -49,5 +49,5 @@ VARIANTS = {
 def as_variant(name):
     """The Variant of that name."""
     if name not in VARIANTS:
-        raise InputError("variant", shown(name), " or ".join(map(repr, VARIANTS)))
+        raise InputError("variant", brief(name), " or ".join(map(repr, VARIANTS)))
     return VARIANTS[name]

@@ -169,7 +169,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
         random_state=integer_seed(random_state, name),
     )
     if start is not None:  # scikit-learn makes its optimiser with the weights, so they are written into what it made
-        classifier.partial_fit(X[:1], y[:1], classes=classes)
+        _fit_chunk(classifier, X[:1], y[:1], classes)
         for own, given in zip(classifier.coefs_ + classifier.intercepts_, start.classifier.coefs_ + start.classifier.intercepts_):
             own[...] = given
     rng = generator(random_state, name, "order")
@@ -177,10 +177,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     with threadpool_limits(1):  # the result must not depend on the number of threads, and a second one gains little
         for epoch in range(training.epochs):
             for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
-                with _passing_interrupts():
-                    classifier.partial_fit(X[rows], y[rows], classes=classes)
-                if len(classifier.loss_curve_) <= epoch * _CHUNKS + k:
-                    raise KeyboardInterrupt  # one that was no signal, such as another thread can raise here
+                _fit_chunk(classifier, X[rows], y[rows], classes)
                 progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
                 if epoch >= min(training.average_from, training.epochs - 1):
                     count += 1
@@ -192,6 +189,15 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     n = len(classifier.coefs_)
     classifier.coefs_, classifier.intercepts_ = averaged[:n], averaged[n:]
     return Stage(mean, deviation, classifier, n_parts)
+
+
+def _fit_chunk(classifier, X, y, classes):
+    """One ``partial_fit``, whole or with a KeyboardInterrupt."""
+    losses = len(getattr(classifier, "loss_curve_", ()))
+    with _passing_interrupts():
+        classifier.partial_fit(X, y, classes=classes)
+    if len(classifier.loss_curve_) == losses:
+        raise KeyboardInterrupt  # one that was no signal, such as another thread can raise here
 
 
 @contextmanager

@@ -43,13 +43,13 @@ def reference_scale(points, rig, mode):
     InputError
         An extent of 0, as of a single point, or one too large to compute with; a scan that is not in the rig's unit and shall be.
     """
-    extent = _extent(points)
-    if extent == 0:
+    own = extent(points)
+    if own == 0:
         expected = "points that are spread over a surface"
         raise InputError("points", "an extent of 0, as of points at one place", expected, "Check that the scan has coordinates.")
-    ratio = extent / _extent(rig.vertices)
+    ratio = own / extent(rig.vertices)
     if not 0 < ratio < np.inf:
-        raise InputError("points", f"an extent of {extent:.3g}", "coordinates that double precision can square")
+        raise InputError("points", f"an extent of {own:.3g}", "coordinates that double precision can square")
     if mode == "fixed":
         if not 0.2 <= ratio <= 3.0:
             raise InputError(
@@ -71,7 +71,7 @@ def reference_scale(points, rig, mode):
     return ReferenceScale(ratio, f"the scale is a guess from the extents: one rig unit taken as {ratio:.4g} scan units")
 
 
-def _extent(points):
+def extent(points):
     """Twice the 95th percentile of the distance from the median point: a size that a few outliers do not change."""
     with np.errstate(all="ignore"):  # what is too large to square comes out as infinite, which the caller refuses
         away = np.linalg.norm(points - np.median(points, axis=0), axis=1)
