@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from ..errors import InputError, LbsfitError, check_array, brief
+from ..errors import InputError, LbsfitError, brief, check_array
 from ..fitting.scan_fit import FitSettings, fit_points
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import as_weights
@@ -215,7 +215,7 @@ class LBSFitter(BaseEstimator):
             variant,
             segmenter,
             fit_settings=settings,
-            settings=LoopSettings(rounds=int(self.rounds)),
+            settings=LoopSettings.for_training(self.training_scans, rounds=int(self.rounds)),
             synthesis=self._synthesis(),
             joints=self.joints,
             sequence=self.sequence,

@@ -62,6 +62,12 @@ class LoopSettings:
     training: Training = field(default_factory=lambda: Training(epochs=2, learning_rate=1e-3))
 
 
+    @classmethod
+    def for_training(cls, training_scans, **others):
+        """In proportion to the scans of pretraining, of which there are 4,000 by default."""
+        return cls(round_scans=max(100, training_scans // 2), library_scans=max(100, 3 * training_scans // 8), **others)
+
+
 @dataclass(frozen=True)
 class Learned:
     """What a loop has learned.

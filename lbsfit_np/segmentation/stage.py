@@ -169,7 +169,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
         random_state=integer_seed(random_state, name),
     )
     if start is not None:  # scikit-learn makes its optimiser with the weights, so they are written into what it made
-        _fit_chunk(classifier, X[:1], y[:1], classes)
+        _fit_chunk(classifier, X[: classifier.batch_size], y[: classifier.batch_size], classes)
         for own, given in zip(classifier.coefs_ + classifier.intercepts_, start.classifier.coefs_ + start.classifier.intercepts_):
             own[...] = given
     rng = generator(random_state, name, "order")
