@@ -219,6 +219,7 @@ def test_fields_and_shapes(tube_rig, result, scan):
         "pose": (J, 3),
         "translation": (3,),
         "offsets": (m, 3),
+        "rest_joints": (J, 3),
         "vertices": (m, 3),
         "joints": (J, 3),
         "labels": (n,),
@@ -243,8 +244,11 @@ def test_vertices_are_the_pose_of_the_results_own_fields(tube_rig, scan, joints,
     fitter = lbs.LBSFitter(tube_rig, joints=joints, weights=weights, random_state=0)
     r = fitter.fit_scan(100 * scan.points + [5.0, 0.0, 1.0], labels=scan.labels)
     arguments = r.pose, r.translation, r.scale, r.offsets
-    np.testing.assert_array_equal(tube_rig.pose(*arguments, joints=joints), r.vertices)
-    np.testing.assert_array_equal(tube_rig.pose_joints(*arguments, joints=joints), r.joints)
+    np.testing.assert_array_equal(tube_rig.pose(*arguments, joints=r.rest_joints), r.vertices)
+    np.testing.assert_array_equal(tube_rig.pose_joints(*arguments, joints=r.rest_joints), r.joints)
+    np.testing.assert_allclose(tube_rig.pose(*arguments, joints=joints), r.vertices, rtol=0, atol=1e-11)
+    if joints == "fixed":
+        np.testing.assert_array_equal(r.rest_joints, tube_rig.joints)
     bounded = slice(1, None)
     assert (r.pose[bounded] >= tube_rig.lower[bounded]).all() and (r.pose[bounded] <= tube_rig.upper[bounded]).all()
     assert np.abs(r.offsets).max() > 1e-4
@@ -289,7 +293,8 @@ def test_results_are_for_the_rigs_original_vertices(scan):
     np.testing.assert_array_equal(split.offsets, whole.offsets[rig.weld])
     np.testing.assert_allclose(split.vertices, whole.vertices[rig.weld], atol=1e-12)
     np.testing.assert_allclose(split.joints, whole.joints, atol=1e-12)
-    np.testing.assert_array_equal(rig.pose(split.pose, split.translation, split.scale, split.offsets), split.vertices)
+    place = split.pose, split.translation, split.scale, split.offsets
+    np.testing.assert_array_equal(rig.pose(*place, joints=split.rest_joints), split.vertices)
 
 
 def test_results_keep_joints_that_do_not_move(tube_rig, scan):
@@ -406,7 +411,7 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
     parameters = fitter.get_params()
     assert parameters["rig"] is tube_rig and parameters["training_scans"] == 7
     names = {"rig", "weights", "joints", "scale", "max_points", "training_scans", "training", "n_jobs", "random_state"}
-    assert set(parameters) == names
+    assert set(parameters) == names | {"variant", "rounds", "held_out", "sequence", "smooth"}
     copy = clone(fitter)
     assert copy is not fitter and copy.get_params() == parameters
     fresh = clone(tube_fitter)
@@ -524,6 +529,12 @@ def test_bad_scans_are_named_before_any_training(tube_rig, scan, monkeypatch, ch
         ({"random_state": -1}, ["random_state: got -1", "non-negative"]),
         ({"random_state": 1.5}, ["random_state: got 1.5"]),
         ({"rig": None}, ["rig: got NoneType", "load_rig"]),
+        ({"variant": "best"}, ["variant: got 'best'", "'joint'", "'free-form'"]),
+        ({"rounds": 0}, ["rounds: got 0", "positive integer"]),
+        ({"held_out": 1.0}, ["held_out: got 1.0", "at most 0.9"]),
+        ({"held_out": "some"}, ["held_out: got 'some'", "a number"]),
+        ({"smooth": -1.0}, ["smooth: got -1.0", "at least 0"]),
+        ({"sequence": 1}, ["sequence: got 1", "True or False"]),
     ],
 )
 def test_bad_parameters_are_named(tube_rig, scan, parameters, words):

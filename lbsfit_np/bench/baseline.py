@@ -79,6 +79,7 @@ class PlainChamfer:
         vertices = registered(model, last.state, unit, centre)
         labels, confidence = labels_from_mesh(points, vertices, model.labels, len(self.rig.parts), _SIGMA * unit)
         return assemble(
+            self.rig,
             model,
             problem,
             last,

@@ -49,6 +49,18 @@ example:
 Exit code: 0 all fitted, 1 some scans failed (named with reasons), 2 usage or an unusable rig, 130 stopped by Ctrl-C.
 """
 
+_LEARN = """\
+Learn from synthetic scans of three changed shapes of a rig of DIR, with the whole loop and with its ablations, and compare
+joints, vertices, templates and labels with the truth. OUT gets results.json, after each row anew.
+"""
+
+_LEARN_EPILOG = """\
+example:
+  lbsfit bench learn hand --data rigs -o bench-learn --jobs 2
+
+Exit code: 0 all done, 2 usage or unreadable data, 130 stopped by Ctrl-C.
+"""
+
 _EPILOG = """\
 example:
   lbsfit bench {name} --data rigs -o bench-{name} --jobs 2
@@ -74,6 +86,7 @@ def add_parser(commands):
         add_options(bench, options)
         bench.set_defaults(run=lambda arguments, name=name, options=options: _run(name, settings(arguments, options)))
     _add_roundtrip(benches)
+    _add_learn(benches)
 
 
 def _add_roundtrip(benches):
@@ -95,6 +108,65 @@ def _add_roundtrip(benches):
     )
     add_options(bench, options)
     bench.set_defaults(run=lambda arguments: _run_roundtrip(arguments.rigs, settings(arguments, options)))
+
+
+def _add_learn(benches):
+    bench = benches.add_parser(
+        "learn",
+        help="the loop over a collection of scans, and its ablations",
+        description=_LEARN,
+        epilog=_LEARN_EPILOG,
+        formatter_class=formatter,
+    )
+    bench.add_argument("collection", choices=("hand", "body"), help="which rig of DIR")
+    options = (
+        Option("data", "the folder of real rigs, poses and motion", metavar="DIR"),
+        Option("output", "folder for results.json; made if need be", metavar="OUT", flag="-o"),
+        Option("scans", "scans to learn from, of all subjects together", positive, 60, metavar="N"),
+        Option("seeds", "seeds of the collections, with commas; training has its own", _seeds, "100,101,102", metavar="N,N"),
+        Option("variants", "what to learn, with commas: joint, pose-only, rand, cd, free-form", str, "joint,pose-only,rand,cd"),
+        *(o for o in OPTIONS if o.name in ("training-scans", "jobs")),
+        Option("markdown", "print the table as Markdown", bool, False),
+        Option("existing", "what to do where results exist already", default="error", choices=("error", "replace")),
+    )
+    add_options(bench, options)
+    bench.set_defaults(run=lambda arguments: _run_learn(arguments.collection, settings(arguments, options)))
+
+
+def _run_learn(name, values):
+    from ..bench.learn import learn_bench, learn_table
+    from ..bench.run import BENCHES
+    from ..io.write import write_json
+
+    for key, option, example in (("data", "--data", "--data DIR"), ("output", "-o/--output", "-o OUT")):
+        if values[key] is None:
+            raise InputError(option, "nothing", "a folder", f"Add {example}.")
+    BENCHES[name].check_data(values["data"])
+    out = Path(values["output"])
+    results = out / RESULTS
+    check_outputs([results], out, inputs=[], existing=values["existing"])
+    make_folder(out)
+
+    def on_row(report, variant, seed):
+        write_json(results, report)
+        entry = report["rows"][variant][str(seed)]
+        error = f"joints {entry['joint_error']:.4f}, vertices {entry['vertex_error']:.4f} {report['unit']}"
+        say(f"seed {seed}, {variant}: {error}, {entry['seconds']:.0f} s")
+
+    report = learn_bench(
+        name,
+        values["data"],
+        n_scans=values["scans"],
+        seeds=[int(s) for s in values["seeds"].split(",")],
+        variants=values["variants"].split(","),
+        training_scans=values["training_scans"],
+        jobs=values["jobs"],
+        on_row=on_row,
+    )
+    write_json(results, report)
+    say("")
+    say(learn_table(report, markdown=values["markdown"]))
+    return 0
 
 
 def _run_roundtrip(rigs, values):

@@ -1,18 +1,18 @@
 """``lbsfit fit``: fit a rig to scans from files, and write what was found."""
 
 import functools
-import platform
-import signal
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, brief
 from . import outputs
-from .parsing import Option, add_options, formatter, natural, positive, settings
+from .models import about_model, is_model, load_model, model_in_words
+from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, say
+from .stopping import exit_code, terminable
+from .summary import counts_of, write_summary
 
-__all__ = ["OPTIONS", "add_parser", "fit_files"]
+__all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "fit_files", "load_rig_with", "scan_options"]
 
 RIG_OPTIONS = (
     Option(
@@ -30,6 +30,7 @@ RIG_OPTIONS = (
 OPTIONS = (
     Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o", is_path=True),
     *RIG_OPTIONS,
+    Option("subject", "whose template a model shall use; by default the one that explains the scan best", metavar="ID"),
     Option("scale", "whether the scan's scale is found, or is the rig's", default="estimate", choices=("estimate", "fixed")),
     Option("weights", "weights of the objective", default="default", choices=("default", "paper")),
     Option("joints", "whether joints follow the changed template", default="follow", choices=("follow", "fixed")),
@@ -56,7 +57,7 @@ OPTIONS = (
 )
 
 _DESCRIPTION = """\
-Fit a rig to scans. Of each scan NAME.EXTENSION, OUT gets
+Fit a rig to scans, or a model that `lbsfit learn` has learned. Of each scan NAME.EXTENSION, OUT gets
 
   NAME.fit.npz     joint angles, translation, scale, offsets, registered vertices, joints, labels (FitResult.load reads it)
   NAME.mesh.ply    the registered mesh: the rig's vertices and faces in the scan's frame and unit
@@ -64,6 +65,10 @@ Fit a rig to scans. Of each scan NAME.EXTENSION, OUT gets
 
 and OUT/summary.json tells how each of this run's scans went. Files appear when they are complete. Inputs are never
 overwritten. After Ctrl-C, the same command with --existing skip does the rest.
+
+A model keeps its rig, its segmenter and how these were made: options about the rig (--card, --shape, --skin,
+--normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale,
+--weights, --max-points and --seed are the model's unless they are given.
 """
 
 _EPILOG = """\
@@ -71,6 +76,7 @@ examples:
   lbsfit fit hand scan.ply -o fits
   lbsfit fit body.glb scans/*.ply -o fits --card body.toml --jobs 4 --existing skip
   lbsfit fit body.glb scans/*.ply --config fit.toml
+  lbsfit learn hand scans/*.ply -o model.npz && lbsfit fit model.npz new.ply -o fits
 
   fit.toml, with any of the options above by their long names; paths are relative to it:
       output = "fits"
@@ -90,7 +96,8 @@ def add_parser(commands):
     parser = commands.add_parser(
         "fit", help="fit a rig to scans", description=_DESCRIPTION, epilog=_EPILOG, formatter_class=formatter
     )
-    parser.add_argument("rig", metavar="RIG", help="a rig file (.npz .glb .gltf .pkl), or a bundled rig, see: lbsfit rig list")
+    rigs = "a rig file (.npz .glb .gltf .pkl), a bundled rig (see: lbsfit rig list), or a model that lbsfit learn has written"
+    parser.add_argument("rig", metavar="RIG", help=rigs)
     parser.add_argument(
         "scans", metavar="SCAN", nargs="+", help="scan files: .ply .obj .stl .off .xyz .txt .csv .pcd .npy .npz .glb .gltf"
     )
@@ -100,10 +107,12 @@ def add_parser(commands):
 
 
 def _run(arguments):
-    values = settings(arguments, OPTIONS, arguments.config)
+    given = chosen(arguments, OPTIONS, arguments.config)
+    values = {option.key: option.default for option in OPTIONS} | given
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder to write to", "Add -o OUT.")
-    return fit_files(arguments.rig, arguments.scans, values, inputs=[arguments.config] if arguments.config else [])
+    inputs = [arguments.config] if arguments.config else []
+    return fit_files(arguments.rig, arguments.scans, values, inputs=inputs, given=given)
 
 
 def load_rig_with(path, values, *, quiet=False):
@@ -113,22 +122,29 @@ def load_rig_with(path, values, *, quiet=False):
     names = ("card", "shape", "skin", "normalize_weights", "parts")
     rig = load_rig(path, **{name: values[name] for name in names})
     if not quiet:
-        for note in rig.notes:
-            say(f"note: {rig.name}: {note}")
+        _say_notes(rig)
     return rig
 
 
-def fit_files(rig_path, scans, values, *, inputs=()):
+def scan_options(values):
+    """How ``load_scan`` reads scans, by the options of this command."""
+    return {"n_samples": values["samples"], "random_state": values["seed"], "drop_invalid": values["drop_invalid"]}
+
+
+def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     """Fit scans from files and write the results.
 
     Parameters
     ----------
     rig_path : str
+        Of a rig or of a model.
     scans : list of str
     values : dict
         Of every option in ``OPTIONS``.
     inputs : sequence of str
         Further files that must not be overwritten.
+    given : collection of str
+        Keys of the options that are not just defaults; they win over what a model says.
 
     Returns
     -------
@@ -139,8 +155,9 @@ def fit_files(rig_path, scans, values, *, inputs=()):
     out = Path(values["output"])
     read = [rig_path, values["segmenter"], values["card"] if values["card"] != "none" else None, *inputs]
     files = outputs.plan(scans, out, inputs=[p for p in read if p], existing=values["existing"])
-    rig = load_rig_with(rig_path, values)
-    fitter = _fitter(rig, values)
+    values = dict(values)  # a model changes some
+    fitter, model = _fitter(rig_path, values, given)
+    rig = fitter.rig
     kept = _kept(files, rig) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
@@ -161,35 +178,40 @@ def fit_files(rig_path, scans, values, *, inputs=()):
 
     stopped = None
     try:
-        with _terminable():
+        with terminable():
             _fit(fitter, todo, values, on_result, progress)
     except BaseException as reason:  # noqa: BLE001 (raised again below, once the summary is safe)
         stopped = reason
     finally:
         progress.close()
-    counts = {s: sum(e["status"] == s for e in entries.values()) for s in ("ok", "skipped", "failed")}
+    counts = counts_of(entries)
     if entries:
-        summary = {
-            "rig": {"path": str(rig_path), "name": rig.name, "digest": rig.digest, "parts": rig.parts, "notes": rig.notes},
-            "scans": [entries[f.name] for f in files if f.name in entries],
-            "not_done": [f.name for f in files if f.name not in entries],
-            "counts": counts,
-            "stopped": stopped is not None,
-            "seconds": round(time.perf_counter() - started, 3),
-            "seed": values["seed"],
-            "settings": values,
-            "versions": _versions(),
-        }
-        _write_summary(out / outputs.SUMMARY, summary)
+        facts = {"started": started, "stopped": stopped is not None, "model": model}
+        write_summary(out, rig_path, rig, files, entries, values, **facts)
     if stopped is not None and not isinstance(stopped, KeyboardInterrupt):
         raise stopped
     return _farewell(counts, len(files), out, stopped)
 
 
-def _fitter(rig, values):
+def _fitter(rig_path, values, given):
+    """The fitter, and what the summary says about the model; None of a rig."""
+    if is_model(rig_path):
+        fitter = load_model(rig_path, values, given)
+        _say_notes(fitter.rig)
+        model = about_model(rig_path) | {"subject": values["subject"]}
+        say(f"{rig_path} is {model_in_words(model)}")
+        return fitter, model
     from ..learning.fitter import LBSFitter
     from ..synthesis import make_settings
 
+    rig = load_rig_with(rig_path, values)
+    if values["subject"] is not None:
+        raise InputError(
+            "--subject",
+            f"{brief(values['subject'])} with {rig_path}, which is a rig",
+            "a model that lbsfit learn has written, which knows subjects",
+            "Leave it out, or name a model.",
+        )
     make_settings(values["training"])
     fitter = LBSFitter(
         rig,
@@ -208,17 +230,16 @@ def _fitter(rig, values):
         segmenter = Segmenter.load(values["segmenter"])
         segmenter.check_rig(rig)
         fitter.segmenter_ = segmenter
-    return fitter
+    return fitter, None
 
 
 def _fit(fitter, todo, values, on_result, progress):
     from ..io.scans import load_scan
     from ..learning.batch import fit_scans
 
-    load = {"n_samples": values["samples"], "random_state": values["seed"], "drop_invalid": values["drop_invalid"]}
     fit_scans(
         fitter,
-        [functools.partial(load_scan, f.source, **load) for f in todo],
+        [functools.partial(load_scan, f.source, **scan_options(values)) for f in todo],
         jobs=values["jobs"],
         finish=outputs.Writer(fitter.rig, todo),
         on_result=on_result,
@@ -250,46 +271,16 @@ def _kept(files, rig):
     return kept
 
 
-def _write_summary(path, summary):
-    from ..io.write import write_json
-
-    write_json(path, summary)
-
-
-def _versions():
-    from importlib.metadata import version
-
-    from .. import __version__
-
-    libraries = ("numpy", "scipy", "scikit-learn", "trimesh")
-    return {"lbsfit_np": __version__, "python": platform.python_version(), **{name: version(name) for name in libraries}}
-
-
 def _farewell(counts, n, out, stopped):
     done = counts["ok"] + counts["skipped"]
     if stopped is not None:
         rest = "; the same command with --existing skip does the rest" if done else ""
         say(f"stopped: {done} of {n} scans are fitted and kept in {out}{rest}" if done else "stopped before a scan was fitted")
-        return 143 if isinstance(stopped, _Terminated) else 130
+        return exit_code(stopped)
     say(f"{done} of {n} scans fitted" + (f", {counts['failed']} failed" if counts["failed"] else "") + f"; results in {out}")
     return 1 if counts["failed"] else 0
 
 
-class _Terminated(KeyboardInterrupt):
-    """SIGTERM, handled as Ctrl-C is."""
-
-
-@contextmanager
-def _terminable():
-    def terminate(signum, frame):
-        raise _Terminated
-
-    try:
-        before = signal.signal(signal.SIGTERM, terminate)
-    except ValueError:  # not the main thread: signals are somebody else's
-        yield
-        return
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
+def _say_notes(rig):
+    for note in rig.notes:
+        say(f"note: {rig.name}: {note}")

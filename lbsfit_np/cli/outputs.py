@@ -7,7 +7,19 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, listed
 
-__all__ = ["SUMMARY", "ScanFiles", "Writer", "check_outputs", "entry", "fitted_entry", "make_folder", "plan", "same_file"]
+__all__ = [
+    "SUMMARY",
+    "ScanFiles",
+    "Writer",
+    "check_file",
+    "check_outputs",
+    "check_sources",
+    "entry",
+    "fitted_entry",
+    "make_folder",
+    "plan",
+    "same_file",
+]
 
 SUMMARY = "summary.json"
 
@@ -39,7 +51,7 @@ class ScanFiles:
         return {"fit": self.fit, "mesh": self.mesh, "labels": self.labels}
 
 
-def plan(sources, out, *, inputs, existing):
+def plan(sources, out, *, inputs, existing, argument="-o"):
     """The files of every scan, after all that can go wrong with their names has been ruled out.
 
     Parameters
@@ -51,6 +63,8 @@ def plan(sources, out, *, inputs, existing):
     inputs : list of str
         Other files that are read, and so never written.
     existing : {"error", "skip", "replace"}
+    argument : str, default "-o"
+        The option that gave ``out``.
 
     Returns
     -------
@@ -61,40 +75,50 @@ def plan(sources, out, *, inputs, existing):
     InputError, FileError
         Scans that do not exist, names that clash, outputs that are inputs or folders, outputs that exist already.
     """
-    _check_sources(sources)
+    check_sources(sources)
     out = Path(out)
     files = []
     for source in sources:
         name = Path(source).stem
         files.append(ScanFiles(source, name, out / f"{name}.fit.npz", out / f"{name}.mesh.ply", out / f"{name}.labels.ply"))
     _check_clashes(files, out)
-    check_outputs(
-        [path for f in files for path in f.paths.values()] + [out / SUMMARY], out, inputs=[*sources, *inputs], existing=existing
-    )
+    paths = [path for f in files for path in f.paths.values()] + [out / SUMMARY]
+    check_outputs(paths, out, inputs=[*sources, *inputs], existing=existing, argument=argument)
     return files
 
 
-def check_outputs(paths, out, *, inputs, existing):
+def check_outputs(paths, out, *, inputs, existing, argument="-o"):
     """Raise where files to write have names that are too long, are inputs, folders, or, with ``existing="error"``, there."""
     if os.path.exists(out) and not os.path.isdir(out):
         raise FileError(str(out), "a file", "a folder to write to, or a name for a new one")
     for path in paths:
-        if len(os.fsencode(path.name) if os.name == "posix" else path.name) > _LONGEST_NAME:
-            raise FileError(str(path), "a name that is too long for a file", f"at most {_LONGEST_NAME} bytes", "Rename the scan.")
+        _check_length(path, "Rename the scan.")
         for source in inputs:
             if same_file(path, source):
                 remedy = "An input is never overwritten: choose another folder."
-                raise InputError("-o", f"{out}, where {path.name} is an input ({source})", "a folder for the results", remedy)
+                raise InputError(argument, f"{out}, where {path.name} is an input ({source})", "a folder for the results", remedy)
         if os.path.isdir(path):
             raise FileError(str(path), "a folder", "the name of a file to write")
     there = [path for path in paths if os.path.lexists(path)]
     if there and existing == "error":
         raise InputError(
-            "-o",
+            argument,
             f"{out}, where {listed([path.name for path in there], 5)} exist{'s' if len(there) == 1 else ''} already",
             "a folder without results of these names",
             "Choose another folder, or --existing replace; lbsfit fit also has --existing skip, which keeps finished fits.",
         )
+
+
+def check_file(path, *, inputs, existing):
+    """Raise where one file to write is a folder, there with ``existing="error"``, or an input: pairs (path, what it is)."""
+    for source, what in inputs:
+        if same_file(path, source):
+            raise InputError("-o/--output", f"{path}, which is {what}", "another name", "An input is never overwritten.")
+    if os.path.isdir(path):
+        raise FileError(str(path), "a folder", "the name of a file to write")
+    _check_length(Path(path), "Choose a shorter one.")
+    if os.path.lexists(path) and existing == "error":
+        raise FileError(str(path), "a file that exists already", "a new name", "Choose another, or --existing replace.")
 
 
 def make_folder(out):
@@ -181,18 +205,24 @@ def fitted_entry(files, result, *, status="ok", notes=()):
     )
 
 
-def _check_sources(sources):
+def check_sources(sources):
+    """Raise where scans do not exist or are folders."""
     missing = [s for s in sources if not os.path.exists(s)]
     if missing:
         what = "a file that does not exist" if len(missing) == 1 else f"{len(missing)} files that do not exist"
         raise InputError(
-            "SCAN", f"{what}: {listed(missing, 5)}", "scan files that exist", "Check the paths; nothing has been fitted."
+            "SCAN", f"{what}: {listed(missing, 5)}", "scan files that exist", "Check the paths; nothing has been done."
         )
     folders = [s for s in sources if os.path.isdir(s)]
     if folders:
         raise InputError(
             "SCAN", f"a folder: {listed(folders, 5)}", "scan files", f"Name the files in it, such as {folders[0]}/*.ply"
         )
+
+
+def _check_length(path, remedy):
+    if len(os.fsencode(path.name) if os.name == "posix" else path.name) > _LONGEST_NAME:
+        raise FileError(str(path), "a name that is too long for a file", f"at most {_LONGEST_NAME} bytes", remedy)
 
 
 def _check_clashes(files, out):

@@ -9,9 +9,10 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, brief
 
-__all__ = ["Option", "Parser", "add_options", "formatter", "natural", "positive", "settings"]
+__all__ = ["Option", "Parser", "add_options", "amount", "chosen", "formatter", "natural", "positive", "settings", "share"]
 
 _LARGEST = 2**63 - 1  # what arrays can count
+_LARGEST_SHARE = 0.9
 
 
 class Parser(argparse.ArgumentParser):
@@ -38,6 +39,27 @@ def positive(text):
 def natural(text):
     """A whole number of at least 0, from text."""
     return _whole(text, 0)
+
+
+def amount(text):
+    """A finite number of at least 0, from text."""
+    return _number(text, math.inf)
+
+
+def share(text):
+    """A number from 0 to 0.9, from text."""
+    return _number(text, _LARGEST_SHARE)
+
+
+def _number(text, most):
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not (0 <= value <= most and math.isfinite(value)):
+        bounds = "of at least 0" if most == math.inf else f"from 0 to {most:g}"
+        raise argparse.ArgumentTypeError(f"got {brief(text)}; expected a number {bounds}")
+    return value
 
 
 def _whole(text, least):
@@ -128,6 +150,11 @@ def settings(arguments, options, config=None):
     InputError
         A text is empty.
     """
+    return {o.key: o.default for o in options} | chosen(arguments, options, config)
+
+
+def chosen(arguments, options, config=None):
+    """As :func:`settings`, but only the options that the command line or the configuration file gives."""
     given = {o.key: getattr(arguments, o.key) for o in options if hasattr(arguments, o.key)}
     for option in options:
         if option.table and option.key in given:
@@ -136,7 +163,7 @@ def settings(arguments, options, config=None):
             flags = "/".join([*([option.flag] if option.flag else []), f"--{option.name}"])
             raise InputError(flags, "an empty text", f"{option.metavar} ({option.help})")
     from_file = {} if config is None else _read_config(config, options)
-    return {o.key: given.get(o.key, from_file.get(o.key, o.default)) for o in options}
+    return from_file | given
 
 
 def _help(option):
@@ -210,8 +237,9 @@ def _checked(value, option, path):
         if not isinstance(value, str) or not value:
             raise FileError(str(path), f"{option.name} = {brief(value)}", "text in quotes")
         return str(Path(path).parent / value) if option.is_path and value != "none" else value
-    if type(value) is not int or not _is_finite(value):
-        raise FileError(str(path), f"{option.name} = {brief(value)}", "a whole number")
+    whole = option.kind in (natural, positive)
+    if type(value) not in ((int,) if whole else (int, float)) or not _is_finite(value):
+        raise FileError(str(path), f"{option.name} = {brief(value)}", "a whole number" if whole else "a number")
     try:
         return option.kind(str(value))
     except argparse.ArgumentTypeError as error:

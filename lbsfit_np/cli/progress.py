@@ -1,8 +1,18 @@
 """Progress for people: a bar on a terminal, plain lines elsewhere."""
 
 import sys
+import time
 
-__all__ = ["Progress", "say"]
+__all__ = ["LearningProgress", "Progress", "say", "span"]
+
+# What the stages of LBSFitter.fit do, in words; others are called by their names.
+_STAGES = {
+    "pretraining": "training the segmenter on synthetic scans of the rig; it is kept for the next time",
+    "first fits": "fitting each scan by itself",
+    "templates": "templates of the subjects",
+    "segmenter": "training the segmenter on scans like these",
+    "labels": "labels of the scans",
+}
 
 
 def say(text):
@@ -71,6 +81,97 @@ class Progress:
         if self._bar is not None:
             self._bar.close()
             self._bar = None
+
+
+class LearningProgress:
+    """Shows how learning goes on: the ``progress`` of ``LBSFitter.fit``, and failures of single scans.
+
+    Parameters
+    ----------
+    rounds : int
+        At most.
+    terminal : bool, optional
+        As for :class:`Progress`.
+    clock : callable, optional
+        Seconds, for tests.
+    """
+
+    def __init__(self, rounds, terminal=None, clock=time.monotonic):
+        self.rounds, self.round = rounds, 0
+        self.terminal = sys.stderr.isatty() if terminal is None else terminal
+        self._clock = clock
+        self._stage, self._bar = None, None
+        self._began, self._took = None, []
+
+    def __call__(self, stage, share, figures=None):
+        """``stage`` is done to ``share``; ``figures`` at the end of a round."""
+        if figures is not None:
+            self._end_of_round(figures)
+            return
+        if stage != self._stage:
+            self._begin(stage)
+        if self._bar is not None:
+            self._bar.set_postfix_str(self._left_in_words(), refresh=False)
+            self._bar.update(100 * share - self._bar.n)
+
+    def failed(self, name, message):
+        """A scan that cannot be used."""
+        self.close()
+        print(f"{name}: failed: {message}", file=sys.stderr, flush=True)
+
+    def close(self):
+        """Leave the terminal in order."""
+        if self._bar is not None:
+            self._bar.close()
+        self._bar, self._stage = None, None
+
+    def _begin(self, stage):
+        self.close()
+        self._stage = stage
+        words = _STAGES.get(stage, stage)
+        if stage in ("results", "smoothing"):
+            self.round = 0  # all rounds are over, perhaps before their number
+        if self.round:
+            words = f"round {self.round} of at most {self.rounds}: {words}"
+        if self.terminal:
+            form = "{desc} {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
+            self._bar = _bar(total=100, leave=False, desc=words, bar_format=form, postfix=self._left_in_words())
+        else:
+            print(words, flush=True)
+
+    def _end_of_round(self, figures):
+        self.close()
+        now, k = self._clock(), figures["round"]
+        if k:
+            self._took.append(now - self._began)
+        self._began, self.round = now, k + 1
+        recon = f"recon {figures['recon']:.4f} on the scans learned from"
+        if figures["recon_held_out"] is not None:
+            recon += f", {figures['recon_held_out']:.4f} on those held out"
+        words = [recon]
+        if "new_starts_won" in figures:
+            n = figures["new_starts_won"]
+            words.append(f"a new start won for {n} scan{'' if n == 1 else 's'}")
+        words.append(f"took {span(figures['seconds'])}")
+        if k < self.rounds and self._took:
+            words.append(self._left_in_words())
+        name = f"round {k} of at most {self.rounds}" if k else "each scan by itself"
+        print(f"{name}: {'; '.join(words)}", file=sys.stderr if self.terminal else sys.stdout, flush=True)
+
+    def _left_in_words(self):
+        """How long it is until the last round would end, once one has shown how long they take; rounds may end before."""
+        if not self._took or not self.round:
+            return ""
+        mean = sum(self._took) / len(self._took)
+        left = (self.rounds - self.round + 1) * mean - (self._clock() - self._began)
+        return f"at most about {span(max(left, 0))} left"
+
+
+def span(seconds):
+    """A length of time in words."""
+    if seconds < 100:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 100 * 60 else f"{seconds / 3600:.1f} h"
 
 
 def _bar(**options):

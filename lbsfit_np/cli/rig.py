@@ -1,11 +1,9 @@
 """``lbsfit rig``: look at a rig, write a card for it, list the rigs that come with the package."""
 
-import os
-from pathlib import Path
-
-from ..errors import FileError, InputError
+from ..errors import InputError
 from .fit import RIG_OPTIONS, load_rig_with
-from .outputs import same_file
+from .models import about_model, model_in_words
+from .outputs import check_file
 from .parsing import Option, add_options, formatter, settings
 
 __all__ = ["add_parser"]
@@ -38,7 +36,8 @@ def add_parser(commands):
         epilog="example:\n  lbsfit rig show body.glb --card body.toml --degrees\n",
         formatter_class=formatter,
     )
-    show.add_argument("file", metavar="FILE", help="a rig file (.npz .glb .gltf .pkl), or a bundled rig, see: lbsfit rig list")
+    rigs = "a rig file (.npz .glb .gltf .pkl), a bundled rig (see: lbsfit rig list), or a model that lbsfit learn has written"
+    show.add_argument("file", metavar="FILE", help=rigs)
     add_options(show, _SHOW_OPTIONS)
     show.set_defaults(run=_show)
 
@@ -68,6 +67,9 @@ def _show(arguments):
 
     values = settings(arguments, _SHOW_OPTIONS)
     print(describe(load_rig_with(arguments.file, values, quiet=True), degrees=values["degrees"]), end="")
+    model = about_model(arguments.file)
+    if model is not None:
+        print(f"The file is {model_in_words(model)}.")
     return 0
 
 
@@ -79,12 +81,7 @@ def _card(arguments):
     path = values["output"]
     if path is None:
         raise InputError("-o/--output", "nothing", "the card to write", "Add -o CARD.")
-    if same_file(path, arguments.file):
-        raise InputError("-o/--output", f"{path}, which is the rig itself", "another name", "An input is never overwritten.")
-    if Path(path).is_dir():
-        raise FileError(path, "a folder", "the name of a card to write")
-    if os.path.lexists(path) and values["existing"] == "error":
-        raise FileError(path, "a file that exists already", "a new name", "Choose another, or --existing replace.")
+    check_file(path, inputs=[(arguments.file, "the rig itself")], existing=values["existing"])
     write_card(rig_for_card(arguments.file, shape=values["shape"], skin=values["skin"]), path)
     print(f"{path} written; edit it, and pass it with --card {path}")
     return 0

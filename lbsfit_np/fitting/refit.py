@@ -55,7 +55,8 @@ class Refit:
         proba : (n, n_parts) array, optional
             Probabilities of the parts; they give one more start.
         labels_known : bool, default False
-            The probabilities are known labels: their start is the only one, and it goes on by them.
+            The probabilities are known labels, which the steps go by: from the first start alone, or from the one that the
+            labels give where there is no other.
 
         Returns
         -------
@@ -66,13 +67,15 @@ class Refit:
             Row of the start that won: states, then poses, then the one from parts.
         """
         starts = [self._mine(s) for s in states] + [self._placed(problem, theta) for theta in poses]
-        few = _thinned(problem)
+        if labels_known:
+            start = starts[0] if starts else self._from_parts(problem, proba, True)
+            labels = proba.argmax(axis=1)
+            state, _ = self._far.pose(problem, start, free=self.free, labels=labels, iterations=_FAR_STEPS)
+            state, _ = self._near.pose(problem, state, free=self.free, labels=labels, iterations=_NEAR_STEPS)
+            return state, self._chamfer(problem, state), 0
         if proba is not None:
-            starts.append(self._from_parts(problem, proba, labels_known))
-            if labels_known:
-                labels = proba.argmax(axis=1)
-                state, _ = self._near.pose(problem, starts[-1], free=self.free, labels=labels, iterations=_NEAR_STEPS)
-                return state, self._chamfer(problem, state), len(starts) - 1
+            starts.append(self._from_parts(problem, proba, False))
+        few = _thinned(problem)
         near = [self._far.pose(few, s, free=self.free, iterations=_FAR_STEPS)[0] for s in starts]
         order = np.argsort([self._chamfer(few, s) for s in near], kind="stable")[:_SURVIVORS]
         ends = [self._near.pose(problem, near[k], free=self.free, iterations=_NEAR_STEPS)[0] for k in order]

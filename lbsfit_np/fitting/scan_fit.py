@@ -36,8 +36,12 @@ class FitSettings:
         converged.
     refinements : tuple of float
         σ of each refinement of the labels, each followed by a pose stage.
+    polish : int
+        Levenberg–Marquardt steps on pose and proportions before the full stage; 0 leaves them out.
+    polish_ridge : float
+        Weight of ‖c‖² in them.
     ridge : float
-        Weight of ‖c‖² on the bones' proportions.
+        Weight of ‖c‖² on the bones' proportions in the L-BFGS stages.
     doubt : float
         Points whose label is less probable than this take no part in the structured term while labels are refined.
     """
@@ -47,9 +51,11 @@ class FitSettings:
     max_points: int = 2500
     pose_iterations: int = 40
     plain_iterations: int = 100
-    full_iterations: int = 100
+    full_iterations: int = 40
     full_tolerance: float = 4e-4
     refinements: tuple = (0.15, 0.1, 0.07, 0.05, 0.035, 0.025)
+    polish: int = 12
+    polish_ridge: float = 3e-5
     ridge: float = 1e-3
     doubt: float = 0.8
 

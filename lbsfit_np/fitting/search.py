@@ -1,8 +1,9 @@
-"""The search for one scan's pose, stage by stage: parts to their centroids, labels, closer labels, the full objective."""
+"""The search for one scan's pose, stage by stage: parts to their centroids, labels, closer labels, surface, the full objective."""
 
 import numpy as np
 
 from ..losses.objective import LossWeights
+from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..starts.parts import start_from_parts
 from .labels import refined_labels
@@ -58,7 +59,7 @@ class Search:
                 max_iterations=self.settings.plain_iterations,
                 tolerance=self.settings.full_tolerance,
             ).state
-        return state
+        return self._polished(state)
 
     def full(self, state, free=None):
         """The full objective, from where the pose stages ended; returns self."""
@@ -83,6 +84,15 @@ class Search:
             start = start_from_parts(model, X, self.proba, x_weights=a, state=given, free=("translation",))
         self.evaluations += start.evaluations
         return self._minimise(start.state, _STRUCTURED, ("pose", "translation"), model).state
+
+    def _polished(self, state):
+        """Levenberg–Marquardt on pose and proportions: exact where L-BFGS on the Chamfer distance creeps."""
+        if not self.settings.polish or not len(self.model.rig.faces):
+            return state
+        steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02)
+        labels = [self.labels] if self.labels_known else None
+        states, _ = steps.shared([self.problem], [state], labels=labels, iterations=self.settings.polish)
+        return states[0]
 
     def _relabel(self, state, sigma):
         """Labels by the segmenter's word and the distance to the parts as they stand."""

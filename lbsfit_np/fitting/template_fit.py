@@ -13,10 +13,6 @@ from .search import Search
 
 __all__ = ["TemplateFit"]
 
-# A learned template leaves little to a scan's own residual, and what is little had better be smooth: measured on subjects with
-# known truth, the weight that a scan by itself needs lets vertices slide (vertex error 0.0161 against 0.0130 before).
-_FIRM = 100.0
-
 
 class TemplateFit:
     """Fits on one subject's template.
@@ -67,8 +63,6 @@ class TemplateFit:
         model, settings = self.model, self.settings
         n_parts = len(self.rig.parts)
         weights = settings.weights if proba is not None else settings.weights.replace(lam_s=0.0)
-        if weights.laplacian == "offsets":
-            weights = weights.replace(lam_lap=_FIRM * weights.lam_lap)
         settings = replace(settings, weights=weights)
         given = np.full((len(rows), n_parts), 1.0 / n_parts) if proba is None else proba
         search = Search(model, problem, given, labels_known is not None, settings)

@@ -46,7 +46,8 @@ def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=No
     Parameters
     ----------
     fitter : LBSFitter
-        Where it has no segmenter yet, it is pretrained once, here, as soon as a scan has been read that can be fitted.
+        Where it has no segmenter yet and has not learned, it is pretrained once, here, as soon as a scan has been read that
+        can be fitted.
     scans : iterable
         Of each scan the (n, 3) points, the Scan, or a callable without arguments that returns one of these, such as
         ``functools.partial(load_scan, path)``. Callables are called where the scan is fitted; their errors are failures of
@@ -99,8 +100,8 @@ def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=No
 
 def _pretrained(fitter, scans, report, pretrain):
     """Pretrain the fitter where it wants that; returns the scan, by index, that was read to see that this is worth while."""
-    if getattr(fitter, "segmenter_", None) is not None:
-        return {}
+    if getattr(fitter, "segmenter_", None) is not None or getattr(fitter, "template_", None) is not None:
+        return {}  # what was learned without labels wants no segmenter
     for i, source in enumerate(scans):
         started = time.perf_counter()
         try:

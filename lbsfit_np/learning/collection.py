@@ -31,6 +31,8 @@ class Member:
         Origin of the normalised frame.
     subject : object
         Its subject's id.
+    name : str
+        What errors call it: the index, and the file where it came from one.
     held_out : bool
         Left out of learning, to tell when to stop.
     """
@@ -41,6 +43,7 @@ class Member:
     centre: np.ndarray
     subject: object
     unit: float = 1.0
+    name: str = ""
     held_out: bool = False
     problem: Problem = None
     proba: np.ndarray = None
@@ -120,7 +123,8 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     collection = Collection(len(scans))
     for i, (source, subject) in enumerate(zip(scans, subjects)):
         try:
-            points = check_points(source() if callable(source) else source, minimum=len(rig.parts))
+            scan = source() if callable(source) else source
+            points = check_points(scan, minimum=len(rig.parts))
             rows = np.arange(len(points))
             if len(points) > max_points:
                 rows = np.sort(generator(random_state, "thin", i).choice(len(points), max_points, replace=False))
@@ -128,7 +132,9 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
         except LbsfitError as error:
             collection.failures[i] = str(error)
             continue
-        member = Member(i, points, rows, points[rows].mean(axis=0), subject, reference.scale)
+        path = getattr(scan, "path", None)
+        name = f"{i}" if path is None else f"{i} ({path})"
+        member = Member(i, points, rows, points[rows].mean(axis=0), subject, reference.scale, name=name)
         collection.members.append(member)
     if not collection.members:
         first = next(iter(collection.failures.values()))
@@ -144,7 +150,7 @@ def _check_units(collection, scale):
     middle = np.median(extents)
     odd = np.flatnonzero((extents > _ONE_UNIT * middle) | (extents < middle / _ONE_UNIT))
     if len(odd):
-        at = ", ".join(str(collection.members[i].index) for i in odd[:5])
+        at = ", ".join(collection.members[i].name for i in odd[:5])
         raise InputError(
             "scans",
             f"different units: scan {at} {'has' if len(odd) == 1 else 'have'} an extent of {extents[odd[0]]:.3g}, "
@@ -167,7 +173,7 @@ def _hold_out(collection, share, random_state):
             "scans",
             f"{len(members)} that can be used",
             f"at least {count + 2}, so that {count} can be left out to tell when to stop",
-            "Give more scans, or pass held_out=0 to learn from all for a fixed number of rounds.",
+            "Give more scans, or pass held_out=0 (--held-out 0) to learn from all for a fixed number of rounds.",
         )
     order = generator(random_state, "held out").permutation(len(members))
     # Each subject keeps two scans at least as long as that is possible: its template needs them.

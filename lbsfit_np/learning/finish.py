@@ -91,11 +91,15 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights):
         fit = fitter._template_fit(subject)
         if unit is not learned:
             fit.refit.free = ("pose", "translation", "scale")
-        if theta0 is not None:
+        known = labels is not None
+        if theta0 is not None:  # the one start, in place of all others
             poses = [theta0]
+        elif known:
+            poses = []
         else:
             poses = [fitter.regressor_.regress(problem.X), *fitter.regressor_.nearest(problem.X, _NEIGHBOURS)]
-        state, loss, _ = fit.refit(problem, poses=poses, proba=proba, labels_known=labels is not None)
+        parts = proba if known or theta0 is None else None
+        state, loss, _ = fit.refit(problem, poses=poses, proba=parts, labels_known=known)
         if best is None or loss < best[0]:
             best = loss, subject, fit, problem, state, proba, unit
     _, subject, fit, problem, state, proba, unit = best

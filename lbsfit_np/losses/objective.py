@@ -55,7 +55,7 @@ class LossWeights:
 
 PRESETS = {
     "paper": LossWeights(),
-    "default": LossWeights(lam=0.1, lam_s=0.3, lam_lap=1e-2, laplacian="offsets", squared=True),
+    "default": LossWeights(lam=0.1, lam_s=0.3, lam_lap=0.3, laplacian="offsets", squared=True),
 }
 
 

@@ -83,7 +83,7 @@ def closest_on_mesh(queries, nearest, vertices, faces, around):
     away = U * U * d11 + V * V * d22 + 2 * (U * V * d12 - U * q1 - V * q2) + _dot(d, d)
     away[0, ~inside] = np.inf
     n, k = len(queries), around.shape[1]
-    best = away.transpose(1, 0, 2).reshape(n, -1).argmin(axis=1)
+    best = away.transpose(1, 0, 2).reshape(n, 4 * k).argmin(axis=1)
     kind, which = best // k, best % k
     row = np.arange(n)
     bu, bv = U[kind, row, which], V[kind, row, which]

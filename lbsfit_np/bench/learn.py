@@ -1,0 +1,246 @@
+"""Learning from a collection: the loop and its ablations on subjects with known truth, against scans fitted one by one.
+
+Three changed shapes of a rig, the same number of scans of each, and as many again that nobody learns from, on which the
+segmenter's labels are judged.
+"""
+
+import time
+from dataclasses import asdict
+
+import numpy as np
+
+from ..errors import InputError
+from ..seeds import generator
+from ..skinning import skin
+from ..synthesis import synthesize_one, uniform_poses
+from . import body, hand
+from .environment import environment
+from .measure import joint_error, label_accuracy, vertex_error
+from .run import TRAINING_SEED
+from .subjects import subject
+
+__all__ = ["COLLECTIONS", "MEASURES", "VARIANT_ROWS", "collection", "learn_bench", "learn_table", "touching_pose"]
+
+COLLECTIONS = ("hand", "body")
+N_SUBJECTS = 3
+VARIANT_ROWS = ("joint", "pose-only", "rand", "cd", "free-form")
+MEASURES = {
+    "joint_error": "joints",
+    "joint_error_median": "median",
+    "vertex_error": "vertices",
+    "template_gap": "template gap",
+    "label_error": "label error, held out",
+    "seconds": "s in all",
+}
+# How far apart the middles of two fingertips are that touch, in half sizes of the hand.
+_TOUCH = 0.13
+_TRIES = 30
+
+
+def collection(name, data, n_scans, *, seed):
+    """The scans of a benchmark, those for judging labels, and the truth.
+
+    Hand: a third of the poses uniform, a third natural ± 0.1 rad, a third with fingers that touch; the root turned up to
+    ±0.6 rad an axis. Body: poses from motion, facing the rig's way.
+
+    Parameters
+    ----------
+    name : {"hand", "body"}
+    data : path-like
+    n_scans : int
+        Of all subjects together, to learn from; a third as many more for the labels.
+    seed : int
+
+    Returns
+    -------
+    rig : Rig
+    scans : list of SyntheticScan
+    subjects : list of int
+    others : list of SyntheticScan
+    """
+    rig = hand.hand_rig(data) if name == "hand" else body.body_rig(data).welded
+    settings = hand.SCAN if name == "hand" else body.SCAN
+    templates = [subject(rig, generator(seed, "learn subject", k)) for k in range(N_SUBJECTS)]
+    poses = _hand_poses(rig, data) if name == "hand" else _body_poses(rig, data, seed, n_scans + n_scans // 3)
+    scans = []
+    for i in range(n_scans + n_scans // 3):
+        rng = generator(seed, "learn scan", i)
+        scans.append(synthesize_one(rig, poses(i, rng), templates[i % N_SUBJECTS], settings, rng))
+    return rig, scans[:n_scans], [i % N_SUBJECTS for i in range(n_scans)], scans[n_scans:]
+
+
+def _hand_poses(rig, data):
+    natural = hand.natural_poses(rig, data)
+    turning = rig.upper > rig.lower
+
+    def pose(i, rng):
+        kind = i // N_SUBJECTS % 3
+        if kind == 0:
+            theta = uniform_poses(rig, 1, rng)[0]
+        elif kind == 1:
+            theta = natural[rng.integers(len(natural))] + 0.1 * rng.uniform(-1, 1, rig.lower.shape) * turning
+        else:
+            theta = touching_pose(rig, natural, rng)
+        theta[rig.root] = rng.uniform(-0.6, 0.6, 3)
+        return theta
+
+    return pose
+
+
+def _body_poses(rig, data, seed, n):
+    from pathlib import Path
+
+    from ..io.bvh import read_bvh
+    from .retarget import bvh_thetas
+
+    motion = read_bvh(Path(data) / "motion" / "01_01.bvh")
+    frames = generator(seed, "learn frames").choice(np.arange(1, len(motion.rotations)), n, replace=False)
+    thetas = bvh_thetas(rig, motion, [int(f) for f in frames], face_forward=True)
+    return lambda i, rng: thetas[i]
+
+
+def touching_pose(rig, natural, rng):
+    """A pose between two natural ones in which two ends of limbs all but touch: the closest of some tries.
+
+    Parameters
+    ----------
+    rig : Rig
+    natural : (k, J, 3) array
+    rng : numpy.random.Generator
+
+    Returns
+    -------
+    (J, 3) array
+    """
+    moving = np.flatnonzero(rig.moving)
+    ends = [j for j in moving if not any(rig.parents[c] == j for c in moving)]
+    skins = [rig.weights[:, [j]].toarray().ravel() > 0.5 for j in ends]
+    best = np.inf, None
+    for _ in range(_TRIES):
+        a, b = natural[rng.integers(len(natural), size=2)]
+        t = rng.random()
+        theta = (1 - t) * a + t * b + 0.25 * rng.uniform(-1, 1, rig.lower.shape) * (rig.upper > rig.lower)
+        theta = np.clip(theta, rig.lower, rig.upper)
+        theta[rig.root] = 0.0
+        V = skin(rig, theta).vertices / (rig.size / 2)
+        tips = np.array([V[rows].mean(axis=0) for rows in skins if rows.any()])
+        apart = np.linalg.norm(tips[:, None] - tips, axis=2)[np.triu_indices(len(tips), 1)].min()
+        best = min(best, (abs(apart - _TOUCH), theta), key=lambda found: found[0])
+    return best[1]
+
+
+def learn_bench(
+    name, data, *, n_scans=60, seeds=(100, 101, 102), variants=VARIANT_ROWS[:4], training_scans=4000, jobs=1, progress=None, on_row=None
+):
+    """Learn from the collections with each variant, and compare with the truth.
+
+    Parameters
+    ----------
+    name : {"hand", "body"}
+    data : path-like
+    n_scans : int, default 60
+    seeds : sequence of int
+        Of the collections; what is trained has its own.
+    variants : sequence of str
+        Of ``VARIANT_ROWS``.
+    training_scans : int, default 4000
+    jobs : int, default 1
+    progress : callable (variant, seed, stage, share), optional
+    on_row : callable (report, variant, seed), optional
+        After each variant of each seed, with the report so far.
+
+    Returns
+    -------
+    dict
+        Plain data for JSON. Lengths in half sizes of the rig (hand) or cm (body).
+    """
+    from sklearn.base import clone
+
+    from ..learning.fitter import LBSFitter
+
+    seeds = [int(s) for s in seeds]
+    if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
+        raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
+    if not variants or not set(variants) <= set(VARIANT_ROWS):
+        raise InputError("variants", repr(variants), f"some of {', '.join(VARIANT_ROWS)}")
+    rig = collection(name, data, 3, seed=seeds[0])[0]
+    fitter = LBSFitter(rig, training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
+    fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress("all", "–", "pretraining", p))
+    first = fitter.segmenter_
+    report = {
+        "benchmark": f"learn {name}",
+        "complete": False,
+        "unit": "half size" if name == "hand" else "cm",
+        "settings": {"n_scans": n_scans, "subjects": N_SUBJECTS, "training_scans": training_scans, "jobs": jobs},
+        "test_scans": asdict(hand.SCAN if name == "hand" else body.SCAN),
+        "environment": environment(),
+        "rows": {},
+    }
+    unit = rig.size / 2 if name == "hand" else 0.01
+    for seed in seeds:
+        _, scans, subjects, others = collection(name, data, n_scans, seed=seed)
+        before = {"template_gap": _gap({s: rig for s in set(subjects)}, scans, subjects) / unit, "label_error": _wrong(first, others)}
+        report["rows"].setdefault("before", {})[str(seed)] = before
+        for variant in variants:
+            one = clone(fitter).set_params(variant=variant)
+            one._pretrained = first
+            say = None
+            if progress is not None:
+                say = lambda stage, share, figures=None, v=variant, s=seed: progress(v, s, stage, share)  # noqa: E731
+            started = time.perf_counter()
+            one.fit([scan.points for scan in scans], subjects, progress=say)
+            seconds = time.perf_counter() - started
+            entry = _measured(rig, one, scans, subjects, others, unit) | {"seconds": seconds, "history": one.history_}
+            report["rows"].setdefault(variant, {})[str(seed)] = entry
+            if on_row is not None:
+                on_row(report, variant, seed)
+    report["complete"] = True
+    return report
+
+
+def _measured(rig, fitter, scans, subjects, others, unit):
+    joints = [joint_error(r.joints, s.joints, rig.moving) / unit for r, s in zip(fitter.results_, scans, strict=True)]
+    vertices = [vertex_error(r.vertices, s.vertices) / unit for r, s in zip(fitter.results_, scans, strict=True)]
+    out = {
+        "joint_error": float(np.mean(joints)),
+        "joint_error_median": float(np.median(joints)),
+        "vertex_error": float(np.mean(vertices)),
+        "joints": joints,
+        "vertices": vertices,
+        "template_gap": _gap(fitter.template_, scans, subjects) / unit,
+    }
+    if fitter.segmenter_ is not None:
+        out["label_error"] = _wrong(fitter.segmenter_, others)
+    return out
+
+
+def _gap(templates, scans, subjects):
+    """Mean ‖U^d − U^gt‖ over vertices and subjects, in rig units."""
+    truth = dict(zip(subjects, scans))
+    return float(np.mean([vertex_error(templates[s].vertices, scan.template) for s, scan in truth.items()]))
+
+
+def _wrong(segmenter, scans):
+    """Share of the points with a wrong label."""
+    return float(np.mean([1.0 - label_accuracy(segmenter.predict(scan.points), scan.labels) for scan in scans]))
+
+
+def learn_table(report, *, markdown=False):
+    """Means over the seeds of a report of :func:`learn_bench`, one row a variant."""
+    from .table import layout
+
+    rows = [("", *MEASURES.values())]
+    for variant, seeds in report["rows"].items():
+        cells = []
+        for measure in MEASURES:
+            values = [entry[measure] for entry in seeds.values() if measure in entry]
+            style = ".0f" if measure == "seconds" else ".4f" if report["unit"] != "cm" or measure == "label_error" else ".2f"
+            cells.append(format(np.mean(values), style) if values else "–")
+        rows.append((variant, *cells))
+    n = report["settings"]["n_scans"]
+    legend = (
+        f"Mean over {len(report['rows']['before'])} seeds, {n} scans of {report['settings']['subjects']} subjects each. Lengths in "
+        f"{'half sizes of the rig' if report['unit'] != 'cm' else 'cm'}; label errors of the segmenter alone on "
+        f"{n // 3} scans that nobody learned from."
+    )
+    return f"{layout(rows, markdown=markdown)}\n\n{legend}"

@@ -1,0 +1,290 @@
+"""``lbsfit learn``: learn from a collection of scans, and write what was learned as one model file."""
+
+import functools
+import os
+import time
+import warnings
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..errors import FileError, InputError, LbsfitError
+from ..learning.variants import VARIANTS
+from . import outputs
+from .fit import OPTIONS as FIT_OPTIONS
+from .fit import RIG_OPTIONS, load_rig_with, scan_options
+from .models import about_model, is_model, model_in_words
+from .parsing import Option, add_options, amount, formatter, positive, settings, share
+from .progress import LearningProgress, Progress, say, span
+from .stopping import exit_code, terminable
+from .subjects import SUBJECT_FILES, read_subjects
+from .summary import counts_of, write_summary
+
+__all__ = ["OPTIONS", "add_parser", "learn_files"]
+
+# Options that mean the same here as in lbsfit fit.
+_SHARED = (
+    *("scale", "weights", "joints", "samples", "drop-invalid", "max-points", "training-scans", "training", "seed", "jobs"),
+)
+
+OPTIONS = (
+    Option("output", "the model to write, NAME.npz; its folder is made if need be", metavar="MODEL", flag="-o", is_path=True),
+    Option("results", "a folder for the fits of the scans, too, as lbsfit fit writes them", metavar="OUT", is_path=True),
+    Option("subjects", "a file that says who was scanned; one subject by default", metavar="FILE", is_path=True),
+    Option("rounds", "rounds at most", positive, 4, metavar="N"),
+    Option("variant", "what to learn from", default="joint", choices=tuple(VARIANTS)),
+    Option(
+        "held-out",
+        "share of the scans, one at least, that are left out of learning to tell when to stop; 0 leaves none out and does "
+        "every round",
+        share,
+        0.1,
+        metavar="SHARE",
+    ),
+    Option("sequence", "the scans of each subject are given in order of time: each starts from its neighbours, too", bool, False),
+    Option("smooth", "with --sequence, how strongly angles follow their neighbours': 1e-5 a little, 1e-3 much", amount, 0,
+           metavar="W"),
+    *RIG_OPTIONS,
+    *(next(o for o in FIT_OPTIONS if o.name == name) for name in _SHARED),
+    Option("existing", "what to do where the model or results exist already", default="error", choices=("error", "replace")),
+)  # fmt: skip
+
+_DESCRIPTION = f"""\
+Learn from a collection of scans: fits teach the segmenter, the segmenter improves the fits, and each subject's template
+adapts to what was scanned. All scans must be in one unit. Writes one file, the model, which `lbsfit fit MODEL SCAN...` takes
+in a rig's place.
+
+{SUBJECT_FILES}
+
+--variant: joint, everything; pose-only, the segmenter learns from the poses found but not from templates; rand, from
+uniform poses only; cd, no labels at all; free-form, no skinning at all, the template's vertices move freely.
+
+At the end of each round a line tells recon, the distance between scans and meshes in half sizes of the rig (the root of
+the Chamfer distance), of the scans learned from and of those held out; for how many scans a new start gave a better pose;
+and how long the other rounds may take.
+"""
+
+_EPILOG = """\
+examples:
+  lbsfit learn hand scans/*.ply -o model.npz
+  lbsfit learn hand scans/*.ply -o model.npz --subjects who.csv --jobs 2 --results fits
+  lbsfit learn body.glb walk/*.ply -o walk.npz --sequence --smooth 1e-5
+  lbsfit fit model.npz new.ply -o fits
+
+  Options can be in a TOML file, --config FILE, by their long names; paths are relative to it:
+      output = "model.npz"
+      subjects = "who.csv"
+      held-out = 0.2
+
+A scan that cannot be used is named with the reason and left out. The model appears when it is complete; an input is never
+overwritten. The segmenter's first training is kept in $LBSFIT_CACHE, else in the user's cache folder.
+Exit code: 0 learned from all scans, 1 some scans were left out, 2 usage, unreadable rig, or no model could be learned, 130
+stopped by Ctrl-C.
+"""
+
+
+def add_parser(commands):
+    """Add ``lbsfit learn`` to the subparsers ``commands``."""
+    parser = commands.add_parser(
+        "learn", help="learn from a collection of scans", description=_DESCRIPTION, epilog=_EPILOG, formatter_class=formatter
+    )
+    parser.add_argument("rig", metavar="RIG", help="a rig file (.npz .glb .gltf .pkl), or a bundled rig, see: lbsfit rig list")
+    parser.add_argument(
+        "scans", metavar="SCAN", nargs="+", help="scan files: .ply .obj .stl .off .xyz .txt .csv .pcd .npy .npz .glb .gltf"
+    )
+    add_options(parser, OPTIONS)
+    parser.add_argument("--config", metavar="FILE", help="a TOML file with these options; the command line wins")
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments):
+    values = settings(arguments, OPTIONS, arguments.config)
+    if values["output"] is None:
+        raise InputError("-o/--output", "nothing", "the model to write", "Add -o MODEL.npz.")
+    return learn_files(arguments.rig, arguments.scans, values, inputs=[arguments.config] if arguments.config else [])
+
+
+def learn_files(rig_path, scans, values, *, inputs=()):
+    """Learn from scans in files, write the model, and the scans' fits where asked.
+
+    Parameters
+    ----------
+    rig_path : str
+    scans : list of str
+    values : dict
+        Of every option in ``OPTIONS``.
+    inputs : sequence of str
+        Further files that must not be overwritten.
+
+    Returns
+    -------
+    int
+        Exit code.
+    """
+    started = time.perf_counter()
+    model = Path(values["output"])
+    files = _checked(rig_path, scans, values, inputs)
+    subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
+    if is_model(rig_path):
+        say(f"{rig_path} is {model_in_words(about_model(rig_path))}: its rig is used, what it has learned is not")
+    rig = load_rig_with(rig_path, values)
+    fitter = _fitter(rig, values)
+    outputs.make_folder(model.parent)
+    if files:
+        outputs.make_folder(values["results"])
+    progress = LearningProgress(values["rounds"])
+    reading = _Reading(scans, scan_options(values), len(rig.parts), progress, keep=bool(files))
+    entries, written = {}, False
+    try:
+        with terminable():
+            _learn(fitter, reading, subjects, progress)
+            fitter.save(model)
+            written = True
+            say(_learned(fitter, reading, model, time.perf_counter() - started))
+            if files:
+                _write_results(rig_path, fitter, reading, files, entries, values, started)
+    except KeyboardInterrupt as stop:
+        progress.close()
+        results = f", {counts_of(entries)['ok']} of {len(scans)} results are in {values['results']}" if files else ""
+        say(f"stopped: {model} is complete{results}" if written else "stopped before the model was learned")
+        return exit_code(stop)
+    finally:
+        progress.close()
+    failed = len(reading.failures) + (counts_of(entries)["failed"] if files else 0)
+    return 1 if failed else 0
+
+
+def _checked(rig_path, scans, values, inputs):
+    """The files of the results, none where they are not asked for, once no name can go wrong any more."""
+    model, existing = Path(values["output"]), values["existing"]
+    if model.suffix.lower() != ".npz":
+        got = f"{model}, which ends in {model.suffix!r}" if model.suffix else f"{model}, which has no ending"
+        raise InputError("-o/--output", got, "a name that ends in .npz", f"Call it {model}.npz.")
+    if values["smooth"] and not values["sequence"]:
+        raise InputError("--smooth", f"{values['smooth']:g} without --sequence", "a sequence", "Add --sequence, or leave it out.")
+    card = values["card"] if values["card"] != "none" else None
+    others = [p for p in (rig_path, card, values["subjects"], *inputs) if p]
+    outputs.check_sources(scans)
+    _check_twice(scans)
+    outputs.check_file(model, inputs=[(path, f"an input ({path})") for path in (*scans, *others)], existing=existing)
+    if values["results"] is None:
+        return ()
+    files = tuple(outputs.plan(scans, values["results"], inputs=others, existing=existing, argument="--results"))
+    for path in (p for f in files for p in f.paths.values()):
+        if outputs.same_file(path, model):
+            raise InputError("-o/--output", f"{model}, which is a file of --results", "another name")
+    return files
+
+
+def _check_twice(scans):
+    seen = set()
+    for scan in scans:
+        real = os.path.realpath(scan)
+        if real in seen:
+            raise InputError("SCAN", f"{scan} twice", "each scan once", "Leave one out.")
+        seen.add(real)
+
+
+def _fitter(rig, values):
+    from ..learning.fitter import LBSFitter
+    from ..synthesis import make_settings
+
+    make_settings(values["training"])
+    names = ("weights", "joints", "scale", "max_points", "training_scans", "training", "variant", "rounds", "held_out")
+    return LBSFitter(
+        rig,
+        **{name: values[name] for name in (*names, "sequence", "smooth")},
+        n_jobs=values["jobs"],
+        random_state=values["seed"],
+    )
+
+
+@dataclass
+class _Reading:
+    """The scans as callables for ``LBSFitter.fit``, each of which reports at once when it cannot be used."""
+
+    paths: list
+    options: dict
+    least: int
+    progress: object
+    keep: bool
+    scans: dict = field(default_factory=dict)
+    failures: dict = field(default_factory=dict)
+
+    @property
+    def sources(self):
+        return [functools.partial(self.read, i) for i in range(len(self.paths))]
+
+    def name(self, i):
+        """The file name without its extension, or the path where others are called the same."""
+        stems = [Path(p).stem for p in self.paths]
+        return stems[i] if stems.count(stems[i]) == 1 else self.paths[i]
+
+    def read(self, i):
+        from ..io.scans import load_scan
+        from ..scan import check_points
+
+        try:
+            scan = load_scan(self.paths[i], **self.options)
+            check_points(scan, minimum=self.least)
+        except LbsfitError as error:
+            self.fail(i, str(error))
+            raise
+        except Exception as error:  # whatever is wrong with one scan is that scan's failure
+            got = f"content that cannot be read ({type(error).__name__}: {error})"
+            foreseen = FileError(self.paths[i], got, "a scan")
+            self.fail(i, str(foreseen))
+            raise foreseen from error
+        if self.keep:
+            self.scans[i] = scan
+        self.progress("reading scans", (i + 1) / len(self.paths))
+        return scan
+
+    def fail(self, i, message):
+        if i not in self.failures:
+            self.failures[i] = message
+            self.progress.failed(self.name(i), message)
+
+
+def _learn(fitter, reading, subjects, progress):
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message=".* scans cannot be used; ")  # each has been named already
+        fitter.fit(reading.sources, subjects, cache=True, progress=progress)
+    progress.close()
+    for i, message in fitter.failures_.items():
+        reading.fail(i, message)
+
+
+def _learned(fitter, reading, model, seconds):
+    """What was learned, in a line."""
+    n, who = len(reading.paths), len(fitter.template_)
+    rounds = max((entry["round"] for entry in fitter.history_), default=0)
+    early = ""
+    if 0 < rounds < fitter.rounds:
+        early = ", until the scans held out were explained no better"
+    return (
+        f"learned from {n - len(reading.failures)} of {n} scans of {who} subject{'' if who == 1 else 's'} "
+        f"in {rounds} round{'' if rounds == 1 else 's'}{early}; {model} written after {span(seconds)}"
+    )
+
+
+def _write_results(rig_path, fitter, reading, files, entries, values, started):
+    """The files of every scan, as ``lbsfit fit`` writes them, and the summary; ``entries`` fills up."""
+    writer = outputs.Writer(fitter.rig, files)
+    progress = Progress(len(files) - len(reading.failures))
+    stopped = True
+    try:
+        for i, (f, result) in enumerate(zip(files, fitter.results_, strict=True)):
+            if result is None:
+                entries[f.name] = outputs.entry(f, "failed", message=reading.failures[i])
+                continue
+            try:
+                entries[f.name] = writer(i, reading.scans[i], result)
+            except LbsfitError as error:
+                entries[f.name] = outputs.entry(f, "failed", message=str(error))
+            progress.scan(entries[f.name])
+        stopped = False
+    finally:
+        progress.close()
+        facts = {"started": started, "stopped": stopped, "model": about_model(values["output"]), "history": fitter.history_}
+        write_summary(Path(values["results"]), rig_path, fitter.rig, files, entries, values, **facts)
+    say(f"{counts_of(entries)['ok']} of {len(files)} results in {values['results']}")

@@ -1,0 +1,118 @@
+"""Models on the command line: the files that ``lbsfit learn`` writes, where another command takes a rig."""
+
+import json
+import os
+from dataclasses import asdict, is_dataclass
+
+from ..errors import FileError, InputError, brief, listed
+
+__all__ = ["about_model", "is_model", "load_model", "model_in_words"]
+
+# Options of lbsfit fit that a model has settled: its rig's, and those of training.
+_SETTLED = ("card", "shape", "skin", "normalize-weights", "parts", "joints", "segmenter", "training-scans", "training")
+# Options that a model has settled, too, but that may be changed for another scan.
+_FREE = ("scale", "weights", "max_points")
+
+
+def is_model(path):
+    """Whether there is a learned model at ``path``; files that cannot be read are none."""
+    from ..io.npz import npz_keys
+    from ..learning.archive import MODEL_KEY
+
+    if not str(path).lower().endswith(".npz") or not os.path.isfile(path):
+        return False
+    try:
+        return MODEL_KEY in npz_keys(path)
+    except FileError:
+        return False
+
+
+def load_model(path, values, given):
+    """The fitter of a model, with the options of ``lbsfit fit``.
+
+    Parameters
+    ----------
+    path : str
+    values : dict
+        The value of every option. Those that the model has settled get the model's, in place.
+    given : collection of str
+        Keys of the options that were given, which win.
+
+    Returns
+    -------
+    LBSFitter
+
+    Raises
+    ------
+    FileError
+        A broken model.
+    InputError
+        Options that only concern rigs or learning; an unknown subject.
+    """
+    from ..learning.fitter import LBSFitter
+
+    settled = [f"--{name}" for name in _SETTLED if name.replace("-", "_") in given and not _is_none(name, values)]
+    if settled:
+        raise InputError(
+            settled[0],
+            f"{listed(settled)} with {path}, which is a learned model",
+            "no option about the rig or about training: a model keeps both as they were when it was learned",
+            "Leave it out, or learn again with it: lbsfit learn has these options.",
+        )
+    fitter = LBSFitter.load(path)
+    for key in _FREE:
+        if key in given:
+            setattr(fitter, key, values[key])
+    if "seed" in given or type(fitter.random_state) is not int:
+        fitter.random_state = values["seed"]
+    if values["subject"] is not None:
+        _keep_only(fitter, values["subject"])
+    values |= {key: _plain(getattr(fitter, key)) for key in (*_FREE, "joints", "training_scans")}
+    values |= {"training": _plain(fitter.training or {}), "seed": fitter.random_state}
+    return fitter
+
+
+def about_model(path):
+    """What a model says of itself: a dict with path, variant, rounds and subjects (all of them); None where it is no model."""
+    from ..io.npz import read_npz
+    from ..learning.archive import MODEL_KEY
+
+    if not is_model(path):
+        return None
+    try:
+        header = json.loads(str(read_npz(path, [MODEL_KEY])[MODEL_KEY]))
+        return {
+            "path": str(path),
+            "variant": header["parameters"]["variant"],
+            "rounds": max((entry["round"] for entry in header["history"]), default=0),
+            "subjects": list(header["subjects"]),
+        }
+    except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
+        expected = "a model that was written by lbsfit learn"
+        raise FileError(str(path), f"a model whose content does not fit ({error})", expected, "Learn it again.") from None
+
+
+def model_in_words(about):
+    """``about_model`` in a line."""
+    names = [str(s) for s in about["subjects"]]
+    who = f"{len(names)} subject{'' if len(names) == 1 else 's'}" + (f" ({listed(names)})" if names != ["0"] else "")
+    rounds = f"{about['rounds']} round{'' if about['rounds'] == 1 else 's'}"
+    return f"a learned model: {who}, {rounds}, variant {about['variant']!r}"
+
+
+def _is_none(name, values):
+    return name == "card" and values["card"] == "none"
+
+
+def _keep_only(fitter, wanted):
+    """Leave one subject's template; ids on the command line are text, in a model they may be numbers."""
+    known = {str(s): s for s in fitter.template_}
+    if wanted not in known:
+        raise InputError("--subject", brief(wanted), f"a subject of the model: {listed([repr(s) for s in known])}")
+    subject = known[wanted]
+    fitter.template_ = {subject: fitter.template_[subject]}
+    fitter.unit_ = {subject: fitter.unit_[subject]}
+
+
+def _plain(value):
+    return asdict(value) if is_dataclass(value) else value

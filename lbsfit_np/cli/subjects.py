@@ -1,0 +1,149 @@
+"""``--subjects FILE``: who was scanned in which file, from a table that people write by hand or export."""
+
+import csv
+import re
+import tomllib
+from difflib import get_close_matches
+from pathlib import Path
+
+from ..errors import FileError, brief, listed
+from .outputs import same_file
+
+__all__ = ["SUBJECT_FILES", "read_subjects"]
+
+SUBJECT_FILES = """\
+The file of --subjects has a line for each scan, its file name, with or without the extension, and an id:
+      anna_01.ply, anna          separated by commas, semicolons, tabs, or blanks before the id (then no blanks in ids)
+      ben_01, ben                blank lines and lines that start with # are passed over, as is a heading "scan, subject"
+or is TOML (NAME.toml): "anna_01.ply" = "anna", at the top or in a table [subjects]. Scans whose names are the same are
+told apart by their paths as given on the command line. Each scan has one id; a name that is no scan given is an error."""
+
+_HEADINGS = {"scan", "scans", "file", "filename", "file name", "name", "path"}
+_EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
+
+
+def read_subjects(path, scans):
+    """The subject's id of every scan.
+
+    Parameters
+    ----------
+    path : str
+        See ``SUBJECT_FILES``.
+    scans : list of str
+        Paths of the scans as given.
+
+    Returns
+    -------
+    list of str
+
+    Raises
+    ------
+    FileError
+        Unreadable, a line that is no pair, a name that is no scan or several, a scan with two ids or none; with the line.
+    """
+    text = _text(path)
+    rows = _toml_rows(path, text) if Path(path).suffix.lower() == ".toml" else _table_rows(path, text)
+    names = _Names(scans)
+    if rows and rows[0][1].casefold() in _HEADINGS and not names.of(rows[0][1]):
+        del rows[0]
+    ids, lines = {}, {}
+    for line, name, subject in rows:
+        found = names.of(name)
+        if not found:
+            close = get_close_matches(name, names.known, n=1)
+            remedy = f"Did you mean {close[0]!r}?" if close else "Leave out scans that are not given to this command."
+            raise FileError(str(path), f"{brief(name)} in line {line}, which is none of the scans given", _EXPECTED, remedy)
+        if len(found) > 1:
+            got = f"{brief(name)} in line {line}, which {len(found)} scans are called"
+            raise FileError(str(path), got, "a name that says which scan", f"Write its path, such as {scans[found[0]]}")
+        i = found[0]
+        if i in ids:
+            raise FileError(str(path), f"the scan {brief(name)} twice, in lines {lines[i]} and {line}", _EXPECTED)
+        if not subject:
+            raise FileError(str(path), f"no id for {brief(name)} in line {line}", _EXPECTED)
+        ids[i], lines[i] = subject, line
+    missing = [s for i, s in enumerate(scans) if i not in ids]
+    if missing:
+        got = f"no id for {len(missing)} of {len(scans)} scans: {listed(missing, 5)}"
+        raise FileError(str(path), got, _EXPECTED, "Add them, or leave these scans out.")
+    return [ids[i] for i in range(len(scans))]
+
+
+class _Names:
+    """Which scans a name means: a path as given or the same file, else a file name, else one without the extension."""
+
+    def __init__(self, scans):
+        self.scans = scans
+        self.tables = [{}, {}, {}]
+        for i, scan in enumerate(scans):
+            for table, key in zip(self.tables, (scan, Path(scan).name, Path(scan).stem), strict=True):
+                table.setdefault(key, []).append(i)
+        self.known = [name for table in self.tables for name in table]
+
+    def of(self, name):
+        for table in self.tables:
+            if name in table:
+                return table[name]
+        if Path(name).name != name:  # another way to write a path
+            return [i for i, scan in enumerate(self.scans) if same_file(scan, name)]
+        return []
+
+
+def _text(path):
+    expected = "a table of scans and subjects: CSV, TSV, text or TOML"
+    try:
+        return Path(path).read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        raise FileError(str(path), "no such file", expected) from None
+    except OSError as error:
+        raise FileError(str(path), f"a file that cannot be read ({error.strerror or error})", expected) from None
+    except ValueError:  # UTF-8, or NUL in the name
+        raise FileError(str(path), "content that is not UTF-8 text", expected, "Save it as CSV in UTF-8.") from None
+
+
+def _table_rows(path, text):
+    """Triples (line, name, id)."""
+    lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
+    first = lines[0][1] if lines else ""
+    delimiter = next((d for d in "\t;," if d in first), None)
+    rows = []
+    for k, line in lines:
+        cells = line.rsplit(None, 1) if delimiter is None else _cells(path, k, line, delimiter)
+        cells = [cell.strip() for cell in cells]
+        while len(cells) > 2 and not cells[-1]:  # spreadsheets export empty columns
+            cells.pop()
+        if len(cells) != 2:
+            raise FileError(str(path), f"{brief(line)} in line {k}, {_number(len(cells))}", _EXPECTED)
+        rows.append((k, *cells))
+    return rows
+
+
+def _cells(path, k, line, delimiter):
+    try:
+        return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True))
+    except (csv.Error, StopIteration) as error:
+        raise FileError(str(path), f"{brief(line)} in line {k}, which cannot be read ({error})", _EXPECTED) from None
+
+
+def _number(n):
+    return f"which has {n} column{'' if n == 1 else 's'}"
+
+
+def _toml_rows(path, text):
+    """The same of a TOML file; its parser keeps no lines, so that they are looked up."""
+    expected = 'lines such as "anna_01.ply" = "anna"'
+    try:
+        content = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileError(str(path), f"text that is not TOML ({error})", expected) from None
+    if set(content) == {"subjects"} and isinstance(content["subjects"], dict):
+        content = content["subjects"]
+    rows = []
+    for name, subject in content.items():
+        match = re.search(rf"""^\s*["']?{re.escape(name)}(?=["'\s=.\]])""", text, flags=re.MULTILINE)
+        line = text.count("\n", 0, match.end()) + 1 if match else "?"
+        if type(subject) not in (str, int):
+            remedy = "Put names with dots in quotes." if isinstance(subject, dict) else None
+            raise FileError(str(path), f"{name} = {brief(subject)} in line {line}", expected, remedy)
+        rows.append((line, name, str(subject).strip()))
+    return rows

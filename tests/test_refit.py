@@ -1,0 +1,166 @@
+"""The pose of a scan whose template is known: of many starts, most of them bad, the right one wins."""
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import Refit
+from lbsfit_np.losses import chamfer
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return lbs.load_rig("hand-coarse")
+
+
+@pytest.fixture(scope="module")
+def model(rig):
+    return Model(rig)
+
+
+@pytest.fixture(scope="module")
+def refit(model):
+    return Refit(model)
+
+
+@pytest.fixture(scope="module", params=[0, 1])
+def case(request, rig, model):
+    return Case(rig, model, request.param)
+
+
+class Case:
+    """A hand that bends its middle finger and not its index finger; ``swap`` is the pose with the two exchanged."""
+
+    def __init__(self, rig, model, seed):
+        row = {name: j for j, name in enumerate(rig.joint_names)}
+        rng = np.random.default_rng(seed)
+        theta = np.zeros_like(rig.lower)
+        for k in (1, 2, 3):
+            theta[row[f"middle{k}"], 0] = 0.9 * rig.upper[row[f"middle{k}"], 0]
+        theta[rig.root] = rng.uniform(-0.3, 0.3, 3)
+        scan = lbs.synthesize(rig, 1, poses=theta[None], random_state=seed, shape=0.0, holes=0, density=0.0, n_points=900)[0]
+        half, centre = rig.size / 2, scan.points.mean(axis=0)
+        self.problem = Problem((scan.points - centre) / half)
+        self.labels, self.theta = scan.labels, theta
+        self.truth = model.rest().replace(theta=theta, translation=-centre / half)
+        swapped = theta.copy()
+        for k in (1, 2, 3):
+            pair = [row[f"middle{k}"], row[f"index{k}"]]
+            swapped[pair] = swapped[pair[::-1]]
+        self.swap = self.truth.replace(theta=swapped)
+        turning = (rig.upper > rig.lower) & rig.moving[:, None]
+        self.near = theta + 0.2 * rng.uniform(-1, 1, theta.shape) * turning
+        self.bad = [0.5 * rig.lower, 0.5 * rig.upper]
+        self.proba = np.eye(len(rig.parts))[scan.labels]
+
+    def error(self, model, state):
+        return np.linalg.norm(model.pose(state)[0].joints - model.pose(self.truth)[0].joints, axis=1).mean()
+
+
+def test_two_exchanged_fingers_stay_exchanged_without_other_starts(model, refit, case):
+    """What the other tests mend."""
+    state, _, which = refit(case.problem, [case.swap])
+    assert case.error(model, state) > 0.15 and which == 0
+
+
+def test_the_right_start_among_bad_ones_wins(model, refit, case):
+    state, value, which = refit(case.problem, [case.swap], poses=[*case.bad, case.near])
+    assert case.error(model, state) < 0.008 and which == 3
+    swapped = refit(case.problem, [case.swap])[1]
+    assert value < 0.7 * swapped
+    first, _, which = refit(case.problem, [case.swap], poses=[case.near, *case.bad])
+    np.testing.assert_array_equal(first.theta, state.theta)
+    assert which == 1
+    _, _, which = refit(case.problem, [case.truth, case.swap], poses=case.bad)
+    assert which == 0
+
+
+def test_the_value_is_the_plain_chamfer_distance(model, refit, case):
+    state, value, _ = refit(case.problem, [case.swap], poses=[case.near])
+    assert value == pytest.approx(chamfer(case.problem.X, model.pose(state)[0].vertices)[0], rel=1e-12)
+
+
+def test_parts_give_one_more_start(model, refit, case):
+    state, _, which = refit(case.problem, [case.swap], poses=case.bad, proba=case.proba)
+    assert case.error(model, state) < 0.008 and which == 3
+    unsure = 0.6 * case.proba + 0.4 / case.proba.shape[1]
+    state, _, which = refit(case.problem, [case.swap], poses=case.bad, proba=unsure)
+    assert case.error(model, state) < 0.008 and which == 3
+
+
+def test_known_labels_lead_alone(model, refit, case):
+    state, value, which = refit(case.problem, proba=case.proba, labels_known=True)
+    assert case.error(model, state) < 0.003 and which == 0
+    assert value == pytest.approx(chamfer(case.problem.X, model.pose(state)[0].vertices)[0], rel=1e-12)
+
+
+def test_a_start_that_is_given_beside_known_labels_is_the_one(model, refit, case):
+    near = refit(case.problem, poses=[case.near], proba=case.proba, labels_known=True)[0]
+    assert case.error(model, near) < 0.003
+    turned = case.theta.copy()
+    turned[model.rig.root] += [0.0, np.pi, 0.0]  # the wrong way round, labels or not: the start decides
+    away = refit(case.problem, poses=[turned], proba=case.proba, labels_known=True)[0]
+    assert not np.allclose(away.theta, near.theta, atol=0.05)
+
+
+def test_starts_of_another_template_take_this_one(refit, model, case):
+    """Coefficients and residuals belong to the model that the state was found with."""
+    rng = np.random.default_rng(0)
+    foreign = case.truth.replace(coefficients=rng.random(3), residual=rng.random(model.rig.vertices.shape))
+    state, _, _ = refit(case.problem, [foreign])
+    assert state.residual is None and not state.coefficients.any() and len(state.coefficients) == model.n_coefficients
+    np.testing.assert_array_equal(state.theta, refit(case.problem, [case.truth])[0].theta)
+
+
+def test_starts_outside_the_limits_are_moved_inside(model, refit, case):
+    state, _, _ = refit(case.problem, poses=[case.theta * 1.5 + 0.5])
+    others = np.arange(len(state.theta)) != model.rig.root
+    assert (state.theta >= model.rig.lower)[others].all() and (state.theta <= model.rig.upper)[others].all()
+
+
+def test_scale_is_found_where_it_is_free(rig, model, case):
+    bigger = Problem(case.problem.X * 1.1)
+    found = Refit(model, ("pose", "translation", "scale"))(bigger, poses=[case.near])[0]
+    assert found.scale == pytest.approx(1.1, abs=0.015)
+    assert Refit(model)(bigger, poses=[case.near])[0].scale == 1.0
+
+
+def test_a_large_scan_gives_what_a_thinned_one_gives(rig, model, refit, case):
+    """First steps look at 700 points; the last at all."""
+    scan = lbs.synthesize(rig, 1, poses=case.theta[None], random_state=5, shape=0.0, holes=0, density=0.0, n_points=4000)[0]
+    centre = scan.points.mean(axis=0)
+    X = (scan.points - centre) / (rig.size / 2)
+    weights = np.full(4000, 1 / 4000)
+    truth = case.truth.replace(translation=-centre / (rig.size / 2))
+    for problem in (Problem(X), Problem(X, weights)):
+        state, _, which = refit(problem, [case.swap], poses=[*case.bad, case.near])
+        away = model.pose(state)[0].joints - model.pose(truth)[0].joints
+        assert np.linalg.norm(away, axis=1).mean() < 0.006 and which == 3
+
+
+def test_points_without_weight_do_not_count(model, case):
+    X = np.vstack([case.problem.X, case.problem.X + [0.08, 0.0, 0.0]])
+    order = np.random.default_rng(0).permutation(len(X))
+    w = np.r_[np.ones(900), np.full(900, 1e-9)]
+    light = Refit(model)(Problem(X[order], (w / w.sum())[order]), [case.swap], poses=[*case.bad, case.near])[0]
+    heavy = Refit(model)(Problem(X[order]), [case.swap], poses=[*case.bad, case.near])[0]
+    assert case.error(model, light) < 0.3 * case.error(model, heavy)
+
+
+def test_polishing_goes_on_from_where_it_is(model, refit, case):
+    near = case.truth.replace(theta=np.where(np.arange(len(case.theta))[:, None] == model.rig.root, case.theta, case.near))
+    near = near.replace(theta=0.7 * case.truth.theta + 0.3 * near.theta)
+    assert case.error(model, refit.polish(case.problem, near)) < 0.4 * case.error(model, near)
+    held = refit.polish(case.problem, near, prior=(near.theta, 1e3))
+    np.testing.assert_allclose(held.theta, np.clip(near.theta, model.rig.lower, model.rig.upper), atol=2e-3)
+    assert refit.polish(case.problem, case.truth, labels=case.labels).theta.shape == case.theta.shape

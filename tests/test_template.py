@@ -1,0 +1,182 @@
+"""The template that scans share: a subject's shape and joints come back from many poses; wrong poses do not bend it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.bench.subjects import subject as bench_subject
+from lbsfit_np.fitting.template import TemplateSettings, shared_template
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.surface import vertex_normals
+
+CLEAN = {"noise": 0.002, "holes": 0, "density": 0.0, "n_points": 800}
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread():
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
+
+
+class Case:
+    """A rig, a subject of it, and scans of the subject with poses near the truth."""
+
+    def __init__(self, rig, template, n=8):
+        self.rig, (self.U, self.J), self.half = rig, template, rig.size / 2
+        self.model = Model(rig, shifts=0.3)
+        self.scans = lbs.synthesize(rig, n, templates=[template], random_state=1, **CLEAN)
+        self.problems = [Problem((s.points - s.points.mean(axis=0)) / self.half) for s in self.scans]
+        rng = np.random.default_rng(0)
+        turning = (rig.upper > rig.lower) & rig.moving[:, None]
+        self.states = []
+        for s in self.scans:
+            theta = np.clip(s.pose + 0.08 * rng.uniform(-1, 1, s.pose.shape) * turning, rig.lower, rig.upper)
+            place = -s.points.mean(axis=0) / self.half
+            self.states.append(self.model.rest().replace(theta=theta, translation=place))
+        self.proba = [np.eye(len(rig.parts))[s.labels] for s in self.scans]
+        self.losses = np.ones(n)
+
+    def found(self, model=None, rows=slice(None), **options):
+        model = model or self.model
+        return shared_template(model, self.problems[rows], self.states[rows], self.losses[rows], **options)
+
+    def gap(self, found, true):
+        """Mean distance in half sizes, the centroids laid on each other."""
+        away = found - true
+        return np.linalg.norm(away - away.mean(axis=0), axis=1).mean() / self.half
+
+
+@pytest.fixture(scope="module")
+def hand_case():
+    rig = lbs.load_rig("hand-coarse")
+    subject = rig.subject(5, amount=1.5)
+    return Case(rig, (subject.vertices, subject.joints))
+
+
+@pytest.fixture(scope="module")
+def tube_case(tube_rig):
+    subject = tube_rig.subject(5, amount=1.5)
+    return Case(tube_rig, (subject.vertices, subject.joints))
+
+
+@pytest.mark.parametrize("labelled", [False, True])
+@pytest.mark.parametrize("which", ["tube", "hand"])
+def test_a_subjects_template_comes_back(tube_case, hand_case, which, labelled):
+    case = tube_case if which == "tube" else hand_case
+    U, J, c = case.found(proba=case.proba if labelled else None)
+    rig = case.rig
+    assert U.shape == rig.vertices.shape and J.shape == rig.joints.shape and c.shape == (case.model.n_coefficients,)
+    assert case.gap(U, case.U) < 0.4 * case.gap(rig.vertices, case.U)
+    assert case.gap(J, case.J) < 0.65 * case.gap(rig.joints, case.J)
+    assert np.linalg.norm(U - case.U, axis=1).mean() < 0.03 * case.half
+    if labelled:
+        assert case.gap(J, case.J) < 0.4 * case.gap(rig.joints, case.J)
+
+
+def test_a_subject_that_the_family_does_not_hold(hand_case):
+    """Lengths and thicknesses by another rule than the fit's own."""
+    rig = hand_case.rig
+    case = Case(rig, bench_subject(rig, np.random.default_rng(3)))
+    U, J, _ = case.found(proba=case.proba)
+    assert case.gap(U, case.U) < 0.5 * case.gap(rig.vertices, case.U)
+    assert case.gap(J, case.J) < 0.5 * case.gap(rig.joints, case.J)
+    without_heights, _, _ = case.found(proba=case.proba, settings=TemplateSettings(rounds=0))
+    assert case.gap(U, case.U) < case.gap(without_heights, case.U)
+
+
+def test_more_scans_tell_more(tube_case):
+    few, many = (tube_case.found(rows=slice(n))[0] for n in (1, 8))
+    assert tube_case.gap(many, tube_case.U) < 0.7 * tube_case.gap(few, tube_case.U)
+
+
+def test_a_scan_with_a_wrong_pose_does_not_bend_it(tube_case):
+    """Its loss tells; were it to count, it would."""
+    case = tube_case
+    wrong = case.states[7].replace(theta=case.rig.upper * 0.9)
+    states = [*case.states[:7], wrong]
+    without = case.found(rows=slice(7))
+    left_out = shared_template(case.model, case.problems, states, [1.0] * 7 + [3.0])
+    for a, b in zip(left_out, without):
+        np.testing.assert_array_equal(a, b)
+    counted, _, _ = shared_template(case.model, case.problems, states, np.ones(8))
+    assert not np.array_equal(counted, without[0])
+
+
+def test_probabilities_stay_with_their_scans(tube_case):
+    """The first scan is left out: what the segmenter said of the others must not shift by one."""
+    case = tube_case
+    left_out = shared_template(case.model, case.problems, case.states, [9.0] + [1.0] * 7, proba=case.proba)
+    without = case.found(rows=slice(1, 8), proba=case.proba[1:])
+    for a, b in zip(left_out, without):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_heights_stay_on_the_normals_and_leave_joints_alone(hand_case):
+    case, m = hand_case, hand_case.model
+    U, J, c = case.found(settings=TemplateSettings(sigmas=(), steps=0))
+    assert not c.any()
+    np.testing.assert_allclose(J, case.rig.joints, atol=1e-14)
+    moved = (U - case.rig.vertices) / case.half
+    normals = vertex_normals(m.rig.vertices, m.rig.faces)
+    height = np.einsum("ia,ia->i", moved, normals)
+    np.testing.assert_allclose(moved, height[:, None] * normals, atol=1e-13)
+    assert 0.003 < np.abs(height).mean() < 0.05
+
+
+def test_smoothness_and_smallness_hold_the_heights(tube_case):
+    def heights(**settings):
+        U = tube_case.found(settings=TemplateSettings(sigmas=(), steps=0, **settings))[0]
+        return (U - tube_case.rig.vertices) / tube_case.half
+
+    free, small = heights(smooth=1e-6, small=1e-5), heights(small=100.0)
+    assert np.abs(small).max() < 0.05 * np.abs(free).max()
+    K = tube_case.model.K
+    smooth = heights(smooth=1.0, small=1e-5)
+    assert np.linalg.norm(K @ smooth) < 0.3 * np.linalg.norm(K @ free)
+
+
+def test_joints_that_do_not_follow_stay(tube_case):
+    model = Model(tube_case.rig, "fixed")
+    states = [model.rest().replace(theta=s.theta, translation=s.translation) for s in tube_case.states]
+    U, J, _ = shared_template(model, tube_case.problems, states, tube_case.losses)
+    np.testing.assert_array_equal(J, model.rig.joints * model.half)
+    assert tube_case.gap(U, tube_case.U) < 0.8 * tube_case.gap(tube_case.rig.vertices, tube_case.U)
+
+
+def test_it_goes_on_from_its_own_coefficients(tube_case):
+    case = tube_case
+    U, _, c = case.found()
+    again = [s.replace(coefficients=c) for s in case.states]
+    V, _, _ = shared_template(case.model, case.problems, again, case.losses)
+    assert case.gap(V, case.U) < 1.3 * case.gap(U, case.U)
+
+
+def test_the_same_again_and_nothing_given_is_changed(tube_case):
+    case = tube_case
+    kept = [replace(s, theta=s.theta.copy(), translation=s.translation.copy()) for s in case.states]
+    X = [p.X.copy() for p in case.problems]
+    first, second = case.found(proba=case.proba), case.found(proba=case.proba)
+    for a, b in zip(first, second):
+        np.testing.assert_array_equal(a, b)
+    for s, k, p, x in zip(case.states, kept, case.problems, X):
+        np.testing.assert_array_equal(s.theta, k.theta)
+        np.testing.assert_array_equal(s.translation, k.translation)
+        np.testing.assert_array_equal(p.X, x)
+
+
+def test_weights_of_points_count(tube_case):
+    """Points without weight, beside the surface, do not lift it."""
+    case = tube_case
+    U = case.found()[0]
+    light, heavy = [], []
+    for p in case.problems:
+        X, w = np.vstack([p.X, p.X + [0.0, 0.0, 0.05]]), np.r_[np.ones(len(p.X)), np.full(len(p.X), 1e-9)]
+        light.append(Problem(X, w / w.sum()))
+        heavy.append(Problem(X))
+    light, heavy = (shared_template(case.model, ps, case.states, case.losses)[0] for ps in (light, heavy))
+    assert case.gap(light, U) < 0.5 * case.gap(heavy, U)
