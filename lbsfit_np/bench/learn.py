@@ -130,7 +130,16 @@ def touching_pose(rig, natural, rng):
 
 
 def learn_bench(
-    name, data, *, n_scans=60, seeds=(100, 101, 102), variants=VARIANT_ROWS[:4], training_scans=4000, jobs=1, progress=None, on_row=None
+    name,
+    data,
+    *,
+    n_scans=60,
+    seeds=(100, 101, 102),
+    variants=VARIANT_ROWS[:4],
+    training_scans=4000,
+    jobs=1,
+    progress=None,
+    on_row=None,
 ):
     """Learn from the collections with each variant, and compare with the truth.
 
@@ -179,7 +188,8 @@ def learn_bench(
     unit = rig.size / 2 if name == "hand" else 0.01
     for seed in seeds:
         _, scans, subjects, others = collection(name, data, n_scans, seed=seed)
-        before = {"template_gap": _gap({s: rig for s in set(subjects)}, scans, subjects) / unit, "label_error": _wrong(first, others)}
+        same = dict.fromkeys(subjects, rig)
+        before = {"template_gap": _gap(same, scans, subjects) / unit, "label_error": _wrong(first, others)}
         report["rows"].setdefault("before", {})[str(seed)] = before
         for variant in variants:
             one = clone(fitter).set_params(variant=variant)
@@ -237,10 +247,10 @@ def learn_table(report, *, markdown=False):
             style = ".0f" if measure == "seconds" else ".4f" if report["unit"] != "cm" or measure == "label_error" else ".2f"
             cells.append(format(np.mean(values), style) if values else "–")
         rows.append((variant, *cells))
-    n = report["settings"]["n_scans"]
+    n, people = (report["settings"][key] for key in ("n_scans", "subjects"))
+    unit = "cm" if report["unit"] == "cm" else "half sizes of the rig"
     legend = (
-        f"Mean over {len(report['rows']['before'])} seeds, {n} scans of {report['settings']['subjects']} subjects each. Lengths in "
-        f"{'half sizes of the rig' if report['unit'] != 'cm' else 'cm'}; label errors of the segmenter alone on "
-        f"{n // 3} scans that nobody learned from."
+        f"Mean over {len(report['rows']['before'])} seeds, {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
+        f"of the segmenter alone on {n // 3} scans that nobody learned from."
     )
     return f"{layout(rows, markdown=markdown)}\n\n{legend}"

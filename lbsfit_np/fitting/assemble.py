@@ -56,7 +56,7 @@ def assemble(rig, model, problem, last, *, unit, centre, evaluation, labels, con
     V = model.pose(state)[0].vertices
     recon = float(np.sqrt(chamfer(problem.X, V, x_weights=problem.x_weights, x_index=problem.x_index)[0]))
     finite = bool(np.isfinite(evaluation.value))
-    ended = "converged" if last.converged else f"stopped at the limit ({last.message})"
+    ended = "converged" if last.converged else "ended at its limit of iterations"
     return FitResult(
         pose=state.theta.copy(),
         translation=translation,

@@ -9,7 +9,7 @@ from ..errors import InputError
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.problem import Problem
 from ..seeds import generator
-from ..starts.scale import reference_scale
+from ..starts.scale import near_rows, reference_scale
 from .assemble import assemble, registered
 from .labels import labels_from_mesh
 from .search import Search
@@ -110,6 +110,7 @@ def prepare_pose(model, problem, proba, settings):
 def _fit(model, points, segmenter, settings, theta0, labels, point_weights, random_state, started):
     rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
     reference = reference_scale(points[rows], model.source, settings.scale)
+    rows, wild = near_rows(points, rows, reference.scale, model.half)
     unit = reference.scale * model.half
     centre = points[rows].mean(axis=0)
     X = (points[rows] - centre) / unit
@@ -146,7 +147,7 @@ def _fit(model, points, segmenter, settings, theta0, labels, point_weights, rand
         labels=labels,
         confidence=confidence,
         evaluations=search.evaluations,
-        note=reference.note,
+        note=reference.note + (f"; {wild} points far from all others left out" if wild else ""),
         started=started,
     )
 

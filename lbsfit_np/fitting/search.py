@@ -1,4 +1,4 @@
-"""The search for one scan's pose, stage by stage: parts to their centroids, labels, closer labels, surface, the full objective."""
+"""The search for one scan's pose, stage by stage: parts to their centroids, labels, the surface, the full objective."""
 
 import numpy as np
 

@@ -8,7 +8,7 @@ from ..errors import InputError, LbsfitError, brief
 from ..optimize.problem import Problem
 from ..scan import check_points
 from ..seeds import generator
-from ..starts.scale import extent, reference_scale
+from ..starts.scale import extent, near_rows, reference_scale
 
 __all__ = ["Collection", "Member", "read_collection"]
 
@@ -129,6 +129,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             if len(points) > max_points:
                 rows = np.sort(generator(random_state, "thin", i).choice(len(points), max_points, replace=False))
             reference = reference_scale(points[rows], rig, scale)
+            rows, _ = near_rows(points, rows, reference.scale, rig.size / 2)
         except LbsfitError as error:
             collection.failures[i] = str(error)
             continue

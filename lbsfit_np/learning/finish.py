@@ -13,7 +13,7 @@ from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..seeds import generator
-from ..starts.scale import reference_scale
+from ..starts.scale import near_rows, reference_scale
 from .parallel import each
 
 __all__ = ["fit_free_form", "fit_new", "results_of"]
@@ -73,8 +73,9 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights):
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if len(rows) > settings.max_points:
         rows = np.sort(generator(fitter._seed(), "thin").choice(rows, settings.max_points, replace=False))
-    a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
     guess = reference_scale(points[rows], rig, settings.scale).scale
+    rows, _ = near_rows(points, rows, guess, half)
+    a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
     centre = points[rows].mean(axis=0)
     best = None
     for subject in subjects:

@@ -1,6 +1,7 @@
 """Stage: one standardised scikit-learn classifier, kept as arrays so that saving it needs no pickle."""
 
 import signal
+import warnings
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -194,7 +195,8 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
 def _fit_chunk(classifier, X, y, classes):
     """One ``partial_fit``, whole or with a KeyboardInterrupt."""
     losses = len(getattr(classifier, "loss_curve_", ()))
-    with _passing_interrupts():
+    with _passing_interrupts(), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Training interrupted")  # it is raised, which says enough
         classifier.partial_fit(X, y, classes=classes)
     if len(classifier.loss_curve_) == losses:
         raise KeyboardInterrupt  # one that was no signal, such as another thread can raise here

@@ -6,7 +6,10 @@ import numpy as np
 
 from ..errors import InputError
 
-__all__ = ["ReferenceScale", "reference_scale"]
+__all__ = ["ReferenceScale", "extent", "near_rows", "reference_scale"]
+
+# Half sizes of the rig from a scan's median point beyond which nothing of a body lies.
+_REACH = 3.0
 
 # A pose can fold a body to a fraction of its rest extent but hardly stretch it: a ratio in this range is one unit for both.
 _SAME_UNIT = 0.4, 1.8
@@ -69,6 +72,31 @@ def reference_scale(points, rig, mode):
         name, unit = min(fitting.items(), key=lambda item: abs(np.log(ratio / item[1] / 0.9)))
         return ReferenceScale(unit, f"the scan seems to be in {name}: one rig unit is {unit:.6g} scan units")
     return ReferenceScale(ratio, f"the scale is a guess from the extents: one rig unit taken as {ratio:.4g} scan units")
+
+
+def near_rows(points, rows, scale, half):
+    """Rows of a scan without those of wild points, which would pull means and squared distances with them.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    rows : (k,) int array
+    scale : float
+        Scan units in a rig unit.
+    half : float
+        Half the rig's size.
+
+    Returns
+    -------
+    rows : int array
+        Those within three half sizes of their median point, which a posed body never reaches; all where none are.
+    dropped : int
+    """
+    with np.errstate(all="ignore"):
+        away = np.abs(points[rows] - np.median(points[rows], axis=0)).max(axis=1)
+        near = away <= _REACH * scale * half
+    kept = rows[near] if near.any() else rows
+    return kept, len(rows) - len(kept)
 
 
 def extent(points):
