@@ -321,10 +321,13 @@ def test_skip_does_not_take_fits_of_another_rig(learned, hands, tube_model, tube
 def test_models_without_labels_want_no_segmenter(variant, tubes, tmp_path, run, monkeypatch):
     monkeypatch.setattr(lbs.LBSFitter, "pretrain", None)
     scans = sorted(tubes.glob("*.ply"))
-    code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", variant, *QUICK)
+    options = ("--variant", variant, "--max-points", 300, "--seed", 5)
+    code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *options, *QUICK)
     assert (code, err) == (0, "") and f"in {int(variant == 'cd')} round" in text
     code, text, err = run("fit", tmp_path / "m.npz", scans[0], "-o", tmp_path)
     assert (code, err) == (0, "") and f"variant '{variant}'" in text
+    settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
+    assert (settings["max_points"], settings["seed"]) == (300, 5)  # the model's, not the defaults of lbsfit fit
     assert lbs.LBSFitter.load(tmp_path / "m.npz").segmenter_ is None
     outcome = fit_scans(lbs.LBSFitter.load(tmp_path / "m.npz"), [lbs.load_scan(scans[0])])[0]
     np.testing.assert_array_equal(outcome.result.vertices, lbs.FitResult.load(tmp_path / "t0.fit.npz").vertices)

@@ -18,7 +18,7 @@ _EPILOG = """\
 examples:
   lbsfit demo -o demo                        see it work on a rig and a scan that the package makes itself
   lbsfit fit hand.glb scans/*.ply -o fits    fit scans
-  lbsfit learn hand.glb scans/*.ply -o m.npz learn from a collection of scans, for better fits
+  lbsfit learn hand scans/*.ply -o m.npz     learn from a collection of scans, for better fits
   lbsfit rig show hand.glb                   what is in a rig
 
 exit codes: 0 all done, 1 some scans failed, 2 usage or unreadable rig, 130 stopped by Ctrl-C

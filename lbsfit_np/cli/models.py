@@ -15,16 +15,13 @@ _FREE = ("scale", "weights", "max_points")
 
 
 def is_model(path):
-    """Whether there is a learned model at ``path``; files that cannot be read are none."""
+    """Whether there is a learned model at ``path``; FileError where there is an NPZ that cannot be read."""
     from ..io.npz import npz_keys
     from ..learning.archive import MODEL_KEY
 
     if not str(path).lower().endswith(".npz") or not os.path.isfile(path):
         return False
-    try:
-        return MODEL_KEY in npz_keys(path)
-    except FileError:
-        return False
+    return MODEL_KEY in npz_keys(path)
 
 
 def load_model(path, values, given):

@@ -108,7 +108,6 @@ def read_fitter(path, make):
         if header["format"] != _FORMAT:
             raise FileError(str(path), f"model format {header['format']}", f"format {_FORMAT}", "Learn it again.")
         parameters = dict(header["parameters"])
-        rig = rig.with_parts(header["granularity"]) if "granularity" in header else rig
         if isinstance(parameters["weights"], dict):
             parameters["weights"] = LossWeights(**parameters["weights"])
         subjects = header["subjects"]
@@ -120,11 +119,14 @@ def read_fitter(path, make):
             h = header["segmenter"]
             stages = tuple(Stage.from_arrays(arrays, f"model_stage_{k}", h["n_parts"]) for k in range(h["stages"]))
             segmenter = Segmenter(stages, Descriptor(**h["descriptor"]), h["n_parts"], h["half"], h["rig_digest"])
+        library = PoseLibrary.from_arrays(arrays, "model_library") if header["library"] else None
+        if library is not None and library.poses.shape[1:] != rig.lower.shape:
+            raise ValueError("a library of poses of another rig")
         fields = {
             "template_": {s: rig.with_template(u, j) for s, u, j in zip(subjects, U, J, strict=True)},
             "unit_": dict(zip(subjects, map(float, header["units"]), strict=True)),
             "segmenter_": segmenter,
-            "regressor_": PoseLibrary.from_arrays(arrays, "model_library") if header["library"] else None,
+            "regressor_": library,
             "history_": header["history"],
         }
         return make(rig, parameters, fields)

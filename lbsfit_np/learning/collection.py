@@ -35,6 +35,8 @@ class Member:
         What errors call it: the index, and the file where it came from one.
     held_out : bool
         Left out of learning, to tell when to stop.
+    prior : ((J, 3) array, float) or None
+        In a smoothed sequence, the angles that the pose is drawn to, and how much.
     """
 
     index: int
@@ -49,6 +51,7 @@ class Member:
     proba: np.ndarray = None
     state: object = None
     loss: float = np.inf
+    prior: tuple = None
 
     def use_unit(self, unit, half):
         """Put the scan into the normalised frame: ``unit`` scan units in a rig unit, ``half`` rig units in one of the frame."""

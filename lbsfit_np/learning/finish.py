@@ -49,9 +49,8 @@ class _Finish:
     def __call__(self, m):
         fit = TemplateFit(self.rig, self.models[m.subject], self.settings)
         note = "left out of learning" if m.held_out else "learned from"
-        return fit.finish(
-            m.problem, m.state, points=m.points, rows=m.rows, centre=m.centre, unit=m.unit, proba=m.proba, note=note
-        )
+        place = {"points": m.points, "rows": m.rows, "centre": m.centre, "unit": m.unit}
+        return fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights):

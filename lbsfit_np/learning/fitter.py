@@ -1,6 +1,7 @@
 """LBSFitter: the estimator. Fits single scans, learns from collections of scans, and fits new scans with what it has learned."""
 
 import warnings
+from collections.abc import Hashable
 
 import numpy as np
 from sklearn.base import BaseEstimator
@@ -200,8 +201,9 @@ class LBSFitter(BaseEstimator):
         self.failures_ = dict(collection.failures)
         if not variant.skinning:
             self.segmenter_ = self.regressor_ = None
-            self.template_, self.unit_ = dict.fromkeys(collection.subjects, self.rig), dict.fromkeys(collection.subjects, 1.0)
-            self.history_ = []
+            self.template_ = dict.fromkeys(collection.subjects, self.rig)
+            self.unit_ = {s: collection.of(s)[0].unit for s in collection.subjects}
+            self.history_, self._learned_with = [], self.rig.digest
             self.results_ = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress)
             return self
         segmenter = getattr(self, "_pretrained", None) if variant.labels else None
@@ -227,7 +229,7 @@ class LBSFitter(BaseEstimator):
         learned = loop.run()
         self.segmenter_, self.regressor_ = learned.segmenter, learned.library
         self.template_ = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
-        self.unit_, self.history_ = learned.units, learned.history
+        self.unit_, self.history_, self._learned_with = learned.units, learned.history, self.rig.digest
         self.results_ = results_of(self.rig, self.template_, self.joints, collection, settings, jobs=jobs, progress=progress)
         return self
 
@@ -245,7 +247,8 @@ class LBSFitter(BaseEstimator):
             In each scan's frame and unit; NaN where a scan could not be fitted, with a warning.
         """
         results = self._fit_all(scans, subjects)
-        return np.array([np.full(self.rig.vertices.shape, np.nan) if r is None else r.vertices for r in results])
+        shape = self.rig.vertices.shape
+        return np.array([np.full(shape, np.nan) if r is None else r.vertices for r in results]).reshape(-1, *shape)
 
     def score(self, scans, subjects=None):
         """Minus the mean of √L_c over scans fitted with what was learned, in half sizes of the rig: higher is better."""
@@ -270,6 +273,7 @@ class LBSFitter(BaseEstimator):
             fitter = cls(rig, **parameters)
             for name, value in fields.items():
                 setattr(fitter, name, value)
+            fitter._learned_with = rig.digest
             fitter._check()
             return fitter
 
@@ -316,9 +320,8 @@ class LBSFitter(BaseEstimator):
         if labels is not None:
             labels = check_labels(labels, len(points), rig.parts)
         learned = getattr(self, "template_", None)
-        if subject is not None and (learned is None or subject not in learned):
-            known = "no subject, as nothing was learned yet" if learned is None else f"one of {', '.join(map(repr, learned))}"
-            raise InputError("subject", brief(subject), known)
+        if subject is not None:
+            self._check_subject(subject)
         if learned is not None:
             self._check_learned()
             return fit_new(self, points, [subject] if subject is not None else list(learned), theta0, labels, point_weights)
@@ -344,6 +347,8 @@ class LBSFitter(BaseEstimator):
         scans = list(scans)
         if subjects is not None and len(subjects) != len(scans):
             raise InputError("subjects", f"{len(subjects)} ids", f"{len(scans)}, one for each scan")
+        for subject in subjects if subjects is not None else ():
+            self._check_subject(subject)
         results = []
         for i, scan in enumerate(scans):
             try:
@@ -362,12 +367,18 @@ class LBSFitter(BaseEstimator):
             kept[subject] = template, Model(template, self.joints, half=self.rig.size / 2)
         return TemplateFit(self.rig, kept[subject][1], self._fit_settings())
 
+    def _check_subject(self, subject):
+        learned = getattr(self, "template_", None)
+        if learned is None or not isinstance(subject, Hashable) or subject not in learned:
+            known = "no subject, as nothing was learned yet" if learned is None else f"one of {', '.join(map(repr, learned))}"
+            raise InputError("subject", brief(subject), known)
+
     def _check_learned(self):
         self._check()
         templates = getattr(self, "template_", None)
         if templates is None:
             raise InputError("fitter", "one that has learned nothing", "one that has learned", "Call fit(scans) first.")
-        if any(t.faces.shape != self.rig.faces.shape or t.joint_names != self.rig.joint_names for t in templates.values()):
+        if self._learned_with != self.rig.digest:
             raise InputError("rig", f"{self.rig.name!r}", "the rig that the fitter learned with", "Learn again with this one.")
         if self.segmenter_ is not None:
             self.segmenter_.check_rig(self.rig)

@@ -55,17 +55,16 @@ class LoopSettings:
     """
 
     rounds: int = 4
-    round_scans: int = 2000
+    round_scans: int = 2500
     library_scans: int = 1500
     neighbours: int = 6
     improvement: float = 0.005
-    training: Training = field(default_factory=lambda: Training(epochs=2, learning_rate=1e-3))
-
+    training: Training = field(default_factory=lambda: Training(epochs=3, learning_rate=1e-3))
 
     @classmethod
     def for_training(cls, training_scans, **others):
         """In proportion to the scans of pretraining, of which there are 4,000 by default."""
-        return cls(round_scans=max(100, training_scans // 2), library_scans=max(100, 3 * training_scans // 8), **others)
+        return cls(round_scans=max(100, 5 * training_scans // 8), library_scans=max(100, 3 * training_scans // 8), **others)
 
 
 @dataclass(frozen=True)
@@ -195,7 +194,9 @@ class Loop:
             self.coefficients[subject] = c
             for m in self.collection.of(subject):
                 m.use_unit(m.unit * unit, half)
-                m.state = m.state.replace(scale=1.0, translation=m.state.translation / unit, residual=None)
+                # Templates grow about the root joint, scales about the origin: the root joint stays where it was found.
+                moved = (m.state.scale / unit - 1.0) * self.model.rig.joints[self.rig.root]
+                m.state = m.state.replace(scale=1.0, translation=m.state.translation / unit + moved, residual=None)
 
     def _templates(self):
         """Each subject's template from its scans' poses, those left out not counted."""
@@ -275,8 +276,11 @@ class Loop:
         models = self._models(templates)
         for _ in range(_SWEEPS):
             members = [m for m in self.collection.members if self._beside(m)]
-            tasks = [(m.subject, m.problem, m.state, np.mean(self._beside(m), axis=0)) for m in members]
-            states = each(_Drawn(models, self.smooth), tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
+            for m in members:
+                beside = [_alike(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
+                m.prior = np.mean(beside, axis=0), self.smooth
+            tasks = [(m.subject, m.problem, m.state, m.prior) for m in members]
+            states = each(_Drawn(models), tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
             for m, state in zip(members, states):
                 m.state = state
 
@@ -381,11 +385,21 @@ class _Refit:
 @dataclass(frozen=True)
 class _Drawn:
     models: dict
-    weight: float
 
     def __call__(self, task):
-        subject, problem, state, theta = task
-        return Refit(self.models[subject]).polish(problem, state, prior=(theta, self.weight))
+        subject, problem, state, prior = task
+        return Refit(self.models[subject]).polish(problem, state, prior=prior)
+
+
+def _alike(theta, other, root):
+    """The same pose, the root's turn written (it may have whole turns more or fewer) as near as can be to another pose's."""
+    angle = np.linalg.norm(theta[root])
+    if not angle:
+        return theta
+    ways = [theta[root] * (1.0 + 2 * np.pi * k / angle) for k in (0, -1, 1, -2, 2)]
+    theta = theta.copy()
+    theta[root] = min(ways, key=lambda way: np.linalg.norm(way - other[root]))
+    return theta
 
 
 def _plain():

@@ -45,6 +45,14 @@ class PoseLibrary:
     deviation: np.ndarray
     layers: tuple
 
+    def __post_init__(self):
+        """Raise ValueError unless the arrays fit together."""
+        widths = [self.looks.shape[1:], *(w.shape[1:] for w, _ in self.layers)]
+        fit = all((w.shape[0],) == width and b.shape == w.shape[1:] for (w, b), width in zip(self.layers, widths))
+        ends = self.mean.shape == self.deviation.shape == self.looks.shape[1:] and widths[-1] == (self.poses[0].size,)
+        if not (fit and ends and self.poses.ndim == 3 and len(self.poses) == len(self.looks)):
+            raise ValueError("a library of poses whose arrays do not fit together")
+
     def nearest(self, points, k):
         """(k, J, 3): the poses whose scans look most like ``points`` (n, 3), given in half sizes of the rig."""
         away = ((self.looks - describe_scan(points)) ** 2).sum(axis=1)
