@@ -185,7 +185,8 @@ def test_closest_points_of_a_mesh_are_those_among_all_triangles(tube):
 def test_triangles_without_area(corners):
     V, faces = np.array(corners), np.array([[0, 1, 2]])
     X = np.random.default_rng(0).uniform(-1, 3, (50, 3))
-    on = closest_on_mesh(X, np.zeros(50, int), V, faces, faces_around(faces, 3))
+    with np.errstate(all="raise"):
+        on = closest_on_mesh(X, np.zeros(50, int), V, faces, faces_around(faces, 3))
     np.testing.assert_allclose(np.linalg.norm(X - on.points, axis=1), [_brute(x, [V]) for x in X], atol=1e-8)
     assert np.isfinite(on.barycentric).all() and np.isfinite(on.normals).all()
 
@@ -294,14 +295,15 @@ def test_labels_that_no_vertex_has_are_left_out(tube):
     truth = _state(tube, 6, 0.7)
     start = _near(tube, truth, 6)
     problem, labels = _sampled(tube, truth, 600)
-    clutter = np.random.default_rng(0).uniform(-1, 1, (200, 3))
-    more = Problem(np.vstack([problem.X, clutter]), np.r_[np.full(600, 1 / 600), np.full(200, 1 / 600)])
+    rng = np.random.default_rng(0)
+    clutter, a = rng.uniform(-1, 1, (200, 3)), rng.random(600) / 300
+    more = Problem(np.vstack([clutter, problem.X]), np.r_[np.full(200, 1 / 600), a])
     steps = GaussNewton(tube)
-    alone = steps.pose(Problem(problem.X, np.full(600, 1 / 600)), start, labels=labels)
-    beside = steps.pose(more, start, labels=np.r_[labels, np.full(200, 4)])
+    alone = steps.pose(Problem(problem.X, a), start, labels=labels)
+    beside = steps.pose(more, start, labels=np.r_[np.full(200, 4), labels])
     np.testing.assert_allclose(beside[0].theta, alone[0].theta, atol=1e-9)
     assert beside[1] == pytest.approx(alone[1], rel=1e-9)
-    confused = steps.pose(more, start, labels=np.r_[labels, np.zeros(200, int)])
+    confused = steps.pose(more, start, labels=np.r_[np.zeros(200, int), labels])
     assert not np.allclose(confused[0].theta, alone[0].theta, atol=1e-4)
     nobody = steps.pose(problem, start, labels=np.full(600, 4))  # no point has a part: nothing moves
     np.testing.assert_allclose(nobody[0].theta, start.theta, atol=1e-12)
@@ -395,6 +397,31 @@ def test_many_poses_find_their_template_where_one_cannot(shifting, subject):
     assert joints[0] < 0.02 and joints[0] < 0.6 * joints[1]
     labelled, _ = steps.shared(problems, starts, labels=labels, iterations=40)
     assert _template_error(shifting, labelled[0].coefficients, c) < 0.5 * before
+
+
+def test_eliminated_unknowns_are_those_of_the_whole_system(shifting, subject):
+    """One step against the solution of all unknowns at once: poses of three scans, and their one template."""
+    c, truths, problems, _ = subject
+    steps = GaussNewton(shifting, ridge=1e-4)
+    layout = Layout(shifting.rig, ("pose", "translation"), len(c))
+    states = [t.replace(coefficients=0.5 * c) for t in truths[:3]]
+    weights, damping, n = np.array([0.5, 0.3, 0.2]), 1e-2, layout.size
+    made = [steps._normal_equations(p, s, None, layout, True) for p, s in zip(problems, states)]
+    H, g = np.zeros((3 * n + len(c),) * 2), np.zeros(3 * n + len(c))
+    for k, (m, w) in enumerate(zip(made, weights)):
+        own, shared = slice(k * n, (k + 1) * n), slice(3 * n, None)
+        H[own, own] = w * (m.H[:n, :n] + np.diag(damping * np.diag(m.H)[:n] + 1e-5))
+        H[own, shared], H[shared, own] = w * m.H[:n, n:], w * m.H[n:, :n]
+        H[shared, shared] += w * m.H[n:, n:]
+        g[own], g[shared] = w * m.g[:n], g[shared] + w * m.g[n:]
+    reduced = H[3 * n :, 3 * n :] - H[3 * n :, : 3 * n] @ np.linalg.solve(H[: 3 * n, : 3 * n], H[: 3 * n, 3 * n :])
+    H[3 * n :, 3 * n :] += np.diag(damping * np.diag(reduced)) + 1e-4 * np.eye(len(c))
+    g[3 * n :] -= 1e-4 * states[0].coefficients
+    x = np.linalg.solve(H, g)
+    found = steps._step(states, made, np.arange(3), weights, layout, True, damping)
+    np.testing.assert_allclose(found[0].coefficients - states[0].coefficients, x[3 * n :], atol=1e-9)
+    for k, (before, after) in enumerate(zip(states, found)):
+        np.testing.assert_allclose(layout.pack(after) - layout.pack(before), x[k * n : (k + 1) * n], atol=1e-8)
 
 
 def test_a_scan_of_weight_0_stays_and_does_not_count(shifting, subject):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.refit import Refit
+from lbsfit_np.fitting.refit import Refit, _thinned
 from lbsfit_np.losses import chamfer
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
@@ -146,6 +146,24 @@ def test_a_large_scan_gives_what_a_thinned_one_gives(rig, model, refit, case):
         state, _, which = refit(problem, [case.swap], poses=[*case.bad, case.near])
         away = model.pose(state)[0].joints - model.pose(truth)[0].joints
         assert np.linalg.norm(away, axis=1).mean() < 0.006 and which == 3
+
+
+def test_fewer_points_keep_their_weights():
+    rng = np.random.default_rng(0)
+    X, w = rng.random((2000, 3)), rng.random(2000)
+    few = _thinned(Problem(X, w / w.sum()))
+    rows = [int(np.flatnonzero((X == x).all(axis=1))[0]) for x in few.X]
+    assert len(set(rows)) == 700 and few.x_weights.sum() == pytest.approx(1.0)
+    np.testing.assert_allclose(few.x_weights, w[rows] / w[rows].sum())
+    small = Problem(X[:700])
+    assert _thinned(small) is small and _thinned(Problem(X)).x_weights is None
+
+
+def test_poses_are_put_where_the_scan_is(rig, model, refit, case):
+    away = Problem(case.problem.X + [4.0, -2.0, 1.0])
+    found = refit(away, poses=[case.near])[0]
+    there = found.replace(translation=found.translation - [4.0, -2.0, 1.0])
+    assert case.error(model, there) < 0.008
 
 
 def test_points_without_weight_do_not_count(model, case):

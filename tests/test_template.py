@@ -128,6 +128,26 @@ def test_heights_stay_on_the_normals_and_leave_joints_alone(hand_case):
     assert 0.003 < np.abs(height).mean() < 0.05
 
 
+def test_a_thicker_skin_is_found_as_high_as_it_is(tube_rig):
+    """Known poses, 2 % of a half size more skin everywhere."""
+    half = tube_rig.size / 2
+    normals = vertex_normals(tube_rig.vertices, tube_rig.faces)
+    case = Case(tube_rig, (tube_rig.vertices + 0.02 * half * normals, tube_rig.joints))
+    exact = [s.replace(theta=scan.pose) for s, scan in zip(case.states, case.scans)]
+    settings = TemplateSettings(sigmas=(), steps=0)
+    U = shared_template(case.model, case.problems, exact, case.losses, settings=settings)[0]
+    height = np.einsum("ia,ia->i", U - tube_rig.vertices, normals) / half
+    assert height.mean() == pytest.approx(0.02, rel=0.1) and height.std() < 0.005
+
+
+def test_more_rounds_end_at_the_same_heights(tube_case):
+    few, many = (
+        tube_case.found(settings=TemplateSettings(sigmas=(), steps=0, small=0.3, rounds=rounds))[0] - tube_case.rig.vertices
+        for rounds in (3, 12)
+    )
+    assert np.linalg.norm(many - few) < 0.2 * np.linalg.norm(few)
+
+
 def test_smoothness_and_smallness_hold_the_heights(tube_case):
     def heights(**settings):
         U = tube_case.found(settings=TemplateSettings(sigmas=(), steps=0, **settings))[0]

@@ -100,5 +100,5 @@ class PlainChamfer:
             model.rig,
             free,
             max_iterations=iterations,
-            tolerance=4e-4,
+            tolerance=1e-5,
         )

@@ -32,8 +32,8 @@ class FitSettings:
         L-BFGS iterations, at most, of each pose stage, of the last pose stage, which has the plain term only, and of the
         full stage.
     full_tolerance : float
-        Relative decrease of the objective in one iteration below which the last pose stage and the full stage have
-        converged.
+        Decrease of the objective in one iteration, as a share of its value at the stage's start, below which the last pose
+        stage and the full stage have converged.
     refinements : tuple of float
         σ of each refinement of the labels, each followed by a pose stage.
     polish : int

@@ -91,7 +91,8 @@ class Search:
             return state
         steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02)
         labels = [self.labels] if self.labels_known else None
-        states, _ = steps.shared([self.problem], [state], labels=labels, iterations=self.settings.polish)
+        free = ("pose", *self.place)
+        states, _ = steps.shared([self.problem], [state], free=free, labels=labels, iterations=self.settings.polish)
         return states[0]
 
     def _relabel(self, state, sigma):

@@ -34,7 +34,7 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-5):
         Blocks to change, as in :class:`Layout`.
     max_iterations : int
     tolerance : float, default 1e-5
-        Relative decrease of the objective in one iteration below which the fit has converged.
+        Decrease of the objective in one iteration below which the fit has converged, as a share of its value at the start.
 
     Returns
     -------
@@ -47,8 +47,8 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-5):
     state = layout.inside(state)
     best = [np.inf, state]
     finite = True
-    # The optimiser's own test compares a decrease with max(|f|, 1): in units of the first value it is the relative one that
-    # is promised, whatever the weights and the scale.
+    # The optimiser's own test compares a decrease with max(|f|, 1): in units of the first value it means the same whatever the
+    # weights and the scale.
     first = abs(evaluate(state).value)
     unit = first if 0 < first < np.inf else 1.0
 
