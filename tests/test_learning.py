@@ -18,11 +18,11 @@ from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning.collection import read_collection
 from lbsfit_np.learning.loop import Loop, LoopSettings, _alike
 from lbsfit_np.learning.mixture import Mixture
-from lbsfit_np.learning.parallel import each
 from lbsfit_np.learning.variants import VARIANTS, as_variant
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.synthesis import Synthesis
+from lbsfit_np.workers import each
 
 SMALL = {"training_scans": 200, "training": {"n_points": 400}, "rounds": 1, "random_state": 0}
 SCANS = {"n_points": 400, "holes": 1, "density": 0.3}
@@ -151,12 +151,12 @@ def test_without_ids_there_is_one_subject(tube_rig, clouds):
 @pytest.mark.parametrize("share, expected", [(0.0, 0), (0.01, 1), (0.25, 3), (0.33, 4)])
 def test_each_subject_keeps_two_scans(tube_rig, clouds, share, expected):
     ids = [0] * 3 + [1] * 3 + [2] * 6
-    for seed in range(5):
+    for seed in range(20):
         members = _read(tube_rig, clouds[:12], ids, held_out=share, random_state=seed).members
         assert sum(m.held_out for m in members) == expected
         for s in range(3):
             assert sum(m.subject == s and not m.held_out for m in members) >= 2
-    again = [m.held_out for m in _read(tube_rig, clouds[:12], ids, held_out=share, random_state=4).members]
+    again = [m.held_out for m in _read(tube_rig, clouds[:12], ids, held_out=share, random_state=19).members]
     assert again == [m.held_out for m in members]
 
 
@@ -373,6 +373,8 @@ def test_the_segmenter_goes_on_from_the_pretrained_one(learned, alone):
     own, before = (s.stages[0].classifier.coefs_[0] for s in (learned.segmenter_, alone.segmenter_))
     away = np.linalg.norm(own - before) / np.linalg.norm(before)
     assert 0 < away < 0.5
+    for own, before in zip(learned.segmenter_.stages, alone.segmenter_.stages):
+        np.testing.assert_array_equal(own.mean, before.mean)  # which would be that of the round's scans otherwise
 
 
 def test_new_scans_find_their_subject(tube_rig, learned, alone, scans):
@@ -749,11 +751,11 @@ def _roughness(results):
 
 def test_smooth_sequences_are_smoother_and_as_near(tube_rig, make, walk):
     points = [s.points for s in walk]
-    rough, smooth = (make(variant="cd", sequence=True, smooth=w, held_out=0).fit(points).results_ for w in (0.0, 3e-4))
-    assert _roughness(smooth) < 0.6 * _roughness(rough)
+    rough, smooth = (make(variant="cd", sequence=True, smooth=w, held_out=0).fit(points).results_ for w in (0.0, 1e-3))
+    assert _roughness(smooth) < 0.4 * _roughness(rough)
     assert _error(tube_rig, smooth, walk) < 1.1 * _error(tube_rig, rough, walk)
     away = [np.mean([np.abs(r.pose - s.pose).mean() for r, s in zip(found, walk)]) for found in (smooth, rough)]
-    assert away[0] < 0.85 * away[1]
+    assert away[0] < 0.75 * away[1]
 
 
 def test_sequences_start_from_neighbours(tube_rig, few):

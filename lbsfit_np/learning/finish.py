@@ -14,7 +14,7 @@ from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.scale import near_rows, reference_scale
-from .parallel import each
+from ..workers import each
 
 __all__ = ["fit_free_form", "fit_new", "results_of"]
 

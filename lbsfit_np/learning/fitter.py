@@ -58,8 +58,8 @@ class LBSFitter(BaseEstimator):
     sequence : bool, default False
         Whether the scans of each subject are in order of time: each then starts from its neighbours, too.
     smooth : float, default 0
-        With ``sequence``: weight of ‖Θ − Θ⁰‖², Θ⁰ the mean of the neighbours' angles, against the mean squared distance to the
-        surface in squared half sizes of the rig; 1e-5 is a little, 1e-3 much.
+        With ``sequence``: weight of ‖Θ − Θ⁰‖², Θ⁰ the mean of its own and the neighbours' angles, against the mean squared
+        distance to the surface in squared half sizes of the rig; 1e-5 is a little, 1e-3 much.
     training : dict, optional
         Fields of ``synthesis.Synthesis`` for them, such as ``{"turn": 3.14, "scale": 0.2}``; ``scale`` is 0.05 unless given.
     n_jobs : int, optional

@@ -23,8 +23,8 @@ from ..segmentation.descriptors import describe_scan
 from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import build_library
+from ..workers import each
 from .mixture import Mixture
-from .parallel import each
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
@@ -272,13 +272,13 @@ class Loop:
         return won
 
     def _smooth(self, templates):
-        """A few sweeps that draw each pose towards the mean of its neighbours', all from the poses of the sweep before."""
+        """A few sweeps that draw each pose towards the mean of its neighbours' and its own, as the sweep before left them."""
         models = self._models(templates)
         for _ in range(_SWEEPS):
             members = [m for m in self.collection.members if self._beside(m)]
             for m in members:
                 beside = [_alike(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
-                m.prior = np.mean(beside, axis=0), self.smooth
+                m.prior = np.mean([m.state.theta, *beside], axis=0), self.smooth  # without its own, neighbours would swap places
             tasks = [(m.subject, m.problem, m.state, m.prior) for m in members]
             states = each(_Drawn(models), tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
             for m, state in zip(members, states):

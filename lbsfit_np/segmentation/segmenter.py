@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import FileError, InputError, brief
 from ..losses.checks import check_set
 from ..seeds import generator
-from ..workers import Workers
+from ..workers import each
 from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor
 from .stage import Stage, Training, train_stage
@@ -219,45 +219,8 @@ class _Describe:
 def _describe_all(describe, start, stop, jobs, progress):
     """Descriptions and labels of the scans from ``start`` to ``stop``, in their order whatever ``jobs`` is."""
     batches = np.array_split(np.arange(start, stop), max(1, (stop - start) // 50))
-    if min(jobs, len(batches)) == 1:
-        done = {}
-        for k, batch in enumerate(batches):
-            done[k] = describe(batch)
-            progress((k + 1) / len(batches))
-    else:
-        done = _by_workers(describe, batches, min(jobs, len(batches)), progress)
-    X, y = zip(*(done[k] for k in range(len(batches))), strict=True)
+    X, y = zip(*each(describe, batches, jobs=jobs, done=progress), strict=True)
     return np.concatenate(X), np.concatenate(y)
-
-
-def _by_workers(describe, batches, jobs, progress):
-    """k → description of batch k."""
-    todo, done = list(enumerate(batches))[::-1], {}
-    with Workers(_Answered(describe), jobs, argument="n_jobs") as workers:
-        while len(done) < len(batches):
-            while todo and workers.idle:
-                workers.give(todo.pop())
-            for (k, _), answer, death in workers.answers():
-                if death is not None:
-                    raise InputError("n_jobs", f"a process that ended ({death})", "processes that live", "Use fewer of them.")
-                done[k], error = answer
-                if error is not None:
-                    raise error
-                progress(len(done) / len(batches))
-    return done
-
-
-@dataclass(frozen=True)
-class _Answered:
-    """What a process does: a batch → (its description, None), or (None, the error)."""
-
-    describe: _Describe
-
-    def __call__(self, task):
-        try:
-            return self.describe(task[1]), None
-        except Exception as error:  # noqa: BLE001 (raised again where the answer arrives)
-            return None, error
 
 
 def jobs_of(n_jobs, random_state):
