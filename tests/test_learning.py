@@ -782,3 +782,17 @@ def test_turns_that_are_written_otherwise_are_neighbours_all_the_same():
     np.testing.assert_array_equal(_alike(still, own, 1), still)
     own[1], beside[1] = -7.0 * axis, 2.0 * axis
     np.testing.assert_allclose(_alike(beside, own, 1)[1], (2.0 - 4 * np.pi + 2 * np.pi) * axis)
+
+
+def test_smoothing_looks_at_turns_as_the_scan_itself_writes_them(tube_rig, few, monkeypatch):
+    collection = _read(tube_rig, [s.points for s in few], held_out=0)
+    axis = np.array([0.6, 0.0, 0.8])
+    for k, m in enumerate(collection.members):
+        m.state = lbs.LBSFitter(tube_rig)._model().rest()
+        m.state.theta[0] = (3.0 if k % 2 else -3.2) * axis
+    loop, asked = _loop(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
+    monkeypatch.setattr("lbsfit_np.learning.loop.each", lambda work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
+    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)})
+    assert asked
+    for _, _, state, (wanted, weight) in asked:
+        assert weight == 1e-3 and np.linalg.norm(wanted[0] - state.theta[0]) < 0.1
