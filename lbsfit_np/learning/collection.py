@@ -133,8 +133,9 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
                 rows = np.sort(generator(random_state, "thin", i).choice(len(points), max_points, replace=False))
             reference = reference_scale(points[rows], rig, scale)
             rows, _ = near_rows(points, rows, reference.scale, rig.size / 2)
-        except LbsfitError as error:
-            collection.failures[i] = str(error)
+        except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
+            words = str(error) if isinstance(error, LbsfitError) else f"{type(error).__name__}: {error}"
+            collection.failures[i] = words
             continue
         path = getattr(scan, "path", None)
         name = f"{i}" if path is None else f"{i} ({path})"
