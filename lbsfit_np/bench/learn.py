@@ -247,10 +247,11 @@ def learn_table(report, *, markdown=False):
             style = ".0f" if measure == "seconds" else ".4f" if report["unit"] != "cm" or measure == "label_error" else ".2f"
             cells.append(format(np.mean(values), style) if values else "–")
         rows.append((variant, *cells))
+    seeds = len(report["rows"]["before"])
     n, people = (report["settings"][key] for key in ("n_scans", "subjects"))
     unit = "cm" if report["unit"] == "cm" else "half sizes of the rig"
     legend = (
-        f"Mean over {len(report['rows']['before'])} seeds, {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
+        f"Mean over {seeds} {'seed' if seeds == 1 else 'seeds'}, {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
         f"of the segmenter alone on {n // 3} scans that nobody learned from."
     )
     return f"{layout(rows, markdown=markdown)}\n\n{legend}"
