@@ -251,7 +251,7 @@ def learn_table(report, *, markdown=False):
     n, people = (report["settings"][key] for key in ("n_scans", "subjects"))
     unit = "cm" if report["unit"] == "cm" else "half sizes of the rig"
     legend = (
-        f"Mean over {seeds} {'seed' if seeds == 1 else 'seeds'}, {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
+        f"Mean over seeds ({seeds}), {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
         f"of the segmenter alone on {n // 3} scans that nobody learned from."
     )
     return f"{layout(rows, markdown=markdown)}\n\n{legend}"
