@@ -4,27 +4,24 @@ Run from the checkout, with the extra "build" installed: python -m rigs.build_ha
 files to the last bit.
 """
 
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
 
-from lbsfit_np.io.npz import read_npz
-from lbsfit_np.io.write import write_npz
-from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.data import RigData
 from lbsfit_np.rig.shapes import ShapeSpace
 
-from .checks import bending_volume, components, edge_uses, euler_characteristic, self_intersections, volume
+from .checks import bending_volume, volume
 from .hand_poses import POSES, pose_angles, pose_library
 from .hand_shape import BOX, FINGERS, JOINT_NAMES, PARAMETERS, PARENTS, Person, skeleton, surface
 from .heat import heat_weights
 from .implicit import polygonise
 from .remesh import remesh
+from .rig_file import mesh_lines, write_rig
 from .shape_directions import shape_direction
 from .sheet import contact_sheet
 
-__all__ = ["LEVELS", "LIMITS", "build", "draw", "hand_data", "library_versions", "report"]
+__all__ = ["LEVELS", "LIMITS", "build", "draw", "hand_data", "report"]
 
 FOLDER = Path(__file__).parent
 SHEET = Path(__file__).parents[1] / "docs" / "rigs" / "hand.png"
@@ -183,32 +180,15 @@ def _limits():
 
 
 def build(name="hand", folder=FOLDER):
-    """Write one of the ``LEVELS`` to folder/name.npz; returns the rig.
-
-    Beyond the rig format's keys the file has ``built_with``, the versions of the libraries: with the same ones a rebuild gives
-    the same file.
-    """
-    rig, path = build_rig(hand_data(name)), folder / f"{name}.npz"
-    rig.save(path)
-    write_npz(path, **read_npz(path), built_with=np.array(library_versions()))
-    return rig
-
-
-def library_versions():
-    """The libraries that decide the last bits of a build, as text."""
-    return ", ".join(f"{name} {metadata.version(name)}" for name in ("numpy", "scipy", "scikit-image"))
+    """Write one of the ``LEVELS`` to folder/name.npz; returns the rig."""
+    return write_rig(hand_data(name), folder / f"{name}.npz")
 
 
 def report(rig):
     """What the build measured, in lines of text."""
-    edges = np.linalg.norm(rig.vertices[rig.faces] - rig.vertices[np.roll(rig.faces, 1, axis=1)], axis=2)
+    size = f"{1e6 * volume(rig.vertices, rig.faces):.0f} cm³"
     lines = [
-        f"{len(rig.vertices)} vertices, {len(rig.faces)} triangles, edges {1e3 * edges.min():.1f} to {1e3 * edges.max():.1f} mm",
-        f"triangles on one side of an edge: {edge_uses(rig.faces)[0]}; closed: {edge_uses(rig.faces)[1]}",
-        f"pieces: {components(rig.faces, len(rig.vertices))}; Euler characteristic: {euler_characteristic(rig.faces)}",
-        f"{1e6 * volume(rig.vertices, rig.faces):.0f} cm³",
-        f"self-intersections at rest: {len(self_intersections(rig.vertices, rig.faces))}",
-        f"at most {np.diff(rig.weights.indptr).max()} influences a vertex, {rig.weights.nnz / len(rig.vertices):.1f} on average",
+        *mesh_lines(rig, size),
         "volume kept at a joint, bent to 30, 60, 90 degrees or its limit:",
     ]
     for row, name in enumerate(rig.joint_names[1:], start=1):

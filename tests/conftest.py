@@ -30,3 +30,158 @@ def tube_fitter(tube_rig):
     from lbsfit_np import LBSFitter
 
     return LBSFitter(tube_rig, training_scans=300, random_state=0).pretrain()
+
+
+@pytest.fixture(scope="session")
+def tube_scan(tube_rig):
+    """A scan of the tube rig with all its flaws, and its truth."""
+    from lbsfit_np import synthesize
+
+    return synthesize(tube_rig, 1, random_state=31)[0]
+
+
+@pytest.fixture(scope="session")
+def tube_result(tube_fitter, tube_scan):
+    """The fit of ``tube_scan``."""
+    return tube_fitter.fit_scan(tube_scan.points)
+
+
+@pytest.fixture
+def fitter(tube_rig):
+    """A fitter without a segmenter, for scans whose labels are known; training would take no time worth a word."""
+    from lbsfit_np import LBSFitter
+
+    return LBSFitter(tube_rig, training_scans=2, training={"n_points": 100}, random_state=0)
+
+
+@pytest.fixture(scope="module")
+def one_thread():
+    """As all fits have it: more threads on arrays this small only take time."""
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        yield
+
+
+# ---- the command line ----
+
+
+@pytest.fixture(scope="session")
+def cli_cache(tmp_path_factory):
+    """A folder that all tests of the command line keep their segmenters in."""
+    return tmp_path_factory.mktemp("cache")
+
+
+@pytest.fixture
+def own_cache(cli_cache, monkeypatch):
+    """Nothing is read from or written to the user's own cache."""
+    monkeypatch.setenv("LBSFIT_CACHE", str(cli_cache))
+
+
+@pytest.fixture
+def run(capsys):
+    """Run the program in this process; returns its exit code, output and errors."""
+    from lbsfit_np.cli import main
+
+    def run(*arguments):
+        capsys.readouterr()
+        code = main([str(a) for a in arguments])
+        out, err = capsys.readouterr()
+        assert "Traceback" not in out + err
+        return code, out, err
+
+    return run
+
+
+@pytest.fixture(scope="session")
+def made(tube_rig, tmp_path_factory):
+    """A folder with tube.npz and the scans one.ply, two.xyz and three.npy."""
+    import numpy as np
+
+    from lbsfit_np import synthesize
+    from lbsfit_np.io.write import write_points_ply
+
+    folder = tmp_path_factory.mktemp("made")
+    tube_rig.save(folder / "tube.npz")
+    one, two, three = (s.points for s in synthesize(tube_rig, 3, random_state=5, n_points=400))
+    write_points_ply(folder / "one.ply", one)
+    np.savetxt(folder / "two.xyz", two)
+    np.save(folder / "three.npy", three)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def fitted(made, cli_cache, tmp_path_factory):
+    """A folder with the fits of two scans, made by a program of its own."""
+    from cli_runs import QUICK, program
+
+    out = tmp_path_factory.mktemp("fitted") / "fits"
+    done = program("fit", made / "tube.npz", made / "one.ply", made / "two.xyz", "-o", out, *QUICK, cache=cli_cache)
+    assert (done.returncode, done.stderr) == (0, "")
+    return out, done.stdout
+
+
+@pytest.fixture(scope="session")
+def hands(tmp_path_factory):
+    """A folder of scans of two hands and their truth: anna0 … anna3, ben0 … ben2 (.ply), and who.csv."""
+    import numpy as np
+    from cli_runs import HAND
+
+    from lbsfit_np import load_rig, synthesize
+    from lbsfit_np.io.write import write_points_ply
+    from lbsfit_np.synthesis import with_random_proportions
+
+    folder = tmp_path_factory.mktemp("hands")
+    rig, truth = load_rig(HAND), {}
+    for k, (name, n) in enumerate((("anna", 4), ("ben", 3))):
+        template = with_random_proportions(rig, 0.08, np.random.default_rng(k))
+        for i, s in enumerate(synthesize(rig, n, poses="natural", templates=[template], random_state=k, n_points=600)):
+            truth[f"{name}{i}"] = s
+            write_points_ply(folder / f"{name}{i}.ply", s.points)
+    lines = [f"{name}.ply,{name[:-1]}" for name in truth]
+    (folder / "who.csv").write_text("\n".join(["scan,subject", *lines, "broken.ply,ben"]) + "\n")
+    return folder, truth
+
+
+@pytest.fixture(scope="session")
+def learned_hands(hands, cli_cache, tmp_path_factory):
+    """A model of the hands, made by a program of its own: path, folder of results, output, errors, truth."""
+    from cli_runs import HAND, program
+
+    folder, truth = hands
+    out = tmp_path_factory.mktemp("learned")
+    (folder / "broken.ply").write_text("ply\nformat ascii 1.0\nelement vertex 9\n")
+    scans = [*sorted(folder.glob("anna*.ply")), folder / "broken.ply", *sorted(folder.glob("ben*.ply"))]
+    options = ("--subjects", folder / "who.csv", "--training-scans", 200, "--rounds", 1, "--results", out / "fits")
+    done = program("learn", HAND, *scans, "-o", out / "new" / "model.npz", *options, cache=cli_cache)
+    assert done.returncode == 1, done.stderr
+    return out / "new" / "model.npz", out / "fits", done.stdout, done.stderr, truth
+
+
+@pytest.fixture(scope="session")
+def tubes(tube_rig, tmp_path_factory):
+    """A folder with tube.npz and the scans t0.ply … t3.ply."""
+    from lbsfit_np import synthesize
+    from lbsfit_np.io.write import write_points_ply
+
+    folder = tmp_path_factory.mktemp("tubes")
+    tube_rig.save(folder / "tube.npz")
+    for i, s in enumerate(synthesize(tube_rig, 4, random_state=5, n_points=400)):
+        write_points_ply(folder / f"t{i}.ply", s.points)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def tube_model(tubes, cli_cache, tmp_path_factory):
+    """A model of the tubes, and the folder of results."""
+    from cli_runs import QUICK_LEARNING
+
+    from lbsfit_np.cli import main
+
+    out = tmp_path_factory.mktemp("tube model")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("LBSFIT_CACHE", str(cli_cache))
+        scans = sorted(map(str, tubes.glob("*.ply")))
+        arguments = ["learn", tubes / "tube.npz", *scans, "-o", out / "m.npz", "--results", out / "fits", *QUICK_LEARNING]
+        assert main([str(a) for a in arguments]) == 0
+    return out / "m.npz", out / "fits"

@@ -1,4 +1,4 @@
-"""A small glTF 2.0 writer for tests, and a rig with known truth to write with it."""
+"""A small glTF 2.0 writer for tests, rigs with known truth to write with it, and the check of what is read."""
 
 import base64
 import json
@@ -6,7 +6,11 @@ import struct
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 from scipy.spatial.transform import Rotation
+
+from lbsfit_np.rig.regressor import regressor_from_weights
+from lbsfit_np.rig.rig import Rig
 
 CODES = {"i1": 5120, "u1": 5121, "i2": 5122, "u2": 5123, "u4": 5125, "f4": 5126}
 KINDS = {(): "SCALAR", (2,): "VEC2", (3,): "VEC3", (4,): "VEC4", (2, 2): "MAT2", (3, 3): "MAT3", (4, 4): "MAT4"}
@@ -186,3 +190,91 @@ def write_arm(arm, *, armature=None, armature_T_bind=None, posed=None, order=Non
     g.add("scenes", nodes=[top])
     g.json["scene"] = 0
     return g
+
+
+ARM = make_arm()
+TILTED = affine((-np.pi / 2, 0, 0), 0.01, (0.2, 0.1, -0.3))  # a z-up skeleton in centimetres
+# Root and all, turned this way and that: the last joints by more than 100°.
+POSED = np.array([[0.3, -0.5, 0.4], [1.2, 0.4, -0.8], [0.9, -1.9, 0.5], [0.2, 0.1, 2.1], [-0.7, 0.3, 0.2]])
+Z_UP = affine((np.pi / 2, 0.0, 0.0), 0.02, (0.1, 0.2, 0.3))
+POINTS = np.random.default_rng(0).normal(size=(7, 3)).astype("f4").astype(float)
+ANGLES = np.random.default_rng(3).normal(size=(4, 5, 3)) * 0.7
+TIMES = np.array([0.0, 0.5, 0.75, 2.0])
+
+
+def truth(world_T_arm):
+    """Vertices, joints and frames of the arm in the scene."""
+    matrices = world_T_arm @ ARM.matrices
+    linear = matrices[:, :3, :3]
+    frames = linear / np.cbrt(np.linalg.det(linear))[:, None, None]
+    return ARM.vertices @ world_T_arm[:3, :3].T + world_T_arm[:3, 3], matrices[:, :3, 3], frames
+
+
+def check_arm(data, world_T_arm, rows=None, atol=2e-6):
+    vertices, joints, frames = truth(world_T_arm)
+    size = np.ptp(vertices, axis=0).max()
+    rows = np.arange(5) if rows is None else rows
+    assert np.allclose(data.vertices, vertices, atol=atol * size)
+    assert np.allclose(data.joints[rows], joints, atol=atol * size)
+    assert np.allclose(data.frames[rows], frames, atol=1e-5)
+    assert np.allclose(np.linalg.det(data.frames), 1.0)
+    assert np.allclose(data.weights.toarray()[:, rows], ARM.weights, atol=1e-6)
+
+
+def save(writer, tmp_path, name="arm.glb", **options):
+    return writer.save(tmp_path / name, **options)
+
+
+def flat_skin(primitives, vertices, tmp_path, weights=None):
+    """A rig of two joints at rest at the origin, with the given primitives over shared vertices."""
+    writer = GltfWriter()
+    m = len(vertices)
+    attributes = {
+        "POSITION": writer.accessor(vertices),
+        "JOINTS_0": writer.accessor(np.zeros((m, 4)), "u1"),
+        "WEIGHTS_0": writer.accessor(np.tile([1.0, 0, 0, 0], (m, 1))),
+    }
+    for p in primitives:
+        p["attributes"] = {**attributes, **p.pop("more", {})}
+        if "indices" in p:
+            p["indices"] = writer.accessor(np.array(p["indices"]), p.pop("dtype", "u2"))
+    writer.add("meshes", primitives=primitives)
+    writer.add("nodes", name="a", children=[1])
+    writer.add("nodes", name="b")
+    writer.add("nodes", name="shown", mesh=0, skin=0)
+    writer.add("skins", joints=[0, 1])
+    return writer
+
+
+def free_rig(data):
+    """A Rig of the data, all joints free."""
+    J, m = data.weights.shape[1], len(data.vertices)
+    free = np.full((J, 3), np.pi)
+    sums = np.asarray(data.weights.sum(axis=1)).ravel()
+    weights = sparse.csr_array(sparse.diags_array(1 / sums) @ data.weights)
+    no = np.zeros(J, dtype=bool)
+    regressor = regressor_from_weights(data.vertices, weights, data.parents, data.joints)
+    assert weights.shape == (m, J)
+    return Rig(
+        name=data.name, vertices=data.vertices, faces=data.faces, weights=weights, parents=data.parents,
+        joint_names=tuple(data.joint_names), joints=data.joints, frames=data.frames, lower=-free, upper=free,
+        regressor=regressor, merged=no, locked=no.copy(),
+    )  # fmt: skip
+
+
+def quaternions(rotvecs, j):
+    """Local rotations of joint j's node for angles about its rest frame's axes, (k, 4)."""
+    return (Rotation.from_matrix(ARM.local[j, :3, :3]) * Rotation.from_rotvec(rotvecs)).as_quat()
+
+
+def animated_arm(interpolation="LINEAR", armature=TILTED, signs=(1, 1, 1, 1), **options):
+    writer = write_arm(ARM, armature=armature, **options)
+    channels = []
+    for j in range(5):
+        values = quaternions(ANGLES[:, j], j) * np.array(signs)[:, None]
+        if interpolation == "CUBICSPLINE":
+            slopes = np.zeros((4, 2, 4))
+            values = np.concatenate([slopes[:, :1], values[:, None], slopes[:, 1:]], axis=1).reshape(-1, 4)
+        channels.append((j, "rotation", TIMES, values, interpolation))
+    writer.animation(channels)
+    return writer

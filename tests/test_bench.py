@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -24,31 +25,15 @@ from lbsfit_np.io.bvh import read_bvh
 from lbsfit_np.rig.chains import chains
 from lbsfit_np.synthesis import Synthesis, synthesize_nth, training_poses
 
+pytestmark = pytest.mark.usefixtures("own_cache")
+
 QUICK = ("--scans", "2", "--seeds", "7", "--training-scans", "60")
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(cache, monkeypatch):
-    monkeypatch.setenv("LBSFIT_CACHE", str(cache))
-
-
 @pytest.fixture
-def run(capsys):
-    """Run the program in this process; returns its exit code, output and errors."""
-
-    def run(*arguments):
-        capsys.readouterr()
-        code = main(["bench", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        return code, out, err
-
-    return run
+def run(run):
+    """Run ``lbsfit bench``."""
+    return partial(run, "bench")
 
 
 @pytest.fixture(scope="module")
@@ -62,11 +47,11 @@ def body(shared_rigs):
 
 
 @pytest.fixture(scope="module")
-def ran(shared_rigs, cache, tmp_path_factory):
+def ran(shared_rigs, cli_cache, tmp_path_factory):
     """A folder with the results of a tiny run of the hand, its exit code and the report."""
     out = tmp_path_factory.mktemp("ran") / "out"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("LBSFIT_CACHE", str(cache))
+        patch.setenv("LBSFIT_CACHE", str(cli_cache))
         rows = ("--rows", ",".join(ROWS))
         code = main(["bench", "hand", "--data", str(shared_rigs), "-o", str(out), "--pictures", "2", *rows, *QUICK])
     return out, code, json.loads((out / "results.json").read_text(encoding="utf-8"))

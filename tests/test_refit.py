@@ -9,13 +9,7 @@ from lbsfit_np.losses import chamfer
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread():
-    from threadpoolctl import threadpool_limits
-
-    with threadpool_limits(1):
-        yield
+pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.fixture(scope="module")
@@ -83,6 +77,25 @@ def test_the_right_start_among_bad_ones_wins(model, refit, case):
     assert which == 1
     _, _, which = refit(case.problem, [case.truth, case.swap], poses=case.bad)
     assert which == 0
+
+
+def test_the_last_steps_have_the_last_word(model, case, monkeypatch):
+    """The first steps' best start goes astray in the last ones: the other wins, with its own value."""
+    refit = Refit(model)
+    starts = [case.bad[0], case.near]
+    assert refit(case.problem, poses=starts)[2] == 1
+    pose, ends = refit._near.pose, []
+
+    def astray(problem, state, **options):
+        state, value = pose(problem, state, **options)
+        ends.append(state if ends else state.replace(translation=state.translation + 1.0))
+        return ends[-1], value
+
+    monkeypatch.setattr(refit._near, "pose", astray)
+    state, value, which = refit(case.problem, poses=starts)
+    values = [chamfer(case.problem.X, model.pose(s)[0].vertices)[0] for s in ends]
+    assert len(ends) == 2 and values[1] < values[0]
+    assert which == 0 and state is ends[1] and value == pytest.approx(values[1], rel=1e-12)
 
 
 def test_the_value_is_the_plain_chamfer_distance(model, refit, case):

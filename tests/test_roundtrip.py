@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,32 +11,17 @@ import pytest
 import lbsfit_np as lbs
 from lbsfit_np.bench import roundtrip as module
 from lbsfit_np.bench.roundtrip import AIM, CLOSE, RIGS, roundtrip, roundtrip_scans, roundtrip_table
-from lbsfit_np.cli import main
 from lbsfit_np.errors import InputError
+
+pytestmark = pytest.mark.usefixtures("own_cache")
 
 QUICK = ("--scans", "2", "--training-scans", "60")
 
 
-@pytest.fixture(scope="module")
-def cache(tmp_path_factory):
-    return tmp_path_factory.mktemp("cache")
-
-
-@pytest.fixture(autouse=True)
-def _own_cache(cache, monkeypatch):
-    monkeypatch.setenv("LBSFIT_CACHE", str(cache))
-
-
 @pytest.fixture
-def run(capsys):
-    def run(*arguments):
-        capsys.readouterr()
-        code = main(["bench", "roundtrip", *map(str, arguments)])
-        out, err = capsys.readouterr()
-        assert "Traceback" not in out + err
-        return code, out, err
-
-    return run
+def run(run):
+    """Run ``lbsfit bench roundtrip``."""
+    return partial(run, "bench", "roundtrip")
 
 
 def test_aim_is_the_issues():

@@ -6,8 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..fitting.assemble import assemble, registered
-from ..fitting.labels import labels_from_mesh
+from ..fitting.assemble import assemble
 from ..fitting.scan_fit import FitSettings
 from ..losses.objective import LossWeights
 from ..optimize.lbfgs import minimise
@@ -76,18 +75,17 @@ class PlainChamfer:
         weights = settings.weights.replace(lam_s=0.0)
         free = (*free, "proportions", "residual")
         last = self._minimise(problem, model, first.state, weights, free, self.full_iterations)
-        vertices = registered(model, last.state, unit, centre)
-        labels, confidence = labels_from_mesh(points, vertices, model.labels, len(self.rig.parts), _SIGMA * unit)
         return assemble(
             self.rig,
             model,
             problem,
             last,
+            points=points,
+            rows=rows,
             unit=unit,
             centre=centre,
+            sigma=_SIGMA,
             evaluation=problem.evaluate(model, last.state, weights, ridge=settings.ridge),
-            labels=labels,
-            confidence=confidence,
             evaluations=first.evaluations + last.evaluations,
             note=reference.note,
             started=started,

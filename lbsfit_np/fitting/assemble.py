@@ -5,18 +5,31 @@ import time
 import numpy as np
 
 from ..losses.chamfer import chamfer
+from .labels import labels_from_mesh
 from .result import FitResult
 
-__all__ = ["assemble", "registered"]
+__all__ = ["assemble"]
 
 
-def registered(model, state, unit, centre):
-    """(m', 3): the welded registration V^d in the scan's frame; what labels are read from."""
-    return model.pose(state)[0].vertices * unit + centre
-
-
-def assemble(rig, model, problem, last, *, unit, centre, evaluation, labels, confidence, evaluations, note, started):
-    """The fit in the scan's frame and on the rig's original vertices.
+def assemble(
+    rig,
+    model,
+    problem,
+    last,
+    *,
+    points,
+    rows,
+    unit,
+    centre,
+    sigma,
+    evaluation,
+    evaluations,
+    note,
+    started,
+    proba=None,
+    labels=None,
+):
+    """The fit in the scan's frame and on the rig's original vertices, with a label for every point.
 
     Parameters
     ----------
@@ -27,19 +40,27 @@ def assemble(rig, model, problem, last, *, unit, centre, evaluation, labels, con
     problem : Problem
     last : Outcome
         Of the last stage.
+    points : (n, 3) array
+        All of the scan.
+    rows : (k,) int array
+        Those of the problem.
     unit : float
         Scan units in a unit of the normalised frame.
     centre : (3,) array
         The normalised frame's origin in the scan's.
+    sigma : float
+        Of the vertices' votes for labels, in the normalised frame.
     evaluation : Evaluation
         The full objective at the end.
-    labels, confidence : (n,) arrays
-        Of all points.
     evaluations : int
     note : str
         Added to the message.
     started : float
         ``time.perf_counter()`` at the start.
+    proba : (k, n_parts) array, optional
+        The segmenter's probabilities, which count for the labels.
+    labels : (n,) int array, optional
+        Known ones; else the mesh and ``proba`` say.
 
     Returns
     -------
@@ -54,6 +75,11 @@ def assemble(rig, model, problem, last, *, unit, centre, evaluation, labels, con
         rest_joints = rest_joints + model.joint_offsets(state) * model.half
     place = state.theta, translation, scale, offsets
     V = model.pose(state)[0].vertices
+    if labels is None:
+        known = {} if proba is None else {"proba": proba, "proba_points": points[rows]}
+        labels, confidence = labels_from_mesh(points, V * unit + centre, model.labels, len(rig.parts), sigma * unit, **known)
+    else:
+        labels, confidence = labels.copy(), np.ones(len(points))
     recon = float(np.sqrt(chamfer(problem.X, V, x_weights=problem.x_weights, x_index=problem.x_index)[0]))
     finite = bool(np.isfinite(evaluation.value))
     ended = "converged" if last.converged else "ended at its limit of iterations"

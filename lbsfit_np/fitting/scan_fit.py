@@ -10,8 +10,7 @@ from ..losses.objective import PRESETS, LossWeights
 from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.scale import near_rows, reference_scale
-from .assemble import assemble, registered
-from .labels import labels_from_mesh
+from .assemble import assemble
 from .search import Search
 
 __all__ = ["FitSettings", "fit_points", "prepare_pose"]
@@ -116,36 +115,25 @@ def _fit(model, points, segmenter, settings, theta0, labels, point_weights, rand
     X = (points[rows] - centre) / unit
     a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
     problem = Problem(X, a)
-    n_parts = len(model.source.parts)
     if labels is None:
         proba = segmenter.predict_proba(points[rows], scale=reference.scale)
     else:
-        proba = np.eye(n_parts)[labels[rows]]
+        proba = np.eye(len(model.source.parts))[labels[rows]]
 
     search = Search(model, problem, proba, labels is not None, settings).run(theta0)
-    state = search.outcome.state
-    if labels is None:
-        labels, confidence = labels_from_mesh(
-            points,
-            registered(model, state, unit, centre),
-            model.labels,
-            n_parts,
-            settings.refinements[-1] * unit,
-            proba=proba,
-            proba_points=points[rows],
-        )
-    else:
-        labels, confidence = labels.copy(), np.ones(len(points))
     return assemble(
         model.source,
         model,
         problem,
         search.outcome,
+        points=points,
+        rows=rows,
         unit=unit,
         centre=centre,
-        evaluation=problem.evaluate(model, state, settings.weights, search.labels),
+        sigma=settings.refinements[-1],
+        evaluation=problem.evaluate(model, search.outcome.state, settings.weights, search.labels),
+        proba=proba,
         labels=labels,
-        confidence=confidence,
         evaluations=search.evaluations,
         note=reference.note + (f"; {wild} points far from all others left out" if wild else ""),
         started=started,

@@ -6,8 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..optimize.lbfgs import Outcome
-from .assemble import assemble, registered
-from .labels import labels_from_mesh
+from .assemble import assemble
 from .refit import Refit
 from .search import Search
 
@@ -72,29 +71,19 @@ class TemplateFit:
         known = given.argmax(axis=1) if labels_known is not None else None
         pose = self.refit.polish(problem, outcome.state, labels=known, prior=prior)
         outcome = Outcome(pose, outcome.value, outcome.converged, outcome.message, outcome.evaluations)
-        scale = unit * model.half
-        if labels_known is None:
-            labels, confidence = labels_from_mesh(
-                points,
-                registered(model, pose, scale, centre),
-                model.labels,
-                n_parts,
-                settings.refinements[-1] * scale,
-                proba=proba,
-                proba_points=None if proba is None else points[rows],
-            )
-        else:
-            labels, confidence = labels_known.copy(), np.ones(len(points))
         return assemble(
             self.rig,
             model,
             problem,
             outcome,
-            unit=scale,
+            points=points,
+            rows=rows,
+            unit=unit * model.half,
             centre=centre,
+            sigma=settings.refinements[-1],
             evaluation=problem.evaluate(model, pose, settings.weights, search.labels),
-            labels=labels,
-            confidence=confidence,
+            proba=proba,
+            labels=labels_known,
             evaluations=search.evaluations,
             note=note,
             started=started,

@@ -11,10 +11,11 @@ from ..errors import FileError
 
 __all__ = ["npz_keys", "read_npy", "read_npz"]
 
-# What zipfile, zlib and numpy raise for files that are cut short, damaged, or something else entirely.
+# What zipfile, zlib and numpy raise for files that are cut short, damaged, or something else entirely; RuntimeError is zipfile's
+# word for encrypted members and for compressions that it does not know.
 _BROKEN = (
     zipfile.BadZipFile, zlib.error, struct.error, tokenize.TokenError, SyntaxError, ValueError, TypeError, KeyError, IndexError,
-    EOFError, NotImplementedError, RuntimeError, OverflowError, MemoryError,
+    EOFError, RuntimeError, OverflowError, MemoryError,
 )  # fmt: skip
 
 

@@ -80,6 +80,11 @@ class Collection:
         """Ids in the order of their first scans."""
         return list(dict.fromkeys(m.subject for m in self.members))
 
+    def in_order(self, answers):
+        """One entry for each scan given: the answer of its member, None where it could not be used."""
+        found = {member.index: answer for member, answer in zip(self.members, answers, strict=True)}
+        return [found.get(i) for i in range(self.n)]
+
     def of(self, subject):
         """The members of one subject."""
         return [m for m in self.members if m.subject == subject]

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..fitting.assemble import assemble, registered
-from ..fitting.labels import labels_from_mesh
+from ..fitting.assemble import assemble
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import LossWeights
 from ..optimize.lbfgs import minimise
@@ -34,10 +33,7 @@ def results_of(rig, templates, joints, collection, settings, *, jobs, progress):
     half = rig.size / 2
     models = {s: Model(t, joints, half=half) for s, t in templates.items()}
     answers = each(_Finish(rig, models, settings), collection.members, jobs=jobs, done=lambda p: progress("results", p))
-    out = [None] * collection.n
-    for member, result in zip(collection.members, answers):
-        out[member.index] = result
-    return out
+    return collection.in_order(answers)
 
 
 @dataclass(frozen=True)
@@ -132,10 +128,7 @@ def fit_free_form(model, collection, settings, *, jobs, progress):
         m.use_unit(m.unit, model.half)
     work = _FreeForm(model, settings)
     answers = each(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p))
-    out = [None] * collection.n
-    for member, result in zip(collection.members, answers):
-        out[member.index] = result
-    return out
+    return collection.in_order(answers)
 
 
 @dataclass(frozen=True)
@@ -164,20 +157,17 @@ def _free_form(model, settings, problem, points, rows, centre, unit, started):
         max_iterations=settings.full_iterations,
         tolerance=settings.full_tolerance,
     )
-    scale = unit * model.half
-    n_parts = len(model.source.parts)
-    V = registered(model, outcome.state, scale, centre)
-    labels, confidence = labels_from_mesh(points, V, model.labels, n_parts, settings.refinements[-1] * scale)
     return assemble(
         model.source,
         model,
         problem,
         outcome,
-        unit=scale,
+        points=points,
+        rows=rows,
+        unit=unit * model.half,
         centre=centre,
+        sigma=settings.refinements[-1],
         evaluation=problem.evaluate(model, outcome.state, weights),
-        labels=labels,
-        confidence=confidence,
         evaluations=place_only.evaluations + outcome.evaluations,
         note="free-form, no skinning",
         started=started,

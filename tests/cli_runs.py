@@ -1,0 +1,38 @@
+"""Runs of the program in a process of its own, and what the tests of the command line have in common."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import lbsfit_np as lbs
+
+QUICK = ("--training-scans", "40")  # enough for the four parts of the tube
+QUICK_LEARNING = (*QUICK, "--rounds", "1")
+HAND = "hand-coarse"
+ARRAYS = ("pose", "translation", "scale", "offsets", "rest_joints", "vertices", "joints", "labels", "confidence", "terms")
+
+_PACKAGE_PARENT = str(Path(lbs.__file__).resolve().parents[1])
+_HEAVY = ("scipy", "sklearn", "trimesh", "tqdm", "matplotlib", "multiprocessing")
+
+
+def program(*arguments, cache, start=subprocess.run, **options):
+    environment = os.environ | {"LBSFIT_CACHE": str(cache), "PYTHONPATH": _PACKAGE_PARENT}
+    command = [sys.executable, "-m", "lbsfit_np", *map(str, arguments)]
+    if start is subprocess.run:
+        options |= {"capture_output": True, "timeout": 300}
+    return start(command, env=environment, text=True, **options)
+
+
+def one_line(err):
+    lines = err.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("lbsfit: error: "), err
+    return lines[0]
+
+
+def help_alone(command):
+    """The help of a command in a process of its own, which ends with a line of the heavy modules that it has imported."""
+    code = f"import sys; from lbsfit_np.cli import main; main([{command!r}, '--help']); "
+    code += f"print([m for m in sys.modules if m in {_HEAVY!r}])"
+    environment = os.environ | {"PYTHONPATH": _PACKAGE_PARENT}
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, timeout=120)

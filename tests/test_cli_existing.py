@@ -1,0 +1,107 @@
+"""Names that clash, inputs that are results, and what is there already: found before any work."""
+
+import json
+from pathlib import Path
+
+import pytest
+from cli_runs import QUICK, one_line
+
+import lbsfit_np as lbs
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+def test_missing_scans_are_found_before_any_work(made, tmp_path, run):
+    code, _, err = run(
+        "fit", made / "tube.npz", made / "one.ply", tmp_path / "a.ply", tmp_path / "b.ply", "-o", tmp_path / "out", *QUICK
+    )
+    assert code == 2 and "2 files that do not exist" in one_line(err) and "a.ply" in err and "b.ply" in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("other", ["one.xyz", "ONE.xyz", "sub/one.ply", "one.ply"])
+def test_clashing_names_are_found_before_any_work(other, made, tmp_path, run):
+    (tmp_path / "sub").mkdir()
+    for name in ("one.ply", other):
+        (tmp_path / name).write_text("0 0 0\n")
+    code, _, err = run("fit", made / "tube.npz", tmp_path / "one.ply", tmp_path / other, "-o", tmp_path / "out", *QUICK)
+    assert code == 2 and "SCAN: got" in one_line(err) and ("twice" if other == "one.ply" else "both be called") in err
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("existing", ["error", "skip", "replace"])
+@pytest.mark.parametrize("what", ["scan", "rig", "card"])
+def test_an_input_is_never_overwritten(what, existing, made, tmp_path, run):
+    scan, rig, card = tmp_path / "one.ply", made / "tube.npz", "none"
+    scan.write_bytes((made / "one.ply").read_bytes())
+    scans = [scan]
+    if what == "scan":
+        scans.append(tmp_path / "one.mesh.ply")  # a scan as well, and what the first one's mesh would be called
+        taken = scans[1]
+        taken.write_bytes(scan.read_bytes())
+    elif what == "rig":
+        rig = taken = tmp_path / "one.fit.npz"
+        taken.write_bytes((made / "tube.npz").read_bytes())
+    else:
+        card = taken = tmp_path / "summary.json"
+        taken.write_text('[rig]\nunit = "m"\n')
+    before = taken.read_bytes()
+    code, _, err = run("fit", rig, *scans, "-o", tmp_path, "--card", card, "--existing", existing, *QUICK)
+    assert code == 2 and f"{taken.name} is an input" in one_line(err) and "never overwritten" in err
+    assert taken.read_bytes() == before
+
+
+def test_existing_results(fitted, made, tmp_path, run):
+    for path in fitted[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "two.labels.ply").unlink()
+    old = {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()}
+    scans = [made / "one.ply", made / "two.xyz"]
+
+    code, _, err = run("fit", made / "tube.npz", *scans, "-o", tmp_path, *QUICK)
+    assert code == 2 and "one.fit.npz" in one_line(err) and "--existing" in err
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == old
+
+    code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", "skip", *QUICK)
+    assert code == 0 and "1 of 2 scans are fitted already" in text and "[1/1] two: fitted" in text
+    assert (tmp_path / "one.fit.npz").stat().st_mtime_ns == old[tmp_path / "one.fit.npz"]
+    assert (tmp_path / "two.labels.ply").is_file()
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert [s["status"] for s in summary["scans"]] == ["skipped", "ok"]
+    assert summary["scans"][0]["terms"] == lbs.FitResult.load(tmp_path / "one.fit.npz").terms
+
+    (tmp_path / "one.fit.npz").write_bytes(b"broken")
+    code, text, _ = run("fit", made / "tube.npz", scans[0], "-o", tmp_path, "--existing", "skip", *QUICK)
+    assert code == 0 and "fitted again" in text and lbs.FitResult.load(tmp_path / "one.fit.npz").status == "ok"
+
+    code, _, _ = run("fit", made / "tube.npz", scans[0], "-o", tmp_path, "--existing", "replace", "--weights", "paper", *QUICK)
+    assert code == 0 and (tmp_path / "one.mesh.ply").read_bytes() != (fitted[0] / "one.mesh.ply").read_bytes()
+
+
+def test_skip_does_not_take_fits_of_another_rig(fitted, made, tmp_path, run):
+    for path in fitted[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
+    code, _, err = run(*arguments, "--parts", "arm and fingers")
+    assert code == 2 and "a fit of another rig" in one_line(err)
+
+
+def test_names_of_results_that_are_too_long_are_found_before_any_work(made, tmp_path, run):
+    scan = tmp_path / ("s" * 246 + ".ply")  # 250 bytes: the scan can be read, but its .labels.ply could not be written
+    scan.write_bytes((made / "one.ply").read_bytes())
+    code, _, err = run("fit", made / "tube.npz", scan, "-o", tmp_path / "out", *QUICK)
+    assert code == 2 and "too long for a file" in one_line(err) and "Rename the scan" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_files_of_a_scan_appear_together_or_not_at_all(made, tmp_path, run, monkeypatch):
+    import lbsfit_np.io.write
+
+    def full(path, *_, **__):
+        Path(path).write_bytes(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(lbsfit_np.io.write, "write_points_ply", full)
+    code, _, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, *QUICK)
+    assert code == 1 and "one: failed: " in err and "No space left" in err
+    assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]

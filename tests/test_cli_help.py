@@ -1,0 +1,41 @@
+"""The help of the commands, and the progress of ``lbsfit fit``."""
+
+import pytest
+from cli_runs import help_alone
+
+from lbsfit_np.cli import fit
+from lbsfit_np.cli.progress import Progress
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.mark.parametrize("command", [(), ("fit",), ("demo",), ("rig",), ("rig", "show"), ("rig", "card"), ("rig", "list")])
+def test_help_has_an_example(command, run):
+    code, text, err = run(*command, "--help")
+    assert (code, err) == (0, "")
+    assert "usage: lbsfit" in text and (command == ("rig",) or "example" in text)
+
+
+def test_help_shows_defaults(run):
+    text = run("fit", "--help")[1]
+    text = " ".join(text.split())  # help is wrapped
+    for option in fit.OPTIONS:
+        if option.default not in (None, {}):
+            shown = {True: "yes", False: "no"}.get(option.default, option.default) if option.kind is bool else option.default
+            assert f"{option.help} (default: {shown})" in text, option.name
+
+
+def test_help_is_quick():
+    done = help_alone("fit")
+    assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr
+
+
+def test_a_bar_on_a_terminal(capsys):
+    progress = Progress(2, terminal=True)
+    for share in (0.3, 1.0):
+        progress.training(share)
+    progress.scan({"name": "one", "status": "ok", "seconds": 1.0, "terms": {"recon": 0.01}, "message": "converged"})
+    progress.scan({"name": "two", "status": "failed", "message": "no points"})
+    progress.close()
+    out, err = capsys.readouterr()
+    assert out == "" and "training:" in err and "2/2" in err and "two: failed: no points" in err and "one: fitted" not in err

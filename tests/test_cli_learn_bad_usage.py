@@ -1,0 +1,137 @@
+"""What ``lbsfit learn`` cannot learn from: one clear line, before any work where that is possible."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import QUICK_LEARNING, one_line
+
+import lbsfit_np as lbs
+from lbsfit_np.io.write import write_points_ply
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        ((), ["RIG", "SCAN"]),
+        (("tube.npz",), ["SCAN"]),
+        (("tube.npz", "t0.ply"), ["-o/--output", "Add -o MODEL.npz"]),
+        (("tube.npz", "t0.ply", "-o", ""), ["-o/--output", "an empty text"]),
+        (("tube.npz", "t0.ply", "-o", "model"), ["model, which has no ending", ".npz", "Call it model.npz"]),
+        (("tube.npz", "t0.ply", "-o", "model.pkl"), ["ends in '.pkl'", ".npz"]),
+        (("tube.npz", "t0.ply", "-o", "tube.npz", "--existing", "replace"), ["which is an input", "never overwritten"]),
+        (("tube.npz", "t0.ply", "-o", "there.npz", "--card", "there.npz"), ["which is an input", "never overwritten"]),
+        (("tube.npz", "t0.ply", "-o", "there.npz", "--subjects", "there.npz"), ["which is an input", "never overwritten"]),
+        (("tube.npz", "t0.ply", "cloud.npz", "-o", "cloud.npz", "--existing", "replace"), ["an input (cloud.npz)"]),
+        (("tube.npz", "t0.ply", "-o", "there.npz"), ["there.npz", "exists already", "--existing replace"]),
+        (("tube.npz", "t0.ply", "-o", "folder.npz"), ["folder.npz", "a folder"]),
+        (("tube.npz", "t0.ply", "-o", "m" * 300 + ".npz"), ["mmm", "too long"]),
+        (("tube.npz", "t0.ply", "-o", "t0.ply/m.npz"), ["t0.ply", "cannot be made"]),
+        (("tube.npz", "t0.ply", "t0.ply", "-o", "m.npz"), ["SCAN: got t0.ply twice"]),
+        (("tube.npz", "t0.ply", "./t0.ply", "-o", "m.npz"), ["SCAN", "twice"]),
+        (("tube.npz", "t0.ply", "none.ply", "-o", "m.npz"), ["SCAN", "none.ply", "does not exist"]),
+        (("tube.npz", ".", "-o", "m.npz"), ["SCAN", "a folder"]),
+        (("none.npz", "t0.ply", "-o", "m.npz"), ["none.npz", "no such file"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--results", "t1.ply"), ["t1.ply", "a folder to write to"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--results", "old"), ["--results: got old", "exists already"]),
+        (("tube.npz", "t0.ply", "-o", "new/t0.fit.npz", "--results", "new"), ["t0.fit.npz", "a file of --results"]),
+        (("tube.npz", "t0.ply", "sub/t0.ply", "-o", "m.npz", "--results", "new"), ["SCAN", "both be called"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--rounds", "0"), ["--rounds", "at least 1"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--held-out", "1"), ["--held-out", "'1'", "from 0 to 0.9"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--held-out", "nan"), ["--held-out", "from 0 to 0.9"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "-1"), ["--smooth", "at least 0"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "inf", "--sequence"), ["--smooth", "at least 0"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "1e-5"), ["--smooth", "without --sequence"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--variant", "best"), ["--variant", "'best'", "pose-only"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--existing", "skip"), ["--existing", "'skip'"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--jobs", "0"), ["--jobs", "at least 1"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--training", "trun=1"), ["trun", "turn"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--parts", "toes"), ["'toes'", "arm and fingers"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--subjects", "none.csv"), ["none.csv", "no such file"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--subjects", "one.csv"), ["one.csv", "'t1' in line 2", "none of the scans"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "bad.toml"), ["bad.toml", "'round'", "Did you mean 'rounds'"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "share.toml"), ["held-out", "from 0 to 0.9"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "word.toml"), ["smooth = 'much'", "a number"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "half.toml"), ["rounds = 1.5", "a whole number"]),
+    ],
+)
+def test_bad_usage_is_found_before_any_work(arguments, words, tubes, tmp_path, run, monkeypatch):
+    for name in ("tube.npz", "t0.ply", "t1.ply"):
+        (tmp_path / name).write_bytes((tubes / name).read_bytes())
+    for folder in ("folder.npz", "old", "sub"):
+        (tmp_path / folder).mkdir()
+    np.savez(tmp_path / "cloud.npz", points=np.eye(3))
+    contents = {"there.npz": "x", "old/summary.json": "{}", "one.csv": "t0,a\nt1,b\n", "sub/t0.ply": "x"}
+    contents |= {"bad.toml": "round = 3", "share.toml": "held-out = 2"}
+    contents |= {"word.toml": 'smooth = "much"', "half.toml": "rounds = 1.5"}
+    for name, text in contents.items():
+        (tmp_path / name).write_text(text)
+    before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")}
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(lbs.LBSFitter, "fit", None)
+    code, _, err = run("learn", *arguments)
+    line = one_line(err)
+    assert code == 2 and all(word in line for word in words), line
+    assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")} == before
+
+
+def test_existing_files_are_replaced_where_that_is_asked_for(tubes, tmp_path, run):
+    (tmp_path / "m.npz").write_text("old")
+    arguments = ("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz", "--variant", "free-form")
+    assert run(*arguments)[0] == 2 and (tmp_path / "m.npz").read_text() == "old"
+    assert run(*arguments, "--existing", "replace")[0] == 0
+    assert list(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == [0]
+
+
+def test_too_few_scans_to_hold_any_out(tubes, tmp_path, run):
+    code, _, err = run("learn", tubes / "tube.npz", tubes / "t0.ply", tubes / "t1.ply", "-o", tmp_path / "m.npz", *QUICK_LEARNING)
+    line = one_line(err)
+    assert code == 2 and "2 that can be used" in line and "at least 3" in line and "--held-out 0" in line
+    assert not (tmp_path / "m.npz").exists()
+
+
+def test_scans_in_different_units_are_named(tubes, tmp_path, run):
+    write_points_ply(tmp_path / "millimetres.ply", 1000 * lbs.load_scan(tubes / "t3.ply").points)
+    scans = [tubes / "t0.ply", tubes / "t1.ply", tmp_path / "millimetres.ply", tubes / "t2.ply"]
+    code, _, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *QUICK_LEARNING)
+    assert code == 2 and "different units: scan 2 (" in one_line(err) and "millimetres.ply) has an extent" in err
+
+
+def test_no_scan_that_can_be_used(tubes, tmp_path, run):
+    (tmp_path / "empty.ply").write_bytes(b"")
+    np.savetxt(tmp_path / "few.xyz", np.eye(3))
+    scans = (tmp_path / "empty.ply", tmp_path / "few.xyz")
+    code, _, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *QUICK_LEARNING)
+    lines = err.splitlines()
+    assert code == 2 and len(lines) == 3
+    assert lines[0].startswith("empty: failed: ") and lines[1].startswith("few: failed: ") and "at least 4 points" in lines[1]
+    assert lines[2].startswith("lbsfit: error: scans: got 2, none of which can be used")
+
+
+def test_whatever_is_wrong_with_one_scan_is_its_failure_alone(tubes, tmp_path, run, monkeypatch):
+    import lbsfit_np.io.scans
+
+    load = lbsfit_np.io.scans.load_scan
+
+    def careless(path, **options):
+        if Path(path).stem == "t1":
+            raise ZeroDivisionError("nobody foresaw this")
+        return load(path, **options)
+
+    monkeypatch.setattr(lbsfit_np.io.scans, "load_scan", careless)
+    scans = sorted(tubes.glob("*.ply"))
+    code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
+    assert code == 1 and "learned from 3 of 4 scans" in text and (tmp_path / "m.npz").exists()
+    assert len(err.splitlines()) == 1 and err.startswith("t1: failed: ") and "ZeroDivisionError: nobody foresaw this" in err
+
+
+def test_scans_of_one_name_are_called_by_their_paths(tubes, tmp_path, run):
+    for k in range(3):
+        (tmp_path / f"d{k}").mkdir()
+        (tmp_path / f"d{k}" / "scan.ply").write_bytes((tubes / f"t{k}.ply").read_bytes())
+    (tmp_path / "d1" / "scan.ply").write_bytes(b"")
+    scans = sorted(tmp_path.glob("*/scan.ply"))
+    code, _, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
+    assert code == 1 and err.startswith(f"{scans[1]}: failed: ")

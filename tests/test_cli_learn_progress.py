@@ -1,0 +1,75 @@
+"""The progress of ``lbsfit learn`` with the time left, and its help."""
+
+import pytest
+from cli_runs import help_alone
+
+from lbsfit_np.cli import learn
+from lbsfit_np.cli.progress import LearningProgress, span
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+class _Clock:
+    def __init__(self):
+        self.now = 0.0
+
+    def __call__(self):
+        return self.now
+
+
+def _figures(k, **more):
+    return {"round": k, "recon": 0.02, "recon_held_out": 0.03, "seconds": 60.0, **more}
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+def test_rounds_with_the_time_left(terminal, capsys):
+    clock = _Clock()
+    progress = LearningProgress(4, terminal=terminal, clock=clock)
+    progress("first fits", 0.5)
+    progress("round", 1.0, _figures(0))
+    for k, seconds in ((1, 60), (2, 180)):
+        progress("poses of scans", 0.1)
+        progress("poses of scans", 0.9)
+        clock.now += seconds
+        progress("round", 1.0, _figures(k, new_starts_won=k, seconds=float(seconds)))
+    progress.failed("one", "no points")
+    progress("results", 0.5)
+    progress.close()
+    out, err = capsys.readouterr()
+    shown = err if terminal else out
+    assert ("no points" in out, "one: failed: no points" in err) == (False, True)
+    assert "each scan by itself: recon 0.0200 on the scans learned from, 0.0300 on those held out; took 60 s\n" in shown
+    assert "; a new start won for 1 scan; took 60 s; at most about 3 min left\n" in shown  # three rounds like the first
+    assert "; a new start won for 2 scans; took 3 min; at most about 4 min left\n" in shown  # two of 120 s
+    if terminal:
+        assert out == "" and "round 2 of at most 4: poses of scans" in err and ", at most about 3 min left" in err
+        assert "results" in err and "left" not in err[err.rindex("results") :]
+    else:
+        assert out.count("round 2 of at most 4: poses of scans\n") == 1 and "\nresults\n" in out
+
+
+def test_rounds_that_hold_nothing_out(capsys):
+    progress = LearningProgress(1, terminal=False)
+    progress("round", 1.0, _figures(0) | {"recon_held_out": None})
+    assert "recon 0.0200 on the scans learned from; took" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("seconds, words", [(0.2, "0 s"), (99, "99 s"), (150, "2 min"), (5990, "100 min"), (9000, "2.5 h")])
+def test_lengths_of_time(seconds, words):
+    assert span(seconds) == words
+
+
+def test_help(run):
+    code, text, err = run("learn", "--help")
+    assert (code, err) == (0, "") and "usage: lbsfit learn" in text and "examples:" in text and "anna_01.ply, anna" in text
+    text = " ".join(text.split())
+    for option in learn.OPTIONS:
+        if option.default not in (None, {}):
+            shown = {True: "yes", False: "no"}.get(option.default, option.default) if option.kind is bool else option.default
+            assert f"{option.help} (default: {shown})" in text, option.name
+    assert "learn" in run("--help")[1]
+
+
+def test_help_is_quick():
+    done = help_alone("learn")
+    assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr

@@ -1,0 +1,89 @@
+"""``lbsfit learn`` that is stopped or cannot write: no half model, and no finished result lost."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+from cli_runs import one_line, program
+
+import lbsfit_np as lbs
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
+@pytest.mark.parametrize("jobs, sent, code", [(1, signal.SIGINT, 130), (2, signal.SIGINT, 130), (1, signal.SIGTERM, 143)])
+def test_ctrl_c_leaves_no_model(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
+    process = program(
+        *("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz", "--results", tmp_path / "fits"),
+        *("--training-scans", 40, "--rounds", 1000, "--held-out", 0, "--jobs", jobs),
+        cache=cli_cache,
+        start=subprocess.Popen,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
+    )
+    for line in process.stdout:
+        if line.startswith("round 1"):
+            break
+    time.sleep(0.5)
+    os.killpg(process.pid, sent) if sent == signal.SIGINT else process.send_signal(sent)  # a terminal sends it to the group
+    text, err = process.communicate(timeout=120)
+    assert (process.returncode, err) == (code, ""), err
+    assert text.endswith("stopped before the model was learned\n")
+    assert [p.name for p in tmp_path.rglob("*")] == ["fits"]
+
+
+def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypatch):
+    from lbsfit_np.cli import outputs
+
+    write = outputs.Writer.__call__
+
+    def interrupted(self, index, scan, result):
+        if index == 2:
+            raise KeyboardInterrupt
+        return write(self, index, scan, result)
+
+    monkeypatch.setattr(outputs.Writer, "__call__", interrupted)
+    scans = sorted(tubes.glob("*.ply"))
+    arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--results", tmp_path / "fits")
+    code, text, err = run(*arguments, "--variant", "free-form")
+    assert (code, err) == (130, "") and "m.npz is complete, 2 of 4 results are in" in text
+    assert len(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == 1
+    summary = json.loads((tmp_path / "fits" / "summary.json").read_text())
+    assert summary["stopped"] and summary["not_done"] == ["t2", "t3"] and summary["counts"]["ok"] == 2
+
+
+def test_a_full_disk_leaves_no_half_model(tubes, tmp_path, run, monkeypatch):
+    def full(entry, array, **_):
+        entry.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np.lib.format, "write_array", full)
+    scans = sorted(tubes.glob("*.ply"))
+    code, _, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
+    assert code == 2 and "No space left" in one_line(err) and not list(tmp_path.iterdir())
+
+
+def test_a_result_that_cannot_be_written_does_not_stop_the_others(tubes, tmp_path, run, monkeypatch):
+    import lbsfit_np.io.write
+
+    write = lbsfit_np.io.write.write_points_ply
+
+    def full(path, points, **options):
+        if len(points) == 400 and "t1" in Path(path).name:
+            raise OSError(28, "No space left on device")
+        write(path, points, **options)
+
+    monkeypatch.setattr(lbsfit_np.io.write, "write_points_ply", full)
+    scans = sorted(tubes.glob("*.ply"))
+    arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--results", tmp_path / "fits")
+    code, text, err = run(*arguments, "--variant", "free-form")
+    assert code == 1 and "t1: failed: " in err and "3 of 4 results" in text
+    assert not list((tmp_path / "fits").glob("*t1*")) and len(list((tmp_path / "fits").iterdir())) == 10

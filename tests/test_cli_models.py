@@ -1,0 +1,173 @@
+"""Learned models in the other commands, and files of models that are broken."""
+
+import json
+
+import numpy as np
+import pytest
+from cli_runs import ARRAYS, HAND, QUICK_LEARNING, one_line
+
+import lbsfit_np as lbs
+from lbsfit_np.learning.archive import MODEL_KEY
+from lbsfit_np.learning.batch import fit_scans
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+def test_fit_with_a_model(learned_hands, hands, tmp_path, run):
+    model, folder = learned_hands[0], hands[0]
+    names = ("anna1", "ben1")
+    scans = [folder / f"{name}.ply" for name in names]
+    code, text, err = run("fit", model, *scans, "-o", tmp_path, "--jobs", 2)
+    assert (code, err) == (0, "")
+    assert "is a learned model: 2 subjects (anna, ben), 1 round, variant 'joint'" in text and "2 of 2 scans fitted" in text
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    about = {"path": str(model), "rounds": 1, "subjects": ["anna", "ben"], "variant": "joint", "subject": None}
+    assert summary["model"] == about
+    assert summary["settings"]["training_scans"] == 200 and summary["seed"] == 0
+    fitter = lbs.LBSFitter.load(model)
+    for name, scan in zip(names, scans):
+        ours, theirs = lbs.FitResult.load(tmp_path / f"{name}.fit.npz"), fitter.fit_scan(lbs.load_scan(scan))
+        assert "on the template of subject" in ours.message
+        for field in ARRAYS:
+            np.testing.assert_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
+
+
+@pytest.mark.parametrize("subject", ["anna", "ben"])
+def test_fit_with_one_subjects_template(subject, learned_hands, hands, tmp_path, run):
+    model, scan = learned_hands[0], hands[0] / "ben1.ply"
+    code, _, err = run("fit", model, scan, "-o", tmp_path, "--subject", subject)
+    assert (code, err) == (0, "")
+    ours = lbs.FitResult.load(tmp_path / "ben1.fit.npz")
+    theirs = lbs.LBSFitter.load(model).fit_scan(lbs.load_scan(scan), subject=subject)
+    for field in ARRAYS:
+        np.testing.assert_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
+    assert json.loads((tmp_path / "summary.json").read_text())["model"]["subject"] == subject
+
+
+def test_a_number_as_the_subject(tube_model, tubes, tmp_path, run):
+    assert run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path / "out", "--subject", "0")[0] == 0  # the id of one subject
+
+
+def test_a_models_settings_hold_unless_others_are_given(tube_model, tubes, tmp_path, run):
+    arguments = ("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path, "--existing", "replace")
+    assert run(*arguments)[0] == 0
+    settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
+    assert (settings["training_scans"], settings["weights"], settings["max_points"]) == (40, "default", 2500)
+    before = (tmp_path / "t0.mesh.ply").read_bytes()
+    assert run(*arguments, "--max-points", 200, "--weights", "paper", "--card", "none")[0] == 0
+    settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
+    assert (settings["training_scans"], settings["weights"], settings["max_points"]) == (40, "paper", 200)
+    assert (tmp_path / "t0.mesh.ply").read_bytes() != before
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        ("--card", "c.toml"),
+        ("--shape", "tall"),
+        ("--skin", "s"),
+        ("--normalize-weights",),
+        ("--parts", "joints"),
+        ("--joints", "follow"),
+        ("--segmenter", "s.npz"),
+        ("--training-scans", "4000"),
+        ("--training", "turn=1"),
+    ],
+)
+def test_what_a_model_has_settled_cannot_be_changed(options, tube_model, tubes, tmp_path, run):
+    code, _, err = run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path / "out", *options)
+    line = one_line(err)
+    assert code == 2 and line.startswith(f"lbsfit: error: {options[0]}: got ") and "which is a learned model" in line
+    assert "lbsfit learn has these options" in line and not (tmp_path / "out").exists()
+
+
+def test_settled_options_in_a_configuration_file(tube_model, tubes, tmp_path, run):
+    (tmp_path / "fit.toml").write_text("training-scans = 40\ntraining = { turn = 1 }\n")
+    code, _, err = run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path / "out", "--config", tmp_path / "fit.toml")
+    assert code == 2 and "--training-scans, --training with" in one_line(err)
+
+
+def test_unknown_subjects(learned_hands, hands, tubes, tmp_path, run):
+    code, _, err = run("fit", learned_hands[0], hands[0] / "ben1.ply", "-o", tmp_path / "out", "--subject", "carl")
+    assert code == 2 and "--subject: got 'carl'; expected a subject of the model: 'anna', 'ben'" in one_line(err)
+    code, _, err = run("fit", tubes / "tube.npz", tubes / "t0.ply", "-o", tmp_path / "out", "--subject", "carl")
+    assert code == 2 and "--subject: got 'carl' with" in one_line(err) and "which is a rig" in err and "Leave it out" in err
+    assert not (tmp_path / "out").exists()
+
+
+def test_skip_does_not_take_fits_of_another_rig(learned_hands, hands, tube_model, tubes, tmp_path, run):
+    (tmp_path / "anna0.ply").write_bytes((tubes / "t0.ply").read_bytes())
+    for path in learned_hands[1].glob("anna0.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    code, _, err = run("fit", tube_model[0], tmp_path / "anna0.ply", "-o", tmp_path, "--existing", "skip")
+    assert code == 2 and "a fit of another rig" in one_line(err)
+
+
+@pytest.mark.parametrize("variant", ["cd", "free-form"])
+def test_models_without_labels_want_no_segmenter(variant, tubes, tmp_path, run, monkeypatch):
+    monkeypatch.setattr(lbs.LBSFitter, "pretrain", None)
+    scans = sorted(tubes.glob("*.ply"))
+    options = ("--variant", variant, "--max-points", 300, "--seed", 5)
+    code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *options, *QUICK_LEARNING)
+    assert (code, err) == (0, "") and f"in {int(variant == 'cd')} round" in text
+    code, text, err = run("fit", tmp_path / "m.npz", scans[0], "-o", tmp_path)
+    assert (code, err) == (0, "") and f"variant '{variant}'" in text
+    settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
+    assert (settings["max_points"], settings["seed"]) == (300, 5)  # the model's, not the defaults of lbsfit fit
+    assert lbs.LBSFitter.load(tmp_path / "m.npz").segmenter_ is None
+    outcome = fit_scans(lbs.LBSFitter.load(tmp_path / "m.npz"), [lbs.load_scan(scans[0])])[0]
+    np.testing.assert_array_equal(outcome.result.vertices, lbs.FitResult.load(tmp_path / "t0.fit.npz").vertices)
+
+
+def test_rig_show_of_a_model(learned_hands, run):
+    code, text, err = run("rig", "show", learned_hands[0])
+    assert (code, err) == (0, "") and text.startswith(f"Rig {HAND}\n")
+    assert text.splitlines()[-1] == "The file is a learned model: 2 subjects (anna, ben), 1 round, variant 'joint'."
+    assert "learned model" not in run("rig", "show", HAND)[1]
+
+
+def _with_header(**changes):
+    def change(arrays):
+        arrays[MODEL_KEY] = np.array(json.dumps(json.loads(str(arrays[MODEL_KEY])) | changes))
+
+    return change
+
+
+def _other_template(arrays):
+    arrays["model_vertices"] = arrays["model_vertices"][:, :-1]
+
+
+BROKEN_MODELS = {
+    "text": (lambda arrays: arrays.update({MODEL_KEY: np.array("{")}), ["content does not fit"]),
+    "format": (_with_header(format=99), ["model format 99", "format 1", "Learn it again"]),
+    "template": (_other_template, ["templates that do not fit the rig"]),
+    "history": (_with_header(history=3), ["content does not fit"]),
+    "parameters": (_with_header(parameters={"weights": "default", "rings": 3}), ["content does not fit", "rings"]),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN_MODELS)
+def test_broken_models(name, tube_model, tubes, tmp_path, run):
+    change, words = BROKEN_MODELS[name]
+    with np.load(tube_model[0]) as z:
+        arrays = {key: z[key] for key in z.files}
+    change(arrays)
+    np.savez(tmp_path / "m.npz", **arrays)
+    code, _, err = run("fit", tmp_path / "m.npz", tubes / "t0.ply", "-o", tmp_path / "out")
+    assert code == 2 and "m.npz: got" in one_line(err) and all(word in err for word in words), err
+
+
+def test_a_model_cut_short(tube_model, tubes, tmp_path, run):
+    (tmp_path / "m.npz").write_bytes(tube_model[0].read_bytes()[:5000])
+    for command in (("fit", tmp_path / "m.npz", tubes / "t0.ply", "-o", tmp_path / "out"), ("rig", "show", tmp_path / "m.npz")):
+        code, _, err = run(*command)
+        assert code == 2 and "m.npz: got a file that is broken" in one_line(err)
+
+
+def test_learning_with_a_models_rig(tube_model, tubes, tmp_path, run, monkeypatch):
+    def fit(self, *_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(lbs.LBSFitter, "fit", fit)
+    code, text, _ = run("learn", tube_model[0], *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz")
+    assert code == 130 and "its rig is used, what it has learned is not" in text

@@ -1,0 +1,119 @@
+"""Options on the command line and in configuration files: bad ones are named on one line."""
+
+import inspect
+import json
+
+import pytest
+from cli_runs import one_line
+
+import lbsfit_np as lbs
+from lbsfit_np.cli import fit
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+def test_configuration_files(made, tmp_path, run):
+    config = tmp_path / "fit.toml"
+    config.write_text(
+        'output = "here"\nseed = 4\ntraining-scans = 40\nmax_points = 300\njoints = "fixed"\ntraining = { noise = 0.01 }\n'
+    )
+    code, _, err = run("fit", made / "tube.npz", made / "one.ply", "--config", config, "--joints", "follow")
+    assert (code, err) == (0, "")
+    settings = json.loads((tmp_path / "here" / "summary.json").read_text())["settings"]  # relative to the file
+    assert (settings["seed"], settings["max_points"], settings["joints"]) == (4, 300, "follow")
+    assert settings["training"] == {"noise": 0.01} and settings["scale"] == "estimate"
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("sede = 3", ["'sede'", "one of output, card", "Did you mean 'seed'"]),
+        ('seed = "3"', ["seed", "a whole number"]),
+        ("jobs = 0", ["jobs", "at least 1"]),
+        ("drop-invalid = 1", ["drop-invalid", "true or false"]),
+        ('weights = "papre"', ["weights", "'default' or 'paper'"]),
+        ("card = 3", ["card", "text in quotes"]),
+        ("training = 3", ["training", "a table of numbers"]),
+        ("max-points = 9\nmax_points = 9", ["'max-points' twice"]),
+        ("seed = ", ["no", "TOML"]),
+        ("seed = " + "1" * 5000, ["that is not TOML", "digits"]),
+        ("seed = 0x" + "f" * 5000, ["seed", "thousand digits", "a whole number"]),
+        ("seed = 1" + "0" * 400, ["seed = 1000", "…", "a whole number"]),
+        ("jobs = 100000000000000000000", ["jobs", "at most 9223372036854775807"]),
+        ("training = { turn = 1" + "0" * 400 + " }", ["training", "a table of numbers"]),
+        ('output = ""', ["output", "text in quotes"]),
+    ],
+)
+def test_bad_configuration_files(text, words, made, tmp_path, run):
+    config = tmp_path / "fit.toml"
+    config.write_text(text)
+    code, _, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", "--config", config)
+    assert code == 2 and "fit.toml: got" in one_line(err) and all(word in err for word in words), err
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        ((), ["COMMAND"]),
+        (("fti",), ["'fti'", "fit"]),
+        (("fit", "tube.npz"), ["SCAN"]),
+        (("fit", "tube.npz", "one.ply"), ["-o/--output", "Add -o OUT"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--jobs", "0"), ["--jobs", "'0'", "at least 1"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--seed", "-1"), ["--seed", "at least 0"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--samples", "many"), ["--samples", "'many'"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--scale", "free"), ["--scale", "'estimate', 'fixed'"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--training", "turn"), ["--training", "NAME=NUMBER"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--training", "trun=1"), ["trun", "turn"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--config", "none.toml"), ["none.toml", "no such file"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--segmenter", "none.npz"), ["none.npz", "no such file"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--parts", "toes"), ["'toes'", "arm and fingers"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--shape", "tall"), ["shape", "'tall'"]),
+        (("fit", "tube.npz", "one.ply", "-o", "one.ply"), ["one.ply", "a folder to write to"]),
+        (("fit", "tube.npz", ".", "-o", "out"), ["a folder", "Name the files in it"]),
+        (("fit", "tube.npz", "one.ply", "-o", ""), ["-o/--output", "an empty text", "OUT (folder to write to"]),
+        (("demo", "-o", ""), ["-o/--output", "an empty text"]),
+        (("rig", "card", "tube.npz", "-o", ""), ["-o/--output", "an empty text"]),
+        (("bench", "roundtrip", "-o", ""), ["-o/--output", "an empty text"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--card", ""), ["--card", "an empty text"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--samples", "9" * 30), ["--samples", "at most 9223372036854775807"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--training", "turn=1" + "0" * 400), ["--training", "NAME=NUMBER"]),
+        (("fit", "tube.npz", "one.ply", "-o", "o" * 300), ["ooo", "cannot be made", "too long"]),
+        (("fit", "tube.npz", "s" * 300 + ".ply", "-o", "out"), ["SCAN", "does not exist"]),
+        (("fit", "r" * 300 + ".npz", "one.ply", "-o", "out"), ["rrr", "no such file"]),
+        (("rig", "show", "r" * 300 + ".npz"), ["rrr", "no such file"]),
+        (("rig", "card", "tube.npz", "-o", "c" * 300), ["ccc", "too long"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--see", "3"), ["--see"]),
+        (("rig", "card", "tube.npz"), ["-o/--output"]),
+        (("demo",), ["-o/--output"]),
+    ],
+)
+def test_usage_errors(arguments, words, made, run, monkeypatch):
+    monkeypatch.chdir(made)
+    code, _, err = run(*arguments)
+    line = one_line(err)
+    assert code == 2 and all(word in line for word in words), line
+    assert not (made / "out").exists() or not list((made / "out").iterdir())
+
+
+def test_a_nul_in_a_configured_path_is_one_clear_error(made, tmp_path, run):
+    (tmp_path / "fit.toml").write_text('output = "a\\u0000b"\n')
+    code, _, err = run("fit", made / "tube.npz", made / "one.ply", "--config", tmp_path / "fit.toml")
+    assert code == 2 and "cannot be made" in one_line(err)
+
+
+def test_an_error_of_the_system_that_nobody_foresaw_is_one_line(run, monkeypatch):
+    def full(rig, **_):
+        raise OSError(28, "No space left on device", "somewhere")
+
+    monkeypatch.setattr("lbsfit_np.rig.describe.describe", full)
+    code, _, err = run("rig", "show", "hand")
+    assert code == 2 and one_line(err) == "lbsfit: error: somewhere: No space left on device"
+
+
+def test_defaults_are_the_librarys():
+    parameters = inspect.signature(lbs.LBSFitter).parameters
+    for option in fit.OPTIONS:
+        if option.key in ("weights", "joints", "scale", "max_points", "training_scans"):
+            assert option.default == parameters[option.key].default, option.name
+        if option.key == "weights":
+            assert set(option.choices) == set(lbs.losses.PRESETS)

@@ -1,0 +1,83 @@
+"""``lbsfit rig`` and ``lbsfit demo``."""
+
+import numpy as np
+import pytest
+from cli_runs import QUICK, one_line
+
+import lbsfit_np as lbs
+from lbsfit_np.cli import demo
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+def test_rig_show(made, tmp_path, run):
+    (tmp_path / "c.toml").write_text('[lock]\njoints = ["short"]\n')
+    code, text, err = run("rig", "show", made / "tube.npz", "--card", tmp_path / "c.toml", "--degrees")
+    assert (code, err) == (0, "")
+    assert "elbow" in text and "locked" in text and "degrees" in text
+
+
+def test_rig_card(made, tmp_path, run):
+    card = tmp_path / "tube.toml"
+    assert run("rig", "card", made / "tube.npz", "-o", card)[0] == 0
+    assert run("rig", "show", made / "tube.npz", "--card", card)[0] == 0
+    card.write_text("mine")
+    code, _, err = run("rig", "card", made / "tube.npz", "-o", card)
+    assert code == 2 and "exists already" in one_line(err) and card.read_text() == "mine"
+    assert run("rig", "card", made / "tube.npz", "-o", card, "--existing", "replace")[0] == 0 and "[limits]" in card.read_text()
+    rig = tmp_path / "tube.npz"
+    rig.write_bytes((made / "tube.npz").read_bytes())
+    code, _, err = run("rig", "card", rig, "-o", rig, "--existing", "replace")
+    assert code == 2 and "which is the rig itself" in one_line(err) and rig.read_bytes() == (made / "tube.npz").read_bytes()
+    code, _, err = run("rig", "card", rig, "-o", tmp_path)
+    assert code == 2 and "a folder" in one_line(err)
+
+
+def test_rig_list(run):
+    code, text, _ = run("rig", "list")
+    assert code == 0
+    heading, *lines = text.splitlines()
+    assert heading.split() == ["name", "vertices", "joints", "poses", "what", "it", "is"]
+    rows = {line.split()[0]: line.split(maxsplit=4)[1:] for line in lines}
+    assert list(rows) == lbs.bundled_rigs()
+    assert rows["hand"] == ["1585", "16", "42", "a right hand, MANO's 16 joints"]
+    assert rows["hand-left-coarse"][3].startswith("a left hand") and "fewer vertices" in rows["hand-left-coarse"][3]
+
+
+def test_rig_show_of_a_bundled_rig(run):
+    code, text, _ = run("rig", "show", "hand-left")
+    assert code == 0
+    for words in (
+        "42 natural: flat, spread",
+        "length 0.155 to 0.215 m, here 0.187",
+        "thumb 0.85 to 1.15, here 1",
+        "to_smpl_pose and from_smpl_pose",
+    ):
+        assert words in text, words
+
+
+def test_demo(made, tmp_path, run):
+    out = tmp_path / "demo"
+    arguments = ("demo", "-o", out, "--rig", made / "tube.npz", "--points", 500, *QUICK)
+    code, text, err = run(*arguments)
+    assert (code, err) == (0, "")
+    names = {"rig.npz", "scan.ply", "scan.fit.npz", "scan.mesh.ply", "scan.labels.ply", "summary.json", "truth.npz", "demo.png"}
+    assert {p.name for p in out.iterdir()} == names and all(name in text for name in names)
+    with np.load(out / "truth.npz") as truth:
+        result = lbs.FitResult.load(out / "scan.fit.npz")
+        error = np.linalg.norm(result.joints - truth["joints"], axis=1).mean()
+        assert error < 0.05 and (result.labels == truth["labels"]).mean() > 0.85
+        rig = lbs.load_rig(out / "rig.npz").with_template(truth["template"], truth["template_joints"])
+        posed = rig.pose(truth["pose"], truth["translation"], float(truth["scale"]))
+        np.testing.assert_allclose(posed, truth["vertices"], atol=1e-9)
+    assert f"{250 * error:.1f} mm" in text and "% of the rig's size" in text  # one unit of this rig is 250 mm
+    assert (out / "demo.png").read_bytes().startswith(b"\x89PNG")
+
+    code, _, err = run(*arguments)
+    assert code == 2 and "exist already" in one_line(err)
+    code, _, err = run("demo", "-o", out, "--rig", out / "rig.npz", "--existing", "replace", *QUICK)
+    assert code == 2 and "never overwritten" in one_line(err)
+
+
+def test_the_demos_default_is_the_bundled_hand():
+    assert {o.name: o.default for o in demo._OPTIONS}["rig"] in lbs.io.rigs.bundled_rigs()

@@ -1,0 +1,59 @@
+"""Ctrl-C while ``lbsfit fit`` runs: what is finished is kept."""
+
+import json
+import os
+import signal
+import subprocess
+import time
+
+import pytest
+from cli_runs import QUICK, program
+
+import lbsfit_np as lbs
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
+@pytest.mark.parametrize("jobs, sent, code", [(1, signal.SIGINT, 130), (2, signal.SIGINT, 130), (1, signal.SIGTERM, 143)])
+def test_ctrl_c_keeps_what_is_finished(jobs, sent, code, fitted, made, cli_cache, tmp_path, run):
+    scans = [tmp_path / f"scan{i:02}.ply" for i in range(40)]
+    for path in scans:
+        path.write_bytes((made / "one.ply").read_bytes())
+    out = tmp_path / "out"
+    process = program(
+        *("fit", made / "tube.npz", *scans, "-o", out, "--jobs", jobs, *QUICK),
+        cache=cli_cache,
+        start=subprocess.Popen,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
+    )
+    deadline = time.monotonic() + 120
+    while not list(out.glob("*.fit.npz")) and process.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.02)
+    os.killpg(process.pid, sent) if sent == signal.SIGINT else process.send_signal(sent)  # a terminal sends it to the group
+    text, err = process.communicate(timeout=120)
+    assert process.returncode == code, err
+    assert err == "" and "--existing skip does the rest" in text
+    summary = json.loads((out / "summary.json").read_text())
+    finished = {scan["name"] for scan in summary["scans"]}
+    assert summary["stopped"] and 1 <= len(finished) < len(scans)
+    assert {p.name.split(".")[0] for p in out.iterdir()} == finished | {"summary"}  # nothing half done, no temporary file
+    assert len(summary["not_done"]) == len(scans) - len(finished)
+    for name in finished:
+        assert lbs.FitResult.load(out / f"{name}.fit.npz").status == "ok"
+
+    code, text, _ = run("fit", made / "tube.npz", *scans[: len(finished) + 1], "-o", out, "--existing", "skip", *QUICK)
+    assert code == 0 and "fitted already and kept" in text
+
+
+def test_ctrl_c_before_the_first_fit_leaves_nothing(made, tmp_path, run, monkeypatch):
+    def interrupted(*_, **__):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(lbs.LBSFitter, "pretrain", interrupted)
+    code, text, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", *QUICK)
+    assert (code, err) == (130, "") and "before a scan was fitted" in text
+    assert not list((tmp_path / "out").iterdir())

@@ -1,0 +1,75 @@
+"""Tables of subjects: the forms that are read, and the mistakes that are named."""
+
+import pytest
+
+from lbsfit_np.cli.subjects import read_subjects
+from lbsfit_np.errors import FileError
+
+SCANS = ["in/a1.ply", "in/a2.ply", "in/b 1.xyz"]
+
+
+@pytest.mark.parametrize(
+    "name, text",
+    [
+        ("who.csv", "a1.ply,anna\na2.ply,anna\nb 1.xyz,ben\n"),
+        ("who.csv", "\ufeffscan, subject\r\na1, anna\r\n\r\n# b\r\na2, anna\r\n'b 1',ben".replace("'", '"')),
+        ("who.csv", "File;Who\nb 1;ben\na1;anna;\na2;anna;;\n"),
+        ("who.tsv", "a1\tanna\na2\tanna\nb 1.xyz\tben\n"),
+        ("who.txt", "a1.ply  anna\nin/a2.ply\tanna\nb 1.xyz ben\n".replace("\t", " ")),
+        ("who", "in/a1.ply,anna\n./in/a2.ply,anna\nb 1,ben\n"),
+        ("who.toml", '"a1.ply" = "anna"\na2 = "anna"\n"b 1" = "ben"\n'),
+        ("who.toml", '[subjects]\n"in/a1.ply" = "anna"\na2 = " anna "\n\'b 1\' = "ben"\n'),
+    ],
+)
+def test_tables_of_subjects(name, text, tmp_path):
+    (tmp_path / name).write_text(text, encoding="utf-8", newline="")
+    assert read_subjects(tmp_path / name, SCANS) == ["anna", "anna", "ben"]
+
+
+def test_ids_that_are_numbers_are_text(tmp_path):
+    (tmp_path / "who.toml").write_text("a1 = 1\na2 = 2\n'b 1' = \"1\"\n")
+    assert read_subjects(tmp_path / "who.toml", SCANS) == ["1", "2", "1"]
+
+
+def test_a_scan_may_be_called_as_headings_are(tmp_path):
+    (tmp_path / "who.csv").write_text("scan,anna\nfile,ben\n")
+    assert read_subjects(tmp_path / "who.csv", ["scan.ply", "file.ply"]) == ["anna", "ben"]
+
+
+def test_scans_of_one_name_are_told_apart_by_path(tmp_path):
+    scans = ["a/1.ply", "b/1.ply"]
+    (tmp_path / "who.csv").write_text("b/1.ply,ben\na/1.ply,anna\n")
+    assert read_subjects(tmp_path / "who.csv", scans) == ["anna", "ben"]
+    (tmp_path / "who.csv").write_text("1.ply,ben\na/1.ply,anna\n")
+    with pytest.raises(FileError, match=r"'1.ply' in line 1, which 2 scans are called.*Write its path, such as a/1.ply"):
+        read_subjects(tmp_path / "who.csv", scans)
+
+
+@pytest.mark.parametrize(
+    "name, content, words",
+    [
+        ("who.csv", "a1,anna\na3.ply,anna\nb 1,ben\n", ["'a3.ply' in line 2", "none of the scans", "Did you mean 'a"]),
+        ("who.csv", "a1,anna\nzzzz,anna\n", ["'zzzz' in line 2", "Leave out scans"]),
+        ("who.csv", "a1,anna\n", ["no id for 2 of 3 scans: in/a2.ply, in/b 1.xyz", "Add them"]),
+        ("who.csv", "", ["no id for 3 of 3 scans"]),
+        ("who.csv", "a1,anna\na2,anna\n\na1.ply,ben\n", ["'a1.ply' twice, in lines 1 and 4"]),
+        ("who.csv", "a1,anna\na2,\n", ["no id for 'a2' in line 2"]),
+        ("who.csv", "a1,anna\na2\n", ["'a2' in line 2", "has 1 column;"]),
+        ("who.csv", "a1,anna\na2,anna,left\n", ["line 2", "has 3 columns"]),
+        ("who.csv", 'a1,anna\n"a2,anna\n', ["line 2", "cannot be read"]),
+        ("who.csv", b"a1,anna\n\xff\xfe\n", ["not UTF-8", "Save it as CSV in UTF-8"]),
+        ("who.txt", "a1 anna\na2\n", ["'a2' in line 2", "1 column"]),
+        ("who.toml", "a1 = 'anna'\na3 = 'anna'\n", ["'a3' in line 2"]),
+        ("who.toml", "a1.ply = 'anna'\n", ["line 1", "names with dots in quotes"]),
+        ("who.toml", "a1 = 'anna'\n\na2 = ['anna']\n", ["a2 = ['anna'] in line 3"]),
+        ("who.toml", "a1 = 'anna'\na1 = 'ben'\n", ["not TOML", "line 2"]),
+        ("who.toml", "a1 = 'anna'\n'a1.ply' = 'ben'\n", ["'a1.ply' twice, in lines 1 and 2"]),
+        ("who.toml", "a1 = ", ["not TOML"]),
+    ],
+)
+def test_bad_tables_of_subjects(name, content, words, tmp_path):
+    (tmp_path / name).write_bytes(content if isinstance(content, bytes) else content.encode())
+    with pytest.raises(FileError) as error:
+        read_subjects(tmp_path / name, SCANS)
+    message = str(error.value)
+    assert message.startswith(f"{tmp_path / name}: got ") and all(word in message for word in words), message

@@ -1,0 +1,107 @@
+"""Closest points on a mesh against all of its triangles, and what they rest on."""
+
+import numpy as np
+import pytest
+from posed_samples import state_within
+
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.surface import closest_on_mesh, faces_around, vertex_normals
+from lbsfit_np.synthesis import sample_surface
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def tube(tube_rig):
+    return Model(tube_rig)
+
+
+def _brute(x, triangles):
+    """The distance from x to the nearest of some triangles, each cut into its plane, its edges and its corners."""
+    best = np.inf
+    for a, b, c in triangles:
+        for p, q in ((a, b), (b, c), (c, a)):
+            length = (q - p) @ (q - p)
+            t = np.clip((x - p) @ (q - p) / length, 0, 1) if length > 0 else 0.0
+            best = min(best, np.linalg.norm(x - p - t * (q - p)))
+        n = np.cross(b - a, c - a)
+        if n @ n > 1e-20:
+            foot = x - ((x - a) @ n) / (n @ n) * n
+            if all(np.cross(q - p, foot - p) @ n >= 0 for p, q in ((a, b), (b, c), (c, a))):
+                best = min(best, np.linalg.norm(x - foot))
+    return best
+
+
+@pytest.mark.parametrize("lift", [0.0, 0.3])
+def test_closest_points_of_one_triangle_everywhere_around_it(lift):
+    V = np.array([[0.0, 0, 0], [2, 0, 0], [0.3, 1, 0]])
+    x, y = np.meshgrid(np.linspace(-1, 3, 23), np.linspace(-1, 2, 17))
+    X = np.column_stack([x.ravel(), y.ravel(), np.full(x.size, lift)])
+    faces = np.array([[0, 1, 2]])
+    around = faces_around(faces, 3)
+    for start in range(3):
+        on = closest_on_mesh(X, np.full(len(X), start), V, faces, around)
+        np.testing.assert_allclose(np.linalg.norm(X - on.points, axis=1), [_brute(p, [V]) for p in X], atol=1e-12)
+        np.testing.assert_allclose(np.einsum("nk,nka->na", on.barycentric, V[on.corners]), on.points, atol=1e-15)
+        assert (on.barycentric > -1e-12).all()
+        np.testing.assert_allclose(on.barycentric.sum(axis=1), 1.0, atol=1e-14)
+        np.testing.assert_array_equal(on.normals, np.tile([0.0, 0, 1], (len(X), 1)))
+
+
+def test_closest_points_of_a_mesh_are_those_among_all_triangles(tube):
+    """Inside, outside, and on the skin of a posed mesh."""
+    V, faces = tube.pose(state_within(tube, 4))[0].vertices, tube.rig.faces
+    rng = np.random.default_rng(0)
+    on_skin = sample_surface(V, faces, 60, rng)[0]
+    X = np.vstack([on_skin, on_skin + 0.02 * rng.standard_normal((60, 3))])
+    nearest = np.array([((V - x) ** 2).sum(axis=1).argmin() for x in X])
+    on = closest_on_mesh(X, nearest, V, faces, faces_around(faces, len(V)))
+    found = np.linalg.norm(X - on.points, axis=1)
+    expected = np.array([_brute(x, V[faces]) for x in X])
+    assert (found >= expected - 1e-12).all()
+    assert np.isclose(found, expected, rtol=0, atol=1e-9).mean() > 0.98  # the closest triangle all but always touches the vertex
+    assert found[:60].max() < 0.02 and np.isclose(found[:60], 0, atol=1e-9).mean() > 0.95
+    among = [_brute(x, V[faces[(faces == v).any(axis=1)]]) for x, v in zip(X, nearest)]
+    np.testing.assert_allclose(found, among, atol=1e-9)  # and is always the closest of those that do
+
+
+@pytest.mark.parametrize(
+    "corners",
+    [
+        [[0.0, 0, 0], [1, 0, 0], [2, 0, 0]],  # on a line
+        [[0.0, 0, 0], [1, 0, 0], [1, 0, 0]],  # two corners at one place
+        [[0.5, 0, 0], [0.5, 0, 0], [0.5, 0, 0]],  # all three
+        [[0.0, 0, 0], [1, 0, 0], [0.4, 1e-9, 0]],  # all but on a line
+    ],
+)
+def test_triangles_without_area(corners):
+    V, faces = np.array(corners), np.array([[0, 1, 2]])
+    X = np.random.default_rng(0).uniform(-1, 3, (50, 3))
+    with np.errstate(all="raise"):
+        on = closest_on_mesh(X, np.zeros(50, int), V, faces, faces_around(faces, 3))
+    np.testing.assert_allclose(np.linalg.norm(X - on.points, axis=1), [_brute(x, [V]) for x in X], atol=1e-8)
+    assert np.isfinite(on.barycentric).all() and np.isfinite(on.normals).all()
+
+
+def test_no_points_have_no_closest_points(tube):
+    faces = tube.rig.faces
+    on = closest_on_mesh(np.empty((0, 3)), np.empty(0, int), tube.rig.vertices, faces, faces_around(faces, 242))
+    assert on.points.shape == on.normals.shape == on.barycentric.shape == (0, 3)
+
+
+def test_faces_around_vertices():
+    faces = np.array([[0, 1, 2], [2, 1, 4], [4, 5, 2]])
+    around = faces_around(faces, 7)
+    assert around.shape == (7, 3)
+    for v in range(7):
+        has = set(np.flatnonzero((faces == v).any(axis=1)).tolist())
+        assert set(around[v].tolist()) == (has or {-1})
+    np.testing.assert_array_equal(faces_around(np.empty((0, 3), int), 2), [[-1], [-1]])
+
+
+def test_normals_of_vertices():
+    V = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [9, 9, 9]])
+    faces = np.array([[0, 1, 2], [0, 2, 3]])
+    n = vertex_normals(V, faces)
+    np.testing.assert_allclose(n[[0, 1, 3]], [[2**-0.5, 0, 2**-0.5], [0, 0, 1], [1, 0, 0]], atol=1e-15)
+    np.testing.assert_array_equal(n[4], 0.0)

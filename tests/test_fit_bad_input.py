@@ -1,0 +1,100 @@
+"""Bad scans and bad parameters of a fit are named before any training."""
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+
+
+def _with(points, row, value):
+    points = points.copy()
+    points[row] = value
+    return points
+
+
+BAD_FITS = [
+    ({"points": None}, ["points: got None"]),
+    ({"points": lambda p: p.T}, ["points", "(3, 2500)", "points.T"]),
+    ({"points": lambda p: p[:0]}, ["points", "empty", "at least 4"]),
+    ({"points": lambda p: p[:3]}, ["points: got 3 points", "at least 4"]),
+    ({"points": lambda p: np.ones_like(p)}, ["points", "all equal", "surface"]),
+    ({"points": lambda p: _with(p, [7, 9], np.nan)}, ["points: got 2 of 2500", "first at index 7"]),
+    ({"points": lambda p: _with(p, 3, np.inf)}, ["points: got 1 of 2500", "index 3"]),
+    ({"points": lambda p: 1e200 * p}, ["points", "extent"]),
+    ({"labels": np.zeros(5, int)}, ["labels: got shape (5,)", "(2500,)"]),
+    ({"labels": np.zeros(2500)}, ["labels", "float64", "integers that index rig.parts"]),
+    ({"labels": np.full(2500, 4)}, ["labels: got 4 at index 0", "0 to 3"]),
+    ({"labels": np.r_[0, 0, -1, np.zeros(2497, int)]}, ["labels: got -1 at index 2"]),
+    ({"theta0": np.zeros((3, 3))}, ["theta0: got shape (3, 3)", "(4, 3)"]),
+    ({"theta0": np.full((4, 3), np.nan)}, ["theta0", "12 values", "NaN"]),
+    ({"point_weights": np.ones(7)}, ["point_weights: got shape (7,)", "(2500,)"]),
+    ({"point_weights": np.r_[-1.0, -2.0, np.ones(2498)]}, ["point_weights: got 2 negative", "at least 0"]),
+    ({"point_weights": np.full(2500, np.nan)}, ["point_weights", "2500 values", "NaN"]),
+    ({"point_weights": np.zeros(2500)}, ["point_weights: got 0 positive", "at least 4"]),
+    ({"point_weights": "heavy"}, ["point_weights: got str"]),
+]
+
+
+@pytest.mark.parametrize("changes, words", BAD_FITS)
+def test_bad_scans_are_named_before_any_training(tube_rig, tube_scan, monkeypatch, changes, words):
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    if words[-1] != "extent":
+        monkeypatch.setattr(lbs.LBSFitter, "pretrain", lambda *a, **k: pytest.fail("trained first"))
+    else:
+        changes = {**changes, "labels": tube_scan.labels}
+    changes = dict(changes)
+    points = changes.pop("points", tube_scan.points)
+    points = points(tube_scan.points) if callable(points) else points
+    with pytest.raises(InputError) as error:
+        fitter.fit_scan(points, **changes)
+    for word in words:
+        assert word in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "parameters, words",
+    [
+        ({"weights": "best"}, ["weights: got 'best'", "'paper'"]),
+        ({"weights": {"lam": 1.0}}, ["weights", "LossWeights"]),
+        ({"joints": "loose"}, ["joints: got 'loose'", "'follow' or 'fixed'"]),
+        ({"scale": 2.0}, ["scale: got 2.0", "'estimate' or 'fixed'"]),
+        ({"max_points": 0}, ["max_points: got 0", "positive integer"]),
+        ({"max_points": True}, ["max_points: got True"]),
+        ({"training_scans": 1.5}, ["training_scans: got 1.5", "positive integer"]),
+        ({"training": [1]}, ["training: got list", "dict"]),
+        ({"training": {"wobble": 1.0}}, ["wobble", "not known", "noise"]),
+        ({"training": {"noise": -1.0}}, ["noise: got -1.0"]),
+        ({"random_state": -1}, ["random_state: got -1", "non-negative"]),
+        ({"random_state": 1.5}, ["random_state: got 1.5"]),
+        ({"rig": None}, ["rig: got NoneType", "load_rig"]),
+        ({"variant": "best"}, ["variant: got 'best'", "'joint'", "'free-form'"]),
+        ({"rounds": 0}, ["rounds: got 0", "positive integer"]),
+        ({"held_out": 1.0}, ["held_out: got 1.0", "at most 0.9"]),
+        ({"held_out": "some"}, ["held_out: got 'some'", "a number"]),
+        ({"smooth": -1.0}, ["smooth: got -1.0", "at least 0"]),
+        ({"sequence": 1}, ["sequence: got 1", "True or False"]),
+    ],
+)
+def test_bad_parameters_are_named(tube_rig, tube_scan, parameters, words):
+    with pytest.raises(InputError) as error:
+        lbs.LBSFitter(**{"rig": tube_rig, "random_state": 0, "training_scans": 1, **parameters}).fit_scan(tube_scan.points)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_scale_fixed_with_another_unit_is_named(tube_rig, tube_scan):
+    with pytest.raises(InputError, match=r"scale: got 'fixed' for a scan whose extent is \d+ times.*scale='estimate'"):
+        lbs.LBSFitter(tube_rig, scale="fixed", random_state=0).fit_scan(1000 * tube_scan.points, labels=tube_scan.labels)
+
+
+def test_one_call_names_its_errors_before_training(tube_rig, tube_scan, monkeypatch):
+    monkeypatch.setattr(lbs.LBSFitter, "pretrain", lambda *a, **k: pytest.fail("trained first"))
+    with pytest.raises(InputError, match="points: got 3 points"):
+        lbs.fit_scan(tube_rig, tube_scan.points[:3])
+    with pytest.raises(InputError, match="theta0"):
+        lbs.fit_scan(tube_rig, tube_scan.points, theta0=np.zeros(3))
+    with pytest.raises(InputError, match="point_weights"):
+        lbs.fit_scan(tube_rig, tube_scan.points, point_weights=np.zeros(2500))
+    with pytest.raises(InputError, match="rig: got str"):
+        lbs.fit_scan("left.glb", tube_scan.points)

@@ -1,0 +1,127 @@
+"""The fitter as an estimator: conventions, seeds, and the same result each time."""
+
+import numpy as np
+import pytest
+from fit_checks import assert_same
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+from lbsfit_np.losses import PRESETS
+from lbsfit_np.segmentation import cache
+from lbsfit_np.synthesis import Synthesis
+
+
+def test_the_same_again(tube_fitter, tube_scan, tube_result):
+    assert_same(tube_fitter.fit_scan(tube_scan.points), tube_result)
+
+
+def test_a_seed_decides_all(tube_rig, tube_scan):
+    def fit(seed):
+        fitter = lbs.LBSFitter(tube_rig, training_scans=4, training={"n_points": 300}, max_points=400, random_state=seed)
+        return fitter.fit_scan(tube_scan.points)
+
+    a, b, c = fit(3), fit(3), fit(4)
+    assert_same(a, b)
+    assert not np.array_equal(a.vertices, c.vertices)
+
+
+def test_threads_change_nothing(tube_rig, tube_scan):
+    from threadpoolctl import threadpool_limits
+
+    results = []
+    for threads in (1, 2):
+        with threadpool_limits(threads):
+            fitter = lbs.LBSFitter(tube_rig, training_scans=20, training={"n_points": 400}, random_state=0).pretrain()
+            results.append(fitter.fit_scan(tube_scan.points[:600]))
+    assert_same(*results)
+
+
+def test_one_scan_does_not_change_the_next(tube_rig, tube_fitter, tube_scan, tube_result):
+    tube_fitter.fit_scan(lbs.synthesize(tube_rig, 1, random_state=1)[0].points)
+    assert_same(tube_fitter.fit_scan(tube_scan.points), tube_result)
+
+
+@pytest.mark.parametrize("seed", [None, "generator"])
+def test_other_kinds_of_seeds_work(tube_rig, tube_scan, seed):
+    seed = np.random.default_rng(0) if seed == "generator" else seed
+    fitter = lbs.LBSFitter(tube_rig, training_scans=2, training={"n_points": 100}, max_points=300, random_state=seed)
+    assert fitter.fit_scan(tube_scan.points).status == "ok"
+
+
+# ---- the estimator ----
+
+
+def test_sklearns_conventions(tube_rig, tube_fitter):
+    from sklearn.base import clone
+
+    fitter = lbs.LBSFitter(tube_rig, training_scans=7, training={"turn": 0.5}, weights=PRESETS["paper"], random_state=3)
+    parameters = fitter.get_params()
+    assert parameters["rig"] is tube_rig and parameters["training_scans"] == 7
+    names = {"rig", "weights", "joints", "scale", "max_points", "training_scans", "training", "n_jobs", "random_state"}
+    assert set(parameters) == names | {"variant", "rounds", "held_out", "sequence", "smooth"}
+    copy = clone(fitter)
+    assert copy is not fitter and copy.get_params() == parameters
+    fresh = clone(tube_fitter)
+    assert not hasattr(fresh, "segmenter_") and fresh.rig is tube_rig
+    assert fitter.set_params(scale="fixed").scale == "fixed"
+    assert "training_scans=7" in repr(fitter)
+    with pytest.raises(ValueError, match="speed"):
+        fitter.set_params(speed=2)
+
+
+def test_the_constructor_only_stores(tube_scan):
+    fitter = lbs.LBSFitter("no rig", weights="none", training_scans=-1)
+    assert fitter.rig == "no rig" and fitter.training_scans == -1
+    with pytest.raises(InputError, match="rig: got str"):
+        fitter.fit_scan(tube_scan.points)
+
+
+def test_pretrain_returns_itself_and_shows_progress(fitter):
+    seen = []
+    assert fitter.pretrain(progress=seen.append) is fitter
+    assert len(seen) > 2 and (np.diff(seen) >= -1e-12).all()
+    assert 0 < seen[0] < 0.5 and seen[-1] == pytest.approx(1.0)
+    assert hasattr(fitter, "segmenter_")
+
+
+def test_a_segmenter_of_another_rig_is_refused(tube_rig, tube_scan, fitter):
+    fitter.pretrain().set_params(rig=tube_rig.with_parts("arm and fingers"))
+    with pytest.raises(InputError, match="segmenter.*another rig.*pretrain"):
+        fitter.fit_scan(tube_scan.points)
+    fitter.pretrain()
+    assert fitter.fit_scan(tube_scan.points).parts == ("arm", "fingers")
+
+
+def test_changed_parameters_are_looked_at_again(tube_rig, tube_scan, fitter):
+    follow = fitter.fit_scan(tube_scan.points, labels=tube_scan.labels)
+    fixed = fitter.set_params(joints="fixed").fit_scan(tube_scan.points, labels=tube_scan.labels)
+    assert not np.array_equal(follow.vertices, fixed.vertices)
+    assert_same(
+        fixed, lbs.LBSFitter(tube_rig, joints="fixed", random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels)
+    )
+
+
+def test_one_call_with_a_kept_segmenter(tube_rig, tube_scan, tmp_path, monkeypatch):
+    monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path))
+    monkeypatch.setattr(cache, "_MEMORY", {})
+    small = {"training_scans": 3, "training": {"n_points": 300}}
+    a = lbs.fit_scan(tube_rig, tube_scan.points, **small)
+    assert len(list(tmp_path.iterdir())) == 1
+    assert_same(lbs.fit_scan(tube_rig, tube_scan.points, random_state=0, **small), a)
+    assert_same(lbs.LBSFitter(tube_rig, random_state=0, **small).fit_scan(tube_scan.points), a)
+    assert len(list(tmp_path.iterdir())) == 1
+    lbs.fit_scan(tube_rig, tube_scan.points, labels=tube_scan.labels, random_state=1)
+    assert len(list(tmp_path.iterdir())) == 1  # labels given: nothing to train
+
+
+def test_training_scans_vary_in_scale_unless_told_otherwise(tube_rig, monkeypatch):
+    seen = []
+
+    def settings_only(rig, scans, *args, **kwargs):
+        seen.append(scans.settings)
+
+    monkeypatch.setattr("lbsfit_np.learning.fitter.train_segmenter", settings_only)
+    for training in (None, {"noise": 0.01}, {"scale": 0.2}, Synthesis(turn=1.0)):
+        lbs.LBSFitter(tube_rig, training=training, random_state=0).pretrain()
+    assert [s.scale for s in seen] == [0.05, 0.05, 0.2, 0.0]
+    assert (seen[1].noise, seen[3].turn) == (0.01, 1.0)

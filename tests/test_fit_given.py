@@ -1,0 +1,77 @@
+"""What a fit can be given besides points: a start, labels, weights of points."""
+
+from pathlib import Path
+
+import numpy as np
+from fit_checks import assert_same, mean_error
+
+import lbsfit_np as lbs
+
+
+def test_a_known_start_is_used(tube_rig, tube_fitter, tube_scan):
+    r = tube_fitter.fit_scan(tube_scan.points, theta0=tube_scan.pose)
+    assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.1
+    again = tube_fitter.fit_scan(tube_scan.points, theta0=r.pose)
+    assert mean_error(tube_rig, again.joints, r.joints) < 0.05
+
+
+def test_a_start_outside_the_limits_is_moved_inside(shared_rigs, tube_rig, fitter, tube_scan):
+    r = fitter.fit_scan(tube_scan.points, labels=tube_scan.labels, theta0=np.full((4, 3), 3.0))
+    assert (r.pose[1:] >= tube_rig.lower[1:]).all() and (r.pose[1:] <= tube_rig.upper[1:]).all()
+    rig = lbs.load_rig(
+        shared_rigs / "webxr_hand" / "left.glb", card=Path(lbs.__file__).parent / "bench" / "cards" / "webxr_left.toml"
+    )
+    r = lbs.LBSFitter(rig, random_state=0).fit_scan(rig.vertices, labels=rig.vertex_labels, theta0=np.full(rig.lower.shape, 0.2))
+    held = ~rig.moving
+    assert held.any() and (r.pose[held] == 0).all()
+    bounded = np.arange(len(rig.parents)) != rig.root
+    assert (r.pose[bounded] >= rig.lower[bounded]).all() and (r.pose[bounded] <= rig.upper[bounded]).all()
+
+
+def test_given_labels_are_kept(fitter, tube_scan):
+    labels = np.random.default_rng(0).permutation(tube_scan.labels)
+    given = labels.copy()
+    r = fitter.fit_scan(tube_scan.points, labels=labels)
+    np.testing.assert_array_equal(r.labels, labels)
+    assert (r.confidence == 1).all()
+    assert not hasattr(fitter, "segmenter_")  # nobody asked s
+    assert not np.shares_memory(r.labels, labels) and (labels == given).all() and labels.flags.writeable
+
+
+def test_weights_of_0_leave_clutter_out(tube_rig, tube_fitter, tube_scan):
+    rng = np.random.default_rng(0)
+    clutter = rng.uniform(-3, 3, (1500, 3)) + [2.0, 0.0, 0.0]
+    points = np.vstack([tube_scan.points[:1000], clutter])
+    weights = np.r_[np.ones(1000), np.zeros(1500)]
+    alone = tube_fitter.fit_scan(tube_scan.points[:1000], point_weights=np.ones(1000))
+    with_clutter = tube_fitter.fit_scan(points, point_weights=weights)
+    np.testing.assert_array_equal(with_clutter.pose, alone.pose)
+    np.testing.assert_array_equal(with_clutter.vertices, alone.vertices)
+    assert with_clutter.labels.shape == (2500,)
+    np.testing.assert_array_equal(with_clutter.labels[:1000], alone.labels)
+
+
+def test_weights_count_by_their_ratio(fitter, tube_scan):
+    w = np.random.default_rng(0).random(len(tube_scan.points)) + 0.1
+    a, b = (fitter.fit_scan(tube_scan.points, labels=tube_scan.labels, point_weights=f * w) for f in (1.0, 4.0))
+    np.testing.assert_array_equal(a.vertices, b.vertices)
+    c = fitter.fit_scan(tube_scan.points, labels=tube_scan.labels)
+    assert not np.array_equal(a.vertices, c.vertices)
+
+
+def test_nothing_that_is_given_is_changed(fitter, tube_scan):
+    given = [tube_scan.points.copy(), tube_scan.labels.copy(), tube_scan.pose.copy(), np.ones(len(tube_scan.points))]
+    kept = [a.copy() for a in given]
+    fitter.fit_scan(given[0], labels=given[1], theta0=given[2], point_weights=given[3])
+    for a, b in zip(given, kept):
+        np.testing.assert_array_equal(a, b)
+        assert a.flags.writeable
+
+
+def test_a_scan_object_is_as_good_as_its_points(fitter, tube_scan):
+    from lbsfit_np.scan import Scan
+
+    assert_same(
+        fitter.fit_scan(Scan(tube_scan.points), labels=tube_scan.labels),
+        fitter.fit_scan(tube_scan.points, labels=tube_scan.labels),
+    )

@@ -1,0 +1,164 @@
+"""The result of a fit: its fields, the rig's own vertices, and the file that it is kept in."""
+
+import json
+import zipfile
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from fit_checks import assert_same
+from small_rigs import make_tube_data
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import FileError
+from lbsfit_np.fitting.result import FitResult
+from lbsfit_np.losses import PRESETS, chamfer, cotangent_matrix, structured_chamfer
+from lbsfit_np.rig.build import build_rig
+
+
+def test_fields_and_shapes(tube_rig, tube_result, tube_scan):
+    J, m, n = 4, len(tube_rig.vertices), len(tube_scan.points)
+    shapes = {
+        "pose": (J, 3),
+        "translation": (3,),
+        "offsets": (m, 3),
+        "rest_joints": (J, 3),
+        "vertices": (m, 3),
+        "joints": (J, 3),
+        "labels": (n,),
+        "confidence": (n,),
+    }
+    for name, shape in shapes.items():
+        array = getattr(tube_result, name)
+        assert array.shape == shape, name
+        assert np.isfinite(array).all() and not array.flags.writeable
+    assert tube_result.labels.dtype.kind == "i" and set(tube_result.labels) <= set(range(4))
+    assert (tube_result.confidence > 0).all() and (tube_result.confidence <= 1 + 1e-12).all()
+    assert tube_result.status == "ok" and isinstance(tube_result.converged, bool) and tube_result.message
+    assert isinstance(tube_result.evaluations, int) and tube_result.evaluations > 10 and tube_result.seconds > 0
+    assert tube_result.parts == tube_rig.parts and tube_result.rig_digest == tube_rig.digest
+    assert set(tube_result.terms) == {"chamfer", "structured", "laplacian", "total", "recon"}
+    assert all(isinstance(v, float) for v in tube_result.terms.values())
+
+
+@pytest.mark.parametrize("joints", ["follow", "fixed"])
+@pytest.mark.parametrize("weights", ["default", "paper"])
+def test_vertices_are_the_pose_of_the_results_own_fields(tube_rig, tube_scan, joints, weights):
+    fitter = lbs.LBSFitter(tube_rig, joints=joints, weights=weights, random_state=0)
+    r = fitter.fit_scan(100 * tube_scan.points + [5.0, 0.0, 1.0], labels=tube_scan.labels)
+    arguments = r.pose, r.translation, r.scale, r.offsets
+    np.testing.assert_array_equal(tube_rig.pose(*arguments, joints=r.rest_joints), r.vertices)
+    np.testing.assert_array_equal(tube_rig.pose_joints(*arguments, joints=r.rest_joints), r.joints)
+    np.testing.assert_allclose(tube_rig.pose(*arguments, joints=joints), r.vertices, rtol=0, atol=1e-11)
+    if joints == "fixed":
+        np.testing.assert_array_equal(r.rest_joints, tube_rig.joints)
+    bounded = slice(1, None)
+    assert (r.pose[bounded] >= tube_rig.lower[bounded]).all() and (r.pose[bounded] <= tube_rig.upper[bounded]).all()
+    assert np.abs(r.offsets).max() > 1e-4
+
+
+@pytest.mark.parametrize("weights", ["default", "paper"])
+def test_terms_are_the_losses_of_the_result(tube_rig, tube_scan, weights):
+    """In units in which the template's longest half-extent is 1, recomputed from what the result says."""
+    fitter = lbs.LBSFitter(tube_rig, weights=weights, random_state=0)
+    r, w, half = fitter.fit_scan(tube_scan.points, labels=tube_scan.labels), PRESETS[weights], tube_rig.size / 2
+    X, Vd, V = tube_scan.points / half, r.vertices / half, tube_rig.pose(r.pose, r.translation, r.scale) / half
+    labels = tube_scan.labels, tube_rig.vertex_labels
+    expected = {
+        "chamfer": chamfer(X, Vd)[0] + w.lam * chamfer(X, V)[0],
+        "structured": structured_chamfer(X, Vd, *labels)[0] + w.lam * structured_chamfer(X, V, *labels)[0],
+        "recon": np.sqrt(chamfer(X, Vd)[0]),
+    }
+    K = cotangent_matrix(tube_rig.vertices, tube_rig.faces)
+    if weights == "default" and w.laplacian == "offsets":
+        expected["laplacian"] = np.linalg.norm(K @ (r.offsets / half)) ** (2 if w.squared else 1)
+    for name, value in expected.items():
+        assert r.terms[name] == pytest.approx(value, rel=1e-6), name
+    total = w.chamfer * r.terms["chamfer"] + w.lam_s * r.terms["structured"] + w.lam_lap * r.terms["laplacian"]
+    assert r.terms["total"] == pytest.approx(total, rel=1e-9)
+
+
+def _split(data):
+    """The same mesh with a vertex of its own for every corner of every face, as texture seams make them."""
+    rows = data.faces.ravel()
+    return replace(
+        data, vertices=data.vertices[rows], weights=data.weights[rows], faces=np.arange(len(rows)).reshape(-1, 3), regressor=None
+    )
+
+
+def test_results_are_for_the_rigs_original_vertices(tube_scan):
+    rig = build_rig(_split(make_tube_data()))
+    assert len(rig.vertices) == 1440 and len(rig.welded.vertices) == 242
+    split = lbs.LBSFitter(rig, random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels)
+    whole = lbs.LBSFitter(rig.welded, random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels)
+    assert split.vertices.shape == split.offsets.shape == (1440, 3)
+    np.testing.assert_array_equal(split.pose, whole.pose)
+    np.testing.assert_array_equal(split.offsets, whole.offsets[rig.weld])
+    np.testing.assert_allclose(split.vertices, whole.vertices[rig.weld], atol=1e-12)
+    np.testing.assert_allclose(split.joints, whole.joints, atol=1e-12)
+    place = split.pose, split.translation, split.scale, split.offsets
+    np.testing.assert_array_equal(rig.pose(*place, joints=split.rest_joints), split.vertices)
+
+
+def test_results_keep_joints_that_do_not_move(tube_rig, tube_scan):
+    data = make_tube_data()
+    held = build_rig(replace(data, locked=np.array([False, False, False, True])))
+    r = lbs.LBSFitter(held, random_state=0).fit_scan(tube_scan.points, labels=np.minimum(tube_scan.labels, len(held.parts) - 1))
+    assert r.pose.shape == (4, 3) and (r.pose[3] == 0).all() and r.joints.shape == (4, 3)
+
+
+# ---- saving ----
+
+
+def test_saved_and_loaded(tube_result, tmp_path):
+    tube_result.save(tmp_path / "a.fit.npz")
+    again = FitResult.load(tmp_path / "a.fit.npz")
+    assert_same(again, tube_result, leave_out=())
+    for f in fields(FitResult):
+        assert type(getattr(again, f.name)) is type(getattr(tube_result, f.name)), f.name
+    assert not again.vertices.flags.writeable
+
+
+def test_the_file_is_plain_arrays_under_documented_keys(tube_result, tmp_path):
+    tube_result.save(tmp_path / "a.fit.npz")
+    with np.load(tmp_path / "a.fit.npz", allow_pickle=False) as z:
+        keys, arrays = set(z.files), {k: z[k] for k in z.files}
+    assert keys == {f.name for f in fields(FitResult)} | {"lbsfit_np_result"}
+    assert all(key in FitResult.save.__doc__ for key in keys)
+    assert {a.dtype.kind for a in arrays.values()} <= set("biufU")
+    assert json.loads(str(arrays["terms"])) == tube_result.terms
+    np.testing.assert_array_equal(arrays["vertices"], tube_result.vertices)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.2, 0.6, 0.99])
+def test_a_truncated_result_is_one_clear_error(tube_result, tmp_path, share):
+    path = tmp_path / "a.fit.npz"
+    tube_result.save(path)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(FileError, match=r"a\.fit\.npz"):
+        FitResult.load(path)
+
+
+@pytest.mark.parametrize("lost", ["pose", "terms", "scale", "lbsfit_np_result"])
+def test_a_result_that_lacks_something_is_one_clear_error(tube_result, tmp_path, lost):
+    path = tmp_path / "a.fit.npz"
+    tube_result.save(path)
+    with zipfile.ZipFile(path) as z:
+        members = {n: z.read(n) for n in z.namelist() if n != f"{lost}.npy"}
+    with zipfile.ZipFile(path, "w") as z:
+        for name, content in members.items():
+            z.writestr(name, content)
+    with pytest.raises(FileError, match=lost):
+        FitResult.load(path)
+
+
+def test_other_files_are_no_results(tube_rig, tube_result, tmp_path):
+    tube_rig.save(tmp_path / "rig.npz")
+    (tmp_path / "b.npz").write_text("text")
+    np.savez(tmp_path / "future.npz", lbsfit_np_result=99)
+    for name, words in (("none.npz", "no such file"), ("rig.npz", "lbsfit_np_result"), ("b.npz", "broken"), ("future.npz", "99")):
+        with pytest.raises(FileError, match=words):
+            FitResult.load(tmp_path / name)
+    with pytest.raises(FileError, match="does not exist"):
+        tube_result.save(tmp_path / "nowhere" / "a.npz")
