@@ -7,11 +7,14 @@ import numpy as np
 
 from .errors import InputError, check_array
 from .rig.chains import chains
+from .rig.frames import up_axis
 from .rotations import matrix_from_rotvec, rotvec_from_matrix
 from .seeds import generator
+from .sensor import clutter, floor, sample_seen_surface, sample_surface
 from .skinning import skin
 
 __all__ = [
+    "StartScans",
     "Synthesis",
     "SyntheticScan",
     "TrainingScans",
@@ -49,6 +52,13 @@ class Synthesis:
         what the root's limits allow.
     scale : float
         Largest relative change of scale, uniform: 0.1 is 0.9 to 1.1.
+    clutter : float
+        Further points that are not of the body, as a share of the scan's, uniform in the scan's bounding box enlarged by 30 %.
+    floor : float
+        Further points, as a share of the scan's, on a floor under the lowest vertex along the rig's up axis (y where the rig
+        does not say), 1.5 times as wide as the scan's bounding box, with the scan's noise.
+    one_sided : bool
+        Only what a depth camera far away sees that looks at the body from a random side, up to 30 degrees from above or below.
     """
 
     n_points: int = 2500
@@ -61,7 +71,20 @@ class Synthesis:
     density: float = 0.5
     turn: float = 0.0
     scale: float = 0.0
+    clutter: float = 0.0
+    floor: float = 0.0
+    one_sided: bool = False
 
+    def __repr__(self):
+        """All fields, but those of :data:`_LATER` only where they are set."""
+        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
+        shown = (f"{name}={value!r}" for name, value in fields.items() if value or name not in _LATER)
+        return f"Synthesis({', '.join(shown)})"
+
+
+# Settings that came later. While they are off, a Synthesis reads as it did before them, and so does the key under which a
+# segmenter was cached.
+_LATER = ("clutter", "floor", "one_sided")
 
 # What settings may be, where it is more than a number of at least 0: kind, least, most.
 _RANGES = {
@@ -70,6 +93,7 @@ _RANGES = {
     "least_holes": (Integral, 0, np.inf),
     "least_hole": (Real, 0, 1),
     "scale": (Real, 0, 0.9),
+    "one_sided": (bool, False, True),
 }
 
 
@@ -85,7 +109,7 @@ class SyntheticScan:
     ----------
     points : (n, 3) array
     labels : (n,) int array
-        True part of each point; indexes rig.parts.
+        True part of each point, which indexes rig.parts; −1 for clutter and floor, which are not of the body.
     pose : (J, 3) array
         Θ'.
     translation : (3,) array
@@ -183,6 +207,21 @@ class TrainingScans:
         return scan.points, scan.labels, 1.0
 
 
+@dataclass(frozen=True)
+class StartScans:
+    """i → the i-th SyntheticScan for the library of starts: half natural poses, where the rig has some; facing the rig's way."""
+
+    rig: object
+    settings: Synthesis
+    random_state: int | None
+
+    def __call__(self, i):
+        rng = generator(self.random_state, "start", i)
+        poses = natural_poses if i % 2 and self.rig.poses else training_poses
+        template = with_random_proportions(self.rig, self.settings.shape, rng)
+        return synthesize_one(self.rig, poses(self.rig, 1, rng)[0], template, self.settings, rng)
+
+
 def make_settings(settings):
     """A Synthesis from keyword settings, with an error that lists the known ones."""
     if isinstance(settings, Synthesis):
@@ -192,7 +231,11 @@ def make_settings(settings):
         if name not in known:
             raise InputError(name, "a setting that is not known", f"one of {', '.join(known)}")
         kind, least, most = _RANGES.get(name, (Real, 0, np.inf))
-        if isinstance(value, bool) or not isinstance(value, kind) or not (least <= value <= most and value < np.inf):
+        if kind is bool:
+            if not isinstance(value, (np.bool_, Integral)) or value not in (0, 1):
+                raise InputError(name, repr(value), "True or False, or 1 or 0")
+            settings = settings | {name: bool(value)}
+        elif isinstance(value, bool) or not isinstance(value, kind) or not (least <= value <= most and value < np.inf):
             what = "an integer" if kind is Integral else "a number"
             bounds = f"of at least {least}" + ("" if most == np.inf else f" and at most {most}")
             raise InputError(name, repr(value), f"{what} {bounds}")
@@ -309,48 +352,23 @@ def synthesize_one(rig, pose, template, settings, rng):
     changed = _with_rest(rig, U, J)
     posed = skin(changed, pose, scale=scale)
     vertices, joints = posed.vertices, posed.joints
-    points, triangle, bary = sample_surface(vertices, rig.faces, _n_before_holes(settings), rng, density=settings.density)
+    up, n = up_axis(rig), _n_before_holes(settings)
+    if settings.one_sided:
+        points, triangle, bary = sample_seen_surface(vertices, rig.faces, n, rng, up=up, density=settings.density)
+    else:
+        points, triangle, bary = sample_surface(vertices, rig.faces, n, rng, density=settings.density)
     labels = rig.vertex_labels[rig.faces[triangle, bary.argmax(axis=1)]]
     keep = _outside_holes(points, half * scale, settings, rng)
     points, labels = points[keep][: settings.n_points], labels[keep][: settings.n_points]
-    points = points + settings.noise * half * scale * rng.standard_normal(points.shape)
+    noise = settings.noise * half * scale
+    points = points + noise * rng.standard_normal(points.shape)
+    others = np.empty((0, 3))
+    if settings.clutter:
+        others = clutter(points, settings.clutter, rng)
+    if settings.floor:
+        others = np.concatenate([others, floor(points, settings.floor, (vertices @ up).min(), up, noise, rng)])
+    points, labels = np.concatenate([points, others]), np.concatenate([labels, np.full(len(others), -1)])
     return SyntheticScan(points, labels, pose, np.zeros(3), scale, U, J, vertices, joints)
-
-
-def sample_surface(vertices, faces, n, rng, *, density=0.0):
-    """Points on a surface, uniform by area, or unevenly dense.
-
-    Parameters
-    ----------
-    vertices : (m, 3) array
-    faces : (F, 3) int array
-    n : int
-    rng : numpy.random.Generator
-    density : float, default 0
-        Logarithm of the density along two random smooth directions (one of position, one of the normal).
-
-    Returns
-    -------
-    points : (n, 3) array
-    triangle : (n,) int array
-        Row of ``faces``.
-    barycentric : (n, 3) array
-    """
-    p = vertices[faces]
-    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    weight = np.linalg.norm(normal, axis=1)
-    if density:
-        centre = p.mean(axis=1)
-        centre = (centre - centre.mean(axis=0)) / np.ptp(vertices, axis=0).max()
-        facing = normal / np.maximum(weight, 1e-300)[:, None]
-        directions = rng.standard_normal((2, 3))
-        weight = weight * np.exp(density * (2 * centre @ directions[0] + facing @ directions[1]))
-    cumulative = np.cumsum(weight)
-    triangle = np.searchsorted(cumulative, rng.random(n) * cumulative[-1], side="right")
-    triangle = np.minimum(triangle, len(faces) - 1)
-    a, b = np.sqrt(rng.random(n)), rng.random(n)
-    bary = np.column_stack([1 - a, a * (1 - b), a * b])
-    return np.einsum("nk,nka->na", bary, p[triangle]), triangle, bary
 
 
 def _with_rest(rig, U, J):

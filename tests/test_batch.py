@@ -64,10 +64,19 @@ def test_finish_takes_the_place_of_the_result(tube_fitter, clouds):
 
 
 def test_a_result_that_is_not_finite_is_a_failure(tube_fitter, clouds, alone, monkeypatch):
-    bad = replace(alone[0].result, status="failed", message="not finite")
+    vertices = np.full_like(alone[0].result.vertices, np.nan)
+    bad = replace(alone[0].result, vertices=vertices, status="failed", message="not finite")
     monkeypatch.setattr(type(tube_fitter), "fit_scan", lambda self, scan: bad)
     outcome = fit_scans(tube_fitter, clouds[:1], finish=_described)[0]
     assert (outcome.error, outcome.result) == ("not finite", None)
+
+
+@pytest.mark.parametrize("status", ["suspect", "failed"])
+def test_a_doubtful_fit_is_a_result_all_the_same(tube_fitter, clouds, alone, monkeypatch, status):
+    doubtful = replace(alone[0].result, status=status, message="another pose explains the scan nearly as well")
+    monkeypatch.setattr(type(tube_fitter), "fit_scan", lambda self, scan: doubtful)
+    outcome = fit_scans(tube_fitter, clouds[:1])[0]
+    assert outcome.error is None and outcome.result is doubtful
 
 
 def test_training_waits_for_a_scan_that_can_be_fitted(tube_rig, clouds):

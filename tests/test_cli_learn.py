@@ -9,7 +9,7 @@ import pytest
 from cli_runs import ARRAYS, HAND, QUICK_LEARNING
 
 import lbsfit_np as lbs
-from lbsfit_np.cli import learn
+from lbsfit_np.cli import fit, learn
 from lbsfit_np.learning.archive import MODEL_KEY
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -56,7 +56,7 @@ def test_what_it_says_meanwhile(learned_hands):
 def test_the_summary_of_learning(learned_hands):
     model, results, _, _, truth = learned_hands
     summary = json.loads((results / "summary.json").read_text())
-    assert summary["counts"] == {"ok": 7, "skipped": 0, "failed": 1} and summary["not_done"] == [] and not summary["stopped"]
+    assert summary["counts"] == {"ok": 7, "suspect": 0, "skipped": 0, "failed": 1} and summary["not_done"] == [] and not summary["stopped"]
     assert summary["model"] == {"path": str(model), "rounds": 1, "subjects": ["anna", "ben"], "variant": "joint"}
     assert [entry["round"] for entry in summary["history"]] == [0, 1]
     assert summary["settings"]["training_scans"] == 200 and summary["settings"]["held_out"] == 0.1
@@ -110,6 +110,7 @@ def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):
         *("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "--config", config, "--rounds", 3, "--variant", "rand"),
         *("--weights", "paper", "--joints", "fixed", "--scale", "fixed", "--max-points", 300, "--samples", 350, "--seed", 4),
         *("--training-scans", 50, "--training", "turn=3.14", "--jobs", 2, "--parts", "arm and fingers"),
+        *("--orientation", "any", "--effort", "fast", "--partial"),
     )
     assert code == 130 and "stopped before the model was learned" in text and not (tmp_path / "m.npz").exists()
     assert seen.pop("rig").granularity == "arm and fingers"
@@ -117,6 +118,7 @@ def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):
         "subjects": ["a", "b", "a", "7"], "cache": True, "points": [350] * 4, "held_out": 0.25, "sequence": True,
         "smooth": 1e-5, "rounds": 3, "variant": "rand", "weights": "paper", "joints": "fixed", "scale": "fixed",
         "max_points": 300, "random_state": 4, "training_scans": 50, "training": {"turn": 3.14}, "n_jobs": 2,
+        "orientation": "any", "effort": "fast", "partial": True,
     }  # fmt: skip
 
 
@@ -127,4 +129,7 @@ def test_defaults_are_the_librarys():
         if option.key in parameters and option.key != "training":
             assert option.default == parameters[option.key].default, option.name
             checked += 1
-    assert checked == 10
+    assert checked == 13
+    same = {option.key: option for option in fit.OPTIONS}
+    for key in ("orientation", "partial", "effort"):
+        assert next(option for option in learn.OPTIONS if option.key == key) is same[key]

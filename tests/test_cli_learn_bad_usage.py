@@ -1,5 +1,7 @@
 """What ``lbsfit learn`` cannot learn from: one clear line, before any work where that is possible."""
 
+import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -48,6 +50,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "m.npz", "--existing", "skip"), ["--existing", "'skip'"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--jobs", "0"), ["--jobs", "at least 1"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--training", "trun=1"), ["trun", "turn"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--training", f"n_points={10**30}"), ["n_points: got 1000", "at most 1e+07"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--parts", "toes"), ["'toes'", "arm and fingers"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--subjects", "none.csv"), ["none.csv", "no such file"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--subjects", "one.csv"), ["one.csv", "'t1' in line 2", "none of the scans"]),
@@ -125,6 +128,40 @@ def test_whatever_is_wrong_with_one_scan_is_its_failure_alone(tubes, tmp_path, r
     code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
     assert code == 1 and "learned from 3 of 4 scans" in text and (tmp_path / "m.npz").exists()
     assert len(err.splitlines()) == 1 and err.startswith("t1: failed: ") and "ZeroDivisionError: nobody foresaw this" in err
+
+
+def test_a_scan_that_fails_on_the_way_is_named_and_left_out(tubes, tmp_path, run, monkeypatch):
+    from lbsfit_np.learning import finish
+
+    call = finish._FreeForm.__call__
+
+    def careless(self, member):
+        if member.index == 1:
+            raise ZeroDivisionError("nobody foresaw this")
+        return call(self, member)
+
+    monkeypatch.setattr(finish._FreeForm, "__call__", careless)
+    options = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--variant", "free-form")
+    code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *options)
+    assert code == 1 and err.startswith("t1: failed: ZeroDivisionError: nobody foresaw this\n")
+    assert "learned from 3 of 4 scans" in text and "3 of 4 results" in text
+    entries = json.loads((tmp_path / "fits" / "summary.json").read_text())["scans"]
+    (failed,) = (e for e in entries if e["status"] == "failed")
+    assert len(entries) == 4 and failed["name"] == "t1" and "ZeroDivisionError" in failed["message"]
+
+
+def test_a_result_that_is_not_finite_is_a_failure(tubes, tmp_path, run, monkeypatch):
+    fit = lbs.LBSFitter.fit
+
+    def odd(self, *arguments, **options):
+        fit(self, *arguments, **options)
+        self.results_[2] = replace(self.results_[2], status="failed", message="not finite")
+
+    monkeypatch.setattr(lbs.LBSFitter, "fit", odd)
+    options = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--variant", "free-form")
+    code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *options)
+    assert code == 1 and "t2: failed: not finite" in err and "3 of 4 results" in text
+    assert json.loads((tmp_path / "fits" / "summary.json").read_text())["counts"]["failed"] == 1
 
 
 def test_scans_of_one_name_are_called_by_their_paths(tubes, tmp_path, run):

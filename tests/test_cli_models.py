@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from cli_runs import ARRAYS, HAND, QUICK_LEARNING, one_line
+from cli_runs import ARRAYS, HAND, QUICK, QUICK_LEARNING, one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.learning.archive import MODEL_KEY
@@ -103,6 +103,54 @@ def test_skip_does_not_take_fits_of_another_rig(learned_hands, hands, tube_model
     assert code == 2 and "a fit of another rig" in one_line(err)
 
 
+def _copied(folder, pattern, out):
+    for path in folder.glob(pattern):
+        (out / path.name).write_bytes(path.read_bytes())
+
+
+def test_skip_keeps_fits_of_the_same_model(tube_model, tubes, tmp_path, run):
+    model, results = tube_model
+    _copied(results, "t0.*", tmp_path)  # written by lbsfit learn
+    arguments = ("fit", model, tubes / "t0.ply", tubes / "t1.ply", "-o", tmp_path, "--existing", "skip")
+    for kept in (1, 2):
+        code, text, _ = run(*arguments)
+        assert code == 0 and f"{kept} of 2 scans are fitted already" in text
+    assert (tmp_path / "t0.fit.npz").read_bytes() == (results / "t0.fit.npz").read_bytes()
+    assert run(*arguments, "--subject", "0", "--max-points", 99)[0] == 0  # its only subject; settings do not count
+
+
+@pytest.mark.parametrize("change", ["another model", "a rig", "a model"])
+def test_skip_does_not_take_fits_made_with_something_else(change, tube_model, tubes, tmp_path, run):
+    model, results = tube_model
+    options = ("-o", tmp_path, "--existing", "skip")
+    if change == "another model":
+        fitter = lbs.LBSFitter.load(model)
+        template = fitter.template_[0]
+        fitter.template_[0] = template.with_template(1.01 * template.vertices, template.joints)
+        fitter.save(tmp_path / "other.npz")
+        model, words = tmp_path / "other.npz", "with another model, or with other subjects of it; expected fits with this model"
+        _copied(results, "t0.*", tmp_path)
+    elif change == "a rig":
+        model, words = tubes / "tube.npz", "with a learned model; expected fits with rig 'tube' alone"
+        _copied(results, "t0.*", tmp_path)
+    else:
+        assert run("fit", tubes / "tube.npz", tubes / "t0.ply", *options, *QUICK)[0] == 0
+        words = "without a model; expected fits with this model"
+    before = (tmp_path / "t0.fit.npz").read_bytes()
+    code, _, err = run("fit", model, tubes / "t0.ply", *options)
+    line = one_line(err)
+    assert code == 2 and f"--existing skip: got {tmp_path / 't0.fit.npz'}, a fit {words}" in line and "another folder" in line
+    assert (tmp_path / "t0.fit.npz").read_bytes() == before
+
+
+def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, hands, tmp_path, run):
+    _copied(learned_hands[1], "ben1.*", tmp_path)
+    arguments = ("fit", learned_hands[0], hands[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip")
+    assert run(*arguments)[0] == 0
+    code, _, err = run(*arguments, "--subject", "ben")
+    assert code == 2 and "with another model, or with other subjects of it" in one_line(err)
+
+
 @pytest.mark.parametrize("variant", ["cd", "free-form"])
 def test_models_without_labels_want_no_segmenter(variant, tubes, tmp_path, run, monkeypatch):
     monkeypatch.setattr(lbs.LBSFitter, "pretrain", None)
@@ -139,7 +187,7 @@ def _other_template(arrays):
 
 BROKEN_MODELS = {
     "text": (lambda arrays: arrays.update({MODEL_KEY: np.array("{")}), ["content does not fit"]),
-    "format": (_with_header(format=99), ["model format 99", "format 1", "Learn it again"]),
+    "format": (_with_header(format=99), ["model format 99", "expected format", "Learn it again"]),
     "template": (_other_template, ["templates that do not fit the rig"]),
     "history": (_with_header(history=3), ["content does not fit"]),
     "parameters": (_with_header(parameters={"weights": "default", "rings": 3}), ["content does not fit", "rings"]),

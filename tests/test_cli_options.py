@@ -8,6 +8,8 @@ from cli_runs import one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit
+from lbsfit_np.fitting.scout import EFFORTS
+from lbsfit_np.starts.turns import ORIENTATIONS
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -16,12 +18,15 @@ def test_configuration_files(made, tmp_path, run):
     config = tmp_path / "fit.toml"
     config.write_text(
         'output = "here"\nseed = 4\ntraining-scans = 40\nmax_points = 300\njoints = "fixed"\ntraining = { noise = 0.01 }\n'
+        'orientation = "any"\neffort = "fast"\npartial = true\n'
     )
-    code, _, err = run("fit", made / "tube.npz", made / "one.ply", "--config", config, "--joints", "follow")
+    options = ("--config", config, "--joints", "follow", "--orientation", "upright")
+    code, _, err = run("fit", made / "tube.npz", made / "one.ply", *options)
     assert (code, err) == (0, "")
     settings = json.loads((tmp_path / "here" / "summary.json").read_text())["settings"]  # relative to the file
     assert (settings["seed"], settings["max_points"], settings["joints"]) == (4, 300, "follow")
     assert settings["training"] == {"noise": 0.01} and settings["scale"] == "estimate"
+    assert (settings["orientation"], settings["effort"], settings["partial"]) == ("upright", "fast", True)
 
 
 @pytest.mark.parametrize(
@@ -33,6 +38,9 @@ def test_configuration_files(made, tmp_path, run):
         ("drop-invalid = 1", ["drop-invalid", "true or false"]),
         ('weights = "papre"', ["weights", "'default' or 'paper'"]),
         ("card = 3", ["card", "text in quotes"]),
+        ('orientation = "up"', ["orientation", "'upright' or 'aligned' or 'any'"]),
+        ('effort = "most"', ["effort", "'fast' or 'balanced' or 'thorough'"]),
+        ('partial = "yes"', ["partial", "true or false"]),
         ("training = 3", ["training", "a table of numbers"]),
         ("max-points = 9\nmax_points = 9", ["'max-points' twice"]),
         ("seed = ", ["no", "TOML"]),
@@ -62,6 +70,8 @@ def test_bad_configuration_files(text, words, made, tmp_path, run):
         (("fit", "tube.npz", "one.ply", "-o", "out", "--seed", "-1"), ["--seed", "at least 0"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--samples", "many"), ["--samples", "'many'"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--scale", "free"), ["--scale", "'estimate', 'fixed'"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--orientation", "up"), ["--orientation", "'upright', 'aligned', 'any'"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--effort", "most"), ["--effort", "'fast', 'balanced', 'thorough'"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--training", "turn"), ["--training", "NAME=NUMBER"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--training", "trun=1"), ["trun", "turn"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--config", "none.toml"), ["none.toml", "no such file"]),
@@ -112,8 +122,9 @@ def test_an_error_of_the_system_that_nobody_foresaw_is_one_line(run, monkeypatch
 
 def test_defaults_are_the_librarys():
     parameters = inspect.signature(lbs.LBSFitter).parameters
-    for option in fit.OPTIONS:
-        if option.key in ("weights", "joints", "scale", "max_points", "training_scans"):
-            assert option.default == parameters[option.key].default, option.name
-        if option.key == "weights":
-            assert set(option.choices) == set(lbs.losses.PRESETS)
+    options = {option.key: option for option in fit.OPTIONS}
+    for key in ("weights", "joints", "scale", "orientation", "partial", "effort", "max_points", "training_scans"):
+        assert options[key].default == parameters[key].default, key
+    assert set(options["weights"].choices) == set(lbs.losses.PRESETS)
+    assert set(options["orientation"].choices) == set(ORIENTATIONS)
+    assert set(options["effort"].choices) == set(EFFORTS)

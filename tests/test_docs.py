@@ -102,7 +102,8 @@ def test_configurations_are_read(tmp_path):
     config = tmp_path / "fit.toml"
     config.write_text(text, encoding="utf-8")
     values = settings(Namespace(), OPTIONS, str(config))
-    assert values["jobs"] == 4 and values["drop_invalid"] and values["training"] == {"turn": 3.14, "scale": 0.2}
+    assert values["jobs"] == 4 and values["drop_invalid"] and values["orientation"] == "any"
+    assert values["training"] == {"noise": 0.01, "scale": 0.2}
 
 
 # ---- defaults and keys ----
@@ -138,6 +139,18 @@ def test_presets_are_the_codes():
     for column, preset in ((2, "paper"), (3, "default")):
         listed = {_code(row[0])[0]: _code(row[column])[0] for row in rows}
         assert listed == {key: repr(value) for key, value in dataclasses.asdict(lbs.losses.PRESETS[preset]).items()}
+
+
+def test_efforts_are_the_codes():
+    from lbsfit_np.fitting.scout import EFFORTS
+
+    text = _text("docs/fitting.md")
+    names = [_code(cell)[0].strip('"') for cell in text.split("<!-- efforts -->\n", 1)[1].splitlines()[0].split("|")[2:-2]]
+    assert names == list(EFFORTS)
+    rows = _rows(text, "efforts")
+    for column, effort in enumerate(EFFORTS.values(), start=1):
+        listed = {_code(row[0])[0]: _code(row[column])[0] for row in rows}
+        assert listed == {key: repr(value) for key, value in dataclasses.asdict(effort).items()}
 
 
 def _listed_keys(name, marker):

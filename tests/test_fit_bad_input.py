@@ -74,6 +74,14 @@ def test_bad_scans_are_named_before_any_training(tube_rig, tube_scan, monkeypatc
         ({"held_out": "some"}, ["held_out: got 'some'", "a number"]),
         ({"smooth": -1.0}, ["smooth: got -1.0", "at least 0"]),
         ({"sequence": 1}, ["sequence: got 1", "True or False"]),
+        ({"orientation": "sideways"}, ["orientation: got 'sideways'", "'aligned', 'upright' or 'any'"]),
+        ({"orientation": None}, ["orientation: got None", "'upright'"]),
+        ({"orientation": ["any"]}, ["orientation: got ['any']"]),
+        ({"effort": "most"}, ["effort: got 'most'", "'fast', 'balanced' or 'thorough'"]),
+        ({"effort": 3}, ["effort: got 3", "'balanced'"]),
+        ({"partial": "yes"}, ["partial: got 'yes'", "True or False"]),
+        ({"partial": 1}, ["partial: got 1", "True or False"]),
+        ({"scale": ["fixed"]}, ["scale: got ['fixed']", "'estimate' or 'fixed'"]),
     ],
 )
 def test_bad_parameters_are_named(tube_rig, tube_scan, parameters, words):

@@ -1,5 +1,7 @@
 """The fitter as an estimator: conventions, seeds, and the same result each time."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from fit_checks import assert_same
@@ -58,6 +60,7 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
     parameters = fitter.get_params()
     assert parameters["rig"] is tube_rig and parameters["training_scans"] == 7
     names = {"rig", "weights", "joints", "scale", "max_points", "training_scans", "training", "n_jobs", "random_state"}
+    names |= {"orientation", "partial", "effort"}
     assert set(parameters) == names | {"variant", "rounds", "held_out", "sequence", "smooth"}
     copy = clone(fitter)
     assert copy is not fitter and copy.get_params() == parameters
@@ -106,22 +109,48 @@ def test_one_call_with_a_kept_segmenter(tube_rig, tube_scan, tmp_path, monkeypat
     monkeypatch.setattr(cache, "_MEMORY", {})
     small = {"training_scans": 3, "training": {"n_points": 300}}
     a = lbs.fit_scan(tube_rig, tube_scan.points, **small)
-    assert len(list(tmp_path.iterdir())) == 1
+    kept = sorted(p.name for p in tmp_path.iterdir())
+    assert [name.partition("-")[0] for name in kept] == ["library", "segmenter"]
     assert_same(lbs.fit_scan(tube_rig, tube_scan.points, random_state=0, **small), a)
     assert_same(lbs.LBSFitter(tube_rig, random_state=0, **small).fit_scan(tube_scan.points), a)
-    assert len(list(tmp_path.iterdir())) == 1
+    assert sorted(p.name for p in tmp_path.iterdir()) == kept
     lbs.fit_scan(tube_rig, tube_scan.points, labels=tube_scan.labels, random_state=1)
-    assert len(list(tmp_path.iterdir())) == 1  # labels given: nothing to train
+    assert sorted(p.name for p in tmp_path.iterdir()) == kept  # labels given: nothing to train
 
 
 def test_training_scans_vary_in_scale_unless_told_otherwise(tube_rig, monkeypatch):
-    seen = []
+    seen, of_starts = [], []
 
     def settings_only(rig, scans, *args, **kwargs):
         seen.append(scans.settings)
 
-    monkeypatch.setattr("lbsfit_np.learning.fitter.train_segmenter", settings_only)
+    monkeypatch.setattr("lbsfit_np.learning.pretraining.train_segmenter", settings_only)
+    monkeypatch.setattr(
+        "lbsfit_np.learning.pretraining.build_library", lambda scans, n, **options: of_starts.append((n, scans.settings))
+    )
     for training in (None, {"noise": 0.01}, {"scale": 0.2}, Synthesis(turn=1.0)):
         lbs.LBSFitter(tube_rig, training=training, random_state=0).pretrain()
     assert [s.scale for s in seen] == [0.05, 0.05, 0.2, 0.0]
     assert (seen[1].noise, seen[3].turn) == (0.01, 1.0)
+    assert of_starts == [(2000, replace(s, n_points=1000)) for s in seen]  # the library's are the same, of fewer points
+    assert not any(s.one_sided for s in seen)
+    lbs.LBSFitter(tube_rig, partial=True, random_state=0).pretrain()
+    assert seen[-1].one_sided and of_starts[-1][1].one_sided
+    lbs.LBSFitter(tube_rig, partial=True, training={"one_sided": False}, random_state=0).pretrain()
+    assert not seen[-1].one_sided
+
+
+def test_a_segmenter_that_is_given_is_kept(tube_rig, tube_fitter, tube_scan, monkeypatch):
+    """Only f and the library are trained beside it, by pretrain, and by fit_scan where nothing was pretrained."""
+    monkeypatch.setattr("lbsfit_np.learning.pretraining.train_segmenter", lambda *a, **k: pytest.fail("trained another"))
+    parameters = {"training_scans": 20, "training": {"n_points": 200}, "max_points": 500, "random_state": 0}
+    shares = []
+    one = lbs.LBSFitter(tube_rig, **parameters).pretrain(segmenter=tube_fitter.segmenter_, progress=shares.append)
+    assert one.segmenter_ is tube_fitter.segmenter_ and shares[-1] == 1.0
+    two = lbs.LBSFitter(tube_rig, **parameters)
+    two.segmenter_ = tube_fitter.segmenter_
+    assert_same(two.fit_scan(tube_scan.points), one.fit_scan(tube_scan.points))
+    assert two.segmenter_ is tube_fitter.segmenter_
+    other = lbs.LBSFitter(tube_rig.with_parts("arm and fingers"), **parameters)
+    with pytest.raises(InputError, match="segmenter.*another rig"):
+        other.pretrain(segmenter=tube_fitter.segmenter_)

@@ -59,8 +59,11 @@ def test_vertices_are_the_pose_of_the_results_own_fields(tube_rig, tube_scan, jo
 
 @pytest.mark.parametrize("weights", ["default", "paper"])
 def test_terms_are_the_losses_of_the_result(tube_rig, tube_scan, weights):
-    """In units in which the template's longest half-extent is 1, recomputed from what the result says."""
-    fitter = lbs.LBSFitter(tube_rig, weights=weights, random_state=0)
+    """In units in which the template's longest half-extent is 1, recomputed from what the result says.
+
+    The undeformed template stands where the fit's frame has it, which is the scan's where that faces the rig's way.
+    """
+    fitter = lbs.LBSFitter(tube_rig, weights=weights, orientation="aligned", random_state=0)
     r, w, half = fitter.fit_scan(tube_scan.points, labels=tube_scan.labels), PRESETS[weights], tube_rig.size / 2
     X, Vd, V = tube_scan.points / half, r.vertices / half, tube_rig.pose(r.pose, r.translation, r.scale) / half
     labels = tube_scan.labels, tube_rig.vertex_labels
@@ -74,6 +77,8 @@ def test_terms_are_the_losses_of_the_result(tube_rig, tube_scan, weights):
         expected["laplacian"] = np.linalg.norm(K @ (r.offsets / half)) ** (2 if w.squared else 1)
     for name, value in expected.items():
         assert r.terms[name] == pytest.approx(value, rel=1e-6), name
+    turned = fitter.set_params(orientation="upright").fit_scan(tube_scan.points, labels=tube_scan.labels)
+    assert turned.terms["recon"] == pytest.approx(np.sqrt(chamfer(X, turned.vertices / half)[0]), rel=1e-6)
     total = w.chamfer * r.terms["chamfer"] + w.lam_s * r.terms["structured"] + w.lam_lap * r.terms["laplacian"]
     assert r.terms["total"] == pytest.approx(total, rel=1e-9)
 

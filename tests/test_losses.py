@@ -374,7 +374,7 @@ def test_faces_without_area_contribute_nothing():
 
 def test_the_papers_numbers():
     assert PRESETS["paper"] == LossWeights(
-        chamfer=1.0, lam=0.5, lam_s=1.0, lam_lap=0.005, lam_theta=0.5, laplacian="posed", squared=False
+        chamfer=1.0, lam=0.5, lam_s=1.0, lam_lap=0.005, laplacian="posed", squared=False
     )
 
 

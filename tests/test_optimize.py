@@ -15,7 +15,7 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import Layout, State
 from lbsfit_np.starts.parts import start_from_parts
-from lbsfit_np.starts.scale import reference_scale
+from lbsfit_np.starts.scale import near_rows, reference_scale, unit_note
 
 ALL = ("pose", "translation", "scale", "proportions", "residual")
 
@@ -290,3 +290,84 @@ def test_extents_without_a_number_are_errors(tube_rig):
     piled = np.zeros((100, 3))
     piled[0] = tube_rig.size
     assert np.isfinite(reference_scale(piled, tube_rig, "estimate").scale)
+
+
+@pytest.mark.parametrize(
+    "scale, metres, words",
+    [
+        (1.0, None, "scan and rig are in one unit"),
+        (1.5, None, "scan and rig are in one unit"),  # people differ
+        (1 / 1.5, 1.0, "scan and rig are in one unit"),
+        (1.05, 0.01, "scan and rig are in one unit"),  # both in centimetres
+        (1040.0, 1.0, "the scan seems to be in millimetres: one rig unit is 1040 scan units"),
+        (96.0, 1.0, "the scan seems to be in centimetres: one rig unit is 96 scan units"),
+        (41.3, 1.0, "the scan seems to be in inches: one rig unit is 41.3 scan units"),
+        (0.0011, 0.001, "the scan seems to be in metres: one rig unit is 0.0011 scan units"),
+        (250.0, 0.25, "the scan seems to be in millimetres"),
+        (5.0, 1.0, "the scan is in another unit or of another size: one rig unit is 5 scan units"),
+        (1000.0, None, "the scan is in another unit or of another size: one rig unit is 1000 scan units"),
+    ],
+)
+def test_the_unit_in_words(tube_rig, scale, metres, words):
+    assert unit_note(scale, replace(tube_rig, metres_per_unit=metres), "estimate").startswith(words)
+
+
+def test_a_fixed_scale_in_words(tube_rig):
+    assert unit_note(1.0, tube_rig, "fixed") == "scale fixed at 1"
+
+
+# ---- wild points ----
+
+
+@pytest.mark.parametrize("unit, place", [(1.0, 0.0), (1000.0, [1e4, 0.0, -3e3])])
+def test_wild_points_are_left_out_and_no_others(tube_rig, unit, place):
+    s = lbs.synthesize(tube_rig, 1, random_state=0)[0]
+    n, rng = len(s.points), np.random.default_rng(0)
+    directions = rng.standard_normal((25, 3))
+    wild = 30 * directions / np.linalg.norm(directions, axis=1)[:, None] * rng.uniform(0.2, 100, (25, 1))
+    points = unit * np.vstack([s.points, wild]) + place
+    rows, dropped = near_rows(points, np.arange(len(points)))
+    np.testing.assert_array_equal(rows, np.arange(n))
+    assert dropped == 25
+    some = np.arange(0, n, 3)
+    rows, dropped = near_rows(points, some)
+    np.testing.assert_array_equal(rows, some)
+    assert dropped == 0
+
+
+def test_a_clump_beyond_reach_is_wild_however_dense_it_is(tube_rig):
+    s = lbs.synthesize(tube_rig, 1, random_state=0)[0]
+    clump = np.array([4.0, 0.0, 1.0]) + 0.02 * np.random.default_rng(0).random((40, 3))
+    rows, dropped = near_rows(np.vstack([s.points, clump]), np.arange(len(s.points) + 40))
+    np.testing.assert_array_equal(rows, np.arange(len(s.points)))
+    assert dropped == 40
+
+
+def test_points_beside_the_body_are_told_by_their_loneliness(tube_rig):
+    s = lbs.synthesize(tube_rig, 1, random_state=0)[0]
+    low, high = s.points.min(axis=0), s.points.max(axis=0)
+    beside = [[low[0], low[1], low[2] - 0.3], [high[0], high[1] + 0.3, high[2]], [high[0] + 0.3, low[1], high[2]]]
+    rows, dropped = near_rows(np.vstack([s.points, beside]), np.arange(len(s.points) + 3))
+    assert dropped == 3 and rows.max() < len(s.points)
+
+
+@pytest.mark.parametrize("settings", [{"n_points": 5000}, {"n_points": 300}, {"noise": 0.02}, {"density": 0.0}, {"holes": 5}])
+def test_the_bodys_own_points_are_kept(tube_rig, settings):
+    """Few or many, noisy, unevenly dense, with holes."""
+    for s in lbs.synthesize(tube_rig, 4, random_state=1, **settings):
+        assert near_rows(s.points, np.arange(len(s.points)))[1] <= 0.005 * len(s.points)
+
+
+def test_tenfold_density_is_no_clutter(tube_rig):
+    s = lbs.synthesize(tube_rig, 1, random_state=2, n_points=6000, holes=0, density=0.0)[0]
+    dense = s.points[:, 1] > np.median(s.points[:, 1])
+    thin = np.flatnonzero(~dense)[::10]
+    rows = np.sort(np.r_[np.flatnonzero(dense), thin])
+    assert near_rows(s.points, rows)[1] <= 0.01 * len(thin)
+
+
+def test_few_points_are_all_kept():
+    points = np.random.default_rng(0).random((5, 3))
+    rows, dropped = near_rows(points, np.arange(5))
+    np.testing.assert_array_equal(rows, np.arange(5))
+    assert dropped == 0

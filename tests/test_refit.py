@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.refit import Refit, _thinned
+from lbsfit_np.fitting.refit import Refit, Runner, thinned
 from lbsfit_np.losses import chamfer
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
@@ -80,7 +80,7 @@ def test_the_right_start_among_bad_ones_wins(model, refit, case):
 
 
 def test_the_last_steps_have_the_last_word(model, case, monkeypatch):
-    """The first steps' best start goes astray in the last ones: the other wins, with its own value."""
+    """The first steps' best start goes astray in the last ones: the other wins, and goes on with all points."""
     refit = Refit(model)
     starts = [case.bad[0], case.near]
     assert refit(case.problem, poses=starts)[2] == 1
@@ -88,14 +88,36 @@ def test_the_last_steps_have_the_last_word(model, case, monkeypatch):
 
     def astray(problem, state, **options):
         state, value = pose(problem, state, **options)
-        ends.append(state if ends else state.replace(translation=state.translation + 1.0))
-        return ends[-1], value
+        ends.append(state)
+        return state, value + (len(ends) == 1)
 
     monkeypatch.setattr(refit._near, "pose", astray)
     state, value, which = refit(case.problem, poses=starts)
-    values = [chamfer(case.problem.X, model.pose(s)[0].vertices)[0] for s in ends]
-    assert len(ends) == 2 and values[1] < values[0]
-    assert which == 0 and state is ends[1] and value == pytest.approx(values[1], rel=1e-12)
+    assert which == 0 and len(ends) == 2 and case.error(model, ends[0]) < 0.01
+    np.testing.assert_array_equal(state.theta, refit.polish(case.problem, ends[1]).theta)
+    assert value == pytest.approx(chamfer(case.problem.X, model.pose(state)[0].vertices)[0], rel=1e-12)
+
+
+def test_runners_come_back_best_first_with_their_names_and_frames(model, refit, case):
+    """First steps keep all, in another order; a race keeps some, each with its own problem, name and value."""
+    turned = Problem(case.problem.X @ np.diag([-1.0, 1.0, -1.0]))
+    starts = [Runner(case.problem, refit.placed(case.problem, t), name) for t, name in zip([*case.bad, case.near], "abc")]
+    starts.append(Runner(turned, refit.placed(turned, case.near), "d"))
+    assert all(r.value == np.inf for r in starts)
+    first = refit.first_steps(starts)
+    assert sorted(r.name for r in first) == list("abcd") and (np.diff([r.value for r in first]) >= 0).all()
+    assert first[0].name == "c" and first[0].problem is case.problem
+    assert next(r for r in first if r.name == "d").problem is turned
+    ends = refit.race(starts, 2)
+    assert [r.name for r in ends] == [r.name for r in refit.last_steps(first[:2])] and len(ends) == 2
+    assert ends[0].name == "c" and ends[0].value < first[0].value and case.error(model, ends[0].state) < 0.01
+
+
+def test_other_unknowns_can_be_freed(model, refit, case):
+    other = refit.freeing(("pose", "translation", "scale"))
+    bigger = Problem(1.1 * case.problem.X)
+    assert other(bigger, poses=[case.near])[0].scale == pytest.approx(1.1, abs=0.015)
+    assert refit(bigger, poses=[case.near])[0].scale == 1.0
 
 
 def test_the_value_is_the_plain_chamfer_distance(model, refit, case):
@@ -149,7 +171,7 @@ def test_scale_is_found_where_it_is_free(rig, model, case):
 
 
 def test_a_large_scan_gives_what_a_thinned_one_gives(rig, model, refit, case):
-    """First steps look at 700 points; the last at all."""
+    """First steps look at some points; the last at all."""
     scan = lbs.synthesize(rig, 1, poses=case.theta[None], random_state=5, shape=0.0, holes=0, density=0.0, n_points=4000)[0]
     centre = scan.points.mean(axis=0)
     X = (scan.points - centre) / (rig.size / 2)
@@ -164,12 +186,12 @@ def test_a_large_scan_gives_what_a_thinned_one_gives(rig, model, refit, case):
 def test_fewer_points_keep_their_weights():
     rng = np.random.default_rng(0)
     X, w = rng.random((2000, 3)), rng.random(2000)
-    few = _thinned(Problem(X, w / w.sum()))
+    few = thinned(Problem(X, w / w.sum()), 700)
     rows = [int(np.flatnonzero((X == x).all(axis=1))[0]) for x in few.X]
     assert len(set(rows)) == 700 and few.x_weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(few.x_weights, w[rows] / w[rows].sum())
     small = Problem(X[:700])
-    assert _thinned(small) is small and _thinned(Problem(X)).x_weights is None
+    assert thinned(small, 700) is small and thinned(Problem(X), 700).x_weights is None
 
 
 def test_poses_are_put_where_the_scan_is(rig, model, refit, case):

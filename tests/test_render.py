@@ -157,7 +157,7 @@ def test_the_same_picture_every_time_and_in_any_batch(monkeypatch):
     first = render(*items, size=(150, 100))
     assert first.shape == (100, 150, 3) and first.dtype == np.uint8
     np.testing.assert_array_equal(first, render(*items, size=(150, 100)))
-    monkeypatch.setattr("lbsfit_np.report.raster._MOST_FRAGMENTS", 1000)
+    monkeypatch.setattr("lbsfit_np.raster._MOST_FRAGMENTS", 1000)
     np.testing.assert_array_equal(first, render(*items, size=(150, 100)))
 
 

@@ -86,6 +86,13 @@ def test_rig_is_immutable_in_other_processes_too(tube_rig, protocol):
     theta = np.full(again.lower.shape, 0.2)
     np.testing.assert_array_equal(again.pose(theta), tube_rig.pose(theta))
     np.testing.assert_array_equal(again.scaled(2.0).vertices, 2 * tube_rig.vertices)
+    np.testing.assert_array_equal(again.scaled(np.float32(2)).vertices, 2 * tube_rig.vertices)
+
+
+@pytest.mark.parametrize("factor", [0, 0.0, -1, np.nan, np.inf, -np.inf, True, None, "2", [2.0], 2j, 10**400, 1e-320])
+def test_a_rig_is_scaled_by_a_positive_number(factor, tube_rig):
+    with pytest.raises(InputError, match="factor: got .*; expected a positive number, from 1e-100 to 1e\\+100"):
+        tube_rig.scaled(factor)
 
 
 def test_partitions(tube_rig):

@@ -48,7 +48,7 @@ class Moved:
 
     def __init__(self, rig, shares):
         self.rig, self.shares = rig, iter(shares)
-        self.segmenter_ = self
+        self.regressor_ = self
 
     def fit_scan(self, points):
         share = next(self.shares)
@@ -56,7 +56,8 @@ class Moved:
             raise InputError("points", "nothing", "something")
         truth = next(s for s in self.truth if s.points is points)
         joints = truth.joints + np.array([share * self.rig.size, 0, 0])
-        return SimpleNamespace(joints=joints, labels=truth.labels, seconds=0.5, converged=True, status="ok", message="")
+        known = {"joints": joints, "vertices": truth.vertices, "labels": truth.labels}
+        return SimpleNamespace(**known, seconds=0.5, converged=True, status="ok", message="")
 
 
 def test_figures_are_shares_of_the_size():

@@ -251,7 +251,7 @@ def test_ctrl_c_in_the_middle_of_training_is_no_segmenter(empty_cache, tube_rig,
     signal.signal(number, mine)
     try:
         with pytest.raises(raised):
-            cache.cached_segmenter("key", lambda: _train(tube_rig))
+            _cached("key", lambda: _train(tube_rig))
         assert signal.getsignal(number) is mine
     finally:
         signal.signal(number, before)
@@ -724,6 +724,10 @@ def empty_cache(tmp_path, monkeypatch):
     return tmp_path / "cache"
 
 
+def _cached(key, train):
+    return cache.cached("segmenter", key, train, Segmenter.load)
+
+
 class Trainer:
     """Trains nothing, and counts how often it was asked to."""
 
@@ -737,16 +741,23 @@ class Trainer:
 
 def test_the_cache_trains_once(empty_cache, small, scan):
     train = Trainer(small)
-    first = cache.cached_segmenter(("a", 1), train)
-    assert cache.cached_segmenter(("a", 1), train) is first and train.calls == 1
+    first = _cached(("a", 1), train)
+    assert _cached(("a", 1), train) is first and train.calls == 1
     assert len(list(empty_cache.iterdir())) == 1
     cache._MEMORY.clear()  # another process
-    again = cache.cached_segmenter(("a", 1), train)
+    again = _cached(("a", 1), train)
     assert train.calls == 1
     np.testing.assert_array_equal(again.predict_proba(scan.points), small.predict_proba(scan.points))
-    cache.cached_segmenter(("a", 2), train)
+    _cached(("a", 2), train)
     assert train.calls == 2
     assert len(list(empty_cache.iterdir())) == 2
+
+
+def test_kinds_are_kept_apart(empty_cache, small):
+    train = Trainer(small)
+    _cached("key", train)
+    assert cache.cached("library", "key", train, Segmenter.load) is small and train.calls == 2
+    assert sorted(p.name.partition("-")[0] for p in empty_cache.iterdir()) == ["library", "segmenter"]
 
 
 @pytest.mark.parametrize(
@@ -762,9 +773,9 @@ def test_the_cache_trains_once(empty_cache, small, scan):
 )
 def test_another_recipe_is_another_segmenter(empty_cache, small, monkeypatch, place, name, value):
     train = Trainer(small)
-    cache.cached_segmenter("key", train)
+    _cached("key", train)
     monkeypatch.setattr(place, name, value)
-    cache.cached_segmenter("key", train)
+    _cached("key", train)
     assert train.calls == 2 and len(list(empty_cache.iterdir())) == 2
 
 
@@ -782,12 +793,12 @@ def test_the_folder_is_the_users_to_choose(monkeypatch, tmp_path):
 @pytest.mark.parametrize("broken", [b"", b"not a zip"])
 def test_a_broken_file_in_the_cache_is_trained_again(empty_cache, small, broken):
     train = Trainer(small)
-    cache.cached_segmenter("key", train)
+    _cached("key", train)
     (file,) = empty_cache.iterdir()
     whole = file.read_bytes()
     file.write_bytes(broken)
     cache._MEMORY.clear()
-    cache.cached_segmenter("key", train)
+    _cached("key", train)
     assert train.calls == 2
     assert file.read_bytes() == whole
 
@@ -795,8 +806,8 @@ def test_a_broken_file_in_the_cache_is_trained_again(empty_cache, small, broken)
 def test_a_cache_that_cannot_be_made_is_no_error(empty_cache, small):
     empty_cache.write_text("a file where the folder should be")
     train = Trainer(small)
-    assert cache.cached_segmenter("key", train) is small
-    assert cache.cached_segmenter("key", train) is small and train.calls == 1
+    assert _cached("key", train) is small
+    assert _cached("key", train) is small and train.calls == 1
 
 
 def test_a_cache_that_cannot_be_written_to_is_no_error(empty_cache, small, monkeypatch):
@@ -808,7 +819,7 @@ def test_a_cache_that_cannot_be_written_to_is_no_error(empty_cache, small, monke
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr(os, "open", refuse)
-    assert cache.cached_segmenter("key", Trainer(small)) is small
+    assert _cached("key", Trainer(small)) is small
 
 
 def test_pretraining_uses_the_cache_when_asked(empty_cache, tube_rig, scan):
@@ -816,7 +827,7 @@ def test_pretraining_uses_the_cache_when_asked(empty_cache, tube_rig, scan):
         return lbs.LBSFitter(tube_rig, **{"training_scans": 2, "training": {"n_points": 200}, "random_state": 0, **changes})
 
     a = fitter().pretrain(cache=True)
-    assert len(list(empty_cache.iterdir())) == 1
+    assert len(list(empty_cache.glob("segmenter-*.npz"))) == len(list(empty_cache.glob("library-*.npz"))) == 1
     cache._MEMORY.clear()
 
     def no_progress(share):

@@ -9,6 +9,7 @@ import numpy as np
 from ..fitting.assemble import assemble
 from ..fitting.scan_fit import FitSettings
 from ..losses.objective import LossWeights
+from ..optimize.frame import Frame
 from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
@@ -63,9 +64,8 @@ class PlainChamfer:
         settings, model = self.settings, self._model
         rows = np.linspace(0, len(points) - 1, min(settings.max_points, len(points))).astype(int)
         reference = reference_scale(points[rows], self.rig, settings.scale)
-        unit = reference.scale * model.half
-        centre = points[rows].mean(axis=0)
-        problem = Problem((points[rows] - centre) / unit)
+        frame = Frame(points[rows].mean(axis=0), reference.scale * model.half)
+        problem = Problem(frame.inside(points[rows]))
         free = ("pose", "translation") if settings.scale == "fixed" else ("pose", "translation", "scale")
 
         start = model.rest()
@@ -82,8 +82,7 @@ class PlainChamfer:
             last,
             points=points,
             rows=rows,
-            unit=unit,
-            centre=centre,
+            frame=frame,
             sigma=_SIGMA,
             evaluation=problem.evaluate(model, last.state, weights, ridge=settings.ridge),
             evaluations=first.evaluations + last.evaluations,

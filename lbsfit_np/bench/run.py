@@ -171,7 +171,8 @@ def run_bench(
     make_rig, make_scans, synthesis = bench.load()
     n_scans = bench.n_scans if n_scans is None else n_scans
     rig = make_rig(data)
-    fitter = LBSFitter(rig, training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
+    # All scans face the rig's way.
+    fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
     report = _report(bench, rig, fitter, synthesis, seeds, n_scans, jobs, rows)
     fits = {}
     if "own" in rows or "paper" in rows:
@@ -210,12 +211,9 @@ class _Own:
 
     def segmenter_labels(self, scan):
         """(true labels, the segmenter's) of as many points as a fit looks at, as density counts for descriptors."""
-        from ..starts.scale import reference_scale
-
         rows = Scan(scan.points).thinned(self.fitter.max_points)
         points = scan.points[rows]
-        scale = reference_scale(points, self.rig, self.fitter.scale).scale
-        return scan.labels[rows], self.fitter.segmenter_.predict(points, scale=scale)
+        return scan.labels[rows], self.fitter.segmenter_.predict(points)
 
 
 @dataclass(frozen=True)
@@ -236,7 +234,7 @@ def _method(row, rig, fitter):
         return _Own(rig, fitter)
     if row == "paper":
         other = clone(fitter).set_params(weights="paper")
-        other.segmenter_ = fitter.segmenter_
+        other.segmenter_, other.regressor_ = other._pretrained = fitter._pretrained
         return _Own(rig, other)
     if row == "oracle":
         return _Oracle(rig, clone(fitter))  # without the segmenter

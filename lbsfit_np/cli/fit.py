@@ -10,7 +10,7 @@ from .models import about_model, is_model, load_model, model_in_words
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, say
 from .stopping import exit_code, terminable
-from .summary import counts_of, write_summary
+from .summary import counts_of, say_doubtful, write_summary
 
 __all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "fit_files", "load_rig_with", "scan_options"]
 
@@ -32,6 +32,14 @@ OPTIONS = (
     *RIG_OPTIONS,
     Option("subject", "whose template a model shall use; by default the one that explains the scan best", metavar="ID"),
     Option("scale", "whether the scan's scale is found, or is the rig's", default="estimate", choices=("estimate", "fixed")),
+    Option(
+        "orientation",
+        "how scans may be turned: about the up axis, not at all, or in any way",
+        default="upright",
+        choices=("upright", "aligned", "any"),
+    ),
+    Option("partial", "scans show one side only, as single depth views do", bool, False),
+    Option("effort", "how many starts go how far", default="balanced", choices=("fast", "balanced", "thorough")),
     Option("weights", "weights of the objective", default="default", choices=("default", "paper")),
     Option("joints", "whether joints follow the changed template", default="follow", choices=("follow", "fixed")),
     Option(
@@ -42,11 +50,11 @@ OPTIONS = (
     ),
     Option("drop-invalid", "leave out points that are NaN or infinite instead of refusing the scan", bool, False),
     Option("max-points", "points of a scan that take part in the optimisation; all are labelled", positive, 2500, metavar="N"),
-    Option("segmenter", "a segmenter saved by Segmenter.save, instead of a trained one", metavar="FILE", is_path=True),
-    Option("training-scans", "synthetic scans that the segmenter is trained on", positive, 4000, metavar="N"),
+    Option("segmenter", "a segmenter saved by Segmenter.save, instead of one trained here", metavar="FILE", is_path=True),
+    Option("training-scans", "synthetic scans for the segmenter; half as many for starts", positive, 4000, metavar="N"),
     Option(
         "training",
-        "how these are made: a field of lbsfit_np.synthesis.Synthesis, such as turn=3.14 or scale=0.2; may be repeated",
+        "how these are made: a field of lbsfit_np.synthesis.Synthesis, such as noise=0.01 or scale=0.2; may be repeated",
         default={},
         metavar="NAME=NUMBER",
         table=True,
@@ -68,7 +76,7 @@ overwritten. After Ctrl-C, the same command with --existing skip does the rest.
 
 A model keeps its rig, its segmenter and how these were made: options about the rig (--card, --shape, --skin,
 --normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale,
---weights, --max-points and --seed are the model's unless they are given.
+--orientation, --partial, --effort, --weights, --max-points and --seed are the model's unless they are given.
 """
 
 _EPILOG = """\
@@ -83,11 +91,14 @@ examples:
       card = "body.toml"
       jobs = 4
       drop-invalid = true
-      training = { turn = 3.14, scale = 0.2 }
+      orientation = "any"
+      training = { noise = 0.01, scale = 0.2 }
 
-The trained segmenter is kept in $LBSFIT_CACHE, else in the user's cache folder.
-Exit code: 0 all fitted, 1 some scans failed (named with reasons; the others are written), 2 usage or unreadable rig,
-130 stopped by Ctrl-C.
+What is trained for a rig, its segmenter and its library of starts, is kept in $LBSFIT_CACHE, else in the user's cache folder.
+Each fit has a status: ok; suspect, where something speaks against it; failed, where it is all but certainly wrong (the
+files are written all the same). The summary and the table at the end have these first, with what speaks against them.
+Exit code: 0 all fitted, suspect or not, 1 some scans failed (named with reasons; the others are written), 2 usage or
+unreadable rig, 130 stopped by Ctrl-C.
 """
 
 
@@ -158,7 +169,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     values = dict(values)  # a model changes some
     fitter, model = _fitter(rig_path, values, given)
     rig = fitter.rig
-    kept = _kept(files, rig) if values["existing"] == "skip" else {}
+    kept = _kept(files, fitter) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"{len(kept)} of {len(files)} scans are fitted already and kept")
@@ -190,6 +201,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
         write_summary(out, rig_path, rig, files, entries, values, **facts)
     if stopped is not None and not isinstance(stopped, KeyboardInterrupt):
         raise stopped
+    say_doubtful([entries[f.name] for f in files if f.name in entries])
     return _farewell(counts, len(files), out, stopped)
 
 
@@ -202,7 +214,7 @@ def _fitter(rig_path, values, given):
         say(f"{rig_path} is {model_in_words(model)}")
         return fitter, model
     from ..learning.fitter import LBSFitter
-    from ..synthesis import make_settings
+    from ..learning.training import training_settings
 
     rig = load_rig_with(rig_path, values)
     if values["subject"] is not None:
@@ -212,12 +224,15 @@ def _fitter(rig_path, values, given):
             "a model that lbsfit learn has written, which knows subjects",
             "Leave it out, or name a model.",
         )
-    make_settings(values["training"])
+    training_settings(values["training"])
     fitter = LBSFitter(
         rig,
         weights=values["weights"],
         joints=values["joints"],
         scale=values["scale"],
+        orientation=values["orientation"],
+        partial=values["partial"],
+        effort=values["effort"],
         max_points=values["max_points"],
         training_scans=values["training_scans"],
         training=values["training"],
@@ -237,21 +252,23 @@ def _fit(fitter, todo, values, on_result, progress):
     from ..io.scans import load_scan
     from ..learning.batch import fit_scans
 
+    segmenter = getattr(fitter, "segmenter_", None)
     fit_scans(
         fitter,
         [functools.partial(load_scan, f.source, **scan_options(values)) for f in todo],
         jobs=values["jobs"],
         finish=outputs.Writer(fitter.rig, todo),
         on_result=on_result,
-        pretrain=lambda fitter: fitter.pretrain(cache=True, progress=progress.training),
+        pretrain=lambda fitter: fitter.pretrain(segmenter=segmenter, cache=True, progress=progress.training),
     )
 
 
-def _kept(files, rig):
-    """Entries, by name, of the scans whose fits are there and whole."""
+def _kept(files, fitter):
+    """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
     from ..fitting.result import FitResult
+    from ..learning.archive import model_digest
 
-    kept = {}
+    kept, rig, digest = {}, fitter.rig, model_digest(fitter)
     for f in files:
         if not all(path.is_file() for path in f.paths.values()):
             continue
@@ -267,17 +284,32 @@ def _kept(files, rig):
                 f"fits of rig {rig.name!r}",
                 "Choose another folder, or --existing replace.",
             )
-        kept[f.name] = outputs.fitted_entry(f, result, status="skipped")
+        if result.model_digest != digest:
+            raise InputError(
+                "--existing skip",
+                f"{f.fit}, a fit {_made_with(result.model_digest, digest)}",
+                "fits with this model and subject" if digest else f"fits with rig {rig.name!r} alone",
+                "Choose another folder, or --existing replace.",
+            )
+        # A fit that had failed has still failed.
+        kept[f.name] = outputs.fitted_entry(f, result, status="failed" if result.status == "failed" else "skipped")
     return kept
 
 
+def _made_with(theirs, ours):
+    if not theirs:
+        return "without a model"
+    return "with another model, or with other subjects of it" if ours else "with a learned model"
+
+
 def _farewell(counts, n, out, stopped):
-    done = counts["ok"] + counts["skipped"]
+    done = counts["ok"] + counts["suspect"] + counts["skipped"]
     if stopped is not None:
         rest = "; the same command with --existing skip does the rest" if done else ""
         say(f"stopped: {done} of {n} scans are fitted and kept in {out}{rest}" if done else "stopped before a scan was fitted")
         return exit_code(stopped)
-    say(f"{done} of {n} scans fitted" + (f", {counts['failed']} failed" if counts["failed"] else "") + f"; results in {out}")
+    doubts = [f"{counts[status]} {status}" for status in ("suspect", "failed") if counts[status]]
+    say(f"{done} of {n} scans fitted" + (f" ({', '.join(doubts)})" if doubts else "") + f"; results in {out}")
     return 1 if counts["failed"] else 0
 
 

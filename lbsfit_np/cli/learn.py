@@ -7,6 +7,8 @@ import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import FileError, InputError, LbsfitError
 from ..learning.variants import VARIANTS
 from . import outputs
@@ -17,13 +19,14 @@ from .parsing import Option, add_options, amount, formatter, positive, settings,
 from .progress import LearningProgress, Progress, say, span
 from .stopping import exit_code, terminable
 from .subjects import SUBJECT_FILES, read_subjects
-from .summary import counts_of, write_summary
+from .summary import counts_of, say_doubtful, write_summary
 
 __all__ = ["OPTIONS", "add_parser", "learn_files"]
 
 # Options that mean the same here as in lbsfit fit.
 _SHARED = (
-    *("scale", "weights", "joints", "samples", "drop-invalid", "max-points", "training-scans", "training", "seed", "jobs"),
+    *("scale", "orientation", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
+    *("training-scans", "training", "seed", "jobs"),
 )
 
 OPTIONS = (
@@ -186,13 +189,13 @@ def _check_twice(scans):
 
 def _fitter(rig, values):
     from ..learning.fitter import LBSFitter
-    from ..synthesis import make_settings
+    from ..learning.training import training_settings
 
-    make_settings(values["training"])
-    names = ("weights", "joints", "scale", "max_points", "training_scans", "training", "variant", "rounds", "held_out")
+    training_settings(values["training"])
+    names = ("weights", "joints", "scale", "orientation", "partial", "effort", "max_points", "training_scans", "training")
     return LBSFitter(
         rig,
-        **{name: values[name] for name in (*names, "sequence", "smooth")},
+        **{name: values[name] for name in (*names, "variant", "rounds", "held_out", "sequence", "smooth")},
         n_jobs=values["jobs"],
         random_state=values["seed"],
     )
@@ -278,7 +281,7 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
                 entries[f.name] = outputs.entry(f, "failed", message=reading.failures[i])
                 continue
             try:
-                entries[f.name] = writer(i, reading.scans[i], result)
+                entries[f.name] = _written(writer, i, f, reading.scans[i], result)
             except LbsfitError as error:
                 entries[f.name] = outputs.entry(f, "failed", message=str(error))
             progress.scan(entries[f.name])
@@ -287,4 +290,13 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
         progress.close()
         facts = {"started": started, "stopped": stopped, "model": about_model(values["output"]), "history": fitter.history_}
         write_summary(Path(values["results"]), rig_path, fitter.rig, files, entries, values, **facts)
-    say(f"{counts_of(entries)['ok']} of {len(files)} results in {values['results']}")
+    say_doubtful([entries[f.name] for f in files])
+    counts = counts_of(entries)
+    say(f"{counts['ok'] + counts['suspect']} of {len(files)} results in {values['results']}")
+
+
+def _written(writer, i, files, scan, result):
+    """The entry of a result; one that is not finite is not written."""
+    if not np.isfinite(result.vertices).all():
+        return outputs.entry(files, "failed", message=result.message)
+    return writer(i, scan, result)

@@ -188,12 +188,14 @@ class Writer:
         return fitted_entry(files, result, notes=scan.notes)
 
 
-def fitted_entry(files, result, *, status="ok", notes=()):
-    """The entry of a scan whose fit is there."""
+def fitted_entry(files, result, *, status=None, notes=()):
+    """The entry of a scan whose fit is there; its status is the fit's own unless given."""
     return entry(
         files,
-        status,
+        status or result.status,
         message=result.message,
+        probability=round(result.probability, 4),
+        evidence={name: round(value, 5) for name, value in result.evidence.items()},
         converged=result.converged,
         terms=result.terms,
         evaluations=result.evaluations,

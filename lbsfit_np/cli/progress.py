@@ -52,15 +52,15 @@ class Progress:
     def scan(self, entry):
         """One more scan is done: ``entry`` of the summary."""
         self.done += 1
-        if entry["status"] == "failed":
-            text, where = f"{entry['name']}: failed: {entry['message']}", sys.stderr
+        if entry["status"] in ("failed", "suspect"):
+            text, where = f"{entry['name']}: {entry['status']}: {entry['message']}", sys.stderr
         else:
             text = f"{entry['name']}: fitted in {entry['seconds']:.1f} s, recon {entry['terms']['recon']:.4f}, {entry['message']}"
             where = sys.stdout
         if not self.terminal:
             print(f"[{self.done}/{self.total}] {text}", file=where, flush=True)
             return
-        if entry["status"] == "failed":
+        if entry["status"] in ("failed", "suspect"):
             self.line(text)
             if self._bar is None:  # before the training: the bar starts after it
                 return

@@ -4,13 +4,38 @@ import platform
 import time
 
 from .outputs import SUMMARY
+from .progress import say
 
-__all__ = ["counts_of", "write_summary"]
+__all__ = ["counts_of", "say_doubtful", "write_summary"]
 
 
 def counts_of(entries):
     """How many scans came out how; ``entries`` as in :func:`write_summary`."""
-    return {s: sum(e["status"] == s for e in entries.values()) for s in ("ok", "skipped", "failed")}
+    return {s: sum(e["status"] == s for e in entries.values()) for s in ("ok", "suspect", "skipped", "failed")}
+
+
+def doubtful_first(entries):
+    """Entries, those that failed first, then suspects, the least probable first; the others in their order."""
+
+    def rank(e):
+        doubt = {"failed": 0, "suspect": 1}.get(e["status"], 2)
+        return doubt, e.get("probability", 0.0) if doubt < 2 else 0.0
+
+    return sorted(entries, key=rank)
+
+
+def say_doubtful(entries):
+    """A table of the scans that failed or are suspect, on standard output; nothing where all are well."""
+    doubtful = [e for e in doubtful_first(entries) if e["status"] in ("failed", "suspect")]
+    if not doubtful:
+        return
+    rows = [("scan", "status", "probability", "why")]
+    for e in doubtful:
+        probability = f"{e['probability']:.2f}" if "probability" in e else "–"
+        rows.append((e["name"], e["status"], probability, e["message"]))
+    widths = [max(len(row[k]) for row in rows) for k in range(3)]
+    for row in rows:
+        say("  ".join([*(cell.ljust(width) for cell, width in zip(row, widths)), row[3]]))
 
 
 def write_summary(out, rig_path, rig, files, entries, values, *, started, stopped, **more):
@@ -39,7 +64,7 @@ def write_summary(out, rig_path, rig, files, entries, values, *, started, stoppe
 
     summary = {
         "rig": {"path": str(rig_path), "name": rig.name, "digest": rig.digest, "parts": rig.parts, "notes": rig.notes},
-        "scans": [entries[f.name] for f in files if f.name in entries],
+        "scans": doubtful_first([entries[f.name] for f in files if f.name in entries]),
         "not_done": [f.name for f in files if f.name not in entries],
         "counts": counts_of(entries),
         "stopped": stopped,

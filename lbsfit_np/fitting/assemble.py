@@ -5,6 +5,8 @@ import time
 import numpy as np
 
 from ..losses.chamfer import chamfer
+from ..optimize.frame import turned_root
+from .confidence import evidence_of, probability_of, verdict_of
 from .labels import labels_from_mesh
 from .result import FitResult
 
@@ -19,8 +21,7 @@ def assemble(
     *,
     points,
     rows,
-    unit,
-    centre,
+    frame,
     sigma,
     evaluation,
     evaluations,
@@ -28,6 +29,9 @@ def assemble(
     started,
     proba=None,
     labels=None,
+    value=None,
+    rivals=(),
+    partial=False,
 ):
     """The fit in the scan's frame and on the rig's original vertices, with a label for every point.
 
@@ -44,10 +48,8 @@ def assemble(
         All of the scan.
     rows : (k,) int array
         Those of the problem.
-    unit : float
-        Scan units in a unit of the normalised frame.
-    centre : (3,) array
-        The normalised frame's origin in the scan's.
+    frame : Frame
+        Of the problem.
     sigma : float
         Of the vertices' votes for labels, in the normalised frame.
     evaluation : Evaluation
@@ -61,30 +63,55 @@ def assemble(
         The segmenter's probabilities, which count for the labels.
     labels : (n,) int array, optional
         Known ones; else the mesh and ``proba`` say.
+    value : float, optional
+    rivals : sequence of float
+        What the pose, and others that are not it, left unexplained, as in ``confidence.evidence_of``.
+    partial : bool
 
     Returns
     -------
     FitResult
     """
     state, template = last.state, model.source
-    scale, translation = float(state.scale * unit / model.half), state.translation * unit + centre
     offsets, rest_joints = template.vertices - rig.vertices, template.joints
     own = model.offsets(state)
     if own is not None:
         offsets = offsets + own[rig.weld] * model.half
         rest_joints = rest_joints + model.joint_offsets(state) * model.half
-    place = state.theta, translation, scale, offsets
+    pivot = rest_joints[rig.root] / model.half  # the root joint stays where it is when the frame turns
+    translation = frame.outside(state.translation + state.scale * (pivot - frame.turn.T @ pivot))
+    scale = float(state.scale * frame.unit / model.half)
+    pose = turned_root(rig, state.theta, frame.turn)
+    place = pose, translation, scale, offsets
     V = model.pose(state)[0].vertices
     if labels is None:
         known = {} if proba is None else {"proba": proba, "proba_points": points[rows]}
-        labels, confidence = labels_from_mesh(points, V * unit + centre, model.labels, len(rig.parts), sigma * unit, **known)
+        labels, confidence = labels_from_mesh(
+            points, frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit, **known
+        )
     else:
         labels, confidence = labels.copy(), np.ones(len(points))
     recon = float(np.sqrt(chamfer(problem.X, V, x_weights=problem.x_weights, x_index=problem.x_index)[0]))
-    finite = bool(np.isfinite(evaluation.value))
+    finite = bool(np.isfinite(evaluation.value)) and bool(np.isfinite(V).all())
+    evidence, probability, status, reason = {}, 0.0, "failed", "it is not finite; check the scan for wild points"
+    if finite:
+        evidence, worst = evidence_of(
+            model.rig,
+            V,
+            model.labels,
+            problem.X,
+            proba=proba,
+            rivals=rivals,
+            value=value,
+            theta=state.theta,
+            partial=partial,
+            areas=model.areas,
+        )
+        probability = probability_of(evidence)
+        status, reason = verdict_of(evidence, probability, rig.parts[worst] if worst >= 0 else "")
     ended = "converged" if last.converged else "ended at its limit of iterations"
     return FitResult(
-        pose=state.theta.copy(),
+        pose=pose,
         translation=translation,
         scale=scale,
         offsets=offsets,
@@ -95,8 +122,10 @@ def assemble(
         confidence=confidence,
         terms=dict(evaluation.terms, total=evaluation.value, recon=recon),
         converged=last.converged,
-        status="ok" if finite else "failed",
-        message=f"{ended}; {note}" if finite else "the fit is not finite; check the scan for wild points",
+        status=status,
+        message=f"{reason}; {ended}; {note}" if reason else f"{ended}; {note}",
+        probability=probability,
+        evidence=evidence,
         evaluations=evaluations,
         seconds=time.perf_counter() - started,
         parts=rig.parts,

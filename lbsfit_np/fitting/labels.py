@@ -8,6 +8,8 @@ __all__ = ["refined_labels", "labels_from_mesh"]
 _FLOOR = 1e-3
 # τ: the classifier is surer than it is right, so its word counts half.
 _TEMPER = 0.5
+# Points are taken to be no farther from a mesh than so many times its size: squares of more leave double precision.
+_FARTHEST = 1e6
 
 
 def refined_labels(X, proba, V, v_labels, sigma, *, doubt=0.0):
@@ -71,12 +73,14 @@ def labels_from_mesh(points, V, v_labels, n_parts, sigma, *, proba=None, proba_p
     """
     from scipy.spatial import cKDTree
 
+    low, high = V.min(axis=0), V.max(axis=0)
+    far = _FARTHEST * (high - low).max()
     tree = cKDTree(V)
     known = None if proba is None else cKDTree(proba_points)
     k = min(8, len(V))
     labels, confidence = np.empty(len(points), dtype=int), np.empty(len(points))
     for start in range(0, len(points), chunk):
-        x = points[start : start + chunk]
+        x = np.clip(points[start : start + chunk], low - far, high + far)
         d, near = tree.query(x, k=k)
         d, near = d.reshape(len(x), k), near.reshape(len(x), k)
         vote = np.exp(-(d**2 - d[:, :1] ** 2) / (2 * sigma**2))

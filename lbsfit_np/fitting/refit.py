@@ -1,8 +1,11 @@
-"""The pose of a scan whose template is known: many starts, short steps from each, and the best by plain Chamfer distance.
+"""The pose of a scan whose template is known: many starts, short steps from each, and the best by what stays unexplained.
 
-With free offsets a wrong pose can look as good as the right one. With the template known it cannot: a finger in another's
-place leaves points unexplained. So here starts may be many and careless, and the loss chooses.
+With free offsets a wrong pose can look as good as the right one. With the template held it cannot: a finger in another's
+place leaves points unexplained. So here starts may be many and careless, and the distances to the surface choose.
 """
+
+import copy
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -10,10 +13,11 @@ from ..losses.objective import LossWeights
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..optimize.problem import Problem
+from ..optimize.state import State
 from ..starts.parts import start_from_parts
 from .labels import refined_labels
 
-__all__ = ["Refit"]
+__all__ = ["Refit", "Runner", "thinned"]
 
 _PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
 _BOTH = LossWeights(chamfer=1.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
@@ -22,9 +26,32 @@ _STRUCTURED = LossWeights(chamfer=0.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
 # σ of the refined labels that lead a start from part centroids, in half sizes.
 _SIGMAS = (0.15, 0.07)
 _DOUBT = 0.8
-# Short steps look at so many points from so far; the best few starts go on with all points and a short reach.
-_FEW, _FAR, _NEAR, _SURVIVORS = 700, 0.2, 0.025, 3
-_FAR_STEPS, _NEAR_STEPS = 6, 10
+# The first steps look at so many points and vertices from so far; the best few starts go on with more points and a shorter
+# reach, the very best with all points.
+_FEW, _FAR, _FAR_VERTICES, _FAR_STEPS = 400, 0.2, 300, 6
+_MORE, _NEAR, _NEAR_VERTICES, _NEAR_STEPS, _NEAR_ENOUGH = 900, 0.05, 600, 10, 1e-3
+_SURVIVORS = 3
+
+
+@dataclass(frozen=True)
+class Runner:
+    """A start, or where it has come to.
+
+    Attributes
+    ----------
+    problem : Problem
+        In the start's own frame.
+    state : State
+    name : object
+        The caller's, to tell starts apart.
+    value : float
+        E of ``optimize.gauss_newton`` at the state; inf before the first step.
+    """
+
+    problem: Problem
+    state: State
+    name: object = None
+    value: float = np.inf
 
 
 class Refit:
@@ -35,12 +62,16 @@ class Refit:
     model : Model
         Of the template.
     free : collection of {"pose", "translation", "scale"}, default pose and translation
+    partial : bool, default False
+        Whether scans show one side only.
     """
 
-    def __init__(self, model, free=("pose", "translation")):
+    def __init__(self, model, free=("pose", "translation"), *, partial=False):
         self.model, self.free = model, free
-        self._far = GaussNewton(model, reach=_FAR, vertices=400)
-        self._near = GaussNewton(model, reach=_NEAR, tangential=0.02)
+        near = {"reach": _NEAR, "tangential": 0.02, "partial": partial}
+        self._far = GaussNewton(model, reach=_FAR, vertices=_FAR_VERTICES, partial=partial)
+        self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
+        self._last = GaussNewton(model, **near)
 
     def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False):
         """The best pose found.
@@ -66,40 +97,67 @@ class Refit:
         which : int
             Row of the start that won: states, then poses, then the one from parts.
         """
-        starts = [self._mine(s) for s in states] + [self._placed(problem, theta) for theta in poses]
+        starts = [self._mine(s) for s in states] + [self.placed(problem, theta) for theta in poses]
         if labels_known:
-            start = starts[0] if starts else self._from_parts(problem, proba, True)
+            start = starts[0] if starts else self.from_parts(problem, proba, True)
             labels = proba.argmax(axis=1)
             state, _ = self._far.pose(problem, start, free=self.free, labels=labels, iterations=_FAR_STEPS)
-            state, _ = self._near.pose(problem, state, free=self.free, labels=labels, iterations=_NEAR_STEPS)
+            state, _ = self._last.pose(problem, state, free=self.free, labels=labels, iterations=_NEAR_STEPS)
             return state, self._chamfer(problem, state), 0
         if proba is not None:
-            starts.append(self._from_parts(problem, proba, False))
-        few = _thinned(problem)
-        near = [self._far.pose(few, s, free=self.free, iterations=_FAR_STEPS)[0] for s in starts]
-        order = np.argsort([self._chamfer(few, s) for s in near], kind="stable")[:_SURVIVORS]
-        ends = [self._near.pose(problem, near[k], free=self.free, iterations=_NEAR_STEPS)[0] for k in order]
-        values = [self._chamfer(problem, s) for s in ends]
-        best = int(np.argmin(values))
-        return ends[best], values[best], int(order[best])
+            starts.append(self.from_parts(problem, proba, False))
+        best = self.race([Runner(problem, s, k) for k, s in enumerate(starts)])[0]
+        state = self.polish(problem, best.state)
+        return state, self._chamfer(problem, state), best.name
+
+    def race(self, runners, survivors=_SURVIVORS):
+        """All starts a few steps, the best of them to the end.
+
+        Parameters
+        ----------
+        runners : sequence of Runner
+        survivors : int
+
+        Returns
+        -------
+        list of Runner
+            The survivors, the best first.
+        """
+        return self.last_steps(self.first_steps(runners)[:survivors])
+
+    def first_steps(self, runners):
+        """All starts after a few steps that look far on few points; the best first."""
+        few, out = {}, []
+        for r in runners:
+            problem = few.setdefault(id(r.problem), thinned(r.problem, _FEW))
+            out.append(self._moved(self._far, problem, r, _FAR_STEPS))
+        return sorted(out, key=lambda r: r.value)
+
+    def last_steps(self, runners):
+        """Starts after steps that look near; the best first."""
+        more, out = {}, []
+        for r in runners:
+            problem = more.setdefault(id(r.problem), thinned(r.problem, _MORE))
+            out.append(self._moved(self._near, problem, r, _NEAR_STEPS))
+        return sorted(out, key=lambda r: r.value)
+
+    def freeing(self, free):
+        """The same, for other unknowns; what is prepared of the model is shared."""
+        other = copy.copy(self)
+        other.free = free
+        return other
 
     def polish(self, problem, state, **options):
-        """The last steps alone; options of :meth:`GaussNewton.pose`."""
-        return self._near.pose(problem, state, free=self.free, **options)[0]
+        """The last steps alone, on all points; options of :meth:`GaussNewton.pose`."""
+        return self._last.pose(problem, state, free=self.free, **options)[0]
 
-    def _chamfer(self, problem, state):
-        return problem.evaluate(self.model.coarse, state, _PLAIN).value
-
-    def _mine(self, state):
-        """A state of another model as one of this: its template is this model's."""
-        return state.replace(coefficients=np.zeros(self.model.n_coefficients), residual=None)
-
-    def _placed(self, problem, theta):
+    def placed(self, problem, theta):
+        """The State of a pose Θ put where the scan is."""
         state = self.model.rest().replace(theta=np.array(theta, dtype=float))
         return state.replace(translation=_centroid(problem) - self.model.areas @ self.model.pose(state)[0].vertices)
 
-    def _from_parts(self, problem, proba, labels_known):
-        """Inverse kinematics on the parts' centroids, then the labels, ever closer."""
+    def from_parts(self, problem, proba, labels_known=False):
+        """The State from inverse kinematics on the parts' centroids, then by the labels, ever closer."""
         model, X = self.model.coarse, problem.X
         state = start_from_parts(model, X, proba, x_weights=problem.x_weights).state
         labels = proba.argmax(axis=1)
@@ -117,16 +175,27 @@ class Refit:
             state = go(state, _BOTH, refined_labels(X, proba, V, model.labels, sigma, doubt=_DOUBT), 30)
         return state
 
+    def _moved(self, steps, problem, runner, iterations):
+        state, value = steps.pose(problem, runner.state, free=self.free, iterations=iterations)
+        return Runner(runner.problem, state, runner.name, value)
+
+    def _chamfer(self, problem, state):
+        return problem.evaluate(self.model.coarse, state, _PLAIN).value
+
+    def _mine(self, state):
+        """A state of another model as one of this: its template is this model's."""
+        return state.replace(coefficients=np.zeros(self.model.n_coefficients), residual=None)
+
 
 def _centroid(problem):
     return problem.X.mean(axis=0) if problem.x_weights is None else problem.x_weights @ problem.X
 
 
-def _thinned(problem):
+def thinned(problem, most):
     """The problem on fewer points, evenly taken: scans have no order that this could follow."""
     n = len(problem.X)
-    if n <= _FEW:
+    if n <= most:
         return problem
-    rows = np.linspace(0, n - 1, _FEW).astype(int)
+    rows = np.linspace(0, n - 1, most).astype(int)
     a = None if problem.x_weights is None else problem.x_weights[rows] / problem.x_weights[rows].sum()
     return Problem(problem.X[rows], a)

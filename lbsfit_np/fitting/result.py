@@ -9,9 +9,9 @@ from ..errors import FileError
 
 __all__ = ["FitResult"]
 
-_FORMAT = 2
+_FORMAT = 3
 _ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "labels", "confidence")
-_SCALARS = ("scale", "converged", "status", "message", "evaluations", "seconds", "rig_digest")
+_SCALARS = ("scale", "converged", "status", "message", "evaluations", "probability", "seconds", "rig_digest", "model_digest")
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,15 +45,22 @@ class FitResult:
         L_{s²,λ}, "laplacian" L_lap (each before its weight), "total" the weighted sum, "recon" √L_c(X, V^d).
     converged : bool
         Whether the last stage ended by its tolerance rather than by its iteration limit.
-    status : {"ok", "failed"}
+    status : {"ok", "suspect", "failed"}
+        Whether the fit seems right, by ``probability``; ``failed`` also where it is not finite.
     message : str
-        The status in words.
+        The status in words: what speaks against the fit, how it ended, unit, what was left out.
+    probability : float
+        That the mean joint error is below 1.5 % of the rig's size, calibrated on the bundled rigs (``fitting.confidence``).
+    evidence : dict of str to float
+        What the probability rests on, each in [0, 1] and near 0 where nothing is wrong; see docs/fitting.md.
     evaluations : int
         Evaluations of an objective, over all stages.
     seconds : float
     parts : tuple of str
     rig_digest : str
         ``Rig.digest`` of the rig.
+    model_digest : str
+        Of what was learned from a collection, where the fit was made with that (``learning.archive.model_digest``); else empty.
     """
 
     pose: np.ndarray
@@ -69,10 +76,13 @@ class FitResult:
     converged: bool
     status: str
     message: str
+    probability: float
+    evidence: dict
     evaluations: int
     seconds: float
     parts: tuple
     rig_digest: str
+    model_digest: str = ""
 
     def __post_init__(self):
         for name in _ARRAYS:
@@ -82,9 +92,9 @@ class FitResult:
         """Write as NPZ, atomically.
 
         Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``rest_joints``, ``vertices``, ``joints``,
-        ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``evaluations``, ``seconds``,
-        ``rig_digest`` as 0-d arrays; ``parts`` as text; ``terms`` as JSON text; ``lbsfit_np_result``, the
-        format's number.
+        ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``probability``, ``evaluations``,
+        ``seconds``, ``rig_digest``, ``model_digest`` as 0-d arrays; ``parts`` as text; ``terms`` and ``evidence`` as JSON text;
+        ``lbsfit_np_result``, the format's number.
         """
         from ..io.write import write_npz
 
@@ -94,6 +104,7 @@ class FitResult:
             path,
             lbsfit_np_result=np.array(_FORMAT),
             terms=np.array(json.dumps(self.terms)),
+            evidence=np.array(json.dumps(self.evidence)),
             parts=np.array(self.parts),
             **arrays,
             **scalars,
@@ -112,18 +123,18 @@ class FitResult:
         try:
             fields = {name: z[name] for name in _ARRAYS}
             fields.update({name: z[name].item() for name in _SCALARS})
-            terms = json.loads(str(z["terms"]))
+            terms, evidence = json.loads(str(z["terms"])), json.loads(str(z["evidence"]))
             if z["parts"].ndim != 1:
                 raise ValueError("parts that are no list")
-            _check(fields, terms)
-            return cls(terms=terms, parts=tuple(z["parts"].tolist()), **fields)
+            _check(fields, terms, evidence)
+            return cls(terms=terms, evidence=evidence, parts=tuple(z["parts"].tolist()), **fields)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             raise FileError(
                 str(path), f"a result that lacks something or is broken ({error})", "a result that was saved with FitResult.save"
             ) from None
 
 
-def _check(fields, terms):
+def _check(fields, terms, evidence):
     """Raise ValueError unless the fields are of the right kinds and fit together."""
     J, m, n = len(fields["pose"]), len(fields["offsets"]), len(fields["labels"])
     shapes = {
@@ -139,10 +150,11 @@ def _check(fields, terms):
     for name, shape in shapes.items():
         if fields[name].shape != shape or fields[name].dtype.kind not in ("iu" if name == "labels" else "f"):
             raise ValueError(f"{name} of type {fields[name].dtype} and shape {fields[name].shape}")
-    kinds = {"scale": float, "converged": bool, "status": str, "message": str, "evaluations": int, "seconds": float}
-    kinds["rig_digest"] = str
+    kinds = {"scale": float, "converged": bool, "status": str, "message": str, "evaluations": int}
+    kinds |= {"probability": float, "seconds": float, "rig_digest": str, "model_digest": str}
     for name, kind in kinds.items():
         if not isinstance(fields[name], kind):
             raise ValueError(f"{name} is {fields[name]!r}")
-    if not isinstance(terms, dict) or not all(isinstance(v, float) for v in terms.values()):
-        raise ValueError("terms that are no numbers")
+    for name, numbers in (("terms", terms), ("evidence", evidence)):
+        if not isinstance(numbers, dict) or not all(isinstance(v, float) for v in numbers.values()):
+            raise ValueError(f"{name} that are no numbers")

@@ -1,19 +1,26 @@
-"""The fit of one scan: starts, labels, pose by the structured term, then the full objective."""
+"""The fit of one scan by itself: the scout's pose, or one from known labels or a given start; then the full objective."""
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
 from ..errors import InputError
 from ..losses.objective import PRESETS, LossWeights
+from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
 from ..seeds import generator
-from ..starts.scale import near_rows, reference_scale
+from ..starts.clean import clean_rows
+from ..starts.scale import reference_scale, unit_note
+from ..starts.turns import some_turns
 from .assemble import assemble
+from .confidence import shown_problem
+from .refit import Refit
+from .scout import Scout
 from .search import Search
 
-__all__ = ["FitSettings", "fit_points", "prepare_pose"]
+__all__ = ["FitSettings", "ScanFit"]
 
 
 @dataclass(frozen=True)
@@ -25,6 +32,10 @@ class FitSettings:
     weights : LossWeights
         Of the full objective.
     scale : {"estimate", "fixed"}
+    effort : {"fast", "balanced", "thorough"}
+        How many starts go how far.
+    partial : bool
+        Whether scans show one side only.
     max_points : int
         Points that take part in the optimisation; a larger scan is thinned by the seed.
     pose_iterations, plain_iterations, full_iterations : int
@@ -47,6 +58,8 @@ class FitSettings:
 
     weights: LossWeights = field(default_factory=lambda: PRESETS["default"])
     scale: str = "estimate"
+    effort: str = "balanced"
+    partial: bool = False
     max_points: int = 2500
     pose_iterations: int = 40
     plain_iterations: int = 100
@@ -59,85 +72,122 @@ class FitSettings:
     doubt: float = 0.8
 
 
-def fit_points(model, points, *, segmenter=None, settings=None, theta0=None, labels=None, point_weights=None, random_state=None):
-    """Fit one scan.
+class ScanFit:
+    """Fits of single scans with one rig.
 
     Parameters
     ----------
     model : Model
-    points : (n, 3) array
-        Checked already.
-    segmenter : Segmenter, optional
-        Not needed with ``labels``.
     settings : FitSettings, optional
-    theta0 : (J, 3) array, optional
-        A pose to start from instead of the searched ones.
-    labels : (n,) int array, optional
-        Known parts; they are kept as they are.
-    point_weights : (n,) array, optional
-    random_state : int or None
-
-    Returns
-    -------
-    FitResult
+    segmenter : Segmenter, optional
+        Needed but with known labels.
+    library : PoseLibrary, optional
+        Needed but with known labels or a given start.
+    turns : (R, 3, 3) array, optional
+        How scans may be turned; by default they face the rig's way.
+    up : (3,) array, optional
+        Where scans are upright: the direction that no floor lies in.
     """
-    from threadpoolctl import threadpool_limits
 
-    started = time.perf_counter()
-    settings = settings or FitSettings()
-    with threadpool_limits(1):  # threads on arrays this small cost more than they give
-        return _fit(model, points, segmenter, settings, theta0, labels, point_weights, random_state, started)
+    def __init__(self, model, settings=None, *, segmenter=None, library=None, turns=None, up=None):
+        self.model, self.settings = model, settings or FitSettings()
+        self.segmenter, self.library = segmenter, library
+        self.turns, self.up = np.eye(3)[None] if turns is None else turns, up
 
+    @cached_property
+    def scout(self):
+        """The Scout of these settings."""
+        return Scout(self.model, self.library, self.turns, self.segmenter, self.settings)
 
-def prepare_pose(model, problem, proba, settings):
-    """The State of one scan after the pose stages, without the full objective; for those who go on with a shared template.
+    def fit(self, points, *, theta0=None, labels=None, point_weights=None, random_state=None):
+        """Fit one scan.
 
-    Parameters
-    ----------
-    model : Model
-    problem : Problem
-    proba : (n, n_parts) array
-    settings : FitSettings
+        Parameters
+        ----------
+        points : (n, 3) array
+            Checked already.
+        theta0 : (J, 3) array, optional
+            A pose to start from instead of the searched ones.
+        labels : (n,) int array, optional
+            Known parts; they are kept as they are.
+        point_weights : (n,) array, optional
+        random_state : int or None
 
-    Returns
-    -------
-    State
-    """
-    return Search(model, problem, proba, False, settings).pose()
+        Returns
+        -------
+        FitResult
+        """
+        from threadpoolctl import threadpool_limits
 
+        started = time.perf_counter()
+        with threadpool_limits(1):  # threads on arrays this small cost more than they give
+            return self._fit(points, theta0, labels, point_weights, random_state, started)
 
-def _fit(model, points, segmenter, settings, theta0, labels, point_weights, random_state, started):
-    rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
-    reference = reference_scale(points[rows], model.source, settings.scale)
-    rows, wild = near_rows(points, rows, reference.scale, model.half)
-    unit = reference.scale * model.half
-    centre = points[rows].mean(axis=0)
-    X = (points[rows] - centre) / unit
-    a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
-    problem = Problem(X, a)
-    if labels is None:
-        proba = segmenter.predict_proba(points[rows], scale=reference.scale)
-    else:
-        proba = np.eye(len(model.source.parts))[labels[rows]]
+    def _fit(self, points, theta0, labels, point_weights, random_state, started):
+        model, settings = self.model, self.settings
+        rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
+        guess = reference_scale(points[rows], model.source, settings.scale).scale
+        rows, left_out = clean_rows(points, rows, up=self.up)
+        a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
+        if theta0 is None and labels is None:
+            found = self.scout(points[rows], a)
+            frame, problem, proba = found.frame, found.problem, found.proba
+            rivals = {"value": found.value, "rivals": found.rivals}
+            search = Search(model, shown_problem(model, problem, found.state, settings.partial), proba, False, settings)
+            search.full(found.state)
+        else:
+            frame, problem, proba, search = self._given(points, rows, a, guess, theta0, labels)
+            rivals = {}
+        last = search.outcome
+        if settings.polish and len(model.rig.faces):
+            # The residual takes what the template lacks; the pose is better known by distances to the surface.
+            known = None if labels is None else labels[rows]
+            last = replace(last, state=self._refit.polish(problem, last.state, labels=known))
+        note = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
+        return assemble(
+            model.source,
+            model,
+            problem,
+            last,
+            points=points,
+            rows=rows,
+            frame=frame,
+            sigma=settings.refinements[-1],
+            evaluation=problem.evaluate(model, last.state, settings.weights, search.labels),
+            proba=proba,
+            labels=labels,
+            evaluations=search.evaluations,
+            note="; ".join(filter(None, [note, left_out])),
+            started=started,
+            partial=settings.partial,
+            **rivals,
+        )
 
-    search = Search(model, problem, proba, labels is not None, settings).run(theta0)
-    return assemble(
-        model.source,
-        model,
-        problem,
-        search.outcome,
-        points=points,
-        rows=rows,
-        unit=unit,
-        centre=centre,
-        sigma=settings.refinements[-1],
-        evaluation=problem.evaluate(model, search.outcome.state, settings.weights, search.labels),
-        proba=proba,
-        labels=labels,
-        evaluations=search.evaluations,
-        note=reference.note + (f"; {wild} points far from all others left out" if wild else ""),
-        started=started,
-    )
+    @cached_property
+    def _refit(self):
+        free = ("pose", "translation") if self.settings.scale == "fixed" else ("pose", "translation", "scale")
+        return Refit(self.model, free, partial=self.settings.partial)
+
+    def _given(self, points, rows, a, scale, theta0, labels):
+        """The search from a given start, which says how the scan is turned, or with known labels, which tell it."""
+        model, settings = self.model, self.settings
+        centre = points[rows].mean(axis=0)
+        best, turns = None, some_turns(self.turns)
+        if theta0 is not None:  # in a frame that is turned along, the segmenter sees the scan as it has learned it
+            turns = root_turn(model.source, theta0)[None]
+            theta0 = turned_root(model.source, theta0, turns[0].T)
+        for turn in turns:
+            frame = Frame(centre, scale * model.half, turn)
+            problem = Problem(frame.inside(points[rows]), a)
+            if labels is None:
+                proba = self.segmenter.predict_proba(problem.X * model.half)
+            else:
+                proba = np.eye(len(model.source.parts))[labels[rows]]
+            search = Search(model, problem, proba, labels is not None, settings).start(theta0)
+            if best is None or search.outcome.value < best[-1].outcome.value:
+                best = frame, problem, proba, search
+        frame, problem, proba, search = best
+        return frame, problem, proba, search.full(search.pose())
 
 
 def _thinned(n, point_weights, most, rng):

@@ -19,7 +19,7 @@ _PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
 
 
 class Search:
-    """The stages of one fit. After :meth:`run`: ``outcome`` of the last stage, ``labels`` in use, ``evaluations`` in all.
+    """The stages of one fit. ``outcome`` of the last stage, ``labels`` in use, ``evaluations`` in all.
 
     Parameters
     ----------
@@ -40,13 +40,21 @@ class Search:
         self.evaluations = 0
         self.outcome = None
 
-    def run(self, theta0=None):
-        """Start, refine, fit; returns self."""
-        return self.full(self.pose(theta0))
+    def start(self, theta0=None):
+        """The parts brought to their centroids, from the rest pose or a given one, then to their labels; returns self."""
+        model, X, a = self.model.coarse, self.problem.X, self.problem.x_weights
+        if theta0 is None:
+            start = start_from_parts(model, X, self.proba, x_weights=a)
+        else:
+            given = self.model.rest().replace(theta=np.array(theta0, dtype=float))
+            start = start_from_parts(model, X, self.proba, x_weights=a, state=given, free=("translation",))
+        self.evaluations += start.evaluations
+        self.outcome = self._minimise(start.state, _STRUCTURED, ("pose", "translation"), model)
+        return self
 
-    def pose(self, theta0=None):
-        """The stages before the full objective: the State with pose, place and proportions."""
-        state = self._start(theta0)
+    def pose(self):
+        """After :meth:`start`, the stages before the full objective: the State with pose, place and proportions."""
+        state = self.outcome.state
         for sigma in self.settings.refinements:
             self._relabel(state, sigma)
             state = self._minimise(state, _BOTH, ("pose", *self.place, "proportions"), self.model.coarse).state
@@ -74,22 +82,11 @@ class Search:
         )
         return self
 
-    def _start(self, theta0):
-        """The parts brought to their centroids, from the rest pose or a given one, then to their labels."""
-        model, X, a = self.model.coarse, self.problem.X, self.problem.x_weights
-        if theta0 is None:
-            start = start_from_parts(model, X, self.proba, x_weights=a)
-        else:
-            given = self.model.rest().replace(theta=np.array(theta0, dtype=float))
-            start = start_from_parts(model, X, self.proba, x_weights=a, state=given, free=("translation",))
-        self.evaluations += start.evaluations
-        return self._minimise(start.state, _STRUCTURED, ("pose", "translation"), model).state
-
     def _polished(self, state):
         """Levenberg–Marquardt on pose and proportions: exact where L-BFGS on the Chamfer distance creeps."""
         if not self.settings.polish or not len(self.model.rig.faces):
             return state
-        steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02)
+        steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02, partial=self.settings.partial)
         labels = [self.labels] if self.labels_known else None
         free = ("pose", *self.place)
         states, _ = steps.shared([self.problem], [state], free=free, labels=labels, iterations=self.settings.polish)

@@ -44,6 +44,8 @@ class TemplateSettings:
         λ and μ of the heights.
     rounds : int
         Solutions for the heights, each with new closest points.
+    partial : bool
+        Whether scans show one side only.
     """
 
     shifts: float = 0.3
@@ -56,6 +58,7 @@ class TemplateSettings:
     smooth: float = 2e-4
     small: float = 2e-3
     rounds: int = 3
+    partial: bool = False
 
 
 def shared_template(model, problems, states, losses, *, proba=None, settings=None):
@@ -86,7 +89,7 @@ def shared_template(model, problems, states, losses, *, proba=None, settings=Non
     settings = settings or TemplateSettings()
     keep = np.flatnonzero(np.asarray(losses) <= settings.worst * np.median(losses))
     problems, states = [problems[i] for i in keep], [states[i] for i in keep]
-    steps = GaussNewton(model, reach=settings.reach, tangential=0.02, ridge=settings.ridge)
+    steps = GaussNewton(model, reach=settings.reach, tangential=0.02, ridge=settings.ridge, partial=settings.partial)
     if proba is not None:
         for sigma in settings.sigmas:
             labels = [

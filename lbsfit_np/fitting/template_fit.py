@@ -7,6 +7,7 @@ import numpy as np
 
 from ..optimize.lbfgs import Outcome
 from .assemble import assemble
+from .confidence import shown_problem
 from .refit import Refit
 from .search import Search
 
@@ -27,10 +28,23 @@ class TemplateFit:
 
     def __init__(self, rig, model, settings):
         self.rig, self.model, self.settings = rig, model, settings
-        self.refit = Refit(model)
+        self.refit = Refit(model, partial=settings.partial)
 
     def finish(
-        self, problem, state, *, points, rows, centre, unit, proba=None, labels_known=None, prior=None, note="", started=None
+        self,
+        problem,
+        state,
+        *,
+        points,
+        rows,
+        frame,
+        proba=None,
+        labels_known=None,
+        prior=None,
+        value=None,
+        rivals=(),
+        note="",
+        started=None,
     ):
         """The full objective from a pose that was found, and the result.
 
@@ -43,14 +57,15 @@ class TemplateFit:
             All points.
         rows : (k,) int array
             Those of the problem.
-        centre : (3,) array
-        unit : float
-            Scan units in a rig unit.
+        frame : Frame
+            Of the problem.
         proba : (k, n_parts) array, optional
             Without it the structured term is left out.
         labels_known : (n,) int array, optional
         prior : ((J, 3) array, float), optional
             As in ``GaussNewton.pose``.
+        value, rivals
+            As for :func:`~lbsfit_np.fitting.assemble.assemble`.
         note : str
         started : float, optional
 
@@ -64,7 +79,8 @@ class TemplateFit:
         weights = settings.weights if proba is not None else settings.weights.replace(lam_s=0.0)
         settings = replace(settings, weights=weights)
         given = np.full((len(rows), n_parts), 1.0 / n_parts) if proba is None else proba
-        search = Search(model, problem, given, labels_known is not None, settings)
+        with_partner = shown_problem(model, problem, state, settings.partial)
+        search = Search(model, with_partner, given, labels_known is not None, settings)
         search.full(state, free=("pose", "translation", "residual"))
         outcome = search.outcome
         # The residual takes what the template lacks; the pose is better known by distances to the surface.
@@ -78,8 +94,7 @@ class TemplateFit:
             outcome,
             points=points,
             rows=rows,
-            unit=unit * model.half,
-            centre=centre,
+            frame=frame,
             sigma=settings.refinements[-1],
             evaluation=problem.evaluate(model, pose, settings.weights, search.labels),
             proba=proba,
@@ -87,4 +102,7 @@ class TemplateFit:
             evaluations=search.evaluations,
             note=note,
             started=started,
+            value=value,
+            rivals=rivals,
+            partial=settings.partial,
         )

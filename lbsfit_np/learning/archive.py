@@ -3,7 +3,9 @@
 ``load_rig`` reads such a file as the rig, ``LBSFitter.load`` as the fitter.
 """
 
+import hashlib
 import json
+from collections.abc import Mapping
 from dataclasses import asdict
 
 import numpy as np
@@ -15,10 +17,10 @@ from ..segmentation.segmenter import Segmenter
 from ..segmentation.stage import Stage
 from ..starts.library import PoseLibrary
 
-__all__ = ["MODEL_KEY", "read_fitter", "write_fitter"]
+__all__ = ["MODEL_KEY", "model_digest", "read_fitter", "write_fitter"]
 
 MODEL_KEY = "lbsfit_np_model"
-_FORMAT = 1
+_FORMAT = 2
 _EXPECTED = "a model that was saved with LBSFitter.save or written by lbsfit learn"
 
 
@@ -43,8 +45,9 @@ def write_fitter(fitter, path):
     parameters = {k: v for k, v in fitter.get_params(deep=False).items() if k not in ("rig", "n_jobs")}
     if isinstance(parameters["weights"], LossWeights):
         parameters["weights"] = asdict(parameters["weights"])
-    if parameters["training"] is not None and not isinstance(parameters["training"], dict):
-        parameters["training"] = asdict(parameters["training"])
+    training = parameters["training"]
+    if training is not None:
+        parameters["training"] = dict(training) if isinstance(training, Mapping) else asdict(training)
     if not isinstance(parameters["random_state"], (int, np.integer, type(None))):
         parameters["random_state"] = None
     header = {
@@ -55,9 +58,6 @@ def write_fitter(fitter, path):
         "history": fitter.history_,
         "rig_digest": fitter.rig.digest,
     }
-    arrays = rig_arrays(fitter.rig)
-    arrays["model_vertices"] = np.array([fitter.template_[s].vertices for s in subjects])
-    arrays["model_joints"] = np.array([fitter.template_[s].joints for s in subjects])
     segmenter, library = fitter.segmenter_, fitter.regressor_
     if segmenter is not None:
         header["segmenter"] = {
@@ -67,16 +67,39 @@ def write_fitter(fitter, path):
             "rig_digest": segmenter.rig_digest,
             "stages": len(segmenter.stages),
         }
-        for k, stage in enumerate(segmenter.stages):
-            arrays |= stage.arrays(f"model_stage_{k}")
     header["library"] = library is not None
-    if library is not None:
-        arrays |= library.arrays("model_library")
     try:
         text = json.dumps(header, default=_plain)
     except TypeError as error:
         raise InputError("fitter", f"parameters that cannot be saved ({error})", "numbers, text and settings") from None
-    write_npz(path, **{MODEL_KEY: np.array(text)}, **arrays)
+    write_npz(path, **{MODEL_KEY: np.array(text)}, **rig_arrays(fitter.rig), **_learned_arrays(fitter))
+
+
+def model_digest(fitter):
+    """Hex digest of all that a fit with a learned fitter depends on, but for the settings of the fit; "" before ``fit``.
+
+    The same before and after saving. Templates that were left out, as by ``lbsfit fit --subject``, do not count.
+    """
+    if getattr(fitter, "template_", None) is None:
+        return ""
+    h = hashlib.sha256()
+    subjects = [(s, float(fitter.unit_[s])) for s in fitter.template_]
+    h.update(repr((fitter.rig.digest, fitter.variant, fitter.joints, subjects)).encode())
+    for name, array in sorted(_learned_arrays(fitter).items()):
+        h.update(f"{name} {array.dtype.str} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
+    return h.hexdigest()
+
+
+def _learned_arrays(fitter):
+    """Templates, segmenter and library as the named arrays of a model file."""
+    templates, segmenter, library = fitter.template_.values(), fitter.segmenter_, fitter.regressor_
+    arrays = {
+        "model_vertices": np.array([t.vertices for t in templates]),
+        "model_joints": np.array([t.joints for t in templates]),
+    }
+    for k, stage in enumerate(() if segmenter is None else segmenter.stages):
+        arrays |= stage.arrays(f"model_stage_{k}")
+    return arrays | ({} if library is None else library.arrays("model_library"))
 
 
 def read_fitter(path, make):

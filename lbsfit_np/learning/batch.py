@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError, LbsfitError
 from ..scan import check_points
 from ..workers import Workers
+from .variants import as_variant
 
 __all__ = ["ScanOutcome", "fit_scans"]
 
@@ -24,9 +25,9 @@ class ScanOutcome:
     index : int
         Which of the scans.
     result : FitResult or other
-        The fit, or what ``finish`` made of it; None where it failed.
+        The fit, or what ``finish`` made of it; None where there is none. Its own ``status`` may be "suspect" or "failed".
     error : str or None
-        Why it failed, in words; None where it did not.
+        Why there is no fit, in words; None where there is one.
     details : str or None
         The traceback of a failure that nobody foresaw.
     seconds : float
@@ -46,8 +47,8 @@ def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=No
     Parameters
     ----------
     fitter : LBSFitter
-        Where it has no segmenter yet and has not learned, it is pretrained once, here, as soon as a scan has been read that
-        can be fitted.
+        Where it has no library of starts yet and has not learned, it is pretrained once, here, as soon as a scan has been read
+        that can be fitted; a segmenter that it has is kept.
     scans : iterable
         Of each scan the (n, 3) points, the Scan, or a callable without arguments that returns one of these, such as
         ``functools.partial(load_scan, path)``. Callables are called where the scan is fitted; their errors are failures of
@@ -62,7 +63,7 @@ def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=No
     on_result : callable (ScanOutcome), optional
         Called in this process for each scan as it is done, in order of completion.
     pretrain : callable (fitter), optional
-        Instead of ``fitter.pretrain()``.
+        Instead of ``fitter.pretrain(segmenter=...)``.
 
     Returns
     -------
@@ -100,8 +101,10 @@ def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=No
 
 def _pretrained(fitter, scans, report, pretrain):
     """Pretrain the fitter where it wants that; returns the scan, by index, that was read to see that this is worth while."""
-    if getattr(fitter, "segmenter_", None) is not None or getattr(fitter, "template_", None) is not None:
-        return {}  # what was learned without labels wants no segmenter
+    if getattr(fitter, "regressor_", None) is not None or getattr(fitter, "template_", None) is not None:
+        return {}  # pretrained, or learned free-form, which has nothing to train
+    if not as_variant(getattr(fitter, "variant", "joint")).skinning:
+        return {}  # free-form, too
     for i, source in enumerate(scans):
         started = time.perf_counter()
         try:
@@ -111,7 +114,7 @@ def _pretrained(fitter, scans, report, pretrain):
             report(_failure(i, error, started))
             continue
         if pretrain is None:
-            fitter.pretrain()
+            fitter.pretrain(segmenter=getattr(fitter, "segmenter_", None))
         else:
             pretrain(fitter)
         return {i: scan}
@@ -123,7 +126,7 @@ def _fit_one(fitter, finish, index, source):
     try:
         scan = source() if callable(source) else source
         result = fitter.fit_scan(scan)
-        if result.status != "ok":
+        if not np.isfinite(result.vertices).all():
             return ScanOutcome(index, error=result.message, seconds=time.perf_counter() - started)
         if finish is not None:
             result = finish(index, scan, result)

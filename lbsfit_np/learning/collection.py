@@ -1,16 +1,21 @@
 """The scans of a collection made ready for the loop: read, checked, in one unit, grouped by subject; bad ones set aside."""
 
+import itertools
+import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from ..errors import InputError, LbsfitError, brief
+from ..optimize.frame import Frame
 from ..optimize.problem import Problem
-from ..scan import check_points
+from ..scan import Scan, check_points
 from ..seeds import generator
-from ..starts.scale import extent, near_rows, reference_scale
+from ..starts.clean import clean_rows
+from ..starts.scale import extent, reference_scale
+from ..workers import each
 
-__all__ = ["Collection", "Member", "read_collection"]
+__all__ = ["Collection", "Member", "as_scans", "as_subjects", "read_collection"]
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
 _ONE_UNIT = 6.0
@@ -27,8 +32,8 @@ class Member:
     points : (n, 3) array
     rows : (k,) int array
         Points that take part in the optimisation.
-    centre : (3,) array
-        Origin of the normalised frame.
+    frame : Frame
+        The normalised frame; its turn is found by the first fit.
     subject : object
         Its subject's id.
     name : str
@@ -42,7 +47,7 @@ class Member:
     index: int
     points: np.ndarray
     rows: np.ndarray
-    centre: np.ndarray
+    frame: Frame
     subject: object
     unit: float = 1.0
     name: str = ""
@@ -53,10 +58,21 @@ class Member:
     loss: float = np.inf
     prior: tuple = None
 
-    def use_unit(self, unit, half):
-        """Put the scan into the normalised frame: ``unit`` scan units in a rig unit, ``half`` rig units in one of the frame."""
+    def use_frame(self, unit, half, turn=None):
+        """Put the scan into a normalised frame.
+
+        Parameters
+        ----------
+        unit : float
+            Scan units in a rig unit.
+        half : float
+            Rig units in one of the frame.
+        turn : (3, 3) array, optional
+            By default the one that it has.
+        """
         self.unit = unit
-        self.problem = Problem((self.points[self.rows] - self.centre) / (unit * half))
+        self.frame = Frame(self.frame.centre, unit * half, self.frame.turn if turn is None else turn)
+        self.problem = Problem(self.frame.inside(self.points[self.rows]))
 
 
 @dataclass
@@ -74,6 +90,7 @@ class Collection:
     n: int
     members: list = field(default_factory=list)
     failures: dict = field(default_factory=dict)
+    warned: set = field(default_factory=set)
 
     @property
     def subjects(self):
@@ -89,8 +106,80 @@ class Collection:
         """The members of one subject."""
         return [m for m in self.members if m.subject == subject]
 
+    def work(self, work, tasks, *, jobs, done):
+        """Do a task for each member; one whose task fails is a member no more, with the reason in ``failures``.
 
-def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state):
+        Parameters
+        ----------
+        work : callable (task) → answer
+        tasks : sequence
+            One for each member.
+        jobs, done
+            As in ``workers.each``.
+
+        Returns
+        -------
+        list
+            The answers for those who are still members.
+
+        Raises
+        ------
+        Exception
+            The first one's own, where no task could be done.
+        """
+        found = each(_Tried(work), tasks, jobs=jobs, done=done)
+        errors = [error for _, error in found if error is not None]
+        if errors and len(errors) == len(found):
+            raise errors[0]
+        self.failures |= {m.index: _in_words(e) for m, (_, e) in zip(self.members, found, strict=True) if e is not None}
+        self.members = [m for m, (_, error) in zip(self.members, found, strict=True) if error is None]
+        return [answer for answer, error in found if error is None]
+
+    def warn(self, stacklevel):
+        """Warn of the failures that nobody was warned of yet."""
+        new = sorted(set(self.failures) - self.warned)
+        self.warned.update(new)
+        if new:
+            words = f"{len(new)} of {self.n} scans cannot be used; scan {new[0]}: {self.failures[new[0]]}"
+            warnings.warn(words, stacklevel=stacklevel + 1)
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """task → (answer, None), or (None, the error)."""
+
+    work: object
+
+    def __call__(self, task):
+        try:
+            return self.work(task), None
+        except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
+            return None, error
+
+
+def _in_words(error):
+    return str(error) if isinstance(error, LbsfitError) else f"{type(error).__name__}: {error}"
+
+
+def as_scans(scans):
+    """A sequence of scans as a list, or InputError."""
+    if isinstance(scans, (str, bytes, Scan)) or not hasattr(scans, "__iter__"):
+        remedy = "Put a single scan in a list, too." if isinstance(scans, Scan) else None
+        raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
+    return list(scans)
+
+
+def as_subjects(subjects, n):
+    """Ids of ``n`` scans as a list, or InputError."""
+    if isinstance(subjects, (str, bytes)) or not hasattr(subjects, "__len__") or not hasattr(subjects, "__iter__"):
+        raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
+    subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
+    if len(subjects) != n:
+        raise InputError("subjects", f"{len(subjects)} ids", f"{n}, one for each scan")
+    return subjects
+
+
+def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state, up=None):
     """Read and check the scans of a collection.
 
     Parameters
@@ -103,6 +192,8 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     held_out : float
         Share of the scans to leave out, at least one where positive.
     scale : {"estimate", "fixed"}
+    up : (3,) array, optional
+        As for ``starts.clean.clean_rows``.
     random_state : int
 
     Returns
@@ -114,20 +205,13 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     InputError
         Subjects of the wrong number, no scan that can be used, different units, too few scans to leave any out.
     """
-    scans = list(scans)
+    scans = as_scans(scans)
     if not scans:
         raise InputError("scans", "none", "one or more scans")
-    if subjects is None:
-        subjects = [0] * len(scans)
-    elif isinstance(subjects, str) or not hasattr(subjects, "__len__"):
-        raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
-    else:
-        subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
-        if len(subjects) != len(scans):
-            raise InputError("subjects", f"{len(subjects)} ids", f"{len(scans)}, one for each scan")
-        for s in subjects:
-            if not isinstance(s, (str, int)):
-                raise InputError("subjects", brief(s), "ids that are text or whole numbers")
+    subjects = [0] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
+    for s in subjects:
+        if not isinstance(s, (str, int)):
+            raise InputError("subjects", brief(s), "ids that are text or whole numbers")
     collection = Collection(len(scans))
     for i, (source, subject) in enumerate(zip(scans, subjects)):
         try:
@@ -137,14 +221,14 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             if len(points) > max_points:
                 rows = np.sort(generator(random_state, "thin", i).choice(len(points), max_points, replace=False))
             reference = reference_scale(points[rows], rig, scale)
-            rows, _ = near_rows(points, rows, reference.scale, rig.size / 2)
+            rows, _ = clean_rows(points, rows, up=up)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
-            words = str(error) if isinstance(error, LbsfitError) else f"{type(error).__name__}: {error}"
-            collection.failures[i] = words
+            collection.failures[i] = _in_words(error)
             continue
         path = getattr(scan, "path", None)
         name = f"{i}" if path is None else f"{i} ({path})"
-        member = Member(i, points, rows, points[rows].mean(axis=0), subject, reference.scale, name=name)
+        frame = Frame(points[rows].mean(axis=0), reference.scale * rig.size / 2)
+        member = Member(i, points, rows, frame, subject, reference.scale, name=name)
         collection.members.append(member)
     if not collection.members:
         first = next(iter(collection.failures.values()))
@@ -173,16 +257,22 @@ def _check_units(collection, scale):
         m.unit = unit
 
 
+def _count(share, n):
+    """How many of n scans are left out."""
+    return max(1, round(share * n))
+
+
 def _hold_out(collection, share, random_state):
     members = collection.members
     if not share:
         return
-    count = max(1, round(share * len(members)))
+    count = _count(share, len(members))
     if len(members) - count < 2:
+        enough = next(n for n in itertools.count(3) if n - _count(share, n) >= 2)
         raise InputError(
             "scans",
             f"{len(members)} that can be used",
-            f"at least {count + 2}, so that {count} can be left out to tell when to stop",
+            f"at least {enough}, so that {_count(share, enough)} can be left out to tell when to stop",
             "Give more scans, or pass held_out=0 (--held-out 0) to learn from all for a fixed number of rounds.",
         )
     order = generator(random_state, "held out").permutation(len(members))

@@ -2,24 +2,30 @@
 
 import time
 from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
 
+from ..errors import InputError
 from ..fitting.assemble import assemble
+from ..fitting.scan_fit import FitSettings, ScanFit
+from ..fitting.scout import Found, Scout
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import LossWeights
+from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..seeds import generator
-from ..starts.scale import near_rows, reference_scale
-from ..workers import each
+from ..starts.clean import clean_rows
+from ..starts.scale import reference_scale
+from ..starts.turns import some_turns, turns_of, up_of
+from .variants import as_variant
 
-__all__ = ["fit_free_form", "fit_new", "results_of"]
+__all__ = ["fit_free_form", "fit_new", "results_of", "scan_fit"]
 
 # A scan whose unit differs from its subject's by more than this factor has a unit of its own.
-_SAME_UNIT = 2.0
-_NEIGHBOURS = 6
+_SAME_UNIT = 1.35
 
 
 def results_of(rig, templates, joints, collection, settings, *, jobs, progress):
@@ -32,7 +38,8 @@ def results_of(rig, templates, joints, collection, settings, *, jobs, progress):
     """
     half = rig.size / 2
     models = {s: Model(t, joints, half=half) for s, t in templates.items()}
-    answers = each(_Finish(rig, models, settings), collection.members, jobs=jobs, done=lambda p: progress("results", p))
+    work = _Finish(rig, models, settings)
+    answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("results", p))
     return collection.in_order(answers)
 
 
@@ -42,21 +49,37 @@ class _Finish:
     models: dict
     settings: object
 
+    @cached_property
+    def _fit(self):
+        return cache(lambda subject: TemplateFit(self.rig, self.models[subject], self.settings))  # once in each process
+
     def __call__(self, m):
-        fit = TemplateFit(self.rig, self.models[m.subject], self.settings)
         note = "left out of learning" if m.held_out else "learned from"
-        place = {"points": m.points, "rows": m.rows, "centre": m.centre, "unit": m.unit}
-        return fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
+        place = {"points": m.points, "rows": m.rows, "frame": m.frame}
+        return self._fit(m.subject).finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights):
     """A new scan on the learned templates of ``subjects``, the best of which it gets; arguments checked already.
 
+    Where ``subjects`` is None nothing was learned, which the variant without skinning does not need.
+
     Returns
     -------
     FitResult
+
+    Raises
+    ------
+    InputError
+        A start or labels where there is no skinning that could use them.
     """
     from threadpoolctl import threadpool_limits
+
+    if subjects is None or fitter.regressor_ is None:
+        for name, value in (("theta0", theta0), ("labels", labels)):
+            if value is not None:
+                expected = "None: in the variant 'free-form' vertices move freely, without pose or parts"
+                raise InputError(name, f"a {type(value).__name__}", expected, "Leave it out, or choose another variant.")
 
     with threadpool_limits(1):
         return _fit_new(fitter, points, subjects, theta0, labels, point_weights)
@@ -69,49 +92,104 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights):
     if len(rows) > settings.max_points:
         rows = np.sort(generator(fitter._seed(), "thin").choice(rows, settings.max_points, replace=False))
     guess = reference_scale(points[rows], rig, settings.scale).scale
-    rows, _ = near_rows(points, rows, guess, half)
+    rows, left_out = clean_rows(points, rows, up=up_of(rig, fitter.orientation))
+    x = points[rows]
     a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
-    centre = points[rows].mean(axis=0)
-    best = None
-    for subject in subjects:
-        learned = fitter.unit_[subject]
-        unit = learned if 1 / _SAME_UNIT < guess / learned < _SAME_UNIT else guess
-        problem = Problem((points[rows] - centre) / (unit * half), a)
-        if fitter.regressor_ is None:  # free-form: nothing is learned
-            return _free_form(fitter._model(), settings, problem, points, rows, centre, unit, started)
-        proba = None
-        if labels is not None:
-            proba = np.eye(len(rig.parts))[labels[rows]]
-        elif fitter.segmenter_ is not None:
-            proba = fitter.segmenter_.predict_proba(points[rows], scale=unit)
-        fit = fitter._template_fit(subject)
-        if unit is not learned:
-            fit.refit.free = ("pose", "translation", "scale")
-        known = labels is not None
-        if theta0 is not None:  # the one start, in place of all others
-            poses = [theta0]
-        elif known:
-            poses = []
-        else:
-            poses = [fitter.regressor_.regress(problem.X), *fitter.regressor_.nearest(problem.X, _NEIGHBOURS)]
-        parts = proba if known or theta0 is None else None
-        state, loss, _ = fit.refit(problem, poses=poses, proba=parts, labels_known=known)
-        if best is None or loss < best[0]:
-            best = loss, subject, fit, problem, state, proba, unit
-    _, subject, fit, problem, state, proba, unit = best
+    if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
+        unit = guess if subjects is None else _unit(guess, fitter.unit_[subjects[0]], settings) or guess
+        frame = Frame(x.mean(axis=0), unit * half)
+        return _free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started)
+    known = None if labels is None else np.eye(len(rig.parts))[labels[rows]]
+    found = []
+    if theta0 is None and labels is None:
+        found = [(s, _scouted(fitter, s, x, a, settings)) for s in subjects]
+    else:
+        found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
+    subject, best = min(found, key=lambda f: f[1].value)
     note = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
-    return fit.finish(
-        problem,
-        state,
-        points=points,
-        rows=rows,
-        centre=centre,
-        unit=unit,
-        proba=proba,
-        labels_known=labels,
-        note=note,
-        started=started,
-    )
+    note = "; ".join(filter(None, [note, left_out]))
+    place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
+    fit = _template_fit(fitter, subject, settings)
+    return fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
+
+
+def _scouted(fitter, subject, x, a, settings):
+    """A scan of which nothing is known; in the subject's unit where its size allows that."""
+    turns, library, segmenter = turns_of(fitter.rig, fitter.orientation), fitter.regressor_, fitter.segmenter_
+    unit = _unit(library.starts(x, turns, 1)[0].scale, fitter.unit_[subject], settings)
+    model, nearest = _template_fit(fitter, subject, settings).model, as_variant(fitter.variant).library
+
+    def make():
+        return Scout(model, library, turns, segmenter, settings, unit=unit, proportions=False, nearest=nearest)
+
+    made_of = model, library, segmenter, settings, fitter.orientation, nearest, unit
+    return _kept(fitter, (subject, "scout", unit is None), made_of, make)(x, a)
+
+
+def _given(fitter, subject, x, a, settings, guess, theta0, known):
+    """A scan with a start, which says how it is turned, or with known labels, which tell it."""
+    unit, half = _unit(guess, fitter.unit_[subject], settings), fitter.rig.size / 2
+    refit = _template_fit(fitter, subject, settings).refit
+    if unit is None:
+        refit = refit.freeing(("pose", "translation", "scale"))
+    best, turns = None, some_turns(turns_of(fitter.rig, fitter.orientation))
+    if theta0 is not None:
+        turns = root_turn(fitter.rig, theta0)[None]
+        theta0 = turned_root(fitter.rig, theta0, turns[0].T)
+    for turn in turns:
+        frame = Frame(x.mean(axis=0), (unit or guess) * half, turn)
+        problem = Problem(frame.inside(x), a)
+        proba = known
+        if known is None and fitter.segmenter_ is not None:
+            proba = fitter.segmenter_.predict_proba(problem.X * half)
+        poses = [] if theta0 is None else [theta0]
+        state, value, _ = refit(problem, poses=poses, proba=known, labels_known=known is not None)
+        if best is None or value < best.value:
+            best = Found(frame, problem, state, proba, value, ())
+    return best
+
+
+def _unit(seen, learned, settings):
+    """Scan units in a rig unit where they are known: as learned, if what is seen of the scan allows that; else None."""
+    if settings.scale == "fixed":
+        return 1.0
+    return learned if 1 / _SAME_UNIT < seen / learned < _SAME_UNIT else None
+
+
+def _template_fit(fitter, subject, settings):
+    template, half = fitter.template_[subject], fitter.rig.size / 2
+
+    def make():
+        return TemplateFit(fitter.rig, Model(template, fitter.joints, half=half), settings)
+
+    return _kept(fitter, (subject, "fit"), (template, fitter.joints, settings), make)
+
+
+def scan_fit(fitter, segmenter=None, library=None):
+    """Fits of scans by themselves, with what was pretrained."""
+    model, settings, orientation = fitter._model(), fitter._fit_settings(), fitter.orientation
+    made_of = model, settings, orientation, segmenter, library
+
+    def make():
+        turns, up = turns_of(fitter.rig, orientation), up_of(fitter.rig, orientation)
+        return ScanFit(model, settings, segmenter=segmenter, library=library, turns=turns, up=up)
+
+    return _kept(fitter, (None, "scan fit"), made_of, make)
+
+
+def _kept(fitter, key, made_of, make):
+    """``make()``, kept on the fitter while all that it is made of stays the same; ``key`` begins with the subject, or None."""
+    kept = fitter.__dict__.setdefault("_prepared", {})
+    found = kept.get(key)
+    if found is None or not all(map(_alike, found[0], made_of)):
+        for other in [k for k in kept if k[0] not in getattr(fitter, "template_", ())]:
+            del kept[other]
+        kept[key] = found = made_of, make()
+    return found[1]
+
+
+def _alike(a, b):
+    return a is b or (isinstance(a, (str, float, FitSettings)) and a == b)
 
 
 # ---- the free-form baseline ----
@@ -125,9 +203,9 @@ def fit_free_form(model, collection, settings, *, jobs, progress):
     list of FitResult or None
     """
     for m in collection.members:
-        m.use_unit(m.unit, model.half)
+        m.use_frame(m.unit, model.half)
     work = _FreeForm(model, settings)
-    answers = each(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p))
+    answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p))
     return collection.in_order(answers)
 
 
@@ -137,10 +215,10 @@ class _FreeForm:
     settings: object
 
     def __call__(self, m):
-        return _free_form(self.model, self.settings, m.problem, m.points, m.rows, m.centre, m.unit, time.perf_counter())
+        return _free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter())
 
 
-def _free_form(model, settings, problem, points, rows, centre, unit, started):
+def _free_form(model, settings, problem, points, rows, frame, started):
     weights = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=settings.weights.lam_lap)
     weights = weights.replace(laplacian=settings.weights.laplacian, squared=settings.weights.squared)
     state = model.rest()
@@ -164,8 +242,7 @@ def _free_form(model, settings, problem, points, rows, centre, unit, started):
         outcome,
         points=points,
         rows=rows,
-        unit=unit * model.half,
-        centre=centre,
+        frame=frame,
         sigma=settings.refinements[-1],
         evaluation=problem.evaluate(model, outcome.state, weights),
         evaluations=place_only.evaluations + outcome.evaluations,

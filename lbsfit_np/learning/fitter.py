@@ -2,34 +2,31 @@
 
 import warnings
 from collections.abc import Hashable
+from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from ..errors import InputError, LbsfitError, brief, check_array
-from ..fitting.scan_fit import FitSettings, fit_points
-from ..fitting.template_fit import TemplateFit
+from ..errors import InputError, LbsfitError, brief
+from ..fitting.scan_fit import FitSettings
 from ..losses.objective import as_weights
 from ..optimize.model import Model
-from ..scan import check_points
 from ..seeds import integer_seed
-from ..segmentation.cache import cached_segmenter
-from ..segmentation.descriptors import Descriptor
-from ..segmentation.segmenter import train_segmenter
-from ..segmentation.stage import Training
-from ..synthesis import Synthesis, TrainingScans, make_settings
-from .archive import read_fitter, write_fitter
-from .collection import read_collection
-from .finish import fit_free_form, fit_new, results_of
+from ..starts.turns import turns_of, up_of
+from .archive import model_digest, read_fitter, write_fitter
+from .collection import as_scans, as_subjects, read_collection
+from .finish import fit_free_form, fit_new, results_of, scan_fit
 from .loop import Loop, LoopSettings
-from .parameters import check_labels, check_parameters
+from .parameters import check_parameters, check_scan
+from .pretraining import pretrain_library, pretrain_segmenter
+from .training import training_settings
 from .variants import as_variant
 
 __all__ = ["LBSFitter", "fit_scan"]
 
 
-# Beside Synthesis' own defaults: the reference scale is a guess, and people are not of the rig's size.
-_TRAINING = {"scale": 0.05}
+# Share of the time of pretraining that the library takes, for the progress bar.
+_LIBRARY_TIME = 0.25
 
 
 class LBSFitter(BaseEstimator):
@@ -44,10 +41,18 @@ class LBSFitter(BaseEstimator):
         Whether joints follow the changed template, or stay where the rig has them, as in the paper.
     scale : {"estimate", "fixed"}, default "estimate"
         Whether isotropic scale is found with the pose, or is 1 (scan and rig in one unit).
+    orientation : {"upright", "aligned", "any"}, default "upright"
+        How a scan may be turned: about the up axis, not at all (it faces the rig's way, within the root joint's limits), or in
+        any way. The turn is found by hypotheses; the less is open, the surer and the faster.
+    partial : bool, default False
+        Whether scans show one side only, as single depth views do: what is trained then sees such scans, and parts of the
+        model that a scan has no points of do not pull.
+    effort : {"balanced", "fast", "thorough"}, default "balanced"
+        How many starts go how far.
     max_points : int, default 2500
         Points of a scan that take part in the optimisation; all are labelled.
     training_scans : int, default 4000
-        Synthetic scans that the segmenter is trained on.
+        Synthetic scans that the segmenter is trained on; the library of starts has half as many more.
     variant : {"joint", "pose-only", "rand", "cd", "free-form"}, default "joint"
         What :meth:`fit` learns from, as in the paper's ablations: everything; the segmenter from the fits' poses but not their
         templates; the segmenter from uniform poses only; no labels at all; no skinning at all, vertices move freely.
@@ -70,10 +75,10 @@ class LBSFitter(BaseEstimator):
     ----------
     segmenter_ : Segmenter or None
         s, after :meth:`pretrain`, :meth:`fit_scan` or :meth:`fit`; None in variants without labels.
-    regressor_ : PoseLibrary
-        f, and the poses it was trained on; after :meth:`fit`, as all below.
+    regressor_ : PoseLibrary or None
+        f, and the poses it was trained on, which starts are looked up in; like s, and anew after :meth:`fit`.
     template_ : dict of id to Rig
-        The rig on each subject's own template.
+        After :meth:`fit`, as all below: the rig on each subject's own template.
     unit_ : dict of id to float
         Scan units in a rig unit.
     results_ : list of FitResult or None
@@ -92,6 +97,9 @@ class LBSFitter(BaseEstimator):
         weights="default",
         joints="follow",
         scale="estimate",
+        orientation="upright",
+        partial=False,
+        effort="balanced",
         max_points=2500,
         training_scans=4000,
         training=None,
@@ -107,6 +115,9 @@ class LBSFitter(BaseEstimator):
         self.weights = weights
         self.joints = joints
         self.scale = scale
+        self.orientation = orientation
+        self.partial = partial
+        self.effort = effort
         self.max_points = max_points
         self.training_scans = training_scans
         self.training = training
@@ -118,16 +129,18 @@ class LBSFitter(BaseEstimator):
         self.n_jobs = n_jobs
         self.random_state = random_state
 
-    def pretrain(self, *, cache=False, progress=None):
-        """Train the segmenter s on synthetic scans of the rig (step 1 of Algorithm 1).
+    def pretrain(self, *, segmenter=None, cache=False, progress=None):
+        """Train on synthetic scans of the rig (step 1 of Algorithm 1): the segmenter s, and f with the library of starts.
 
         Poses are uniform within the limits, in half of the scans correlated between joints (``synthesis.training_poses``);
-        shapes and scans vary as ``training`` says.
+        shapes and scans vary as ``training`` says. Half of the library's poses are natural ones, where the rig has some.
 
         Parameters
         ----------
+        segmenter : Segmenter, optional
+            A trained one, which is taken as s; only f and the library are trained then.
         cache : bool, default False
-            Whether to look in, and add to, the cache of segmenters.
+            Whether to look in, and add to, the cache of what was trained.
         progress : callable, optional
             Called with the share done, in [0, 1].
 
@@ -136,25 +149,21 @@ class LBSFitter(BaseEstimator):
         self
         """
         self._check()
-        rig, seed, settings = self.rig.welded, self._seed(), self._synthesis()
-
-        def train():
-            return train_segmenter(
-                rig,
-                TrainingScans(rig, settings, seed),
-                self.training_scans,
-                random_state=seed,
-                n_jobs=self.n_jobs,
-                progress=progress,
-            )
-
-        if not cache or not isinstance(self.random_state, (int, np.integer)):
-            self.segmenter_ = train()
-        else:
-            key = rig.digest, settings, self.training_scans, Descriptor(), Training(), int(seed)
-            self.segmenter_ = cached_segmenter(key, train)
-        self._pretrained = self.segmenter_
+        progress = progress or (lambda share: None)
+        share = 1.0 if segmenter is not None else _LIBRARY_TIME
+        if segmenter is not None:
+            segmenter.check_rig(self.rig)
+        library = self._pretrain_library(cache, lambda p: progress(share * p))
+        if segmenter is None:
+            options = {"random_state": self._seed(), "n_jobs": self.n_jobs, "cache": cache and self._repeatable()}
+            options["progress"] = lambda p: progress(share + (1 - share) * p)
+            segmenter = pretrain_segmenter(self.rig, self._synthesis(), self.training_scans, **options)
+        self.segmenter_, self.regressor_ = self._pretrained = segmenter, library
         return self
+
+    def _pretrain_library(self, cache, progress):
+        options = {"random_state": self._seed(), "jobs": self._jobs(), "cache": cache and self._repeatable()}
+        return pretrain_library(self.rig, self._synthesis(), self.training_scans, progress=progress, **options)
 
     def fit(self, scans, subjects=None, *, cache=False, progress=None):
         """Learn from a collection of scans: Algorithm 1 of the paper, see ``learning.loop``.
@@ -190,32 +199,36 @@ class LBSFitter(BaseEstimator):
             max_points=self.max_points,
             held_out=self.held_out if variant.skinning else 0.0,
             scale=self.scale,
+            up=up_of(self.rig, self.orientation),
             random_state=seed,
         )
-        if collection.failures:
-            first = min(collection.failures)
-            words = f"{len(collection.failures)} of {collection.n} scans cannot be used; scan {first}: "
-            warnings.warn(words + collection.failures[first], stacklevel=2)
+        collection.warn(stacklevel=2)
         progress = progress or (lambda stage, share, figures=None: None)
         settings, jobs = self._fit_settings(), self._jobs()
-        self.failures_ = dict(collection.failures)
         if not variant.skinning:
             self.segmenter_ = self.regressor_ = None
             self.template_ = dict.fromkeys(collection.subjects, self.rig)
             self.unit_ = {s: collection.of(s)[0].unit for s in collection.subjects}
             self.history_, self._learned_with = [], self.rig.digest
-            self.results_ = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress)
-            return self
-        segmenter = getattr(self, "_pretrained", None) if variant.labels else None
-        if variant.labels and segmenter is None:
-            segmenter = self.pretrain(cache=cache, progress=lambda share: progress("pretraining", share)).segmenter_
+            results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress)
+            return self._finished(collection, results)
+        say = lambda share: progress("pretraining", share)  # noqa: E731
+        if getattr(self, "_pretrained", None) is not None:
+            segmenter, library = self._pretrained
+        elif variant.labels:
+            segmenter, library = self.pretrain(cache=cache, progress=say)._pretrained
+        else:
+            segmenter, library = None, self._pretrain_library(cache, say)
         if segmenter is not None:
             segmenter.check_rig(self.rig)
+        segmenter = segmenter if variant.labels else None
         loop = Loop(
             self.rig,
             collection,
             variant,
             segmenter,
+            library,
+            turns=turns_of(self.rig, self.orientation),
             fit_settings=settings,
             settings=LoopSettings.for_training(self.training_scans, rounds=int(self.rounds)),
             synthesis=self._synthesis(),
@@ -230,8 +243,18 @@ class LBSFitter(BaseEstimator):
         self.segmenter_, self.regressor_ = learned.segmenter, learned.library
         self.template_ = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
         self.unit_, self.history_, self._learned_with = learned.units, learned.history, self.rig.digest
-        self.results_ = results_of(self.rig, self.template_, self.joints, collection, settings, jobs=jobs, progress=progress)
+        results = results_of(self.rig, self.template_, self.joints, collection, settings, jobs=jobs, progress=progress)
+        return self._finished(collection, results)
+
+    def _finished(self, collection, results):
+        self.results_, self.failures_ = self._signed(results), dict(collection.failures)
+        collection.warn(stacklevel=3)
         return self
+
+    def _signed(self, results):
+        """The results with the digest of what they were made with."""
+        digest = model_digest(self)
+        return [r if r is None else replace(r, model_digest=digest) for r in results]
 
     def transform(self, scans, subjects=None):
         """Registered vertices of scans, fitted with what was learned.
@@ -307,47 +330,31 @@ class LBSFitter(BaseEstimator):
         """:meth:`fit_scan`, with the cache of segmenters where asked; all is checked before anything is trained."""
         self._check()
         rig = self.rig
-        points = check_points(points, minimum=len(rig.parts))
-        if theta0 is not None:
-            theta0 = check_array("theta0", theta0, rig.lower.shape)
-        if point_weights is not None:
-            point_weights = check_array("point_weights", point_weights, (len(points),))
-            if point_weights.min() < 0:
-                raise InputError("point_weights", f"{int((point_weights < 0).sum())} negative values", "values of at least 0")
-            if np.count_nonzero(point_weights) < len(rig.parts):
-                got = f"{np.count_nonzero(point_weights)} positive values"
-                raise InputError("point_weights", got, f"at least {len(rig.parts)}, as many as the rig has parts")
-        if labels is not None:
-            labels = check_labels(labels, len(points), rig.parts)
+        points, theta0, labels, point_weights = check_scan(rig, points, theta0, labels, point_weights)
         learned = getattr(self, "template_", None)
         if subject is not None:
             self._check_subject(subject)
         if learned is not None:
             self._check_learned()
-            return fit_new(self, points, [subject] if subject is not None else list(learned), theta0, labels, point_weights)
-        if labels is not None:
-            pass
-        elif getattr(self, "segmenter_", None) is None:
-            self.pretrain(cache=cache)
+        if learned is not None or not as_variant(self.variant).skinning:
+            subjects = learned if learned is None or subject is None else [subject]
+            found = fit_new(self, points, None if subjects is None else list(subjects), theta0, labels, point_weights)
+            return self._signed([found])[0]
+        trained = {}
         if labels is None:
+            if getattr(self, "regressor_", None) is None:
+                self.pretrain(segmenter=getattr(self, "segmenter_", None), cache=cache)
             self.segmenter_.check_rig(rig)
-        return fit_points(
-            self._model(),
-            points,
-            segmenter=None if labels is not None else self.segmenter_,
-            settings=self._fit_settings(),
-            theta0=theta0,
-            labels=labels,
-            point_weights=point_weights,
-            random_state=self.random_state,
+            trained = {"segmenter": self.segmenter_, "library": self.regressor_}
+        return scan_fit(self, **trained).fit(
+            points, theta0=theta0, labels=labels, point_weights=point_weights, random_state=self.random_state
         )
 
     def _fit_all(self, scans, subjects):
         self._check_learned()
-        scans = list(scans)
-        if subjects is not None and len(subjects) != len(scans):
-            raise InputError("subjects", f"{len(subjects)} ids", f"{len(scans)}, one for each scan")
-        for subject in subjects if subjects is not None else ():
+        scans = as_scans(scans)
+        subjects = None if subjects is None else as_subjects(subjects, len(scans))
+        for subject in subjects or ():
             self._check_subject(subject)
         results = []
         for i, scan in enumerate(scans):
@@ -358,14 +365,6 @@ class LBSFitter(BaseEstimator):
                 warnings.warn(f"scan {i} cannot be fitted: {error}", stacklevel=3)
                 results.append(None)
         return results
-
-    def _template_fit(self, subject):
-        """Fits on one subject's template, its model kept."""
-        kept = self.__dict__.setdefault("_fits", {})
-        template = self.template_[subject]
-        if subject not in kept or kept[subject][0] is not template:
-            kept[subject] = template, Model(template, self.joints, half=self.rig.size / 2)
-        return TemplateFit(self.rig, kept[subject][1], self._fit_settings())
 
     def _check_subject(self, subject):
         learned = getattr(self, "template_", None)
@@ -384,15 +383,19 @@ class LBSFitter(BaseEstimator):
             self.segmenter_.check_rig(self.rig)
 
     def _fit_settings(self):
-        return FitSettings(weights=as_weights(self.weights), scale=self.scale, max_points=self.max_points)
+        given = {name: getattr(self, name) for name in ("scale", "effort", "max_points")}
+        return FitSettings(weights=as_weights(self.weights), partial=bool(self.partial), **given)
 
     def _synthesis(self):
-        given = self.training or {}
-        return given if isinstance(given, Synthesis) else make_settings(_TRAINING | dict(given))
+        return training_settings(self.training, one_sided=bool(self.partial))
+
+    def _repeatable(self):
+        """Whether the same seed comes again: nothing that another one decides is kept in the cache."""
+        return isinstance(self.random_state, (int, np.integer)) and not isinstance(self.random_state, bool)
 
     def _seed(self):
         """One whole number for all that is random; a Generator or None gives another one each time."""
-        if isinstance(self.random_state, (int, np.integer)) and not isinstance(self.random_state, bool):
+        if self._repeatable():
             return self.random_state
         return integer_seed(self.random_state, "fitter")
 
@@ -410,6 +413,11 @@ class LBSFitter(BaseEstimator):
 
     def _check(self):
         check_parameters(self)
+        self._synthesis()
+
+    def __getstate__(self):
+        """Pickles and copies are without what was made ready for fits: that is large, and soon made again."""
+        return {k: v for k, v in super().__getstate__().items() if k not in ("_ready", "_prepared")}
 
 
 def fit_scan(rig, points, *, theta0=None, labels=None, point_weights=None, random_state=0, **parameters):

@@ -12,14 +12,16 @@ At the end the full objective gives each scan its residual on its subject's temp
 
 import time
 from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 
 import numpy as np
 
+from ..errors import InputError
 from ..fitting.refit import Refit
-from ..fitting.scan_fit import prepare_pose
+from ..fitting.scout import Scout
 from ..fitting.template import TemplateSettings, shared_template
+from ..optimize.frame import turned_root
 from ..optimize.model import Model
-from ..segmentation.descriptors import describe_scan
 from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import build_library
@@ -55,16 +57,16 @@ class LoopSettings:
     """
 
     rounds: int = 4
-    round_scans: int = 2500
+    round_scans: int = 4000
     library_scans: int = 1500
     neighbours: int = 6
     improvement: float = 0.005
-    training: Training = field(default_factory=lambda: Training(epochs=3, learning_rate=1e-3))
+    training: Training = field(default_factory=lambda: Training(epochs=4, learning_rate=1e-3))
 
     @classmethod
     def for_training(cls, training_scans, **others):
         """In proportion to the scans of pretraining, of which there are 4,000 by default."""
-        return cls(round_scans=max(100, 5 * training_scans // 8), library_scans=max(100, 3 * training_scans // 8), **others)
+        return cls(round_scans=max(100, training_scans), library_scans=max(100, 3 * training_scans // 8), **others)
 
 
 @dataclass(frozen=True)
@@ -99,6 +101,10 @@ class Loop:
     variant : Variant
     segmenter : Segmenter or None
         Pretrained.
+    library : PoseLibrary
+        Pretrained.
+    turns : (R, 3, 3) array
+        How scans may be turned.
     fit_settings : FitSettings
     settings : LoopSettings
     synthesis : Synthesis
@@ -119,7 +125,9 @@ class Loop:
         collection,
         variant,
         segmenter,
+        library,
         *,
+        turns,
         fit_settings,
         settings,
         synthesis,
@@ -136,33 +144,33 @@ class Loop:
         self.progress = progress or (lambda stage, share, figures=None: None)
         self.model = Model(rig, joints)
         self.shifting = Model(rig, joints, shifts=TemplateSettings().shifts if joints == "follow" else 0.0)
-        self.library = None
+        self.library, self.turns = library, turns
         self.coefficients = {}
         self.history = []
 
     def run(self):
         """All rounds; returns Learned, and leaves in each member its state, problem and loss."""
         started = time.perf_counter()
-        if not self.variant.labels:
-            self.library = self._library(0)
         self._first_fits()
         self._note(0, started, {})
-        best, best_members, learned = np.inf, None, None
+        best, best_members, learned = np.inf, {}, None
         for k in range(1, self.settings.rounds + 1):
             began = time.perf_counter()
             templates = self._templates()
             self._learn(k, templates)
             won = self._refit(templates)
             value = self._note(k, began, {"new_starts_won": won})
-            learned_now = Learned(templates, self._units(), self.segmenter, self.library, self.history)
+            units = self._units()
+            templates = {s: templates[s] for s in units}  # but for subjects whose scans have all failed
+            learned_now = Learned(templates, units, self.segmenter, self.library, self.history)
             fallen = value < best * (1 - self.settings.improvement)
             if value < best or learned is None:
                 best, learned = value, learned_now
-                best_members = [(m.state, m.loss, m.proba) for m in self.collection.members]
+                best_members = {m.index: (m.state, m.loss, m.proba) for m in self.collection.members}
             if not fallen:
                 break
-        for member, (state, loss, proba) in zip(self.collection.members, best_members):
-            member.state, member.loss, member.proba = state, loss, proba
+        for member in self.collection.members:
+            member.state, member.loss, member.proba = best_members[member.index]
         if self.sequence and self.smooth:
             self._smooth(learned.templates)
         return replace(learned, history=self.history)
@@ -172,31 +180,31 @@ class Loop:
     def _first_fits(self):
         """Each scan by itself, on the rig's own template with proportions."""
         members, half = self.collection.members, self.model.half
-        for m in members:
-            m.use_unit(m.unit, half)
-        self._label()
-        work = _FirstFit(self.model, self.fit_settings, self.variant.labels, self.library)
-        answers = each(
-            work, [(m.problem, m.proba) for m in members], jobs=self.jobs, done=lambda p: self.progress("first fits", p)
-        )
+        guess = members[0].unit  # one for all
+        segmenter = self.segmenter if self.variant.labels else None
+        work = _FirstFit(self.model, self.fit_settings, segmenter, self.library, self.turns, self.variant.library)
+        answers = self._work(work, [m.points[m.rows] for m in members], "first fits")
         scales = {}
-        for m, (state, loss) in zip(members, answers):
+        for m, (frame, state, loss, proba) in zip(self.collection.members, answers, strict=True):
+            m.proba = proba
             m.loss = loss
-            scales.setdefault(m.subject, []).append(state.scale)
+            m.use_frame(frame.unit / half, half, frame.turn)
+            scales.setdefault(m.subject, []).append(state.scale * m.unit)
             m.state = state
         # The scans of a subject have one scale. Where it is near 1, people differ in size: the template takes it up, all bones
         # longer and thicker by that share. Otherwise it is the unit.
         for subject in self.collection.subjects:
             scale = float(np.median(scales[subject])) if self.fit_settings.scale == "estimate" else 1.0
-            size, unit = (scale, 1.0) if 1 / _SIZE < scale < _SIZE else (1.0, scale)
+            size, unit = (scale / guess, guess) if 1 / _SIZE < scale / guess < _SIZE else (1.0, scale)
             c = np.zeros(self.shifting.n_coefficients)
             c[: self.model.n_coefficients] = size - 1.0
             self.coefficients[subject] = c
             for m in self.collection.of(subject):
-                m.use_unit(m.unit * unit, half)
+                ratio = unit / m.unit
+                m.use_frame(unit, half)
                 # Templates grow about the root joint, scales about the origin: the root joint stays where it was found.
-                moved = (m.state.scale / unit - 1.0) * self.model.rig.joints[self.rig.root]
-                m.state = m.state.replace(scale=1.0, translation=m.state.translation / unit + moved, residual=None)
+                moved = (m.state.scale / ratio - 1.0) * self.model.rig.joints[self.rig.root]
+                m.state = m.state.replace(scale=1.0, translation=m.state.translation / ratio + moved, residual=None)
 
     def _templates(self):
         """Each subject's template from its scans' poses, those left out not counted."""
@@ -212,7 +220,8 @@ class Loop:
                     [m.proba for m in learning] if self.variant.labels else None,
                 )
             )
-        found = each(_Template(self.shifting), tasks, jobs=self.jobs, done=lambda p: self.progress("templates", p))
+        work = _Template(self.shifting, self.fit_settings.partial)
+        found = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("templates", p))
         weld = self.rig.weld
         templates = {s: (np.ascontiguousarray(U[weld]), J) for s, (U, J, _) in zip(subjects, found)}
         self.coefficients = {s: c for s, (_, _, c) in zip(subjects, found)}
@@ -226,12 +235,14 @@ class Loop:
         made = tuple((U[rows], J) for U, J in templates.values()) if v.deformed and k else ()
         return Mixture(rig, self.synthesis, poses, made, self.seed, k)
 
-    def _library(self, k, templates=None):
-        mixture = self._mixture(k, templates or {})
-        work, n = _Look(mixture, self.model.half), self.settings.library_scans
-        found = each(work, range(n), jobs=self.jobs, done=lambda p: self.progress("library of starts", p))
-        looks, poses = zip(*found, strict=True)
-        return build_library(np.array(looks), np.array(poses), random_state=self.seed)
+    def _library(self, k, templates):
+        return build_library(
+            self._mixture(k, templates).scan,
+            self.settings.library_scans,
+            random_state=self.seed,
+            jobs=self.jobs,
+            progress=lambda p: self.progress("library of starts", p),
+        )
 
     def _learn(self, k, templates):
         """Train s on the round's mixture, and f and the library anew."""
@@ -252,20 +263,19 @@ class Loop:
     def _label(self):
         if self.variant.labels:
             work = _Label(self.segmenter)
-            members = self.collection.members
-            tasks = [(m.points[m.rows], m.unit) for m in members]
-            found = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("labels", p))
-            for m, proba in zip(members, found):
+            found = self._work(work, [m.problem.X * self.model.half for m in self.collection.members], "labels")
+            for m, proba in zip(self.collection.members, found, strict=True):
                 m.proba = proba
 
     def _refit(self, templates):
         """Every pose again on its subject's template; returns how many new starts won."""
         members = self.collection.members
-        work = _Refit(self._models(templates), self.library, self.settings.neighbours if self.variant.library else 0)
+        neighbours = self.settings.neighbours if self.variant.library else 0
+        work = _Refit(self._models(templates), self.fit_settings.partial, self.library, neighbours)
         tasks = [(m.subject, m.problem, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
-        answers = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("poses of scans", p))
+        answers = self._work(work, tasks, "poses of scans")
         won = 0
-        for m, (state, loss, which) in zip(members, answers):
+        for m, (state, loss, which) in zip(self.collection.members, answers, strict=True):
             won += which > 0
             m.loss = loss
             m.state = state
@@ -280,9 +290,14 @@ class Loop:
                 beside = [_alike(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
                 m.prior = np.mean([m.state.theta, *beside], axis=0), self.smooth  # without its own, neighbours would swap places
             tasks = [(m.subject, m.problem, m.state, m.prior) for m in members]
-            states = each(_Drawn(models), tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
+            work = _Drawn(models, self.fit_settings.partial)
+            states = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
             for m, state in zip(members, states):
                 m.state = state
+
+    def _work(self, work, tasks, stage):
+        """The members' answers; those who fail are members no more."""
+        return self.collection.work(work, tasks, jobs=self.jobs, done=lambda p: self.progress(stage, p))
 
     def _models(self, templates):
         return {s: Model(self.rig.with_template(*t), self.joints, half=self.model.half) for s, t in templates.items()}
@@ -293,7 +308,8 @@ class Loop:
             return []
         row = self.collection.of(member.subject)
         at = row.index(member)
-        return [row[k].state.theta for k in (at - 1, at + 1) if 0 <= k < len(row)]
+        turned = [(member.frame.turn.T @ m.frame.turn, m.state.theta) for m in row[max(at - 1, 0) : at] + row[at + 1 : at + 2]]
+        return [turned_root(self.rig, theta, turn) for turn, theta in turned]
 
     def _units(self):
         return {s: self.collection.of(s)[0].unit for s in self.collection.subjects}
@@ -321,74 +337,79 @@ class Loop:
 class _FirstFit:
     model: Model
     settings: object
-    labels: bool
+    segmenter: object
     library: object
+    turns: np.ndarray
+    nearest: bool
 
-    def __call__(self, task):
-        problem, proba = task
-        if self.labels:
-            state = prepare_pose(self.model, problem, proba, self.settings)
-            return state, problem.evaluate(self.model.coarse, state, _plain()).value
-        free = ("pose", "translation") if self.settings.scale == "fixed" else ("pose", "translation", "scale")
-        poses = [self.model.rest().theta, self.library.regress(problem.X)]
-        state, loss, _ = Refit(self.model, free)(problem, poses=poses)
-        return state, loss
+    @cached_property
+    def _scout(self):
+        return Scout(self.model, self.library, self.turns, self.segmenter, self.settings, nearest=self.nearest)
+
+    def __call__(self, points):
+        found = self._scout(points)
+        loss = found.problem.evaluate(self.model.coarse, found.state, _plain()).value
+        return found.frame, found.state, _finite(loss), found.proba
 
 
 @dataclass(frozen=True)
 class _Template:
     model: Model
+    partial: bool
 
     def __call__(self, task):
         problems, states, losses, proba = task
-        return shared_template(self.model, problems, states, losses, proba=proba)
-
-
-@dataclass(frozen=True)
-class _Look:
-    mixture: Mixture
-    half: float
-
-    def __call__(self, i):
-        scan = self.mixture.scan(i)
-        return describe_scan(scan.points / self.half), scan.pose
+        settings = TemplateSettings(partial=self.partial)
+        return shared_template(self.model, problems, states, losses, proba=proba, settings=settings)
 
 
 @dataclass(frozen=True)
 class _Label:
     segmenter: object
 
-    def __call__(self, task):
-        points, unit = task
-        return self.segmenter.predict_proba(points, scale=unit)
+    def __call__(self, points):
+        return self.segmenter.predict_proba(points)
 
 
 @dataclass(frozen=True)
 class _Refit:
     models: dict
+    partial: bool
     library: object
     neighbours: int
 
-    def __post_init__(self):
-        object.__setattr__(self, "_ready", {})
+    @cached_property
+    def _refit(self):
+        return cache(lambda subject: Refit(self.models[subject], partial=self.partial))  # prepared once in each process
 
     def __call__(self, task):
         subject, problem, state, beside, proba = task
-        if subject not in self._ready:
-            self._ready[subject] = Refit(self.models[subject])
         poses = [*beside, self.library.regress(problem.X)]
         if self.neighbours:
             poses += list(self.library.nearest(problem.X, self.neighbours))
-        return self._ready[subject](problem, [state], poses=poses, proba=proba)
+        state, loss, which = self._refit(subject)(problem, [state], poses=poses, proba=proba)
+        return state, _finite(loss), which
 
 
 @dataclass(frozen=True)
 class _Drawn:
     models: dict
+    partial: bool
+
+    @cached_property
+    def _refit(self):
+        return cache(lambda subject: Refit(self.models[subject], partial=self.partial))  # prepared once in each process
 
     def __call__(self, task):
         subject, problem, state, prior = task
-        return Refit(self.models[subject]).polish(problem, state, prior=prior)
+        return self._refit(subject).polish(problem, state, prior=prior)
+
+
+def _finite(loss):
+    """The loss, unless it would spoil the means and medians that all scans go by."""
+    if not np.isfinite(loss):
+        raise InputError("points", "a fit that is not finite", "points without wild ones")
+    return loss
 
 
 def _alike(theta, other, root):

@@ -1,17 +1,20 @@
-"""What the parameters of an LBSFitter may be, checked before any work."""
+"""What the parameters of an LBSFitter and of its fits may be, checked before any work."""
 
 from collections.abc import Mapping
 
 import numpy as np
 
-from ..errors import InputError, brief
+from ..errors import InputError, brief, check_array
+from ..fitting.scout import EFFORTS
 from ..losses.objective import as_weights
 from ..rig.rig import Rig
+from ..scan import check_points
 from ..skinning import JOINT_MODES
+from ..starts.turns import ORIENTATIONS
 from ..synthesis import Synthesis
 from .variants import as_variant
 
-__all__ = ["check_labels", "check_parameters"]
+__all__ = ["check_parameters", "check_scan"]
 
 
 def check_parameters(fitter):
@@ -23,24 +26,53 @@ def check_parameters(fitter):
         raise InputError("training", type(fitter.training).__name__, "a dict of fields of synthesis.Synthesis")
     if fitter.joints not in JOINT_MODES:
         raise InputError("joints", repr(fitter.joints), " or ".join(map(repr, JOINT_MODES)))
-    if fitter.scale not in ("estimate", "fixed"):
-        raise InputError("scale", repr(fitter.scale), "'estimate' or 'fixed'")
+    for name, known in (("scale", ("estimate", "fixed")), ("orientation", ORIENTATIONS), ("effort", tuple(EFFORTS))):
+        if getattr(fitter, name) not in known:
+            raise InputError(name, brief(getattr(fitter, name)), f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}")
     as_variant(fitter.variant)
     for name, low, high in (("held_out", 0, 0.9), ("smooth", 0, np.inf)):
         value = getattr(fitter, name)
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low <= value <= high:
             most = "" if high == np.inf else f" and at most {high}"
             raise InputError(name, brief(value), f"a number of at least {low}{most}")
-    if not isinstance(fitter.sequence, (bool, np.bool_)):
-        raise InputError("sequence", brief(fitter.sequence), "True or False")
+    for name in ("sequence", "partial"):
+        if not isinstance(getattr(fitter, name), (bool, np.bool_)):
+            raise InputError(name, brief(getattr(fitter, name)), "True or False")
     for name in ("max_points", "training_scans", "rounds"):
         value = getattr(fitter, name)
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
             raise InputError(name, repr(value), "a positive integer")
 
 
-def check_labels(labels, n, parts):
-    """Known labels of n points as integers that index ``parts``, or InputError."""
+def check_scan(rig, points, theta0, labels, point_weights):
+    """A scan and what is known of it, as arrays, or InputError.
+
+    Parameters
+    ----------
+    rig : Rig
+    points : (n, 3) array or Scan
+    theta0 : (J, 3) array or None
+    labels : (n,) int array or None
+    point_weights : (n,) array or None
+
+    Returns
+    -------
+    points, theta0, labels, point_weights
+    """
+    points = check_points(points, minimum=len(rig.parts))
+    if theta0 is not None:
+        theta0 = check_array("theta0", theta0, rig.lower.shape)
+    if point_weights is not None:
+        point_weights = check_array("point_weights", point_weights, (len(points),))
+        if point_weights.min() < 0:
+            raise InputError("point_weights", f"{int((point_weights < 0).sum())} negative values", "values of at least 0")
+        if np.count_nonzero(point_weights) < len(rig.parts):
+            got = f"{np.count_nonzero(point_weights)} positive values"
+            raise InputError("point_weights", got, f"at least {len(rig.parts)}, as many as the rig has parts")
+    return points, theta0, None if labels is None else _checked_labels(labels, len(points), rig.parts), point_weights
+
+
+def _checked_labels(labels, n, parts):
     labels = np.asarray(labels)
     if labels.shape != (n,):
         raise InputError("labels", f"shape {labels.shape}", f"shape ({n},), one for each point")

@@ -8,7 +8,7 @@ from .checks import check_index, check_set, check_weights
 __all__ = ["chamfer", "one_sided_terms"]
 
 
-def chamfer(X, V, *, x_weights=None, x_index=None):
+def chamfer(X, V, *, x_weights=None, v_weights=None, x_index=None):
     """L_c(X, V) = 1/n Σ_i ‖x_i − N_V(x_i)‖² + 1/m Σ_j ‖v_j − N_X(v_j)‖²  (eq. 3 of the paper).
 
     Parameters
@@ -19,6 +19,8 @@ def chamfer(X, V, *, x_weights=None, x_index=None):
         Model vertices.
     x_weights : (n,) array, optional
         Non-negative weights of the scan points: the first mean becomes Σ_i a_i ‖·‖² / Σ_i a_i. The second is unchanged.
+    v_weights : (m,) array, optional
+        Non-negative weights b_j of the vertices, in the same way in the second mean: 0 for what a scan cannot show.
     x_index : PointIndex, optional
         A search structure over X, to be reused between calls.
 
@@ -35,16 +37,16 @@ def chamfer(X, V, *, x_weights=None, x_index=None):
         Wrong shapes, an empty set, numbers that are not finite, weights that are negative or all 0.
     """
     X, V = check_set("X", X), check_set("V", V)
-    x_weights = check_weights("x_weights", x_weights, len(X))
+    x_weights, v_weights = check_weights("x_weights", x_weights, len(X)), check_weights("v_weights", v_weights, len(V))
     if x_index is None:
         x_index = PointIndex(X)
     check_index("x_index", x_index, X, labelled=False)
     to_V = PointIndex(V, moving=True).nearest(X)
     to_X = x_index.nearest(V)
-    return one_sided_terms(X, V, to_V, to_X, x_weights)
+    return one_sided_terms(X, V, to_V, to_X, x_weights, v_weights)
 
 
-def one_sided_terms(X, V, to_V, to_X, x_weights=None):
+def one_sided_terms(X, V, to_V, to_X, x_weights=None, v_weights=None):
     """Value and gradient to V of both means, for given neighbours; −1 marks a point that contributes 0."""
     n, m = len(X), len(V)
     a = np.full(n, 1.0 / n) if x_weights is None else x_weights / x_weights.sum()
@@ -55,5 +57,8 @@ def one_sided_terms(X, V, to_V, to_X, x_weights=None):
     grad = np.stack([np.bincount(np.maximum(to_V, 0), 2 * pull[:, k], minlength=m) for k in range(3)], axis=1)
     away = V - X[to_X]
     away[to_X < 0] = 0.0
-    value += float(np.vdot(away, away)) / m
-    return value, grad + (2.0 / m) * away
+    if v_weights is None:
+        value += float(np.vdot(away, away)) / m
+        return value, grad + (2.0 / m) * away
+    pull = (v_weights / v_weights.sum())[:, None] * away
+    return value + float(np.vdot(pull, away)), grad + 2 * pull

@@ -9,7 +9,7 @@ from .structured import structured_chamfer
 __all__ = ["composite_chamfer", "composite_structured_chamfer"]
 
 
-def composite_chamfer(X, Vd, V, *, lam=0.5, x_weights=None, x_index=None):
+def composite_chamfer(X, Vd, V, *, lam=0.5, x_weights=None, v_weights=None, x_index=None):
     """L_{c²,λ} = L_c(X, V^d) + λ L_c(X, V)  (eq. 4 of the paper).
 
     The second term keeps the pose honest: without it the offsets explain everything and Θ goes to 0.
@@ -22,7 +22,7 @@ def composite_chamfer(X, Vd, V, *, lam=0.5, x_weights=None, x_index=None):
     V : (m, 3) array
         M(Θ, U), the posed template.
     lam : float, default 0.5 (the paper's)
-    x_weights, x_index
+    x_weights, v_weights, x_index
         As in :func:`chamfer`.
 
     Returns
@@ -30,21 +30,22 @@ def composite_chamfer(X, Vd, V, *, lam=0.5, x_weights=None, x_index=None):
     value : float
     grad_Vd, grad_V : (m, 3) arrays
     """
-    return _composite(chamfer, X, Vd, V, lam, (), x_weights, x_index)
+    return _composite(chamfer, X, Vd, V, lam, (), x_weights=x_weights, v_weights=v_weights, x_index=x_index)
 
 
-def composite_structured_chamfer(X, Vd, V, x_labels, v_labels, *, lam=0.5, x_weights=None, x_index=None):
+def composite_structured_chamfer(X, Vd, V, x_labels, v_labels, *, lam=0.5, x_weights=None, v_weights=None, x_index=None):
     """L_{s²,λ} = L_s(X, V^d) + λ L_s(X, V)  (eq. 6 of the paper); arguments as in the two functions that it joins."""
-    return _composite(structured_chamfer, X, Vd, V, lam, (x_labels, v_labels), x_weights, x_index)
+    labels = x_labels, v_labels
+    return _composite(structured_chamfer, X, Vd, V, lam, labels, x_weights=x_weights, v_weights=v_weights, x_index=x_index)
 
 
-def _composite(loss, X, Vd, V, lam, labels, x_weights, x_index):
+def _composite(loss, X, Vd, V, lam, labels, **options):
     check_number("lam", lam)
-    value, grad_Vd = loss(X, Vd, *labels, x_weights=x_weights, x_index=x_index)
+    value, grad_Vd = loss(X, Vd, *labels, **options)
     if Vd is V:  # no offsets: one search serves both
         return (1 + lam) * value, grad_Vd, lam * grad_Vd
     check_same_length("V", check_set("V", V), "Vd", grad_Vd)
     if lam == 0:  # searching costs the same whatever λ
         return value, grad_Vd, np.zeros_like(grad_Vd)
-    second, grad_V = loss(X, V, *labels, x_weights=x_weights, x_index=x_index)
+    second, grad_V = loss(X, V, *labels, **options)
     return value + lam * second, grad_Vd, lam * grad_V

@@ -1,4 +1,4 @@
-"""The whole objective: L = L_{c²,λ} + λ_s L_{s²,λ} + λ_lap L_lap (+ λ_θ L_Θ, which the regressor's training adds)."""
+"""The whole objective of a fit: L = L_{c²,λ} + λ_s L_{s²,λ} + λ_lap L_lap. The paper's L_Θ trains f, here by itself."""
 
 from dataclasses import dataclass, replace
 
@@ -26,8 +26,6 @@ class LossWeights:
         λ_s, weight of L_{s²,λ}.
     lam_lap : float
         λ_lap.
-    lam_theta : float
-        λ_θ, weight of L_Θ in training f; no part of a single scan's objective.
     laplacian : {"posed", "offsets"}
         ‖K V^d‖ (the paper) or ‖K (U^d − U)‖.
     squared : bool
@@ -38,12 +36,11 @@ class LossWeights:
     lam: float = 0.5
     lam_s: float = 1.0
     lam_lap: float = 0.005
-    lam_theta: float = 0.5
     laplacian: str = "posed"
     squared: bool = False
 
     def __post_init__(self):
-        for name in ("chamfer", "lam", "lam_s", "lam_lap", "lam_theta"):
+        for name in ("chamfer", "lam", "lam_s", "lam_lap"):
             check_number(name, getattr(self, name))
         if self.laplacian not in ("posed", "offsets"):
             raise InputError("laplacian", repr(self.laplacian), "'posed' or 'offsets'")
@@ -80,7 +77,19 @@ class ObjectiveValue:
 
 
 def objective(
-    X, Vd, V, *, weights, x_labels=None, v_labels=None, offsets=None, K=None, x_weights=None, x_index=None, x_part_index=None
+    X,
+    Vd,
+    V,
+    *,
+    weights,
+    x_labels=None,
+    v_labels=None,
+    offsets=None,
+    K=None,
+    x_weights=None,
+    v_weights=None,
+    x_index=None,
+    x_part_index=None,
 ):
     """L without the loop-back term, which has no part in one scan's fit.
 
@@ -97,8 +106,8 @@ def objective(
         U^d − U; needed by the "offsets" Laplacian.
     K : sparse array, optional
         Cotangent matrix of U; without it the Laplacian is left out.
-    x_weights, x_index, x_part_index
-        Weights of the points and search structures over X, plain and with labels.
+    x_weights, v_weights, x_index, x_part_index
+        Weights of the points and of the vertices, and search structures over X, plain and with labels.
 
     Returns
     -------
@@ -114,17 +123,18 @@ def objective(
     check_same_length("V", V, "Vd", Vd)
     if x_labels is not None and v_labels is None:
         raise InputError("v_labels", "None", "the part of each vertex, where x_labels are given")
+    sides = {"x_weights": x_weights, "v_weights": v_weights}
     terms = {}
     value = 0.0
     grad_Vd, grad_V, grad_offsets = np.zeros_like(V), np.zeros_like(V), np.zeros_like(V)
     if weights.chamfer:
-        terms["chamfer"], g_d, g = composite_chamfer(X, Vd, V, lam=weights.lam, x_weights=x_weights, x_index=x_index)
+        terms["chamfer"], g_d, g = composite_chamfer(X, Vd, V, lam=weights.lam, **sides, x_index=x_index)
         value += weights.chamfer * terms["chamfer"]
         grad_Vd += weights.chamfer * g_d
         grad_V += weights.chamfer * g
     if weights.lam_s and x_labels is not None:
         terms["structured"], g_d, g = composite_structured_chamfer(
-            X, Vd, V, x_labels, v_labels, lam=weights.lam, x_weights=x_weights, x_index=x_part_index
+            X, Vd, V, x_labels, v_labels, lam=weights.lam, **sides, x_index=x_part_index
         )
         value += weights.lam_s * terms["structured"]
         grad_Vd += weights.lam_s * g_d

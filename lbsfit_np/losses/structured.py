@@ -7,7 +7,7 @@ from .checks import check_index, check_labels, check_set, check_weights
 __all__ = ["structured_chamfer"]
 
 
-def structured_chamfer(X, V, x_labels, v_labels, *, x_weights=None, x_index=None):
+def structured_chamfer(X, V, x_labels, v_labels, *, x_weights=None, v_weights=None, x_index=None):
     """L_s(X, V) = 1/n Σ_i ‖x_i − N_{V^s(x_i)}(x_i)‖² + 1/m Σ_j ‖v_j − N_{X^s(v_j)}(v_j)‖²  (eq. 5 of the paper).
 
     Points of a part that is empty on the other side contribute 0; the divisors stay n and m.
@@ -22,7 +22,7 @@ def structured_chamfer(X, V, x_labels, v_labels, *, x_weights=None, x_index=None
         Part of each scan point, s(x).
     v_labels : (m,) int array
         Part of each vertex, s(v).
-    x_weights : (n,) array, optional
+    x_weights, v_weights : (n,) and (m,) arrays, optional
         As in :func:`chamfer`.
     x_index : PointIndex, optional
         A search structure over X that was built with ``x_labels``.
@@ -41,10 +41,10 @@ def structured_chamfer(X, V, x_labels, v_labels, *, x_weights=None, x_index=None
     """
     X, V = check_set("X", X), check_set("V", V)
     x_labels, v_labels = check_labels("x_labels", x_labels, len(X)), check_labels("v_labels", v_labels, len(V))
-    x_weights = check_weights("x_weights", x_weights, len(X))
+    x_weights, v_weights = check_weights("x_weights", x_weights, len(X)), check_weights("v_weights", v_weights, len(V))
     if x_index is None:
         x_index = PointIndex(X, x_labels)
     check_index("x_index", x_index, X, labelled=True)
     to_V = PointIndex(V, v_labels, moving=True).nearest(X, x_labels)
     to_X = x_index.nearest(V, v_labels)
-    return one_sided_terms(X, V, to_V, to_X, x_weights)
+    return one_sided_terms(X, V, to_V, to_X, x_weights, v_weights)

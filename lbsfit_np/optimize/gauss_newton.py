@@ -17,7 +17,11 @@ from .jacobian import vertex_jacobian
 from .state import Layout
 from .surface import closest_on_mesh, faces_around, vertex_normals
 
-__all__ = ["GaussNewton"]
+__all__ = ["GaussNewton", "shown"]
+
+# A vertex whose normal is at more than about 70 degrees to the camera's direction, or to the surface at its nearest point, is
+# on a side that the scan does not show, or on the rim, where points are few and not its own.
+_FACING = 0.35
 
 # The damping at the start; it falls by _EASE after a step that helped and grows by _STIFFEN after one that did not.
 _DAMPING, _EASE, _STIFFEN, _STIFFEST = 1e-3, 4.0, 10.0, 1e4
@@ -39,17 +43,25 @@ class GaussNewton:
         On the family's coefficients.
     vertices : int, default 1000
         How many vertices, evenly spread, pull on the scan.
+    tolerance : float, default 1e-4
+        Steps end where one lowers E by less than this share.
+    partial : bool, default False
+        Whether scans show one side only: vertices then do not pull whose nearest point lies on surface that faces another way.
     """
 
-    def __init__(self, model, *, tangential=0.05, reach=0.05, ridge=1e-5, vertices=1000):
+    def __init__(self, model, *, tangential=0.05, reach=0.05, ridge=1e-5, vertices=1000, tolerance=1e-4, partial=False):
         from .model import farthest_points
 
-        self.model, self.tangential, self.reach, self.ridge = model, tangential, reach, ridge
+        self.model, self.tangential, self.reach, self.ridge, self.tolerance = model, tangential, reach, ridge, tolerance
+        self.partial = partial
         rig = model.rig
         self._around = faces_around(rig.faces, len(rig.vertices))
         self._surface = np.flatnonzero(self._around[:, 0] >= 0)  # what has no face has no side to pull on
         few = farthest_points(rig.vertices[self._surface], vertices) if len(self._surface) > vertices else slice(None)
         self._pulling = self._surface[few]
+        pulls = np.zeros(len(rig.vertices), dtype=bool)
+        pulls[self._pulling] = True
+        self._pulling_faces = rig.faces[pulls[rig.faces].any(axis=1)]
         areas = model.areas[self._pulling]
         self._pull_weights = areas / max(areas.sum(), np.finfo(float).tiny)
 
@@ -123,7 +135,7 @@ class GaussNewton:
             if trial_total < total:
                 gain, states, made, total = 1.0 - trial_total / total, trial, trial_made, trial_total
                 damping = damping / _EASE
-                if gain < 1e-4:
+                if gain < self.tolerance:
                     break
             else:
                 damping *= _STIFFEN
@@ -153,9 +165,12 @@ class GaussNewton:
         out.add(X - on.points, on.normals, dp, a, self.tangential, self.reach)
         if labels is None:
             v = self._pulling
-            away = problem.X[problem.x_index.nearest(V[v])] - V[v]
-            normals = vertex_normals(V, rig.faces)[v]
-            out.add(away, normals, dV[np.searchsorted(rows, v)], self._pull_weights, self.tangential, self.reach)
+            to_X = problem.x_index.nearest(V[v])
+            normals, pull = vertex_normals(V, self._pulling_faces)[v], self._pull_weights
+            if self.partial:
+                pull = np.where(shown(normals, on.normals, to_X), pull, 0.0)
+                pull = pull / max(pull.sum(), np.finfo(float).tiny)
+            out.add(problem.X[to_X] - V[v], normals, dV[np.searchsorted(rows, v)], pull, self.tangential, self.reach)
         return out
 
     def _nearest(self, X, V, labels):
@@ -201,6 +216,23 @@ class GaussNewton:
             x = np.clip(x + np.clip(step, -_LONGEST_TURN, _LONGEST_TURN), *layout.bounds())
             out[i] = layout.unpack(x, out[i])
         return out
+
+
+def shown(normals, at_points, to_X):
+    """(v,) bool: vertices that a one-sided scan can show.
+
+    Parameters
+    ----------
+    normals : (v, 3) array
+        Of the vertices.
+    at_points : (n, 3) array
+        Normals of the mesh where the scan's points lie on it; their mean says where the camera was.
+    to_X : (v,) int array
+        Each vertex's nearest point.
+    """
+    camera = at_points.mean(axis=0)
+    camera = camera / max(np.linalg.norm(camera), np.finfo(float).tiny)
+    return (normals @ camera > _FACING) & (np.einsum("va,va->v", normals, at_points[to_X]) > _FACING)
 
 
 @dataclass

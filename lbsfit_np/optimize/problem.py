@@ -37,11 +37,14 @@ class Problem:
     X : (n, 3) array
         Scan points, normalised.
     x_weights : (n,) array, optional
+    v_weights : (m,) array, optional
+        Weights of the vertices of the whole model, not of a coarse one: 0 where the scan does not show the surface.
     """
 
-    def __init__(self, X, x_weights=None):
+    def __init__(self, X, x_weights=None, v_weights=None):
         self.X = X
         self.x_weights = x_weights
+        self.v_weights = v_weights
         self._part_index = None, None
 
     @cached_property
@@ -83,6 +86,7 @@ class Problem:
             offsets=Vd.rest - model.rig.vertices,
             K=model.K if weights.lam_lap else None,
             x_weights=self.x_weights,
+            v_weights=self.v_weights,
             x_index=self.x_index if weights.chamfer else None,
             x_part_index=None if labels is None else self.part_index(labels),
         )

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.write import atomic_path
-from .raster import Buffer, splat_points, splat_triangles
+from ..raster import Buffer, splat_points, splat_triangles
 
 __all__ = ["VIEWS", "Mesh", "Points", "montage", "render", "render_mesh", "render_points", "write_png"]
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["AXES", "bone_frames", "child_directions"]
+__all__ = ["AXES", "bone_frames", "child_directions", "up_axis"]
 
 # The names that files, cards and rigs use for directions.
 AXES = {
@@ -16,6 +16,11 @@ AXES = {
 
 # Bones that point forward more than this (a cosine) take their third axis from the up direction: feet, muzzles.
 _FORWARD = 0.8
+
+
+def up_axis(rig):
+    """Unit vector of a rig's up direction, (3,); y where the rig does not say."""
+    return np.array(AXES[rig.up or "+y"])
 
 
 def bone_frames(directions, up, forward):

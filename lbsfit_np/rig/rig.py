@@ -9,13 +9,16 @@ from numbers import Real
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, check_array
+from ..errors import InputError, brief, check_array
 from .partition import parts_of_joints, vertex_parts
 from .proportions import proportions
 from .shapes import ShapeSpace
 from .weld import weld_map
 
 __all__ = ["Rig"]
+
+# Beyond this, and its inverse, lengths squared leave double precision.
+_LEAST_FACTOR = 1e-100
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -262,7 +265,8 @@ class Rig:
         return replace(self, vertices=vertices, joints=joints, regressor=exact_regressor(self.regressor, vertices, joints))
 
     def scaled(self, factor):
-        """The same rig in another unit: all lengths times ``factor``."""
+        """The same rig in another unit: all lengths times ``factor``, a positive number; InputError for others."""
+        factor = _checked_factor(factor)
         unit = None if self.metres_per_unit is None else self.metres_per_unit / factor
         shapes = None if self.shapes is None else self.shapes.mapped(lambda directions: directions * factor)
         return replace(
@@ -356,6 +360,17 @@ class Rig:
         from ..io.npz_rig import save_rig
 
         save_rig(self, path)
+
+
+def _checked_factor(factor):
+    try:
+        size = float(factor) if isinstance(factor, Real) and not isinstance(factor, bool) else np.nan
+    except OverflowError:  # a whole number beyond double precision
+        size = np.inf
+    if not _LEAST_FACTOR <= size <= 1 / _LEAST_FACTOR:
+        bounds = f"a positive number, from {_LEAST_FACTOR:g} to {1 / _LEAST_FACTOR:g}"
+        raise InputError("factor", brief(factor), bounds, "Such as 100 from metres to centimetres.")
+    return size
 
 
 def _bytes(a):

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Descriptor", "describe_scan"]
+__all__ = ["Descriptor", "VoxelGrid", "directions"]
 
 # Empty margin around the scan's box, in voxels; probes beyond it are looked up at its border.
 _MARGIN = 6
@@ -59,47 +59,44 @@ class Descriptor:
         -------
         (k, size) float32 array
         """
-        grid = _Grid(points, self.voxel)
+        grid = VoxelGrid(points, self.voxel)
         x = ((points if rows is None else points[rows]) - grid.centre).astype(np.float32)
         out = np.empty((len(x), self.size), dtype=np.float32)
-        probes = _directions(self.n_probes, 1) * np.geomspace(self.nearest, self.farthest, self.n_probes)[:, None]
+        probes = directions(self.n_probes, 1) * np.geomspace(self.nearest, self.farthest, self.n_probes)[:, None]
         probes = probes.astype(np.float32)
         for start in range(0, len(x), 4096):  # keeps the (points × probes) temporaries small
             block = slice(start, start + 4096)
             out[block, : self.n_probes] = grid.distance(x[block, None, :] + probes)
-        basis = _directions(self.n_basis, 2) * np.geomspace(0.2, 1.1, self.n_basis)[:, None]
+        basis = directions(self.n_basis, 2) * np.geomspace(0.2, 1.1, self.n_basis)[:, None]
         out[:, self.n_probes : self.n_probes + self.n_basis] = grid.distance(basis.astype(np.float32))
         out[:, -9:-6] = x
         out[:, -6:] = 4.0 * grid.covariance[np.triu_indices(3)]
         return out
 
 
-def describe_scan(points, *, n_basis=384, voxel=0.05):
-    """A whole scan as one vector: distances from fixed points around its centroid to the scan.
-
-    Parameters
-    ----------
-    points : (n, 3) array
-        In half sizes of the rig, any origin.
-    n_basis : int
-    voxel : float
-
-    Returns
-    -------
-    (n_basis,) float32 array
-    """
-    basis = _directions(n_basis, 3) * np.geomspace(0.15, 1.1, n_basis)[:, None]
-    return _Grid(points, voxel).distance(basis.astype(np.float32))
-
-
-def _directions(n, seed):
+def directions(n, seed):
     """(n, 3) unit vectors, the same for ever."""
     d = np.random.default_rng(seed).standard_normal((n, 3))
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
-class _Grid:
-    """Nearest occupied voxel of every voxel around a scan, each standing for the mean of its points."""
+class VoxelGrid:
+    """Nearest occupied voxel of every voxel around a scan, each standing for the mean of its points.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+        What lies more than 3 from the median point is left out.
+    voxel : float
+        Edge of a voxel, in the unit of the points.
+
+    Attributes
+    ----------
+    centre : (3,) array
+        Mean of the occupied voxels.
+    covariance : (3, 3) array
+        Of the occupied voxels.
+    """
 
     def __init__(self, points, voxel):
         from scipy.ndimage import distance_transform_edt

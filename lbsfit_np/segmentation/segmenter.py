@@ -139,7 +139,7 @@ def train_segmenter(
         The welded rig.
     scan : callable
         i → (points, labels, scale) of scan i: points in the scan's unit, labels that index rig.parts, and the scan's units
-        in a rig unit. Picklable where ``n_jobs`` asks for processes.
+        in a rig unit. Points of label −1 are seen, not learned. Picklable where ``n_jobs`` asks for processes.
     n_scans : int
     training : Training, optional
     descriptor : Descriptor, optional
@@ -207,7 +207,8 @@ class _Describe:
             points, labels, scale = self.scan(i)
             points = points / (scale * self.half)
             rng = generator(self.random_state, "segmenter points", i)
-            rows = rng.choice(len(points), min(self.points_per_scan, len(points)), replace=False)
+            of_the_body = np.flatnonzero(labels >= 0)  # clutter and floor are there to be seen, not to be learned
+            rows = of_the_body[rng.choice(len(of_the_body), min(self.points_per_scan, len(of_the_body)), replace=False)]
             if self.first is None:
                 X.append(self.descriptor(points, rows))
             else:

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..seeds import generator, integer_seed
 
-__all__ = ["Stage", "Training", "train_stage"]
+__all__ = ["Stage", "Training", "passing_interrupts", "train_stage"]
 
 
 @dataclass(frozen=True)
@@ -195,7 +195,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
 def _fit_chunk(classifier, X, y, classes):
     """One ``partial_fit``, whole or with a KeyboardInterrupt."""
     losses = len(getattr(classifier, "loss_curve_", ()))
-    with _passing_interrupts(), warnings.catch_warnings():
+    with passing_interrupts(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", "Training interrupted")  # it is raised, which says enough
         classifier.partial_fit(X, y, classes=classes)
     if len(classifier.loss_curve_) == losses:
@@ -203,10 +203,10 @@ def _fit_chunk(classifier, X, y, classes):
 
 
 @contextmanager
-def _passing_interrupts():
+def passing_interrupts():
     """Raise what Ctrl-C raised in the block (or SIGTERM, where it has such a handler), even if the block has caught it.
 
-    ``partial_fit`` catches KeyboardInterrupt, warns, and returns as if the training were complete.
+    scikit-learn's networks catch KeyboardInterrupt, warn, and return as if the training were complete.
     """
     raised, before = [], {}
 

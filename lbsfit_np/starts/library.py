@@ -1,27 +1,55 @@
 """Starts without labels: synthesised poses that look like the scan, and f, a regressor from the look of a scan to its pose.
 
-The look of a scan is its distance from fixed points around its centroid, near to far (a basis point set): one vector, whatever
-the number of points. Synthetic scans whose vectors are nearest have poses nearby; a regressor trained on the same pairs by
+Synthetic scans whose looks (``starts.look``) are nearest to a scan's have poses nearby; a regressor trained on the same pairs by
 
     L_Θ = ‖f(M(Θ', U^d)) − Θ'‖²
 
-answers with a pose between them. Neither needs to be exact: the fit goes on from there.
+answers with a pose between them. Neither needs to be exact: the fit goes on from there. As looks do not depend on the unit and
+can be taken under many turns, the same few thousand poses tell a scan's facing and its unit as well.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..errors import FileError
 from ..seeds import integer_seed
-from ..segmentation.descriptors import describe_scan
+from ..segmentation.stage import passing_interrupts
+from ..workers import each
+from .look import look
 
-__all__ = ["PoseLibrary", "build_library"]
+__all__ = ["PoseLibrary", "Start", "build_library"]
 
+_ARRAYS = ("looks", "radii", "poses", "mean", "deviation")
 _HIDDEN = (256, 128)
 _EPOCHS = 60
 # Much, as scans are few beside the looks' 384 numbers: with a thousandth of it f learns its scans by heart and errs by nearly
 # twice as much on others (joints of 1,500 scans of the coarse hand: 0.23 half sizes; with this 0.15).
 _DECAY = 1.0
+# A scan in a known unit is not taken for a pose whose extent differs by more than this factor: people's sizes, and holes.
+_SAME_SIZE = 1.35
+
+
+@dataclass(frozen=True)
+class Start:
+    """A pose to begin with.
+
+    Attributes
+    ----------
+    theta : (J, 3) array
+        Θ in a frame that faces the rig's way, radians.
+    turn : int
+        Row of the turns that leads from that frame to the scan's.
+    scale : float
+        Scan units in a rig unit.
+    away : float
+        How different the looks are: squared distance.
+    """
+
+    theta: np.ndarray
+    turn: int
+    scale: float
+    away: float
 
 
 @dataclass(frozen=True)
@@ -31,6 +59,8 @@ class PoseLibrary:
     Attributes
     ----------
     looks : (N, d) float32 array
+    radii : (N,) array
+        Radius of each scan, rig units.
     poses : (N, J, 3) array
         Θ', radians.
     mean, deviation : (d,) float32 arrays
@@ -40,6 +70,7 @@ class PoseLibrary:
     """
 
     looks: np.ndarray
+    radii: np.ndarray
     poses: np.ndarray
     mean: np.ndarray
     deviation: np.ndarray
@@ -50,17 +81,54 @@ class PoseLibrary:
         widths = [self.looks.shape[1:], *(w.shape[1:] for w, _ in self.layers)]
         fit = all((w.shape[0],) == width and b.shape == w.shape[1:] for (w, b), width in zip(self.layers, widths))
         ends = self.mean.shape == self.deviation.shape == self.looks.shape[1:] and widths[-1] == (self.poses[0].size,)
-        if not (fit and ends and self.poses.ndim == 3 and len(self.poses) == len(self.looks)):
+        if not (fit and ends and self.poses.ndim == 3 and len(self.poses) == len(self.looks) == len(self.radii)):
             raise ValueError("a library of poses whose arrays do not fit together")
 
+    def starts(self, points, turns, k, *, unit=None):
+        """Poses whose scans look most like a scan, under any of some turns.
+
+        Parameters
+        ----------
+        points : (n, 3) array
+            Any origin.
+        turns : (R, 3, 3) array
+            As in :func:`~lbsfit_np.starts.look.look`.
+        k : int
+            How many, at most.
+        unit : float, optional
+            Scan units in a rig unit, where known: only poses of about this size are taken, or, where fewer than k are, the k
+            nearest in size.
+
+        Returns
+        -------
+        list of Start
+            The most alike first. A pose comes once, under its best turn, and no turn has more than a third of all.
+        """
+        seen = look(points, turns)
+        scales = seen.radius / self.radii
+        away = (self.looks**2).sum(axis=1) - 2 * seen.vectors @ self.looks.T + (seen.vectors**2).sum(axis=1)[:, None]
+        if unit is not None:
+            off = np.abs(np.log(scales / unit))
+            away[:, off > max(np.log(_SAME_SIZE), np.sort(off)[: max(k, 1)][-1])] = np.inf
+        most = k if len(turns) == 1 else -(-k // 3)
+        turn = away.argmin(axis=0)
+        best = away[turn, np.arange(len(self.poses))]
+        out, taken = [], np.zeros(len(turns), dtype=int)
+        for n in np.argsort(best, kind="stable"):
+            if len(out) == k or not np.isfinite(best[n]):
+                break
+            if taken[turn[n]] < most:
+                taken[turn[n]] += 1
+                out.append(Start(self.poses[n], int(turn[n]), float(scales[n]), float(best[n])))
+        return out
+
     def nearest(self, points, k):
-        """(k, J, 3): the poses whose scans look most like ``points`` (n, 3), given in half sizes of the rig."""
-        away = ((self.looks - describe_scan(points)) ** 2).sum(axis=1)
-        return self.poses[np.argsort(away, kind="stable")[:k]]
+        """(k, J, 3): the poses whose scans look most like ``points`` (n, 3), which face the rig's way."""
+        return np.array([start.theta for start in self.starts(points, np.eye(3)[None], k)])
 
     def regress(self, points):
-        """(J, 3): f(X), the pose that the regressor sees in ``points``."""
-        x = ((describe_scan(points) - self.mean) / self.deviation)[None]
+        """(J, 3): f(X), the pose that the regressor sees in ``points``, which face the rig's way."""
+        x = (look(points).vectors - self.mean) / self.deviation
         for k, (weights, bias) in enumerate(self.layers):
             x = x @ weights + bias
             if k + 1 < len(self.layers):
@@ -69,7 +137,7 @@ class PoseLibrary:
 
     def arrays(self, prefix):
         """The library as named arrays; :meth:`from_arrays` reads them back."""
-        out = {f"{prefix}_{name}": getattr(self, name) for name in ("looks", "poses", "mean", "deviation")}
+        out = {f"{prefix}_{name}": getattr(self, name) for name in _ARRAYS}
         for k, (weights, bias) in enumerate(self.layers):
             out[f"{prefix}_weights_{k}"], out[f"{prefix}_bias_{k}"] = weights, bias
         return out
@@ -79,24 +147,63 @@ class PoseLibrary:
         """A library from what :meth:`arrays` gave."""
         n = sum(key.startswith(f"{prefix}_weights_") for key in arrays)
         layers = tuple((arrays[f"{prefix}_weights_{k}"], arrays[f"{prefix}_bias_{k}"]) for k in range(n))
-        return cls(*(arrays[f"{prefix}_{name}"] for name in ("looks", "poses", "mean", "deviation")), layers)
+        return cls(*(arrays[f"{prefix}_{name}"] for name in _ARRAYS), layers)
+
+    def save(self, path):
+        """Write as NPZ, no pickle; :meth:`load` reads it."""
+        from ..io.write import write_npz
+
+        write_npz(path, **self.arrays("library"))
+
+    @classmethod
+    def load(cls, path):
+        """Read what :meth:`save` wrote."""
+        from ..io.npz import read_npz
+
+        try:
+            return cls.from_arrays(read_npz(path), "library")
+        except (KeyError, ValueError, IndexError) as error:
+            raise FileError(str(path), f"a file whose content does not fit ({error})", "a library of poses") from None
 
 
-def build_library(looks, poses, *, random_state):
+def build_library(scan, n_scans, *, random_state, jobs=1, progress=None):
     """A library of synthetic scans, and f trained on it with scikit-learn's MLPRegressor.
 
     Parameters
     ----------
-    looks : (N, d) float32 array
-        ``describe_scan`` of each.
-    poses : (N, J, 3) array
-        Their Θ'.
+    scan : callable
+        i → the i-th SyntheticScan, facing the rig's way; picklable for more than one process.
+    n_scans : int
     random_state : int
+    jobs : int, default 1
+        Processes.
+    progress : callable, optional
+        Called with the share done, in [0, 1].
 
     Returns
     -------
     PoseLibrary
+
+    Raises
+    ------
+    KeyboardInterrupt
+        On Ctrl-C, once all processes have ended: what is trained by half is never returned.
     """
+    looks, radii, poses = zip(*each(_Seen(scan), range(n_scans), jobs=jobs, done=progress), strict=True)
+    return _trained(np.array(looks), np.array(radii), np.array(poses), random_state)
+
+
+@dataclass(frozen=True)
+class _Seen:
+    scan: object
+
+    def __call__(self, i):
+        scan = self.scan(i)
+        seen = look(scan.points)
+        return seen.vectors[0], seen.radius / scan.scale, scan.pose
+
+
+def _trained(looks, radii, poses, random_state):
     import warnings
 
     from sklearn.neural_network import MLPRegressor
@@ -114,8 +221,10 @@ def build_library(looks, poses, *, random_state):
         alpha=_DECAY,
         random_state=integer_seed(random_state, "regressor"),
     )
-    with threadpool_limits(1), warnings.catch_warnings():
+    with threadpool_limits(1), passing_interrupts(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that all epochs were used is the plan, no failure to converge
         network.fit((looks - mean) / deviation, poses.reshape(len(poses), -1).astype(np.float32))
+    if len(network.loss_curve_) < _EPOCHS:
+        raise KeyboardInterrupt  # one that was no signal, such as another thread can raise here
     layers = tuple((w.astype(np.float32), b.astype(np.float32)) for w, b in zip(network.coefs_, network.intercepts_))
-    return PoseLibrary(looks, poses, mean, deviation, layers)
+    return PoseLibrary(looks, radii, poses, mean, deviation, layers)

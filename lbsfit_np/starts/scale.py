@@ -6,13 +6,17 @@ import numpy as np
 
 from ..errors import InputError
 
-__all__ = ["ReferenceScale", "extent", "near_rows", "reference_scale"]
+__all__ = ["ReferenceScale", "extent", "near_rows", "reference_scale", "unit_note"]
 
-# Half sizes of the rig from a scan's median point beyond which nothing of a body lies.
-_REACH = 3.0
+# Extents from a scan's median point beyond which nothing of a body lies.
+_REACH = 1.5
+# A point whose fifth neighbour is further away than this times the median's is clutter; tenfold density makes three.
+_NEIGHBOURS, _LONELY = 6, 5.0
 
 # A pose can fold a body to a fraction of its rest extent but hardly stretch it: a ratio in this range is one unit for both.
 _SAME_UNIT = 0.4, 1.8
+# People of one unit differ by less than this factor.
+_PEOPLE = 1.6
 # Metres in the units that scans are usually in.
 _UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 
@@ -74,29 +78,53 @@ def reference_scale(points, rig, mode):
     return ReferenceScale(ratio, f"the scale is a guess from the extents: one rig unit taken as {ratio:.4g} scan units")
 
 
-def near_rows(points, rows, scale, half):
+def unit_note(scale, rig, mode):
+    """In words, what a scale that was found says of the scan's unit.
+
+    Parameters
+    ----------
+    scale : float
+        Scan units in a rig unit.
+    rig : Rig
+    mode : {"estimate", "fixed"}
+    """
+    if mode == "fixed":
+        return "scale fixed at 1"
+    if abs(np.log(scale)) < np.log(_PEOPLE):
+        return "scan and rig are in one unit"
+    if rig.metres_per_unit is not None:
+        ratios = {name: scale * metres / rig.metres_per_unit for name, metres in _UNITS.items()}
+        name, ratio = min(ratios.items(), key=lambda item: abs(np.log(item[1])))
+        if abs(np.log(ratio)) < np.log(_PEOPLE):
+            return f"the scan seems to be in {name}: one rig unit is {scale:.4g} scan units"
+    return f"the scan is in another unit or of another size: one rig unit is {scale:.4g} scan units"
+
+
+def near_rows(points, rows):
     """Rows of a scan without those of wild points, which would pull means and squared distances with them.
 
     Parameters
     ----------
     points : (n, 3) array
     rows : (k,) int array
-    scale : float
-        Scan units in a rig unit.
-    half : float
-        Half the rig's size.
 
     Returns
     -------
     rows : int array
-        Those within three half sizes of their median point, which a posed body never reaches; all where none are.
+        Those within reach of the median point whose neighbours are not much further away than others' are.
     dropped : int
     """
+    from scipy.spatial import cKDTree
+
+    x = points[rows]
     with np.errstate(all="ignore"):
-        away = np.abs(points[rows] - np.median(points[rows], axis=0)).max(axis=1)
-        near = away <= _REACH * scale * half
-    kept = rows[near] if near.any() else rows
-    return kept, len(rows) - len(kept)
+        away = np.linalg.norm(x - np.median(x, axis=0), axis=1)
+        kept = away <= _REACH * extent(x)
+    if len(x) > _NEIGHBOURS:
+        x = (x[kept] - np.median(x, axis=0)) / extent(x[kept])
+        apart = cKDTree(x).query(x, k=min(_NEIGHBOURS, len(x)))[0][:, -1]
+        kept[kept] = apart <= max(_LONELY * np.median(apart), 1e-9)
+    return rows[kept], int(len(rows) - kept.sum())
 
 
 def extent(points):

@@ -43,8 +43,9 @@ def splat_triangles(buffer, item, pixels, faces):
     """Draw the triangles of a mesh; (m, 3) vertices in pixels, (F, 3) faces."""
     corner = pixels[faces]
     x, y, z = corner[:, :, 0], corner[:, :, 1], corner[:, :, 2]
-    top = np.clip(np.ceil(y.min(axis=1) - 0.5), 0, buffer.height).astype(int)
-    bottom = np.clip(np.floor(y.max(axis=1) - 0.5) + 1, 0, buffer.height).astype(int)
+    low, high = (_of_three(extreme, corner) for extreme in (np.minimum, np.maximum))
+    top = np.clip(np.ceil(low[:, 1] - 0.5), 0, buffer.height).astype(int)
+    bottom = np.clip(np.floor(high[:, 1] - 0.5) + 1, 0, buffer.height).astype(int)
     area = (x[:, 1] - x[:, 0]) * (y[:, 2] - y[:, 0]) - (y[:, 1] - y[:, 0]) * (x[:, 2] - x[:, 0])
     rows = np.where((area != 0) & np.isfinite(area), np.maximum(bottom - top, 0), 0)
     # Plane z = z0 + gx (x − x0) + gy (y − y0), and inside of each edge: sign · ((x − x_k) e_y − (y − y_k) e_x) ≤ 0.
@@ -55,7 +56,7 @@ def splat_triangles(buffer, item, pixels, faces):
     ex, ey = np.roll(x, -1, axis=1) - x, np.roll(y, -1, axis=1) - y
     ex, ey = ex * np.sign(area)[:, None], ey * np.sign(area)[:, None]
 
-    for some in _batches(rows, rows * np.minimum(np.ptp(x, axis=1) + 1, buffer.width)):
+    for some in _batches(rows, rows * np.minimum(high[:, 0] - low[:, 0] + 1, buffer.width)):
         span, within = _repeated(rows[some])
         triangle = some[span]
         line = top[triangle] + within
@@ -73,8 +74,13 @@ def splat_triangles(buffer, item, pixels, faces):
         span, within = _repeated(np.maximum(last - first + 1, 0))
         column, line, triangle = first[span] + within, line[span], triangle[span]
         depth = z[triangle, 0] + gx[triangle] * (column + 0.5 - x[triangle, 0]) + gy[triangle] * (line + 0.5 - y[triangle, 0])
-        depth = np.clip(depth, z.min(axis=1)[triangle], z.max(axis=1)[triangle])  # slivers on edge have steep planes
+        depth = np.clip(depth, low[triangle, 2], high[triangle, 2])  # slivers on edge have steep planes
         buffer.draw(item, line * buffer.width + column, depth, triangle)
+
+
+def _of_three(extreme, corner):
+    """Minimum or maximum over the three corners, (F, 3, 3) → (F, 3); much faster than a reduction over so short an axis."""
+    return extreme(extreme(corner[:, 0], corner[:, 1]), corner[:, 2])
 
 
 def splat_points(buffer, item, pixels, radius):

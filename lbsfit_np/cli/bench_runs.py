@@ -1,0 +1,272 @@
+"""What the commands of ``lbsfit bench`` run, and what they say while they do."""
+
+import json
+import sys
+from pathlib import Path
+
+from ..errors import FileError, InputError
+from .outputs import check_outputs, make_folder
+from .progress import Progress, say
+
+__all__ = ["RESULTS", "run_data", "run_learn", "run_roundtrip", "run_starts"]
+
+RESULTS = "results.json"
+
+
+def run_starts(rigs, values):
+    """``lbsfit bench starts``: fits under many conditions; the exit code."""
+    from ..bench.starts import RIGS, starts_bench, starts_table
+    from ..io.write import write_json
+
+    results = _made_results(values)
+    resumed = results is not None and values["existing"] == "resume" and results.exists()
+    progress = _BenchProgress()
+
+    def on_row(report, name, row, fit):
+        if results is not None:
+            write_json(results, report)
+        figures = report["rigs"][name]["rows"][row]["fits"][fit]
+        progress.close()
+        progress.line(f"{name}, {row}, {fit}: {100 * figures['success']:.1f} %, in {figures['wall_seconds']:.0f} s")
+
+    try:
+        report = starts_bench(
+            rigs or RIGS,
+            rows=values["rows"].split(","),
+            fits=values["fits"].split(","),
+            n_scans=values["scans"],
+            seed=values["seed"],
+            effort=values["effort"],
+            training_scans=values["training_scans"],
+            jobs=values["jobs"],
+            before=_read_results(results) if resumed else None,
+            progress=progress.training,
+            on_scan=lambda name, row, fit, done, total: progress.one_fit(f"{name}, {row}, {fit}", values["seed"], done, total),
+            on_row=on_row,
+        )
+    finally:
+        progress.close()
+    if results is not None:
+        write_json(results, report)
+    say("")
+    say(starts_table(report, markdown=values["markdown"]))
+    return _code(
+        (f"{name}, {row}, {fit}, scan {scan['scan']}", scan["failed"])
+        for name, entry in report["rigs"].items()
+        for row, content in entry["rows"].items()
+        for fit, figures in content["fits"].items()
+        for scan in figures["scans"]
+        if "failed" in scan
+    )
+
+
+def run_learn(name, values):
+    """``lbsfit bench learn``: the loop and its ablations; the exit code."""
+    from ..bench.learn import learn_bench, learn_table
+    from ..io.write import write_json
+
+    _checked_data(name, values)
+    results = _made_results(values)
+
+    def on_row(report, variant, seed):
+        write_json(results, report)
+        entry = report["rows"][variant][str(seed)]
+        error = f"joints {entry['joint_error']:.4f}, vertices {entry['vertex_error']:.4f} {report['unit']}"
+        say(f"seed {seed}, {variant}: {error}, {entry['seconds']:.0f} s")
+
+    report = learn_bench(
+        name,
+        values["data"],
+        n_scans=values["scans"],
+        seeds=_numbers(values["seeds"]),
+        variants=values["variants"].split(","),
+        training_scans=values["training_scans"],
+        jobs=values["jobs"],
+        on_row=on_row,
+    )
+    write_json(results, report)
+    say("")
+    say(learn_table(report, markdown=values["markdown"]))
+    return 0
+
+
+def run_roundtrip(rigs, values):
+    """``lbsfit bench roundtrip``: bundled rigs scanned and fitted again; the exit code."""
+    from ..bench.roundtrip import RIGS, roundtrip, roundtrip_table
+    from ..io.write import write_json
+
+    results = _made_results(values)
+    progress = _BenchProgress()
+
+    def on_rig(report, name):
+        progress.close()
+        if results is not None:
+            write_json(results, report)
+
+    try:
+        report = roundtrip(
+            rigs or RIGS,
+            n_scans=values["scans"],
+            seeds=_numbers(values["seeds"]),
+            training_scans=values["training_scans"],
+            jobs=values["jobs"],
+            progress=progress.training,
+            on_scan=progress.one_fit,
+            on_rig=on_rig,
+        )
+    finally:
+        progress.close()
+    say(roundtrip_table(report, markdown=values["markdown"]))
+    return _code(
+        (f"{name}, seed {seed}, scan {scan['scan']}", scan["failed"])
+        for name, entry in report["rigs"].items()
+        for seed, run in entry["seeds"].items()
+        for scan in run["scans"]
+        if "failed" in scan
+    )
+
+
+def run_data(name, values):
+    """``lbsfit bench hand`` and ``body``: rigs of the data folder; the exit code."""
+    from ..bench.run import run_bench
+    from ..io.write import write_json
+
+    bench = _checked_data(name, values)
+    seeds, out = _numbers(values["seeds"]), Path(values["output"])
+    pictures = {seed: out / f"seed-{seed}.png" for seed in seeds} if values["pictures"] and "own" in values["rows"] else {}
+    results = _made_results(values, pictures.values())
+    progress = _BenchProgress()
+
+    def on_row(report, row, seed):
+        write_json(results, report)
+        progress.row(report, row, seed)
+
+    try:
+        report, fits = run_bench(
+            bench,
+            values["data"],
+            seeds=seeds,
+            n_scans=values["scans"],
+            training_scans=values["training_scans"],
+            jobs=values["jobs"],
+            rows=values["rows"].split(","),
+            training_progress=progress.training,
+            on_scan=progress.one_scan,
+            on_row=on_row,
+        )
+    finally:
+        progress.close()
+    if pictures:
+        report["pictures"] = _draw(bench, values, fits, pictures)
+    write_json(results, report)
+    return _farewell(report, values, out)
+
+
+def _draw(bench, values, fits, paths):
+    """Draw a picture a seed; returns file → the scans that it shows, from top to bottom."""
+    from ..bench.pictures import picture, shown
+    from ..report.render import write_png
+
+    rig = bench.load()[0](values["data"])
+    drawn = {}
+    for seed, path in paths.items():
+        rows = shown(fits[seed], values["pictures"])
+        if rows:
+            write_png(path, picture(rig, fits[seed], rows))
+            drawn[path.name] = rows
+    return drawn
+
+
+def _farewell(report, values, out):
+    from ..bench.table import table
+
+    say("")
+    say(table(report, markdown=values["markdown"]))
+    say(f"\nresults in {out}")
+    return _code(
+        (f"{row}, seed {seed}, scan {scan['scan']}", scan["failed"])
+        for row, content in report["rows"].items()
+        for seed, entry in content["seeds"].items()
+        for scan in entry["scans"]
+        if "failed" in scan
+    )
+
+
+class _BenchProgress(Progress):
+    """Training as in every command; then a bar a row on a terminal, and a line when it is done."""
+
+    def __init__(self):
+        super().__init__(0)
+
+    def one_scan(self, row, seed, done, total):
+        """``done`` of the ``total`` scans of a row are fitted."""
+        from ..bench.run import ROWS
+
+        self.one_fit(ROWS[row], seed, done, total)
+
+    def one_fit(self, what, seed, done, total):
+        """``done`` of the ``total`` scans of one thing and seed are fitted."""
+        if not self.terminal:
+            return
+        if self._bar is None:
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, desc=f"seed {seed}, {what}", unit="scan", leave=False, file=sys.stderr)
+        self._bar.update(done - self._bar.n)
+
+    def row(self, report, row, seed):
+        """A row of a seed is complete."""
+        self.close()
+        content = report["rows"][row]
+        entry = content["seeds"][str(seed)]
+        error = entry["mean"].get("joint_error")
+        words = "all failed" if error is None else f"mean joint error {error:.4g} {report['unit']}"
+        self.line(f"seed {seed}, {content['what']}: {len(entry['scans'])} scans in {entry['wall_seconds']:.0f} s, {words}")
+
+
+# ---- what runs share ----
+
+
+def _checked_data(name, values):
+    """The benchmark of real rigs of that name, once its data and the folder for its results are known."""
+    from ..bench.run import BENCHES
+
+    for key, option, example in (("data", "--data", "--data DIR"), ("output", "-o/--output", "-o OUT")):
+        if values[key] is None:
+            raise InputError(option, "nothing", "a folder", f"Add {example}.")
+    BENCHES[name].check_data(values["data"])
+    return BENCHES[name]
+
+
+def _made_results(values, more=()):
+    """Path of the results, in a folder that is there and may be written to; None where none are asked for."""
+    if values["output"] is None:
+        return None
+    out = Path(values["output"])
+    check_outputs([out / RESULTS, *more], out, inputs=[], existing=values["existing"])
+    make_folder(out)
+    return out / RESULTS
+
+
+def _code(failures):
+    """Print what failed, pairs (where, why); the exit code."""
+    code = 0
+    for where, why in failures:
+        say(f"failed: {where}: {why}")
+        code = 1
+    return code
+
+
+def _numbers(seeds):
+    return [int(s) for s in seeds.split(",")]
+
+
+def _read_results(path):
+    """The report that an earlier run has written."""
+    try:
+        report = json.loads(path.read_text(encoding="utf-8"))
+        if isinstance(report, dict):
+            return report
+    except (OSError, ValueError):
+        pass
+    raise FileError(str(path), "a file that cannot be read as results", "results of a benchmark", "Pass --existing replace.")

@@ -1,0 +1,210 @@
+"""How far a fit can be trusted: what it leaves unexplained, and what that says of the pose.
+
+The final loss tells right fits from wrong ones, but only against what the scan could have given at best. So the evidence is a
+handful of shares, each near 0 for a right fit, whatever the rig, the unit and the number of points; a logistic regression on
+their logarithms, calibrated on scans with known truth (``lbsfit bench starts``), makes one probability of them.
+"""
+
+import numpy as np
+
+from ..neighbors import PointIndex
+from ..optimize.gauss_newton import shown
+from ..optimize.problem import Problem
+from ..optimize.surface import closest_on_mesh, faces_around, vertex_normals
+
+__all__ = ["EVIDENCE", "evidence_of", "logarithms", "probability_of", "shown_problem", "verdict_of"]
+
+# What a fit is judged by; docs/fitting.md has the same list.
+EVIDENCE = ("distance", "unexplained", "unreached", "worst_part", "disagreement", "rival", "at_limits")
+# s of ρ(d²) = d² / (d² + s²): distances of about this count half, in half sizes of the rig.
+_SCALE = 0.05
+_NOISE = 2.5
+# Points and surface with no partner nearer than this, in half sizes, have none.
+_PARTNER = 0.08
+# Parts with less than this share of the surface are too small to be judged by themselves.
+_PART = 0.01
+# Evidence below this is as good as none.
+_FLOOR = 1e-3
+
+
+def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, theta=None, partial=False, areas=None):
+    """Measure a fit.
+
+    Parameters
+    ----------
+    rig : Rig
+        Welded, in half sizes.
+    vertices : (m, 3) array
+        V^d in the normalised frame.
+    labels : (m,) int array
+        Parts of the vertices.
+    X : (n, 3) array
+        The scan in that frame.
+    proba : (n, n_parts) array, optional
+        What the segmenter says of the points.
+    rivals : sequence of float
+        What the next best, different poses leave unexplained, E of ``optimize.gauss_newton``.
+    value : float, optional
+        The same of this pose.
+    theta : (J, 3) array, optional
+    partial : bool
+        Whether the scan shows one side only.
+    areas : (m,) array, optional
+        Shares of the surface.
+
+    Returns
+    -------
+    evidence : dict of str to float
+        "distance": the points' median distance from the surface ÷ s; "unexplained": mean of ρ over what these distances are
+        beyond 2.5 times their median; "unreached": the same over the surface's from the
+        points; "worst_part": the largest of both over single parts; "disagreement": 1 − mean probability that the segmenter
+        gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals'; "at_limits": share of the
+        angles that are at a limit. All in [0, 1]; what is not known is 0.
+    worst_part : int
+        The part of "worst_part"; −1 where nothing is unexplained.
+    """
+    a = np.full(len(vertices), 1.0 / len(vertices)) if areas is None else areas
+    on = PointIndex(vertices).nearest(X)
+    away = ((X - vertices[on]) ** 2).sum(axis=1)
+    around = faces_around(rig.faces, len(vertices)) if len(rig.faces) else None
+    if around is not None:
+        with_face = np.flatnonzero(around[on, 0] >= 0)
+        there = closest_on_mesh(X[with_face], on[with_face], vertices, rig.faces, around)
+        away[with_face] = np.minimum(away[with_face], ((X[with_face] - there.points) ** 2).sum(axis=1))
+    index = PointIndex(X)
+    to_X = index.nearest(vertices)
+    # Between points there is nothing to reach: distances count from their spacing on.
+    back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - _spacing(X), 0.0) ** 2
+    seen = np.ones(len(vertices), dtype=bool)
+    if partial and around is not None:
+        normals = vertex_normals(vertices, rig.faces)
+        seen = shown(normals, normals[on], to_X)
+    # Noise is no fault of the pose: distances count from some way beyond the median on.
+    typical = float(np.sqrt(np.median(away)))
+    away = np.maximum(np.sqrt(away) - _NOISE * typical, 0.0) ** 2
+    rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
+    a = np.where(seen, a, 0.0)
+    parts = labels[on]
+    worst, worst_part = 0.0, -1
+    for p in np.unique(labels):
+        points, surface = parts == p, (labels == p) & seen
+        share = a[surface].sum()
+        own = [float(rho_x[points].mean())] if points.mean() > _PART else []
+        own += [float(a[surface] @ rho_v[surface] / share)] if share > _PART else []
+        if max(own, default=0.0) > worst:
+            worst, worst_part = max(own), int(p)
+    out = {
+        "distance": min(1.0, typical / _SCALE),
+        "unexplained": float(rho_x.mean()),
+        "unreached": float(a @ rho_v / max(a.sum(), 1e-12)),
+        "worst_part": worst,
+        "disagreement": 0.0 if proba is None else float(1.0 - proba[np.arange(len(X)), parts].mean()),
+        "rival": float(min(1.0, value / min(rivals))) if len(rivals) and value is not None and min(rivals) > 0 else 0.0,
+        "at_limits": 0.0 if theta is None else _at_limits(rig, theta),
+    }
+    return out, worst_part
+
+
+def shown_problem(model, problem, state, partial):
+    """The problem without what has no partner: points far from the mesh, surface far from the points or on a hidden side.
+
+    Parameters
+    ----------
+    model : Model
+    problem : Problem
+    state : State
+        A pose that is about right.
+    partial : bool
+
+    Returns
+    -------
+    Problem
+        With weights of 0 for these; the same one where there are none, or too many to be no error of the pose.
+    """
+    V = model.pose(state)[0].vertices
+    on, to_X = PointIndex(V).nearest(problem.X), problem.x_index.nearest(V)
+    away, back = np.linalg.norm(problem.X - V[on], axis=1), np.linalg.norm(V - problem.X[to_X], axis=1)
+    x_kept = away < max(_PARTNER, 4 * np.median(away))
+    v_kept = back < max(_PARTNER, 4 * np.median(back))
+    if partial and len(model.rig.faces):
+        normals = vertex_normals(V, model.rig.faces)
+        v_kept &= shown(normals, normals[on], to_X)
+    least = 0.2 if partial else 0.5
+    if (x_kept.all() and v_kept.all()) or x_kept.mean() < 0.5 or v_kept.mean() < least:
+        return problem
+    a = problem.x_weights if problem.x_weights is not None else np.full(len(problem.X), 1.0 / len(problem.X))
+    return Problem(problem.X, a * x_kept / (a * x_kept).sum(), v_kept.astype(float))
+
+
+def _spacing(X):
+    """How far apart neighbouring points are where they are sparse: twice the median distance of the third neighbour."""
+    from scipy.spatial import cKDTree
+
+    if len(X) < 4:
+        return 0.0
+    return 2.0 * float(np.median(cKDTree(X).query(X, k=4)[0][:, 3]))
+
+
+def _at_limits(rig, theta):
+    free = (rig.upper > rig.lower) & rig.moving[:, None]
+    free[rig.root] = False
+    if not free.any():
+        return 0.0
+    room = np.minimum(theta - rig.lower, rig.upper - theta)[free]
+    return float((room < 0.01).mean())
+
+
+# ---- from evidence to a probability ----
+
+# Logistic regression on log10(evidence + floor): intercept, then one weight for each of EVIDENCE. Found by ``bench.calibrate`` on
+# the tuning seed: both bundled rigs, all conditions, careful fits and careless ones.
+_INTERCEPT = -11.53
+_WEIGHTS = (0.0, -3.22, -2.05, -0.96, -0.24, 0.0, -1.09)
+# Below the first a fit has failed, below the second it is suspect.
+_FAILED, _SUSPECT = 0.05, 0.5
+
+
+def probability_of(evidence):
+    """The probability that the mean joint error is below 1.5 % of the rig's size."""
+    return float(1.0 / (1.0 + np.exp(-(_INTERCEPT + np.dot(_WEIGHTS, logarithms(evidence))))))
+
+
+def logarithms(evidence):
+    """(7,) decimal logarithms of the pieces of evidence, what the probability is linear in before the logistic function."""
+    return np.log10(np.array([evidence[name] for name in EVIDENCE]) + _FLOOR)
+
+
+def verdict_of(evidence, probability, worst_part=""):
+    """Status and reason.
+
+    Parameters
+    ----------
+    evidence : dict
+        Of :func:`evidence_of`.
+    probability : float
+    worst_part : str
+        Name of the part that is worst.
+
+    Returns
+    -------
+    status : {"ok", "suspect", "failed"}
+    reason : str
+        What speaks against the fit, in words; empty for "ok".
+    """
+    if probability >= _SUSPECT:
+        return "ok", ""
+    told = [(words, evidence[name]) for name, (least, words) in _WORDS.items() if evidence[name] > least]
+    reason = "; ".join(words.format(value=value, part=worst_part) for words, value in told) or "several small things together"
+    return "failed" if probability < _FAILED else "suspect", reason
+
+
+# From where on a piece of evidence is worth a word, and the word.
+_WORDS = {
+    "distance": (0.6, "points lie far from the mesh"),
+    "unexplained": (0.03, "{value:.0%} of the points are not explained"),
+    "unreached": (0.12, "{value:.0%} of the model is not reached by points"),
+    "worst_part": (0.25, "part {part} does not fit"),
+    "disagreement": (0.35, "labels and mesh disagree on {value:.0%} of the points"),
+    "rival": (0.6, "another pose explains the scan nearly as well"),
+    "at_limits": (0.25, "{value:.0%} of the angles are at their limits"),
+}

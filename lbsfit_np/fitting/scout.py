@@ -1,0 +1,232 @@
+"""The first look at a scan of which nothing is known: which way it faces, in which unit it is, and its pose.
+
+Hypotheses come from the library of synthesised poses, under all turns that the scan may have, and from f. Under the turn of
+the best one, under the half turns that take front for back or left for right, and under others that did well, the segmenter
+says which part each point belongs to, which gives more. All go a few steps on the rig's own template, the best go on, limbs
+are tried in other places, the last ones find the rig's proportions; what they leave unexplained chooses.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..optimize.frame import Frame
+from ..optimize.gauss_newton import GaussNewton
+from ..optimize.problem import Problem
+from ..rig.frames import up_axis
+from ..rotations import matrix_from_rotvec
+from ..starts.limbs import LimbPoses
+from .refit import Refit, Runner, thinned
+
+__all__ = ["EFFORTS", "Effort", "Found", "Scout"]
+
+
+# Labels are read of so many points, under turns that are further apart than this, radians.
+_LABELLED, _ELSEWHERE = 900, 0.8
+# Poses whose joints are nearer than this on average, in half sizes, are one.
+_ALIKE = 0.03
+# Without proportions, the right pose may leave this many times as much unexplained as a wrong one.
+_RIVAL = 2.0
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How many hypotheses go how far.
+
+    Attributes
+    ----------
+    starts : int
+        Poses of the library that go the first steps.
+    facings : int
+        Under how many turns labels are read.
+    survivors : int
+        Of them, and of the others, that go the last steps.
+    finals : int
+        Of these, that proportions are found for.
+    generations : int
+        How often, at most, limbs are tried in other poses.
+    parents : int
+        Of how many survivors.
+    proposals : int
+        Poses tried for each limb, at most.
+    """
+
+    starts: int
+    facings: int
+    survivors: int
+    finals: int
+    generations: int
+    parents: int
+    proposals: int
+
+
+EFFORTS = {
+    "fast": Effort(6, 1, 2, 1, 1, 1, 1),
+    "balanced": Effort(16, 4, 4, 2, 3, 1, 2),
+    "thorough": Effort(48, 8, 8, 3, 8, 4, 3),
+}
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a scout has found.
+
+    Attributes
+    ----------
+    frame : Frame
+    problem : Problem
+        In that frame.
+    state : State
+        Pose, place and proportions.
+    proba : (n, n_parts) array or None
+        What the segmenter says of the points, seen in that frame.
+    value : float
+        E of ``optimize.gauss_newton`` at the state.
+    rivals : tuple of float
+        The same of other poses that were found.
+    """
+
+    frame: Frame
+    problem: Problem
+    state: object
+    proba: np.ndarray
+    value: float
+    rivals: tuple
+
+
+class Scout:
+    """Hypotheses for scans of one template.
+
+    Parameters
+    ----------
+    model : Model
+    library : PoseLibrary
+    turns : (R, 3, 3) array
+        How scans may be turned, ``starts.turns.turns_of``.
+    segmenter : Segmenter or None
+        Without one there is no hypothesis from labels.
+    settings : FitSettings
+    unit : float, optional
+        Scan units in a rig unit, where they are known; else they are found.
+    proportions : bool, default True
+        Whether the template's proportions are found as well, or are known.
+    nearest : bool, default True
+        False leaves out the library's poses, but not what they tell of turn and unit.
+    """
+
+    def __init__(self, model, library, turns, segmenter, settings, *, unit=None, proportions=True, nearest=True):
+        self.model, self.library, self.turns, self.segmenter = model, library, turns, segmenter
+        self.settings, self.nearest, self.effort = settings, nearest, EFFORTS[settings.effort]
+        self.unit = 1.0 if settings.scale == "fixed" else unit
+        self._free = ("pose", "translation") if self.unit else ("pose", "translation", "scale")
+        self._refit = Refit(model, self._free, partial=settings.partial)
+        up = up_axis(model.source)
+        # About the up axis; where any rotation may be, about the other two axes as well.
+        self._flips = [up] if len(turns) < 100 else [up, *np.eye(3)[up == 0]]
+        self._limbs = LimbPoses(model, library.poses)
+        self._shape = None
+        if proportions and settings.polish and len(model.rig.faces):
+            self._shape = GaussNewton(model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
+
+    def __call__(self, points, x_weights=None):
+        """Look at one scan.
+
+        Parameters
+        ----------
+        points : (n, 3) array
+            Those that take part.
+        x_weights : (n,) array, optional
+
+        Returns
+        -------
+        Found
+        """
+        effort, refit = self.effort, self._refit
+        runners = refit.first_steps(self._runners(points, x_weights))
+        if self.segmenter is not None:
+            labelled = [self._labelled(points, x_weights, frame) for frame in self._facings(runners)]
+            runners = sorted([*runners, *refit.first_steps(labelled)], key=lambda r: r.value)
+        near = self._distinct(self._other_limbs(refit.last_steps(runners[: effort.survivors])))
+        close = [r for r in near[: effort.finals] if r.value <= _RIVAL * near[0].value]
+        finals = sorted(map(self._with_proportions, close), key=lambda r: r.value)
+        best = finals[0]
+        seen = None if self.segmenter is None else self._labels(best.problem, best.state.scale)
+        rivals = tuple(r.value for r in [*finals[1:], *near[len(finals) :]])
+        return Found(best.name, best.problem, best.state, seen, best.value, rivals)
+
+    def _runners(self, points, x_weights):
+        centre = points.mean(axis=0) if x_weights is None else x_weights @ points
+        starts = self.library.starts(points, self.turns, self.effort.starts, unit=self.unit)
+        # f answers for a scan that faces the rig's way.
+        seen = self.library.regress(points @ self.turns[starts[0].turn])
+        if self.nearest:
+            starts.append(replace(starts[0], theta=seen))
+        else:
+            turns = {s.turn: s for s in reversed(starts)}.values()
+            starts = [replace(s, theta=theta) for s in turns for theta in (np.zeros_like(seen), seen)]
+        out = []
+        for s in starts:
+            frame = Frame(centre, (self.unit or s.scale) * self.model.half, self.turns[s.turn])
+            problem = Problem(frame.inside(points), x_weights)
+            out.append(Runner(problem, self._refit.placed(problem, s.theta), frame))
+        return out
+
+    def _other_limbs(self, runners):
+        """The same with, where some limb is better off in another pose, what came of that; again while it helps."""
+        refit, size = self._refit, len(runners)
+        for _ in range(self.effort.generations):
+            best = runners[0].value
+            tried = []
+            for r in runners[: self.effort.parents]:
+                proposals = self._limbs.proposals(r.problem, r.state, self.effort.proposals)
+                tried += [replace(r, state=r.state.replace(theta=theta)) for theta in proposals]
+            if not tried:
+                break
+            ends = refit.last_steps(refit.first_steps(tried)[: self.effort.survivors])
+            runners = sorted([*runners, *ends], key=lambda r: r.value)[:size]
+            if runners[0].value > 0.99 * best:
+                break
+        return runners
+
+    def _distinct(self, runners):
+        """Those of runners, best first, that have come to another pose than all before them."""
+        out, joints = [], []
+        for r in runners:
+            own = self._joints(r)
+            if all(np.linalg.norm(own - j, axis=1).mean() > _ALIKE * r.name.unit for j in joints):
+                out.append(r)
+                joints.append(own)
+        return out
+
+    def _facings(self, runners):
+        """Frames under which labels are read: the best runner's, its half turns, and those of others that face elsewhere."""
+        frames = []
+        if len(self.turns) > 1:
+            flips = [matrix_from_rotvec(np.pi * axis) for axis in self._flips]
+            frames = [replace(runners[0].name, turn=runners[0].name.turn @ flip) for flip in flips]
+        out = [runners[0].name]
+        for frame in [*frames, *(r.name for r in runners)]:
+            apart = [np.arccos(np.clip((np.trace(frame.turn.T @ f.turn) - 1) / 2, -1, 1)) for f in out]
+            if len(out) < self.effort.facings and min(apart) > _ELSEWHERE:
+                out.append(frame)
+        return out
+
+    def _labelled(self, points, x_weights, frame):
+        """A start from what the segmenter says in one frame."""
+        problem = Problem(frame.inside(points), x_weights)
+        few = thinned(problem, _LABELLED)
+        return Runner(problem, self._refit.from_parts(few, self._labels(few)), frame)
+
+    def _labels(self, problem, scale=1.0):
+        """What the segmenter says of the points, at a size that was found."""
+        return self.segmenter.predict_proba(problem.X * (self.model.half / scale))
+
+    def _with_proportions(self, runner):
+        if self._shape is None:
+            return replace(runner, state=self._refit.polish(runner.problem, runner.state))
+        steps = {"free": self._free, "iterations": self.settings.polish}
+        (state,), (value,) = self._shape.shared([runner.problem], [runner.state], **steps)
+        return replace(runner, state=state, value=value + self._shape.ridge * float(state.coefficients @ state.coefficients))
+
+    def _joints(self, runner):
+        return runner.name.outside(self.model.pose(runner.state)[0].joints)

@@ -1,0 +1,29 @@
+"""What of a scan is the body: wild points and floors are left out before anything is measured."""
+
+from .floor import off_floor
+from .scale import near_rows
+
+__all__ = ["clean_rows"]
+
+
+def clean_rows(points, rows, *, up=None):
+    """Rows of a scan that take part in a fit.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    rows : (k,) int array
+    up : (3,) array, optional
+        As for :func:`~lbsfit_np.starts.floor.off_floor`.
+
+    Returns
+    -------
+    rows : int array
+    note : str
+        What was left out, in words; empty where all take part.
+    """
+    rows, wild = near_rows(points, rows)
+    rows, floor = off_floor(points, rows, up=up)
+    notes = [f"{wild} points far from all others left out"] if wild else []
+    notes += [f"{floor} points of a floor left out"] if floor else []
+    return rows, "; ".join(notes)

@@ -1,0 +1,76 @@
+"""Points of a floor, a table or a wall in a scan: a plane with the body on one side of it, which goes on beyond the body."""
+
+import numpy as np
+
+__all__ = ["off_floor"]
+
+# Planes tried; how thick a floor is and how far below it points may be, as shares of the scan's extent.
+_TRIES, _THICK, _BELOW = 300, 0.012, 0.03
+# Share of the points that a floor has at least, and of them the share that lies where nothing is above.
+_LEAST, _BEYOND = 0.08, 0.4
+# Side of the squares that the plane is divided into, as a share of the extent.
+_SQUARE = 0.04
+
+
+def off_floor(points, rows, *, up=None):
+    """Rows of a scan without those of a floor.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    rows : (k,) int array
+    up : (3,) array, optional
+        A unit vector: only planes below all else and within 20 degrees of the horizontal are looked for; by default planes on
+        any side.
+
+    Returns
+    -------
+    rows : int array
+        All where there is no such plane.
+    dropped : int
+    """
+    x = points[rows]
+    size = np.ptp(np.percentile(x, [2, 98], axis=0), axis=0).max()
+    if len(x) < 50 or not size > 0:
+        return rows, 0
+    x = (x - np.median(x, axis=0)) / size
+    rng = np.random.default_rng(0)  # the same planes for the same points
+    some = x if up is None else x[x @ up <= np.quantile(x @ up, 0.5)]
+    a, b, c = (some[rng.integers(len(some), size=_TRIES)] for _ in range(3))
+    normal = np.cross(b - a, c - a)
+    length = np.linalg.norm(normal, axis=1)
+    kept = length > 1e-4
+    normal, a = normal[kept] / length[kept, None], a[kept]
+    few = x[np.linspace(0, len(x) - 1, min(len(x), 1000)).astype(int)]
+    height = few @ normal.T - np.einsum("ka,ka->k", normal, a)
+    turn = np.where(np.median(height, axis=0) < 0, -1.0, 1.0)  # the body is above
+    normal, height = normal * turn[:, None], height * turn
+    fits = (height < -_BELOW).mean(axis=0) < 0.02
+    if up is not None:
+        fits &= normal @ up > np.cos(np.radians(20))
+    support = np.where(fits, (np.abs(height) < _THICK).mean(axis=0), 0.0)
+    if not len(support) or support.max() < _LEAST:
+        return rows, 0
+    best = int(support.argmax())
+    n, origin = normal[best], a[best]
+    for _ in range(3):  # the plane of all its points
+        on = np.abs((x - origin) @ n) < _THICK
+        origin = x[on].mean(axis=0)
+        n = np.linalg.svd(x[on] - origin, full_matrices=False)[2][2]
+        n = n if np.median((x - origin) @ n) > 0 else -n
+    on = (x - origin) @ n < 1.5 * _THICK
+    if on.mean() < _LEAST or on.mean() > 0.9 or _share_beyond(x, on, n) < _BEYOND:
+        return rows, 0
+    return rows[~on], int(on.sum())
+
+
+def _share_beyond(x, on, n):
+    """Share of the plane's points whose square has no other points above."""
+    axes = np.linalg.svd(n[None])[2][1:]
+    square = np.floor(x @ axes.T / _SQUARE).astype(int)
+    square -= square.min(axis=0)
+    taken = np.zeros(square.max(axis=0) + 3, dtype=bool)
+    for dx in range(3):
+        for dy in range(3):  # and the squares around
+            taken[square[~on, 0] + dx, square[~on, 1] + dy] = True
+    return float(1.0 - taken[square[on, 0] + 1, square[on, 1] + 1].mean())

@@ -1,0 +1,215 @@
+"""Other poses for limbs: where a fit is right but for an arm, a leg or two fingers, the rest of it says where to look.
+
+A limb is a chain of joints with all that hangs on it. With the rest of the body held, every pose that a library has for the
+limb is put in the place of its own, all at once, and is judged by what it would leave unexplained:
+
+    cost = mean_x min(d(x, rest)², d(x, limb)², s²) + Σ_v a_v min(d(v, X)², s²),   v of the limb, a_v its share of the surface,
+
+each distance d less the spacing of what stands for the surface, so that a fit without fault costs next to nothing.
+Steps towards the surface cannot find such a pose, as it lies behind poses that are worse. Two limbs are tried together as well:
+where each has taken the other's place, neither can go home alone.
+"""
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from ..optimize.model import farthest_points
+from ..rig.chains import chains
+from ..rotations import matrix_from_rotvec
+from ..segmentation.descriptors import VoxelGrid
+
+__all__ = ["LimbPoses"]
+
+# Vertices and points that are looked at; s and the edge of a voxel in half sizes of the rig.
+_LIMB_VERTICES, _ALL_VERTICES, _POINTS, _REACH, _VOXEL = 32, 900, 250, 0.2, 0.04
+# Poses that are tried for each limb, in blocks, to bound memory; of two limbs each with each of the best few.
+_POSES, _BLOCK, _BEST = 800, 200, 40
+# A pose is worth a try where it costs less than this much of the limb's own, and is unlike that and those tried already: mean
+# distance of the limb's vertices. Two limbs that are exchanged have pulled what they hang on with them, so that even the right
+# poses may seem worse; but two that cost less than the last number are where they should be.
+_BETTER, _BETTER_PAIR, _UNLIKE, _FINE = 0.85, 3.0, 0.08, 1e-4
+
+
+@dataclass(frozen=True)
+class _Limb:
+    hangs: np.ndarray  # (J,) bool, the joints
+    skin: np.ndarray  # (m,) bool, the vertices
+    rows: np.ndarray  # (v,) int, some of them
+    area: float  # share of the surface that one of these stands for
+    spacing: float  # no vertex is further from all of these
+    angles: np.ndarray  # (N, j, 3) the poses to try
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """The poses of one limb, the first one its own, in one fit."""
+
+    place: np.ndarray  # (1 + N, v, 3)
+    away: np.ndarray  # (1 + N,) the vertices' part of the cost
+    reach: np.ndarray  # (1 + N, x) d(x, limb)²
+    angles: np.ndarray  # (1 + N, j, 3)
+
+
+class LimbPoses:
+    """Poses to try for the limbs of a model.
+
+    Parameters
+    ----------
+    model : Model
+    poses : (N, J, 3) array
+        Radians; a limb is tried as it was in each of them, or, of very many, in evenly taken ones.
+    """
+
+    def __init__(self, model, poses):
+        self.model = model
+        rig = model.rig
+        below = np.eye(len(rig.parents), dtype=bool)  # [j, k]: k is j or hangs on it
+        for level, up in reversed(rig.levels):
+            for j, p in zip(level, up):
+                below[p] |= below[j]
+        poses = poses[np.linspace(0, len(poses) - 1, min(len(poses), _POSES)).astype(int)]
+        chain = chains(rig)
+        dominant = np.asarray(rig.weights.copy().argmax(axis=1)).ravel()  # a copy: scipy sorts in place
+        self._limbs = []
+        for c in range(1, chain.max() + 1):
+            own = np.flatnonzero((chain == c) & rig.moving)
+            hangs = below[own[below[np.ix_(own, own)].sum(axis=1).argmax()]]
+            skin = hangs[dominant]
+            rows = np.flatnonzero(skin)
+            if len(rows) > _LIMB_VERTICES:
+                rows = rows[farthest_points(rig.vertices[rows], _LIMB_VERTICES)]
+            if len(rows):
+                area = model.areas[skin].sum() / len(rows)
+                spacing = _spacing(rig.vertices[skin], rig.vertices[rows])
+                self._limbs.append(_Limb(hangs, skin, rows, area, spacing, np.ascontiguousarray(poses[:, hangs])))
+        some = np.arange(len(rig.vertices))
+        self._all = some if len(some) <= _ALL_VERTICES else farthest_points(rig.vertices, _ALL_VERTICES)
+        self._spacing = _spacing(rig.vertices, rig.vertices[self._all])
+
+    def proposals(self, problem, state, n):
+        """Poses in which one or two limbs are others.
+
+        Parameters
+        ----------
+        problem : Problem
+        state : State
+        n : int
+            How many a limb, or a pair of limbs, at most.
+
+        Returns
+        -------
+        list of (J, 3) array
+            The most promising first; empty where no limb would be better off.
+        """
+        posed = self.model.pose(state)[0]
+        X = problem.X
+        few = X[np.linspace(0, len(X) - 1, min(len(X), _POINTS)).astype(int)].astype(np.float32)
+        grid = VoxelGrid(X, _VOXEL)
+        away = _squared(posed.vertices[self._all].astype(np.float32), few)  # (all, x)
+        tried = [self._tried(limb, grid, few, posed, state) for limb in self._limbs]
+        found = []
+        for limb, t in zip(self._limbs, tried):
+            rest = self._rest(away, ~limb.skin)
+            cost = t.away + np.minimum(t.reach, rest).mean(axis=1)
+            order = np.argsort(cost, kind="stable")
+            changes = [(cost[k] - cost[0], cost[k], ((limb, t, k),)) for k in order[:_BEST]]
+            found += self._unlike(state, changes, cost[0], n, _BETTER)
+        for (a, s), (b, t) in combinations(zip(self._limbs, tried), 2):
+            if (a.hangs & b.hangs).any():
+                continue  # one hangs on the other
+            rest = self._rest(away, ~(a.skin | b.skin))
+            best_s, best_t = (np.argsort(x.away + np.minimum(x.reach, rest).mean(axis=1))[:_BEST] for x in (s, t))
+            best_s, best_t = np.union1d(best_s, 0), np.union1d(best_t, 0)
+            both = np.minimum(np.minimum(s.reach[best_s][:, None], t.reach[best_t][None]), rest).mean(axis=2)
+            cost = both + s.away[best_s][:, None] + t.away[best_t][None]
+            now = cost[0, 0]
+            if now < _FINE:
+                continue
+            order = np.argsort(cost, axis=None, kind="stable")[:_BEST]
+            pairs = [np.unravel_index(o, cost.shape) for o in order]
+            changes = [
+                (cost[i, j] - now, cost[i, j], ((a, s, best_s[i]), (b, t, best_t[j])))
+                for i, j in pairs
+                if best_s[i] and best_t[j]
+            ]
+            found += self._unlike(state, changes, now, n, _BETTER_PAIR)
+        return [theta for _, theta in sorted(found, key=lambda f: f[0])]
+
+    def _rest(self, away, skin):
+        """(x,): squared distance from the points to what is held, at most s²."""
+        nearest = away[skin[self._all]].min(axis=0, initial=np.inf)
+        return np.minimum(_less(nearest, self._spacing), _REACH**2)
+
+    def _unlike(self, state, changes, now, n, better):
+        """Of changes (gain, cost, ((limb, tried, row), ...)), best first, the n first that are worth a try: (gain, Θ)."""
+        out, seen = [], []
+        for gain, cost, parts in changes:
+            if len(out) == n or cost > better * now:
+                break
+            place = [t.place[k] for _, t, k in parts]
+            others = [*seen, [t.place[0] for _, t, _ in parts]]
+            if all(max(np.linalg.norm(p - o, axis=1).mean() for p, o in zip(place, other)) > _UNLIKE for other in others):
+                theta = state.theta.copy()
+                for limb, t, k in parts:
+                    theta[limb.hangs] = t.angles[k]
+                seen.append(place)
+                out.append((gain, theta))
+        return out
+
+    def _tried(self, limb, grid, few, posed, state):
+        angles = np.concatenate([state.theta[limb.hangs][None], limb.angles])
+        n = len(angles)
+        place = np.empty((n, len(limb.rows), 3), dtype=np.float32)
+        away, reach = np.empty(n), np.empty((n, len(few)), dtype=np.float32)
+        for start in range(0, n, _BLOCK):
+            part = slice(start, start + _BLOCK)
+            place[part] = _posed_limb(posed, state, limb, angles[part])
+            V = place[part]
+            at = grid.distance(V - grid.centre.astype(np.float32))
+            away[part] = np.minimum(np.maximum(at - _VOXEL / 2, 0.0) ** 2, _REACH**2).sum(axis=1) * limb.area
+            nearest = [_squared(v, few).min(axis=0) for v in V]
+            reach[part] = _less(np.array(nearest), limb.spacing)
+        return _Tried(place, away, reach, angles)
+
+
+def _spacing(vertices, some):
+    """The largest distance of a vertex from the nearest of some."""
+    away = np.full(len(vertices), np.inf)
+    for v in some:
+        np.minimum(away, ((vertices - v) ** 2).sum(axis=1), out=away)
+    return float(np.sqrt(away.max()))
+
+
+def _squared(V, x):
+    """(v, x): squared distances."""
+    return (V**2).sum(axis=1)[:, None] - 2 * V @ x.T + (x**2).sum(axis=1)
+
+
+def _less(d2, spacing):
+    """Squared distances, each distance less some spacing."""
+    return np.maximum(np.sqrt(np.maximum(d2, 0.0)) - np.float32(spacing), 0.0) ** 2
+
+
+def _posed_limb(posed, state, limb, angles):
+    """(N, v, 3): the limb's vertices under N sets of angles, all other joints as they are."""
+    rig, n, hangs = posed.rig, len(angles), limb.hangs
+    R = matrix_from_rotvec(np.einsum("jab,njb->nja", rig.frames[hangs], angles))
+    w = rig.weights[limb.rows].toarray()
+    used = w.any(axis=0)
+    A, P, rest = {}, {}, posed.rest_joints
+    of = np.cumsum(hangs) - 1  # row of a joint among those of the limb
+    for level, up in rig.levels:
+        for j, p in zip(level, up):
+            if hangs[j]:
+                Ap, Pp = (A[p], P[p]) if p in A else (posed.A[p], posed.unscaled_joints[p])
+                P[j] = Pp + Ap @ (rest[j] - rest[p])
+                A[j] = Ap @ R[:, of[j]]
+    out = np.zeros((n, len(limb.rows), 3))
+    u = posed.rest[limb.rows]
+    for j in np.flatnonzero(used):
+        Aj, Pj = (A[j], P[j]) if j in A else (posed.A[j][None], posed.unscaled_joints[j])
+        at = (u - rest[j]) @ Aj.transpose(0, 2, 1)
+        out += w[:, j, None] * (at + (Pj[:, None] if Pj.ndim == 2 else Pj))
+    return state.scale * out + state.translation

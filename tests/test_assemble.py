@@ -1,0 +1,127 @@
+"""From the normalised frame back to the scan's: what a result says, posed by the rig, is its mesh."""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_rigs import make_tube_data
+
+import lbsfit_np as lbs
+from lbsfit_np.fitting.assemble import assemble
+from lbsfit_np.losses.objective import PRESETS
+from lbsfit_np.optimize.frame import Frame
+from lbsfit_np.optimize.lbfgs import Outcome
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rotations import matrix_from_rotvec, rotvec_from_matrix
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+TURNS = {
+    "none": np.eye(3),
+    "about the up axis": matrix_from_rotvec(np.array([0.0, 2.4, 0.0])),
+    "upside down": matrix_from_rotvec(np.array([np.pi, 0.0, 0.0])),
+    "any": matrix_from_rotvec(np.array([1.1, -2.0, 0.6])),
+}
+
+
+@pytest.fixture(scope="module")
+def rigs(tube_rig):
+    """The tube; the same with each vertex of every third face a second time, as at seams; a hand."""
+    data = make_tube_data()
+    faces = data.faces.copy()
+    split = np.unique(faces[::3])
+    m = len(data.vertices)
+    faces[::3] = m + np.searchsorted(split, faces[::3])
+    twice = np.r_[np.arange(m), split]
+    seams = replace(data, vertices=data.vertices[twice], faces=faces, weights=data.weights[twice])
+    return {"tube": tube_rig, "tube with seams": build_rig(seams), "hand": lbs.load_rig("hand-coarse")}
+
+
+def _assembled(rig, model, turn, *, changed, seed=0, **options):
+    """(result, state, frame) of points on the mesh of a random state."""
+    rng = np.random.default_rng(seed)
+    theta = rig.lower + rng.random(rig.lower.shape) * (rig.upper - rig.lower)
+    state = model.rest().replace(theta=theta, translation=rng.uniform(-1, 1, 3), scale=1.2)
+    if changed:
+        c = rng.uniform(-0.2, 0.2, model.n_coefficients)
+        state = state.replace(coefficients=c, residual=0.02 * rng.standard_normal(model.rig.vertices.shape))
+    frame = Frame(rng.uniform(-50, 50, 3), 13.0, turn)
+    X = model.pose(state)[0].vertices
+    problem = Problem(X)
+    result = assemble(
+        rig,
+        model,
+        problem,
+        Outcome(state, 0.0, True, "", 1),
+        points=frame.outside(X),
+        rows=np.arange(len(X)),
+        frame=frame,
+        sigma=0.025,
+        evaluation=problem.evaluate(model, state, PRESETS["default"]),
+        evaluations=1,
+        note="a note",
+        started=time.perf_counter(),
+        **options,
+    )
+    return result, state, frame
+
+
+@pytest.mark.parametrize("changed", [False, True])
+@pytest.mark.parametrize("joints", ["follow", "fixed"])
+@pytest.mark.parametrize("turn", TURNS)
+@pytest.mark.parametrize("name", ["tube", "tube with seams", "hand"])
+def test_the_rig_posed_as_the_result_says_is_the_mesh(rigs, name, turn, joints, changed):
+    rig, turn = rigs[name], TURNS[turn]
+    model = Model(rig, joints)
+    r, state, frame = _assembled(rig, model, turn, changed=changed)
+    posed = model.pose(state)[0]
+    tolerance = 1e-9 * rig.size * r.scale
+    np.testing.assert_allclose(r.vertices, frame.outside(posed.vertices)[rig.weld], atol=tolerance)
+    np.testing.assert_allclose(r.joints, frame.outside(posed.joints), atol=tolerance)
+    place = r.pose, r.translation, r.scale, r.offsets
+    np.testing.assert_array_equal(rig.pose(*place, joints=r.rest_joints), r.vertices)
+    np.testing.assert_array_equal(rig.pose_joints(*place, joints=r.rest_joints), r.joints)
+    assert r.scale == pytest.approx(1.2 * 13.0 / (rig.size / 2))
+    others = np.arange(len(rig.parents)) != rig.root
+    np.testing.assert_array_equal(r.pose[others], state.theta[others])  # a turn is the root's alone
+    assert r.message.endswith("a note")
+
+
+@pytest.mark.parametrize("turn", TURNS)
+def test_templates_of_subjects_turn_about_their_own_root(rigs, turn):
+    rig = rigs["hand"]
+    subject = rig.subject(3, amount=1.5)
+    model = Model(subject, half=rig.size / 2)
+    r, state, frame = _assembled(rig, model, TURNS[turn], changed=False)
+    np.testing.assert_allclose(r.vertices, frame.outside(model.pose(state)[0].vertices), atol=1e-9 * rig.size * r.scale)
+    np.testing.assert_allclose(r.offsets, subject.vertices - rig.vertices, atol=1e-12)
+    np.testing.assert_allclose(r.rest_joints, subject.joints, atol=1e-12)
+
+
+def test_known_labels_are_returned_and_others_are_the_meshs(rigs):
+    rig = rigs["tube"]
+    model = Model(rig)
+    known = np.arange(len(rig.vertices)) % 4
+    r, _, _ = _assembled(rig, model, TURNS["any"], changed=False, labels=known)
+    np.testing.assert_array_equal(r.labels, known)
+    assert (r.confidence == 1).all() and r.labels is not known
+    found, _, _ = _assembled(rig, model, TURNS["any"], changed=False)
+    assert (found.labels == rig.vertex_labels).mean() > 0.97  # the points are the vertices
+
+
+def test_a_turn_that_was_found_is_in_the_root_alone(rigs):
+    """Of the rest pose: the pose's root is the turn, and all else is nothing."""
+    rig, turn = rigs["hand"], TURNS["any"]
+    model = Model(rig)
+    state = model.rest()
+    X = model.pose(state)[0].vertices
+    problem, frame = Problem(X), Frame(np.zeros(3), 1.0, turn)
+    more = {"sigma": 0.025, "evaluations": 1, "note": "", "started": 0.0, "rows": np.arange(len(X)), "points": frame.outside(X)}
+    evaluation = problem.evaluate(model, state, PRESETS["default"])
+    r = assemble(rig, model, problem, Outcome(state, 0.0, True, "", 1), frame=frame, evaluation=evaluation, **more)
+    F = rig.frames[rig.root]
+    np.testing.assert_allclose(r.pose[rig.root], rotvec_from_matrix(F.T @ turn @ F), atol=1e-12)
+    np.testing.assert_array_equal(np.delete(r.pose, rig.root, axis=0), np.delete(state.theta, rig.root, axis=0))

@@ -1,0 +1,427 @@
+"""The benchmark of starts: its scans, what it counts, what it keeps, the table, and the command."""
+
+import json
+from dataclasses import replace
+from functools import partial
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.bench import starts as module
+from lbsfit_np.bench.conditions import CONDITIONS, SEEN, conditions_of
+from lbsfit_np.bench.starts import AIM_AUC, AIM_CAUGHT, FITS, RIGS, starts_bench, starts_scan, starts_table
+from lbsfit_np.cli.bench import CONDITION_NAMES, FIT_NAMES
+from lbsfit_np.errors import InputError
+from lbsfit_np.rotations import matrix_from_rotvec
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+BENT = {"0.3": 0.3, "0.6": 0.6, "1.0": 1.0, "subjects": 0.6}
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return lbs.load_rig("hand-coarse")
+
+
+@pytest.fixture(scope="module")
+def body():
+    return lbs.load_rig("body-coarse")
+
+
+def test_rows_and_goals_are_the_issues():
+    goals = {row: (c.goal, c.close) for row, c in CONDITIONS.items()}
+    assert goals == {
+        "0.3": (0.99, 0.015),
+        "0.6": (0.98, 0.015),
+        "1.0": (0.95, 0.015),
+        "turned": (0.97, 0.015),
+        "rotated": (0.90, 0.015),
+        "unit": (0.97, 0.03),
+        "touching": (0.95, 0.015),
+        "partial": (0.85, 0.03),
+        "dirty": (0.95, 0.03),
+        "subjects": (0.95, 0.03),
+    }
+    assert (AIM_AUC, AIM_CAUGHT, RIGS) == (0.97, 0.80, ("hand", "body"))
+    assert CONDITION_NAMES == tuple(CONDITIONS) and FIT_NAMES == tuple(FITS)
+
+
+# ---- scans ----
+
+
+@pytest.mark.parametrize("row", CONDITIONS)
+def test_the_truth_is_of_the_scan(hand, body, row):
+    for rig in (hand, body):
+        if row not in conditions_of(rig):
+            continue
+        for i in range(2):
+            s = starts_scan(rig, row, i, 7)
+            posed = partial(rig.pose, s.pose, s.translation, s.scale, s.template - rig.vertices)
+            np.testing.assert_allclose(posed(joints=s.template_joints), s.vertices, atol=1e-12 * s.scale)
+            joints = rig.pose_joints(s.pose, s.translation, s.scale, s.template - rig.vertices, joints=s.template_joints)
+            np.testing.assert_allclose(joints, s.joints, atol=1e-12 * s.scale)
+            of_the_body = s.labels >= 0
+            away = np.linalg.norm(s.points[of_the_body, None] - s.vertices[None, ::3], axis=2).min(axis=1)
+            assert away.max() < 0.15 * rig.size * s.scale
+            assert of_the_body.sum() == 2500 or CONDITIONS[row].scan.holes
+            assert (s.template is rig.vertices) == (row != "subjects")
+            assert (~of_the_body).sum() == (0.1 * of_the_body.sum() if row == "dirty" else 0)
+
+
+def test_a_scan_depends_on_seed_rig_row_and_number_only(hand, body):
+    one = starts_scan(hand, "turned", 3, 200)
+    starts_scan(hand, "turned", 2, 200), starts_scan(body, "partial", 3, 200)
+    assert np.array_equal(starts_scan(hand, "turned", 3, 200).points, one.points)
+    others = [(hand, "turned", 4, 200), (hand, "turned", 3, 201), (hand, "rotated", 3, 200), (hand, "unit", 3, 200)]
+    for other in others:
+        assert not np.array_equal(starts_scan(*other).points[:50], one.points[:50])
+    assert not np.allclose(starts_scan(hand, "dirty", 3, 200).pose, one.pose)  # rows of the same kind of pose have their own
+    renamed = replace(hand, name="other")
+    assert not np.array_equal(starts_scan(renamed, "turned", 3, 200).points[:50], one.points[:50])
+
+
+@pytest.mark.parametrize("row", BENT)
+def test_joints_are_bent_by_one_angle_within_their_limits(hand, body, row):
+    for rig in (hand, body):
+        poses = np.array([CONDITIONS[row].pose(rig, i, np.random.default_rng(i)) for i in range(40)])
+        assert (poses >= rig.lower).all() and (poses <= rig.upper).all() and not poses[:, rig.root].any()
+        angle = np.linalg.norm(poses, axis=2)
+        assert angle.max() <= BENT[row] + 1e-12 and not angle[:, ~rig.moving].any()
+        inside = ((poses > rig.lower) & (poses < rig.upper)).all(axis=2) & rig.moving
+        inside[:, rig.root] = False
+        assert inside.any() or BENT[row] > 0.5  # a joint of one axis is always cut
+        np.testing.assert_allclose(angle[inside], BENT[row], rtol=1e-12)
+
+
+def _root_turns(rig, row, n=150):
+    poses = np.array([CONDITIONS[row].pose(rig, i, np.random.default_rng(i)) for i in range(n)])
+    frame = rig.frames[rig.root]
+    return poses, frame @ matrix_from_rotvec(poses[:, rig.root]) @ frame.T
+
+
+@pytest.mark.parametrize("row", ["turned", "unit", "partial", "dirty"])
+def test_upright_rows_face_any_way_and_stand(hand, row):
+    poses, turns = _root_turns(hand, row)
+    assert (poses[:, 1:] >= hand.lower[1:]).all() and (poses[:, 1:] <= hand.upper[1:]).all()
+    facing = np.arctan2(turns[:, 0, 2], turns[:, 2, 2])
+    assert set((facing // (np.pi / 4)).astype(int)) >= set(range(-4, 4))
+    assert turns[:, 1, 1].min() > 0.3  # y stays up, but for the root's own limits
+
+
+def test_rotated_is_any_rotation(hand):
+    _, turns = _root_turns(hand, "rotated", 400)
+    for axis in range(3):
+        u = turns[:, axis, axis]
+        assert abs(u.mean()) < 0.1 and u.std() == pytest.approx(1 / np.sqrt(3), abs=0.05)
+
+
+def test_units_and_scales_are_mixed(hand):
+    scales = np.array([starts_scan(hand, "unit", i, 1).scale for i in range(60)])
+    share = scales[:, None] / np.array([1.0, 100.0, 1000.0, 1 / 0.0254])
+    fits = (share > 0.5) & (share < 2)
+    assert fits.any(axis=1).all() and (fits.sum(axis=0) > 5).all()
+    assert {starts_scan(hand, row, 0, 1).scale for row in CONDITIONS if row != "unit"} == {1.0}
+
+
+def test_touching_hands_are_fists_and_fingers_that_touch(hand):
+    poses = np.array([CONDITIONS["touching"].pose(hand, i, np.random.default_rng(i)) for i in range(12)])
+    assert (poses >= hand.lower).all() and (poses <= hand.upper).all() and not poses[:, hand.root].any()
+    fists = np.stack([theta for name, theta in hand.poses.items() if "fist" in name])
+    bends = (hand.upper - hand.lower).argmax(axis=1)
+    middle = [j for j, name in enumerate(hand.joint_names) if name in ("index2", "middle2", "ring2", "pinky2")]
+    least = 0.5 * np.abs(fists[:, middle, bends[middle]]).min()
+    bent = np.abs(poses[:, middle, bends[middle]]).mean(axis=1)
+    assert (bent[::3] > least).all()
+    tips = [hand.weights[:, [j]].toarray().ravel() > 0.5 for j, n in enumerate(hand.joint_names) if n.endswith("3")]
+    for theta in np.delete(poses, np.s_[::3], axis=0):
+        V = hand.pose(theta)
+        at = np.array([V[rows].mean(axis=0) for rows in tips])
+        apart = np.linalg.norm(at[:, None] - at, axis=2)[np.triu_indices(5, 1)].min()
+        assert apart < 0.12 * hand.size
+
+
+def test_rigs_take_part_in_the_rows_that_are_for_them(hand, body):
+    assert conditions_of(hand) == list(CONDITIONS)
+    assert conditions_of(body) == [row for row in CONDITIONS if row != "touching"]
+    with pytest.raises(InputError, match="no library of natural poses"):
+        conditions_of(replace(hand, poses={}))
+    fistless = replace(hand, poses={"flat": hand.poses["flat"], "ok": hand.poses["ok"]})
+    with pytest.raises(InputError, match="no fist"):
+        starts_scan(fistless, "touching", 0, 0)
+
+
+# ---- what is counted ----
+
+
+class Known:
+    """A fitter that is told the truth, and misses it by a share of the size that the number of the scan decides."""
+
+    misses = (0.001, 0.02, 0.2, None)
+    probable = (0.9, 0.8, 0.1)
+
+    def __init__(self, rig, **parameters):
+        self.rig, self.parameters, self.fitted, self.trained = rig, parameters, 0, False
+        self.made.append(self)
+
+    def pretrain(self, *, cache, progress):
+        assert cache
+        self.trained = True
+
+    def fit_scan(self, scan, labels=None):
+        truth = type(self).truth
+        assert labels is None or labels is truth.labels
+        assert getattr(scan, "points", scan) is truth.points
+        miss = self.misses[self.fitted % 4]
+        self.fitted += 1
+        if miss is None:
+            raise InputError("points", "nothing", "something")
+        joints = truth.joints + np.array([miss * self.rig.size * truth.scale, 0, 0])
+        told = {"status": "ok", "message": "", "seconds": 0.5, "probability": self.probable[(self.fitted - 1) % 4]}
+        return SimpleNamespace(joints=joints, scale=truth.scale, **told)
+
+
+@pytest.fixture
+def known(monkeypatch):
+    """Fits without fitting."""
+
+    def scan(*arguments):
+        Known.truth = starts_scan(*arguments)
+        return Known.truth
+
+    monkeypatch.setattr(Known, "made", [], raising=False)
+    monkeypatch.setattr(module, "starts_scan", scan)
+    monkeypatch.setattr("lbsfit_np.learning.fitter.LBSFitter", Known)
+    monkeypatch.setattr(module, "PlainChamfer", Known)
+    return Known
+
+
+QUICK = {"n_scans": 4, "seed": 3, "training_scans": 60}
+
+
+def test_figures_are_shares_of_the_size_times_the_scale(known):
+    report = starts_bench(["hand-coarse"], rows=["0.3", "unit"], fits=("own",), **QUICK)
+    strict, starred = (report["rigs"]["hand-coarse"]["rows"][row]["fits"]["own"] for row in ("0.3", "unit"))
+    for figures in (strict, starred):
+        assert [e.get("joint_error") for e in figures["scans"]] == pytest.approx([0.001, 0.02, 0.2, None])
+        assert figures["median"] == pytest.approx(0.02) and figures["failed"] == 1
+        assert "InputError: points: got nothing" in figures["scans"][3]["failed"]
+        assert all(e["scale_error"] == 0 and e["joints"] == 16 for e in figures["scans"][:3])
+    assert strict["success"] == 0.25 and starred["success"] == 0.5
+    assert report["complete"] and report["settings"]["seed"] == 3 and report["benchmark"] == "starts"
+    assert report["rigs"]["hand-coarse"]["rows"]["unit"]["condition"]["fitter"] == {"orientation": "upright", "scale": "estimate"}
+    assert json.loads(json.dumps(report)) == report
+
+
+def test_fitters_are_told_what_the_row_is_about(known):
+    starts_bench(["hand-coarse"], effort="fast", jobs=1, **QUICK | {"n_scans": 1})
+    told = {row: fitter.parameters for row, fitter in zip(CONDITIONS, known.made, strict=True)}
+    always = {"training_scans": 60, "effort": "fast", "n_jobs": 1, "random_state": 0}
+    assert all(parameters.items() >= always.items() for parameters in told.values()) and all(f.trained for f in known.made)
+    orientation = {row: parameters.get("orientation") for row, parameters in told.items()}
+    assert orientation == {
+        **dict.fromkeys(("0.3", "0.6", "1.0", "subjects"), "aligned"),
+        **dict.fromkeys(("turned", "unit", "partial", "dirty"), "upright"),
+        "rotated": "any",
+        "touching": None,
+    }
+    assert [row for row, parameters in told.items() if parameters.get("partial")] == ["partial"]
+
+
+def test_of_one_sided_views_seen_joints_count(known):
+    report = starts_bench(["body-coarse"], rows=["partial"], **QUICK | {"n_scans": 3})
+    rig = lbs.load_rig("body-coarse")
+    for e in report["rigs"]["body-coarse"]["rows"]["partial"]["fits"]["own"]["scans"]:
+        labels = starts_scan(rig, "partial", e["scan"], 3).labels
+        seen = np.bincount(labels, minlength=len(rig.parts)) >= SEEN
+        assert e["joints"] == seen.sum() <= 24
+        known.truth = starts_scan(rig, "partial", e["scan"], 3)
+
+
+def test_hidden_joints_do_not_count(known, monkeypatch):
+    """A joint whose part is out of sight may be anywhere."""
+    rig = lbs.load_rig("body-coarse")
+    scan = starts_scan(rig, "partial", 0, 3)
+    hidden = rig.parts.index("left_hand")
+    scan = replace(scan, labels=np.where(scan.labels == hidden, rig.parts.index("left_wrist"), scan.labels))
+    monkeypatch.setattr(module, "starts_scan", lambda *arguments: scan)
+    joints = scan.joints.copy()
+    joints[rig.part_of_joint == hidden] += 10.0
+    found = SimpleNamespace(joints=joints, scale=1.0, status="ok", message="", seconds=1.0, probability=0.5)
+    fitter = SimpleNamespace(fit_scan=lambda points: found)
+    assert module._OneScan(rig, "partial", 3, "own", fitter)(0)["joint_error"] == 0.0
+    assert module._OneScan(rig, "turned", 3, "own", fitter)(0)["joint_error"] > 0.1
+
+
+def test_true_labels_are_given_where_there_are_some(known):
+    report = starts_bench(["hand-coarse"], rows=["0.3", "dirty"], fits=("oracle", "own", "plain"), **QUICK)
+    rows = report["rigs"]["hand-coarse"]["rows"]
+    assert list(rows["0.3"]["fits"]) == ["own", "plain", "oracle"] and list(rows["dirty"]["fits"]) == ["own", "plain"]
+    assert sum(f.trained for f in known.made) == 2
+    cells = {line.split(" | ")[0]: line.split(" | ")[-2:] for line in starts_table(report, markdown=True).splitlines()}
+    assert cells["| " + CONDITIONS["dirty"].what + "*"] == ["50.0 %", "– |"]
+    assert cells["| " + CONDITIONS["0.3"].what] == ["25.0 %", "25.0 % |"]
+
+
+# ---- do fits know? ----
+
+
+def _report(rows):
+    """A report with (error, probability) of fits, by row; a failure where the error is None."""
+    entries = {}
+    for row, fits in rows.items():
+        scans = [{"failed": "x"} if e is None else {"joint_error": e, "probability": p} for e, p in fits]
+        entries[row] = {"condition": {"close": CONDITIONS[row].close}, "fits": {"own": {"scans": scans}}}
+    return {"rigs": {"hand": {"rows": entries}}}
+
+
+def test_confidence_is_pooled_over_rows():
+    sure = [(0.001, 0.9)] * 100
+    known = module._confidence(_report({"0.3": [*sure, (0.02, 0.2)], "unit": [(0.02, 0.95), (0.2, 0.95), (None, None)]}))
+    # Failures: 0.02 of row 0.3, 0.2 and the one that raised; 0.02 is within 3 % in row "unit".
+    assert (known["scans"], known["failures"]) == (104, 3)
+    assert known["caught"] == pytest.approx(2 / 3)
+    assert known["auc"] == pytest.approx((2 * 101 + 0.5) / (3 * 101))
+    assert sum(b["scans"] for b in known["calibration"]) == 104
+    first, last = known["calibration"][0], known["calibration"][-1]
+    assert (first["scans"], first["probability"], first["right"]) == (1, 0.0, 0.0)
+    assert last["scans"] == 102 and last["right"] == pytest.approx(100 / 102)
+
+
+def test_one_percent_of_false_alarms():
+    fits = [(0.001, 0.5 if i < 2 else 0.9) for i in range(100)] + [(0.2, 0.4), (0.2, 0.6)]
+    assert module._confidence(_report({"0.3": fits}))["caught"] == 0.5  # a threshold above 0.6 would alarm at 2 of 100
+    fits[0] = (0.001, 0.9)
+    assert module._confidence(_report({"0.3": fits}))["caught"] == 1.0
+
+
+def test_without_failures_or_probabilities_there_is_nothing_to_tell():
+    known = module._confidence(_report({"0.3": [(0.001, 0.9)]}))
+    assert known["auc"] is None and known["caught"] is None
+    assert module._confidence(_report({"0.3": [(0.001, None)]})) is None
+
+
+# ---- going on ----
+
+
+def test_what_is_there_is_not_done_again(known):
+    seen = []
+    first = starts_bench(["hand-coarse"], rows=["0.3"], on_row=lambda report, *at: seen.append(at), **QUICK)
+    before = json.loads(json.dumps(first))
+    made = len(known.made)
+    both = starts_bench(["hand-coarse"], rows=["0.3", "0.6"], before=before, on_row=lambda report, *at: seen.append(at), **QUICK)
+    assert seen == [("hand-coarse", "0.3", "own"), ("hand-coarse", "0.6", "own")] and len(known.made) == made + 1
+    rows = both["rigs"]["hand-coarse"]["rows"]
+    assert rows["0.3"] == first["rigs"]["hand-coarse"]["rows"]["0.3"] and list(before["rigs"]["hand-coarse"]["rows"]) == ["0.3"]
+    assert both["confidence"]["scans"] == 8
+    # Another condition or another rig of that name: all anew.
+    before["rigs"]["hand-coarse"]["rows"]["0.3"]["condition"]["close"] = 0.5
+    starts_bench(["hand-coarse"], rows=["0.3"], before=before, **QUICK)
+    assert len(known.made) == made + 2
+    both["rigs"]["hand-coarse"]["digest"] = "other"
+    assert list(starts_bench(["hand-coarse"], rows=["0.3"], before=both, **QUICK)["rigs"]["hand-coarse"]["rows"]) == ["0.3"]
+
+
+def test_results_of_other_settings_are_left_alone(known):
+    before = starts_bench(["hand-coarse"], rows=["0.3"], **QUICK)
+    with pytest.raises(InputError, match="results with seed 3; expected seed 4.*--existing replace"):
+        starts_bench(["hand-coarse"], rows=["0.3"], before=before, **QUICK | {"seed": 4})
+    with pytest.raises(InputError, match="results of roundtrip"):
+        starts_bench(["hand-coarse"], rows=["0.3"], before={"benchmark": "roundtrip"}, **QUICK)
+
+
+@pytest.mark.parametrize(
+    ("bad", "words"),
+    [
+        ({"rows": ["0.4"]}, "rows.*some of 0.3"),
+        ({"rows": []}, "rows"),
+        ({"fits": ("owl",)}, "fits.*some of own, plain, oracle"),
+        ({"fits": ()}, "fits"),
+        ({"names": ["body-coarse"], "rows": ["touching"]}, "touching.*body-coarse"),
+        ({"rows": ["dirty"], "fits": ("oracle",)}, "dirty with fits oracle"),
+        ({"names": ["hnad"]}, "hand"),
+    ],
+)
+def test_bad_arguments_are_named_before_any_work(known, bad, words):
+    with pytest.raises(lbs.errors.LbsfitError, match=words):
+        starts_bench(**{"names": ["hand-coarse"]} | bad)
+    assert not known.made
+
+
+# ---- the table and the command ----
+
+
+def test_the_table_in_both_forms(known):
+    report = starts_bench(["hand-coarse", "body-coarse"], rows=["0.3", "unit", "touching"], fits=("own", "plain"), **QUICK)
+    plain, markdown = starts_table(report), starts_table(report, markdown=True)
+    lines = markdown.splitlines()
+    assert lines[0] == "| condition | rig | goal | reached | median | 95th | s a scan | plain Chamfer |"
+    assert len({line.count("|") for line in lines[:7]}) == 1 and len([line for line in lines if line.startswith("|")]) == 7
+    assert lines[2].startswith("| 0.3 rad a joint, facing known | hand-coarse | 99 % | 25.0 % | 2.00 |")
+    assert lines[4].startswith("| natural poses, any turn, unknown unit, scale 0.5 to 2* | hand-coarse | 97 % | 50.0 % |")
+    assert sum("touching" in line for line in lines) == 1
+    for text in (plain, markdown):
+        assert "4 scans a row, seed 3, effort balanced" in text and "60 synthetic scans" in text
+        assert "goal 0.97" in text and "goal 80 %" in text and "area under the ROC curve" in text
+    report["confidence"] = None
+    assert "ROC" not in starts_table(report)
+
+
+@pytest.fixture
+def run(run):
+    """Run ``lbsfit bench starts``."""
+    return partial(run, "bench", "starts")
+
+
+def test_command(run, tmp_path):
+    out = tmp_path / "out"
+    arguments = ("hand-coarse", "--rows", "0.3,turned", "--scans", "2", "--training-scans", "60", "--effort", "fast", "-o", out)
+    code, text, err = run(*arguments, "--fits", "own,plain,oracle")
+    assert (code, err) == (0, ""), text
+    report = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert report["complete"] and report["settings"]["effort"] == "fast"
+    rows = report["rigs"]["hand-coarse"]["rows"]
+    assert set(rows) == {"0.3", "turned"} and set(rows["0.3"]["fits"]) == set(FITS)
+    own = rows["0.3"]["fits"]["own"]["scans"]
+    assert all(0 < e["joint_error"] < 0.5 and (e["probability"] is None or 0 <= e["probability"] <= 1) for e in own)
+    assert rows["0.3"]["fits"]["oracle"]["median"] < 0.03
+    assert text.rstrip().endswith(starts_table(report)) and "hand-coarse, turned, plain:" in text
+    # Once more: nothing is done again, and other settings are refused.
+    code, text, _ = run(*arguments, "--markdown")
+    assert code == 0 and text.strip() == starts_table(report, markdown=True)
+    code, _, err = run(*arguments, "--seed", "5")
+    assert code == 2 and "seed 200" in err and "--existing replace" in err and err.count("\n") == 1
+    # Two processes find the same, scan by scan.
+    again = starts_bench(["hand-coarse"], rows=["0.3"], n_scans=2, training_scans=60, effort="fast", jobs=2)
+    for a, b in zip(again["rigs"]["hand-coarse"]["rows"]["0.3"]["fits"]["own"]["scans"], own, strict=True):
+        assert {k: v for k, v in a.items() if k != "seconds"} == {k: v for k, v in b.items() if k != "seconds"}
+
+
+def test_failures_are_named_and_do_not_end_the_run(run, known, tmp_path):
+    code, text, err = run("hand-coarse", "--rows", "0.3", "--scans", "4", "--seed", "3")
+    assert (code, err) == (1, "")
+    assert "failed: hand-coarse, 0.3, own, scan 3: InputError: points: got nothing" in text
+    code, _, err = run("hand-coarse", "--rows", "0.3", "--scans", "4", "-o", tmp_path)
+    (tmp_path / "results.json").write_text("{")
+    code, _, err = run("hand-coarse", "--rows", "0.3", "--scans", "4", "-o", tmp_path)
+    assert code == 2 and "cannot be read as results" in err and (tmp_path / "results.json").read_text() == "{"
+    code, _, _ = run("hand-coarse", "--rows", "0.3", "--scans", "4", "-o", tmp_path, "--existing", "replace")
+    assert code == 1 and json.loads((tmp_path / "results.json").read_text())["complete"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--rows", "0.4"), "some of 0.3, 0.6"),
+        (("--fits", "own,own"), "some of own, plain, oracle"),
+        (("--effort", "much"), "'fast', 'balanced', 'thorough'"),
+        (("--scans", "0"), "at least 1"),
+        (("hnad",), "hand-coarse"),
+        (("body", "--rows", "touching"), "touching"),
+    ],
+)
+def test_usage(run, arguments, words):
+    code, _, err = run(*arguments)
+    assert code == 2 and err.count("\n") == 1 and words in err

@@ -1,0 +1,109 @@
+"""Turned scans in other units on the command line: the truth comes back, and the options say what is open."""
+
+import json
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.io.write import write_points_ply
+from lbsfit_np.rotations import matrix_from_rotvec
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+TRAINING = ("--training-scans", 300)
+MILLIMETRES = 250.0  # of the tube, whose unit is 25 cm
+SHIFT = np.array([400.0, 0.0, -90.0])
+TURNS = {"upright": matrix_from_rotvec(np.array([0.0, 2.3, 0.0])), "any": matrix_from_rotvec(np.array([1.0, -1.8, 0.9]))}
+
+
+@pytest.fixture(scope="module")
+def turned(tube_rig, tmp_path_factory):
+    """A folder with tube.npz and turned scans in millimetres, upright.ply and any.ply; the scans as they were."""
+    folder = tmp_path_factory.mktemp("turned")
+    tube_rig.save(folder / "tube.npz")
+    truth = dict(zip(TURNS, lbs.synthesize(tube_rig, 2, random_state=11, n_points=900)))
+    for name, s in truth.items():
+        write_points_ply(folder / f"{name}.ply", _moved(s.points, name))
+    return folder, truth
+
+
+def _moved(x, name):
+    return MILLIMETRES * x @ TURNS[name].T + SHIFT
+
+
+def _error(rig, result, truth, name):
+    """Mean distance of the joints in half sizes of the rig."""
+    return np.linalg.norm(result.joints - _moved(truth.joints, name), axis=1).mean() / (MILLIMETRES * rig.size / 2)
+
+
+@pytest.mark.parametrize("name", TURNS)
+def test_turned_scans_in_millimetres(name, turned, tube_rig, tmp_path, run):
+    folder, truth = turned
+    options = () if name == "upright" else ("--orientation", name)
+    code = run("fit", folder / "tube.npz", folder / f"{name}.ply", "-o", tmp_path, *TRAINING, *options)[0]
+    assert code == 0
+    r = lbs.FitResult.load(tmp_path / f"{name}.fit.npz")
+    assert _error(tube_rig, r, truth[name], name) < 0.06
+    assert r.scale == pytest.approx(MILLIMETRES, rel=0.1)
+    assert "the scan seems to be in millimetres" in r.message
+    posed = tube_rig.pose(r.pose, r.translation, r.scale, r.offsets, joints=r.rest_joints)
+    np.testing.assert_allclose(posed, r.vertices, atol=1e-6)
+    np.testing.assert_array_equal(lbs.load_scan(tmp_path / f"{name}.mesh.ply").points, r.vertices)
+    settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
+    assert (settings["orientation"], settings["effort"], settings["partial"]) == (name, "balanced", False)
+
+
+def test_what_is_said_of_the_orientation_holds(turned, tube_rig, tmp_path, run):
+    """Said to face the rig's way, a scan that lies on its side is fitted, but wrongly."""
+    folder, truth = turned
+    options = ("--orientation", "aligned", "--effort", "fast")
+    run("fit", folder / "tube.npz", folder / "any.ply", "-o", tmp_path, *TRAINING, *options)
+    settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
+    assert (settings["orientation"], settings["effort"]) == ("aligned", "fast")
+    if (tmp_path / "any.fit.npz").exists():
+        assert _error(tube_rig, lbs.FitResult.load(tmp_path / "any.fit.npz"), truth["any"], "any") > 0.1
+
+
+def test_a_models_orientation_holds_unless_another_is_given(turned, tube_rig, tube_model, tmp_path, run):
+    folder, truth = turned
+    arguments = ("fit", tube_model[0], folder / "any.ply", "-o", tmp_path, "--existing", "replace")
+    run(*arguments)
+    settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
+    assert (settings["orientation"], settings["effort"], settings["partial"]) == ("upright", "balanced", False)
+    assert run(*arguments, "--orientation", "any", "--effort", "thorough")[0] == 0
+    settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
+    assert (settings["orientation"], settings["effort"]) == ("any", "thorough")
+    r = lbs.FitResult.load(tmp_path / "any.fit.npz")
+    assert _error(tube_rig, r, truth["any"], "any") < 0.1 and r.scale == pytest.approx(MILLIMETRES, rel=0.15)
+
+
+def test_options_that_a_model_was_learned_with_are_its_own(turned, tubes, tmp_path, run):
+    scans = sorted(tubes.glob("*.ply"))
+    options = ("--orientation", "aligned", "--effort", "fast", "--partial", "--variant", "free-form")
+    assert run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *options)[0] == 0
+    fitter = lbs.LBSFitter.load(tmp_path / "m.npz")
+    assert (fitter.orientation, fitter.effort, fitter.partial) == ("aligned", "fast", True)
+    run("fit", tmp_path / "m.npz", scans[0], "-o", tmp_path / "fits", "--no-partial")
+    settings = json.loads((tmp_path / "fits" / "summary.json").read_text())["settings"]
+    assert (settings["orientation"], settings["effort"], settings["partial"]) == ("aligned", "fast", False)
+
+
+def test_learning_from_turned_scans_in_millimetres(tube_rig, tmp_path, run):
+    """Each scan of a person is turned in its own way."""
+    person = tube_rig.subject(4, amount=1.0)
+    scans = lbs.synthesize(tube_rig, 4, templates=[(person.vertices, person.joints)], random_state=3, n_points=700)
+    tube_rig.save(tmp_path / "tube.npz")
+    turns = [matrix_from_rotvec(np.array([0.0, a, 0.0])) for a in (0.4, 2.0, -2.5, -1.0)]
+    for i, (s, turn) in enumerate(zip(scans, turns)):
+        write_points_ply(tmp_path / f"s{i}.ply", MILLIMETRES * s.points @ turn.T + SHIFT)
+    files = sorted(tmp_path.glob("s*.ply"))
+    out = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits")
+    assert run("learn", tmp_path / "tube.npz", *files, *out, *TRAINING, "--rounds", 1)[0] == 0
+    for i, (s, turn) in enumerate(zip(scans, turns)):
+        r = lbs.FitResult.load(tmp_path / "fits" / f"s{i}.fit.npz")
+        true = MILLIMETRES * s.joints @ turn.T + SHIFT
+        assert np.linalg.norm(r.joints - true, axis=1).mean() / (MILLIMETRES * tube_rig.size / 2) < 0.06
+        posed = tube_rig.pose(r.pose, r.translation, r.scale, r.offsets, joints=r.rest_joints)
+        np.testing.assert_allclose(posed, r.vertices, atol=1e-6)
+    assert lbs.LBSFitter.load(tmp_path / "m.npz").unit_[0] == pytest.approx(MILLIMETRES, rel=0.15)

@@ -1,0 +1,125 @@
+"""Evidence is near 0 for right fits and speaks up for wrong ones; the probability follows it; reasons are named."""
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.bench.calibrate import regression
+from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.confidence import EVIDENCE, evidence_of, logarithms, probability_of, shown_problem, verdict_of
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
+
+NOTHING = dict.fromkeys(EVIDENCE, 0.0)
+
+
+@pytest.fixture(scope="module")
+def model():
+    return Model(lbs.load_rig("hand-coarse"))
+
+
+@pytest.fixture(scope="module")
+def right(model):
+    """A state, and a scan of it in the normalised frame with its labels."""
+    (scan,) = lbs.synthesize(model.source, 1, poses="natural", random_state=4, shape=0.0)
+    return model.rest().replace(theta=scan.pose), scan.points / model.half, scan.labels
+
+
+def _evidence(model, state, X, **more):
+    V = model.pose(state)[0].vertices
+    return evidence_of(model.rig, V, model.labels, X, theta=state.theta, areas=model.areas, **more)
+
+
+def test_a_right_fit_leaves_next_to_nothing(model, right):
+    state, X, labels = right
+    evidence, _ = _evidence(model, state, X, proba=np.eye(len(model.source.parts))[labels])
+    assert set(evidence) == set(EVIDENCE) and all(0 <= v <= 1 for v in evidence.values())
+    assert evidence["distance"] < 0.15 and evidence["unexplained"] < 0.01 and evidence["unreached"] < 0.05
+    assert evidence["disagreement"] < 0.15 and evidence["rival"] == 0
+
+
+@pytest.mark.parametrize("finger", ["index", "pinky"])
+def test_a_finger_in_a_wrong_place_is_told_and_named(model, right, finger):
+    state, X, _ = right
+    good, _ = _evidence(model, state, X)
+    theta = state.theta.copy()
+    row = model.source.joint_names.index(f"{finger}1")
+    theta[row, 0] += 0.9 if theta[row, 0] < 0.6 else -0.9
+    bad, worst = _evidence(model, state.replace(theta=theta), X)
+    assert bad["unexplained"] > 3 * good["unexplained"] and bad["worst_part"] > 2 * good["worst_part"]
+    assert finger in model.source.parts[worst]
+    assert probability_of(bad) < probability_of(good)
+
+
+def test_noise_alone_is_no_fault(model, right):
+    state, X, _ = right
+    noisy = X + 0.02 * np.random.default_rng(0).standard_normal(X.shape)
+    evidence, _ = _evidence(model, state, noisy)
+    assert evidence["unexplained"] < 0.02 and evidence["distance"] > 0.1
+
+
+def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
+    state, _, _ = right
+    theta = state.theta
+    (scan,) = lbs.synthesize(model.source, 1, poses=theta[None], random_state=3, shape=0.0, one_sided=True)
+    X = scan.points / model.half
+    whole, _ = _evidence(model, state, X)
+    partial, _ = _evidence(model, state, X, partial=True)
+    assert partial["unreached"] < 0.6 * whole["unreached"]
+    problem = shown_problem(model, Problem(X), state, True)
+    hidden = problem.v_weights == 0
+    assert 0.3 < hidden.mean() < 0.9 and problem.v_weights.shape == (len(model.rig.vertices),)
+
+
+def test_clutter_has_no_partner_and_takes_no_part(model, right):
+    state, X, _ = right
+    away = X.mean(axis=0) + np.array([[0.0, 0.9, 0.3], [0.4, 0.8, 0.6]])
+    problem = shown_problem(model, Problem(np.vstack([X, away])), state, False)
+    assert (problem.x_weights[-2:] == 0).all() and problem.x_weights.sum() == pytest.approx(1)
+    assert (problem.x_weights[:-2] > 0).mean() > 0.99
+    far = state.replace(translation=state.translation + 3.0)
+    same = Problem(X)
+    assert shown_problem(model, same, far, False) is same  # nothing fits: that is no reason to look away
+
+
+def test_a_rival_and_limits_count(model, right):
+    state, X, _ = right
+    evidence, _ = _evidence(model, state, X, rivals=(4.0, 2.0), value=1.0)
+    assert evidence["rival"] == 0.5
+    assert _evidence(model, state, X, rivals=(0.5,), value=1.0)[0]["rival"] == 1.0
+    at_limits = state.replace(theta=model.rig.upper.copy())
+    assert _evidence(model, at_limits, X)[0]["at_limits"] == 1.0
+
+
+def test_no_evidence_raises_the_probability():
+    worst = probability_of(dict.fromkeys(EVIDENCE, 1.0))
+    best = probability_of(NOTHING)
+    assert worst < 0.05 and best > 0.9
+    for name in EVIDENCE:
+        values = [probability_of(NOTHING | {name: v}) for v in (0.0, 0.01, 0.1, 0.5, 1.0)]
+        assert values == sorted(values, reverse=True)
+
+
+def test_the_verdict_names_reasons():
+    assert verdict_of(NOTHING, 0.95) == ("ok", "")
+    status, reason = verdict_of(NOTHING | {"unexplained": 0.21, "rival": 0.9, "worst_part": 0.6}, 0.3, "left_arm")
+    assert status == "suspect"
+    assert "21% of the points are not explained" in reason and "another pose" in reason and "part left_arm" in reason
+    assert verdict_of(NOTHING | {"unexplained": 0.9}, 0.01)[0] == "failed"
+    assert verdict_of(NOTHING, 0.3)[1] == "several small things together"
+
+
+def test_regression_finds_what_tells_and_gives_nothing_a_good_word():
+    rng = np.random.default_rng(0)
+    evidence, right = [], []
+    for _ in range(400):
+        e = {name: float(10 ** rng.uniform(-3, 0)) for name in EVIDENCE}
+        evidence.append(e)
+        right.append(bool(np.log10(e["unexplained"]) + 0.3 * rng.standard_normal() < -1.2))
+    intercept, weights = regression(evidence, right)
+    found = dict(zip(EVIDENCE, weights))
+    assert all(w <= 0 for w in weights) and found["unexplained"] < 5 * min(w for n, w in found.items() if n != "unexplained")
+    p = 1 / (1 + np.exp(-(intercept + np.array([logarithms(e) for e in evidence]) @ weights)))
+    assert p[np.array(right)].mean() > 0.85 and p.mean() == pytest.approx(np.mean(right), abs=0.02)
+    with pytest.raises(InputError, match="right and wrong"):
+        regression(evidence, [True] * 400)

@@ -1,0 +1,217 @@
+"""A learned fitter between fits: what it makes ready once, what its copies and files hold, the digest that results carry."""
+
+import copy
+import pickle
+import types
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import Refit
+from lbsfit_np.learning import finish
+from lbsfit_np.learning.archive import model_digest
+from lbsfit_np.losses.objective import LossWeights
+
+QUICK = {"training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
+PREPARED = ("_ready", "_prepared")
+
+
+@pytest.fixture(scope="module")
+def clouds(tube_rig):
+    templates = [(s.vertices, s.joints) for s in (tube_rig.subject(3), tube_rig.subject(4))]
+    return [s.points for s in lbs.synthesize(tube_rig, 6, templates=templates, random_state=1, n_points=400)]
+
+
+@pytest.fixture(scope="module")
+def learned(tube_rig, clouds):
+    """Of two subjects; nobody changes it."""
+    return lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("ababab"))
+
+
+@pytest.fixture
+def own(learned):
+    """A copy that a test may change."""
+    fitter = copy.copy(learned)
+    fitter.template_, fitter.unit_ = dict(learned.template_), dict(learned.unit_)
+    return fitter
+
+
+@pytest.fixture
+def prepared(monkeypatch):
+    """The rigs that fits were made ready for, as they are."""
+    made, init = [], Refit.__init__
+
+    def counting(self, model, *a, **k):
+        made.append(model.source)
+        init(self, model, *a, **k)
+
+    monkeypatch.setattr(Refit, "__init__", counting)
+    return made
+
+
+# ---- made ready once ----
+
+
+def test_templates_are_made_ready_once(own, clouds, prepared):
+    first = own.fit_scan(clouds[0])
+    assert {id(rig) for rig in prepared} == {id(rig) for rig in own.template_.values()}
+    count = len(prepared)
+    again = own.fit_scan(clouds[0])
+    own.fit_scan(clouds[1], subject="b")
+    own.fit_scan(clouds[1], theta0=first.pose)
+    assert len(prepared) == count
+    np.testing.assert_array_equal(first.vertices, again.vertices)
+
+
+def test_a_scan_of_a_unit_of_its_own_leaves_no_trace(own, clouds):
+    plain = own.fit_scan(clouds[0], subject="a")
+    for options in ({"subject": "a"}, {"subject": "a", "theta0": plain.pose}):
+        before = own.fit_scan(clouds[0], **options)
+        assert own.fit_scan(250.0 * clouds[0], **options).scale == pytest.approx(250.0, rel=0.1)
+        after = own.fit_scan(clouds[0], **options)
+        assert before.scale == after.scale == 1.0
+        np.testing.assert_array_equal(before.vertices, after.vertices)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"joints": "fixed"},
+        {"weights": "paper"},
+        {"weights": LossWeights(lam_lap=10.0)},
+        {"max_points": 100},
+    ],
+)
+def test_other_parameters_count_at_once(change, own, learned, clouds):
+    own.fit_scan(clouds[0])
+    found = own.set_params(**change).fit_scan(clouds[0])
+    fresh = copy.copy(learned).set_params(**change).fit_scan(clouds[0])
+    np.testing.assert_array_equal(found.vertices, fresh.vertices)
+    assert not np.array_equal(found.vertices, learned.fit_scan(clouds[0]).vertices)
+
+
+def test_another_template_counts_at_once(own, clouds):
+    before = own.fit_scan(clouds[0], subject="a")
+    own.template_["a"] = own.template_["b"]
+    after, other = own.fit_scan(clouds[0], subject="a"), own.fit_scan(clouds[0], subject="b")
+    np.testing.assert_array_equal(after.vertices, other.vertices)
+    assert not np.array_equal(after.vertices, before.vertices)
+
+
+def test_subjects_that_are_gone_are_forgotten(own, clouds, prepared):
+    own.fit_scan(clouds[0])
+    del own.template_["a"], own.unit_["a"]
+    own.template_["b"] = replace(own.template_["b"])
+    own.fit_scan(clouds[0])
+    assert {key[0] for key in own._prepared} == {"b"} and prepared[-1] is own.template_["b"]
+
+
+@pytest.mark.parametrize("variant, nearest", [("cd", False), ("joint", True)])
+def test_new_scans_start_from_what_the_variant_allows(variant, nearest, own, clouds, monkeypatch):
+    seen, scout = [], finish.Scout
+
+    def seeing(*arguments, **options):
+        seen.append(options["nearest"])
+        return scout(*arguments, **options)
+
+    monkeypatch.setattr(finish, "Scout", seeing)
+    own.set_params(variant=variant).fit_scan(clouds[0], subject="a")
+    assert seen == [nearest]
+
+
+# ---- copies and files ----
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda fitter: pickle.loads(pickle.dumps(fitter))])
+def test_copies_fit_the_same_without_what_was_made_ready(copied, own, clouds):
+    own._model()
+    first = own.fit_scan(clouds[0])
+    assert all(name in vars(own) for name in PREPARED)
+    other = copied(own)
+    assert not any(name in vars(other) for name in PREPARED) and all(name in vars(own) for name in PREPARED)
+    np.testing.assert_array_equal(other.fit_scan(clouds[0]).vertices, first.vertices)
+    assert other.get_params()["training_scans"] == 40 and model_digest(other) == model_digest(own)
+    other.set_params(joints="fixed").fit_scan(clouds[0])
+    np.testing.assert_array_equal(own.fit_scan(clouds[0]).vertices, first.vertices)
+
+
+def test_clones_have_learned_nothing(own, clouds):
+    own.fit_scan(clouds[0])
+    assert set(vars(clone(own))) == set(own.get_params(deep=False))
+
+
+def test_mappings_of_training_travel(own, tmp_path):
+    own.set_params(training=types.MappingProxyType({"n_points": 200})).save(tmp_path / "m.npz")
+    assert lbs.LBSFitter.load(tmp_path / "m.npz").training == {"n_points": 200}
+
+
+# ---- the digest ----
+
+
+def test_results_say_which_model_they_were_made_with(learned, tube_fitter, tube_result, clouds, tmp_path):
+    digest = model_digest(learned)
+    assert len(digest) == 64 and model_digest(tube_fitter) == tube_result.model_digest == ""
+    found = learned.fit_scan(clouds[0])
+    assert {r.model_digest for r in (found, *learned.results_)} == {digest}
+    found.save(tmp_path / "r.npz")
+    assert lbs.FitResult.load(tmp_path / "r.npz").model_digest == digest
+    tube_result.save(tmp_path / "r.npz")
+    assert lbs.FitResult.load(tmp_path / "r.npz").model_digest == ""
+
+
+def test_the_digest_survives_saving(learned, tmp_path):
+    learned.save(tmp_path / "m.npz")
+    assert model_digest(lbs.LBSFitter.load(tmp_path / "m.npz")) == model_digest(learned)
+
+
+def _moved(fitter):
+    a = fitter.template_["a"]
+    fitter.template_["a"] = a.with_template(a.vertices + 1e-9, a.joints)
+
+
+def _other_joints(fitter):
+    a = fitter.template_["a"]
+    fitter.template_["a"] = a.with_template(a.vertices, a.joints + 1e-9)
+
+
+def _less(fitter):
+    del fitter.template_["b"]
+
+
+def _renamed(fitter):
+    fitter.template_ = {"c" if s == "b" else s: t for s, t in fitter.template_.items()}
+    fitter.unit_["c"] = fitter.unit_["b"]
+
+
+def _f(fitter):
+    library = fitter.regressor_
+    (weights, bias), *others = library.layers
+    fitter.regressor_ = replace(library, layers=((weights, bias + np.float32(1e-3)), *others))
+
+
+CHANGES = {
+    "a vertex": _moved,
+    "a joint": _other_joints,
+    "a subject less": _less,
+    "a name": _renamed,
+    "a unit": lambda fitter: fitter.unit_.update(a=2.0),
+    "f": _f,
+    "a segmenter": lambda fitter: setattr(fitter, "segmenter_", lbs.LBSFitter(fitter.rig, **QUICK).pretrain().segmenter_),
+    "the joints' way": lambda fitter: fitter.set_params(joints="fixed"),
+    "another rig": lambda fitter: fitter.set_params(rig=fitter.rig.with_parts("arm and fingers")),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_whatever_was_learned_counts_for_the_digest(change, own, learned):
+    assert model_digest(own) == model_digest(learned)
+    CHANGES[change](own)
+    assert model_digest(own) != model_digest(learned)
+
+
+def test_settings_of_a_fit_do_not_count_for_the_digest(own, learned):
+    own.set_params(max_points=100, weights="paper", random_state=7, n_jobs=2, scale="fixed")
+    assert model_digest(own) == model_digest(learned)

@@ -1,0 +1,258 @@
+"""Learning with what people hand in by mistake: scans that fail on the way, wild points, lists that are none, absurd settings."""
+
+import types
+import warnings
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.labels import labels_from_mesh
+from lbsfit_np.learning import finish, loop
+from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.collection import Collection, read_collection
+from lbsfit_np.learning.training import training_settings
+from lbsfit_np.synthesis import Synthesis
+
+# Without a segmenter, learning takes a second or two.
+QUICK = {"training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
+
+
+@pytest.fixture(scope="module")
+def scans(tube_rig):
+    return lbs.synthesize(tube_rig, 5, random_state=1, n_points=400)
+
+
+@pytest.fixture(scope="module")
+def clouds(scans):
+    return [s.points for s in scans]
+
+
+# ---- a scan that fails on the way ----
+
+
+def _failing(monkeypatch, module, name, bad):
+    """Have a step of the loop fail for the scan ``bad``, of a number of points of its own."""
+    step = getattr(module, name)
+    call = step.__call__
+
+    def careless(self, task):
+        given = task if isinstance(task, tuple) else (task,)
+        sizes = [len(getattr(x, "points", getattr(x, "X", x))) for x in given if hasattr(x, "points") or hasattr(x, "X")]
+        sizes += [len(x) for x in given if isinstance(x, np.ndarray) and x.ndim == 2]
+        if bad in sizes:
+            raise ZeroDivisionError("nobody foresaw this")
+        return call(self, task)
+
+    monkeypatch.setattr(step, "__call__", careless)
+
+
+@pytest.mark.parametrize("module, name", [(loop, "_FirstFit"), (loop, "_Refit"), (finish, "_Finish")])
+def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, module, name, 399)
+    given = [clouds[0], clouds[1][:399], *clouds[2:]]
+    with pytest.warns(UserWarning, match="1 of 5 scans cannot be used; scan 1: ZeroDivisionError: nobody foresaw this"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(given)
+    assert fitter.failures_ == {1: "ZeroDivisionError: nobody foresaw this"}
+    assert [r is None for r in fitter.results_] == [False, True, False, False, False]
+    assert fitter.fit_scan(clouds[0]).status != "failed"
+
+
+def test_free_form_fits_that_fail_are_left_out(tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, finish, "_FreeForm", 399)
+    with pytest.warns(UserWarning, match="scan 0: ZeroDivisionError"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": "free-form"}).fit([clouds[0][:399], *clouds[1:]])
+    assert list(fitter.failures_) == [0] and fitter.results_[0] is None and fitter.results_[4].status != "failed"
+
+
+def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds, monkeypatch, tmp_path):
+    _failing(monkeypatch, loop, "_Refit", 399)
+    with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], clouds[1][:399], *clouds[2:]], list("abaaa"))
+    assert list(fitter.template_) == list(fitter.unit_) == ["a"]
+    fitter.save(tmp_path / "m.npz")
+    assert list(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == ["a"]
+
+
+@pytest.mark.parametrize("name", ["_FirstFit", "_Refit"])
+def test_a_loss_that_is_not_finite_does_not_spoil_those_of_others(name, tube_rig, clouds, monkeypatch):
+    answer, seen = loop._finite, []
+
+    def sometimes(loss):
+        seen.append(loss)
+        return answer(np.nan if len(seen) == (2 if name == "_FirstFit" else 7) else loss)
+
+    monkeypatch.setattr(loop, "_finite", sometimes)
+    with pytest.warns(UserWarning, match="scan 1: points: got a fit that is not finite"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+    assert list(fitter.failures_) == [1] and np.isfinite([h["recon"] for h in fitter.history_]).all()
+
+
+def test_where_all_scans_fail_the_first_ones_error_passes_on(tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, loop, "_FirstFit", 400)
+    with pytest.raises(ZeroDivisionError, match="nobody foresaw this"):
+        lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+
+
+def test_failures_are_warned_of_once():
+    collection = Collection(3, [], {2: "empty"})
+    with pytest.warns(UserWarning, match="1 of 3 scans cannot be used; scan 2: empty"):
+        collection.warn(1)
+    collection.failures[0] = "odd"
+    with pytest.warns(UserWarning, match="1 of 3 scans cannot be used; scan 0: odd"):
+        collection.warn(1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        collection.warn(1)
+
+
+def test_members_answers_stand_in_the_order_of_the_members():
+    def inverse(x):
+        return 1 / x
+
+    members = [types.SimpleNamespace(index=i) for i in (3, 5, 6)]
+    collection = Collection(7, list(members))
+    assert collection.work(inverse, [1, 0, 4], jobs=1, done=None) == [1, 0.25]
+    assert collection.members == [members[0], members[2]]
+    assert collection.failures == {5: "ZeroDivisionError: division by zero"}
+
+
+# ---- wild points ----
+
+
+@pytest.mark.parametrize("wild", [[1e200, 0, 0], [1e308, -1e308, 0], [-1e30, 1e30, 1e30]])
+def test_one_wild_point_does_not_end_learning(wild, tube_rig, clouds):
+    fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([*clouds[:4], np.vstack([clouds[4], [wild]])])
+    assert not fitter.failures_ and len(fitter.results_[4].labels) == len(clouds[4]) + 1
+
+
+def test_labels_of_points_near_and_far():
+    V = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    near = np.random.default_rng(0).uniform(-5, 5, (50, 3))
+    far = np.array([[1e200, 0, 0], [-1e300, -1e300, 0], [0, 1e8, 0]])
+    proba = np.full((3, 2), 0.5)
+    for known in ({}, {"proba": proba, "proba_points": V}):
+        labels, confidence = labels_from_mesh(np.vstack([near, far]), V, np.array([0, 1, 1]), 2, 0.1, **known)
+        alone = labels_from_mesh(near, V, np.array([0, 1, 1]), 2, 0.1, **known)
+        np.testing.assert_array_equal(labels[:50], alone[0])
+        np.testing.assert_array_equal(confidence[:50], alone[1])
+        assert labels[[50, 52]].tolist() == [1, 1] and ((confidence > 0) & (confidence <= 1)).all()
+
+
+# ---- too few to leave any out ----
+
+
+@pytest.mark.parametrize("share, enough, left_out", [(0.01, 3, 1), (0.1, 3, 1), (0.5, 4, 2), (0.75, 6, 4), (0.9, 16, 14)])
+def test_how_many_scans_are_enough_is_said(share, enough, left_out, tube_rig, clouds):
+    options = {"max_points": 100, "held_out": share, "scale": "estimate", "random_state": 0}
+    with pytest.raises(InputError, match=f"at least {enough}, so that {left_out} can be left out"):
+        read_collection(tube_rig, clouds[:2], None, **options)
+    given = [clouds[0]] * enough
+    assert sum(m.held_out for m in read_collection(tube_rig, given, None, **options).members) == left_out
+    with pytest.raises(InputError, match=f"at least {enough}"):
+        read_collection(tube_rig, given[1:], None, **options)
+
+
+# ---- no lists of scans, no lists of ids ----
+
+
+@pytest.mark.parametrize("given, words", [(5, "a int"), (None, "a NoneType"), ("scans", "a str"), (b"x", "a bytes")])
+def test_scans_that_are_no_sequence(given, words, tube_rig, learned):
+    for call in (lbs.LBSFitter(tube_rig, **QUICK).fit, learned.transform, learned.score):
+        with pytest.raises(InputError, match=f"scans: got {words}; expected a sequence of scans"):
+            call(given)
+
+
+def test_a_single_scan_wants_a_list(learned, clouds):
+    for call in (learned.fit, learned.transform):
+        with pytest.raises(InputError, match="scans: got a Scan; .* Put a single scan in a list, too"):
+            call(lbs.Scan(clouds[0]))
+
+
+@pytest.mark.parametrize("ids", ["abcde", 5, iter("abcde")])
+def test_ids_that_are_no_sequence(ids, learned, clouds):
+    for call in (learned.transform, learned.score):
+        with pytest.raises(InputError, match="subjects: got .*; expected a sequence with one id for each scan"):
+            call(clouds, ids)
+
+
+def test_ids_of_numpy_are_those_of_python(learned, clouds):
+    ours = learned.transform(clouds[:2], np.array([0, 0]))
+    np.testing.assert_array_equal(ours, learned.transform(clouds[:2], [0, 0]))
+
+
+# ---- absurd settings ----
+
+
+@pytest.mark.parametrize(
+    "training, words",
+    [
+        ({"n_points": 10**30}, "n_points: got 1000.*at most 1e\\+07"),
+        ({"n_points": 10**5000}, "n_points: got a number of several thousand digits"),
+        ({"holes": 10**30}, "holes: got 1000.*at most 1000"),
+        ({"noise": 1e300}, "noise: got 1e\\+300.*at most 1000"),
+        ({"shape": 1e300}, "shape: "),
+        ({"turn": 1e300}, "turn: "),
+        ({"density": 1e300}, "density: "),
+        (Synthesis(n_points=10**30), "n_points: got 1000"),
+        (Synthesis(noise=-1.0), "noise: got -1.0"),
+        ({"trun": 1.0}, "trun: got a setting that is not known"),
+    ],
+)
+def test_training_that_cannot_be_computed_is_named_before_any_work(training, words, tube_rig, clouds, monkeypatch):
+    def never(*a, **k):
+        pytest.fail("worked first")
+
+    for name in ("read_collection", "pretrain_library", "pretrain_segmenter"):
+        monkeypatch.setattr(f"lbsfit_np.learning.fitter.{name}", never)
+    fitter = lbs.LBSFitter(tube_rig, **QUICK | {"training": training})
+    calls = (fitter.pretrain, lambda: fitter.fit(clouds), lambda: fitter.fit_scan(clouds[0]), lambda: fit_scans(fitter, clouds))
+    for call in calls:
+        with pytest.raises(InputError, match=words):
+            call()
+
+
+def test_training_within_bounds():
+    assert training_settings(None) == Synthesis(scale=0.05)
+    assert training_settings({"scale": 0.2, "n_points": 10**7}) == Synthesis(scale=0.2, n_points=10**7)
+    assert training_settings(types.MappingProxyType({"turn": 3.0})) == Synthesis(scale=0.05, turn=3.0)
+    assert training_settings(Synthesis(turn=1.0)) == Synthesis(turn=1.0)
+
+
+# ---- free-form: nothing to start from, no parts ----
+
+
+@pytest.fixture(scope="module")
+def learned(tube_rig, clouds):
+    return lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+
+
+@pytest.mark.parametrize("when", ["before fit", "after fit"])
+def test_starts_and_labels_where_vertices_move_freely(when, tube_rig, scans, clouds, monkeypatch):
+    monkeypatch.setattr(lbs.LBSFitter, "pretrain", lambda *a, **k: pytest.fail("trained"))
+    fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": "free-form"})
+    if when == "after fit":
+        fitter.fit(clouds)
+    s = scans[0]
+    with pytest.raises(InputError, match="theta0: got a ndarray; expected None: .*'free-form'"):
+        fitter.fit_scan(s.points, theta0=s.pose)
+    with pytest.raises(InputError, match="labels: got a ndarray; expected None: .*'free-form'"):
+        fitter.fit_scan(s.points, labels=s.labels)
+    found = fitter.fit_scan(s.points)
+    assert "free-form" in found.message and not found.pose[1:].any()
+    np.testing.assert_array_equal(fit_scans(fitter, clouds[:1])[0].result.vertices, found.vertices)
+
+
+# ---- scale ----
+
+
+def test_a_fixed_scale_is_1_whatever_was_learned(tube_rig, learned, scans, clouds):
+    other = lbs.LBSFitter(tube_rig, **QUICK)
+    vars(other).update({k: v for k, v in vars(learned).items() if k.endswith("_") or k == "_learned_with"})
+    for unit in (1.5, 250.0):
+        other.unit_ = {0: unit}
+        for options in ({}, {"theta0": scans[0].pose}, {"labels": scans[0].labels}):
+            assert other.set_params(scale="fixed").fit_scan(clouds[0], **options).scale == 1.0
+    other.unit_ = {0: 1.5}
+    assert other.set_params(scale="estimate").fit_scan(clouds[0]).scale != 1.0

@@ -1,0 +1,250 @@
+"""Other poses for limbs: where all but an arm or two fingers is right, their right poses are proposed first."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_rigs import make_tube_data
+
+import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import Refit, Runner
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rotations import rotvec_from_matrix
+from lbsfit_np.skinning import skin
+from lbsfit_np.starts import limbs as limbs_module
+from lbsfit_np.starts.limbs import LimbPoses, _posed_limb
+from lbsfit_np.synthesis import natural_poses, sample_surface, uniform_poses
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+class Case:
+    """A rig's model and the poses that its limbs are tried in; points on known poses."""
+
+    def __init__(self, rig, poses):
+        self.rig, self.model, self.poses = rig, Model(rig), poses
+        self.limbs = LimbPoses(self.model, poses)
+        self.row = {name: j for j, name in enumerate(rig.joint_names)}
+
+    def seen(self, theta, seed=0, n=1000, **changes):
+        """(state, problem) of points on the surface."""
+        state = self.model.rest().replace(theta=theta, **changes)
+        V = self.model.pose(state)[0].vertices
+        return state, Problem(sample_surface(V, self.model.rig.faces, n, np.random.default_rng([seed, 1]))[0])
+
+    def error(self, theta, truth):
+        """Mean distance of the joints in half sizes."""
+        there = (self.model.pose(truth.replace(theta=t))[0].joints for t in (theta, truth.theta))
+        return np.linalg.norm(np.subtract(*there), axis=1).mean()
+
+    def limb(self, name):
+        """(J,) bool: the joints of the limb that a joint belongs to."""
+        (hangs,) = [limb.hangs for limb in self.limbs._limbs if limb.hangs[self.row[name]]]
+        return hangs
+
+
+@pytest.fixture(scope="module")
+def hand():
+    rig = lbs.load_rig("hand-coarse")
+    return Case(rig, natural_poses(rig, 800, 0))
+
+
+@pytest.fixture(scope="module")
+def body():
+    rig = lbs.load_rig("body-coarse")
+    return Case(rig, natural_poses(rig, 800, 0))
+
+
+@pytest.fixture(scope="module")
+def tube(tube_rig):
+    return Case(tube_rig, uniform_poses(tube_rig, 200, np.random.default_rng(0)))
+
+
+@pytest.fixture(params=["hand", "body", "tube"])
+def case(request):
+    return request.getfixturevalue(request.param)
+
+
+# ---- what a limb is ----
+
+
+def test_limbs_are_chains_with_all_that_hangs_on_them(hand, body, tube):
+    fingers = {frozenset(n for n in hand.row if limb.hangs[hand.row[n]]) for limb in hand.limbs._limbs}
+    named = ("index", "middle", "ring", "pinky", "thumb")
+    assert fingers == {frozenset(f"{name}{k}" for k in (1, 2, 3)) for name in named}
+    for case in (hand, body, tube):
+        for limb in case.limbs._limbs:
+            joints = np.flatnonzero(limb.hangs)
+            assert not limb.hangs[case.rig.root]
+            assert all(limb.hangs[j] for j in range(len(case.row)) if case.rig.parents[j] in joints)
+            assert set(limb.rows) <= set(np.flatnonzero(limb.skin)) and 0 < len(limb.rows) <= limbs_module._LIMB_VERTICES
+            assert limb.angles.shape[1:] == (limb.hangs.sum(), 3)
+    spine = next(limb.hangs for limb in body.limbs._limbs if limb.hangs[body.row["spine1"]])
+    assert spine[body.row["left_hand"]] and spine[body.row["head"]] and not spine[body.row["left_knee"]]
+    arm = min((limb.hangs for limb in body.limbs._limbs if limb.hangs[body.row["left_elbow"]]), key=np.sum)
+    assert arm[body.row["left_hand"]] and not arm[body.row["head"]] and not arm[body.row["right_elbow"]]
+
+
+def test_of_very_many_poses_evenly_taken_ones_are_tried(tube_rig):
+    poses = uniform_poses(tube_rig, 2600, np.random.default_rng(0))
+    for limb in LimbPoses(Model(tube_rig), poses)._limbs:
+        assert len(limb.angles) == limbs_module._POSES
+        np.testing.assert_array_equal(limb.angles[[0, -1]], poses[[0, -1]][:, limb.hangs])
+
+
+@pytest.mark.parametrize("changed", [False, True])
+def test_posed_limbs_are_what_skinning_gives(case, changed):
+    """Of the rig's own template and of changed ones, at any place and size."""
+    rng = np.random.default_rng(3)
+    model, rig = case.model, case.model.rig
+    state = model.rest().replace(theta=case.poses[5], translation=rng.uniform(-1, 1, 3), scale=1.3)
+    if changed:
+        state = state.replace(
+            coefficients=rng.uniform(-0.2, 0.2, model.n_coefficients), residual=0.02 * rng.standard_normal(rig.vertices.shape)
+        )
+    posed = model.pose(state)[0]
+    place = {"translation": state.translation, "scale": state.scale}
+    if changed:
+        place |= {"offsets": model.offsets(state), "joint_offsets": model.joint_offsets(state)}
+    for limb in case.limbs._limbs:
+        angles = limb.angles[[0, 7, 30]]
+        found = _posed_limb(posed, state, limb, angles)
+        for V, a in zip(found, angles, strict=True):
+            theta = state.theta.copy()
+            theta[limb.hangs] = a
+            np.testing.assert_allclose(V, skin(rig, theta, **place).vertices[limb.rows], atol=1e-12)
+
+
+# ---- proposals ----
+
+
+@pytest.mark.parametrize("name", ["flat", "spread", "fist", "point", "peace", "standing", "walking", "arms overhead", "running"])
+def test_a_right_fit_gets_no_proposals(hand, body, name):
+    case = hand if name in hand.rig.poses else body
+    state, problem = case.seen(case.rig.poses[name])
+    assert case.limbs.proposals(problem, state, 2) == []
+
+
+@pytest.mark.parametrize("finger", ["index", "middle", "ring", "pinky"])
+@pytest.mark.parametrize("bent", [False, True])
+def test_a_finger_that_is_away_from_its_place_is_put_there_first(hand, finger, bent):
+    """Straight and seen as bent, or bent and seen as straight; Gauss–Newton steps go neither way."""
+    theta = np.zeros_like(hand.rig.lower)
+    wrong = theta.copy()
+    for k in (1, 2, 3):
+        j = hand.row[f"{finger}{k}"]
+        (theta if bent else wrong)[j, 0] = 0.9 * hand.rig.upper[j, 0]
+    truth, problem = hand.seen(theta)
+    state = truth.replace(theta=wrong)
+    proposals = hand.limbs.proposals(problem, state, 2)
+    before, after = hand.error(wrong, truth), hand.error(proposals[0], truth)
+    assert before > 0.05 and after < 0.25 * before
+    changed = (proposals[0] != wrong).any(axis=1)
+    assert changed[hand.limb(f"{finger}1")].any() and not changed[hand.rig.root]
+
+
+@pytest.mark.parametrize("joint, axis, angle", [("left_shoulder", 0, 1.0), ("right_hip", 0, 1.2), ("right_elbow", 0, 1.5)])
+def test_a_limb_of_the_body(body, joint, axis, angle):
+    theta = np.zeros_like(body.rig.lower)
+    truth, problem = body.seen(theta)
+    wrong = theta.copy()
+    j = body.row[joint]
+    wrong[j, axis] = angle
+    proposals = body.limbs.proposals(problem, truth.replace(theta=wrong), 2)
+    assert body.error(proposals[0], truth) < 0.4 * body.error(wrong, truth)
+
+
+def test_what_is_proposed_is_a_pose_of_the_library(hand):
+    truth, problem = hand.seen(hand.poses[200])
+    wrong = _with_another(hand, truth.theta, "index1")
+    finger, first = hand.limb("index1"), hand.limbs.proposals(problem, truth.replace(theta=wrong), 1)[0]
+    assert hand.error(first, truth) < 0.015
+    assert np.abs(hand.poses[:, finger] - first[finger]).max(axis=(1, 2)).min() == 0
+
+
+def _exchanged(hand, one, two, seed=0):
+    """(truth, problem, Θ): a finger is bent and another is not, and in Θ the other way round."""
+    theta = np.zeros_like(hand.rig.lower)
+    one, two = ([hand.row[f"{name}{k}"] for k in (1, 2, 3)] for name in (one, two))
+    theta[one, 0] = 0.9 * hand.rig.upper[one, 0]
+    wrong = theta.copy()
+    wrong[one], wrong[two] = theta[two], theta[one]
+    return *hand.seen(theta, seed), wrong
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_two_exchanged_fingers_are_proposed_together(hand, seed):
+    truth, problem, wrong = _exchanged(hand, "index", "middle", seed)
+    first = hand.limbs.proposals(problem, truth.replace(theta=wrong), 2)[0]
+    changed = (first != wrong).any(axis=1)
+    assert changed[hand.limb("index1")].any() and changed[hand.limb("middle1")].any()
+    assert hand.error(first, truth) < 0.25 * hand.error(wrong, truth)
+
+
+@pytest.mark.parametrize("pair", [("index", "middle"), ("ring", "pinky"), ("pinky", "ring")])
+def test_steps_from_what_is_proposed_bring_two_exchanged_fingers_home(hand, pair):
+    """At once or, as the hand that they have pulled along moves back, the next time. Without, they stay."""
+    truth, problem, wrong = _exchanged(hand, *pair)
+    refit = Refit(hand.model)
+    best = refit.last_steps([Runner(problem, truth.replace(theta=wrong))])[0]
+    assert hand.error(best.state.theta, truth) > 0.15
+    for _ in range(2):
+        proposals = hand.limbs.proposals(problem, best.state, 2)
+        best = refit.race([best, *(Runner(problem, best.state.replace(theta=theta)) for theta in proposals)], 4)[0]
+    assert hand.error(best.state.theta, truth) < 0.01
+
+
+@pytest.mark.parametrize("n", [1, 2, 3])
+def test_proposals_for_a_limb_are_few_and_unlike_each_other(hand, n):
+    truth, problem = hand.seen(natural_poses(hand.rig, 1, np.random.default_rng(5))[0])
+    state = truth.replace(theta=_with_another(hand, truth.theta, "index1"))
+    proposals = hand.limbs.proposals(problem, state, n)
+    changed = np.array([(theta != state.theta).any(axis=1) for theta in proposals])
+    own = next(limb for limb in hand.limbs._limbs if limb.hangs[hand.row["index1"]])
+    alone = [theta for theta, which in zip(proposals, changed) if not (which & ~own.hangs).any()]
+    assert 1 <= len(alone) <= n and len(proposals) <= n * (5 + 10)
+    places = [hand.model.pose(state.replace(theta=t))[0].vertices[own.rows] for t in (state.theta, *alone)]
+    for i, a in enumerate(places):
+        assert all(np.linalg.norm(a - b, axis=1).mean() > 0.079 for b in places[:i])
+
+
+def _with_another(case, theta, name):
+    """The pose with one limb in the library's pose that is most unlike its own."""
+    limb = case.limb(name)
+    other = case.poses[np.abs(case.poses[:, limb] - theta[limb]).sum(axis=(1, 2)).argmax()]
+    return np.where(limb[:, None], other, theta)
+
+
+def test_the_place_does_not_matter(hand):
+    theta, moved = hand.poses[300], np.array([3.0, -2.0, 7.0])
+    truth, problem = hand.seen(theta)
+    wrong = _with_another(hand, theta, "middle1")
+    here = hand.limbs.proposals(problem, truth.replace(theta=wrong), 2)
+    state = truth.replace(theta=wrong, translation=truth.translation + moved)
+    there = hand.limbs.proposals(Problem(problem.X + moved), state, 2)
+    np.testing.assert_array_equal(here[0], there[0])
+
+
+def test_a_turned_root_goes_with_the_limbs(hand):
+    """Angles of a limb are relative to what it hangs on, which may be turned in any way."""
+    from scipy.spatial.transform import Rotation
+
+    theta = np.zeros_like(hand.rig.lower)
+    theta[hand.rig.root] = rotvec_from_matrix(Rotation.random(random_state=1).as_matrix())
+    truth, problem = hand.seen(theta)
+    wrong = theta.copy()
+    for k in (1, 2, 3):
+        wrong[hand.row[f"ring{k}"], 0] = 0.9 * hand.rig.upper[hand.row[f"ring{k}"], 0]
+    proposals = hand.limbs.proposals(problem, truth.replace(theta=wrong), 2)
+    assert hand.error(proposals[0], truth) < 0.25 * hand.error(wrong, truth)
+    np.testing.assert_array_equal(proposals[0][hand.rig.root], theta[hand.rig.root])
+
+
+def test_few_points_and_a_rig_without_limbs_are_no_error(tube):
+    state, problem = tube.seen(tube.poses[0], n=4)
+    assert isinstance(tube.limbs.proposals(problem, state, 2), list)
+    data = replace(make_tube_data(), lower=np.zeros((4, 3)), upper=np.zeros((4, 3)))
+    stiff = Model(build_rig(data))
+    assert LimbPoses(stiff, np.zeros((3, 4, 3))).proposals(Problem(stiff.rig.vertices), stiff.rest(), 2) == []

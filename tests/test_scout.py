@@ -1,0 +1,264 @@
+"""The first look at a scan: however it is turned, in whatever unit, its pose is found; what is known of it holds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.scout import EFFORTS, Scout
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.rotations import matrix_from_rotvec
+from lbsfit_np.starts.turns import ORIENTATIONS, turns_of
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+CLEAN = {"noise": 0.0, "holes": 0, "density": 0.0, "shape": 0.0, "n_points": 600}
+
+
+def _any(seed):
+    from scipy.spatial.transform import Rotation
+
+    return Rotation.random(random_state=seed).as_matrix()
+
+
+def _upright(angle):
+    return matrix_from_rotvec(np.array([0.0, angle, 0.0]))
+
+
+@pytest.fixture(scope="module")
+def scans(tube_rig):
+    return lbs.synthesize(tube_rig, 4, random_state=40, **CLEAN)
+
+
+@pytest.fixture(scope="module")
+def make(tube_rig, tube_fitter):
+    """(orientation, settings, other parameters) → a Scout of the tube."""
+    model, trained = Model(tube_rig), (tube_fitter.regressor_, tube_fitter.segmenter_)
+
+    def made(orientation="upright", settings=None, *, segmenter=True, **more):
+        library, s = trained
+        return Scout(model, library, turns_of(tube_rig, orientation), s if segmenter else None, settings or FitSettings(), **more)
+
+    return made
+
+
+def _error(rig, found, scan, turn=None, unit=1.0, shift=0.0):
+    """Mean distance of the joints, in the scan's frame, in half sizes of the rig as large as the scan."""
+    joints = found.frame.outside(Model(rig).pose(found.state)[0].joints)
+    true = unit * scan.joints @ (np.eye(3) if turn is None else turn).T + shift
+    return np.linalg.norm(joints - true, axis=1).mean() / (unit * rig.size / 2)
+
+
+def _scale(found, rig):
+    return found.state.scale * found.frame.unit / (rig.size / 2)
+
+
+# ---- turns, units, places ----
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.13, np.pi / 2, 2.0, np.pi, -1.2])
+def test_a_scan_turned_about_the_up_axis_is_found(tube_rig, make, scans, angle):
+    turn = _upright(angle)
+    for s in scans[:2]:
+        found = make()(s.points @ turn.T + [3.0, 0.0, -1.0])
+        assert _error(tube_rig, found, s, turn, shift=[3.0, 0.0, -1.0]) < 0.03
+        np.testing.assert_allclose(found.frame.turn[:, 1], [0.0, 1.0, 0.0], atol=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_scan_turned_in_any_way_is_found(tube_rig, make, scans, seed):
+    turn, s = _any(seed), scans[seed % 4]
+    assert _error(tube_rig, make("any")(s.points @ turn.T), s, turn) < 0.03
+
+
+@pytest.mark.parametrize("unit", [1000.0, 39.37, 0.5, 2.0, 0.01, 3.7e5])
+def test_the_unit_is_found_with_the_turn(tube_rig, make, scans, unit):
+    turn, s = _upright(2.0), scans[1]
+    found = make()(unit * s.points @ turn.T + 5 * unit)
+    assert _error(tube_rig, found, s, turn, unit, 5 * unit) < 0.03
+    assert _scale(found, tube_rig) == pytest.approx(unit, rel=0.05)
+    assert 1 / 3 < found.state.scale < 3
+
+
+def test_a_hand_that_lies_anyhow_in_millimetres():
+    rig = lbs.load_rig("hand-coarse")
+    fitter = lbs.LBSFitter(rig, orientation="any", training_scans=250, training={"n_points": 800}, random_state=0).pretrain()
+    for k, s in enumerate(lbs.synthesize(rig, 3, poses="natural", random_state=1, n_points=700, shape=0.03)):
+        turn = _any(20 + k)
+        r = fitter.fit_scan(1000 * s.points @ turn.T + [100.0, 0.0, -500.0])
+        joints = (r.joints - [100.0, 0.0, -500.0]) @ turn / 1000
+        assert np.linalg.norm(joints - s.joints, axis=1).mean() / (rig.size / 2) < 0.04
+        assert r.scale == pytest.approx(1000, rel=0.08)
+        place = r.pose, r.translation, r.scale, r.offsets
+        np.testing.assert_allclose(rig.pose(*place, joints=r.rest_joints), r.vertices, atol=1e-6)
+
+
+# ---- what is known holds ----
+
+
+def test_an_aligned_scan_is_never_turned(tube_rig, make, scans):
+    for turn in (np.eye(3), _upright(np.pi)):
+        found = make("aligned")(scans[0].points @ turn.T)
+        np.testing.assert_array_equal(found.frame.turn, np.eye(3))
+    assert _error(tube_rig, make("aligned")(scans[0].points), scans[0]) < 0.03
+
+
+@pytest.mark.parametrize("orientation", ORIENTATIONS)
+def test_a_scan_that_faces_the_rigs_way_is_found_whatever_is_open(tube_rig, make, scans, orientation):
+    assert _error(tube_rig, make(orientation)(scans[2].points), scans[2]) < 0.03
+
+
+def test_a_fixed_scale_is_1(tube_rig, make, scans):
+    turn = _upright(1.0)
+    scout = make(settings=FitSettings(scale="fixed"))
+    found = scout(scans[0].points @ turn.T)
+    assert _scale(found, tube_rig) == pytest.approx(1.0, rel=1e-12) and found.state.scale == 1.0
+    assert _error(tube_rig, found, scans[0], turn) < 0.03
+    larger = scout(1.1 * scans[0].points)  # and stays 1 where another would explain more
+    assert larger.state.scale == 1.0
+
+
+@pytest.mark.parametrize("factor", [0.3, 2.9])
+def test_a_fixed_scale_of_a_scan_that_no_pose_is_as_large_as_is_no_error(make, scans, factor):
+    found = make(settings=FitSettings(scale="fixed"))(factor * scans[0].points)
+    assert found.state.scale == 1.0 and np.isfinite(found.state.theta).all()
+
+
+def test_a_unit_that_is_given_is_kept(tube_rig, make, scans):
+    turn = _upright(-2.0)
+    found = make(unit=1000.0)(1000 * scans[3].points @ turn.T)
+    assert _scale(found, tube_rig) == pytest.approx(1000, rel=1e-12)
+    assert _error(tube_rig, found, scans[3], turn, 1000.0) < 0.03
+
+
+def test_known_proportions_are_kept(make, scans):
+    assert not make(proportions=False)(scans[0].points).state.coefficients.any()
+    assert make()(scans[0].points).state.coefficients.any()
+    off = replace(FitSettings(), polish=0)
+    assert not make(settings=off)(scans[0].points).state.coefficients.any()
+
+
+# ---- hypotheses ----
+
+
+@pytest.mark.parametrize("effort", EFFORTS)
+def test_effort_is_the_number_of_starts(tube_rig, make, scans, effort, monkeypatch):
+    scout, turn = make(settings=FitSettings(effort=effort)), _upright(2.5)
+    first, counts = scout._refit.first_steps, []
+    monkeypatch.setattr(scout._refit, "first_steps", lambda runners: counts.append(len(runners)) or first(runners))
+    found = scout(scans[0].points @ turn.T)
+    assert counts[0] == EFFORTS[effort].starts + 1  # of the library and f
+    assert 1 <= counts[1] <= EFFORTS[effort].facings  # from labels
+    assert _error(tube_rig, found, scans[0], turn) < 0.03
+
+
+def test_more_effort_is_more_of_everything():
+    assert list(EFFORTS) == ["fast", "balanced", "thorough"]
+    fields = [[getattr(e, name) for name in e.__dataclass_fields__] for e in EFFORTS.values()]
+    assert (np.diff(fields, axis=0) >= 0).all() and (np.diff(fields, axis=0)[:, :2] > 0).all()
+
+
+def test_without_the_librarys_poses_starts_are_rest_and_f_under_its_turns(make, scans):
+    scout = make(nearest=False, segmenter=False)
+    points = scans[0].points @ _upright(2.0).T
+    runners = scout._runners(points, None)
+    library, turns = scout.library, [s.turn for s in scout.library.starts(points, scout.turns, scout.effort.starts)]
+    assert len(runners) == 2 * len(set(turns))
+    f = library.regress(points @ scout.turns[turns[0]])
+    for k, r in enumerate(runners):
+        np.testing.assert_array_equal(r.state.theta, f if k % 2 else np.zeros_like(f))
+    assert {r.name.turn.tobytes() for r in runners} == {scout.turns[k].tobytes() for k in turns}
+    everything = make(segmenter=False)._runners(points, None)
+    np.testing.assert_array_equal(everything[-1].state.theta, f)
+    assert sum((r.state.theta == library.poses).all(axis=(1, 2)).any() for r in everything) == len(everything) - 1
+
+
+def test_starts_stand_where_the_scan_is(make, scans):
+    points = 1000 * scans[0].points + [1e4, 0.0, 3.0]
+    for r in make()._runners(points, None):
+        V = make().model.pose(r.state)[0].vertices
+        assert np.linalg.norm(make().model.areas @ V - r.problem.X.mean(axis=0)) < 1e-9
+        np.testing.assert_allclose(r.name.outside(r.problem.X), points, atol=1e-6)
+
+
+def test_labels_are_seen_in_the_frame_that_was_found(make, scans, tube_rig):
+    """However the scan lies, the segmenter sees it as if it faced the rig's way and had the rig's size."""
+    turn, s = _any(3), scans[1]
+    found = make("any")(1000 * s.points @ turn.T)
+    assert found.proba.shape == (600, 4)
+    np.testing.assert_allclose(found.proba.sum(axis=1), 1.0, atol=1e-5)
+    assert (found.proba.argmax(axis=1) == s.labels).mean() > 0.75
+    assert make("any", segmenter=False)(s.points @ turn.T).proba is None
+
+
+def test_without_a_segmenter_scans_are_found_as_well(tube_rig, make, scans):
+    for k, s in enumerate(scans):
+        turn = _upright(1.0 + k)
+        assert _error(tube_rig, make(segmenter=False)(s.points @ turn.T), s, turn) < 0.03
+
+
+def test_weights_of_points_count(tube_rig, make, scans):
+    """Half of the points are beside the body, and count for nothing."""
+    s, rng = scans[0], np.random.default_rng(0)
+    X = np.vstack([s.points, s.points + [0.2, 0.0, 0.15]])
+    order = rng.permutation(len(X))
+    light = np.r_[np.ones(600), np.full(600, 1e-9)]
+    found = make()(X[order], (light / light.sum())[order])
+    np.testing.assert_allclose(found.frame.centre, s.points.mean(axis=0), atol=1e-6)
+    assert _error(tube_rig, found, s) < 0.03 < _error(tube_rig, make()(X[order]), s)
+    uneven = rng.random(600)
+    assert _error(tube_rig, make()(s.points, uneven / uneven.sum()), s) < 0.03
+
+
+def test_the_same_again(make, scans):
+    a, b = (make()(scans[0].points) for _ in range(2))
+    np.testing.assert_array_equal(a.state.theta, b.state.theta)
+    assert a.value == b.value
+    scout = make()
+    scout(scans[1].points)
+    np.testing.assert_array_equal(scout(scans[0].points).state.theta, a.state.theta)  # one scan does not change the next
+
+
+# ---- by way of the fitter ----
+
+
+@pytest.mark.parametrize("orientation", ["upright", "any"])
+@pytest.mark.parametrize("unit", [1.0, 25.4])
+def test_a_fit_of_a_turned_scan_is_the_turned_fit(tube_rig, tube_fitter, scans, orientation, unit):
+    fitter = lbs.LBSFitter(tube_rig, orientation=orientation, random_state=0)
+    fitter.segmenter_, fitter.regressor_ = tube_fitter._pretrained
+    turn = _upright(2.2) if orientation == "upright" else _any(8)
+    s = scans[0]
+    r = fitter.fit_scan(unit * s.points @ turn.T + [9.0, 0.0, -3.0])
+    back = (r.joints - [9.0, 0.0, -3.0]) @ turn / unit
+    assert np.linalg.norm(back - s.joints, axis=1).mean() / (tube_rig.size / 2) < 0.03
+    vertices = (r.vertices - [9.0, 0.0, -3.0]) @ turn / unit
+    assert np.linalg.norm(vertices - s.vertices, axis=1).mean() / (tube_rig.size / 2) < 0.04
+    assert (r.labels == s.labels).mean() > 0.9
+    posed = tube_rig.pose(r.pose, r.translation, r.scale, r.offsets, joints=r.rest_joints)
+    np.testing.assert_allclose(posed, r.vertices, atol=1e-9 * unit)
+
+
+@pytest.mark.parametrize("orientation", ["aligned", "upright", "any"])
+def test_a_known_start_says_how_the_scan_is_turned(tube_rig, tube_fitter, scans, orientation):
+    """Whatever the orientation is: a pose that was found is a start for the same scan again."""
+    open_ = lbs.LBSFitter(tube_rig, orientation="any", random_state=0)
+    given = lbs.LBSFitter(tube_rig, orientation=orientation, random_state=0)
+    for fitter in (open_, given):
+        fitter.segmenter_, fitter.regressor_ = tube_fitter._pretrained
+    for k, s in enumerate(scans[:2]):
+        points = s.points @ _any(30 + k).T
+        first = open_.fit_scan(points)
+        again = given.fit_scan(points, theta0=first.pose)
+        assert np.linalg.norm(again.joints - first.joints, axis=1).mean() / (tube_rig.size / 2) < 0.03
+
+
+@pytest.mark.parametrize("angle", [0.0, 1.5, np.pi, -2.0])
+def test_known_labels_tell_the_turn(tube_rig, scans, angle):
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    turn = _upright(angle)
+    for s in scans[:2]:
+        r = fitter.fit_scan(s.points @ turn.T, labels=s.labels)
+        assert np.linalg.norm(r.joints @ turn - s.joints, axis=1).mean() / (tube_rig.size / 2) < 0.04
