@@ -56,7 +56,8 @@ def test_what_it_says_meanwhile(learned_hands):
 def test_the_summary_of_learning(learned_hands):
     model, results, _, _, truth = learned_hands
     summary = json.loads((results / "summary.json").read_text())
-    assert summary["counts"] == {"ok": 7, "suspect": 0, "skipped": 0, "failed": 1} and summary["not_done"] == [] and not summary["stopped"]
+    assert summary["counts"] == {"ok": 7, "suspect": 0, "skipped": 0, "failed": 1}
+    assert summary["not_done"] == [] and not summary["stopped"]
     assert summary["model"] == {"path": str(model), "rounds": 1, "subjects": ["anna", "ben"], "variant": "joint"}
     assert [entry["round"] for entry in summary["history"]] == [0, 1]
     assert summary["settings"]["training_scans"] == 200 and summary["settings"]["held_out"] == 0.1

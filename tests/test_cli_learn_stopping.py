@@ -57,7 +57,8 @@ def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypa
     assert (code, err) == (130, "") and "m.npz is complete, 2 of 4 results are in" in text
     assert len(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == 1
     summary = json.loads((tmp_path / "fits" / "summary.json").read_text())
-    assert summary["stopped"] and summary["not_done"] == ["t2", "t3"] and summary["counts"]["ok"] == 2
+    assert summary["stopped"] and summary["not_done"] == ["t2", "t3"]
+    assert summary["counts"]["ok"] + summary["counts"]["suspect"] == 2
 
 
 def test_a_full_disk_leaves_no_half_model(tubes, tmp_path, run, monkeypatch):

@@ -10,7 +10,7 @@ from .models import about_model, is_model, load_model, model_in_words
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, say
 from .stopping import exit_code, terminable
-from .summary import counts_of, say_doubtful, write_summary
+from .summary import counts_of, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "fit_files", "load_rig_with", "scan_options"]
 
@@ -195,7 +195,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
         stopped = reason
     finally:
         progress.close()
-    counts = counts_of(entries)
+    counts = counts_of(entries) | {"written": written_of(entries)}
     if entries:
         facts = {"started": started, "stopped": stopped is not None, "model": model}
         write_summary(out, rig_path, rig, files, entries, values, **facts)
@@ -303,7 +303,7 @@ def _made_with(theirs, ours):
 
 
 def _farewell(counts, n, out, stopped):
-    done = counts["ok"] + counts["suspect"] + counts["skipped"]
+    done = counts["written"]
     if stopped is not None:
         rest = "; the same command with --existing skip does the rest" if done else ""
         say(f"stopped: {done} of {n} scans are fitted and kept in {out}{rest}" if done else "stopped before a scan was fitted")

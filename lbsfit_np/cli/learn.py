@@ -19,7 +19,7 @@ from .parsing import Option, add_options, amount, formatter, positive, settings,
 from .progress import LearningProgress, Progress, say, span
 from .stopping import exit_code, terminable
 from .subjects import SUBJECT_FILES, read_subjects
-from .summary import counts_of, say_doubtful, write_summary
+from .summary import counts_of, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "add_parser", "learn_files"]
 
@@ -147,7 +147,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
                 _write_results(rig_path, fitter, reading, files, entries, values, started)
     except KeyboardInterrupt as stop:
         progress.close()
-        results = f", {counts_of(entries)['ok']} of {len(scans)} results are in {values['results']}" if files else ""
+        results = f", {written_of(entries)} of {len(scans)} results are in {values['results']}" if files else ""
         say(f"stopped: {model} is complete{results}" if written else "stopped before the model was learned")
         return exit_code(stop)
     finally:
@@ -291,8 +291,7 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
         facts = {"started": started, "stopped": stopped, "model": about_model(values["output"]), "history": fitter.history_}
         write_summary(Path(values["results"]), rig_path, fitter.rig, files, entries, values, **facts)
     say_doubtful([entries[f.name] for f in files])
-    counts = counts_of(entries)
-    say(f"{counts['ok'] + counts['suspect']} of {len(files)} results in {values['results']}")
+    say(f"{written_of(entries)} of {len(files)} results in {values['results']}")
 
 
 def _written(writer, i, files, scan, result):

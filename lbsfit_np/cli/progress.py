@@ -53,7 +53,8 @@ class Progress:
         """One more scan is done: ``entry`` of the summary."""
         self.done += 1
         if entry["status"] in ("failed", "suspect"):
-            text, where = f"{entry['name']}: {entry['status']}: {entry['message']}", sys.stderr
+            text = f"{entry['name']}: {entry['status']}: {entry['message']}"
+            where = sys.stderr if entry["status"] == "failed" else sys.stdout
         else:
             text = f"{entry['name']}: fitted in {entry['seconds']:.1f} s, recon {entry['terms']['recon']:.4f}, {entry['message']}"
             where = sys.stdout

@@ -6,12 +6,17 @@ import time
 from .outputs import SUMMARY
 from .progress import say
 
-__all__ = ["counts_of", "say_doubtful", "write_summary"]
+__all__ = ["counts_of", "say_doubtful", "write_summary", "written_of"]
 
 
 def counts_of(entries):
     """How many scans came out how; ``entries`` as in :func:`write_summary`."""
     return {s: sum(e["status"] == s for e in entries.values()) for s in ("ok", "suspect", "skipped", "failed")}
+
+
+def written_of(entries):
+    """How many of this run's scans have their files."""
+    return sum("files" in e for e in entries.values())
 
 
 def doubtful_first(entries):
