@@ -1,7 +1,7 @@
 """From what was learned to results: the scans of the collection, and new ones."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -235,7 +235,7 @@ def _free_form(model, settings, problem, points, rows, frame, started):
         max_iterations=settings.full_iterations,
         tolerance=settings.full_tolerance,
     )
-    return assemble(
+    result = assemble(
         model.source,
         model,
         problem,
@@ -249,3 +249,5 @@ def _free_form(model, settings, problem, points, rows, frame, started):
         note="free-form, no skinning",
         started=started,
     )
+    # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
+    return replace(result, probability=0.0, status="ok") if np.isfinite(result.vertices).all() else result
