@@ -84,16 +84,19 @@ def _of_objective(weights, with_labels=True):
 _pair = np.stack([S.Vd, S.V])
 _triple = np.stack([S.Vd, S.V, S.offsets])
 _parts = S.x_labels, S.v_labels
+_b = np.random.default_rng(5).uniform(0, 1, len(S.V)) * (np.arange(len(S.V)) % 3 > 0)
 
 # What each public name differentiates to: name → (function of one array → (value, gradient), where).
 TERMS = {
     "chamfer": [
         (lambda V: chamfer(S.X, V), S.V),
         (lambda V: chamfer(S.X, V, x_weights=S.a), S.V),
+        (lambda V: chamfer(S.X, V, x_weights=S.a, v_weights=_b), S.V),
     ],
     "structured_chamfer": [
         (lambda V: structured_chamfer(S.X, V, *_parts), S.V),
         (lambda V: structured_chamfer(S.X, V, *_parts, x_weights=S.a), S.V),
+        (lambda V: structured_chamfer(S.X, V, *_parts, v_weights=_b), S.V),
         (
             lambda V: structured_chamfer(S.X, V, np.maximum(_parts[0], 1), np.minimum(_parts[1], 2)),
             S.V,
@@ -103,6 +106,7 @@ TERMS = {
         (_of_two(lambda d, v: composite_chamfer(S.X, d, v)), _pair),
         (_of_two(lambda d, v: composite_chamfer(S.X, d, v, lam=0.3, x_weights=S.a)), _pair),
         (_of_two(lambda d, v: composite_chamfer(S.X, d, v, lam=0.0)), _pair),
+        (_of_two(lambda d, v: composite_chamfer(S.X, d, v, lam=0.3, v_weights=_b)), _pair),
     ],
     "composite_structured_chamfer": [
         (_of_two(lambda d, v: composite_structured_chamfer(S.X, d, v, *_parts)), _pair),
@@ -221,6 +225,20 @@ def test_weights_of_0_leave_points_out_of_the_first_mean_only():
     second = np.mean(cdist(S.V, S.X).min(axis=1) ** 2)
     assert chamfer(S.X, S.V, x_weights=a)[0] == pytest.approx(first + second, rel=1e-12)
     assert chamfer(S.X, S.V, x_weights=7 * np.ones(len(S.X)))[0] == pytest.approx(chamfer(S.X, S.V)[0], rel=1e-14)
+
+
+def test_vertices_of_weight_0_do_not_look_for_points():
+    b = np.ones(len(S.V))
+    b[:8] = 0.0
+    first = np.mean(cdist(S.X, S.V).min(axis=1) ** 2)
+    second = np.mean(cdist(S.V[8:], S.X).min(axis=1) ** 2)
+    value, grad = chamfer(S.X, S.V, v_weights=b)
+    assert value == pytest.approx(first + second, rel=1e-12)
+    found_by_none = np.setdiff1d(np.arange(8), cdist(S.X, S.V).argmin(axis=1))
+    assert (grad[found_by_none] == 0).all()
+    assert chamfer(S.X, S.V, v_weights=7 * np.ones(len(S.V)))[0] == pytest.approx(chamfer(S.X, S.V)[0], rel=1e-14)
+    with pytest.raises(InputError, match="v_weights"):
+        chamfer(S.X, S.V, v_weights=np.ones(3))
 
 
 def test_ties_do_not_change_the_value():
