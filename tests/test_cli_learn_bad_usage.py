@@ -155,7 +155,8 @@ def test_a_result_that_is_not_finite_is_a_failure(tubes, tmp_path, run, monkeypa
 
     def odd(self, *arguments, **options):
         fit(self, *arguments, **options)
-        self.results_[2] = replace(self.results_[2], status="failed", message="not finite")
+        vertices = np.full_like(self.results_[2].vertices, np.nan)
+        self.results_[2] = replace(self.results_[2], vertices=vertices, status="failed", message="not finite")
 
     monkeypatch.setattr(lbs.LBSFitter, "fit", odd)
     options = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--variant", "free-form")
