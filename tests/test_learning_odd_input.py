@@ -16,7 +16,7 @@ from lbsfit_np.learning.training import training_settings
 from lbsfit_np.synthesis import Synthesis
 
 # Without a segmenter, learning takes a second or two.
-QUICK = {"training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
+QUICK = {"effort": "fast", "training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
 
 
 @pytest.fixture(scope="module")
