@@ -1,6 +1,7 @@
 """Runs of the program in a process of its own, and what the tests of the command line have in common."""
 
 import os
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -22,6 +23,25 @@ def program(*arguments, cache, start=subprocess.run, **options):
     if start is subprocess.run:
         options |= {"capture_output": True, "timeout": 300}
     return start(command, env=environment, text=True, **options)
+
+
+def started(*arguments, cache):
+    """The program as a process group of its own, as a terminal starts it."""
+    return program(
+        *arguments,
+        cache=cache,
+        start=subprocess.Popen,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
+    )
+
+
+def stopped(process, sent):
+    """(output, errors) after a signal: Ctrl-C goes to the whole group, as a terminal sends it."""
+    os.killpg(process.pid, sent) if sent == signal.SIGINT else process.send_signal(sent)
+    return process.communicate(timeout=120)
 
 
 def one_line(err):

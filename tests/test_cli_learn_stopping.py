@@ -3,13 +3,12 @@
 import json
 import os
 import signal
-import subprocess
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import one_line, program
+from cli_runs import one_line, started, stopped
 
 import lbsfit_np as lbs
 
@@ -19,22 +18,16 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
 @pytest.mark.parametrize("jobs, sent, code", [(1, signal.SIGINT, 130), (2, signal.SIGINT, 130), (1, signal.SIGTERM, 143)])
 def test_ctrl_c_leaves_no_model(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
-    process = program(
+    process = started(
         *("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz", "--results", tmp_path / "fits"),
         *("--training-scans", 40, "--rounds", 1000, "--held-out", 0, "--jobs", jobs),
         cache=cli_cache,
-        start=subprocess.Popen,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
     )
     for line in process.stdout:
         if line.startswith("round 1"):
             break
     time.sleep(0.5)
-    os.killpg(process.pid, sent) if sent == signal.SIGINT else process.send_signal(sent)  # a terminal sends it to the group
-    text, err = process.communicate(timeout=120)
+    text, err = stopped(process, sent)
     assert (process.returncode, err) == (code, ""), err
     assert text.endswith("stopped before the model was learned\n")
     assert [p.name for p in tmp_path.rglob("*")] == ["fits"]

@@ -3,11 +3,10 @@
 import json
 import os
 import signal
-import subprocess
 import time
 
 import pytest
-from cli_runs import QUICK, program
+from cli_runs import QUICK, started, stopped
 
 import lbsfit_np as lbs
 
@@ -21,20 +20,14 @@ def test_ctrl_c_keeps_what_is_finished(jobs, sent, code, fitted, made, cli_cache
     for path in scans:
         path.write_bytes((made / "one.ply").read_bytes())
     out = tmp_path / "out"
-    process = program(
+    process = started(
         *("fit", made / "tube.npz", *scans, "-o", out, "--jobs", jobs, *QUICK),
         cache=cli_cache,
-        start=subprocess.Popen,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
     )
     deadline = time.monotonic() + 120
     while not list(out.glob("*.fit.npz")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
-    os.killpg(process.pid, sent) if sent == signal.SIGINT else process.send_signal(sent)  # a terminal sends it to the group
-    text, err = process.communicate(timeout=120)
+    text, err = stopped(process, sent)
     assert process.returncode == code, err
     assert err == "" and "--existing skip does the rest" in text
     summary = json.loads((out / "summary.json").read_text())
