@@ -5,7 +5,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from .errors import InputError, check_array
+from .errors import InputError, brief, check_array
 from .rig.chains import chains
 from .rig.frames import up_axis
 from .rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -75,22 +75,14 @@ class Synthesis:
     floor: float = 0.0
     one_sided: bool = False
 
-    def __repr__(self):
-        """All fields, but those of :data:`_LATER` only where they are set."""
-        fields = {name: getattr(self, name) for name in self.__dataclass_fields__}
-        shown = (f"{name}={value!r}" for name, value in fields.items() if value or name not in _LATER)
-        return f"Synthesis({', '.join(shown)})"
 
-
-# Settings that came later. While they are off, a Synthesis reads as it did before them, and so does the key under which a
-# segmenter was cached.
-_LATER = ("clutter", "floor", "one_sided")
-
-# What settings may be, where it is more than a number of at least 0: kind, least, most.
+# What settings may be: kind, least, most. Where nothing else says most, it is far beyond all that makes sense, and well within
+# what can be computed.
+_MOST = 1000
 _RANGES = {
-    "n_points": (Integral, 1, np.inf),
-    "holes": (Integral, 0, np.inf),
-    "least_holes": (Integral, 0, np.inf),
+    "n_points": (Integral, 1, 10**7),
+    "holes": (Integral, 0, _MOST),
+    "least_holes": (Integral, 0, _MOST),
     "least_hole": (Real, 0, 1),
     "scale": (Real, 0, 0.9),
     "one_sided": (bool, False, True),
@@ -230,15 +222,14 @@ def make_settings(settings):
     for name, value in settings.items():
         if name not in known:
             raise InputError(name, "a setting that is not known", f"one of {', '.join(known)}")
-        kind, least, most = _RANGES.get(name, (Real, 0, np.inf))
+        kind, least, most = _RANGES.get(name, (Real, 0, _MOST))
         if kind is bool:
             if not isinstance(value, (np.bool_, Integral)) or value not in (0, 1):
                 raise InputError(name, repr(value), "True or False, or 1 or 0")
             settings = settings | {name: bool(value)}
-        elif isinstance(value, bool) or not isinstance(value, kind) or not (least <= value <= most and value < np.inf):
+        elif isinstance(value, bool) or not isinstance(value, kind) or not least <= value <= most:
             what = "an integer" if kind is Integral else "a number"
-            bounds = f"of at least {least}" + ("" if most == np.inf else f" and at most {most}")
-            raise InputError(name, repr(value), f"{what} {bounds}")
+            raise InputError(name, brief(value), f"{what} of at least {least} and at most {most}")
     made = Synthesis(**settings)
     if made.least_holes > made.holes:
         raise InputError("least_holes", str(made.least_holes), f"at most holes, {made.holes}", "Set holes, too.")

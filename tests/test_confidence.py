@@ -58,6 +58,16 @@ def test_noise_alone_is_no_fault(model, right):
     assert evidence["unexplained"] < 0.02 and evidence["distance"] > 0.1
 
 
+def test_points_that_are_not_on_the_rig_are_not_explained(model, right):
+    """However evenly they lie beside it: a shift of all, or a cloud that fills the box around it."""
+    state, X, _ = right
+    for away in (X + 0.25, np.random.default_rng(0).uniform(X.min(axis=0), X.max(axis=0), X.shape)):
+        evidence, _ = _evidence(model, state, away)
+        assert evidence["distance"] > 0.6 and evidence["unexplained"] > 0.1
+        assert verdict_of(evidence, probability_of(evidence))[0] != "ok"
+    assert probability_of(NOTHING | {"distance": 0.55}) > 0.9 and probability_of(NOTHING | {"distance": 0.65}) == 0.25
+
+
 def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
     state, _, _ = right
     theta = state.theta

@@ -1,6 +1,7 @@
 """The first look at a scan: however it is turned, in whatever unit, its pose is found; what is known of it holds."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -156,8 +157,41 @@ def test_effort_is_the_number_of_starts(tube_rig, make, scans, effort, monkeypat
 
 def test_more_effort_is_more_of_everything():
     assert list(EFFORTS) == ["fast", "balanced", "thorough"]
-    fields = [[getattr(e, name) for name in e.__dataclass_fields__] for e in EFFORTS.values()]
+    fields = [[getattr(e, name) for name in e.__dataclass_fields__ if name != "again"] for e in EFFORTS.values()]
     assert (np.diff(fields, axis=0) >= 0).all() and (np.diff(fields, axis=0)[:, :2] > 0).all()
+
+
+@pytest.mark.parametrize(
+    "effort, p, looks",
+    [
+        ("balanced", 0.9, ["balanced"]),
+        ("balanced", 0.7, ["balanced", "thorough"]),
+        ("fast", 0.0, ["fast"]),
+        ("thorough", 0.0, ["thorough"]),
+    ],
+)
+def test_doubt_is_worth_a_second_look(make, scans, effort, p, looks, monkeypatch):
+    known = {EFFORTS[name]: name for name in EFFORTS}
+    seen, values = [], iter([2.0, 1.0])
+
+    def look(self, points, x_weights):
+        seen.append(known[self.effort])
+        return SimpleNamespace(value=next(values), effort=self.effort)
+
+    monkeypatch.setattr(Scout, "_look", look)
+    monkeypatch.setattr(Scout, "_probability", lambda self, found: p)
+    scout = make(settings=FitSettings(effort=effort))
+    assert known[scout(scans[0].points).effort] == looks[-1] and seen == looks
+    values = iter([1.0, 2.0])  # a second look that finds nothing better changes nothing
+    assert known[scout(scans[0].points).effort] == looks[0] and known[scout.effort] == effort
+
+
+def test_a_wrong_pose_is_in_doubt(make, scans):
+    scout = make()
+    found = scout(scans[0].points)
+    assert scout._probability(found) > 0.8
+    wrong = found.state.replace(theta=found.state.theta * 0.0, translation=found.state.translation + 0.2)
+    assert scout._probability(replace(found, state=wrong)) < 0.05
 
 
 def test_without_the_librarys_poses_starts_are_rest_and_f_under_its_turns(make, scans):

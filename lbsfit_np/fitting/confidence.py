@@ -18,7 +18,8 @@ __all__ = ["EVIDENCE", "evidence_of", "logarithms", "probability_of", "shown_pro
 EVIDENCE = ("distance", "unexplained", "unreached", "worst_part", "disagreement", "rival", "at_limits")
 # s of ρ(d²) = d² / (d² + s²): distances of about this count half, in half sizes of the rig.
 _SCALE = 0.05
-_NOISE = 2.5
+# Of noise, distances up to so many medians are no fault of the pose; but a median beyond this, in half sizes, is more than noise.
+_NOISE, _NOISIEST = 2.5, 0.03
 # Points and surface with no partner nearer than this, in half sizes, have none.
 _PARTNER = 0.08
 # Parts with less than this share of the surface are too small to be judged by themselves.
@@ -56,7 +57,7 @@ def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, 
     -------
     evidence : dict of str to float
         "distance": the points' median distance from the surface ÷ s; "unexplained": mean of ρ over what these distances are
-        beyond 2.5 times their median; "unreached": the same over the surface's from the
+        beyond 2.5 times their median, which is taken for noise up to 0.03; "unreached": the same over the surface's from the
         points; "worst_part": the largest of both over single parts; "disagreement": 1 − mean probability that the segmenter
         gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals'; "at_limits": share of the
         angles that are at a limit. All in [0, 1]; what is not known is 0.
@@ -79,9 +80,8 @@ def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, 
     if partial and around is not None:
         normals = vertex_normals(vertices, rig.faces)
         seen = shown(normals, normals[on], to_X)
-    # Noise is no fault of the pose: distances count from some way beyond the median on.
     typical = float(np.sqrt(np.median(away)))
-    away = np.maximum(np.sqrt(away) - _NOISE * typical, 0.0) ** 2
+    away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
     rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
     a = np.where(seen, a, 0.0)
     parts = labels[on]
@@ -160,13 +160,17 @@ def _at_limits(rig, theta):
 # the tuning seed: both bundled rigs, all conditions, careful fits and careless ones.
 _INTERCEPT = -11.53
 _WEIGHTS = (0.0, -3.22, -2.05, -0.96, -0.24, 0.0, -1.09)
+# Noise of 2 % of the size gives a "distance" of 0.54. What lies further off is not the rig, and no scan of the calibration was
+# like it: such a fit is not believed more than this.
+_NOT_THE_RIG, _MOST_THEN = 0.6, 0.25
 # Below the first a fit has failed, below the second it is suspect.
 _FAILED, _SUSPECT = 0.05, 0.5
 
 
 def probability_of(evidence):
     """The probability that the mean joint error is below 1.5 % of the rig's size."""
-    return float(1.0 / (1.0 + np.exp(-(_INTERCEPT + np.dot(_WEIGHTS, logarithms(evidence))))))
+    p = float(1.0 / (1.0 + np.exp(-(_INTERCEPT + np.dot(_WEIGHTS, logarithms(evidence))))))
+    return p if evidence["distance"] <= _NOT_THE_RIG else min(p, _MOST_THEN)
 
 
 def logarithms(evidence):
@@ -200,7 +204,7 @@ def verdict_of(evidence, probability, worst_part=""):
 
 # From where on a piece of evidence is worth a word, and the word.
 _WORDS = {
-    "distance": (0.6, "points lie far from the mesh"),
+    "distance": (_NOT_THE_RIG, "points lie far from the mesh"),
     "unexplained": (0.03, "{value:.0%} of the points are not explained"),
     "unreached": (0.12, "{value:.0%} of the model is not reached by points"),
     "worst_part": (0.25, "part {part} does not fit"),

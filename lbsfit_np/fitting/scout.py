@@ -3,9 +3,11 @@
 Hypotheses come from the library of synthesised poses, under all turns that the scan may have, and from f. Under the turn of
 the best one, under the half turns that take front for back or left for right, and under others that did well, the segmenter
 says which part each point belongs to, which gives more. All go a few steps on the rig's own template, the best go on, limbs
-are tried in other places, the last ones find the rig's proportions; what they leave unexplained chooses.
+are tried in other places, the last ones find the rig's proportions; what they leave unexplained chooses. Where that leaves the
+pose in doubt, all is done once more with more effort.
 """
 
+from copy import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -16,6 +18,7 @@ from ..optimize.problem import Problem
 from ..rig.frames import up_axis
 from ..rotations import matrix_from_rotvec
 from ..starts.limbs import LimbPoses
+from .confidence import evidence_of, probability_of
 from .refit import Refit, Runner, thinned
 
 __all__ = ["EFFORTS", "Effort", "Found", "Scout"]
@@ -27,6 +30,8 @@ _LABELLED, _ELSEWHERE = 900, 0.8
 _ALIKE = 0.03
 # Without proportions, the right pose may leave this many times as much unexplained as a wrong one.
 _RIVAL = 2.0
+# A pose that is right with less than this probability is worth a second look.
+_SURE = 0.8
 
 
 @dataclass(frozen=True)
@@ -49,6 +54,8 @@ class Effort:
         Of how many survivors.
     proposals : int
         Poses tried for each limb, at most.
+    again : str or None
+        The effort of a second look where the first leaves the pose in doubt; None for none.
     """
 
     starts: int
@@ -58,11 +65,12 @@ class Effort:
     generations: int
     parents: int
     proposals: int
+    again: str | None = None
 
 
 EFFORTS = {
     "fast": Effort(6, 1, 2, 1, 1, 1, 1),
-    "balanced": Effort(16, 4, 4, 2, 3, 1, 2),
+    "balanced": Effort(16, 4, 4, 2, 3, 1, 2, again="thorough"),
     "thorough": Effort(48, 8, 8, 3, 8, 4, 3),
 }
 
@@ -141,6 +149,14 @@ class Scout:
         -------
         Found
         """
+        found = self._look(points, x_weights)
+        if self.effort.again and self._probability(found) < _SURE:
+            closer = copy(self)
+            closer.effort = EFFORTS[self.effort.again]
+            found = min(found, closer._look(points, x_weights), key=lambda f: f.value)
+        return found
+
+    def _look(self, points, x_weights):
         effort, refit = self.effort, self._refit
         runners = refit.first_steps(self._runners(points, x_weights))
         if self.segmenter is not None:
@@ -153,6 +169,14 @@ class Scout:
         seen = None if self.segmenter is None else self._labels(best.problem, best.state.scale)
         rivals = tuple(r.value for r in [*finals[1:], *near[len(finals) :]])
         return Found(best.name, best.problem, best.state, seen, best.value, rivals)
+
+    def _probability(self, found):
+        """That the pose is right, by what is known of it before the full objective."""
+        model, state = self.model, found.state
+        known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
+        known |= {"partial": self.settings.partial, "areas": model.areas}
+        V = model.pose(state)[0].vertices
+        return probability_of(evidence_of(model.rig, V, model.labels, found.problem.X, **known)[0])
 
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points

@@ -9,9 +9,10 @@ unknown, and what lies further away than some s hardly counts. Near the optimum 
 Chamfer distance takes hundreds, and is more exact, as points are compared with triangles. Far from it L-BFGS is the better guide.
 """
 
-from dataclasses import dataclass
+from functools import cache, cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from .jacobian import vertex_jacobian
 from .state import Layout
@@ -159,10 +160,9 @@ class GaussNewton:
             rows = np.union1d(rows, self._pulling)
             inverse = np.searchsorted(rows, on.corners)
         inverse = inverse.reshape(on.corners.shape)
-        dV = vertex_jacobian(model, state, posed, rows, blocks, layout.turning)
-        dp = np.einsum("nk,nkap->nap", on.barycentric, dV[inverse], optimize=True)
-        out = _Normal(dV.shape[2])
-        out.add(X - on.points, on.normals, dp, a, self.tangential, self.reach)
+        dV = cache(lambda: vertex_jacobian(model, state, posed, rows, blocks, layout.turning))
+        out = _Normal(self.tangential, self.reach)
+        out.add(X - on.points, on.normals, a, lambda: _blended(on.barycentric, inverse, dV()))
         if labels is None:
             v = self._pulling
             to_X = problem.x_index.nearest(V[v])
@@ -170,7 +170,7 @@ class GaussNewton:
             if self.partial:
                 pull = np.where(shown(normals, on.normals, to_X), pull, 0.0)
                 pull = pull / max(pull.sum(), np.finfo(float).tiny)
-            out.add(problem.X[to_X] - V[v], normals, dV[np.searchsorted(rows, v)], pull, self.tangential, self.reach)
+            out.add(problem.X[to_X] - V[v], normals, pull, lambda: dV()[np.searchsorted(rows, v)])
         return out
 
     def _nearest(self, X, V, labels):
@@ -235,33 +235,57 @@ def shown(normals, at_points, to_X):
     return (normals @ camera > _FACING) & (np.einsum("va,va->v", normals, at_points[to_X]) > _FACING)
 
 
-@dataclass
+def _blended(barycentric, corners, dV):
+    """(n, 3, p): how points of the mesh move, Σ_k b_nk dV[corners_nk]."""
+    n, start = len(corners), np.arange(0, corners.size + 1, 3)
+    blend = csr_array((barycentric.ravel(), corners.ravel(), start), shape=(n, len(dV)))
+    return (blend @ dV.reshape(len(dV), 3 * dV.shape[2])).reshape(n, *dV.shape[1:])
+
+
 class _Normal:
-    """Normal equations as they add up: H = Jᵀ W J, g = Jᵀ W r, and the value."""
+    """Residuals at one state: their value at once, their normal equations H = Jᵀ W J, g = Jᵀ W r when a step is to be taken."""
 
-    size: int
+    def __init__(self, tangential, reach):
+        self.value, self._tangential, self._reach = 0.0, tangential, reach
+        self._added, self._held = [], []
 
-    def __post_init__(self):
-        self.H, self.g, self.value = np.zeros((self.size, self.size)), np.zeros(self.size), 0.0
-
-    def add(self, r, normal, jacobian, weight, tangential, reach):
-        """Residual vectors r (n, 3), to be made smaller by moving what ``jacobian`` (n, 3, p) moves."""
+    def add(self, r, normal, weight, jacobian):
+        """Residual vectors r (n, 3), to be made smaller by moving what ``jacobian()`` (n, 3, p) moves."""
         along = np.einsum("na,na->n", r, normal)
-        e2 = along**2 + tangential * np.einsum("na,na->n", r, r)
-        near = 1.0 / (1.0 + e2 / reach**2)
+        e2 = along**2 + self._tangential * np.einsum("na,na->n", r, r)
+        near = 1.0 / (1.0 + e2 / self._reach**2)
         self.value += float(weight @ (e2 * near))
-        w = weight * near**2  # dρ/de²
-        across = np.einsum("na,nap->np", normal, jacobian)
-        u, v = np.sqrt(w), np.sqrt(tangential * w)
-        rows = np.concatenate([across * u[:, None], (jacobian * v[:, None, None]).reshape(-1, self.size)])
-        right = np.concatenate([along * u, (r * v[:, None]).ravel()])
-        self.H += rows.T @ rows
-        self.g += rows.T @ right
+        self._added.append((r, normal, along, weight * near**2, jacobian))  # dρ/de² = near²
 
     def hold(self, away, weight, turning):
         """Angles that are ``away`` (J, 3) from where they are wanted; the pose's columns come first."""
-        away = away[turning]
-        n = len(away)
-        self.value += weight * float(away @ away)
-        self.H[np.arange(n), np.arange(n)] += weight
-        self.g[:n] -= weight * away
+        self._held.append((away[turning], weight))
+        self.value += weight * float(away[turning] @ away[turning])
+
+    @property
+    def H(self):
+        """(p, p)."""
+        return self._equations[0]
+
+    @property
+    def g(self):
+        """(p,)."""
+        return self._equations[1]
+
+    @cached_property
+    def _equations(self):
+        H, g, t = 0.0, 0.0, self._tangential
+        for r, normal, along, weight, jacobian in self._added:
+            J = jacobian()
+            # S = √t I + (√(1 + t) − √t) n nᵀ is a square root of n nᵀ + t I, the metric of e².
+            w, steep = np.sqrt(weight), np.sqrt(1.0 + t) - np.sqrt(t)
+            across = (normal[:, None, :] @ J) * (w * steep)[:, None, None]
+            rows = (J * (np.sqrt(t) * w)[:, None, None] + normal[:, :, None] * across).reshape(-1, J.shape[2])
+            right = (r * (np.sqrt(t) * w)[:, None] + normal * (w * steep * along)[:, None]).ravel()
+            H, g = H + rows.T @ rows, g + rows.T @ right
+        self._added.clear()  # the Jacobians are large
+        for away, weight in self._held:
+            n = len(away)
+            H[np.arange(n), np.arange(n)] += weight
+            g[:n] -= weight * away
+        return H, g

@@ -48,15 +48,21 @@ def vertex_jacobian(model, state, posed, rows, blocks, turning):
 
 def _pose(posed, rows, turning):
     rig, A = posed.rig, posed.A
-    shift = posed.unscaled_joints - np.einsum("jab,jb->ja", A, posed.rest_joints)
-    w = rig.weights[rows].toarray()
+    w, u = rig.weights[rows].toarray(), posed.rest[rows]
+    shift = posed.unscaled_joints - (A @ posed.rest_joints[:, :, None])[:, :, 0]
     below = _subtrees(rig.parents)
-    moved = w[:, :, None] * (np.einsum("jab,ib->ija", A, posed.rest[rows]) + shift)  # w_ij T_j u_i
-    arm = np.einsum("jk,ika->ija", below, moved, optimize=True) - (w @ below.T)[:, :, None] * posed.unscaled_joints
+    hanging = w @ below.T
+    # One (r, J) array for each coordinate: Σ_{k below j} w_ik (T_k u_i − P_j).
+    arm = [((u @ A[:, a].T + shift[:, a]) * w) @ below.T - hanging * posed.unscaled_joints[:, a] for a in range(3)]
     up = np.where((rig.parents >= 0)[:, None, None], A[rig.parents], _I)
-    omega = np.einsum("jab,jbc,jcd->jda", up, left_jacobian(posed.omega), rig.frames)  # (J, axis, 3)
+    omega = up @ left_jacobian(posed.omega) @ rig.frames  # (J, 3, axis)
     joint, axis = np.nonzero(turning)
-    return posed.scale * np.cross(omega[joint, axis], arm[:, joint]).transpose(0, 2, 1)
+    omega, arm = posed.scale * omega[joint, :, axis].T, [a[:, joint] for a in arm]
+    out = np.empty((len(rows), 3, len(joint)))
+    for a, b, c in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        np.multiply(omega[b], arm[c], out=out[:, a])
+        out[:, a] -= omega[c] * arm[b]
+    return out
 
 
 def _family(model, posed, rows):
