@@ -4,11 +4,13 @@ import os
 import signal
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import lbsfit_np as lbs
 
-QUICK = ("--training-scans", "40")  # enough for the four parts of the tube
+TRAINING = ("--training-scans", "40")  # enough for the four parts of the tube
+QUICK = (*TRAINING, "--effort", "fast")
 QUICK_LEARNING = (*QUICK, "--rounds", "1")
 HAND = "hand-coarse"
 ARRAYS = ("pose", "translation", "scale", "offsets", "rest_joints", "vertices", "joints", "labels", "confidence", "terms")
@@ -42,6 +44,11 @@ def stopped(process, sent):
     """(output, errors) after a signal: Ctrl-C goes to the whole group, as a terminal sends it."""
     os.killpg(process.pid, sent) if sent == signal.SIGINT else process.send_signal(sent)
     return process.communicate(timeout=120)
+
+
+def content_with_few_starts(patch):
+    """Have all fitters that are made in this process be so, those of benchmarks too, which take no effort."""
+    patch.setattr("lbsfit_np.learning.fitter.LBSFitter", partial(lbs.LBSFitter, effort="fast"))
 
 
 def one_line(err):

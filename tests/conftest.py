@@ -1,5 +1,6 @@
 """Fixtures shared by all tests."""
 
+import copy
 import os
 from pathlib import Path
 
@@ -33,11 +34,17 @@ def tube_fitter(tube_rig):
 
 
 @pytest.fixture(scope="session")
+def quick_fitter(tube_fitter):
+    """The same fitter, content with few starts."""
+    return copy.copy(tube_fitter).set_params(effort="fast")
+
+
+@pytest.fixture(scope="session")
 def tube_scan(tube_rig):
     """A scan of the tube rig with all its flaws, and its truth."""
     from lbsfit_np import synthesize
 
-    return synthesize(tube_rig, 1, random_state=31)[0]
+    return synthesize(tube_rig, 1, random_state=31, n_points=1000)[0]
 
 
 @pytest.fixture(scope="session")
@@ -46,12 +53,30 @@ def tube_result(tube_fitter, tube_scan):
     return tube_fitter.fit_scan(tube_scan.points)
 
 
+@pytest.fixture(scope="session")
+def small_segmenter(tube_rig):
+    """A segmenter that knows little and trains fast."""
+    from segmenter_training import train_small
+
+    return train_small(tube_rig)
+
+
+@pytest.fixture
+def empty_cache(tmp_path, monkeypatch):
+    """The folder of a cache that holds nothing, on disk or in memory."""
+    from lbsfit_np.segmentation import cache
+
+    monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path / "cache"))
+    monkeypatch.setattr(cache, "_MEMORY", {})
+    return tmp_path / "cache"
+
+
 @pytest.fixture
 def fitter(tube_rig):
     """A fitter without a segmenter, for scans whose labels are known; training would take no time worth a word."""
     from lbsfit_np import LBSFitter
 
-    return LBSFitter(tube_rig, training_scans=2, training={"n_points": 100}, random_state=0)
+    return LBSFitter(tube_rig, effort="fast", training_scans=2, training={"n_points": 100}, random_state=0)
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +86,72 @@ def one_thread():
 
     with threadpool_limits(1):
         yield
+
+
+# ---- learning from the tube rig ----
+
+
+@pytest.fixture(scope="session")
+def people(tube_rig):
+    """Two people."""
+    return {"ann": tube_rig.subject(3, amount=1.5), "bob": tube_rig.subject(4, amount=1.5)}
+
+
+@pytest.fixture(scope="session")
+def people_scans(tube_rig, people):
+    """Scans of the two in turn."""
+    from learning_runs import SCANS
+
+    from lbsfit_np import synthesize
+
+    templates = [(s.vertices, s.joints) for s in people.values()]
+    return synthesize(tube_rig, 16, templates=templates, random_state=5, **SCANS)
+
+
+@pytest.fixture(scope="session")
+def few_scans(people_scans):
+    """Five scans of one subject."""
+    return people_scans[:10:2]
+
+
+@pytest.fixture(scope="session")
+def unlearned(tube_rig):
+    """A pretrained fitter that has not learned."""
+    from learning_runs import SMALL
+
+    from lbsfit_np import LBSFitter
+
+    return LBSFitter(tube_rig, **SMALL).pretrain()
+
+
+@pytest.fixture(scope="session")
+def make_learner(tube_rig, unlearned):
+    """(parameters) → a fitter whose pretraining is done."""
+    from learning_runs import SMALL
+
+    from lbsfit_np import LBSFitter
+
+    def made(**parameters):
+        fitter = LBSFitter(tube_rig, **(SMALL | parameters))
+        fitter._pretrained = unlearned._pretrained
+        return fitter
+
+    return made
+
+
+@pytest.fixture(scope="session")
+def learned_people(make_learner, people_scans):
+    """A fitter that has learned from ten scans of two subjects and met a broken one; and what progress said."""
+    from learning_runs import GIVEN, IDS, NAN
+
+    told = []
+    fitter = make_learner()
+    scans = [NAN if i == "broken" else people_scans[i].points for i in GIVEN]
+    with pytest.warns(UserWarning, match="1 of 11 scans cannot be used; scan 3: points: got 50 of 50"):
+        found = fitter.fit(scans, IDS, progress=lambda *a: told.append(a))
+    assert found is fitter
+    fitter.told = told
+    return fitter
 
 
 # ---- the command line ----
@@ -152,8 +243,9 @@ def learned_hands(hands, cli_cache, tmp_path_factory):
     out = tmp_path_factory.mktemp("learned")
     (folder / "broken.ply").write_text("ply\nformat ascii 1.0\nelement vertex 9\n")
     scans = [*sorted(folder.glob("anna*.ply")), folder / "broken.ply", *sorted(folder.glob("ben*.ply"))]
-    options = ("--subjects", folder / "who.csv", "--training-scans", 200, "--rounds", 1, "--results", out / "fits")
-    done = program("learn", HAND, *scans, "-o", out / "new" / "model.npz", *options, cache=cli_cache)
+    options = ("--training-scans", 200, "--effort", "fast", "--rounds", 1, "--subjects", folder / "who.csv")
+    outputs = ("-o", out / "new" / "model.npz", "--results", out / "fits")
+    done = program("learn", HAND, *scans, *outputs, *options, cache=cli_cache)
     assert done.returncode == 1, done.stderr
     return out / "new" / "model.npz", out / "fits", done.stdout, done.stderr, truth
 

@@ -1,5 +1,7 @@
 """A small synthetic rig for tests: a bent forearm that ends in two fingers of different length, watertight, smoothly weighted."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy import sparse
 
@@ -46,6 +48,22 @@ def make_tube_data():
 def make_tube_rig():
     """A Rig of four joints (root, elbow, long and short finger), 242 vertices, one unit long, 4 parts."""
     return build_rig(make_tube_data())
+
+
+def with_joint(data, name="tip", parent=2, **changes):
+    """The data with one more joint, which carries no weight."""
+    m = len(data.vertices)
+    return replace(
+        data,
+        joint_names=[*data.joint_names, name],
+        parents=np.append(data.parents, parent),
+        joints=np.vstack([data.joints, data.joints[parent] + [0.0, 0.1, 0.0]]),
+        frames=np.concatenate([data.frames, np.eye(3)[None]]),
+        weights=sparse.csr_array(sparse.hstack([data.weights, sparse.csr_array((m, 1))])),
+        lower=np.vstack([data.lower, np.full((1, 3), -1.0)]),
+        upper=np.vstack([data.upper, np.full((1, 3), 1.0)]),
+        **changes,
+    )
 
 
 def _surface():

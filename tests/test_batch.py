@@ -30,14 +30,14 @@ def clouds(tube_rig):
 
 
 @pytest.fixture(scope="module")
-def alone(tube_fitter, clouds):
+def alone(quick_fitter, clouds):
     """What one process finds."""
-    return fit_scans(tube_fitter, clouds)
+    return fit_scans(quick_fitter, clouds)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_results_do_not_depend_on_jobs_or_order(tube_fitter, clouds, alone, jobs):
-    outcomes = fit_scans(tube_fitter, clouds[::-1], jobs=jobs)
+def test_results_do_not_depend_on_jobs_or_order(quick_fitter, clouds, alone, jobs):
+    outcomes = fit_scans(quick_fitter, clouds[::-1], jobs=jobs)
     assert [o.index for o in outcomes] == [0, 1, 2]
     for ours, theirs in zip(outcomes, alone[::-1]):
         for name in ("pose", "translation", "scale", "offsets", "vertices", "joints", "labels", "confidence"):
@@ -46,10 +46,10 @@ def test_results_do_not_depend_on_jobs_or_order(tube_fitter, clouds, alone, jobs
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_bad_scan_fails_alone(tube_fitter, clouds, jobs):
+def test_a_bad_scan_fails_alone(quick_fitter, clouds, jobs):
     seen = []
     scans = [np.full((9, 3), np.nan), clouds[0], functools.partial(lbs.load_scan, "nowhere.ply"), _broken, clouds[1]]
-    outcomes = fit_scans(tube_fitter, scans, jobs=jobs, on_result=seen.append)
+    outcomes = fit_scans(quick_fitter, scans, jobs=jobs, on_result=seen.append)
     assert [o.error is None for o in outcomes] == [False, True, False, False, True]
     assert "NaN" in outcomes[0].error and "nowhere.ply" in outcomes[2].error
     assert outcomes[3].error == "ZeroDivisionError: division by zero" and "_broken" in outcomes[3].details
@@ -57,25 +57,25 @@ def test_a_bad_scan_fails_alone(tube_fitter, clouds, jobs):
     assert sorted(o.index for o in seen) == [0, 1, 2, 3, 4]
 
 
-def test_finish_takes_the_place_of_the_result(tube_fitter, clouds):
+def test_finish_takes_the_place_of_the_result(quick_fitter, clouds):
     for jobs in (1, 2):
-        outcomes = fit_scans(tube_fitter, clouds[:2], jobs=jobs, finish=_described)
+        outcomes = fit_scans(quick_fitter, clouds[:2], jobs=jobs, finish=_described)
         assert [o.result for o in outcomes] == [(0, 400, "ok"), (1, 400, "ok")]
 
 
-def test_a_result_that_is_not_finite_is_a_failure(tube_fitter, clouds, alone, monkeypatch):
+def test_a_result_that_is_not_finite_is_a_failure(quick_fitter, clouds, alone, monkeypatch):
     vertices = np.full_like(alone[0].result.vertices, np.nan)
     bad = replace(alone[0].result, vertices=vertices, status="failed", message="not finite")
-    monkeypatch.setattr(type(tube_fitter), "fit_scan", lambda self, scan: bad)
-    outcome = fit_scans(tube_fitter, clouds[:1], finish=_described)[0]
+    monkeypatch.setattr(type(quick_fitter), "fit_scan", lambda self, scan: bad)
+    outcome = fit_scans(quick_fitter, clouds[:1], finish=_described)[0]
     assert (outcome.error, outcome.result) == ("not finite", None)
 
 
 @pytest.mark.parametrize("status", ["suspect", "failed"])
-def test_a_doubtful_fit_is_a_result_all_the_same(tube_fitter, clouds, alone, monkeypatch, status):
+def test_a_doubtful_fit_is_a_result_all_the_same(quick_fitter, clouds, alone, monkeypatch, status):
     doubtful = replace(alone[0].result, status=status, message="another pose explains the scan nearly as well")
-    monkeypatch.setattr(type(tube_fitter), "fit_scan", lambda self, scan: doubtful)
-    outcome = fit_scans(tube_fitter, clouds[:1])[0]
+    monkeypatch.setattr(type(quick_fitter), "fit_scan", lambda self, scan: doubtful)
+    outcome = fit_scans(quick_fitter, clouds[:1])[0]
     assert outcome.error is None and outcome.result is doubtful
 
 
@@ -100,16 +100,16 @@ def test_no_scans_is_no_work(tube_rig):
 
 
 @pytest.mark.parametrize("jobs", [0, -1, 1.5, True, "2"])
-def test_jobs_that_cannot_be(tube_fitter, clouds, jobs):
+def test_jobs_that_cannot_be(quick_fitter, clouds, jobs):
     with pytest.raises(InputError, match="jobs: got .*expected a positive whole number"):
-        fit_scans(tube_fitter, clouds, jobs=jobs)
+        fit_scans(quick_fitter, clouds, jobs=jobs)
 
 
 @pytest.mark.parametrize("parameters", [{"weights": "foo"}, {"scale": "big"}, {"max_points": 0}])
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_parameters_of_the_fitter_that_cannot_be(tube_fitter, clouds, parameters, jobs):
+def test_parameters_of_the_fitter_that_cannot_be(quick_fitter, clouds, parameters, jobs):
     """One error, not a failure of every scan."""
-    fitter = copy.copy(tube_fitter)
+    fitter = copy.copy(quick_fitter)
     for name, value in parameters.items():
         setattr(fitter, name, value)
     seen = []
@@ -120,22 +120,22 @@ def test_parameters_of_the_fitter_that_cannot_be(tube_fitter, clouds, parameters
     assert not seen
 
 
-def test_what_cannot_be_sent_to_processes(tube_fitter, clouds):
+def test_what_cannot_be_sent_to_processes(quick_fitter, clouds):
     with pytest.raises(InputError, match="jobs: .*cannot be sent.*top level of a module"):
-        fit_scans(tube_fitter, clouds, jobs=2, finish=lambda index, scan, result: None)
-    outcomes = fit_scans(tube_fitter, [lambda: clouds[0], clouds[1]], jobs=2)
+        fit_scans(quick_fitter, clouds, jobs=2, finish=lambda index, scan, result: None)
+    outcomes = fit_scans(quick_fitter, [lambda: clouds[0], clouds[1]], jobs=2)
     assert "cannot be sent" in outcomes[0].error and outcomes[1].error is None
 
 
 @POSIX
-def test_the_death_of_a_worker_costs_its_scan_only(tube_fitter, clouds):
-    outcomes = fit_scans(tube_fitter, clouds, jobs=2, finish=_killed_at_1)
+def test_the_death_of_a_worker_costs_its_scan_only(quick_fitter, clouds):
+    outcomes = fit_scans(quick_fitter, clouds, jobs=2, finish=_killed_at_1)
     assert [o.result for o in outcomes] == [0, None, 2]
     assert "SIGKILL" in outcomes[1].error and "memory" in outcomes[1].error
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_an_interrupt_ends_workers_and_passes_on(tube_fitter, clouds, jobs):
+def test_an_interrupt_ends_workers_and_passes_on(quick_fitter, clouds, jobs):
     seen = []
 
     def on_result(outcome):
@@ -144,7 +144,7 @@ def test_an_interrupt_ends_workers_and_passes_on(tube_fitter, clouds, jobs):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fit_scans(tube_fitter, clouds, jobs=jobs, on_result=on_result)
+        fit_scans(quick_fitter, clouds, jobs=jobs, on_result=on_result)
     assert 1 <= len(seen) < 3
     assert not multiprocessing.active_children()
 

@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 import pytest
+from cli_runs import content_with_few_starts
 
 import lbsfit_np as lbs
 from lbsfit_np.bench import baseline as baseline_module
@@ -52,6 +53,7 @@ def ran(shared_rigs, cli_cache, tmp_path_factory):
     out = tmp_path_factory.mktemp("ran") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LBSFIT_CACHE", str(cli_cache))
+        content_with_few_starts(patch)
         rows = ("--rows", ",".join(ROWS))
         code = main(["bench", "hand", "--data", str(shared_rigs), "-o", str(out), "--pictures", "2", *rows, *QUICK])
     return out, code, json.loads((out / "results.json").read_text(encoding="utf-8"))
@@ -216,8 +218,9 @@ def test_lengths_are_in_half_sizes_and_true_labels_help(ran, hand):
     assert 0.3 < scan["own"]["segmenter_labels"] < 1
 
 
-def test_another_run_gives_the_same_figures_whatever_the_jobs(ran, shared_rigs):
+def test_another_run_gives_the_same_figures_whatever_the_jobs(ran, shared_rigs, monkeypatch):
     report = ran[2]
+    content_with_few_starts(monkeypatch)
     again, fits = run_bench(BENCHES["hand"], shared_rigs, seeds=[7], n_scans=2, training_scans=60, jobs=2, rows=("own",))
     for a, b in zip(again["rows"]["own"]["seeds"]["7"]["scans"], report["rows"]["own"]["seeds"]["7"]["scans"], strict=True):
         assert {k: v for k, v in a.items() if k != "seconds"} == {k: v for k, v in b.items() if k != "seconds"}

@@ -1,6 +1,7 @@
 """Names that clash, inputs that are results, and what is there already: found before any work."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -67,7 +68,9 @@ def test_existing_results(fitted, made, tmp_path, run):
     assert (tmp_path / "one.fit.npz").stat().st_mtime_ns == old[tmp_path / "one.fit.npz"]
     assert (tmp_path / "two.labels.ply").is_file()
     summary = json.loads((tmp_path / "summary.json").read_text())
-    assert [s["status"] for s in summary["scans"]] == ["skipped", "ok"]
+    assert [(s["status"], s["kept"]) for s in summary["scans"]] == [("ok", True), ("ok", False)]
+    assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "kept": 1}
+    assert f"2 of 2 scans fitted, 1 of them skipped as fitted before; results in {tmp_path}\n" in text
     assert summary["scans"][0]["terms"] == lbs.FitResult.load(tmp_path / "one.fit.npz").terms
 
     (tmp_path / "one.fit.npz").write_bytes(b"broken")
@@ -76,6 +79,24 @@ def test_existing_results(fitted, made, tmp_path, run):
 
     code, _, _ = run("fit", made / "tube.npz", scans[0], "-o", tmp_path, "--existing", "replace", "--weights", "paper", *QUICK)
     assert code == 0 and (tmp_path / "one.mesh.ply").read_bytes() != (fitted[0] / "one.mesh.ply").read_bytes()
+
+
+def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
+    for path in fitted[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    scans = [made / "one.ply", made / "two.xyz"]
+    arguments = ("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", "skip", *QUICK)
+    for status, probability, code in (("suspect", 0.3, 0), ("failed", 0.01, 1)):
+        doubtful = replace(lbs.FitResult.load(fitted[0] / "two.fit.npz"), status=status, probability=probability, message="odd")
+        (tmp_path / "two.fit.npz").unlink()
+        doubtful.save(tmp_path / "two.fit.npz")
+        found, text, _ = run(*arguments)
+        assert found == code
+        assert f"2 of 2 scans fitted (1 {status}), 2 of them skipped as fitted before; results in" in text
+        assert f"two   {status.ljust(len('status'))}  {probability:.2f}" in text and text.rstrip().count("odd") == 1
+        summary = json.loads((tmp_path / "summary.json").read_text())
+        assert [(s["name"], s["status"], s["kept"]) for s in summary["scans"]] == [("two", status, True), ("one", "ok", True)]
+        assert summary["counts"] == {"ok": 1, "suspect": 0, "failed": 0, "kept": 2} | {status: 1}
 
 
 def test_skip_does_not_take_fits_of_another_rig(fitted, made, tmp_path, run):

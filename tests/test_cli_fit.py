@@ -35,7 +35,7 @@ def test_fit_writes_every_file(fitted, made, tube_rig):
 def test_the_summary_tells_all(fitted, made, tube_rig):
     out, _ = fitted
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["counts"] == {"ok": 2, "suspect": 0, "skipped": 0, "failed": 0} and summary["not_done"] == []
+    assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "kept": 0} and summary["not_done"] == []
     assert summary["rig"]["digest"] == tube_rig.digest and summary["rig"]["parts"] == list(tube_rig.parts)
     assert summary["seed"] == 0 and summary["settings"]["training_scans"] == 40
     assert summary["versions"]["lbsfit_np"] == lbs.__version__ and summary["versions"]["numpy"] == np.__version__

@@ -3,6 +3,7 @@
 import inspect
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -56,7 +57,7 @@ def test_what_it_says_meanwhile(learned_hands):
 def test_the_summary_of_learning(learned_hands):
     model, results, _, _, truth = learned_hands
     summary = json.loads((results / "summary.json").read_text())
-    assert summary["counts"] == {"ok": 7, "suspect": 0, "skipped": 0, "failed": 1}
+    assert summary["counts"] == {"ok": 7, "suspect": 0, "failed": 1, "kept": 0}
     assert summary["not_done"] == [] and not summary["stopped"]
     assert summary["model"] == {"path": str(model), "rounds": 1, "subjects": ["anna", "ben"], "variant": "joint"}
     assert [entry["round"] for entry in summary["history"]] == [0, 1]
@@ -69,21 +70,10 @@ def test_the_summary_of_learning(learned_hands):
 
 def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model, tube_rig, tmp_path, run):
     scans = sorted(tubes.glob("*.ply"))
-    arguments = (
-        "learn",
-        tubes / "tube.npz",
-        *scans,
-        "-o",
-        tmp_path / "m.npz",
-        "--results",
-        tmp_path,
-        "--jobs",
-        2,
-        *QUICK_LEARNING,
-    )
-    code, _, err = run(*arguments)
+    outputs = ("-o", tmp_path / "m.npz", "--results", tmp_path)
+    code, _, err = run("learn", tubes / "tube.npz", *scans, *outputs, "--jobs", 2, *QUICK_LEARNING)
     assert (code, err) == (0, "")
-    fitter = lbs.LBSFitter(tube_rig, training_scans=40, rounds=1, random_state=0)
+    fitter = lbs.LBSFitter(tube_rig, effort="fast", training_scans=40, rounds=1, random_state=0)
     fitter.fit([lbs.load_scan(p) for p in scans], cache=True)
     for scan, library in zip(scans, fitter.results_):
         ours, theirs = (lbs.FitResult.load(folder / f"{scan.stem}.fit.npz") for folder in (tmp_path, tube_model[1]))
@@ -94,6 +84,42 @@ def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model,
         assert set(ours.files) == set(theirs.files)
         for key in set(ours.files) - {MODEL_KEY}:  # which tells how long rounds took
             np.testing.assert_array_equal(ours[key], theirs[key], err_msg=key)
+
+
+@pytest.mark.parametrize("written", [False, True])
+@pytest.mark.parametrize("status, code", [("ok", 0), ("suspect", 0), ("failed", 1)])
+def test_the_statuses_of_all_fits_are_told_and_failed_ones_count(status, code, written, tubes, tmp_path, run, monkeypatch):
+    fit_all = lbs.LBSFitter.fit
+
+    def fit(self, scans, subjects=None, **options):
+        fit_all(self, scans, subjects, **options)
+        self.results_[2] = replace(self.results_[2], status=status, probability=0.02, message="part elbow does not fit")
+        return self
+
+    monkeypatch.setattr(lbs.LBSFitter, "fit", fit)
+    outputs = ("-o", tmp_path / "m.npz", *(("--results", tmp_path / "fits") if written else ()))
+    found, text, _ = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, "--variant", "free-form")
+    assert found == code and (tmp_path / "m.npz").is_file()
+    counts = ", ".join(f"{(3 if s == 'ok' else 0) + (s == status)} {s}" for s in ("ok", "suspect", "failed"))
+    assert f"fits of 4 scans: {counts}" in text and ("4 of 4 results in" in text) == written
+    assert (re.search(rf"t2 +{status} +0\.02 +part elbow does not fit\n", text) is not None) == (status != "ok")
+
+
+@pytest.mark.parametrize(
+    "unit, options, words",
+    [
+        (1.0, (), "scans are in the rig's unit\n"),
+        (250.0, (), r"scans are in millimetres \(2\d\d(\.\d)? per rig unit\)\n"),  # one unit of this rig is 250 mm
+        (60.0, (), r"scans are in another unit, or of another size \([56]\d(\.\d+)? per rig unit\)\n"),
+        (1.0, ("--scale", "fixed"), r"scans are taken to be in the rig's unit \(scale fixed at 1\)\n"),
+    ],
+)
+def test_the_unit_of_the_scans_is_told(unit, options, words, tubes, tmp_path, run):
+    for path in sorted(tubes.glob("*.ply")):
+        np.save(tmp_path / f"{path.stem}.npy", unit * lbs.load_scan(path).points)
+    scans = sorted(tmp_path.glob("*.npy"))
+    _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form", *options)
+    assert re.search(words, text)
 
 
 def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):

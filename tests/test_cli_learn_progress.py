@@ -3,7 +3,7 @@
 import pytest
 from cli_runs import help_alone
 
-from lbsfit_np.cli import learn
+from lbsfit_np.cli import learn, progress
 from lbsfit_np.cli.progress import LearningProgress, span
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -46,6 +46,49 @@ def test_rounds_with_the_time_left(terminal, capsys):
         assert "results" in err and "left" not in err[err.rindex("results") :]
     else:
         assert out.count("round 2 of at most 4: poses of scans\n") == 1 and "\nresults\n" in out
+
+
+@pytest.fixture
+def drawn_at_once(monkeypatch):
+    """Bars that are drawn at every step, however fast these are."""
+    bar = progress._bar
+    monkeypatch.setattr(progress, "_bar", lambda **options: bar(mininterval=0, miniters=0, **options))
+
+
+@pytest.mark.parametrize("terminal", [False, True])
+@pytest.mark.parametrize("stage", ["pretraining", "first fits", "poses of scans", "results"])
+def test_the_time_left_of_a_step_where_rounds_do_not_tell(stage, terminal, capsys, drawn_at_once):
+    clock = _Clock()
+    shown = LearningProgress(1, terminal=terminal, clock=clock)
+    if stage == "poses of scans":
+        shown("round", 1.0, _figures(0))
+    clock.now += 1000  # what was before does not count
+    shown(stage, 0.0)
+    clock.now += 70
+    shown(stage, 0.25)
+    clock.now += 10
+    shown(stage, 0.5)
+    shown(stage, 1.0)
+    shown.close()
+    out, err = capsys.readouterr()
+    if terminal:
+        assert "about 4 min left of this step" in err and "about 80 s left of this step" in err and out == ""
+    else:
+        assert ": 25%, about 4 min left of this step\n" in out and "80 s" not in out  # a line a minute, no more
+        assert len([line for line in out.splitlines() if "recon" not in line]) == 2
+
+
+def test_a_stage_that_is_done_again_starts_anew(capsys, drawn_at_once):
+    clock = _Clock()
+    shown = LearningProgress(1, terminal=True, clock=clock)
+    shown("smoothing", 0.5)
+    clock.now += 500
+    shown("smoothing", 1.0)
+    shown("smoothing", 0.0)
+    clock.now += 20
+    shown("smoothing", 0.5)
+    shown.close()
+    assert "about 20 s left of this step" in capsys.readouterr().err
 
 
 def test_rounds_that_hold_nothing_out(capsys):

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli_runs import one_line, started, stopped
+from cli_runs import QUICK, one_line, started, stopped
 
 import lbsfit_np as lbs
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 def test_ctrl_c_leaves_no_model(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
     process = started(
         *("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz", "--results", tmp_path / "fits"),
-        *("--training-scans", 40, "--rounds", 1000, "--held-out", 0, "--jobs", jobs),
+        *(*QUICK, "--rounds", 1000, "--held-out", 0, "--jobs", jobs),
         cache=cli_cache,
     )
     for line in process.stdout:

@@ -153,7 +153,7 @@ def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, h
 
 @pytest.mark.parametrize("variant", ["cd", "free-form"])
 def test_models_without_labels_want_no_segmenter(variant, tubes, tmp_path, run, monkeypatch):
-    monkeypatch.setattr(lbs.LBSFitter, "pretrain", None)
+    monkeypatch.setattr("lbsfit_np.learning.fitter.pretrain_segmenter", None)
     scans = sorted(tubes.glob("*.ply"))
     options = ("--variant", variant, "--max-points", 300, "--seed", 5)
     code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *options, *QUICK_LEARNING)

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from cli_runs import QUICK, one_line
+from cli_runs import TRAINING, one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import demo
@@ -58,7 +58,7 @@ def test_rig_show_of_a_bundled_rig(run):
 
 def test_demo(made, tmp_path, run):
     out = tmp_path / "demo"
-    arguments = ("demo", "-o", out, "--rig", made / "tube.npz", "--points", 500, *QUICK)
+    arguments = ("demo", "-o", out, "--rig", made / "tube.npz", "--points", 500, *TRAINING)
     code, text, err = run(*arguments)
     assert (code, err) == (0, "")
     names = {"rig.npz", "scan.ply", "scan.fit.npz", "scan.mesh.ply", "scan.labels.ply", "summary.json", "truth.npz", "demo.png"}
@@ -75,7 +75,7 @@ def test_demo(made, tmp_path, run):
 
     code, _, err = run(*arguments)
     assert code == 2 and "exist already" in one_line(err)
-    code, _, err = run("demo", "-o", out, "--rig", out / "rig.npz", "--existing", "replace", *QUICK)
+    code, _, err = run("demo", "-o", out, "--rig", out / "rig.npz", "--existing", "replace", *TRAINING)
     assert code == 2 and "never overwritten" in one_line(err)
 
 

@@ -70,7 +70,7 @@ def test_a_models_orientation_holds_unless_another_is_given(turned, tube_rig, tu
     arguments = ("fit", tube_model[0], folder / "any.ply", "-o", tmp_path, "--existing", "replace")
     run(*arguments)
     settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
-    assert (settings["orientation"], settings["effort"], settings["partial"]) == ("upright", "balanced", False)
+    assert (settings["orientation"], settings["effort"], settings["partial"]) == ("upright", "fast", False)
     assert run(*arguments, "--orientation", "any", "--effort", "thorough")[0] == 0
     settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
     assert (settings["orientation"], settings["effort"]) == ("any", "thorough")
@@ -99,7 +99,7 @@ def test_learning_from_turned_scans_in_millimetres(tube_rig, tmp_path, run):
         write_points_ply(tmp_path / f"s{i}.ply", MILLIMETRES * s.points @ turn.T + SHIFT)
     files = sorted(tmp_path.glob("s*.ply"))
     out = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits")
-    assert run("learn", tmp_path / "tube.npz", *files, *out, *TRAINING, "--rounds", 1)[0] == 0
+    assert run("learn", tmp_path / "tube.npz", *files, *out, *TRAINING, "--effort", "fast", "--rounds", 1)[0] == 0
     for i, (s, turn) in enumerate(zip(scans, turns)):
         r = lbs.FitResult.load(tmp_path / "fits" / f"s{i}.fit.npz")
         true = MILLIMETRES * s.joints @ turn.T + SHIFT

@@ -64,9 +64,11 @@ def demo(tmp_path_factory):
 
 @pytest.mark.parametrize("path", WITH_SNIPPETS, ids=lambda path: path.name)
 def test_snippets_run(path, demo, monkeypatch):
-    """All ```python blocks of a document one after the other, as a reader would; with fewer training scans."""
+    """All ```python blocks of a document one after the other, as a reader would; with fewer training scans and starts."""
+    from lbsfit_np.fitting.scout import EFFORTS
     from lbsfit_np.learning.fitter import LBSFitter
 
+    monkeypatch.setitem(EFFORTS, "balanced", EFFORTS["fast"])
     monkeypatch.chdir(demo)
     monkeypatch.setenv("LBSFIT_CACHE", str(demo / "cache"))
     pretrain = LBSFitter.pretrain

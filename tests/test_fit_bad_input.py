@@ -15,23 +15,23 @@ def _with(points, row, value):
 
 BAD_FITS = [
     ({"points": None}, ["points: got None"]),
-    ({"points": lambda p: p.T}, ["points", "(3, 2500)", "points.T"]),
+    ({"points": lambda p: p.T}, ["points", "(3, 1000)", "points.T"]),
     ({"points": lambda p: p[:0]}, ["points", "empty", "at least 4"]),
     ({"points": lambda p: p[:3]}, ["points: got 3 points", "at least 4"]),
     ({"points": lambda p: np.ones_like(p)}, ["points", "all equal", "surface"]),
-    ({"points": lambda p: _with(p, [7, 9], np.nan)}, ["points: got 2 of 2500", "first at index 7"]),
-    ({"points": lambda p: _with(p, 3, np.inf)}, ["points: got 1 of 2500", "index 3"]),
+    ({"points": lambda p: _with(p, [7, 9], np.nan)}, ["points: got 2 of 1000", "first at index 7"]),
+    ({"points": lambda p: _with(p, 3, np.inf)}, ["points: got 1 of 1000", "index 3"]),
     ({"points": lambda p: 1e200 * p}, ["points", "extent"]),
-    ({"labels": np.zeros(5, int)}, ["labels: got shape (5,)", "(2500,)"]),
-    ({"labels": np.zeros(2500)}, ["labels", "float64", "integers that index rig.parts"]),
-    ({"labels": np.full(2500, 4)}, ["labels: got 4 at index 0", "0 to 3"]),
-    ({"labels": np.r_[0, 0, -1, np.zeros(2497, int)]}, ["labels: got -1 at index 2"]),
+    ({"labels": np.zeros(5, int)}, ["labels: got shape (5,)", "(1000,)"]),
+    ({"labels": np.zeros(1000)}, ["labels", "float64", "integers that index rig.parts"]),
+    ({"labels": np.full(1000, 4)}, ["labels: got 4 at index 0", "0 to 3"]),
+    ({"labels": np.r_[0, 0, -1, np.zeros(997, int)]}, ["labels: got -1 at index 2"]),
     ({"theta0": np.zeros((3, 3))}, ["theta0: got shape (3, 3)", "(4, 3)"]),
     ({"theta0": np.full((4, 3), np.nan)}, ["theta0", "12 values", "NaN"]),
-    ({"point_weights": np.ones(7)}, ["point_weights: got shape (7,)", "(2500,)"]),
-    ({"point_weights": np.r_[-1.0, -2.0, np.ones(2498)]}, ["point_weights: got 2 negative", "at least 0"]),
-    ({"point_weights": np.full(2500, np.nan)}, ["point_weights", "2500 values", "NaN"]),
-    ({"point_weights": np.zeros(2500)}, ["point_weights: got 0 positive", "at least 4"]),
+    ({"point_weights": np.ones(7)}, ["point_weights: got shape (7,)", "(1000,)"]),
+    ({"point_weights": np.r_[-1.0, -2.0, np.ones(998)]}, ["point_weights: got 2 negative", "at least 0"]),
+    ({"point_weights": np.full(1000, np.nan)}, ["point_weights", "1000 values", "NaN"]),
+    ({"point_weights": np.zeros(1000)}, ["point_weights: got 0 positive", "at least 4"]),
     ({"point_weights": "heavy"}, ["point_weights: got str"]),
 ]
 
@@ -73,6 +73,7 @@ def test_bad_scans_are_named_before_any_training(tube_rig, tube_scan, monkeypatc
         ({"held_out": 1.0}, ["held_out: got 1.0", "at most 0.9"]),
         ({"held_out": "some"}, ["held_out: got 'some'", "a number"]),
         ({"smooth": -1.0}, ["smooth: got -1.0", "at least 0"]),
+        ({"smooth": 1e-5}, ["smooth: got 1e-05 without sequence", "sequence=True"]),
         ({"sequence": 1}, ["sequence: got 1", "True or False"]),
         ({"orientation": "sideways"}, ["orientation: got 'sideways'", "'aligned', 'upright' or 'any'"]),
         ({"orientation": None}, ["orientation: got None", "'upright'"]),
@@ -91,6 +92,13 @@ def test_bad_parameters_are_named(tube_rig, tube_scan, parameters, words):
         assert word in str(error.value)
 
 
+@pytest.mark.parametrize("n_jobs", [0, True, 1.5, "2"])
+def test_numbers_of_processes_that_cannot_be_are_named_where_none_are_started(tube_rig, tube_scan, n_jobs):
+    fitter = lbs.LBSFitter(tube_rig, random_state=0, n_jobs=n_jobs)
+    with pytest.raises(InputError, match="n_jobs: got .*expected a positive whole number of processes"):
+        fitter.fit_scan(tube_scan.points, labels=tube_scan.labels)
+
+
 def test_scale_fixed_with_another_unit_is_named(tube_rig, tube_scan):
     with pytest.raises(InputError, match=r"scale: got 'fixed' for a scan whose extent is \d+ times.*scale='estimate'"):
         lbs.LBSFitter(tube_rig, scale="fixed", random_state=0).fit_scan(1000 * tube_scan.points, labels=tube_scan.labels)
@@ -103,6 +111,6 @@ def test_one_call_names_its_errors_before_training(tube_rig, tube_scan, monkeypa
     with pytest.raises(InputError, match="theta0"):
         lbs.fit_scan(tube_rig, tube_scan.points, theta0=np.zeros(3))
     with pytest.raises(InputError, match="point_weights"):
-        lbs.fit_scan(tube_rig, tube_scan.points, point_weights=np.zeros(2500))
+        lbs.fit_scan(tube_rig, tube_scan.points, point_weights=np.zeros(1000))
     with pytest.raises(InputError, match="rig: got str"):
         lbs.fit_scan("left.glb", tube_scan.points)

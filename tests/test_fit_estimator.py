@@ -19,7 +19,8 @@ def test_the_same_again(tube_fitter, tube_scan, tube_result):
 
 def test_a_seed_decides_all(tube_rig, tube_scan):
     def fit(seed):
-        fitter = lbs.LBSFitter(tube_rig, training_scans=4, training={"n_points": 300}, max_points=400, random_state=seed)
+        small = {"effort": "fast", "training_scans": 4, "training": {"n_points": 300}, "max_points": 400}
+        fitter = lbs.LBSFitter(tube_rig, random_state=seed, **small)
         return fitter.fit_scan(tube_scan.points)
 
     a, b, c = fit(3), fit(3), fit(4)
@@ -33,7 +34,8 @@ def test_threads_change_nothing(tube_rig, tube_scan):
     results = []
     for threads in (1, 2):
         with threadpool_limits(threads):
-            fitter = lbs.LBSFitter(tube_rig, training_scans=20, training={"n_points": 400}, random_state=0).pretrain()
+            small = {"effort": "fast", "training_scans": 20, "training": {"n_points": 400}}
+            fitter = lbs.LBSFitter(tube_rig, random_state=0, **small).pretrain()
             results.append(fitter.fit_scan(tube_scan.points[:600]))
     assert_same(*results)
 
@@ -46,7 +48,8 @@ def test_one_scan_does_not_change_the_next(tube_rig, tube_fitter, tube_scan, tub
 @pytest.mark.parametrize("seed", [None, "generator"])
 def test_other_kinds_of_seeds_work(tube_rig, tube_scan, seed):
     seed = np.random.default_rng(0) if seed == "generator" else seed
-    fitter = lbs.LBSFitter(tube_rig, training_scans=2, training={"n_points": 100}, max_points=300, random_state=seed)
+    small = {"effort": "fast", "training_scans": 2, "training": {"n_points": 100}, "max_points": 300}
+    fitter = lbs.LBSFitter(tube_rig, random_state=seed, **small)
     assert fitter.fit_scan(tube_scan.points).status == "ok"
 
 
@@ -99,15 +102,14 @@ def test_changed_parameters_are_looked_at_again(tube_rig, tube_scan, fitter):
     follow = fitter.fit_scan(tube_scan.points, labels=tube_scan.labels)
     fixed = fitter.set_params(joints="fixed").fit_scan(tube_scan.points, labels=tube_scan.labels)
     assert not np.array_equal(follow.vertices, fixed.vertices)
-    assert_same(
-        fixed, lbs.LBSFitter(tube_rig, joints="fixed", random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels)
-    )
+    other = lbs.LBSFitter(tube_rig, effort="fast", joints="fixed", random_state=0)
+    assert_same(fixed, other.fit_scan(tube_scan.points, labels=tube_scan.labels))
 
 
 def test_one_call_with_a_kept_segmenter(tube_rig, tube_scan, tmp_path, monkeypatch):
     monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path))
     monkeypatch.setattr(cache, "_MEMORY", {})
-    small = {"training_scans": 3, "training": {"n_points": 300}}
+    small = {"effort": "fast", "training_scans": 3, "training": {"n_points": 300}}
     a = lbs.fit_scan(tube_rig, tube_scan.points, **small)
     kept = sorted(p.name for p in tmp_path.iterdir())
     assert [name.partition("-")[0] for name in kept] == ["library", "segmenter"]
@@ -143,7 +145,7 @@ def test_training_scans_vary_in_scale_unless_told_otherwise(tube_rig, monkeypatc
 def test_a_segmenter_that_is_given_is_kept(tube_rig, tube_fitter, tube_scan, monkeypatch):
     """Only f and the library are trained beside it, by pretrain, and by fit_scan where nothing was pretrained."""
     monkeypatch.setattr("lbsfit_np.learning.pretraining.train_segmenter", lambda *a, **k: pytest.fail("trained another"))
-    parameters = {"training_scans": 20, "training": {"n_points": 200}, "max_points": 500, "random_state": 0}
+    parameters = {"effort": "fast", "training_scans": 20, "training": {"n_points": 200}, "max_points": 500, "random_state": 0}
     shares = []
     one = lbs.LBSFitter(tube_rig, **parameters).pretrain(segmenter=tube_fitter.segmenter_, progress=shares.append)
     assert one.segmenter_ is tube_fitter.segmenter_ and shares[-1] == 1.0

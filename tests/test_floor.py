@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.clean import clean_rows
 from lbsfit_np.starts.floor import off_floor
+from lbsfit_np.starts.scale import reference_scale
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -32,6 +34,24 @@ def test_a_floor_goes_and_the_body_stays(hand, share):
         assert (body & ~kept).sum() < 0.06 * body.sum()
         found += (~body & kept).sum() < 0.05 * (~body).sum()
     assert found >= 9
+
+
+@pytest.mark.parametrize("share", [0.3, 1.0])
+def test_a_floor_goes_from_among_clutter(hand, share):
+    """Points here and there above a floor do not make it a body's."""
+    found = 0
+    for scan in lbs.synthesize(hand, 10, poses="natural", random_state=1, floor=share, clutter=0.1):
+        body = int((scan.labels >= 0).sum())
+        kept = _kept(scan.points, up=UP)
+        assert kept[:body].mean() > 0.94
+        found += kept[round(1.1 * body) :].mean() < 0.05  # the floor comes last
+    assert found >= 9
+
+
+def test_one_side_of_a_body_is_no_floor(hand):
+    """A palm seen by one camera is flat, with the fingers on one side of it."""
+    scans = lbs.synthesize(hand, 20, poses="natural", random_state=3, one_sided=True)
+    assert sum(_kept(scan.points).mean() > 0.95 for scan in scans) >= 19
 
 
 def test_a_scan_without_a_floor_stays_whole(hand):
@@ -68,3 +88,16 @@ def test_clean_rows_says_what_it_left_out(hand):
     (plain,) = lbs.synthesize(hand, 1, poses="natural", random_state=1)
     rows, note = clean_rows(plain.points, np.arange(len(plain.points)), up=UP)
     assert note == "" and len(rows) == len(plain.points)
+
+
+def test_a_wide_floor_says_nothing_of_the_unit(hand):
+    """The extent that tells the unit is the body's."""
+    (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1)
+    rng = np.random.default_rng(0)
+    across = 3 * hand.size * rng.uniform(-0.5, 0.5, (4000, 2))
+    floor = np.column_stack([across[:, 0], np.full(4000, scan.points[:, 1].min()), across[:, 1]])
+    points = np.vstack([scan.points, floor])
+    rows, _ = clean_rows(points, np.arange(len(points)), up=UP)
+    assert reference_scale(points[rows], hand, "fixed").scale == reference_scale(scan.points, hand, "estimate").scale == 1.0
+    with pytest.raises(InputError, match="scale: got 'fixed' for a scan whose extent is"):
+        reference_scale(points, hand, "fixed")

@@ -7,7 +7,7 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.rotations import matrix_from_rotvec
-from lbsfit_np.starts.turns import ORIENTATIONS, some_turns, turns_of
+from lbsfit_np.starts.turns import ORIENTATIONS, any_side_up, some_turns, stands_note, turns_of
 
 
 def _between(A, B):
@@ -74,3 +74,26 @@ def test_the_bundled_rigs_stand_on_y():
     for name in ("hand-coarse", "body-coarse"):
         turns = turns_of(lbs.load_rig(name), "upright")
         np.testing.assert_allclose(turns[:, 1], np.tile([0.0, 1.0, 0.0], (24, 1)), atol=1e-12)
+
+
+def test_any_side_may_be_up():
+    up = np.array([0.0, 1.0, 0.0])
+    turns = turns_of(lbs.load_rig("hand-coarse"), "upright")
+    wide = any_side_up(turns, up)
+    assert len(wide) == 6 * len(turns)
+    np.testing.assert_array_equal(wide[: len(turns)], turns)
+    np.testing.assert_allclose(np.linalg.det(wide), 1.0)
+    np.testing.assert_allclose(wide @ wide.transpose(0, 2, 1), np.broadcast_to(np.eye(3), wide.shape), atol=1e-12)
+    sides = np.round(wide @ up, 6).reshape(6, len(turns), 3)
+    assert (sides == sides[:, :1]).all() and len({tuple(s) for s in sides[:, 0] + 0.0}) == 6
+
+
+@pytest.mark.parametrize(
+    "side, words",
+    [([0, 1, 0], ""), ([0, 0, 1], "along its +z axis"), ([0, -1, 0], "along its -y axis"), ([-1, 0, 0], "along its -x axis")],
+)
+def test_a_scan_that_stands_otherwise_is_told(side, words):
+    up = np.array([0.0, 1.0, 0.0])
+    turn = next(t for t in any_side_up(np.eye(3)[None], up) if np.allclose(t @ up, side))
+    note = stands_note(turn, up)
+    assert words in note and bool(words) == bool(note)

@@ -121,14 +121,24 @@ def _in_a_unit(rig, scan, rng):
 
 @dataclass(frozen=True)
 class _Bent:
-    """Every moving joint but the root turned by one angle (radians) about a random axis, cut to its limits."""
+    """Every moving joint but the root turned by one angle (radians) about a random axis, within its limits.
+
+    Where limits leave less than the angle in the drawn direction, the other axes take up what they can of it. On which side of 0
+    an axis turns is drawn by how much room there is.
+    """
 
     angle: float
 
     def __call__(self, rig, i, rng):
-        theta = rng.standard_normal(rig.lower.shape)
-        theta *= self.angle / np.linalg.norm(theta, axis=1, keepdims=True)
-        theta = np.clip(theta, rig.lower, rig.upper)
+        lower, upper = np.minimum(rig.lower, 0.0), np.maximum(rig.upper, 0.0)
+        side = np.where(rng.random(lower.shape) * (upper - lower) < upper, 1.0, -1.0)
+        direction = side * np.abs(rng.standard_normal(lower.shape))
+        least, most = np.zeros((len(lower), 1)), np.full((len(lower), 1), 1e4)
+        for _ in range(60):  # the length along the direction, cut to the limits, that makes the angle
+            middle = (least + most) / 2
+            short = np.linalg.norm(np.clip(middle * direction, lower, upper), axis=1, keepdims=True) < self.angle
+            least, most = np.where(short, middle, least), np.where(short, most, middle)
+        theta = np.clip(most * direction, rig.lower, rig.upper)
         theta[~rig.moving] = 0.0
         theta[rig.root] = 0.0
         return theta

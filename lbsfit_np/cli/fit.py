@@ -10,7 +10,7 @@ from .models import about_model, is_model, load_model, model_in_words
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, say
 from .stopping import exit_code, terminable
-from .summary import counts_of, say_doubtful, write_summary, written_of
+from .summary import counts_of, doubts_of, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "fit_files", "load_rig_with", "scan_options"]
 
@@ -96,9 +96,10 @@ examples:
 
 What is trained for a rig, its segmenter and its library of starts, is kept in $LBSFIT_CACHE, else in the user's cache folder.
 Each fit has a status: ok; suspect, where something speaks against it; failed, where it is all but certainly wrong (the
-files are written all the same). The summary and the table at the end have these first, with what speaks against them.
-Exit code: 0 all fitted, suspect or not, 1 some scans failed (named with reasons; the others are written), 2 usage or
-unreadable rig, 130 stopped by Ctrl-C.
+files are written all the same). The summary and the table at the end have these first, with what speaks against them. Fits
+that --existing skip keeps have the status of their files, and "kept": true in the summary.
+Exit code: 0 all fitted, suspect or not, 1 some scans failed (named with reasons; the others are written), kept fits that had
+failed counted, 2 usage or unreadable rig, 130 stopped by Ctrl-C.
 """
 
 
@@ -291,8 +292,7 @@ def _kept(files, fitter):
                 "fits with this model and subject" if digest else f"fits with rig {rig.name!r} alone",
                 "Choose another folder, or --existing replace.",
             )
-        # A fit that had failed has still failed.
-        kept[f.name] = outputs.fitted_entry(f, result, status="failed" if result.status == "failed" else "skipped")
+        kept[f.name] = outputs.fitted_entry(f, result, kept=True)
     return kept
 
 
@@ -308,8 +308,8 @@ def _farewell(counts, n, out, stopped):
         rest = "; the same command with --existing skip does the rest" if done else ""
         say(f"stopped: {done} of {n} scans are fitted and kept in {out}{rest}" if done else "stopped before a scan was fitted")
         return exit_code(stopped)
-    doubts = [f"{counts[status]} {status}" for status in ("suspect", "failed") if counts[status]]
-    say(f"{done} of {n} scans fitted" + (f" ({', '.join(doubts)})" if doubts else "") + f"; results in {out}")
+    skipped = f", {counts['kept']} of them skipped as fitted before" if counts["kept"] else ""
+    say(f"{done} of {n} scans fitted{doubts_of(counts)}{skipped}; results in {out}")
     return 1 if counts["failed"] else 0
 
 

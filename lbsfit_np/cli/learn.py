@@ -79,9 +79,10 @@ examples:
       held-out = 0.2
 
 A scan that cannot be used is named with the reason and left out. The model appears when it is complete; an input is never
-overwritten. The segmenter's first training is kept in $LBSFIT_CACHE, else in the user's cache folder.
-Exit code: 0 learned from all scans, 1 some scans were left out, 2 usage, unreadable rig, or no model could be learned, 130
-stopped by Ctrl-C.
+overwritten. The segmenter's first training is kept in $LBSFIT_CACHE, else in the user's cache folder. At the end stand the
+unit of the scans, how many fits are ok, suspect or failed, and a table of those that are not ok, see lbsfit fit --help.
+Exit code: 0 learned from all scans, 1 some scans were left out, or their fits failed, 2 usage, unreadable rig, or no model
+could be learned, 130 stopped by Ctrl-C.
 """
 
 
@@ -143,8 +144,12 @@ def learn_files(rig_path, scans, values, *, inputs=()):
             fitter.save(model)
             written = True
             say(_learned(fitter, reading, model, time.perf_counter() - started))
+            say(_units(fitter))
             if files:
                 _write_results(rig_path, fitter, reading, files, entries, values, started)
+            else:
+                entries = _unwritten(fitter, reading)
+            _say_statuses(entries, len(scans), values["results"])
     except KeyboardInterrupt as stop:
         progress.close()
         results = f", {written_of(entries)} of {len(scans)} results are in {values['results']}" if files else ""
@@ -152,8 +157,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
         return exit_code(stop)
     finally:
         progress.close()
-    failed = len(reading.failures) + (counts_of(entries)["failed"] if files else 0)
-    return 1 if failed else 0
+    return 1 if counts_of(entries)["failed"] else 0
 
 
 def _checked(rig_path, scans, values, inputs):
@@ -270,6 +274,43 @@ def _learned(fitter, reading, model, seconds):
     )
 
 
+def _units(fitter):
+    """The unit of the scans, in a line."""
+    from ..starts.scale import same_unit, unit_name
+
+    if fitter.scale == "fixed":
+        return "scans are taken to be in the rig's unit (scale fixed at 1)"
+    units = np.array(list(fitter.unit_.values()))
+    unit = float(np.median(units))
+    if same_unit(unit):
+        return "scans are in the rig's unit"
+    low, high = f"{units.min():.4g}", f"{units.max():.4g}"
+    name = unit_name(unit, fitter.rig)
+    words = "in another unit, or of another size" if name is None else f"in {name}"
+    return f"scans are {words} ({low if low == high else f'{low} to {high}'} per rig unit)"
+
+
+def _unwritten(fitter, reading):
+    """What became of each scan where no results are written: entries by the scans' paths."""
+    entries = {}
+    for i, (path, result) in enumerate(zip(reading.paths, fitter.results_, strict=True)):
+        entry = {"name": reading.name(i), "input": path}
+        if result is None:
+            entries[path] = entry | {"status": "failed", "message": reading.failures[i]}
+        else:
+            entries[path] = entry | {"status": result.status, "message": result.message, "probability": result.probability}
+    return entries
+
+
+def _say_statuses(entries, n, results):
+    """The scans in doubt, and how many there are of each status."""
+    say_doubtful(list(entries.values()))
+    counts = counts_of(entries)
+    words = ", ".join(f"{counts[status]} {status}" for status in ("ok", "suspect", "failed"))
+    written = "" if results is None else f"; {written_of(entries)} of {n} results in {results}"
+    say(f"fits of {n} scan{'' if n == 1 else 's'}: {words}{written}")
+
+
 def _write_results(rig_path, fitter, reading, files, entries, values, started):
     """The files of every scan, as ``lbsfit fit`` writes them, and the summary; ``entries`` fills up."""
     writer = outputs.Writer(fitter.rig, files)
@@ -290,8 +331,6 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
         progress.close()
         facts = {"started": started, "stopped": stopped, "model": about_model(values["output"]), "history": fitter.history_}
         write_summary(Path(values["results"]), rig_path, fitter.rig, files, entries, values, **facts)
-    say_doubtful([entries[f.name] for f in files])
-    say(f"{written_of(entries)} of {len(files)} results in {values['results']}")
 
 
 def _written(writer, i, files, scan, result):

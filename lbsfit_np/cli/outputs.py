@@ -188,11 +188,12 @@ class Writer:
         return fitted_entry(files, result, notes=scan.notes)
 
 
-def fitted_entry(files, result, *, status=None, notes=()):
-    """The entry of a scan whose fit is there; its status is the fit's own unless given."""
+def fitted_entry(files, result, *, kept=False, notes=()):
+    """The entry of a scan whose fit is there, with the fit's own status; ``kept``: an earlier run has made it."""
     return entry(
         files,
-        status or result.status,
+        result.status,
+        kept=kept,
         message=result.message,
         probability=round(result.probability, 4),
         evidence={name: round(value, 5) for name, value in result.evidence.items()},

@@ -13,6 +13,8 @@ _STAGES = {
     "segmenter": "training the segmenter on scans like these",
     "labels": "labels of the scans",
 }
+# Seconds, at least, between lines about one stage where there is no bar.
+_SILENCE = 60
 
 
 def say(text):
@@ -103,6 +105,7 @@ class LearningProgress:
         self._clock = clock
         self._stage, self._bar = None, None
         self._began, self._took = None, []
+        self._share, self._stage_began, self._told = 0.0, None, None
 
     def __call__(self, stage, share, figures=None):
         """``stage`` is done to ``share``; ``figures`` at the end of a round."""
@@ -111,7 +114,12 @@ class LearningProgress:
             return
         if stage != self._stage:
             self._begin(stage)
-        if self._bar is not None:
+        elif share < self._share:
+            self._stage_began = self._clock()  # the same once more
+        self._share = share
+        if self._bar is None:
+            self._tell()
+        else:
             self._bar.set_postfix_str(self._left_in_words(), refresh=False)
             self._bar.update(100 * share - self._bar.n)
 
@@ -128,7 +136,8 @@ class LearningProgress:
 
     def _begin(self, stage):
         self.close()
-        self._stage = stage
+        self._stage, self._share = stage, 0.0
+        self._stage_began = self._told = self._clock()
         words = _STAGES.get(stage, stage)
         if stage in ("results", "smoothing"):
             self.round = 0  # all rounds are over, perhaps before their number
@@ -159,10 +168,21 @@ class LearningProgress:
         name = f"round {k} of at most {self.rounds}" if k else "each scan by itself"
         print(f"{name}: {'; '.join(words)}", file=sys.stderr if self.terminal else sys.stdout, flush=True)
 
+    def _tell(self):
+        """Where there is no bar, a line now and then in a stage that takes long."""
+        left = self._left_in_words()
+        if left and self._share < 1 and self._clock() - self._told >= _SILENCE:
+            self._told = self._clock()
+            print(f"{_STAGES.get(self._stage, self._stage)}: {self._share:.0%}, {left}", flush=True)
+
     def _left_in_words(self):
-        """How long it is until the last round would end, once one has shown how long they take; rounds may end before."""
+        """How long it is until the last round would end, once one has shown how long they take; rounds may end before.
+
+        Until then, and after the rounds, how long it is until the stage ends, by the share of it that is done.
+        """
         if not self._took or not self.round:
-            return ""
+            took = 0.0 if self._stage is None else self._clock() - self._stage_began
+            return f"about {span(took / self._share * (1 - self._share))} left of this step" if took and self._share else ""
         mean = sum(self._took) / len(self._took)
         left = (self.rounds - self.round + 1) * mean - (self._clock() - self._began)
         return f"at most about {span(max(left, 0))} left"

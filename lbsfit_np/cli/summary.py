@@ -6,12 +6,19 @@ import time
 from .outputs import SUMMARY
 from .progress import say
 
-__all__ = ["counts_of", "say_doubtful", "write_summary", "written_of"]
+__all__ = ["counts_of", "doubts_of", "say_doubtful", "write_summary", "written_of"]
 
 
 def counts_of(entries):
-    """How many scans came out how; ``entries`` as in :func:`write_summary`."""
-    return {s: sum(e["status"] == s for e in entries.values()) for s in ("ok", "suspect", "skipped", "failed")}
+    """How many scans came out how, and how many of all were kept; ``entries`` as in :func:`write_summary`."""
+    counts = {s: sum(e["status"] == s for e in entries.values()) for s in ("ok", "suspect", "failed")}
+    return counts | {"kept": sum(e.get("kept", False) for e in entries.values())}
+
+
+def doubts_of(counts):
+    """How many are suspect and how many have failed, in brackets; nothing where all are well."""
+    doubts = [f"{counts[status]} {status}" for status in ("suspect", "failed") if counts[status]]
+    return f" ({', '.join(doubts)})" if doubts else ""
 
 
 def written_of(entries):

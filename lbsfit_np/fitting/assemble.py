@@ -32,6 +32,7 @@ def assemble(
     value=None,
     rivals=(),
     partial=False,
+    judged=True,
 ):
     """The fit in the scan's frame and on the rig's original vertices, with a label for every point.
 
@@ -67,6 +68,9 @@ def assemble(
     rivals : sequence of float
         What the pose, and others that are not it, left unexplained, as in ``confidence.evidence_of``.
     partial : bool
+    judged : bool, default True
+        False where the vertices say nothing of the pose: then there is no evidence, the probability is 0, and what is finite is
+        "ok".
 
     Returns
     -------
@@ -94,7 +98,9 @@ def assemble(
     recon = float(np.sqrt(chamfer(problem.X, V, x_weights=problem.x_weights, x_index=problem.x_index)[0]))
     finite = bool(np.isfinite(evaluation.value)) and bool(np.isfinite(V).all())
     evidence, probability, status, reason = {}, 0.0, "failed", "it is not finite; check the scan for wild points"
-    if finite:
+    if finite and not judged:
+        status, reason = "ok", ""
+    elif finite:
         evidence, worst = evidence_of(
             model.rig,
             V,

@@ -18,8 +18,9 @@ __all__ = ["EVIDENCE", "evidence_of", "logarithms", "probability_of", "shown_pro
 EVIDENCE = ("distance", "unexplained", "unreached", "worst_part", "disagreement", "rival", "at_limits")
 # s of ρ(d²) = d² / (d² + s²): distances of about this count half, in half sizes of the rig.
 _SCALE = 0.05
-# Of noise, distances up to so many medians are no fault of the pose; but a median beyond this, in half sizes, is more than noise.
-_NOISE, _NOISIEST = 2.5, 0.03
+# Of noise, distances up to so many medians are no fault of the pose; of sparse points, surface that is nearer than their spacing
+# is none. But beyond these, in half sizes, noise and gaps are large enough to hide a wrong pose.
+_NOISE, _NOISIEST, _SPARSEST = 2.5, 0.015, 0.08
 # Points and surface with no partner nearer than this, in half sizes, have none.
 _PARTNER = 0.08
 # Parts with less than this share of the surface are too small to be judged by themselves.
@@ -57,7 +58,7 @@ def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, 
     -------
     evidence : dict of str to float
         "distance": the points' median distance from the surface ÷ s; "unexplained": mean of ρ over what these distances are
-        beyond 2.5 times their median, which is taken for noise up to 0.03; "unreached": the same over the surface's from the
+        beyond 2.5 times their median, which is taken for noise up to 0.015; "unreached": the same over the surface's from the
         points; "worst_part": the largest of both over single parts; "disagreement": 1 − mean probability that the segmenter
         gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals'; "at_limits": share of the
         angles that are at a limit. All in [0, 1]; what is not known is 0.
@@ -74,8 +75,8 @@ def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, 
         away[with_face] = np.minimum(away[with_face], ((X[with_face] - there.points) ** 2).sum(axis=1))
     index = PointIndex(X)
     to_X = index.nearest(vertices)
-    # Between points there is nothing to reach: distances count from their spacing on.
-    back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - _spacing(X), 0.0) ** 2
+    # Between points there is nothing to reach.
+    back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(_spacing(X), _SPARSEST), 0.0) ** 2
     seen = np.ones(len(vertices), dtype=bool)
     if partial and around is not None:
         normals = vertex_normals(vertices, rig.faces)

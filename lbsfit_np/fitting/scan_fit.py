@@ -13,7 +13,7 @@ from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.clean import clean_rows
 from ..starts.scale import reference_scale, unit_note
-from ..starts.turns import some_turns
+from ..starts.turns import some_turns, stands_note
 from .assemble import assemble
 from .confidence import shown_problem
 from .refit import Refit
@@ -80,24 +80,26 @@ class ScanFit:
     model : Model
     settings : FitSettings, optional
     segmenter : Segmenter, optional
-        Needed but with known labels.
+        Without one, and without known labels, there is no structured term.
     library : PoseLibrary, optional
         Needed but with known labels or a given start.
     turns : (R, 3, 3) array, optional
         How scans may be turned; by default they face the rig's way.
     up : (3,) array, optional
         Where scans are upright: the direction that no floor lies in.
+    nearest : bool, default True
+        Whether the library's poses are starts, as for ``Scout``.
     """
 
-    def __init__(self, model, settings=None, *, segmenter=None, library=None, turns=None, up=None):
+    def __init__(self, model, settings=None, *, segmenter=None, library=None, turns=None, up=None, nearest=True):
         self.model, self.settings = model, settings or FitSettings()
-        self.segmenter, self.library = segmenter, library
+        self.segmenter, self.library, self.nearest = segmenter, library, nearest
         self.turns, self.up = np.eye(3)[None] if turns is None else turns, up
 
     @cached_property
     def scout(self):
         """The Scout of these settings."""
-        return Scout(self.model, self.library, self.turns, self.segmenter, self.settings)
+        return Scout(self.model, self.library, self.turns, self.segmenter, self.settings, nearest=self.nearest)
 
     def fit(self, points, *, theta0=None, labels=None, point_weights=None, random_state=None):
         """Fit one scan.
@@ -126,8 +128,8 @@ class ScanFit:
     def _fit(self, points, theta0, labels, point_weights, random_state, started):
         model, settings = self.model, self.settings
         rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
-        guess = reference_scale(points[rows], model.source, settings.scale).scale
         rows, left_out = clean_rows(points, rows, up=self.up)
+        guess = reference_scale(points[rows], model.source, settings.scale).scale
         a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
         if theta0 is None and labels is None:
             found = self.scout(points[rows], a)
@@ -143,6 +145,7 @@ class ScanFit:
             # The residual takes what the template lacks; the pose is better known by distances to the surface.
             known = None if labels is None else labels[rows]
             last = replace(last, state=self._refit.polish(problem, last.state, labels=known))
+        stands = "" if self.up is None or theta0 is not None else stands_note(frame.turn, self.up)
         note = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
         return assemble(
             model.source,
@@ -157,7 +160,7 @@ class ScanFit:
             proba=proba,
             labels=labels,
             evaluations=search.evaluations,
-            note="; ".join(filter(None, [note, left_out])),
+            note="; ".join(filter(None, [note, stands, left_out])),
             started=started,
             partial=settings.partial,
             **rivals,
@@ -179,10 +182,11 @@ class ScanFit:
         for turn in turns:
             frame = Frame(centre, scale * model.half, turn)
             problem = Problem(frame.inside(points[rows]), a)
-            if labels is None:
-                proba = self.segmenter.predict_proba(problem.X * model.half)
-            else:
+            proba = None
+            if labels is not None:
                 proba = np.eye(len(model.source.parts))[labels[rows]]
+            elif self.segmenter is not None:
+                proba = self.segmenter.predict_proba(problem.X * model.half)
             search = Search(model, problem, proba, labels is not None, settings).start(theta0)
             if best is None or search.outcome.value < best[-1].outcome.value:
                 best = frame, problem, proba, search

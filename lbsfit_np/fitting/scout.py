@@ -18,6 +18,7 @@ from ..optimize.problem import Problem
 from ..rig.frames import up_axis
 from ..rotations import matrix_from_rotvec
 from ..starts.limbs import LimbPoses
+from ..starts.turns import any_side_up
 from .confidence import evidence_of, probability_of
 from .refit import Refit, Runner, thinned
 
@@ -30,6 +31,8 @@ _LABELLED, _ELSEWHERE = 900, 0.8
 _ALIKE = 0.03
 # Without proportions, the right pose may leave this many times as much unexplained as a wrong one.
 _RIVAL = 2.0
+# More turns than about one axis.
+_MANY = 100
 # A pose that is right with less than this probability is worth a second look.
 _SURE = 0.8
 
@@ -69,7 +72,7 @@ class Effort:
 
 
 EFFORTS = {
-    "fast": Effort(6, 1, 2, 1, 1, 1, 1),
+    "fast": Effort(6, 2, 2, 1, 1, 1, 1),
     "balanced": Effort(16, 4, 4, 2, 3, 1, 2, again="thorough"),
     "thorough": Effort(48, 8, 8, 3, 8, 4, 3),
 }
@@ -119,7 +122,7 @@ class Scout:
     proportions : bool, default True
         Whether the template's proportions are found as well, or are known.
     nearest : bool, default True
-        False leaves out the library's poses, but not what they tell of turn and unit.
+        False leaves out the library's poses, of limbs as well, but not what they tell of turn and unit.
     """
 
     def __init__(self, model, library, turns, segmenter, settings, *, unit=None, proportions=True, nearest=True):
@@ -128,9 +131,9 @@ class Scout:
         self.unit = 1.0 if settings.scale == "fixed" else unit
         self._free = ("pose", "translation") if self.unit else ("pose", "translation", "scale")
         self._refit = Refit(model, self._free, partial=settings.partial)
-        up = up_axis(model.source)
+        self._up = up = up_axis(model.source)
         # About the up axis; where any rotation may be, about the other two axes as well.
-        self._flips = [up] if len(turns) < 100 else [up, *np.eye(3)[up == 0]]
+        self._flips = [up] if len(turns) < _MANY else [up, *np.eye(3)[up == 0]]
         self._limbs = LimbPoses(model, library.poses)
         self._shape = None
         if proportions and settings.polish and len(model.rig.faces):
@@ -153,6 +156,8 @@ class Scout:
         if self.effort.again and self._probability(found) < _SURE:
             closer = copy(self)
             closer.effort = EFFORTS[self.effort.again]
+            if 1 < len(self.turns) < _MANY:  # not every scan has the rig's up axis
+                closer.turns = any_side_up(self.turns, self._up)
             found = min(found, closer._look(points, x_weights), key=lambda f: f.value)
         return found
 
@@ -198,7 +203,7 @@ class Scout:
     def _other_limbs(self, runners):
         """The same with, where some limb is better off in another pose, what came of that; again while it helps."""
         refit, size = self._refit, len(runners)
-        for _ in range(self.effort.generations):
+        for _ in range(self.effort.generations if self.nearest else 0):
             best = runners[0].value
             tried = []
             for r in runners[: self.effort.parents]:

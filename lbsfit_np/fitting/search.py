@@ -25,8 +25,8 @@ class Search:
     ----------
     model : Model
     problem : Problem
-    proba : (n, n_parts) array
-        The segmenter's probabilities, or known labels as zeros and ones.
+    proba : (n, n_parts) array or None
+        The segmenter's probabilities, or known labels as zeros and ones; None leaves the structured term out.
     labels_known : bool
         Known labels are never refined.
     settings : FitSettings
@@ -35,18 +35,28 @@ class Search:
     def __init__(self, model, problem, proba, labels_known, settings):
         self.model, self.problem, self.proba, self.settings = model, problem, proba, settings
         self.labels_known = labels_known
-        self.labels = proba.argmax(axis=1)
+        self.labels = None if proba is None else proba.argmax(axis=1)
         self.place = ("translation",) if settings.scale == "fixed" else ("translation", "scale")
         self.evaluations = 0
         self.outcome = None
 
     def start(self, theta0=None):
-        """The parts brought to their centroids, from the rest pose or a given one, then to their labels; returns self."""
+        """The parts brought to their centroids, from the rest pose or a given one, then to their labels; returns self.
+
+        Without labels the whole is brought to the scan.
+        """
         model, X, a = self.model.coarse, self.problem.X, self.problem.x_weights
+        given = self.model.rest()
+        if theta0 is not None:
+            given = given.replace(theta=np.array(theta0, dtype=float))
+        if self.proba is None:
+            centre = X.mean(axis=0) if a is None else a @ X
+            given = given.replace(translation=centre - self.model.areas @ self.model.pose(given)[0].vertices)
+            self.outcome = self._minimise(given, _PLAIN, ("pose", "translation"), model)
+            return self
         if theta0 is None:
             start = start_from_parts(model, X, self.proba, x_weights=a)
         else:
-            given = self.model.rest().replace(theta=np.array(theta0, dtype=float))
             start = start_from_parts(model, X, self.proba, x_weights=a, state=given, free=("translation",))
         self.evaluations += start.evaluations
         self.outcome = self._minimise(start.state, _STRUCTURED, ("pose", "translation"), model)
@@ -55,7 +65,7 @@ class Search:
     def pose(self):
         """After :meth:`start`, the stages before the full objective: the State with pose, place and proportions."""
         state = self.outcome.state
-        for sigma in self.settings.refinements:
+        for sigma in () if self.proba is None else self.settings.refinements:
             self._relabel(state, sigma)
             state = self._minimise(state, _BOTH, ("pose", *self.place, "proportions"), self.model.coarse).state
         if not self.labels_known:  # known labels are right, and more than the plain term knows
@@ -94,7 +104,7 @@ class Search:
 
     def _relabel(self, state, sigma):
         """Labels by the segmenter's word and the distance to the parts as they stand."""
-        if not self.labels_known:
+        if self.proba is not None and not self.labels_known:
             model = self.model.coarse
             V = model.pose(state)[0].vertices
             self.labels = refined_labels(self.problem.X, self.proba, V, model.labels, sigma, doubt=self.settings.doubt)

@@ -101,10 +101,12 @@ def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=No
 
 def _pretrained(fitter, scans, report, pretrain):
     """Pretrain the fitter where it wants that; returns the scan, by index, that was read to see that this is worth while."""
-    if getattr(fitter, "regressor_", None) is not None or getattr(fitter, "template_", None) is not None:
-        return {}  # pretrained, or learned free-form, which has nothing to train
-    if not as_variant(getattr(fitter, "variant", "joint")).skinning:
-        return {}  # free-form, too
+    variant = as_variant(getattr(fitter, "variant", "joint"))
+    if getattr(fitter, "template_", None) is not None or not variant.skinning:
+        return {}  # learned, or free-form, which has nothing to train
+    wanted = ("regressor_", "segmenter_") if variant.labels else ("regressor_",)
+    if all(getattr(fitter, name, None) is not None for name in wanted):
+        return {}
     for i, source in enumerate(scans):
         started = time.perf_counter()
         try:

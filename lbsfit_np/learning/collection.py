@@ -15,7 +15,7 @@ from ..starts.clean import clean_rows
 from ..starts.scale import extent, reference_scale
 from ..workers import each
 
-__all__ = ["Collection", "Member", "as_scans", "as_subjects", "read_collection"]
+__all__ = ["Collection", "Member", "as_scans", "as_subjects", "mixed_units", "odd_ones", "read_collection"]
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
 _ONE_UNIT = 6.0
@@ -220,8 +220,8 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             rows = np.arange(len(points))
             if len(points) > max_points:
                 rows = np.sort(generator(random_state, "thin", i).choice(len(points), max_points, replace=False))
-            reference = reference_scale(points[rows], rig, scale)
             rows, _ = clean_rows(points, rows, up=up)
+            reference = reference_scale(points[rows], rig, scale)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             collection.failures[i] = _in_words(error)
             continue
@@ -238,19 +238,43 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     return collection
 
 
+def odd_ones(sizes, most):
+    """Rows of positive sizes that are not like the others: where they span too much, all but the largest group between gaps.
+
+    Parameters
+    ----------
+    sizes : (n,) array
+    most : float
+        Ratio of the largest to the smallest up to which all are alike.
+
+    Returns
+    -------
+    int array
+    """
+    order = np.argsort(sizes)
+    gaps = np.diff(np.log(sizes[order]))
+    if gaps.sum() <= np.log(most):
+        return np.empty(0, dtype=int)
+    groups = np.split(order, np.flatnonzero(gaps >= gaps.max() / 2) + 1)
+    largest = max(range(len(groups)), key=lambda k: len(groups[k]))
+    return np.sort(np.concatenate([g for k, g in enumerate(groups) if k != largest]))
+
+
+def mixed_units(got):
+    """The InputError of a collection whose scans are in different units."""
+    remedy = "Convert them, or learn from each kind by itself."
+    return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
+
+
 def _check_units(collection, scale):
     """All members get the unit that most of them are in; refuse a mixture."""
     extents = np.array([extent(m.points[m.rows]) for m in collection.members])
-    middle = np.median(extents)
-    odd = np.flatnonzero((extents > _ONE_UNIT * middle) | (extents < middle / _ONE_UNIT))
+    odd = odd_ones(extents, _ONE_UNIT)
     if len(odd):
-        at = ", ".join(collection.members[i].name for i in odd[:5])
-        raise InputError(
-            "scans",
-            f"different units: scan {at} {'has' if len(odd) == 1 else 'have'} an extent of {extents[odd[0]]:.3g}, "
-            f"the middle one is {middle:.3g}",
-            "scans of one collection in one unit",
-            "Convert them, or learn from each kind by itself.",
+        at = ", ".join(collection.members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
+        others = np.median(np.delete(extents, odd))
+        raise mixed_units(
+            f"scan {at} {'has' if len(odd) == 1 else 'have'} an extent of {extents[odd[0]]:.3g}, the others of about {others:.3g}"
         )
     unit = float(np.median([m.unit for m in collection.members]))
     for m in collection.members:

@@ -1,7 +1,7 @@
 """From what was learned to results: the scans of the collection, and new ones."""
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache, cached_property
 
 import numpy as np
@@ -18,7 +18,7 @@ from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.clean import clean_rows
-from ..starts.scale import reference_scale
+from ..starts.scale import reference_scale, unit_note
 from ..starts.turns import some_turns, turns_of, up_of
 from .variants import as_variant
 
@@ -54,7 +54,8 @@ class _Finish:
         return cache(lambda subject: TemplateFit(self.rig, self.models[subject], self.settings))  # once in each process
 
     def __call__(self, m):
-        note = "left out of learning" if m.held_out else "learned from"
+        unit = unit_note(m.state.scale * m.frame.unit / self.models[m.subject].half, self.rig, self.settings.scale)
+        note = f"{'left out of learning' if m.held_out else 'learned from'}; {unit}"
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         return self._fit(m.subject).finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
 
@@ -91,8 +92,8 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights):
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if len(rows) > settings.max_points:
         rows = np.sort(generator(fitter._seed(), "thin").choice(rows, settings.max_points, replace=False))
-    guess = reference_scale(points[rows], rig, settings.scale).scale
     rows, left_out = clean_rows(points, rows, up=up_of(rig, fitter.orientation))
+    guess = reference_scale(points[rows], rig, settings.scale).scale
     x = points[rows]
     a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
@@ -107,7 +108,8 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights):
         found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
     subject, best = min(found, key=lambda f: f[1].value)
     note = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
-    note = "; ".join(filter(None, [note, left_out]))
+    unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
+    note = "; ".join(filter(None, [note, unit, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     fit = _template_fit(fitter, subject, settings)
     return fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
@@ -168,11 +170,12 @@ def _template_fit(fitter, subject, settings):
 def scan_fit(fitter, segmenter=None, library=None):
     """Fits of scans by themselves, with what was pretrained."""
     model, settings, orientation = fitter._model(), fitter._fit_settings(), fitter.orientation
-    made_of = model, settings, orientation, segmenter, library
+    nearest = as_variant(fitter.variant).library
+    made_of = model, settings, orientation, segmenter, library, nearest
 
     def make():
         turns, up = turns_of(fitter.rig, orientation), up_of(fitter.rig, orientation)
-        return ScanFit(model, settings, segmenter=segmenter, library=library, turns=turns, up=up)
+        return ScanFit(model, settings, segmenter=segmenter, library=library, turns=turns, up=up, nearest=nearest)
 
     return _kept(fitter, (None, "scan fit"), made_of, make)
 
@@ -235,7 +238,9 @@ def _free_form(model, settings, problem, points, rows, frame, started):
         max_iterations=settings.full_iterations,
         tolerance=settings.full_tolerance,
     )
-    result = assemble(
+    unit = unit_note(frame.unit / model.half, model.source, settings.scale)  # the scale found says no more: offsets share in it
+    # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
+    return assemble(
         model.source,
         model,
         problem,
@@ -246,8 +251,7 @@ def _free_form(model, settings, problem, points, rows, frame, started):
         sigma=settings.refinements[-1],
         evaluation=problem.evaluate(model, outcome.state, weights),
         evaluations=place_only.evaluations + outcome.evaluations,
-        note="free-form, no skinning",
+        note=f"free-form, no skinning; {unit}",
         started=started,
+        judged=False,
     )
-    # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
-    return replace(result, probability=0.0, status="ok") if np.isfinite(result.vertices).all() else result

@@ -138,7 +138,8 @@ class LBSFitter(BaseEstimator):
         Parameters
         ----------
         segmenter : Segmenter, optional
-            A trained one, which is taken as s; only f and the library are trained then.
+            A trained one, which is taken as s; only f and the library are trained then. Variants without labels have no s, and
+            neither train one nor take it.
         cache : bool, default False
             Whether to look in, and add to, the cache of what was trained.
         progress : callable, optional
@@ -150,11 +151,15 @@ class LBSFitter(BaseEstimator):
         """
         self._check()
         progress = progress or (lambda share: None)
-        share = 1.0 if segmenter is not None else _LIBRARY_TIME
+        labels = as_variant(self.variant).labels
         if segmenter is not None:
             segmenter.check_rig(self.rig)
+        if not labels:
+            segmenter = None
+        train = labels and segmenter is None
+        share = _LIBRARY_TIME if train else 1.0
         library = self._pretrain_library(cache, lambda p: progress(share * p))
-        if segmenter is None:
+        if train:
             options = {"random_state": self._seed(), "n_jobs": self.n_jobs, "cache": cache and self._repeatable()}
             options["progress"] = lambda p: progress(share + (1 - share) * p)
             segmenter = pretrain_segmenter(self.rig, self._synthesis(), self.training_scans, **options)
@@ -213,12 +218,9 @@ class LBSFitter(BaseEstimator):
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress)
             return self._finished(collection, results)
         say = lambda share: progress("pretraining", share)  # noqa: E731
-        if getattr(self, "_pretrained", None) is not None:
-            segmenter, library = self._pretrained
-        elif variant.labels:
+        segmenter, library = getattr(self, "_pretrained", None) or (None, None)
+        if library is None or (variant.labels and segmenter is None):
             segmenter, library = self.pretrain(cache=cache, progress=say)._pretrained
-        else:
-            segmenter, library = None, self._pretrain_library(cache, say)
         if segmenter is not None:
             segmenter.check_rig(self.rig)
         segmenter = segmenter if variant.labels else None
@@ -342,13 +344,20 @@ class LBSFitter(BaseEstimator):
             return self._signed([found])[0]
         trained = {}
         if labels is None:
-            if getattr(self, "regressor_", None) is None:
+            if not self._is_pretrained():
                 self.pretrain(segmenter=getattr(self, "segmenter_", None), cache=cache)
-            self.segmenter_.check_rig(rig)
-            trained = {"segmenter": self.segmenter_, "library": self.regressor_}
+            segmenter = self.segmenter_ if as_variant(self.variant).labels else None
+            if segmenter is not None:
+                segmenter.check_rig(rig)
+            trained = {"segmenter": segmenter, "library": self.regressor_}
         return scan_fit(self, **trained).fit(
             points, theta0=theta0, labels=labels, point_weights=point_weights, random_state=self.random_state
         )
+
+    def _is_pretrained(self):
+        """Whether there is all that fits of scans by themselves need."""
+        wanted = ("regressor_", "segmenter_") if as_variant(self.variant).labels else ("regressor_",)
+        return all(getattr(self, name, None) is not None for name in wanted)
 
     def _fit_all(self, scans, subjects):
         self._check_learned()

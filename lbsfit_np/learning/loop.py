@@ -26,12 +26,15 @@ from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import build_library
 from ..workers import each
+from .collection import mixed_units, odd_ones
 from .mixture import Mixture
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
 # Scales nearer to 1 than this factor are a matter of people's size, others of units.
 _SIZE = 1.3
+# First fits of one subject's scans do not differ in scale by more than this factor, unless they are wrong.
+_ONE_SCALE = 1.6
 # Of the smoothing of a sequence.
 _SWEEPS = 3
 
@@ -191,6 +194,8 @@ class Loop:
             m.use_frame(frame.unit / half, half, frame.turn)
             scales.setdefault(m.subject, []).append(state.scale * m.unit)
             m.state = state
+        if self.fit_settings.scale == "estimate":
+            self._check_scales(scales)
         # The scans of a subject have one scale. Where it is near 1, people differ in size: the template takes it up, all bones
         # longer and thicker by that share. Otherwise it is the unit.
         for subject in self.collection.subjects:
@@ -205,6 +210,16 @@ class Loop:
                 # Templates grow about the root joint, scales about the origin: the root joint stays where it was found.
                 moved = (m.state.scale / ratio - 1.0) * self.model.rig.joints[self.rig.root]
                 m.state = m.state.replace(scale=1.0, translation=m.state.translation / ratio + moved, residual=None)
+
+    def _check_scales(self, scales):
+        """Refuse a subject whose scans are in two units: extents hide a small factor between them, first fits show it."""
+        for subject, found in scales.items():
+            odd = odd_ones(np.array(found), _ONE_SCALE)
+            if len(odd) > max(1, 0.2 * len(found)):  # a few may just be wrong
+                members = self.collection.of(subject)
+                at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
+                others = np.median(np.delete(found, odd))
+                raise mixed_units(f"of subject {subject!r}, scan {at} have {found[odd[0]] / others:.3g} times the others' scale")
 
     def _templates(self):
         """Each subject's template from its scans' poses, those left out not counted."""

@@ -9,6 +9,7 @@ from ..fitting.scout import EFFORTS
 from ..losses.objective import as_weights
 from ..rig.rig import Rig
 from ..scan import check_points
+from ..segmentation.segmenter import jobs_of
 from ..skinning import JOINT_MODES
 from ..starts.turns import ORIENTATIONS
 from ..synthesis import Synthesis
@@ -38,6 +39,9 @@ def check_parameters(fitter):
     for name in ("sequence", "partial"):
         if not isinstance(getattr(fitter, name), (bool, np.bool_)):
             raise InputError(name, brief(getattr(fitter, name)), "True or False")
+    if fitter.smooth and not fitter.sequence:
+        raise InputError("smooth", f"{fitter.smooth:g} without sequence", "a sequence", "Pass sequence=True, or leave it out.")
+    jobs_of(fitter.n_jobs, None)
     for name in ("max_points", "training_scans", "rounds"):
         value = getattr(fitter, name)
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:

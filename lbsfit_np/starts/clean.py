@@ -1,7 +1,7 @@
 """What of a scan is the body: wild points and floors are left out before anything is measured."""
 
 from .floor import off_floor
-from .scale import near_rows
+from .scale import checked_extent, near_rows
 
 __all__ = ["clean_rows"]
 
@@ -21,7 +21,13 @@ def clean_rows(points, rows, *, up=None):
     rows : int array
     note : str
         What was left out, in words; empty where all take part.
+
+    Raises
+    ------
+    InputError
+        Points without an extent that can be worked with.
     """
+    checked_extent(points[rows])
     rows, wild = near_rows(points, rows)
     rows, floor = off_floor(points, rows, up=up)
     notes = [f"{wild} points far from all others left out"] if wild else []

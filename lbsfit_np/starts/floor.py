@@ -4,8 +4,13 @@ import numpy as np
 
 __all__ = ["off_floor"]
 
-# Planes tried; how thick a floor is and how far below it points may be, as shares of the scan's extent.
+# Planes tried; how thick a floor is, and from how far below it on few points may be, as shares of the scan's extent.
 _TRIES, _THICK, _BELOW = 300, 0.012, 0.03
+# As clutter may be anywhere: the share of the points that may lie below, and how many points make a square one with something
+# above, as a share of how many there are around the middle one of the points above.
+_CLUTTER_BELOW, _SOMETHING = 0.04, 0.07
+# A floor covers at least so many times the area that the body takes on it; the flat side of a body does not.
+_WIDER = 1.5
 # Share of the points that a floor has at least, and of them the share that lies where nothing is above.
 _LEAST, _BEYOND = 0.08, 0.4
 # Side of the squares that the plane is divided into, as a share of the extent.
@@ -43,9 +48,9 @@ def off_floor(points, rows, *, up=None):
     normal, a = normal[kept] / length[kept, None], a[kept]
     few = x[np.linspace(0, len(x) - 1, min(len(x), 1000)).astype(int)]
     height = few @ normal.T - np.einsum("ka,ka->k", normal, a)
-    turn = np.where(np.median(height, axis=0) < 0, -1.0, 1.0)  # the body is above
+    turn = np.where(height.mean(axis=0) < 0, -1.0, 1.0)  # the body is above; most points may be of the floor
     normal, height = normal * turn[:, None], height * turn
-    fits = (height < -_BELOW).mean(axis=0) < 0.02
+    fits = (height < -_BELOW).mean(axis=0) < _CLUTTER_BELOW
     if up is not None:
         fits &= normal @ up > np.cos(np.radians(20))
     support = np.where(fits, (np.abs(height) < _THICK).mean(axis=0), 0.0)
@@ -57,7 +62,7 @@ def off_floor(points, rows, *, up=None):
         on = np.abs((x - origin) @ n) < _THICK
         origin = x[on].mean(axis=0)
         n = np.linalg.svd(x[on] - origin, full_matrices=False)[2][2]
-        n = n if np.median((x - origin) @ n) > 0 else -n
+        n = n if ((x - origin) @ n).mean() > 0 else -n
     on = (x - origin) @ n < 1.5 * _THICK
     if on.mean() < _LEAST or on.mean() > 0.9 or _share_beyond(x, on, n) < _BEYOND:
         return rows, 0
@@ -65,12 +70,16 @@ def off_floor(points, rows, *, up=None):
 
 
 def _share_beyond(x, on, n):
-    """Share of the plane's points whose square has no other points above."""
+    """Share of the plane's points whose square has no more than clutter above it."""
     axes = np.linalg.svd(n[None])[2][1:]
     square = np.floor(x @ axes.T / _SQUARE).astype(int)
     square -= square.min(axis=0)
-    taken = np.zeros(square.max(axis=0) + 3, dtype=bool)
+    above = np.zeros(square.max(axis=0) + 3)
     for dx in range(3):
         for dy in range(3):  # and the squares around
-            taken[square[~on, 0] + dx, square[~on, 1] + dy] = True
-    return float(1.0 - taken[square[on, 0] + 1, square[on, 1] + 1].mean())
+            np.add.at(above, (square[~on, 0] + dx, square[~on, 1] + dy), 1)
+    around = above[square[:, 0] + 1, square[:, 1] + 1]
+    free = around <= _SOMETHING * np.median(around[~on])
+    if len(np.unique(square[on], axis=0)) < _WIDER * len(np.unique(square[~on & ~free], axis=0)):
+        return 0.0
+    return float(free[on].mean())

@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import InputError
 
-__all__ = ["ReferenceScale", "extent", "near_rows", "reference_scale", "unit_note"]
+__all__ = ["ReferenceScale", "checked_extent", "extent", "near_rows", "reference_scale", "same_unit", "unit_name", "unit_note"]
 
 # Extents from a scan's median point beyond which nothing of a body lies.
 _REACH = 1.5
@@ -35,6 +35,7 @@ def reference_scale(points, rig, mode):
     Parameters
     ----------
     points : (n, 3) array
+        Of the body: floors and wild points make an extent of their own.
     rig : Rig
     mode : {"estimate", "fixed"}
         ``fixed``: scan and rig are in one unit, 1; a scan whose extent cannot be the rig's is an error.
@@ -48,17 +49,11 @@ def reference_scale(points, rig, mode):
     Raises
     ------
     InputError
-        An extent of 0, as of a single point, or one too large to compute with; a scan that is not in the rig's unit and shall be.
+        As :func:`checked_extent`; a scan that is not in the rig's unit and shall be.
     """
-    own = extent(points)
-    if own == 0:
-        expected = "points that are spread over a surface"
-        raise InputError("points", "an extent of 0, as of points at one place", expected, "Check that the scan has coordinates.")
-    ratio = own / extent(rig.vertices)
-    if not 0 < ratio < np.inf:
-        raise InputError("points", f"an extent of {own:.3g}", "coordinates that double precision can square")
+    ratio = checked_extent(points) / extent(rig.vertices)
     if mode == "fixed":
-        if not 0.2 <= ratio <= 3.0:
+        if not _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
             raise InputError(
                 "scale",
                 f"'fixed' for a scan whose extent is {ratio:.3g} times the rig's",
@@ -90,14 +85,26 @@ def unit_note(scale, rig, mode):
     """
     if mode == "fixed":
         return "scale fixed at 1"
-    if abs(np.log(scale)) < np.log(_PEOPLE):
+    if same_unit(scale):
         return "scan and rig are in one unit"
-    if rig.metres_per_unit is not None:
-        ratios = {name: scale * metres / rig.metres_per_unit for name, metres in _UNITS.items()}
-        name, ratio = min(ratios.items(), key=lambda item: abs(np.log(item[1])))
-        if abs(np.log(ratio)) < np.log(_PEOPLE):
-            return f"the scan seems to be in {name}: one rig unit is {scale:.4g} scan units"
+    name = unit_name(scale, rig)
+    if name is not None:
+        return f"the scan seems to be in {name}: one rig unit is {scale:.4g} scan units"
     return f"the scan is in another unit or of another size: one rig unit is {scale:.4g} scan units"
+
+
+def same_unit(scale):
+    """Whether scan and rig are in one unit, as people of one unit may differ in size."""
+    return abs(np.log(scale)) < np.log(_PEOPLE)
+
+
+def unit_name(scale, rig):
+    """The unit that scans seem to be in, in the plural; None where it is none that is known, or the rig's unit is not known."""
+    if rig.metres_per_unit is None:
+        return None
+    ratios = {name: scale * metres / rig.metres_per_unit for name, metres in _UNITS.items()}
+    name, ratio = min(ratios.items(), key=lambda item: abs(np.log(item[1])))
+    return name if abs(np.log(ratio)) < np.log(_PEOPLE) else None
 
 
 def near_rows(points, rows):
@@ -125,6 +132,23 @@ def near_rows(points, rows):
         apart = cKDTree(x).query(x, k=min(_NEIGHBOURS, len(x)))[0][:, -1]
         kept[kept] = apart <= max(_LONELY * np.median(apart), 1e-9)
     return rows[kept], int(len(rows) - kept.sum())
+
+
+def checked_extent(points):
+    """:func:`extent`, where it can be worked with.
+
+    Raises
+    ------
+    InputError
+        An extent of 0, as of a single point, or one too large or too small to compute with.
+    """
+    own = extent(points)
+    if own == 0:
+        expected = "points that are spread over a surface"
+        raise InputError("points", "an extent of 0, as of points at one place", expected, "Check that the scan has coordinates.")
+    if not 0 < own**2 < np.inf:
+        raise InputError("points", f"an extent of {own:.3g}", "coordinates that double precision can square")
+    return own
 
 
 def extent(points):

@@ -5,7 +5,7 @@ import numpy as np
 from ..rig.frames import up_axis
 from ..rotations import matrix_from_rotvec
 
-__all__ = ["ORIENTATIONS", "some_turns", "turns_of", "up_of"]
+__all__ = ["ORIENTATIONS", "any_side_up", "some_turns", "stands_note", "turns_of", "up_of"]
 
 ORIENTATIONS = ("aligned", "upright", "any")
 # Steps of 15° about the up axis; all rotations some 30° apart. Steps towards the surface turn the rest of the way.
@@ -40,6 +40,28 @@ def turns_of(rig, orientation):
 def up_of(rig, orientation):
     """(3,) the direction that is up in a scan, which may be turned about it alone; None where any rotation may be."""
     return None if orientation == "any" else up_axis(rig)
+
+
+def any_side_up(turns, up):
+    """(6 R, 3, 3) the turns as they are, then with each other coordinate axis of the scan, either way, for the up axis."""
+    sides = np.concatenate([up[None], -up[None], *(np.stack([e, -e]) for e in np.eye(3)[up == 0])])
+    return np.concatenate([_turn_from(up, side) @ turns for side in sides])
+
+
+def stands_note(turn, up):
+    """In words, which way a scan stands that was turned so, where its up axis is not the rig's; else empty."""
+    along = turn @ up
+    axis = int(np.abs(along).argmax())
+    if along @ up > 0.7:
+        return ""
+    return f"the scan stands along its {'-' if along[axis] < 0 else '+'}{'xyz'[axis]} axis, which is not the rig's up axis"
+
+
+def _turn_from(a, b):
+    """The rotation that takes one coordinate axis, either way, to another by the shortest way."""
+    if a @ b < -0.5:
+        return matrix_from_rotvec(np.pi * np.roll(np.abs(a), 1))
+    return matrix_from_rotvec(np.arccos(np.clip(a @ b, -1, 1)) * np.cross(a, b))
 
 
 def some_turns(turns):

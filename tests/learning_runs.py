@@ -1,0 +1,47 @@
+"""Collections, loops and fitters of the tube rig that learning is tested on, and how far what they find is from the truth."""
+
+import numpy as np
+
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.learning.collection import read_collection
+from lbsfit_np.learning.loop import Loop, LoopSettings
+from lbsfit_np.learning.variants import as_variant
+from lbsfit_np.synthesis import Synthesis
+
+SMALL = {"effort": "fast", "training_scans": 200, "training": {"n_points": 400}, "rounds": 1, "random_state": 0}
+SCANS = {"n_points": 400, "holes": 1, "density": 0.3}
+NAN = np.full((50, 3), np.nan)
+
+# What ``learned_people`` learned from: rows of ``people_scans``, and a scan that cannot be used.
+GIVEN = [0, 1, 2, "broken", 3, 4, 5, 6, 7, 8, 9]
+IDS = ["ann", "bob", "ann", "ann", "bob", "ann", "bob", "ann", "bob", "ann", "bob"]
+WHOLE = [k for k, i in enumerate(GIVEN) if i != "broken"]
+
+
+def mean_gap(rig, results, scans, what="joints"):
+    """Mean distance in half sizes."""
+    away = [np.linalg.norm(getattr(r, what) - getattr(s, what), axis=1).mean() for r, s in zip(results, scans, strict=True)]
+    return np.mean(away) / (rig.size / 2)
+
+
+def collected(rig, scans, subjects=None, **options):
+    """The collection, as the parameters' defaults have it read."""
+    given = {"max_points": 2500, "held_out": 0.1, "scale": "estimate", "random_state": 0, **options}
+    return read_collection(rig, scans, subjects, **given)
+
+
+def loop_over(rig, collection, variant, segmenter, library=None, **options):
+    """The loop of a fitter like ``SMALL``."""
+    given = {
+        "turns": np.eye(3)[None],
+        "fit_settings": FitSettings(),
+        "settings": LoopSettings.for_training(200, rounds=1),
+        "synthesis": Synthesis(n_points=400),
+        "joints": "follow",
+        "sequence": False,
+        "smooth": 0.0,
+        "jobs": 1,
+        "random_state": 0,
+        "progress": None,
+    }
+    return Loop(rig, collection, as_variant(variant), segmenter, library, **(given | options))

@@ -1,0 +1,129 @@
+"""The collection that is learned from: what is read of it, set aside, held out and refused."""
+
+import functools
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from learning_runs import NAN, SMALL, collected
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+from lbsfit_np.learning.collection import odd_ones
+from lbsfit_np.learning.loop import Loop
+
+
+@pytest.fixture(scope="module")
+def clouds(people_scans):
+    return [s.points for s in people_scans]
+
+
+BAD_COLLECTIONS = [
+    (lambda c: ([], None), ["scans: got none", "one or more"]),
+    (lambda c: (c[:4], ["a", "b"]), ["subjects: got 2 ids", "4, one for each scan"]),
+    (lambda c: (c[:4], "anna"), ["subjects: got 'anna'", "a sequence"]),
+    (lambda c: (c[:4], 7), ["subjects: got 7", "a sequence"]),
+    (lambda c: (c[:4], [1, 2, 3, 4.5]), ["subjects: got 4.5", "text or whole numbers"]),
+    (lambda c: (c[:4], [1, 2, 3, None]), ["subjects: got None", "text or whole numbers"]),
+    (lambda c: ([*c[:4], 1000 * c[4]], None), ["scans: got different units: scan 4 has", "in one unit", "Convert"]),
+    (lambda c: ([0.001 * c[0], *c[1:4], 100 * c[4]], None), ["different units: scan 0, 4 have"]),
+    (lambda c: ([*c[:3], *(10 * x for x in c[3:6])], None), ["different units: scan 3, 4, 5 have"]),
+    (lambda c: ([NAN, np.zeros((0, 3))], None), ["scans: got 2, none of which can be used (the first: points: got 50"]),
+    (lambda c: (c[:2], None), ["scans: got 2 that can be used", "at least 3", "held_out=0"]),
+    (lambda c: ([*c[:2], NAN], None), ["scans: got 2 that can be used"]),
+]
+
+
+@pytest.mark.parametrize("given, words", BAD_COLLECTIONS)
+def test_collections_that_cannot_be(tube_rig, clouds, given, words):
+    with pytest.raises(InputError) as error:
+        collected(tube_rig, *given(clouds))
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_bad_collections_are_named_before_any_training(tube_rig, clouds, monkeypatch):
+    monkeypatch.setattr(lbs.LBSFitter, "pretrain", lambda *a, **k: pytest.fail("trained first"))
+    for given, words in BAD_COLLECTIONS:
+        scans, ids = given(clouds)
+        with pytest.raises(InputError, match=words[0].split("(")[0]):
+            lbs.LBSFitter(tube_rig, **SMALL).fit(scans, ids)
+
+
+def test_the_odd_ones_are_all_but_the_largest_group():
+    assert list(odd_ones(np.array([1.0, 1.2, 0.8, 1.1]), 1.6)) == []
+    assert list(odd_ones(np.array([1.0, 2.6, 0.9, 1.1]), 1.6)) == [1]
+    assert list(odd_ones(np.array([0.01, 1.0, 90.0, 0.9, 1.1]), 6)) == [0, 2]
+    assert len(odd_ones(np.array([1.0, 1.1, 2.5, 2.6]), 1.6)) == 2
+    assert list(odd_ones(np.array([3.0]), 1.6)) == []
+
+
+@pytest.mark.parametrize(
+    "scales, words",
+    [
+        ([1.0, 0.9, 2.54, 2.5], "of subject 'a', scan 2, 3 have"),
+        ([100.0, 39.4, 101.0, 39.0, 100.0], "of subject 'a', scan 1, 3 have 0.394 times the others' scale"),
+        ([1.0, 1.1, 0.95, 2.0], None),  # one of them may be a wrong fit
+        ([0.9, 1.0, 1.1, 1.2], None),
+    ],
+)
+def test_units_that_extents_hide_are_told_by_first_fits(scales, words):
+    members = [SimpleNamespace(name=str(k)) for k in range(len(scales))]
+    loop = SimpleNamespace(collection=SimpleNamespace(of=lambda s: members))
+    if words is None:
+        return Loop._check_scales(loop, {"a": scales})
+    with pytest.raises(InputError, match=words):
+        Loop._check_scales(loop, {"a": scales})
+
+
+def test_bad_scans_are_set_aside_with_their_reasons(tube_rig, clouds):
+    given = [clouds[0], NAN, clouds[1], np.zeros((0, 3)), functools.partial(lbs.load_scan, "nowhere.ply"), lambda: clouds[2]]
+    found = collected(tube_rig, given, list("abcdef"))
+    assert found.n == 6 and [m.index for m in found.members] == [0, 2, 5] and found.subjects == ["a", "c", "f"]
+    assert set(found.failures) == {1, 3, 4}
+    assert "NaN" in found.failures[1] and "empty" in found.failures[3] and "nowhere.ply" in found.failures[4]
+    np.testing.assert_array_equal(found.members[2].points, clouds[2])
+    assert [m.index for m in found.of("c")] == [2]
+
+
+@pytest.mark.parametrize("ids", [[3, 3, 4, 4], np.array([3, 3, 4, 4]), np.array(["x", "x", "y", "y"]), ("x", "x", 3, 3)])
+def test_ids_of_any_plain_kind(tube_rig, clouds, ids):
+    found = collected(tube_rig, clouds[:4], ids)
+    assert len(found.subjects) == 2 and all(type(s) in (int, str) for s in found.subjects)
+    assert [m.subject for m in found.members] == list(ids)
+
+
+def test_without_ids_there_is_one_subject(tube_rig, clouds):
+    assert collected(tube_rig, clouds[:4]).subjects == [0]
+
+
+@pytest.mark.parametrize("share, expected", [(0.0, 0), (0.01, 1), (0.25, 3), (0.33, 4)])
+def test_each_subject_keeps_two_scans(tube_rig, clouds, share, expected):
+    ids = [0] * 3 + [1] * 3 + [2] * 6
+    for seed in range(20):
+        members = collected(tube_rig, clouds[:12], ids, held_out=share, random_state=seed).members
+        assert sum(m.held_out for m in members) == expected
+        for s in range(3):
+            assert sum(m.subject == s and not m.held_out for m in members) >= 2
+    again = [m.held_out for m in collected(tube_rig, clouds[:12], ids, held_out=share, random_state=19).members]
+    assert again == [m.held_out for m in members]
+
+
+def test_subjects_of_one_scan_can_be_left_out_where_there_are_no_others(tube_rig, clouds):
+    members = collected(tube_rig, clouds[:10], range(10), held_out=0.2).members
+    assert sum(m.held_out for m in members) == 2
+
+
+def test_large_scans_are_thinned_by_the_seed_and_their_number(tube_rig, clouds):
+    a, b, c = (collected(tube_rig, [*clouds[:3], clouds[0]], max_points=100, random_state=seed).members for seed in (0, 0, 1))
+    for m, n in zip(a, b):
+        np.testing.assert_array_equal(m.rows, n.rows)
+    assert len(a[0].rows) == 100 and len(np.unique(a[0].rows)) == 100 and len(a[0].points) == len(clouds[0])
+    assert not np.array_equal(a[0].rows, c[0].rows) and not np.array_equal(a[0].rows, a[3].rows)
+    np.testing.assert_allclose(a[0].frame.centre, clouds[0][a[0].rows].mean(axis=0))
+    np.testing.assert_array_equal(a[0].frame.turn, np.eye(3))
+
+
+def test_all_scans_get_the_unit_of_most(tube_rig, clouds):
+    found = collected(tube_rig, [250 * c for c in clouds[:4]])
+    assert {m.unit for m in found.members} == {250.0}  # millimetres, and the rig's unit is 0.25 m

@@ -1,0 +1,128 @@
+"""Models in files: what is saved and loaded fits the same, and every broken file gives one clear error."""
+
+import copy
+import zipfile
+
+import numpy as np
+import pytest
+from learning_runs import SMALL
+from small_rigs import make_tube_data
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import FileError
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.synthesis import Synthesis
+
+
+@pytest.fixture(scope="module")
+def saved(learned_people, tmp_path_factory):
+    path = tmp_path_factory.mktemp("model") / "m.npz"
+    learned_people.save(path)
+    return path
+
+
+def test_saved_and_loaded_fits_are_the_same(learned_people, saved, people_scans):
+    again = lbs.LBSFitter.load(saved)
+    assert again.rig.digest == learned_people.rig.digest and again.rig.parts == learned_people.rig.parts
+    ours, theirs = again.get_params(), learned_people.get_params()
+    assert {k: v for k, v in ours.items() if k != "rig"} == {k: v for k, v in theirs.items() if k != "rig"}
+    assert again.history_ == learned_people.history_ and again.unit_ == learned_people.unit_
+    for name, template in learned_people.template_.items():
+        np.testing.assert_array_equal(again.template_[name].vertices, template.vertices)
+        np.testing.assert_array_equal(again.template_[name].joints, template.joints)
+    for options in ({}, {"subject": "bob"}):
+        a, b = (f.fit_scan(people_scans[12].points, **options) for f in (learned_people, again))
+        for name in ("pose", "vertices", "joints", "offsets", "rest_joints", "labels", "confidence"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+        assert a.terms == b.terms and a.message == b.message
+    again.save(saved.with_name("again.npz"))
+    with np.load(saved) as x, np.load(saved.with_name("again.npz")) as y:
+        assert set(x.files) == set(y.files) and all(np.array_equal(x[k], y[k]) for k in x.files)
+
+
+def test_the_file_holds_plain_arrays_and_is_a_rig(saved, learned_people):
+    with np.load(saved, allow_pickle=False) as z:
+        arrays = {k: z[k] for k in z.files}
+    assert {a.dtype.kind for a in arrays.values()} <= set("biufU")
+    assert "lbsfit_np_model" in arrays and any(k.startswith("model_library") for k in arrays)
+    assert lbs.load_rig(saved, card="none").digest == learned_people.rig.digest
+
+
+@pytest.mark.parametrize(
+    "parameters", [{"weights": "paper"}, {"weights": lbs.losses.LossWeights(lam=0.5)}, {"training": Synthesis(turn=1.0)}]
+)
+def test_parameters_travel(learned_people, tmp_path, parameters):
+    fitter = copy.copy(learned_people).set_params(random_state=np.random.default_rng(0), **parameters)
+    fitter.save(tmp_path / "m.npz")
+    again = lbs.LBSFitter.load(tmp_path / "m.npz")
+    assert again._fit_settings() == fitter._fit_settings() and again._synthesis() == fitter._synthesis()
+    assert again.random_state is None
+
+
+def test_other_parts_of_the_rig_travel(tmp_path, people_scans):
+    rig = build_rig(make_tube_data(), parts="arm and fingers")
+    fitter = lbs.LBSFitter(rig, **SMALL | {"variant": "cd", "training_scans": 60}).fit([s.points for s in people_scans[:4]])
+    fitter.save(tmp_path / "m.npz")
+    again = lbs.LBSFitter.load(tmp_path / "m.npz")
+    assert again.rig.parts == ("arm", "fingers") and again.segmenter_ is None
+    new = people_scans[6].points
+    np.testing.assert_array_equal(again.fit_scan(new).vertices, fitter.fit_scan(new).vertices)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 0.9, 0.999])
+def test_a_truncated_model_is_one_clear_error(saved, tmp_path, share):
+    path = tmp_path / "cut.npz"
+    path.write_bytes(saved.read_bytes()[: int(share * saved.stat().st_size)])
+    with pytest.raises(FileError, match=r"cut\.npz"):
+        lbs.LBSFitter.load(path)
+
+
+@pytest.mark.parametrize(
+    "lost", ["model_vertices", "model_library_poses", "model_stage_0_mean", "weights_data", "lbsfit_np_model"]
+)
+def test_a_model_that_lacks_something_is_one_clear_error(saved, tmp_path, lost):
+    path = tmp_path / "less.npz"
+    with zipfile.ZipFile(saved) as z:
+        members = {n: z.read(n) for n in z.namelist()}
+    assert members.pop(f"{lost}.npy")
+    with zipfile.ZipFile(path, "w") as z:
+        for name, content in members.items():
+            z.writestr(name, content)
+    with pytest.raises(FileError, match=r"less\.npz"):
+        lbs.LBSFitter.load(path)
+
+
+@pytest.mark.parametrize(
+    "key, change",
+    [
+        ("model_vertices", lambda a: a[:, :5]),
+        ("model_joints", lambda a: a[:1]),
+        ("model_library_poses", lambda a: a[:, :2]),
+        ("model_library_looks", lambda a: a[:, :7]),
+        ("model_library_bias_0", lambda a: a[:3]),
+        ("lbsfit_np_model", lambda a: np.array(str(a).replace('"format": ', '"format": 9'))),
+        ("lbsfit_np_model", lambda a: np.array("{")),
+        ("lbsfit_np_model", lambda a: np.array(str(a).replace('"joint"', '"joyful"'))),
+        ("lbsfit_np_model", lambda a: np.array("[1, 2]")),
+    ],
+)
+def test_a_model_whose_content_does_not_fit_is_one_clear_error(saved, tmp_path, key, change):
+    with np.load(saved) as z:
+        arrays = {k: z[k] for k in z.files}
+    arrays[key] = change(arrays[key])
+    np.savez(tmp_path / "odd.npz", **arrays)
+    with pytest.raises(FileError, match=r"odd\.npz"):
+        lbs.LBSFitter.load(tmp_path / "odd.npz")
+
+
+def test_other_files_are_no_models(learned_people, tube_rig, tmp_path):
+    tube_rig.save(tmp_path / "rig.npz")
+    learned_people.results_[0].save(tmp_path / "result.npz")
+    (tmp_path / "text.npz").write_text("text")
+    for name in ("rig.npz", "result.npz", "text.npz", "none.npz"):
+        with pytest.raises(FileError, match=name):
+            lbs.LBSFitter.load(tmp_path / name)
+    with pytest.raises(FileError, match=r"m\.zip.*ends in \.npz"):
+        learned_people.save(tmp_path / "m.zip")
+    with pytest.raises(FileError, match="does not exist"):
+        learned_people.save(tmp_path / "nowhere" / "m.npz")

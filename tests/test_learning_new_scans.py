@@ -1,0 +1,119 @@
+"""A fitter that has learned, and scans that are new to it: whose they are, their starts, labels, unit and turn."""
+
+import copy
+import warnings
+
+import numpy as np
+import pytest
+from learning_runs import NAN, SMALL, mean_gap
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+from lbsfit_np.rotations import matrix_from_rotvec
+
+
+def test_new_scans_find_their_subject(tube_rig, learned_people, unlearned, people_scans):
+    for k in (10, 11):
+        own, other = ("ann", "bob") if k % 2 == 0 else ("bob", "ann")
+        r = learned_people.fit_scan(people_scans[k].points)
+        assert f"on the template of subject {own!r}" in r.message
+        named = learned_people.fit_scan(people_scans[k].points, subject=own)
+        np.testing.assert_array_equal(named.vertices, r.vertices)
+        wrong = learned_people.fit_scan(people_scans[k].points, subject=other)
+        assert repr(other) in wrong.message and wrong.terms["recon"] > r.terms["recon"]
+    found = [learned_people.fit_scan(s.points) for s in people_scans[12:14]]
+    single = [unlearned.fit_scan(s.points) for s in people_scans[12:14]]
+    assert mean_gap(tube_rig, found, people_scans[12:14]) < 0.6 * mean_gap(tube_rig, single, people_scans[12:14])
+
+
+def test_what_fit_scan_takes_counts_after_learning_too(tube_rig, learned_people, people_scans):
+    s = people_scans[12]
+    known = learned_people.fit_scan(s.points, labels=s.labels, subject="ann")
+    np.testing.assert_array_equal(known.labels, s.labels)
+    assert (known.confidence == 1).all() and mean_gap(tube_rig, [known], [s]) < 0.03
+    started = learned_people.fit_scan(s.points, theta0=s.pose, subject="ann")
+    assert mean_gap(tube_rig, [started], [s]) < 0.03
+    behind = s.pose.copy()
+    behind[0] += [0.0, np.pi, 0.0]
+    away = learned_people.fit_scan(s.points, theta0=behind, subject="ann")  # the start is taken, and not another in its place
+    assert mean_gap(tube_rig, [away], [s]) > 0.1
+    clutter = np.random.default_rng(0).uniform(-3, 3, (200, 3))
+    weights = np.r_[np.ones(len(s.points)), np.zeros(200)]
+    both = learned_people.fit_scan(np.vstack([s.points, clutter]), point_weights=weights, subject="ann")
+    plain = learned_people.fit_scan(s.points, point_weights=weights[: len(s.points)], subject="ann")
+    np.testing.assert_array_equal(both.vertices, plain.vertices)
+    assert both.labels.shape == (len(s.points) + 200,)
+
+
+def test_a_new_scan_in_another_unit(tube_rig, learned_people, people_scans):
+    s = people_scans[12]
+    r = learned_people.fit_scan(1000.0 * s.points + [5.0, 0, 0])
+    assert r.scale == pytest.approx(1000.0, rel=0.03)
+    assert f"; the scan is in another unit or of another size: one rig unit is {r.scale:.4g} scan units" in r.message
+    assert "; scan and rig are in one unit" in learned_people.fit_scan(s.points, theta0=s.pose, subject="ann").message
+    assert np.linalg.norm(r.joints - [5.0, 0, 0] - 1000 * s.joints, axis=1).mean() < 1000 * 0.03 * tube_rig.size / 2
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0])
+def test_a_new_scan_that_is_turned(tube_rig, learned_people, people_scans, unit):
+    """Found under its turn, and again from the pose that was found."""
+    s, turn = people_scans[12], matrix_from_rotvec(np.array([0.0, 2.0, 0.0]))
+    points = unit * s.points @ turn.T + 3 * unit
+    for given in ({}, {"theta0": learned_people.fit_scan(points).pose, "subject": "ann"}, {"labels": s.labels}):
+        r = learned_people.fit_scan(points, **given)
+        back = (r.joints - 3 * unit) @ turn / unit
+        assert np.linalg.norm(back - s.joints, axis=1).mean() < 0.03 * tube_rig.size / 2, list(given)
+        posed = tube_rig.pose(r.pose, r.translation, r.scale, r.offsets, joints=r.rest_joints)
+        np.testing.assert_array_equal(posed, r.vertices)
+
+
+@pytest.mark.parametrize("subject", ["carl", 0, ["ann"]])
+def test_a_subject_that_nobody_knows(learned_people, tube_rig, people_scans, subject):
+    with pytest.raises(InputError, match="subject: got .*expected one of 'ann', 'bob'"):
+        learned_people.fit_scan(people_scans[0].points, subject=subject)
+    with pytest.raises(InputError, match="subject: got .*expected one of 'ann', 'bob'"):
+        learned_people.transform([people_scans[0].points], [subject])
+    with pytest.raises(InputError, match="no subject, as nothing was learned yet"):
+        lbs.LBSFitter(tube_rig, **SMALL).fit_scan(people_scans[0].points, subject=subject)
+
+
+def test_transform_and_score(tube_rig, learned_people, people_scans):
+    given = [people_scans[10].points, NAN, lambda: people_scans[11].points]
+    with pytest.warns(UserWarning, match="scan 1 cannot be fitted: points: got 50 of 50"):
+        V = learned_people.transform(given)
+    assert V.shape == (3, *tube_rig.vertices.shape) and np.isnan(V[1]).all()
+    results = [learned_people.fit_scan(s.points) for s in people_scans[10:12]]
+    np.testing.assert_array_equal(V[[0, 2]], [r.vertices for r in results])
+    assert learned_people.transform([]).shape == (0, *tube_rig.vertices.shape)
+    score = learned_people.score([s.points for s in people_scans[10:12]], ["ann", "bob"])
+    assert score == pytest.approx(-np.mean([r.terms["recon"] for r in results]))
+    assert learned_people.score([s.points for s in people_scans[10:12]], ["bob", "ann"]) < score < 0
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        assert np.isnan(learned_people.score([NAN]))
+    with pytest.raises(InputError, match="subjects: got 1 ids; expected 2"):
+        learned_people.transform(given[:2], ["ann"])
+
+
+def test_what_wants_learning_says_so(unlearned, tmp_path):
+    for call in (lambda: unlearned.transform([]), lambda: unlearned.score([]), lambda: unlearned.save(tmp_path / "m.npz")):
+        with pytest.raises(InputError, match=r"fitter: got one that has learned nothing.*fit\(scans\)"):
+            call()
+
+
+def test_estimator_conventions(learned_people, make_learner):
+    from sklearn.base import clone
+
+    fresh = clone(learned_people)
+    assert fresh.get_params() == learned_people.get_params() and fresh.rig is learned_people.rig
+    assert not [name for name in vars(fresh) if name.endswith("_")]
+    for name in ("results_", "segmenter_", "regressor_", "template_", "unit_", "history_", "failures_"):
+        assert hasattr(learned_people, name)
+    assert make_learner(variant="cd", rounds=2).get_params()["variant"] == "cd"
+
+
+def test_another_rig_is_refused_after_learning(learned_people, tube_rig, people_scans):
+    for rig in (tube_rig.scaled(2.0), tube_rig.with_parts("arm and fingers"), lbs.load_rig("hand-coarse")):
+        other = copy.copy(learned_people).set_params(rig=rig)
+        with pytest.raises(InputError, match="rig: got .*the rig that the fitter learned with"):
+            other.fit_scan(people_scans[0].points)

@@ -1,0 +1,36 @@
+"""Learning again: with other processes, seeds and parameters, and on the same fitter."""
+
+import numpy as np
+
+
+def test_results_do_not_depend_on_the_number_of_processes(make_learner, few_scans):
+    found = [make_learner(n_jobs=jobs).fit([s.points for s in few_scans[:3]]) for jobs in (1, 2)]
+    for a, b in zip(*(f.results_ for f in found)):
+        for name in ("pose", "vertices", "joints", "offsets", "labels", "confidence"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+        assert a.terms == b.terms
+    h, g = ([{k: v for k, v in e.items() if k != "seconds"} for e in f.history_] for f in found)
+    assert h == g
+    np.testing.assert_array_equal(found[0].template_[0].vertices, found[1].template_[0].vertices)
+
+
+def test_a_seed_decides_all_and_other_kinds_of_seeds_work(make_learner, few_scans):
+    points = [s.points for s in few_scans[:2]]
+    first = make_learner(variant="cd", held_out=0, random_state=5).fit(points).results_[0].vertices
+    for seed in (None, np.random.default_rng(0), np.int64(5)):
+        fitter = make_learner(variant="cd", held_out=0, random_state=seed).fit(points)
+        assert all(r.status == "ok" for r in fitter.results_)
+    np.testing.assert_array_equal(fitter.results_[0].vertices, first)  # the last seed was 5 again
+    joint = make_learner(training_scans=100, random_state=np.random.default_rng(1), held_out=0).fit(points)
+    assert len(joint.results_) == 2 and joint.history_[0]["recon_held_out"] is None
+    assert joint.fit_scan(few_scans[4].points).status == "ok"
+
+
+def test_learning_again_starts_anew(make_learner, few_scans):
+    fitter = make_learner(variant="cd")
+    first = fitter.fit([s.points for s in few_scans[:3]]).results_[0].vertices
+    fitter.set_params(variant="free-form").fit([s.points for s in few_scans[:4]], list("abcd"))
+    assert len(fitter.results_) == 4 and list(fitter.template_) == list("abcd")
+    fitter.set_params(variant="cd").fit([s.points for s in few_scans[:3]])
+    assert len(fitter.results_) == 3 and list(fitter.template_) == [0]
+    np.testing.assert_array_equal(fitter.results_[0].vertices, first)

@@ -1,0 +1,85 @@
+"""Learning from sequences: starts from the scans before and after, and poses that are smooth in time."""
+
+import numpy as np
+import pytest
+from learning_runs import collected, loop_over, mean_gap
+
+import lbsfit_np as lbs
+from lbsfit_np.learning.loop import _alike
+from lbsfit_np.rotations import matrix_from_rotvec
+
+
+@pytest.fixture(scope="module")
+def walk(tube_rig, people):
+    """Seven scans of a slow bend, seen by few noisy points."""
+    t = np.linspace(0, 1, 7)[:, None, None]
+    start, stop = 0.5 * tube_rig.lower, 0.7 * tube_rig.upper
+    template = people["ann"].vertices, people["ann"].joints
+    poses = (1 - t) * start + t * stop
+    return lbs.synthesize(tube_rig, 7, poses=poses, templates=[template], random_state=4, n_points=200, noise=0.02, holes=0)
+
+
+def _roughness(results):
+    poses = np.array([r.pose for r in results])
+    return np.abs(np.diff(poses, n=2, axis=0)).mean()
+
+
+def test_smooth_sequences_are_smoother_and_as_near(tube_rig, make_learner, walk):
+    points = [s.points for s in walk]
+    rough, smooth = (make_learner(variant="cd", sequence=True, smooth=w, held_out=0).fit(points).results_ for w in (0.0, 1e-3))
+    assert _roughness(smooth) < 0.4 * _roughness(rough)
+    assert mean_gap(tube_rig, smooth, walk) < 1.1 * mean_gap(tube_rig, rough, walk)
+    away = [np.mean([np.abs(r.pose - s.pose).mean() for r, s in zip(found, walk)]) for found in (smooth, rough)]
+    assert away[0] < 0.75 * away[1]
+
+
+def test_sequences_start_from_neighbours(tube_rig, few_scans):
+    collection = collected(tube_rig, [s.points for s in few_scans] * 2, [0, 1] * 5)
+    for m in collection.members:
+        m.state = type("State", (), {"theta": np.full((4, 3), float(m.index))})
+    in_order, unordered = (loop_over(tube_rig, collection, "cd", None, sequence=s) for s in (True, False))
+    beside = [[theta[1, 0] for theta in in_order._beside(m)] for m in collection.members]
+    assert beside[:4] == [[2], [3], [0, 4], [1, 5]] and beside[-1] == [7]  # of one's own subject only
+    assert not any(unordered._beside(m) for m in collection.members)
+
+
+def test_neighbours_that_are_turned_otherwise_are_seen_in_ones_own_frame(tube_rig, few_scans):
+    collection = collected(tube_rig, [s.points for s in few_scans], held_out=0)
+    for k, (m, s) in enumerate(zip(collection.members, few_scans)):
+        m.state = type("State", (), {"theta": s.pose})
+        m.use_frame(1.0, 1.0, matrix_from_rotvec(np.array([0.2, 1.3 * k, -0.1 * k])))
+    loop, pivot = loop_over(tube_rig, collection, "cd", None, sequence=True), tube_rig.joints[tube_rig.root]
+    for m, beside in zip(collection.members[1:], collection.members):
+        before = loop._beside(m)[0]
+        outside = [(tube_rig.pose(t) - pivot) @ n.frame.turn.T for t, n in ((before, m), (beside.state.theta, beside))]
+        np.testing.assert_allclose(*outside, atol=1e-12)
+
+
+def test_turns_that_are_written_otherwise_are_neighbours_all_the_same():
+    """3 rad and −3.2 rad about one axis are nearly one turn; their mean must not be −0.1."""
+    axis = np.array([0.6, 0.0, 0.8])
+    own, beside = np.zeros((3, 3)), np.ones((3, 3))
+    own[1], beside[1] = 3.0 * axis, -3.2 * axis
+    alike = _alike(beside, own, 1)
+    np.testing.assert_allclose(alike[1], (2 * np.pi - 3.2) * axis)
+    np.testing.assert_allclose(matrix_from_rotvec(alike), matrix_from_rotvec(beside), atol=1e-12)
+    np.testing.assert_array_equal(alike[[0, 2]], 1.0)
+    np.testing.assert_array_equal(beside[1], -3.2 * axis)
+    still = np.zeros((3, 3))
+    np.testing.assert_array_equal(_alike(still, own, 1), still)
+    own[1], beside[1] = -7.0 * axis, 2.0 * axis
+    np.testing.assert_allclose(_alike(beside, own, 1)[1], (2.0 - 4 * np.pi + 2 * np.pi) * axis)
+
+
+def test_smoothing_looks_at_turns_as_the_scan_itself_writes_them(tube_rig, few_scans, monkeypatch):
+    collection = collected(tube_rig, [s.points for s in few_scans], held_out=0)
+    axis = np.array([0.6, 0.0, 0.8])
+    for k, m in enumerate(collection.members):
+        m.state = lbs.LBSFitter(tube_rig)._model().rest()
+        m.state.theta[0] = (3.0 if k % 2 else -3.2) * axis
+    loop, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
+    monkeypatch.setattr("lbsfit_np.learning.loop.each", lambda work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
+    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)})
+    assert asked
+    for _, _, state, (wanted, weight) in asked:
+        assert weight == 1e-3 and np.linalg.norm(wanted[0] - state.theta[0]) < 0.1

@@ -1,0 +1,114 @@
+"""The paper's variants of learning: what each of them does, learns and trains on."""
+
+import numpy as np
+import pytest
+from learning_runs import SMALL, collected, loop_over, mean_gap
+
+from lbsfit_np import LBSFitter
+from lbsfit_np.errors import InputError
+from lbsfit_np.learning import pretraining
+from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.variants import VARIANTS, as_variant
+from lbsfit_np.rotations import matrix_from_rotvec
+
+
+def test_variants_are_the_papers():
+    assert list(VARIANTS) == ["joint", "pose-only", "rand", "cd", "free-form"]
+    assert all(as_variant(name).name == name for name in VARIANTS)
+    joint, pose_only, rand, cd, free = VARIANTS.values()
+    assert joint.labels and joint.inferred_poses and joint.deformed and joint.skinning
+    assert pose_only.labels and pose_only.inferred_poses and not pose_only.deformed
+    assert rand.labels and not rand.inferred_poses and not rand.deformed
+    assert not cd.labels and not cd.library and cd.skinning
+    assert not free.skinning and not free.labels
+
+
+@pytest.mark.parametrize("name", ["best", "", None])
+def test_other_variants_are_refused(name):
+    with pytest.raises(InputError, match="variant: got .*'joint' or 'pose-only' or 'rand' or 'cd' or 'free-form'"):
+        as_variant(name)
+
+
+@pytest.mark.parametrize("variant", ["pose-only", "rand", "cd", "free-form"])
+def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, variant, monkeypatch):
+    few = few_scans[:4]
+    if variant in ("cd", "free-form"):  # no labels anywhere: s is neither trained nor asked
+        for name in ("learning.pretraining.train_segmenter", "learning.loop.train_segmenter"):
+            monkeypatch.setattr(f"lbsfit_np.{name}", lambda *a, **k: pytest.fail("trained s"))
+        monkeypatch.setattr("lbsfit_np.segmentation.segmenter.Segmenter.predict_proba", lambda *a, **k: pytest.fail("asked s"))
+        monkeypatch.setattr("lbsfit_np.fitting.refit.start_from_parts", lambda *a, **k: pytest.fail("a start from parts"))
+    fitter = make_learner(variant=variant, training_scans=100).fit([s.points for s in few])
+    assert list(fitter.template_) == [0] and all(r.status == "ok" for r in fitter.results_)
+    # Without skinning the joints stay where the rest pose has them, which the results say.
+    assert all((r.probability > 0) == bool(r.evidence) == (variant != "free-form") for r in fitter.results_)
+    error = mean_gap(tube_rig, fitter.results_, few)
+    new = fitter.fit_scan(people_scans[12].points)
+    assert new.status == "ok" and len(new.labels) == len(people_scans[12].points)
+    if variant == "free-form":
+        assert fitter.history_ == [] and fitter.regressor_ is None and fitter.template_[0] is tube_rig
+        assert fitter.unit_ == {0: 1.0}
+        assert all((r.pose[1:] == np.clip(0.0, tube_rig.lower, tube_rig.upper)[1:]).all() for r in fitter.results_)
+        assert 0.1 < error < 0.5  # the rest pose, put where the scan is
+        for r in (new, *fitter.results_):  # of which nothing is said that goes by parts or joints
+            assert r.message.split("; ")[0] in ("converged", "ended at its limit of iterations")
+            assert r.message.endswith("; free-form, no skinning; scan and rig are in one unit")
+    else:
+        assert error < 0.05 and mean_gap(tube_rig, [new], [people_scans[12]]) < 0.06
+        assert (fitter.segmenter_ is None) == (variant == "cd") and len(fitter.history_) == 2
+    if variant in ("cd", "free-form"):
+        assert "structured" not in fitter.results_[0].terms and "structured" not in new.terms
+
+
+def test_no_labels_before_learning_either_where_there_are_none_in_learning(tube_rig, make_learner, people_scans, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.learning.pretraining.train_segmenter", lambda *a, **k: pytest.fail("trained s"))
+    monkeypatch.setattr("lbsfit_np.segmentation.segmenter.Segmenter.predict_proba", lambda *a, **k: pytest.fail("asked s"))
+    monkeypatch.setattr("lbsfit_np.fitting.search.start_from_parts", lambda *a, **k: pytest.fail("a start from parts"))
+    s, trained = people_scans[0], make_learner()._pretrained
+    fresh = LBSFitter(tube_rig, **SMALL | {"variant": "cd", "training_scans": 40})
+    given = LBSFitter(tube_rig, **SMALL | {"variant": "cd", "training_scans": 40}).pretrain(segmenter=trained[0])
+    changed = LBSFitter(tube_rig, **SMALL | {"variant": "cd"})
+    changed.segmenter_, changed.regressor_ = trained
+    pose = matrix_from_rotvec(np.array([0.0, 0.3, 0.0]))
+    for fitter in (fresh, given, changed):
+        assert fit_scans(fitter, [s.points])[0].result.terms.keys() == {"chamfer", "laplacian", "total", "recon"}
+    assert fresh.segmenter_ is None and given.segmenter_ is None and fresh.regressor_ is not None
+    started = changed.fit_scan(s.points @ pose.T, theta0=s.pose)
+    assert "structured" not in started.terms and started.evidence["disagreement"] == 0
+    assert np.linalg.norm(started.joints - s.joints @ pose.T, axis=1).mean() < 0.03 * tube_rig.size
+
+
+def test_a_fitter_that_was_pretrained_without_labels_can_be_given_another_variant(tube_rig, few_scans, monkeypatch):
+    calls, train = [], pretraining.train_segmenter
+    monkeypatch.setattr(pretraining, "train_segmenter", lambda *a, **k: calls.append(1) or train(*a, **k))
+    small = {**SMALL, "training_scans": 20}
+    points = [s.points for s in few_scans[:3]]
+    for use in (lambda f: f.fit_scan(points[0]), lambda f: fit_scans(f, points[:1]), lambda f: f.fit(points)):
+        fitter = LBSFitter(tube_rig, **small, variant="cd").pretrain()
+        assert not calls
+        use(fitter.set_params(variant="joint"))
+        assert len(calls) == 1 and fitter.segmenter_ is not None
+        calls.clear()
+
+
+def test_without_the_library_limbs_are_not_tried_in_its_poses(make_learner, few_scans, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.starts.limbs.LimbPoses.proposals", lambda *a, **k: pytest.fail("asked the library"))
+    fitter = make_learner(variant="cd")
+    fitter.segmenter_, fitter.regressor_ = None, fitter._pretrained[1]
+    fitter.fit_scan(few_scans[0].points)
+    fitter.fit([s.points for s in few_scans[:3]]).fit_scan(few_scans[3].points)
+
+
+def test_variants_train_on_what_they_say(tube_rig, make_learner, few_scans):
+    """Which poses and templates a round's training scans are made of."""
+    collection = collected(tube_rig, [s.points for s in few_scans])
+    for m, s in zip(collection.members, few_scans):
+        m.state = make_learner()._model().rest().replace(theta=s.pose)
+    templates = {0: (tube_rig.vertices * 1.1, tube_rig.joints * 1.1)}
+    for name, n_poses, n_templates in (("joint", 4, 1), ("pose-only", 4, 0), ("rand", 0, 0)):
+        loop = loop_over(tube_rig, collection, name, None)
+        made = loop._mixture(1, templates)
+        assert (len(made.poses), len(made.templates)) == (n_poses, n_templates)
+        assert len(loop._mixture(0, {}).poses) == 0
+    held = next(m for m in collection.members if m.held_out)
+    poses = loop_over(tube_rig, collection, "joint", None)._mixture(1, templates).poses
+    assert not (poses == held.state.theta).all(axis=(1, 2)).any()

@@ -1,0 +1,89 @@
+"""Flaws of a rig's mesh and weights: what is noted, and seams that are welded."""
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import sparse
+from small_rigs import make_tube_data, with_joint
+
+from lbsfit_np.rig.build import build_rig
+
+# ---- notes ----
+
+
+def test_open_mesh_pieces_and_unused_vertices_are_noted():
+    data = make_tube_data()
+    far = data.vertices[:3] + 3.0
+    more = replace(
+        data,
+        vertices=np.vstack([data.vertices, far, far[:1] + 1]),
+        faces=np.vstack([data.faces[1:], [[242, 243, 244]]]),
+        weights=sparse.csr_array(sparse.vstack([data.weights, data.weights[[0, 0, 0, 0]]])),
+    )
+    notes = "\n".join(build_rig(more).notes)
+    assert "open: 6 boundary edges" in notes
+    assert "2 separate pieces" in notes
+    assert "1 vertices belong to no face" in notes
+
+
+def test_turned_faces_are_noted():
+    data = make_tube_data()
+    assert any("inside out" in note for note in build_rig(replace(data, faces=data.faces[:, ::-1])).notes)
+    some = data.faces.copy()
+    some[0] = some[0, ::-1]
+    assert any("turned opposite ways at 3 edges" in note for note in build_rig(replace(data, faces=some)).notes)
+
+
+def test_non_manifold_and_degenerate_faces_are_noted():
+    data = make_tube_data()
+    a, b, _ = data.faces[0]
+    fin = next(int(v) for v in data.faces[-1] if v not in data.faces[0])
+    more = replace(data, faces=np.vstack([data.faces, [[a, b, fin], [a, a, b]]]))
+    notes = "\n".join(build_rig(more).notes)
+    assert "not manifold: 1 edges" in notes
+    assert "1 faces are degenerate" in notes
+
+
+def test_many_influences_are_noted():
+    rng = np.random.default_rng(0)
+    data = with_joint(make_tube_data(), "fifth", 1)
+    w = rng.random((242, 5))
+    notes = "\n".join(build_rig(replace(data, weights=w / w.sum(axis=1, keepdims=True))).notes)
+    assert "up to 5 joints share a vertex (242 vertices" in notes
+
+
+# ---- welding ----
+
+
+def seamed(data, copies, weight_change=0.0):
+    """The data with some vertices split: later faces use the copies."""
+    m = len(data.vertices)
+    faces = data.faces.copy()
+    for k, v in enumerate(copies):
+        f, c = np.argwhere(faces == v)[-1]
+        faces[f, c] = m + k
+    w = data.weights.toarray()
+    w_copies = w[copies]
+    w_copies[:, :2] += [weight_change, -weight_change]
+    return replace(
+        data, vertices=np.vstack([data.vertices, data.vertices[copies]]), faces=faces, weights=np.vstack([w, w_copies])
+    )
+
+
+def test_seams_are_welded_for_the_geometry_only(tube_rig):
+    rig = build_rig(seamed(make_tube_data(), [5, 60, 200]))
+    assert len(rig.vertices) == 245 and len(rig.welded.vertices) == 242
+    np.testing.assert_array_equal(rig.weld, [*range(242), 5, 60, 200])
+    np.testing.assert_array_equal(rig.welded.vertices[rig.weld], rig.vertices)
+    np.testing.assert_array_equal(rig.welded.faces, tube_rig.faces)
+    np.testing.assert_allclose(rig.welded.regressor @ rig.welded.vertices, rig.joints, atol=1e-12)
+    assert any("245 vertices are 242 distinct" in note for note in rig.notes)
+    assert not any("open" in note for note in rig.notes)
+
+
+def test_sheets_that_touch_but_move_apart_are_not_welded():
+    data = seamed(make_tube_data(), [5])
+    w = data.weights.copy()
+    w[-1] = [0, 0, 0, 1]
+    rig = build_rig(replace(data, weights=w))
+    assert len(rig.welded.vertices) == 243

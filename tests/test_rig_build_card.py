@@ -1,0 +1,120 @@
+"""The card applied by build_rig: hierarchy, merged and locked joints, limits, partitions, unit and axes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_rigs import NAMES, make_tube_data
+
+from lbsfit_np.errors import InputError
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rig.card import Card
+
+
+def test_card_gives_a_hierarchy_to_loose_joints():
+    loose = replace(make_tube_data(), parents=np.full(4, -1))
+    card = Card(root="root", chains=(("root", "elbow", "long"), ("elbow", "short")))
+    np.testing.assert_array_equal(build_rig(loose, card).parents, [-1, 0, 1, 1])
+    by_table = Card(parents=(("elbow", "root"), ("*", "elbow")), root="root")  # the glob matches its own parent, too
+    np.testing.assert_array_equal(build_rig(loose, by_table).parents, [-1, 0, 1, 1])
+
+
+def test_card_can_change_the_root():
+    card = Card(root="elbow", parents=(("root", "elbow"),))
+    rig = build_rig(make_tube_data(), card)
+    assert rig.joint_names[rig.root] == "elbow"
+    assert (rig.pose(np.zeros((4, 3))) == rig.vertices).all()
+
+
+@pytest.mark.parametrize(
+    ("card", "words"),
+    [
+        (Card(chains=(("root", "elbow"),)), r"3 root joints: root, long, short.*card's \[hierarchy\]"),
+        (Card(chains=(("root", "elbow"), ("long", "elbow"))), r"\[hierarchy\].*two parents for joint 'elbow': 'root' and 'long'"),
+        (Card(root="elbow", chains=(("root", "elbow"),)), "the root 'elbow' hanging on 'root'"),
+        (Card(chains=(("root", "elbw"),)), r"\[hierarchy\].*'elbw'.*no joint.*Did you mean 'elbow'"),
+        (Card(chains=(("root", "elbow", "long", "root"),)), "cycle"),
+        (Card(chains=(("root", "*o*"),)), "matches 4 joints.*one joint"),
+        (Card(parents=(("short", "*o*"),)), r"\[hierarchy\]: got '\*o\*', which matches 4 joints.*one joint"),
+    ],
+)
+def test_card_hierarchy_errors(card, words):
+    with pytest.raises(InputError, match=words):
+        build_rig(replace(make_tube_data(), parents=np.full(4, -1)), card)
+
+
+def test_merging_moves_weights_up_and_keeps_the_rest_shape(tube_rig):
+    data = make_tube_data()
+    rig = build_rig(data, Card(merge=("long", "elbow")))
+    w = data.weights.toarray()
+    np.testing.assert_allclose(
+        rig.weights.toarray(), np.stack([w[:, 0] + w[:, 1] + w[:, 2], 0 * w[:, 1], 0 * w[:, 2], w[:, 3]], axis=1)
+    )
+    assert rig.joint_names == NAMES
+    np.testing.assert_array_equal(rig.merged, [False, True, True, False])
+    np.testing.assert_array_equal(rig.moving, [True, False, False, True])
+    assert (rig.lower[1:3] == 0).all() and (rig.upper[1:3] == 0).all()
+    assert (rig.pose(np.zeros((4, 3))) == rig.vertices).all()
+    assert rig.parts == ("root", "short")
+    assert any("2 joints merged" in note and "elbow, long" in note for note in rig.notes)
+    # a merged joint moves as if it were stiff
+    theta = np.zeros((4, 3))
+    theta[[0, 3]] = [[0.3, 0.2, -0.5], [0.7, 0.1, 0.0]]
+    np.testing.assert_allclose(rig.pose(theta), tube_rig.pose(theta), atol=1e-12)
+
+
+def test_locked_joints_keep_their_skin_and_never_turn():
+    rig = build_rig(make_tube_data(), Card(lock=("sh?rt",)))
+    np.testing.assert_array_equal(rig.locked, [False, False, False, True])
+    np.testing.assert_array_equal(rig.weights.toarray(), make_tube_data().weights.toarray())
+    assert (rig.lower[3] == 0).all()
+    assert rig.parts == ("root", "elbow", "long")
+    assert any("1 joints locked: short" in note for note in rig.notes)
+    both = build_rig(make_tube_data(), Card(lock=("short", "long"), merge=("short",)))
+    assert both.locked.tolist() == [False, False, True, False] and both.merged.tolist() == [False, False, False, True]
+
+
+@pytest.mark.parametrize("field", ["merge", "lock"])
+def test_root_cannot_be_merged_or_locked(field):
+    with pytest.raises(InputError, match="root joint 'root'"):
+        build_rig(make_tube_data(), Card(**{field: ("*",)}))
+
+
+@pytest.mark.parametrize("field", ["merge", "lock", "limits", "frames"])
+def test_card_names_a_joint_that_is_not_there(field):
+    value = {
+        "merge": ("elbwo",),
+        "lock": ("elbwo",),
+        "limits": (("elbwo", (0, 0, 0), (1, 1, 1)),),
+        "frames": (("elbwo", "rig"),),
+    }[field]
+    with pytest.raises(InputError, match=rf"\[{field}\].*'elbwo', which is no joint.*Did you mean 'elbow'"):
+        build_rig(make_tube_data(), Card(**{field: value}))
+
+
+def test_later_limits_override_earlier_ones():
+    card = Card(limits=(("*", (-1, -1, -1), (1, 1, 1)), ("long", (-2, 0, 0), (0.5, 0, 0))))
+    rig = build_rig(replace(make_tube_data(), lower=None, upper=None), card)
+    np.testing.assert_array_equal(rig.lower[2], [-2, 0, 0])
+    np.testing.assert_array_equal(rig.upper[1], [1, 1, 1])
+    assert not any("limits" in note for note in rig.notes)
+
+
+def test_card_partition_expands_globs():
+    card = Card(partitions={"tips": {"hand": ("*o*w", "root"), "tips": ("long", "sh*")}}, use_parts="tips")
+    rig = build_rig(make_tube_data(), card)
+    assert rig.parts == ("hand", "tips")
+    assert rig.partitions["tips"] == {"hand": ("root", "elbow"), "tips": ("long", "short")}
+    twice = Card(partitions={"p": {"a": ("*",), "b": ("long",)}})
+    with pytest.raises(InputError, match="'long' in both 'a' and 'b'"):
+        build_rig(make_tube_data(), twice)
+    with pytest.raises(InputError, match="use_parts.*'nails'"):
+        build_rig(make_tube_data(), Card(use_parts="nails"))
+
+
+def test_unit_and_axes_of_the_card_win_and_unknown_ones_are_noted():
+    rig = build_rig(make_tube_data(), Card(metres_per_unit=0.01, up="+z", forward="-y"))
+    assert (rig.metres_per_unit, rig.up, rig.forward) == (0.01, "+z", "-y")
+    assert any("0.00985 m long" in note for note in rig.notes)
+    unknown = build_rig(replace(make_tube_data(), metres_per_unit=None, up=None))
+    assert any("unknown: unit, up axis" in note for note in unknown.notes)

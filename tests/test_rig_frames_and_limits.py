@@ -1,0 +1,94 @@
+"""Joint frames and limits of a rig: from the file, the card, bones and animations, or by default."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_rigs import make_tube_data
+
+from lbsfit_np.errors import InputError
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rig.card import Card
+from lbsfit_np.rig.frames import bone_frames
+from lbsfit_np.rig.limits import derived_limits
+from lbsfit_np.rotations import matrix_from_rotvec
+
+# ---- frames ----
+
+
+def test_rounded_frames_become_rotations():
+    turn = matrix_from_rotvec(np.array([0.3, -0.2, 0.9])).astype(np.float32).astype(float)
+    rig = build_rig(replace(make_tube_data(), frames=np.tile(turn, (4, 1, 1))))
+    np.testing.assert_allclose(rig.frames[0].T @ rig.frames[0], np.eye(3), atol=1e-14)
+    np.testing.assert_allclose(rig.frames[0], turn, atol=1e-6)
+
+
+def test_card_frames_follow_bones():
+    rig = build_rig(make_tube_data(), Card(frames=(("*", "bone"), ("root", "rig"))))
+    np.testing.assert_array_equal(rig.frames[0], np.eye(3))
+    to_knuckles = rig.joints[[2, 3]].mean(axis=0) - rig.joints[1]
+    np.testing.assert_allclose(rig.frames[1, :, 1], to_knuckles / np.linalg.norm(to_knuckles), atol=1e-12)
+    assert rig.frames[1, 2, 2] > 0.9  # z towards the front
+    np.testing.assert_allclose(np.linalg.det(rig.frames), 1.0)
+    with pytest.raises(InputError, match="'bone'.*no up and forward"):
+        build_rig(replace(make_tube_data(), forward=None), Card(frames=(("*", "bone"),)))
+
+
+def test_bone_frames_point_up_for_feet_and_mirror_left_and_right():
+    foot, left, right = bone_frames([[0.1, -0.3, 1.2], [0.7, -0.7, 0.2], [-0.7, -0.7, 0.2]], "+y", "+z")
+    assert foot[1, 2] > 0.9  # z up
+    mirror = np.diag([-1.0, 1.0, 1.0])
+    for angles in np.eye(3):
+        there = matrix_from_rotvec(left @ angles)
+        here = matrix_from_rotvec(right @ (angles * [1, -1, -1]))
+        np.testing.assert_allclose(mirror @ there @ mirror, here, atol=1e-12)
+    turned = bone_frames([[0.1, 1.2, 0.3]], "+z", "+y")[0]  # z up, facing y: a bone that points forward
+    assert turned[2, 2] > 0.9
+
+
+def test_changed_frames_carry_animations_over_and_drop_the_files_limits():
+    data = make_tube_data()
+    wide = np.zeros((3, 4, 3))
+    wide[1, 1] = [0.5, 0.0, 0.0]
+    turn = matrix_from_rotvec(np.array([0.0, 0.0, np.pi / 2]))
+    turned = replace(data, lower=None, upper=None, animated=wide, frames=np.tile(turn, (4, 1, 1)))
+    rig = build_rig(turned, Card(frames=(("*", "rig"),)))
+    # about the file's x axis, which is the rig's y
+    np.testing.assert_allclose(rig.upper[1], [0.1, 0.625, 0.1], atol=1e-12)
+    limited = build_rig(replace(data, frames=np.tile(turn, (4, 1, 1))), Card(frames=(("long", "rig"),)))
+    np.testing.assert_array_equal(limited.upper[2], [0.8, 0.8, 0.8])
+    np.testing.assert_array_equal(limited.upper[3], data.upper[3])
+    assert any("1 of 4 moving joints" in note for note in limited.notes)
+
+
+# ---- limits that are missing ----
+
+
+def test_missing_limits_get_defaults_and_a_note():
+    rig = build_rig(replace(make_tube_data(), lower=None, upper=None))
+    np.testing.assert_array_equal(rig.upper[1:], 0.8)
+    np.testing.assert_array_equal(rig.lower[0], -0.6)
+    assert any("4 of 4 moving joints" in note and "±0.8" in note and "±0.6" in note for note in rig.notes)
+
+
+def test_limits_from_animations():
+    animated = np.zeros((5, 3, 3))
+    animated[:, 1, 0] = [0.2, 0.4, 1.0, 0.6, 0.2]
+    animated[:, 2, 2] = [-3.0, 0, 0, 0, 0]
+    animated[:, 0, 1] = [0, 1, 2, 3, 3]  # the root walks in a circle: no matter
+    lower, upper, seen = derived_limits(0, 3, animated)
+    np.testing.assert_array_equal(seen, [False, True, True])
+    np.testing.assert_allclose(upper[1], [1.0 + 0.25 * 0.8, 0.1, 0.1])
+    np.testing.assert_allclose(lower[1], [0.0, -0.1, -0.1])  # 0.2 - 0.2 would be 0 as well: the rest pose is inside
+    np.testing.assert_allclose(lower[2], [-0.1, -0.1, -np.pi])
+    np.testing.assert_array_equal(upper[0], 0.6)
+    animated[:, 1] = [0.4, 0.0, 0.0]  # turned, but the same in all frames
+    assert not derived_limits(0, 3, animated)[2][1]
+    np.testing.assert_array_equal(derived_limits(0, 3, animated)[1][1], 0.8)
+
+
+def test_rest_pose_stays_inside_limits_from_animations():
+    animated = np.zeros((2, 2, 3))
+    animated[:, 1, 0] = [1.0, 1.2]
+    lower, upper, _ = derived_limits(0, 2, animated)
+    assert lower[1, 0] == 0.0 and upper[1, 0] == pytest.approx(1.3)

@@ -1,0 +1,115 @@
+"""Scan and check_points: what they take and refuse, what stays as it is, and the thinning of points."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+from scan_files import LABELS, NORMALS, POINTS
+
+from lbsfit_np.errors import InputError
+from lbsfit_np.scan import Scan, check_points
+
+
+def test_check_points_takes_scans_lists_and_integers():
+    scan = Scan(POINTS)
+    assert check_points(scan) is scan.points
+    np.testing.assert_array_equal(check_points([[0, 0, 1], [2, 3, 4]]), [[0, 0, 1], [2, 3, 4]])
+    assert check_points(np.array([[1, 2, 3]])).shape == (1, 3)
+    large = np.array([[1e308, 1e308, 1e308], [0, 0, 0]])
+    np.testing.assert_array_equal(check_points(large), large)
+
+
+@pytest.mark.parametrize(
+    "points, words",
+    [
+        ([], "cloud: got an empty cloud"),
+        (np.zeros((0, 3)), "empty cloud"),
+        ([1.0, 2.0, 3.0], r"shape \(3,\)"),
+        (np.zeros((5, 2)), r"shape \(5, 2\)"),
+        (np.zeros((5, 6)), r"points\[:, :3\]"),
+        (np.zeros((3, 50)), "Transpose"),
+        (np.zeros((4, 5, 3)), "organised"),
+        ([["a", "b", "c"]], "numbers"),
+        ([[1, 2, 3], [4, 5]], "different lengths"),
+        (np.zeros((4, 3), complex), "complex"),
+        ([[0, 0, 0], [1, 2, np.nan], [np.inf, 0, 0]], "2 of 3 points .*first at index 1.*drop_invalid.*--drop-invalid"),
+        (np.ones((9, 3)), r"9 points that are all equal, at \(1, 1, 1\)"),
+        (None, "numbers"),
+        ([[10**400, 0, 0], [1, 2, 3]], "whole numbers beyond double precision"),
+    ],
+)
+def test_check_points_refuses(points, words):
+    with pytest.raises(InputError, match=words) as caught:
+        check_points(points, argument="cloud")
+    assert caught.value.argument == "cloud"
+
+
+def test_check_points_counts_after_dropping():
+    points = np.vstack([POINTS, [[np.nan, 0, 0]]])
+    np.testing.assert_array_equal(check_points(points, minimum=4, drop_invalid=True), POINTS)
+    with pytest.raises(InputError, match="got 4 points after 1 with.*at least 5"):
+        check_points(points, minimum=5, drop_invalid=True)
+    with pytest.raises(InputError, match="got 4 points; expected at least 9"):
+        check_points(POINTS, minimum=9)
+    with pytest.raises(InputError, match="0 points after 2"):
+        check_points(np.full((2, 3), np.nan), drop_invalid=True)
+
+
+def test_scan_is_its_own_and_read_only():
+    points, labels = POINTS.copy(), LABELS.copy()
+    scan = Scan(points, labels=labels, name="s")
+    points[:], labels[:] = 9, 9
+    np.testing.assert_array_equal(scan.points, POINTS)
+    np.testing.assert_array_equal(scan.labels, LABELS)
+    with pytest.raises(ValueError):
+        scan.points[0] = 1
+    with pytest.raises(InputError, match="labels"):
+        Scan(POINTS, labels=[0.5, 1, 2, 3])
+    with pytest.raises(InputError, match="normals"):
+        Scan(POINTS, normals=NORMALS[:2])
+
+
+def test_a_read_only_view_of_what_others_write_to_is_copied():
+    points, labels = POINTS.copy(), LABELS.copy()
+    views = points.view(), labels.view()
+    for view in views:
+        view.flags.writeable = False
+    scan = Scan(views[0], views[0], views[1])
+    points[:], labels[:] = 9, 9
+    np.testing.assert_array_equal(scan.points, POINTS)
+    np.testing.assert_array_equal(scan.normals, POINTS)
+    np.testing.assert_array_equal(scan.labels, LABELS)
+
+
+def test_a_read_only_array_of_its_own_is_not_copied():
+    points = POINTS.copy()
+    points.flags.writeable = False
+    assert Scan(points).points is points
+
+
+@pytest.mark.parametrize("again", [lambda scan: pickle.loads(pickle.dumps(scan)), copy.copy, copy.deepcopy])
+def test_a_scan_stays_read_only_when_it_travels(again):
+    scan = again(Scan(POINTS, NORMALS, LABELS, name="s", notes=("n",)))
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert (scan.name, scan.notes, again(Scan(POINTS)).labels) == ("s", ("n",), None)
+    for array in (scan.points, scan.normals, scan.labels):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 1
+
+
+@pytest.mark.parametrize("n", [0, -1, 2.5, True, "3", None])
+def test_thinned_wants_a_count(n):
+    with pytest.raises(InputError, match="n: got .*a positive whole number of points"):
+        Scan(POINTS).thinned(n)
+
+
+def test_thinned_is_a_sorted_subset_by_seed():
+    scan = Scan(np.random.default_rng(0).normal(size=(1000, 3)))
+    rows = scan.thinned(100, 5)
+    assert len(rows) == 100 and np.all(np.diff(rows) > 0) and rows[-1] < 1000
+    np.testing.assert_array_equal(rows, scan.thinned(100, 5))
+    assert not np.array_equal(rows, scan.thinned(100, 6))
+    np.testing.assert_array_equal(scan.thinned(2000), np.arange(1000))
+    often = np.bincount(np.concatenate([scan.thinned(100, s) for s in range(200)]), minlength=1000)
+    assert often.min() > 2 and often.max() < 45  # 20 ± 4.2 each

@@ -1,0 +1,91 @@
+"""The segmenter: which points it labels, in which unit, and for whom."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from segmenter_training import ONE, TWO, in_parts, train_small
+from small_rigs import make_tube_data, make_tube_rig
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.segmentation.segmenter import Segmenter
+
+
+@pytest.mark.parametrize(
+    "points, options, words",
+    [
+        (np.full((5, 3), np.nan), {}, "points: got 5 points that are NaN"),
+        (np.empty((0, 3)), {}, "points: got an empty set"),
+        (np.zeros((5, 2)), {}, r"points: got shape \(5, 2\)"),
+        ("abc", {}, "points: got str"),
+        ([[10**400, 0, 0]], {}, "points: got .*double precision"),
+        (np.eye(3), {"scale": 0.0}, "scale: got 0.0; expected a positive finite number"),
+        (np.eye(3), {"scale": -1}, "scale"),
+        (np.eye(3), {"scale": np.nan}, "scale"),
+        (np.eye(3), {"scale": "2"}, "scale"),
+        (np.eye(3), {"rows": [3]}, "rows: got numbers from 3 to 3; expected rows of the 3 points"),
+        (np.eye(3), {"rows": [0.5]}, "rows: got float64"),
+        (np.eye(3), {"rows": []}, r"rows: got .*shape \(0,\)"),
+    ],
+)
+def test_points_that_cannot_be_labelled(small_segmenter, points, options, words):
+    for method in (small_segmenter.predict, small_segmenter.predict_proba):
+        with pytest.raises(InputError, match=words):
+            method(points, **options)
+
+
+def test_a_scan_is_labelled_as_its_points_are(small_segmenter, tube_scan):
+    np.testing.assert_array_equal(small_segmenter.predict(lbs.Scan(tube_scan.points)), small_segmenter.predict(tube_scan.points))
+
+
+def test_predicting_leaves_the_points_alone(small_segmenter, tube_scan):
+    kept = tube_scan.points.copy()
+    small_segmenter.predict_proba(tube_scan.points)
+    np.testing.assert_array_equal(tube_scan.points, kept)
+
+
+def test_the_scans_scale_is_taken_out(small_segmenter, tube_scan):
+    np.testing.assert_allclose(
+        small_segmenter.predict_proba(1000 * tube_scan.points, scale=1000.0),
+        small_segmenter.predict_proba(tube_scan.points),
+        atol=2e-3,
+    )
+
+
+def test_rows_are_a_choice_of_points(small_segmenter, tube_scan):
+    rows = np.arange(0, 1000, 7)
+    one = replace(small_segmenter, stages=small_segmenter.stages[:1])
+    for s, atol in ((one, 1e-6), (small_segmenter, 1e-5)):  # single precision; the second stage adds its rounding to the first's
+        np.testing.assert_allclose(
+            s.predict_proba(tube_scan.points, rows=rows), s.predict_proba(tube_scan.points)[rows], atol=atol
+        )
+
+
+@pytest.mark.parametrize("parts", [ONE, TWO])
+def test_rigs_of_one_and_two_parts(tmp_path, parts, tube_scan):
+    rig = in_parts(parts)
+    assert rig.parts == tuple(parts)
+    s = train_small(rig)
+    assert len(s.stages) == len(parts)  # of a single part there is nothing to say in context
+    proba = s.predict_proba(tube_scan.points)
+    assert proba.shape == (len(tube_scan.points), len(parts))
+    np.testing.assert_allclose(proba.sum(axis=1), 1.0, atol=1e-5)
+    s.save(tmp_path / "s.npz")
+    np.testing.assert_array_equal(Segmenter.load(tmp_path / "s.npz").predict_proba(tube_scan.points), proba)
+
+
+def test_it_belongs_to_one_rig(small_segmenter, tube_rig):
+    small_segmenter.check_rig(tube_rig)
+    small_segmenter.check_rig(make_tube_rig())
+    data = make_tube_data()
+    others = [
+        tube_rig.with_parts("arm and fingers"),
+        tube_rig.scaled(2.0),
+        build_rig(replace(data, upper=data.upper + 0.1)),
+        build_rig(replace(data, vertices=data.vertices * [1, 1, 1.1])),
+    ]
+    for other in others:
+        with pytest.raises(InputError, match="segmenter: got one that was trained on another rig.*pretrain"):
+            small_segmenter.check_rig(other)

@@ -1,0 +1,130 @@
+"""The cache of what was trained: once a recipe, and never in the way."""
+
+import os
+
+import numpy as np
+import pytest
+import sklearn
+from segmenter_training import cached
+
+import lbsfit_np as lbs
+from lbsfit_np.segmentation import cache
+from lbsfit_np.segmentation import context as context_module
+from lbsfit_np.segmentation.segmenter import Segmenter
+
+
+class Trainer:
+    """Trains nothing, and counts how often it was asked to."""
+
+    def __init__(self, segmenter):
+        self.segmenter, self.calls = segmenter, 0
+
+    def __call__(self):
+        self.calls += 1
+        return self.segmenter
+
+
+def test_the_cache_trains_once(empty_cache, small_segmenter, tube_scan):
+    train = Trainer(small_segmenter)
+    first = cached(("a", 1), train)
+    assert cached(("a", 1), train) is first and train.calls == 1
+    assert len(list(empty_cache.iterdir())) == 1
+    cache._MEMORY.clear()  # another process
+    again = cached(("a", 1), train)
+    assert train.calls == 1
+    np.testing.assert_array_equal(again.predict_proba(tube_scan.points), small_segmenter.predict_proba(tube_scan.points))
+    cached(("a", 2), train)
+    assert train.calls == 2
+    assert len(list(empty_cache.iterdir())) == 2
+
+
+def test_kinds_are_kept_apart(empty_cache, small_segmenter):
+    train = Trainer(small_segmenter)
+    cached("key", train)
+    assert cache.cached("library", "key", train, Segmenter.load) is small_segmenter and train.calls == 2
+    assert sorted(p.name.partition("-")[0] for p in empty_cache.iterdir()) == ["library", "segmenter"]
+
+
+@pytest.mark.parametrize(
+    "place, name, value",
+    [
+        (cache, "RECIPE", cache.RECIPE + 1),
+        (cache, "__version__", "another"),
+        (sklearn, "__version__", "another"),
+        (context_module, "CONTEXT_POINTS", 700),
+        (context_module, "NEAR", 7),
+        (context_module, "WIDE", 31),
+    ],
+)
+def test_another_recipe_is_another_segmenter(empty_cache, small_segmenter, monkeypatch, place, name, value):
+    train = Trainer(small_segmenter)
+    cached("key", train)
+    monkeypatch.setattr(place, name, value)
+    cached("key", train)
+    assert train.calls == 2 and len(list(empty_cache.iterdir())) == 2
+
+
+def test_the_folder_is_the_users_to_choose(monkeypatch, tmp_path):
+    monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path / "mine"))
+    assert cache.cache_folder() == tmp_path / "mine"
+    monkeypatch.delenv("LBSFIT_CACHE")
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
+    assert cache.cache_folder() == tmp_path / "xdg" / "lbsfit_np"
+    monkeypatch.delenv("XDG_CACHE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert cache.cache_folder() == tmp_path / ".cache" / "lbsfit_np"
+
+
+@pytest.mark.parametrize("broken", [b"", b"not a zip"])
+def test_a_broken_file_in_the_cache_is_trained_again(empty_cache, small_segmenter, broken):
+    train = Trainer(small_segmenter)
+    cached("key", train)
+    (file,) = empty_cache.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(broken)
+    cache._MEMORY.clear()
+    cached("key", train)
+    assert train.calls == 2
+    assert file.read_bytes() == whole
+
+
+def test_a_cache_that_cannot_be_made_is_no_error(empty_cache, small_segmenter):
+    empty_cache.write_text("a file where the folder should be")
+    train = Trainer(small_segmenter)
+    assert cached("key", train) is small_segmenter
+    assert cached("key", train) is small_segmenter and train.calls == 1
+
+
+def test_a_cache_that_cannot_be_written_to_is_no_error(empty_cache, small_segmenter, monkeypatch):
+
+    empty_cache.mkdir()
+
+    def refuse(*args, **kwargs):
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr(os, "open", refuse)
+    assert cached("key", Trainer(small_segmenter)) is small_segmenter
+
+
+def test_pretraining_uses_the_cache_when_asked(empty_cache, tube_rig, tube_scan):
+    def fitter(**changes):
+        return lbs.LBSFitter(tube_rig, **{"training_scans": 2, "training": {"n_points": 200}, "random_state": 0, **changes})
+
+    a = fitter().pretrain(cache=True)
+    assert len(list(empty_cache.glob("segmenter-*.npz"))) == len(list(empty_cache.glob("library-*.npz"))) == 1
+    cache._MEMORY.clear()
+
+    def no_progress(share):
+        raise AssertionError("trained again")
+
+    b = fitter().pretrain(cache=True, progress=no_progress)
+    np.testing.assert_array_equal(a.segmenter_.predict_proba(tube_scan.points), b.segmenter_.predict_proba(tube_scan.points))
+    for changes in ({"random_state": 1}, {"training_scans": 3}, {"training": {"n_points": 300}}):
+        with pytest.raises(AssertionError, match="trained again"):
+            fitter(**changes).pretrain(cache=True, progress=no_progress)
+    with pytest.raises(AssertionError, match="trained again"):
+        lbs.LBSFitter(
+            tube_rig.with_parts("arm and fingers"), training_scans=2, training={"n_points": 200}, random_state=0
+        ).pretrain(cache=True, progress=no_progress)
+    with pytest.raises(AssertionError, match="trained again"):
+        fitter().pretrain(progress=no_progress)

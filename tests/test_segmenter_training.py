@@ -1,0 +1,135 @@
+"""The training of a segmenter: what it learns, by seed, in one process or in several."""
+
+import os
+
+import numpy as np
+import pytest
+from segmenter_training import ONE, Scans, in_parts, scans_of, train_small
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+from lbsfit_np.segmentation.segmenter import train_segmenter
+from lbsfit_np.segmentation.stage import Training, train_stage
+from lbsfit_np.synthesis import Synthesis, TrainingScans
+
+
+def test_it_learns_the_parts(tube_fitter, tube_rig):
+    for s in lbs.synthesize(tube_rig, 3, random_state=77):
+        proba = tube_fitter.segmenter_.predict_proba(s.points)
+        assert proba.shape == (len(s.points), 4)
+        np.testing.assert_allclose(proba.sum(axis=1), 1.0, atol=1e-5)
+        assert (proba >= 0).all()
+        found = tube_fitter.segmenter_.predict(s.points)
+        np.testing.assert_array_equal(found, proba.argmax(axis=1))
+        assert (found == s.labels).mean() > 0.75
+
+
+def test_a_seed_trains_the_same_segmenter(tube_rig, small_segmenter, tube_scan):
+    np.testing.assert_array_equal(
+        train_small(tube_rig).predict_proba(tube_scan.points), small_segmenter.predict_proba(tube_scan.points)
+    )
+    assert not np.array_equal(
+        train_small(tube_rig, seed=1).predict_proba(tube_scan.points), small_segmenter.predict_proba(tube_scan.points)
+    )
+
+
+def test_training_leaves_its_scans_alone(tube_rig):
+    scan = scans_of(tube_rig, 2)
+    kept = [(p.copy(), y.copy()) for p, y, _ in scan.scans]
+    train_segmenter(tube_rig, scan, 2, training=Training(points_per_scan=20), random_state=0)
+    for (p, y, _), (q, z) in zip(scan.scans, kept, strict=True):
+        np.testing.assert_array_equal(p, q)
+        np.testing.assert_array_equal(y, z)
+
+
+def test_progress_goes_from_nothing_to_all(tube_rig):
+    for rig, second in ((tube_rig, 0.5), (tube_rig, 0.0), (in_parts(ONE), 0.5)):
+        seen = []
+        train_small(rig, second=second, progress=seen.append)
+        assert len(seen) > 1 and seen[0] > 0 and seen[-1] == pytest.approx(1.0)
+        assert (np.diff(seen) >= -1e-12).all()
+
+
+def test_processes_change_nothing(tube_rig, tube_scan):
+    """Enough scans that each of the two stages has a batch for each process."""
+    scans = TrainingScans(tube_rig, Synthesis(n_points=120), 3)
+    training = Training(points_per_scan=20, hidden=(16,))
+    one, two = (train_segmenter(tube_rig, scans, 200, training=training, random_state=3, n_jobs=n) for n in (1, 2))
+    for a, b in zip(one.stages, two.stages, strict=True):
+        for name, array in a.arrays("s").items():
+            np.testing.assert_array_equal(array, b.arrays("s")[name])
+    np.testing.assert_array_equal(one.predict_proba(tube_scan.points), two.predict_proba(tube_scan.points))
+
+
+@pytest.mark.parametrize("n_jobs", [0, True, 1.5, "2"])
+def test_a_number_of_processes_that_cannot_be(tube_rig, n_jobs):
+    with pytest.raises(InputError, match="n_jobs: got .*expected a positive whole number of processes"):
+        train_small(tube_rig, n_jobs=n_jobs)
+
+
+def test_what_cannot_be_sent_to_processes(tube_rig):
+    with pytest.raises(InputError, match="n_jobs: .*cannot be sent.*top level of a module, or n_jobs=1"):
+        train_segmenter(tube_rig, lambda i: None, 200, random_state=0, n_jobs=2)
+
+
+def _fails(i):
+    raise InputError("scan", "one that cannot be made", "another")
+
+
+def _dies(i):
+    os._exit(7)
+
+
+def test_errors_in_processes_arrive(tube_rig):
+    with pytest.raises(InputError, match="scan: got one that cannot be made"):
+        train_segmenter(tube_rig, _fails, 200, random_state=0, n_jobs=2)
+    with pytest.raises(InputError, match=r"n_jobs: got a process that ended \(exit code 7\)"):
+        train_segmenter(tube_rig, _dies, 200, random_state=0, n_jobs=2)
+
+
+class Drawn:
+    """Scans that a shared Generator draws, so that copies of it would draw the same ones twice."""
+
+    def __init__(self, rig, rng):
+        self.rig, self.rng = rig, rng
+
+    def __call__(self, i):
+        s = lbs.synthesize(self.rig, 1, random_state=self.rng, n_points=120)[0]
+        return s.points, s.labels, 1.0
+
+
+def test_a_generator_is_never_copied_into_processes(tube_rig, tube_scan):
+    training = Training(points_per_scan=20, hidden=(16,))
+
+    def trained(n_jobs):
+        rng = np.random.default_rng(3)
+        return train_segmenter(tube_rig, Drawn(tube_rig, rng), 200, training=training, random_state=rng, n_jobs=n_jobs)
+
+    np.testing.assert_array_equal(trained(1).predict_proba(tube_scan.points), trained(2).predict_proba(tube_scan.points))
+
+
+def test_a_part_that_no_scan_shows_is_never_found(tube_rig, tube_scan):
+    scans = Scans([(p[y != 1], y[y != 1], 1.0) for p, y, _ in scans_of(tube_rig, 8).scans])
+    proba = train_segmenter(tube_rig, scans, 8, training=Training(points_per_scan=20), random_state=0).predict_proba(
+        tube_scan.points
+    )
+    assert proba.shape == (len(tube_scan.points), 4)
+    assert (proba[:, 1] == 0).all() and (proba[:, [0, 2, 3]].max(axis=0) > 0).all()
+
+
+@pytest.mark.parametrize("average_from", [0, 1, 5])
+def test_weights_are_averaged_over_the_later_epochs(tube_rig, average_from):
+    """A start of the average after the last epoch means the last epoch, not nothing."""
+    rng = np.random.default_rng(0)
+    X = rng.standard_normal((400, 5)).astype(np.float32)
+    y = (X[:, 0] > 0).astype(int)
+
+    def train(**options):
+        training = Training(hidden=(8,), learning_rate=0.02, **options)
+        return train_stage(X.copy(), y, 2, training, 0, "test", lambda share: None)
+
+    stage = train(epochs=2, average_from=average_from)
+    same = np.array_equal(stage.classifier.coefs_[0], train(epochs=2, average_from=1).classifier.coefs_[0])
+    assert same == (average_from >= 1)
+    long = train(epochs=30, average_from=average_from)
+    assert (long.predict_proba(X.copy()).argmax(axis=1) == y).mean() > 0.95

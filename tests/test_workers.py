@@ -1,0 +1,51 @@
+"""The same work on many tasks, in this process or in others."""
+
+import os
+import signal
+
+import numpy as np
+import pytest
+
+from lbsfit_np.errors import InputError
+from lbsfit_np.workers import each
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_answers_come_in_the_order_of_the_tasks(jobs):
+    shares = []
+    assert each(_squared, range(7), jobs=jobs, done=shares.append) == [0, 1, 4, 9, 16, 25, 36]
+    np.testing.assert_allclose(shares, np.arange(1, 8) / 7)
+    assert each(_squared, [], jobs=jobs) == [] and each(_squared, [3], jobs=jobs) == [9]
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_errors_of_tasks_pass_on(jobs):
+    with pytest.raises(InputError, match="n: got 3; expected not 3") as error:
+        each(_not_3, range(6), jobs=jobs)
+    assert error.value.argument == "n"
+    with pytest.raises(ZeroDivisionError):
+        each(_inverse, [1, 2, 0], jobs=jobs)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
+def test_a_process_that_dies_is_said():
+    with pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
+        each(_killed, [1, 2, 3], jobs=2)
+
+
+def _squared(x):
+    return x * x
+
+
+def _not_3(n):
+    if n == 3:
+        raise InputError("n", "3", "not 3")
+    return n
+
+
+def _inverse(x):
+    return 1 / x
+
+
+def _killed(x):
+    os.kill(os.getpid(), signal.SIGKILL)
