@@ -229,7 +229,7 @@ def make_settings(settings):
             settings = settings | {name: bool(value)}
         elif isinstance(value, bool) or not isinstance(value, kind) or not least <= value <= most:
             what = "an integer" if kind is Integral else "a number"
-            raise InputError(name, brief(value), f"{what} of at least {least:g} and at most {most:g}")
+            raise InputError(name, brief(value), f"{what} of at least {least} and at most {most}")
     made = Synthesis(**settings)
     if made.least_holes > made.holes:
         raise InputError("least_holes", str(made.least_holes), f"at most holes, {made.holes}", "Set holes, too.")

@@ -188,7 +188,7 @@ def test_ids_of_numpy_are_those_of_python(learned, clouds):
 @pytest.mark.parametrize(
     "training, words",
     [
-        ({"n_points": 10**30}, "n_points: got 1000.*at most 1e\\+07"),
+        ({"n_points": 10**30}, "n_points: got 1000.*at most 10000000"),
         ({"n_points": 10**5000}, "n_points: got a number of several thousand digits"),
         ({"holes": 10**30}, "holes: got 1000.*at most 1000"),
         ({"noise": 1e300}, "noise: got 1e\\+300.*at most 1000"),
