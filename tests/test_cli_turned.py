@@ -11,7 +11,7 @@ from lbsfit_np.rotations import matrix_from_rotvec
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
-TRAINING = ("--training-scans", 300)
+TRAINING = ("--training-scans", 200)
 MILLIMETRES = 250.0  # of the tube, whose unit is 25 cm
 SHIFT = np.array([400.0, 0.0, -90.0])
 TURNS = {"upright": matrix_from_rotvec(np.array([0.0, 2.3, 0.0])), "any": matrix_from_rotvec(np.array([1.0, -1.8, 0.9]))}

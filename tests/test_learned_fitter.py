@@ -34,7 +34,7 @@ def learned(tube_rig, clouds):
 @pytest.fixture(scope="module")
 def plain(learned, clouds):
     """The fit of the first scan."""
-    return learned.fit_scan(clouds[0])
+    return learned.fit_scan(clouds[0], subject="a")
 
 
 @pytest.fixture
@@ -92,9 +92,9 @@ def test_a_scan_of_a_unit_of_its_own_leaves_no_trace(own, clouds):
     ],
 )
 def test_other_parameters_count_at_once(change, own, learned, clouds, plain):
-    own.fit_scan(clouds[0])
-    found = own.set_params(**change).fit_scan(clouds[0])
-    fresh = copy.copy(learned).set_params(**change).fit_scan(clouds[0])
+    own.fit_scan(clouds[0], subject="a")
+    found = own.set_params(**change).fit_scan(clouds[0], subject="a")
+    fresh = copy.copy(learned).set_params(**change).fit_scan(clouds[0], subject="a")
     np.testing.assert_array_equal(found.vertices, fresh.vertices)
     assert not np.array_equal(found.vertices, plain.vertices)
 
@@ -134,14 +134,14 @@ def test_new_scans_start_from_what_the_variant_allows(variant, nearest, own, clo
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda fitter: pickle.loads(pickle.dumps(fitter))])
 def test_copies_fit_the_same_without_what_was_made_ready(copied, own, clouds, plain):
     own._model()
-    own.fit_scan(clouds[0])
+    own.fit_scan(clouds[0], subject="a")
     assert all(name in vars(own) for name in PREPARED)
     other = copied(own)
     assert not any(name in vars(other) for name in PREPARED) and all(name in vars(own) for name in PREPARED)
-    np.testing.assert_array_equal(other.fit_scan(clouds[0]).vertices, plain.vertices)
+    np.testing.assert_array_equal(other.fit_scan(clouds[0], subject="a").vertices, plain.vertices)
     assert other.get_params()["training_scans"] == 40 and model_digest(other) == model_digest(own)
-    other.set_params(joints="fixed").fit_scan(clouds[0])
-    np.testing.assert_array_equal(own.fit_scan(clouds[0]).vertices, plain.vertices)
+    other.set_params(joints="fixed").fit_scan(clouds[0], subject="a")
+    np.testing.assert_array_equal(own.fit_scan(clouds[0], subject="a").vertices, plain.vertices)
 
 
 def test_clones_have_learned_nothing(own, clouds):
