@@ -5,6 +5,7 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.starts.scale import near_rows
 
 
 def _with(points, row, value):
@@ -28,6 +29,7 @@ BAD_FITS = [
     ({"labels": np.r_[0, 0, -1, np.zeros(997, int)]}, ["labels: got -1 at index 2"]),
     ({"theta0": np.zeros((3, 3))}, ["theta0: got shape (3, 3)", "(4, 3)"]),
     ({"theta0": np.full((4, 3), np.nan)}, ["theta0", "12 values", "NaN"]),
+    ({"theta0": np.full((4, 3), 90.0)}, ["theta0: got an angle of 90", "radians", "degrees"]),
     ({"point_weights": np.ones(7)}, ["point_weights: got shape (7,)", "(1000,)"]),
     ({"point_weights": np.r_[-1.0, -2.0, np.ones(998)]}, ["point_weights: got 2 negative", "at least 0"]),
     ({"point_weights": np.full(1000, np.nan)}, ["point_weights", "1000 values", "NaN"]),
@@ -60,6 +62,10 @@ def test_bad_scans_are_named_before_any_training(tube_rig, tube_scan, monkeypatc
         ({"joints": "loose"}, ["joints: got 'loose'", "'follow' or 'fixed'"]),
         ({"scale": 2.0}, ["scale: got 2.0", "'estimate' or 'fixed'"]),
         ({"max_points": 0}, ["max_points: got 0", "positive integer"]),
+        ({"max_points": 3}, ["max_points: got 3", "at least 4"]),
+        ({"joints": np.zeros(3)}, ["joints: got array", "'follow' or 'fixed'"]),
+        ({"orientation": np.eye(3)}, ["orientation: got array", "'any'"]),
+        ({"smooth": np.inf, "sequence": True}, ["smooth: got inf", "at most 1e+06"]),
         ({"max_points": True}, ["max_points: got True"]),
         ({"training_scans": 1.5}, ["training_scans: got 1.5", "positive integer"]),
         ({"training": [1]}, ["training: got list", "dict"]),
@@ -114,3 +120,16 @@ def test_one_call_names_its_errors_before_training(tube_rig, tube_scan, monkeypa
         lbs.fit_scan(tube_rig, tube_scan.points, point_weights=np.zeros(1000))
     with pytest.raises(InputError, match="rig: got str"):
         lbs.fit_scan("left.glb", tube_scan.points)
+
+
+def test_weights_of_any_size_are_weights(tube_rig, tube_scan):
+    weights = np.linspace(0.5, 1.0, len(tube_scan.points))
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    found = [fitter.fit_scan(tube_scan.points, labels=tube_scan.labels, point_weights=w) for w in (weights, 2.0**1023 * weights)]
+    np.testing.assert_array_equal(found[0].pose, found[1].pose)
+
+
+def test_points_given_many_times_do_not_make_the_others_clutter(tube_scan):
+    points = np.vstack([tube_scan.points, np.repeat(tube_scan.points[:1], 20 * len(tube_scan.points), axis=0)])
+    rows, dropped = near_rows(points, np.arange(len(points)))
+    assert dropped == 0 and len(rows) == len(points)

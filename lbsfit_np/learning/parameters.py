@@ -17,6 +17,9 @@ from .variants import as_variant
 
 __all__ = ["check_parameters", "check_scan"]
 
+# Eight turns.
+_MOST_TURN = 50.0
+
 
 def check_parameters(fitter):
     """Raise InputError unless every parameter of the fitter can be used."""
@@ -25,17 +28,16 @@ def check_parameters(fitter):
     as_weights(fitter.weights)
     if not isinstance(fitter.training, (type(None), Mapping, Synthesis)):
         raise InputError("training", type(fitter.training).__name__, "a dict of fields of synthesis.Synthesis")
-    if fitter.joints not in JOINT_MODES:
-        raise InputError("joints", repr(fitter.joints), " or ".join(map(repr, JOINT_MODES)))
-    for name, known in (("scale", ("estimate", "fixed")), ("orientation", ORIENTATIONS), ("effort", tuple(EFFORTS))):
-        if getattr(fitter, name) not in known:
-            raise InputError(name, brief(getattr(fitter, name)), f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}")
-    as_variant(fitter.variant)
-    for name, low, high in (("held_out", 0, 0.9), ("smooth", 0, np.inf)):
+    words = {"joints": JOINT_MODES, "scale": ("estimate", "fixed"), "orientation": ORIENTATIONS, "effort": tuple(EFFORTS)}
+    for name, known in words.items():
         value = getattr(fitter, name)
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not low <= value <= high:
-            most = "" if high == np.inf else f" and at most {high}"
-            raise InputError(name, brief(value), f"a number of at least {low}{most}")
+        if not isinstance(value, str) or value not in known:
+            raise InputError(name, brief(value), f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}")
+    as_variant(fitter.variant)
+    for name, most in (("held_out", 0.9), ("smooth", 1e6)):
+        value = getattr(fitter, name)
+        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 0 <= value <= most:
+            raise InputError(name, brief(value), f"a number of at least 0 and at most {most:g}")
     for name in ("sequence", "partial"):
         if not isinstance(getattr(fitter, name), (bool, np.bool_)):
             raise InputError(name, brief(getattr(fitter, name)), "True or False")
@@ -45,7 +47,9 @@ def check_parameters(fitter):
     for name in ("max_points", "training_scans", "rounds"):
         value = getattr(fitter, name)
         if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
-            raise InputError(name, repr(value), "a positive integer")
+            raise InputError(name, brief(value), "a positive integer")
+    if fitter.max_points < len(fitter.rig.parts):
+        raise InputError("max_points", str(fitter.max_points), f"at least {len(fitter.rig.parts)}, as many as the rig has parts")
 
 
 def check_scan(rig, points, theta0, labels, point_weights):
@@ -66,6 +70,9 @@ def check_scan(rig, points, theta0, labels, point_weights):
     points = check_points(points, minimum=len(rig.parts))
     if theta0 is not None:
         theta0 = check_array("theta0", theta0, rig.lower.shape)
+        if np.abs(theta0).max(initial=0.0) > _MOST_TURN:
+            got = f"an angle of {np.abs(theta0).max():.3g}"
+            raise InputError("theta0", got, f"rotation vectors in radians, of at most {_MOST_TURN:g}", "Are these degrees?")
     if point_weights is not None:
         point_weights = check_array("point_weights", point_weights, (len(points),))
         if point_weights.min() < 0:
@@ -73,6 +80,7 @@ def check_scan(rig, points, theta0, labels, point_weights):
         if np.count_nonzero(point_weights) < len(rig.parts):
             got = f"{np.count_nonzero(point_weights)} positive values"
             raise InputError("point_weights", got, f"at least {len(rig.parts)}, as many as the rig has parts")
+        point_weights = point_weights / point_weights.max()  # whose sum is finite
     return points, theta0, None if labels is None else _checked_labels(labels, len(points), rig.parts), point_weights
 
 

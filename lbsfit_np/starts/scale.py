@@ -130,7 +130,8 @@ def near_rows(points, rows):
     if len(x) > _NEIGHBOURS:
         x = (x[kept] - np.median(x, axis=0)) / extent(x[kept])
         apart = cKDTree(x).query(x, k=min(_NEIGHBOURS, len(x)))[0][:, -1]
-        kept[kept] = apart <= max(_LONELY * np.median(apart), 1e-9)
+        apart_at_all = apart[apart > 1e-9]  # some scans have many points several times
+        kept[kept] = apart <= _LONELY * (np.median(apart_at_all) if len(apart_at_all) else 1.0)
     return rows[kept], int(len(rows) - kept.sum())
 
 
