@@ -68,6 +68,18 @@ def test_points_that_are_not_on_the_rig_are_not_explained(model, right):
     assert probability_of(NOTHING | {"distance": 0.55}) > 0.9 and probability_of(NOTHING | {"distance": 0.65}) == 0.25
 
 
+def test_points_count_as_much_as_they_weigh(model, right):
+    state, X, labels = right
+    proba = np.eye(len(model.source.parts))[labels]
+    clutter = np.random.default_rng(0).uniform(X.min(axis=0), X.max(axis=0), (600, 3))
+    both, told = np.vstack([X, clutter]), np.vstack([proba, np.full((600, proba.shape[1]), 1 / proba.shape[1])])
+    plain, _ = _evidence(model, state, X, proba=proba)
+    light, _ = _evidence(model, state, both, proba=told, x_weights=np.r_[np.ones(len(X)), np.full(600, 1e-9)])
+    heavy, _ = _evidence(model, state, both, proba=told)
+    for name in ("distance", "unexplained", "disagreement"):
+        assert light[name] == pytest.approx(plain[name], rel=1e-2) and heavy[name] > plain[name]
+
+
 def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
     state, _, _ = right
     theta = state.theta

@@ -112,6 +112,7 @@ def assemble(
             theta=state.theta,
             partial=partial,
             areas=model.areas,
+            x_weights=problem.x_weights,
         )
         probability = probability_of(evidence)
         status, reason = verdict_of(evidence, probability, rig.parts[worst] if worst >= 0 else "")

@@ -29,7 +29,9 @@ _PART = 0.01
 _FLOOR = 1e-3
 
 
-def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, theta=None, partial=False, areas=None):
+def evidence_of(
+    rig, vertices, labels, X, *, proba=None, rivals=(), value=None, theta=None, partial=False, areas=None, x_weights=None
+):
     """Measure a fit.
 
     Parameters
@@ -53,6 +55,8 @@ def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, 
         Whether the scan shows one side only.
     areas : (m,) array, optional
         Shares of the surface.
+    x_weights : (n,) array, optional
+        How much each point counts.
 
     Returns
     -------
@@ -66,6 +70,7 @@ def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, 
         The part of "worst_part"; −1 where nothing is unexplained.
     """
     a = np.full(len(vertices), 1.0 / len(vertices)) if areas is None else areas
+    w = np.full(len(X), 1.0 / len(X)) if x_weights is None else x_weights / x_weights.sum()
     on = PointIndex(vertices).nearest(X)
     away = ((X - vertices[on]) ** 2).sum(axis=1)
     around = faces_around(rig.faces, len(vertices)) if len(rig.faces) else None
@@ -81,7 +86,7 @@ def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, 
     if partial and around is not None:
         normals = vertex_normals(vertices, rig.faces)
         seen = shown(normals, normals[on], to_X)
-    typical = float(np.sqrt(np.median(away)))
+    typical = float(np.sqrt(_median(away, w)))
     away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
     rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
     a = np.where(seen, a, 0.0)
@@ -89,17 +94,17 @@ def evidence_of(rig, vertices, labels, X, *, proba=None, rivals=(), value=None, 
     worst, worst_part = 0.0, -1
     for p in np.unique(labels):
         points, surface = parts == p, (labels == p) & seen
-        share = a[surface].sum()
-        own = [float(rho_x[points].mean())] if points.mean() > _PART else []
+        weight, share = w[points].sum(), a[surface].sum()
+        own = [float(w[points] @ rho_x[points] / weight)] if weight > _PART else []
         own += [float(a[surface] @ rho_v[surface] / share)] if share > _PART else []
         if max(own, default=0.0) > worst:
             worst, worst_part = max(own), int(p)
     out = {
         "distance": min(1.0, typical / _SCALE),
-        "unexplained": float(rho_x.mean()),
+        "unexplained": float(w @ rho_x),
         "unreached": float(a @ rho_v / max(a.sum(), 1e-12)),
         "worst_part": worst,
-        "disagreement": 0.0 if proba is None else float(1.0 - proba[np.arange(len(X)), parts].mean()),
+        "disagreement": 0.0 if proba is None else float(max(0.0, 1.0 - w @ proba[np.arange(len(X)), parts])),
         "rival": float(min(1.0, value / min(rivals))) if len(rivals) and value is not None and min(rivals) > 0 else 0.0,
         "at_limits": 0.0 if theta is None else _at_limits(rig, theta),
     }
@@ -135,6 +140,12 @@ def shown_problem(model, problem, state, partial):
         return problem
     a = problem.x_weights if problem.x_weights is not None else np.full(len(problem.X), 1.0 / len(problem.X))
     return Problem(problem.X, a * x_kept / (a * x_kept).sum(), v_kept.astype(float))
+
+
+def _median(values, weights):
+    """The least value up to which half of the weight lies."""
+    order = np.argsort(values)
+    return values[order[np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())]]
 
 
 def _spacing(X):

@@ -179,7 +179,7 @@ class Scout:
         """That the pose is right, by what is known of it before the full objective."""
         model, state = self.model, found.state
         known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
-        known |= {"partial": self.settings.partial, "areas": model.areas}
+        known |= {"partial": self.settings.partial, "areas": model.areas, "x_weights": found.problem.x_weights}
         V = model.pose(state)[0].vertices
         return probability_of(evidence_of(model.rig, V, model.labels, found.problem.X, **known)[0])
 
