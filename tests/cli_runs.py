@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from functools import partial
 from pathlib import Path
 
 import lbsfit_np as lbs
@@ -48,7 +47,7 @@ def stopped(process, sent):
 
 def content_with_few_starts(patch):
     """Have all fitters that are made in this process be so, those of benchmarks too, which take no effort."""
-    patch.setattr("lbsfit_np.learning.fitter.LBSFitter", partial(lbs.LBSFitter, effort="fast"))
+    patch.setitem(lbs.LBSFitter.__init__.__kwdefaults__, "effort", "fast")
 
 
 def one_line(err):

@@ -178,7 +178,7 @@ def test_doubt_is_worth_a_second_look(make, scans, effort, p, looks, monkeypatch
 
     def look(self, points, x_weights):
         seen.append(known[self.effort])
-        return SimpleNamespace(value=next(values), effort=self.effort)
+        return SimpleNamespace(value=next(values), effort=self.effort, frame=SimpleNamespace(unit=1.0))
 
     monkeypatch.setattr(Scout, "_look", look)
     monkeypatch.setattr(Scout, "_probability", lambda self, found: p)
@@ -217,6 +217,22 @@ def test_starts_stand_where_the_scan_is(make, scans):
         V = make().model.pose(r.state)[0].vertices
         assert np.linalg.norm(make().model.areas @ V - r.problem.X.mean(axis=0)) < 1e-9
         np.testing.assert_allclose(r.name.outside(r.problem.X), points, atol=1e-6)
+
+
+def test_hypotheses_are_compared_in_one_unit(make, scans):
+    """What is left unexplained goes by the square of the unit: in units of their own, the largest would win."""
+    scout = make()
+    runners = scout._runners(1000 * scans[0].points, None)
+    assert len({r.name.unit for r in runners}) == 1 and len({r.state.scale for r in runners}) > 1
+    moved = [replace(r, value=float(k + 1)) for k, r in enumerate(runners)]
+    one = replace(moved[2], state=moved[2].state.replace(scale=1.25))
+    for before, after in zip(moved, scout._resized(moved, one)):
+        assert after.name.unit == before.name.unit * 1.25 and after.value == pytest.approx(before.value / 1.25**2)
+        for r in (before, after):
+            np.testing.assert_allclose(r.name.outside(r.problem.X), 1000 * scans[0].points, atol=1e-9)
+        V = [r.name.outside(scout.model.pose(r.state)[0].vertices) for r in (before, after)]
+        np.testing.assert_allclose(V[0], V[1], atol=1e-9)
+    assert scout(1000 * scans[0].points).state.scale == pytest.approx(1.0, abs=0.1)
 
 
 def test_labels_are_seen_in_the_frame_that_was_found(make, scans, tube_rig):

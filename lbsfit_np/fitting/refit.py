@@ -151,9 +151,9 @@ class Refit:
         """The last steps alone, on all points; options of :meth:`GaussNewton.pose`."""
         return self._last.pose(problem, state, free=self.free, **options)[0]
 
-    def placed(self, problem, theta):
-        """The State of a pose Θ put where the scan is."""
-        state = self.model.rest().replace(theta=np.array(theta, dtype=float))
+    def placed(self, problem, theta, scale=1.0):
+        """The State of a pose Θ of some scale put where the scan is."""
+        state = self.model.rest().replace(theta=np.array(theta, dtype=float), scale=scale)
         return state.replace(translation=_centroid(problem) - self.model.areas @ self.model.pose(state)[0].vertices)
 
     def from_parts(self, problem, proba, labels_known=False):

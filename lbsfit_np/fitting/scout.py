@@ -158,21 +158,23 @@ class Scout:
             closer.effort = EFFORTS[self.effort.again]
             if 1 < len(self.turns) < _MANY:  # not every scan has the rig's up axis
                 closer.turns = any_side_up(self.turns, self._up)
-            found = min(found, closer._look(points, x_weights), key=lambda f: f.value)
+            # E goes by the square of the frame's unit.
+            found = min(found, closer._look(points, x_weights), key=lambda f: f.value * f.frame.unit**2)
         return found
 
     def _look(self, points, x_weights):
         effort, refit = self.effort, self._refit
         runners = refit.first_steps(self._runners(points, x_weights))
+        runners = self._resized(runners, runners[0])
         if self.segmenter is not None:
             labelled = [self._labelled(points, x_weights, frame) for frame in self._facings(runners)]
             runners = sorted([*runners, *refit.first_steps(labelled)], key=lambda r: r.value)
         near = self._distinct(self._other_limbs(refit.last_steps(runners[: effort.survivors])))
         close = [r for r in near[: effort.finals] if r.value <= _RIVAL * near[0].value]
         finals = sorted(map(self._with_proportions, close), key=lambda r: r.value)
-        best = finals[0]
-        seen = None if self.segmenter is None else self._labels(best.problem, best.state.scale)
-        rivals = tuple(r.value for r in [*finals[1:], *near[len(finals) :]])
+        best, *others = self._resized([*finals, *near[len(finals) :]], finals[0])
+        seen = None if self.segmenter is None else self._labels(best.problem)
+        rivals = tuple(r.value for r in others)
         return Found(best.name, best.problem, best.state, seen, best.value, rivals)
 
     def _probability(self, found):
@@ -193,11 +195,27 @@ class Scout:
         else:
             turns = {s.turn: s for s in reversed(starts)}.values()
             starts = [replace(s, theta=theta) for s in turns for theta in (np.zeros_like(seen), seen)]
-        out = []
-        for s in starts:
-            frame = Frame(centre, (self.unit or s.scale) * self.model.half, self.turns[s.turn])
-            problem = Problem(frame.inside(points), x_weights)
-            out.append(Runner(problem, self._refit.placed(problem, s.theta), frame))
+        # One unit for all, as what is left unexplained is compared.
+        unit = self.unit or float(np.median([s.scale for s in starts]))
+        frames = {s.turn: Frame(centre, unit * self.model.half, self.turns[s.turn]) for s in starts}
+        problems = {turn: Problem(frame.inside(points), x_weights) for turn, frame in frames.items()}
+        placed = self._refit.placed
+        return [
+            Runner(problems[s.turn], placed(problems[s.turn], s.theta, 1.0 if self.unit else s.scale / unit), frames[s.turn])
+            for s in starts
+        ]
+
+    def _resized(self, runners, one):
+        """All, in frames of the unit in which the scale of one of them is 1."""
+        q, problems, out = one.state.scale, {}, []
+        if q == 1.0:
+            return runners
+        for r in runners:
+            frame = replace(r.name, unit=r.name.unit * q)
+            if id(r.problem) not in problems:
+                problems[id(r.problem)] = Problem(r.problem.X / q, r.problem.x_weights, r.problem.v_weights)
+            state = r.state.replace(scale=r.state.scale / q, translation=r.state.translation / q)
+            out.append(Runner(problems[id(r.problem)], state, frame, r.value / q**2))
         return out
 
     def _other_limbs(self, runners):
@@ -246,9 +264,9 @@ class Scout:
         few = thinned(problem, _LABELLED)
         return Runner(problem, self._refit.from_parts(few, self._labels(few)), frame)
 
-    def _labels(self, problem, scale=1.0):
-        """What the segmenter says of the points, at a size that was found."""
-        return self.segmenter.predict_proba(problem.X * (self.model.half / scale))
+    def _labels(self, problem):
+        """What the segmenter says of the points."""
+        return self.segmenter.predict_proba(problem.X * self.model.half)
 
     def _with_proportions(self, runner):
         if self._shape is None:
