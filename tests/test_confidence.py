@@ -122,6 +122,26 @@ def test_no_evidence_raises_the_probability():
         assert values == sorted(values, reverse=True)
 
 
+@pytest.mark.parametrize(
+    "evidence, low, high",
+    [
+        # As of right fits of the calibration …
+        ({"unexplained": 0.001, "unreached": 0.01, "worst_part": 0.1, "disagreement": 0.3, "at_limits": 0.1}, 0.95, 1.0),
+        ({"unexplained": 0.006, "unreached": 0.03, "worst_part": 0.2, "disagreement": 0.2, "at_limits": 0.2}, 0.3, 0.7),
+        # … and of wrong ones: a limb elsewhere, facing the wrong way.
+        ({"unexplained": 0.02, "unreached": 0.05, "worst_part": 0.4, "disagreement": 0.3, "at_limits": 0.2}, 0.05, 0.2),
+        ({"unexplained": 0.08, "unreached": 0.1, "worst_part": 0.8, "disagreement": 0.5, "at_limits": 0.3}, 0.0, 0.05),
+    ],
+)
+def test_each_piece_of_evidence_has_its_own_weight(evidence, low, high):
+    assert low < probability_of(NOTHING | evidence) < high
+
+
+@pytest.mark.parametrize("p, status", [(0.51, "ok"), (0.49, "suspect"), (0.06, "suspect"), (0.04, "failed")])
+def test_where_doubt_begins(p, status):
+    assert verdict_of(NOTHING, p)[0] == status
+
+
 def test_the_verdict_names_reasons():
     assert verdict_of(NOTHING, 0.95) == ("ok", "")
     status, reason = verdict_of(NOTHING | {"unexplained": 0.21, "rival": 0.9, "worst_part": 0.6}, 0.3, "left_arm")

@@ -9,7 +9,7 @@ from scipy import sparse
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
-from lbsfit_np.optimize.gauss_newton import GaussNewton
+from lbsfit_np.optimize.gauss_newton import GaussNewton, _Normal
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rig.build import build_rig
@@ -167,3 +167,23 @@ def test_of_one_start_comes_one_answer(tube):
     problem, _ = sampled(tube, truth)
     a, b = (GaussNewton(tube).pose(problem, near(tube, truth, 8))[0] for _ in range(2))
     np.testing.assert_array_equal(a.theta, b.theta)
+
+
+def test_normal_equations_have_the_slope_of_the_value():
+    """g = −½ ∂E/∂x of robust residuals r − J x at x = 0, normals held."""
+    rng = np.random.default_rng(5)
+    r, J, weight = 0.1 * rng.standard_normal((60, 3)), rng.standard_normal((60, 3, 4)), rng.random(60)
+    normals = rng.standard_normal((60, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+
+    def value(x):
+        out = _Normal(0.05, 0.1)
+        out.add(r - J @ x, normals, weight, None)
+        return out.value
+
+    found = _Normal(0.05, 0.1)
+    found.add(r, normals, weight, lambda: J)
+    h = 1e-6
+    slope = [(value(h * e) - value(-h * e)) / (2 * h) for e in np.eye(4)]
+    np.testing.assert_allclose(found.g, -0.5 * np.array(slope), rtol=1e-6)
+    assert found.H.shape == (4, 4) and np.linalg.eigvalsh(found.H).min() > 0

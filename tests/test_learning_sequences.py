@@ -16,7 +16,7 @@ def walk(tube_rig, people):
     start, stop = 0.5 * tube_rig.lower, 0.7 * tube_rig.upper
     template = people["ann"].vertices, people["ann"].joints
     poses = (1 - t) * start + t * stop
-    return lbs.synthesize(tube_rig, 7, poses=poses, templates=[template], random_state=4, n_points=200, noise=0.02, holes=0)
+    return lbs.synthesize(tube_rig, 7, poses=poses, templates=[template], random_state=7, n_points=200, noise=0.02, holes=0)
 
 
 def _roughness(results):
