@@ -109,6 +109,13 @@ def test_each_subject_keeps_two_scans(tube_rig, clouds, share, expected):
     assert again == [m.held_out for m in members]
 
 
+def test_the_only_scan_of_a_subject_is_left_out_last(tube_rig, clouds):
+    ids = [0, 0, 1, 1, 2, 3, 4, 5, 6, 7]
+    for seed in range(6):
+        members = collected(tube_rig, clouds[:10], ids, held_out=0.2, random_state=seed).members
+        assert sorted(m.subject for m in members if m.held_out) == [0, 1]
+
+
 def test_subjects_of_one_scan_can_be_left_out_where_there_are_no_others(tube_rig, clouds):
     members = collected(tube_rig, clouds[:10], range(10), held_out=0.2).members
     assert sum(m.held_out for m in members) == 2

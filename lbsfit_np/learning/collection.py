@@ -300,10 +300,10 @@ def _hold_out(collection, share, random_state):
             "Give more scans, or pass held_out=0 (--held-out 0) to learn from all for a fixed number of rounds.",
         )
     order = generator(random_state, "held out").permutation(len(members))
-    # Each subject keeps two scans at least as long as that is possible: its template needs them.
+    # Each subject keeps two scans, or one at least, as long as that is possible: its template needs them.
     left = {s: len(collection.of(s)) for s in collection.subjects}
     taken = 0
-    for needed in (3, 1):
+    for needed in (3, 2, 1):
         for i in order:
             if taken < count and not members[i].held_out and left[members[i].subject] >= needed:
                 members[i].held_out = True
