@@ -1,10 +1,13 @@
 """The benchmark of learning: its scans, and its table."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
+from cli_runs import content_with_few_starts
 
 from lbsfit_np.bench.hand import hand_rig, natural_poses
-from lbsfit_np.bench.learn import collection, learn_bench, learn_table, touching_pose
+from lbsfit_np.bench.learn import _measured, collection, learn_bench, learn_table, touching_pose
 from lbsfit_np.errors import InputError
 
 
@@ -21,6 +24,29 @@ def test_touching_poses_bring_two_fingertips_together(shared_rigs):
     rig = hand_rig(shared_rigs)
     theta = touching_pose(rig, natural_poses(rig, shared_rigs), np.random.default_rng(0))
     assert np.all(theta >= rig.lower - 1e-12) and np.all(theta <= rig.upper + 1e-12)
+
+
+def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
+    content_with_few_starts(monkeypatch)
+    rows = []
+    options = {"n_scans": 6, "seeds": (3,), "variants": ("cd", "free-form"), "training_scans": 40}
+    report = learn_bench("hand", shared_rigs, on_row=lambda report, variant, seed: rows.append((variant, seed)), **options)
+    assert rows == [("cd", 3), ("free-form", 3)] and report["complete"]
+    entry = report["rows"]["cd"]["3"]
+    assert entry["unfitted"] == 0 and entry["rounds"] >= 1 and len(entry["joints"]) == 6
+    assert entry["joint_error"] == pytest.approx(np.mean(entry["joints"])) and 0 < entry["vertex_error"] < 0.5
+    assert 0 < report["rows"]["before"]["3"]["label_error"] < 1 and "label_error" not in entry
+    assert report["rows"]["free-form"]["3"]["rounds"] == 0
+
+
+def test_scans_that_could_not_be_fitted_are_counted(shared_rigs):
+    rig, scans, subjects, others = collection("hand", shared_rigs, 3, seed=3)
+    right = SimpleNamespace(joints=scans[0].joints, vertices=scans[0].vertices)
+    templates = {k: SimpleNamespace(vertices=s.template) for k, s in enumerate(scans)}
+    fitter = SimpleNamespace(results_=[right, None, None], history_=[{}, {}], template_=templates, segmenter_=None)
+    entry = _measured(rig, fitter, scans, subjects, others, rig.size / 2)
+    assert (entry["unfitted"], entry["rounds"]) == (2, 1)
+    assert entry["joints"] == [0.0] and entry["vertex_error"] == 0.0 and entry["template_gap"] < 1e-12
 
 
 def test_the_table_has_a_row_a_variant():

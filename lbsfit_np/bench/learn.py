@@ -210,9 +210,12 @@ def learn_bench(
 
 
 def _measured(rig, fitter, scans, subjects, others, unit):
-    joints = [joint_error(r.joints, s.joints, rig.moving) / unit for r, s in zip(fitter.results_, scans, strict=True)]
-    vertices = [vertex_error(r.vertices, s.vertices) / unit for r, s in zip(fitter.results_, scans, strict=True)]
+    fitted = [(r, s) for r, s in zip(fitter.results_, scans, strict=True) if r is not None]
+    joints = [joint_error(r.joints, s.joints, rig.moving) / unit for r, s in fitted]
+    vertices = [vertex_error(r.vertices, s.vertices) / unit for r, s in fitted]
     out = {
+        "unfitted": len(scans) - len(fitted),
+        "rounds": max(0, len(fitter.history_) - 1),
         "joint_error": float(np.mean(joints)),
         "joint_error_median": float(np.median(joints)),
         "vertex_error": float(np.mean(vertices)),
