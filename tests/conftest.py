@@ -243,7 +243,7 @@ def learned_hands(hands, cli_cache, tmp_path_factory):
     out = tmp_path_factory.mktemp("learned")
     (folder / "broken.ply").write_text("ply\nformat ascii 1.0\nelement vertex 9\n")
     scans = [*sorted(folder.glob("anna*.ply")), folder / "broken.ply", *sorted(folder.glob("ben*.ply"))]
-    options = ("--training-scans", 200, "--effort", "fast", "--rounds", 1, "--subjects", folder / "who.csv")
+    options = ("--training-scans", 100, "--effort", "fast", "--rounds", 1, "--subjects", folder / "who.csv")
     outputs = ("-o", out / "new" / "model.npz", "--results", out / "fits")
     done = program("learn", HAND, *scans, *outputs, *options, cache=cli_cache)
     assert done.returncode == 1, done.stderr

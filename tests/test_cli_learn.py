@@ -61,7 +61,7 @@ def test_the_summary_of_learning(learned_hands):
     assert summary["not_done"] == [] and not summary["stopped"]
     assert summary["model"] == {"path": str(model), "rounds": 1, "subjects": ["anna", "ben"], "variant": "joint"}
     assert [entry["round"] for entry in summary["history"]] == [0, 1]
-    assert summary["settings"]["training_scans"] == 200 and summary["settings"]["held_out"] == 0.1
+    assert summary["settings"]["training_scans"] == 100 and summary["settings"]["held_out"] == 0.1
     scans = {s["name"]: s for s in summary["scans"]}
     assert set(scans) == {*truth, "broken"}
     assert scans["broken"]["status"] == "failed" and "broken.ply" in scans["broken"]["message"]

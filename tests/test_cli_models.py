@@ -23,7 +23,7 @@ def test_fit_with_a_model(learned_hands, hands, tmp_path, run):
     summary = json.loads((tmp_path / "summary.json").read_text())
     about = {"path": str(model), "rounds": 1, "subjects": ["anna", "ben"], "variant": "joint", "subject": None}
     assert summary["model"] == about
-    assert summary["settings"]["training_scans"] == 200 and summary["seed"] == 0
+    assert summary["settings"]["training_scans"] == 100 and summary["seed"] == 0
     fitter = lbs.LBSFitter.load(model)
     for name, scan in zip(names, scans):
         ours, theirs = lbs.FitResult.load(tmp_path / f"{name}.fit.npz"), fitter.fit_scan(lbs.load_scan(scan))
@@ -155,13 +155,13 @@ def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, h
 def test_models_without_labels_want_no_segmenter(variant, tubes, tmp_path, run, monkeypatch):
     monkeypatch.setattr("lbsfit_np.learning.fitter.pretrain_segmenter", None)
     scans = sorted(tubes.glob("*.ply"))
-    options = ("--variant", variant, "--max-points", 300, "--seed", 5)
+    options = ("--variant", variant, "--max-points", 300, "--seed", 6)
     code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *options, *QUICK_LEARNING)
-    assert code in (0, 1) and err == "" and f"in {int(variant == 'cd')} round" in text  # fits as quick as these may fail
+    assert (code, err) == (0, "") and f"in {int(variant == 'cd')} round" in text
     code, text, err = run("fit", tmp_path / "m.npz", scans[0], "-o", tmp_path)
     assert (code, err) == (0, "") and f"variant '{variant}'" in text
     settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
-    assert (settings["max_points"], settings["seed"]) == (300, 5)  # the model's, not the defaults of lbsfit fit
+    assert (settings["max_points"], settings["seed"]) == (300, 6)  # the model's, not the defaults of lbsfit fit
     assert lbs.LBSFitter.load(tmp_path / "m.npz").segmenter_ is None
     outcome = fit_scans(lbs.LBSFitter.load(tmp_path / "m.npz"), [lbs.load_scan(scans[0])])[0]
     np.testing.assert_array_equal(outcome.result.vertices, lbs.FitResult.load(tmp_path / "t0.fit.npz").vertices)
