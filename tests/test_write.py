@@ -72,6 +72,18 @@ def test_places_that_cannot_be_written(tmp_path):
     assert names(tmp_path) == []
 
 
+def test_a_process_told_to_end_as_soon_as_the_file_is_there_leaves_none(tmp_path, monkeypatch):
+    def told_to_end(descriptor):
+        really(descriptor)
+        raise SystemExit(143)
+
+    really = os.close
+    monkeypatch.setattr(os, "close", told_to_end)
+    with pytest.raises(SystemExit), atomic_path(tmp_path / "a.json"):
+        pass
+    assert names(tmp_path) == []
+
+
 def test_long_names_still_fit(tmp_path):
     path = tmp_path / ("x" * 245 + ".npz")
     write_npz(path, a=1)

@@ -52,11 +52,9 @@ def atomic_path(path):
     except (OSError, ValueError) as error:  # a name that is too long, or with NUL in it: known before anything is computed
         raise _cannot_write(path, error) from error
     try:
-        # mkstemp would make it private (0600); this way the umask decides, as for any file that a user writes.
+        # Created in here, as a process may be told to end as soon as the file is there. mkstemp would make it private (0600);
+        # this way the umask decides, as for any file that a user writes.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
-    except OSError as error:
-        raise _cannot_write(path, error) from error
-    try:
         yield temporary
         os.replace(temporary, final)
     except OSError as error:
