@@ -80,6 +80,18 @@ def test_points_count_as_much_as_they_weigh(model, right):
         assert light[name] == pytest.approx(plain[name], rel=1e-2) and heavy[name] > plain[name]
 
 
+def test_clutter_is_no_fault_but_a_lump_beside_the_mesh_is(model, right):
+    state, X, _ = right
+    rng = np.random.default_rng(0)
+    plain, _ = _evidence(model, state, X)
+    clutter = rng.uniform(X.min(axis=0) - 0.2, X.max(axis=0) + 0.2, (250, 3))
+    strewn, _ = _evidence(model, state, np.vstack([X, clutter]))
+    assert strewn["unexplained"] < plain["unexplained"] + 0.015
+    lump = X.mean(axis=0) + [0.0, 0.0, 0.6] + 0.05 * rng.standard_normal((250, 3))
+    lumped, _ = _evidence(model, state, np.vstack([X, lump]))
+    assert lumped["unexplained"] > 0.06
+
+
 def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
     state, _, _ = right
     theta = state.theta

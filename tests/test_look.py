@@ -37,7 +37,6 @@ def test_order_does_not_matter(x):
 def test_place_does_not_matter(x, shift):
     seen, moved = look(x), look(x + shift)
     np.testing.assert_allclose(moved.vectors, seen.vectors, atol=1e-4)
-    np.testing.assert_allclose(moved.centre, seen.centre + shift, atol=1e-6)
     assert moved.radius == pytest.approx(seen.radius, rel=1e-6)
 
 
@@ -46,14 +45,12 @@ def test_the_unit_does_not_matter(x, unit):
     seen, other = look(x), look(unit * x)
     np.testing.assert_allclose(other.vectors, seen.vectors, atol=1e-4)
     assert other.radius / seen.radius == pytest.approx(unit, rel=1e-6)
-    np.testing.assert_allclose(other.centre, unit * seen.centre, atol=1e-6 * unit)
 
 
 def test_far_from_the_origin_it_is_the_same(x):
     far = np.array([4e6, -7e5, 2e6])  # as in a national grid, millimetres apart
     seen, moved = look(x), look(x + far)
     np.testing.assert_allclose(moved.vectors, seen.vectors, atol=1e-3)
-    np.testing.assert_allclose(moved.centre - far, seen.centre, atol=1e-6)
 
 
 def test_the_pose_matters_more_than_the_points(scans, x):

@@ -5,7 +5,7 @@ What it finds are the constants in ``fitting.confidence``:
     python -c "from lbsfit_np.bench.calibrate import calibrate; print(calibrate())"
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,31 +13,34 @@ from ..errors import InputError
 from ..fitting.confidence import EVIDENCE, logarithms
 from ..fitting.scout import EFFORTS, Effort
 from ..io.rigs import load_rig
-from .conditions import CONDITIONS, conditions_of, starts_scan
+from ..rig.rig import Rig
+from ..seeds import generator
+from .conditions import CONDITIONS, Condition, condition_scan, conditions_of
 from .measure import joint_error
 from .run import TRAINING_SEED
 from .starts import PROBABLE, RIGS, counted_joints
 
-__all__ = ["calibrate", "judged", "regression"]
+__all__ = ["Case", "calibrate", "cases_of", "judged", "regression"]
 
 # With as few starts as this many fits go wrong, which is what is to be learned from.
 _CARELESS = Effort(starts=2, facings=1, survivors=1, finals=1, generations=0, parents=0, proposals=0)
 _RIDGE = 1e-3
 
 
-def calibrate(names=RIGS, *, n_scans=12, seed=7, training_scans=4000, on_row=None):
-    """Fit scans of every row carefully and carelessly, and find how the evidence tells right from wrong.
+def calibrate(names=RIGS, *, n_scans=12, seed=7, training_scans=4000, on_case=None):
+    """Fit scans of every case carefully and carelessly, and find how the evidence tells right from wrong.
 
     Parameters
     ----------
     names : sequence of str
         Rigs.
     n_scans : int, default 12
-        A row.
+        A case.
     seed : int, default 7
         One that no table uses.
     training_scans : int, default 4000
-    on_row : callable (rig, row, entries), optional
+    on_case : callable (case, entries), optional
+        After each case, with what :func:`judged` has found.
 
     Returns
     -------
@@ -45,31 +48,112 @@ def calibrate(names=RIGS, *, n_scans=12, seed=7, training_scans=4000, on_row=Non
     weights : tuple of float
         One for each of ``fitting.confidence.EVIDENCE``.
     """
+    rigs = [load_rig(name) for name in names]
     entries = []
-    for name in names:
-        rig = load_rig(name)
-        for row in conditions_of(rig):
-            found = judged(rig, row, n_scans, seed, training_scans)
-            entries += found
-            if on_row is not None:
-                on_row(name, row, found)
+    for case in (case for rig in rigs for case in cases_of(rig, rigs)):
+        found = judged(case, n_scans, seed, training_scans)
+        entries += found
+        if on_case is not None:
+            on_case(case, found)
     return regression([e for e, _ in entries], [right for _, right in entries])
 
 
-def judged(rig, row, n_scans, seed, training_scans):
+# ---- what is fitted ----
+
+
+@dataclass(frozen=True)
+class Case:
+    """A kind of scan for a rig.
+
+    Attributes
+    ----------
+    rig : Rig
+        That is fitted.
+    name : str
+    condition : Condition
+        Of the scans, and what the fitter is told.
+    shown : Rig or None
+        The rig that the scans are of; None for solids that are no rig's.
+    """
+
+    rig: Rig
+    name: str
+    condition: Condition
+    shown: Rig | None
+
+    def scan(self, i, rng):
+        """Points, and their truth; None where no fit can be right."""
+        if self.shown is None:
+            return _solid(i, rng) * self.rig.size / 2, None
+        scan = condition_scan(self.shown, self.condition, i, rng)
+        return scan.points, scan if self.shown is self.rig else None
+
+
+def cases_of(rig, rigs):
+    """All rows of the table, scans that are worse than these, and what is not the rig: other rigs and solids.
+
+    Parameters
+    ----------
+    rig : Rig
+    rigs : sequence of Rig
+        The other ones are of these.
+
+    Returns
+    -------
+    list of Case
+    """
+    turned = CONDITIONS["turned"]
+    rows = {row: CONDITIONS[row] for row in conditions_of(rig)}
+    worse = {
+        name: replace(turned, what=name, scan=replace(turned.scan, **settings)) for name, settings in _WORSE.items()
+    }
+    cases = [Case(rig, name, condition, rig) for name, condition in (rows | worse).items()]
+    cases += [Case(rig, f"in truth {other.name}", turned, other) for other in rigs if other is not rig]
+    return [*cases, Case(rig, "in truth a solid", turned, None)]
+
+
+# Fewer points, more noise, and floors than any row has. Noise of 0.04 half sizes is 2 % of the size.
+_WORSE = {
+    "1000 points, 2 % noise": {"n_points": 1000, "noise": 0.04},
+    "300 points, 1 % noise": {"n_points": 300, "noise": 0.02},
+    "300 points, 2 % noise": {"n_points": 300, "noise": 0.04},
+    "60 points": {"n_points": 60},
+    "floor, clutter, 1 % noise": {"floor": 0.7, "clutter": 0.1, "noise": 0.02},
+}
+
+
+def _solid(i, rng):
+    """Points on a box, a ball or a can, stretched, in half sizes."""
+    import trimesh
+
+    makers = trimesh.creation.box, trimesh.creation.icosphere, trimesh.creation.cylinder
+    mesh = makers[i % 3](**({"radius": 1.0, "height": 2.0} if i % 3 == 2 else {}))
+    points, _ = trimesh.sample.sample_surface(mesh, 2500, seed=int(rng.integers(2**31)))
+    points = np.asarray(points) * np.exp(rng.uniform(-1.5, 0.0, 3))
+    return points / np.abs(points).max() + 0.004 * rng.standard_normal(points.shape)
+
+
+# ---- how it is fitted ----
+
+
+def judged(case, n_scans, seed, training_scans):
     """[(evidence, whether the joints are right)] of careful and of careless fits."""
     from ..learning.finish import scan_fit
     from ..learning.fitter import LBSFitter
 
-    fitter = LBSFitter(rig, training_scans=training_scans, random_state=TRAINING_SEED, **CONDITIONS[row].fitter)
+    rig = case.rig
+    fitter = LBSFitter(rig, training_scans=training_scans, random_state=TRAINING_SEED, **case.condition.fitter)
     fitter.pretrain(cache=True)
     fit, out = scan_fit(fitter, fitter.segmenter_, fitter.regressor_), []
     for i in range(n_scans):
-        scan = starts_scan(rig, row, i, seed)
+        points, truth = case.scan(i, generator(seed, "calibrate", rig.name, case.name, i))
         for effort in (_CARELESS, EFFORTS["balanced"]):
             fit.scout.effort = replace(effort)
-            result = fit.fit(scan.points, random_state=TRAINING_SEED)
-            error = joint_error(result.joints, scan.joints, counted_joints(rig, row, scan)) / (rig.size * scan.scale)
+            result = fit.fit(points, random_state=TRAINING_SEED)
+            error = np.inf
+            if truth is not None:
+                counted = counted_joints(rig, case.condition, truth)
+                error = joint_error(result.joints, truth.joints, counted) / (rig.size * truth.scale)
             out.append((result.evidence, bool(error <= PROBABLE)))
     return out
 

@@ -12,7 +12,7 @@ from ..seeds import generator
 from ..synthesis import Synthesis, natural_poses, synthesize_one
 from .learn import touching_pose
 
-__all__ = ["CONDITIONS", "SEEN", "Condition", "conditions_of", "starts_scan"]
+__all__ = ["CONDITIONS", "SEEN", "Condition", "condition_scan", "conditions_of", "starts_scan"]
 
 # Metres in the units of scans of the row "unit".
 _UNITS = (1.0, 0.01, 0.001, 0.0254)
@@ -94,8 +94,11 @@ def starts_scan(rig, row, i, seed):
         In the scan's frame and unit: the turn of the whole is part of ``pose``, the unit is ``scale``, and
         ``rig.pose(pose, translation, scale, template − U, joints=template_joints)`` is ``vertices``.
     """
-    condition = CONDITIONS[row]
-    rng = generator(seed, "starts", rig.name, row, i)
+    return condition_scan(rig, CONDITIONS[row], i, generator(seed, "starts", rig.name, row, i))
+
+
+def condition_scan(rig, condition, i, rng):
+    """Scan ``i`` under a condition, with its truth, as :func:`starts_scan`; random by ``rng``."""
     person = rig.subject(rng) if condition.subjects else rig
     pose = condition.pose(rig, i, rng)
     scan = synthesize_one(rig, pose, (person.vertices, person.joints), condition.scan, rng)

@@ -190,7 +190,7 @@ class _OneScan:
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             words = f"{type(error).__name__}: {error}"
             return {"scan": i, "failed": words, "seconds": time.perf_counter() - started}
-        counted = counted_joints(self.rig, self.row, scan)
+        counted = counted_joints(self.rig, CONDITIONS[self.row], scan)
         return {
             "scan": i,
             "joint_error": joint_error(result.joints, scan.joints, counted) / (self.rig.size * scan.scale),
@@ -209,9 +209,9 @@ class _OneScan:
         return self.fitter.fit_scan(scan if self.fit == "plain" else scan.points)
 
 
-def counted_joints(rig, row, scan):
+def counted_joints(rig, condition, scan):
     """(J,) bool: the joints that count: those that move, and of a one-sided view those whose part it shows."""
-    if not CONDITIONS[row].scan.one_sided:
+    if not condition.scan.one_sided:
         return rig.moving
     points = np.bincount(scan.labels[scan.labels >= 0], minlength=len(rig.parts))
     return rig.moving & (points[rig.part_of_joint] >= SEEN)
@@ -231,6 +231,7 @@ def _fit_row(one, n_scans, close, jobs, on_scan):
         "seconds": float(np.mean([e["seconds"] for e in scans])),
         "failed": n_scans - len(errors),
         "wall_seconds": round(time.perf_counter() - started, 2),
+        "commit": environment()["commit"],
         "scans": scans,
     }
 

@@ -21,6 +21,9 @@ _SCALE = 0.05
 # Of noise, distances up to so many medians are no fault of the pose; of sparse points, surface that is nearer than their spacing
 # is none. But beyond these, in half sizes, noise and gaps are large enough to hide a wrong pose.
 _NOISE, _NOISIEST, _SPARSEST = 2.5, 0.015, 0.08
+# Points whose neighbours are so many times as far away as is usual are clutter, which no pose explains; unless less than this
+# share of the weight would be left.
+_LONELY, _LEAST_KEPT = 3.0, 0.7
 # Points and surface with no partner nearer than this, in half sizes, have none.
 _PARTNER = 0.08
 # Parts with less than this share of the surface are too small to be judged by themselves.
@@ -65,7 +68,7 @@ def evidence_of(
         beyond 2.5 times their median, which is taken for noise up to 0.015; "unreached": the same over the surface's from the
         points; "worst_part": the largest of both over single parts; "disagreement": 1 − mean probability that the segmenter
         gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals'; "at_limits": share of the
-        angles that are at a limit. All in [0, 1]; what is not known is 0.
+        angles that are at a limit. All in [0, 1]; what is not known is 0. Points far from all others count for nothing.
     worst_part : int
         The part of "worst_part"; −1 where nothing is unexplained.
     """
@@ -81,7 +84,10 @@ def evidence_of(
     index = PointIndex(X)
     to_X = index.nearest(vertices)
     # Between points there is nothing to reach.
-    back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(_spacing(X), _SPARSEST), 0.0) ** 2
+    third = _third_neighbour(X)
+    w = _without_lonely(w, third)
+    spacing = 2.0 * float(np.median(third))  # how far apart points are where they are sparse
+    back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing, _SPARSEST), 0.0) ** 2
     seen = np.ones(len(vertices), dtype=bool)
     if partial and around is not None:
         normals = vertex_normals(vertices, rig.faces)
@@ -148,13 +154,17 @@ def _median(values, weights):
     return values[order[np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())]]
 
 
-def _spacing(X):
-    """How far apart neighbouring points are where they are sparse: twice the median distance of the third neighbour."""
+def _third_neighbour(X):
+    """(n,) distance of each point's third neighbour; 0 where there are fewer."""
     from scipy.spatial import cKDTree
 
-    if len(X) < 4:
-        return 0.0
-    return 2.0 * float(np.median(cKDTree(X).query(X, k=4)[0][:, 3]))
+    return cKDTree(X).query(X, k=4)[0][:, 3] if len(X) > 3 else np.zeros(len(X))
+
+
+def _without_lonely(w, third):
+    """Weights of the points, those of clutter 0."""
+    kept = np.where(third > _LONELY * np.median(third), 0.0, w)
+    return kept / kept.sum() if kept.sum() > _LEAST_KEPT else w
 
 
 def _at_limits(rig, theta):

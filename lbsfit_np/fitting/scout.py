@@ -171,8 +171,12 @@ class Scout:
             runners = sorted([*runners, *refit.first_steps(labelled)], key=lambda r: r.value)
         near = self._distinct(self._other_limbs(refit.last_steps(runners[: effort.survivors])))
         close = [r for r in near[: effort.finals] if r.value <= _RIVAL * near[0].value]
-        finals = sorted(map(self._with_proportions, close), key=lambda r: r.value)
-        best, *others = self._resized([*finals, *near[len(finals) :]], finals[0])
+        ends = list(map(self._with_proportions, close))
+        # What the others would leave unexplained if proportions helped them as much as the best.
+        helped = min((e.value, e.value / max(r.value, 1e-300)) for e, r in zip(ends, close, strict=True))[1]
+        finals = sorted(ends, key=lambda r: r.value)
+        others = [replace(r, value=r.value * helped) for r in near[len(finals) :]]
+        best, *others = self._resized([*finals, *others], finals[0])
         seen = None if self.segmenter is None else self._labels(best.problem)
         rivals = tuple(r.value for r in others)
         return Found(best.name, best.problem, best.state, seen, best.value, rivals)

@@ -1,7 +1,7 @@
 """From what was learned to results: the scans of the collection, and new ones."""
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, cached_property
 
 import numpy as np
@@ -13,6 +13,7 @@ from ..fitting.scout import Found, Scout
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
+from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
@@ -22,10 +23,12 @@ from ..starts.scale import reference_scale, unit_note
 from ..starts.turns import some_turns, turns_of, up_of
 from .variants import as_variant
 
-__all__ = ["fit_free_form", "fit_new", "results_of", "scan_fit"]
+__all__ = ["fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
 
 # A scan whose unit differs from its subject's by more than this factor has a unit of its own.
 _SAME_UNIT = 1.35
+# A scan of which other proportions leave less than this share unexplained of what a subject's own leave is of somebody else.
+_SOMEBODY = 0.8
 
 
 def results_of(rig, templates, joints, collection, settings, *, jobs, progress):
@@ -60,10 +63,11 @@ class _Finish:
         return self._fit(m.subject).finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
 
 
-def fit_new(fitter, points, subjects, theta0, labels, point_weights):
+def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):
     """A new scan on the learned templates of ``subjects``, the best of which it gets; arguments checked already.
 
-    Where ``subjects`` is None nothing was learned, which the variant without skinning does not need.
+    Where ``subjects`` is None nothing was learned, which the variant without skinning does not need. Where ``anyone`` is true the
+    scan may be of somebody else: then proportions may change.
 
     Returns
     -------
@@ -83,10 +87,10 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights):
                 raise InputError(name, f"a {type(value).__name__}", expected, "Leave it out, or choose another variant.")
 
     with threadpool_limits(1):
-        return _fit_new(fitter, points, subjects, theta0, labels, point_weights)
+        return _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone)
 
 
-def _fit_new(fitter, points, subjects, theta0, labels, point_weights):
+def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     started = time.perf_counter()
     rig, settings, half = fitter.rig, fitter._fit_settings(), fitter.rig.size / 2
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
@@ -99,7 +103,7 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights):
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
         unit = guess if subjects is None else _unit(guess, fitter.unit_[subjects[0]], settings) or guess
         frame = Frame(x.mean(axis=0), unit * half)
-        return _free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started)
+        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started)
     known = None if labels is None else np.eye(len(rig.parts))[labels[rows]]
     found = []
     if theta0 is None and labels is None:
@@ -108,11 +112,25 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights):
         found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
     subject, best = min(found, key=lambda f: f[1].value)
     note = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
+    fit = _template_fit(fitter, subject, settings)
+    if anyone:
+        best, note = _as_somebody_else(fit.model, best, settings, note)
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     note = "; ".join(filter(None, [note, unit, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
-    fit = _template_fit(fitter, subject, settings)
     return fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
+
+
+def _as_somebody_else(model, found, settings, note):
+    """What was found, and a note; with other proportions than the subject's where these explain the scan much better."""
+    free = ("pose", "translation") if settings.scale == "fixed" else ("pose", "translation", "scale")
+    steps = GaussNewton(model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
+    _, same = steps.pose(found.problem, found.state, free=free, iterations=settings.polish)
+    (state,), (value,) = steps.shared([found.problem], [found.state], free=free, iterations=settings.polish)
+    value += steps.ridge * float(state.coefficients @ state.coefficients)
+    if value > _SOMEBODY * same:
+        return found, note
+    return replace(found, state=state), f"somebody else than the subjects learned from; changed {note[3:]}"
 
 
 def _scouted(fitter, subject, x, a, settings):
@@ -218,10 +236,11 @@ class _FreeForm:
     settings: object
 
     def __call__(self, m):
-        return _free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter())
+        return free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter())
 
 
-def _free_form(model, settings, problem, points, rows, frame, started):
+def free_form(model, settings, problem, points, rows, frame, started):
+    """One scan fitted without skinning: place and scale of the model's template, then its vertices; a FitResult."""
     weights = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=settings.weights.lam_lap)
     weights = weights.replace(laplacian=settings.weights.laplacian, squared=settings.weights.squared)
     state = model.rest()

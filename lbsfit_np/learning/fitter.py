@@ -24,7 +24,6 @@ from .variants import as_variant
 
 __all__ = ["LBSFitter", "fit_scan"]
 
-
 # Share of the time of pretraining that the library takes, for the progress bar.
 _LIBRARY_TIME = 0.25
 
@@ -170,7 +169,7 @@ class LBSFitter(BaseEstimator):
         options = {"random_state": self._seed(), "jobs": self._jobs(), "cache": cache and self._repeatable()}
         return pretrain_library(self.rig, self._synthesis(), self.training_scans, progress=progress, **options)
 
-    def fit(self, scans, subjects=None, *, cache=False, progress=None):
+    def fit(self, scans, subjects=None, *, cache=False, progress=None, on_round=None):
         """Learn from a collection of scans: Algorithm 1 of the paper, see ``learning.loop``.
 
         Parameters
@@ -184,6 +183,8 @@ class LBSFitter(BaseEstimator):
             As in :meth:`pretrain`.
         progress : callable (stage, share, figures), optional
             Called with the name of what is done, the share done in [0, 1], and, at the end of a round, its entry of ``history_``.
+        on_round : callable (k, segmenter), optional
+            Called after round k with s as it then is, such as for its errors on scans of which more is known.
 
         Returns
         -------
@@ -217,13 +218,12 @@ class LBSFitter(BaseEstimator):
             self.history_, self._learned_with = [], self.rig.digest
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress)
             return self._finished(collection, results)
-        say = lambda share: progress("pretraining", share)  # noqa: E731
         segmenter, library = getattr(self, "_pretrained", None) or (None, None)
         if library is None or (variant.labels and segmenter is None):
-            segmenter, library = self.pretrain(cache=cache, progress=say)._pretrained
+            segmenter, library = self.pretrain(cache=cache, progress=lambda p: progress("pretraining", p))._pretrained
+        segmenter = segmenter if variant.labels else None
         if segmenter is not None:
             segmenter.check_rig(self.rig)
-        segmenter = segmenter if variant.labels else None
         loop = Loop(
             self.rig,
             collection,
@@ -240,6 +240,7 @@ class LBSFitter(BaseEstimator):
             jobs=jobs,
             random_state=seed,
             progress=progress,
+            on_round=on_round,
         )
         learned = loop.run()
         self.segmenter_, self.regressor_ = learned.segmenter, learned.library
@@ -339,8 +340,8 @@ class LBSFitter(BaseEstimator):
         if learned is not None:
             self._check_learned()
         if learned is not None or not as_variant(self.variant).skinning:
-            subjects = learned if learned is None or subject is None else [subject]
-            found = fit_new(self, points, None if subjects is None else list(subjects), theta0, labels, point_weights)
+            subjects = None if learned is None else list(learned) if subject is None else [subject]
+            found = fit_new(self, points, subjects, theta0, labels, point_weights, anyone=subject is None)
             return self._signed([found])[0]
         trained = {}
         if labels is None:

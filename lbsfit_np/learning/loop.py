@@ -120,6 +120,8 @@ class Loop:
     random_state : int
     progress : callable (stage, share, figures) or None
         ``figures`` is a round's entry of the history when it ends, else None.
+    on_round : callable (k, segmenter) or None
+        After each round.
     """
 
     def __init__(
@@ -140,11 +142,13 @@ class Loop:
         jobs,
         random_state,
         progress,
+        on_round=None,
     ):
         self.rig, self.collection, self.variant, self.segmenter = rig, collection, variant, segmenter
         self.fit_settings, self.settings, self.synthesis, self.joints = fit_settings, settings, synthesis, joints
         self.sequence, self.smooth, self.jobs, self.seed = sequence, smooth, jobs, random_state
         self.progress = progress or (lambda stage, share, figures=None: None)
+        self.on_round = on_round or (lambda k, segmenter: None)
         self.model = Model(rig, joints)
         self.shifting = Model(rig, joints, shifts=TemplateSettings().shifts if joints == "follow" else 0.0)
         self.library, self.turns = library, turns
@@ -163,6 +167,7 @@ class Loop:
             self._learn(k, templates)
             won = self._refit(templates)
             value = self._note(k, began, {"new_starts_won": won})
+            self.on_round(k, self.segmenter)
             units = self._units()
             templates = {s: templates[s] for s in units}  # but for subjects whose scans have all failed
             learned_now = Learned(templates, units, self.segmenter, self.library, self.history)

@@ -32,13 +32,10 @@ class Look:
         One row a turn.
     radius : float
         In the unit of the points.
-    centre : (3,) array
-        Centroid, in the frame of the points.
     """
 
     vectors: np.ndarray
     radius: float
-    centre: np.ndarray
 
 
 def look(points, turns=None):
@@ -62,7 +59,7 @@ def look(points, turns=None):
     turns = np.eye(3)[None] if turns is None else np.asarray(turns)
     queries = np.einsum("rab,kb->rka", turns, _basis()) * radius
     vectors = grid.distance(queries.astype(np.float32)) / np.float32(radius)
-    return Look(vectors, radius * size, grid.centre * size + middle)
+    return Look(vectors, radius * size)
 
 
 @cache
