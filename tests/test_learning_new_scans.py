@@ -26,6 +26,19 @@ def test_new_scans_find_their_subject(tube_rig, learned_people, unlearned, peopl
     assert mean_gap(tube_rig, found, people_scans[12:14]) < 0.6 * mean_gap(tube_rig, single, people_scans[12:14])
 
 
+def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_people):
+    """One that is thicker than the rig and both people, and longer in its upper half."""
+    changed = tube_rig.vertices * [1.45, 1.0, 1.45], tube_rig.joints
+    upper = changed[0][:, 1] > 0.5 * tube_rig.vertices[:, 1].max()
+    changed[0][upper, 1] += 0.3 * (changed[0][upper, 1] - 0.5 * tube_rig.vertices[:, 1].max())
+    scans = lbs.synthesize(tube_rig, 3, templates=[changed], poses="uniform", random_state=8, n_points=400)
+    found = [learned_people.fit_scan(s.points) for s in scans]
+    assert all("somebody else than the people learned from" in r.message for r in found)
+    named = [learned_people.fit_scan(s.points, subject="ann") for s in scans]
+    assert not any("somebody" in r.message for r in named)
+    assert mean_gap(tube_rig, found, scans, "vertices") < 0.8 * mean_gap(tube_rig, named, scans, "vertices")
+
+
 def test_what_fit_scan_takes_counts_after_learning_too(tube_rig, learned_people, people_scans):
     s = people_scans[12]
     known = learned_people.fit_scan(s.points, labels=s.labels, subject="ann")

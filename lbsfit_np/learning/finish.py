@@ -113,24 +113,24 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     subject, best = min(found, key=lambda f: f[1].value)
     note = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
-    if anyone:
-        best, note = _as_somebody_else(fit.model, best, settings, note)
+    if anyone and len(fit.model.rig.faces) and _is_somebody_else(fit.model, best, settings):
+        # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
+        given = {"theta0": theta0, "labels": labels, "point_weights": point_weights, "random_state": fitter._seed()}
+        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **given)
+        return replace(alone, message=f"{alone.message}; somebody else than the people learned from")
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     note = "; ".join(filter(None, [note, unit, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     return fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
 
 
-def _as_somebody_else(model, found, settings, note):
-    """What was found, and a note; with other proportions than the subject's where these explain the scan much better."""
+def _is_somebody_else(model, found, settings):
+    """Whether other proportions than those of a subject's template explain a scan much better."""
     free = ("pose", "translation") if settings.scale == "fixed" else ("pose", "translation", "scale")
     steps = GaussNewton(model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
     _, same = steps.pose(found.problem, found.state, free=free, iterations=settings.polish)
     (state,), (value,) = steps.shared([found.problem], [found.state], free=free, iterations=settings.polish)
-    value += steps.ridge * float(state.coefficients @ state.coefficients)
-    if value > _SOMEBODY * same:
-        return found, note
-    return replace(found, state=state), f"somebody else than the subjects learned from; changed {note[3:]}"
+    return value + steps.ridge * float(state.coefficients @ state.coefficients) < _SOMEBODY * same
 
 
 def _scouted(fitter, subject, x, a, settings):
@@ -203,7 +203,7 @@ def _kept(fitter, key, made_of, make):
     kept = fitter.__dict__.setdefault("_prepared", {})
     found = kept.get(key)
     if found is None or not all(map(_alike, found[0], made_of)):
-        for other in [k for k in kept if k[0] not in getattr(fitter, "template_", ())]:
+        for other in [k for k in kept if k[0] is not None and k[0] not in getattr(fitter, "template_", ())]:
             del kept[other]
         kept[key] = found = made_of, make()
     return found[1]
