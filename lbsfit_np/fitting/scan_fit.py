@@ -101,7 +101,7 @@ class ScanFit:
         """The Scout of these settings."""
         return Scout(self.model, self.library, self.turns, self.segmenter, self.settings, nearest=self.nearest)
 
-    def fit(self, points, *, theta0=None, labels=None, point_weights=None, random_state=None):
+    def fit(self, points, *, theta0=None, labels=None, point_weights=None, random_state=None, found=None):
         """Fit one scan.
 
         Parameters
@@ -114,6 +114,8 @@ class ScanFit:
             Known parts; they are kept as they are.
         point_weights : (n,) array, optional
         random_state : int or None
+        found : Found, optional
+            What the scout said of this scan, where it was asked already, with the same points taking part.
 
         Returns
         -------
@@ -123,16 +125,16 @@ class ScanFit:
 
         started = time.perf_counter()
         with threadpool_limits(1):  # threads on arrays this small cost more than they give
-            return self._fit(points, theta0, labels, point_weights, random_state, started)
+            return self._fit(points, theta0, labels, point_weights, random_state, started, found)
 
-    def _fit(self, points, theta0, labels, point_weights, random_state, started):
+    def _fit(self, points, theta0, labels, point_weights, random_state, started, found):
         model, settings = self.model, self.settings
         rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
         rows, left_out = clean_rows(points, rows, up=self.up)
         guess = reference_scale(points[rows], model.source, settings.scale).scale
         a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
         if theta0 is None and labels is None:
-            found = self.scout(points[rows], a)
+            found = found or self.scout(points[rows], a)
             frame, problem, proba = found.frame, found.problem, found.proba
             rivals = {"value": found.value, "rivals": found.rivals}
             search = Search(model, shown_problem(model, problem, found.state, settings.partial), proba, False, settings)

@@ -105,18 +105,21 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
         frame = Frame(x.mean(axis=0), unit * half)
         return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started)
     known = None if labels is None else np.eye(len(rig.parts))[labels[rows]]
-    found = []
-    if theta0 is None and labels is None:
-        found = [(s, _scouted(fitter, s, x, a, settings)) for s in subjects]
-    else:
+    seen = None
+    if theta0 is not None or labels is not None:
         found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
+    elif len(subjects) == 1:
+        found = [(s, _scouted(fitter, s, x, a, settings)) for s in subjects]
+    else:  # one look for all, on the rig's own template with proportions
+        seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a)
+        found = [(s, _on_template(fitter, s, seen, settings)) for s in subjects]
     subject, best = min(found, key=lambda f: f[1].value)
     note = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
     if anyone and len(fit.model.rig.faces) and _is_somebody_else(fit.model, best, settings):
         # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
         given = {"theta0": theta0, "labels": labels, "point_weights": point_weights, "random_state": fitter._seed()}
-        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **given)
+        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **given, found=seen)
         return replace(alone, message=f"{alone.message}; somebody else than the people learned from")
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     note = "; ".join(filter(None, [note, unit, left_out]))
@@ -144,6 +147,19 @@ def _scouted(fitter, subject, x, a, settings):
 
     made_of = model, library, segmenter, settings, fitter.orientation, nearest, unit
     return _kept(fitter, (subject, "scout", unit is None), made_of, make)(x, a)
+
+
+def _on_template(fitter, subject, seen, settings):
+    """What a look at a scan has found, gone on from on a subject's template."""
+    unit = seen.state.scale * seen.frame.unit / (fitter.rig.size / 2)
+    learned = _unit(unit, fitter.unit_[subject], settings)
+    ratio = (learned or unit) / (seen.frame.unit / (fitter.rig.size / 2))
+    problem = Problem(seen.problem.X / ratio, seen.problem.x_weights)
+    refit = _template_fit(fitter, subject, settings).refit
+    if learned is None:
+        refit = refit.freeing(("pose", "translation", "scale"))
+    state, value, _ = refit(problem, poses=[seen.state.theta], proba=seen.proba)
+    return Found(replace(seen.frame, unit=seen.frame.unit * ratio), problem, state, seen.proba, value, ())
 
 
 def _given(fitter, subject, x, a, settings, guess, theta0, known):
