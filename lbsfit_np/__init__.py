@@ -17,6 +17,7 @@ _HOMES = {
     "LBSFitter": "learning.fitter",
     "fit_scan": "learning.fitter",
     "FitResult": "fitting.result",
+    "transfer": "correspondence",
     "LbsfitError": "errors",
     "InputError": "errors",
     "FileError": "errors",

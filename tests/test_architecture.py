@@ -33,6 +33,7 @@ ROOMS = (
     "optimize",
     "starts",
     "fitting",
+    "correspondence",
     "learning",
 )
 # The rooms at the edge, and what each may import besides itself.

@@ -63,6 +63,7 @@ def prepared(monkeypatch):
 
 def test_templates_are_made_ready_once(own, clouds, prepared):
     first = own.fit_scan(clouds[0])
+    own.fit_scan(clouds[1], subject="b")
     assert {id(rig) for rig in prepared} == {id(rig) for rig in (*own.template_.values(), own.rig)}
     count = len(prepared)
     again = own.fit_scan(clouds[0])

@@ -2,7 +2,9 @@
 
 import argparse
 
+from . import bench_faust, bench_pairs
 from . import bench_runs as runs
+from .bench_study import run_study
 from .fit import OPTIONS
 from .parsing import Option, add_options, formatter, natural, positive, settings
 
@@ -11,6 +13,10 @@ __all__ = ["add_parser"]
 ROW_NAMES = ("own", "plain", "oracle", "paper")
 CONDITION_NAMES = ("0.3", "0.6", "1.0", "turned", "rotated", "unit", "touching", "partial", "dirty", "subjects")
 FIT_NAMES = ("own", "plain", "oracle")
+STUDY_NAMES = (
+    *("free-form", "free-form-augmented", "free-form-supervised", "free-form-supervised-3x"),
+    *("cd", "rand", "pose-only", "joint", "oracle-labels", "oracle-fit"),
+)
 
 _HELP = {
     "hand": "an artist's hand: changed shapes in uniform and in natural poses",
@@ -55,6 +61,14 @@ pose (plain); with the true labels given (oracle). OUT gets results.json, after 
 only what is not there yet.
 """
 
+_STUDY = """\
+Register synthetic hands and bodies by every row of the paper's Table 1 and some more, and compare with the truth: Recon, Pose,
+Corre., labels and templates, beside the paper's figures.
+
+OUT gets results.json and the registrations (cells/), after each row anew; at the end README.md with the tables, and pictures,
+for which the extra "viz" has to be installed. The same command once more does only what is not there yet.
+"""
+
 _EPILOG = """\
 example:
   lbsfit bench {example}
@@ -92,6 +106,9 @@ def add_parser(commands):
     _add_roundtrip(benches)
     _add_learn(benches)
     _add_starts(benches)
+    bench_pairs.add_parser(benches)
+    bench_faust.add_parser(benches)
+    _add_study(benches)
 
 
 def _add_roundtrip(benches):
@@ -158,9 +175,31 @@ def _add_starts(benches):
         Option("effort", "how many starts a fit follows how far", default="balanced", choices=("fast", "balanced", "thorough")),
         *_TRAINING,
         _MARKDOWN,
-        Option("existing", "what to do with results of the same settings", default="resume", choices=("resume", "replace")),
+        _RESUMING,
     )
     _add_options(bench, options, lambda arguments, values: runs.run_starts(arguments.rigs, values))
+
+
+def _add_study(benches):
+    bench = benches.add_parser(
+        "study",
+        help="the paper's tables and figures",
+        description=_STUDY,
+        epilog=_epilog("study --size small -o study --jobs 2"),
+        formatter_class=formatter,
+    )
+    options = (
+        Option("output", "folder to write to, made if need be", metavar="OUT", flag="-o"),
+        Option("size", "how much of everything", default="small", choices=("small", "medium", "paper")),
+        Option("rig", "rigs, with commas: names of bundled ones, or files", str, "hand,body", "RIG,…"),
+        Option("rows", "which rows, with commas", _some_of(STUDY_NAMES), ",".join(STUDY_NAMES), "NAME,…"),
+        Option("seeds", "seeds of the scans, with commas; by default 300, or 300,301,302 for larger sizes", _seeds, None, "N,N"),
+        *(option for option in _TRAINING if option.name == "jobs"),
+        Option("figures", "draw the figures", bool, True),
+        _MARKDOWN,
+        _RESUMING,
+    )
+    _add_options(bench, options, lambda arguments, values: run_study(values))
 
 
 # ---- what benchmarks share ----
@@ -171,6 +210,7 @@ _OUTPUT_OR_TABLE = Option(
 )
 _MARKDOWN = Option("markdown", "print the table as Markdown", bool, False)
 _TABLE = (_MARKDOWN, Option("existing", "what to do where results exist already", default="error", choices=("error", "replace")))
+_RESUMING = Option("existing", "what to do with results of the same settings", default="resume", choices=("resume", "replace"))
 _TRAINING = tuple(o for o in OPTIONS if o.name in ("training-scans", "jobs"))
 
 

@@ -8,7 +8,7 @@ from ..errors import FileError, InputError
 from .outputs import check_outputs, make_folder
 from .progress import Progress, say
 
-__all__ = ["RESULTS", "run_data", "run_learn", "run_roundtrip", "run_starts"]
+__all__ = ["RESULTS", "made_results", "numbers", "read_results", "run_data", "run_learn", "run_roundtrip", "run_starts"]
 
 RESULTS = "results.json"
 
@@ -18,7 +18,7 @@ def run_starts(rigs, values):
     from ..bench.starts import RIGS, starts_bench, starts_table
     from ..io.write import write_json
 
-    results = _made_results(values)
+    results = made_results(values)
     resumed = results is not None and values["existing"] == "resume" and results.exists()
     progress = _BenchProgress()
 
@@ -39,7 +39,7 @@ def run_starts(rigs, values):
             effort=values["effort"],
             training_scans=values["training_scans"],
             jobs=values["jobs"],
-            before=_read_results(results) if resumed else None,
+            before=read_results(results) if resumed else None,
             progress=progress.training,
             on_scan=lambda name, row, fit, done, total: progress.one_fit(f"{name}, {row}, {fit}", values["seed"], done, total),
             on_row=on_row,
@@ -66,7 +66,7 @@ def run_learn(name, values):
     from ..io.write import write_json
 
     _checked_data(name, values)
-    results = _made_results(values)
+    results = made_results(values)
 
     def on_row(report, variant, seed):
         write_json(results, report)
@@ -78,7 +78,7 @@ def run_learn(name, values):
         name,
         values["data"],
         n_scans=values["scans"],
-        seeds=_numbers(values["seeds"]),
+        seeds=numbers(values["seeds"]),
         variants=values["variants"].split(","),
         training_scans=values["training_scans"],
         jobs=values["jobs"],
@@ -95,7 +95,7 @@ def run_roundtrip(rigs, values):
     from ..bench.roundtrip import RIGS, roundtrip, roundtrip_table
     from ..io.write import write_json
 
-    results = _made_results(values)
+    results = made_results(values)
     progress = _BenchProgress()
 
     def on_rig(report, name):
@@ -107,7 +107,7 @@ def run_roundtrip(rigs, values):
         report = roundtrip(
             rigs or RIGS,
             n_scans=values["scans"],
-            seeds=_numbers(values["seeds"]),
+            seeds=numbers(values["seeds"]),
             training_scans=values["training_scans"],
             jobs=values["jobs"],
             progress=progress.training,
@@ -132,9 +132,9 @@ def run_data(name, values):
     from ..io.write import write_json
 
     bench = _checked_data(name, values)
-    seeds, out = _numbers(values["seeds"]), Path(values["output"])
+    seeds, out = numbers(values["seeds"]), Path(values["output"])
     pictures = {seed: out / f"seed-{seed}.png" for seed in seeds} if values["pictures"] and "own" in values["rows"] else {}
-    results = _made_results(values, pictures.values())
+    results = made_results(values, pictures.values())
     progress = _BenchProgress()
 
     def on_row(report, row, seed):
@@ -238,7 +238,7 @@ def _checked_data(name, values):
     return BENCHES[name]
 
 
-def _made_results(values, more=()):
+def made_results(values, more=()):
     """Path of the results, in a folder that is there and may be written to; None where none are asked for."""
     if values["output"] is None:
         return None
@@ -257,11 +257,12 @@ def _code(failures):
     return code
 
 
-def _numbers(seeds):
+def numbers(seeds):
+    """The whole numbers of a text with commas between them."""
     return [int(s) for s in seeds.split(",")]
 
 
-def _read_results(path):
+def read_results(path):
     """The report that an earlier run has written."""
     try:
         report = json.loads(path.read_text(encoding="utf-8"))

@@ -3,7 +3,7 @@
 import sys
 import time
 
-__all__ = ["LearningProgress", "Progress", "say", "span"]
+__all__ = ["LearningProgress", "Progress", "percentage_bar", "say", "span"]
 
 # What the stages of LBSFitter.fit do, in words; others are called by their names.
 _STAGES = {
@@ -193,6 +193,11 @@ def span(seconds):
     if seconds < 100:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 100 * 60 else f"{seconds / 3600:.1f} h"
+
+
+def percentage_bar(words):
+    """A bar on standard error that goes to 100."""
+    return _bar(total=100, leave=False, desc=words, bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}")
 
 
 def _bar(**options):

@@ -9,7 +9,7 @@ from ..errors import FileError, InputError, LbsfitError, brief
 from ..scan import Scan, check_points
 from ..seeds import generator
 
-__all__ = ["SCAN_EXTENSIONS", "load_scan"]
+__all__ = ["SCAN_EXTENSIONS", "load_mesh", "load_scan"]
 
 
 def _lazily(module, function):
@@ -105,6 +105,32 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
         return Scan(points, normals, labels, name=Path(path).stem, path=Path(path), notes=tuple(notes))
     except InputError as error:
         raise FileError(shown, error.got, error.expected, error.remedy) from None
+
+
+def load_mesh(path):
+    """Vertices and triangles of a mesh file, in the file's order, frame and unit.
+
+    Parameters
+    ----------
+    path : str or Path
+        Of a format that :func:`load_scan` reads and that has faces.
+
+    Returns
+    -------
+    (m, 3) array, (F, 3) int array
+
+    Raises
+    ------
+    FileError
+        As :func:`load_scan`; a file without faces.
+    """
+    shown = str(path)
+    cloud = _read(path, shown)
+    points, _ = _checked(cloud.points, shown, False)
+    faces = _checked_faces(cloud.faces, len(points), shown)
+    if not len(faces):
+        raise FileError(shown, "points without faces", "a mesh")
+    return np.array(points, dtype=float), faces
 
 
 def _read(path, shown):
