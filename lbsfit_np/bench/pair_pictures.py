@@ -1,0 +1,44 @@
+"""A gallery of fits from the worst to the best: the scan by its labels, the registered mesh, both together; two sides."""
+
+import numpy as np
+
+from ..report.colors import part_colors
+from ..report.render import Mesh, Points, montage, render
+
+__all__ = ["gallery", "gallery_of"]
+
+_VIEWS = ("front", (70.0, 15.0))
+_GREY = (205, 205, 210)
+
+
+def gallery_of(fits, k):
+    """Names of ``k`` fits, evenly from the worst to the best by recon; those of scans without a fit are left out."""
+    ranked = sorted((name for name in fits.entries if fits.has(name)), key=lambda name: (-fits.entries[name]["recon"], name))
+    if not ranked or not k:
+        return []
+    return [ranked[r] for r in np.unique(np.linspace(0, len(ranked) - 1, k).round().astype(int))]
+
+
+def gallery(rig, shown, *, size=(260, 340)):
+    """One row a fit: scan coloured by the labels found, registered mesh, the scan over the mesh; from the front, then from aside.
+
+    Parameters
+    ----------
+    rig : Rig
+    shown : sequence of ((n, 3) array, FitResult)
+        The points that were fitted, and the fit.
+    size : (int, int)
+        Of each little picture, pixels.
+
+    Returns
+    -------
+    (h, w, 3) uint8 array
+    """
+    colors = part_colors(len(rig.parts))
+    lines = []
+    for points, result in shown:
+        cloud, mesh = Points(points, colors[result.labels]), Mesh(result.vertices, rig.faces, colors[rig.vertex_labels])
+        pictures = ((cloud,), (mesh,), (cloud, Mesh(result.vertices, rig.faces, _GREY)))
+        axes = {"up": rig.up or "+y", "forward": rig.forward, "frame": np.concatenate([points, result.vertices])}
+        lines.append([render(*items, view=view, size=size, **axes) for view in _VIEWS for items in pictures])
+    return montage(lines)

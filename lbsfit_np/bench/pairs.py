@@ -1,0 +1,280 @@
+"""Correspondence between scans whose truth is known: ‖found − true‖ over pairs of scans, by fits of a rig.
+
+A place of scan A goes through the registrations to scan B, see ``correspondence.transfer``. Pairs are ordered: (A, B) and (B, A)
+ask for different places.
+"""
+
+import time
+
+import numpy as np
+
+from ..correspondence import surface_places
+from ..errors import InputError, LbsfitError
+from ..neighbors import PointIndex
+from ..seeds import generator
+from .environment import environment
+from .pair_fits import fit_scans_of
+
+__all__ = ["KINDS", "UNITS", "choose_pairs", "measure_pairs", "pairs_bench", "pairs_table", "read_all", "summary", "unit_of"]
+
+# Pairs of scans of one subject, and of different ones.
+KINDS = ("intra", "inter")
+# Centimetres in a unit.
+UNITS = {"m": 100.0, "cm": 1.0, "mm": 0.1, "in": 2.54}
+_NAMES = {"metres": "m", "centimetres": "cm", "millimetres": "mm", "inches": "in"}
+_PERCENTILES = (50, 90, 95)
+
+
+def pairs_bench(
+    fitter,
+    scans,
+    truth,
+    folder,
+    *,
+    also=(),
+    learn=True,
+    most_pairs=500,
+    points=5000,
+    seed=0,
+    unit="auto",
+    settings=None,
+    existing="resume",
+    n_samples=None,
+    jobs=1,
+    reporter=None,
+):
+    """Fit scans and measure correspondences between them.
+
+    Parameters
+    ----------
+    fitter : LBSFitter
+    scans : sequence of PairScan
+    truth : of ``bench.truth``, or None
+        Where nothing is known, nothing is measured.
+    folder : Path
+        There already; for the fits.
+    also : sequence of PairScan
+        Scans to fit, too, after those that are learned from.
+    learn : bool, default True
+        Whether ``LBSFitter.fit`` learns from all of ``scans`` first; else they are fitted one by one.
+    most_pairs : int, default 500
+        Pairs of each kind, at most: a random choice where there are more.
+    points : int, default 5000
+        Places of a scan that are asked for, at most: a random choice, the same in all its pairs.
+    seed : int, default 0
+        Of both.
+    unit : {"auto", "m", "cm", "mm", "in"}
+        Of the scans; "auto": what the scale of the fits says.
+    settings, existing, n_samples, jobs, reporter
+        As for ``pair_fits.fit_scans_of``; ``reporter.measured(done, total)`` as well.
+
+    Returns
+    -------
+    report : dict
+        Plain data for JSON.
+    fits : Fits
+
+    Raises
+    ------
+    InputError, FileError
+        As ``fit_scans_of``; a truth that does not fit the scans.
+    """
+    started = time.perf_counter()
+    readable = read_all(scans, truth)
+    pairs = {} if truth is None else choose_pairs(scans, truth, most_pairs, seed)
+    if truth is not None and not any(pairs.values()):
+        raise InputError("truth", "no two scans of which it knows the same places", "names that several scans have")
+    learn_from, everyone = readable if learn else (), [*scans, *also]
+    given = {"settings": settings, "existing": existing, "n_samples": n_samples, "jobs": jobs, "reporter": reporter}
+    fits = fit_scans_of(fitter, everyone, folder, learn_from=learn_from, **given)
+    measured = measure_pairs(
+        scans, truth, fits, fitter.rig.faces, pairs, points=points, seed=seed, on_pair=getattr(reporter, "measured", None)
+    )
+    name, cm = unit_of(fitter.rig, fits, unit)
+    report = {
+        "benchmark": "pairs",
+        "environment": environment(),
+        "settings": {**(settings or {}), "learn": learn, "pairs": most_pairs, "points": points, "seed": seed, "jobs": jobs},
+        "rig": {"name": fitter.rig.name, "digest": fitter.rig.digest, "vertices": len(fitter.rig.vertices)},
+        "truth": None if truth is None else truth.what,
+        "unit": name,
+        "cm_per_unit": cm,
+        "history": fits.history,
+        "scans": [{"name": s.name, "file": s.path.name, "subject": s.subject, **fits.entries[s.name]} for s in everyone],
+        **measured,
+        "seconds": round(time.perf_counter() - started, 2),
+    }
+    return report, fits
+
+
+def read_all(scans, truth):
+    """The scans that can be read, once the truth is known to fit them; others are left to the fits, which say what is wrong."""
+    readable = []
+    for i, scan in enumerate(scans):
+        points = _points(scan)
+        if points is None:
+            continue
+        try:
+            if truth is not None:
+                truth.check(i, points)
+        except InputError as error:
+            raise InputError(f"{error.argument} of {scan.path}", error.got, error.expected, error.remedy) from None
+        readable.append(scan)
+    return readable
+
+
+def choose_pairs(scans, truth, most, seed):
+    """Ordered pairs of scans of which something is known, at most so many of a kind: kind → list of (a, b), indices of scans."""
+    found = {kind: [] for kind in KINDS}
+    for a in range(len(scans)):
+        for b in range(len(scans)):
+            if a != b and truth.linked(a, b):
+                found["intra" if scans[a].subject == scans[b].subject else "inter"].append((a, b))
+    for kind, pairs in found.items():
+        if len(pairs) > most:
+            rows = np.sort(generator(seed, "pairs", kind).choice(len(pairs), most, replace=False))
+            found[kind] = [pairs[k] for k in rows]
+    return found
+
+
+def measure_pairs(scans, truth, fits, faces, pairs, *, points=5000, seed=0, on_pair=None):
+    """How far what is found is from the truth.
+
+    Parameters
+    ----------
+    scans, truth, fits
+        As of :func:`pairs_bench`.
+    faces : (F, 3) int array
+        Of the rig.
+    pairs : dict
+        Of :func:`choose_pairs`.
+    points, seed
+        As of :func:`pairs_bench`.
+    on_pair : callable (done, total), optional
+
+    Returns
+    -------
+    dict
+        "pairs": for each one that could be measured "a", "b", "kind", "points", and "before" and "after" the snap a
+        :func:`summary`; "figures": kind → the same over all points of all its pairs, "pairs" of them, and how many are "missing"
+        as one of the scans has no fit. Lengths in the scans' unit.
+    """
+    known = {(a, b): kind for kind, chosen in pairs.items() for a, b in chosen}
+    todo = sorted((p for p in known if all(fits.has(scans[i].name) for i in p)), key=lambda p: (p[1], p[0]))
+    registered = {i: fits.load(scans[i].name).vertices for i in sorted({i for p in todo for i in p})}
+    asked = {a: _Places.of(scans[a], a, truth, registered[a], faces, points, seed) for a in sorted({a for a, _ in todo})}
+    entries, errors, target = [], {kind: {"before": [], "after": []} for kind in KINDS}, (None, None, None)
+    for done, (a, b) in enumerate(todo, 1):
+        if target[0] != b:
+            on_b = _points(scans[b])
+            target = b, on_b, PointIndex(on_b)
+        _, on_b, index = target
+        rows, true = truth.true(asked[a].asked, b, on_b)
+        found = asked[a].on(registered[b], rows)
+        away = {"before": _distances(found, true), "after": _distances(on_b[index.nearest(found)], true)}
+        kind = known[a, b]
+        entry = {"a": scans[a].name, "b": scans[b].name, "kind": kind, "points": len(rows)}
+        entries.append(entry | {when: summary(values) for when, values in away.items()})
+        for when, values in away.items():
+            errors[kind][when].append(values)
+        if on_pair is not None:
+            on_pair(done, len(todo))
+    figures = {}
+    for kind, chosen in pairs.items():
+        measured = errors[kind]
+        count = len(measured["before"])
+        figures[kind] = {"pairs": count, "missing": len(chosen) - count}
+        figures[kind] |= {when: summary(np.concatenate([*values, []])) for when, values in measured.items()}
+    return {"pairs": entries, "figures": figures}
+
+
+def summary(errors):
+    """Mean and percentiles of distances; None each where there are none."""
+    if not len(errors):
+        return dict.fromkeys(("mean", "median", "p90", "p95"))
+    median, p90, p95 = np.percentile(errors, _PERCENTILES)
+    return {"mean": float(np.mean(errors)), "median": float(median), "p90": float(p90), "p95": float(p95)}
+
+
+def unit_of(rig, fits, given="auto"):
+    """The scans' unit, and centimetres in it: (name, number), or ("unknown", None).
+
+    By the median scale of the fits, where the rig's own unit is known: people differ less than units do.
+    """
+    from ..starts.scale import unit_name
+
+    scales = [entry["scale"] for entry in fits.entries.values() if "scale" in entry]
+    if given == "auto":
+        given = _NAMES.get(unit_name(float(np.median(scales)), rig)) if scales else None
+    return (given, UNITS[given]) if given else ("unknown", None)
+
+
+class _Places:
+    """What is asked of a scan, and where that is on its registration."""
+
+    def __init__(self, asked, corners, barycentric):
+        self.asked, self.corners, self.barycentric = asked, corners, barycentric
+
+    @classmethod
+    def of(cls, scan, i, truth, registration, faces, most, seed):
+        asked = truth.asked(i, _points(scan), most, generator(seed, "places", scan.name))
+        return cls(asked, *surface_places(asked.points, registration, faces))
+
+    def on(self, registration, rows):
+        """(k, 3) the same places of another registration."""
+        return np.einsum("nk,nka->na", self.barycentric[rows], registration[self.corners[rows]])
+
+
+def _points(scan):
+    """Of its file, all of them; None where it cannot be read."""
+    from ..io.scans import load_scan
+
+    try:
+        return load_scan(scan.path).points
+    except LbsfitError:
+        return None
+
+
+def _distances(a, b):
+    return np.linalg.norm(a - b, axis=1)
+
+
+# ---- the table ----
+
+
+def pairs_table(report, *, markdown=False):
+    """The figures of a report of :func:`pairs_bench`: intra and inter, before and after the snap."""
+    from .table import layout
+
+    unit, cm = report["unit"], report["cm_per_unit"]
+    both = cm not in (None, 1.0)
+    heads = ("mean", "median", "90 %", "95 %")
+    lines = [("pairs", "", "measured", "missing", *heads, *(f"{h} (cm)" for h in heads if both))]
+    for kind, figures in report["figures"].items():
+        if not figures["pairs"] + figures["missing"]:
+            continue
+        for when, words in (("before", "before the snap"), ("after", "after the snap")):
+            values = [figures[when][key] for key in ("mean", "median", "p90", "p95")]
+            cells = [_cell(v, ".4g") for v in values] + [_cell(v and v * cm, ".2f") for v in values if both]
+            lines.append((kind, words, str(figures["pairs"]), str(figures["missing"]), *cells))
+    return f"{layout(lines, markdown=markdown)}\n\n{_legend(report, unit, cm)}"
+
+
+def _cell(value, style):
+    return "–" if value is None else format(value, style)
+
+
+def _legend(report, unit, cm):
+    settings, env = report["settings"], report["environment"]
+    n, failed = len(report["scans"]), sum("failed" in s for s in report["scans"])
+    lengths = "the scans' unit, which is not known" if cm is None else f"the scans' unit ({unit})"
+    fitted = "learned together" if settings["learn"] else "fitted one by one"
+    missing = f", {failed} of them without a fit" if failed else ""
+    return "\n".join(
+        (
+            f"‖found − true‖ over all points of all pairs, at most {settings['points']} points a pair and {settings['pairs']} "
+            f"pairs of a kind; lengths in {lengths}.",
+            f"{n} scans {fitted}{missing}; rig {report['rig']['name']}, truth: {report['truth']}, seed {settings['seed']}; "
+            f"lbsfit_np {env['lbsfit_np']}.",
+        )
+    )

@@ -1,0 +1,166 @@
+"""The study's scans by the paper's recipe: people of various shapes in natural and uniform poses, training and test disjoint.
+
+Where the paper takes poses of captured hands and of SURREAL, natural poses here are near the rig's own library, whose poses are
+divided between training and test; where it takes bent bodies, poses here are uniform within the limits.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ...errors import InputError
+from ...rig.chains import chains
+from ...seeds import generator
+from ...synthesis import Synthesis, natural_poses, synthesize_one, uniform_poses
+from ..subjects import subject
+
+__all__ = ["NATURAL", "SCAN", "SIZES", "Size", "StudySet", "part_groups", "sized", "study_set"]
+
+# Missing areas in every scan, uneven density, a little noise; the subject's own shape.
+SCAN = Synthesis(shape=0.0, holes=2, least_holes=1)
+# Every so-manieth pose of the library is for the test.
+_TEST_EVERY = 4
+# What the names of mirror images end with; they go with their originals.
+_MIRROR = " (mirrored)"
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much of everything.
+
+    Attributes
+    ----------
+    train, test : int
+        Scans to learn from, and held out.
+    train_subjects, test_subjects : int
+        People in each.
+    pairs : int
+        Of test scans, for correspondences.
+    training_scans : int
+        Synthetic scans of pretraining.
+    seeds : int
+        How many times all is done.
+    """
+
+    train: int
+    test: int
+    train_subjects: int
+    test_subjects: int
+    pairs: int
+    training_scans: int
+    seeds: int
+
+
+# The paper's sizes are of its hands; :func:`study_set` takes the bodies' where a rig is one of a whole body.
+SIZES = {
+    "small": Size(10, 6, 2, 2, 30, 500, 1),
+    "medium": Size(60, 30, 3, 5, 400, 4000, 3),
+    "paper": Size(1500, 300, 30, 10, 4000, 4000, 3),
+}
+# Of poses, the share that is near the library's; the paper has 20,000 from motion and 3,000 bent ones.
+NATURAL = {"hand": 0.5, "body": 20 / 23}
+_PAPER_BODY = {"train": 23000, "test": 2300}
+
+
+@dataclass(frozen=True)
+class StudySet:
+    """What a study learns from and is tested on.
+
+    Attributes
+    ----------
+    rig : Rig
+        Its library of natural poses is that of training alone.
+    train, test : list of SyntheticScan
+    train_subjects, test_subjects : list of int
+        Whose scan each is.
+    """
+
+    rig: object
+    train: list
+    test: list
+    train_subjects: list
+    test_subjects: list
+
+    @property
+    def half(self):
+        """Half the rig's size: the study's unit of length, in which the template fills [−1, 1]³."""
+        return self.rig.size / 2
+
+
+def study_set(rig, size, seed, *, times=1):
+    """Scans to learn from and to be tested on, with their truth.
+
+    Parameters
+    ----------
+    rig : Rig
+    size : Size
+    seed : int
+    times : int, default 1
+        Multiplies the number of training scans, and of the people in them; the first ones stay the same.
+
+    Returns
+    -------
+    StudySet
+    """
+    library = {purpose: replace(rig, poses=poses) for purpose, poses in _divided(rig).items()}
+    out = {}
+    for purpose, n, people in (
+        ("train", size.train * times, size.train_subjects * times),
+        ("test", size.test, size.test_subjects),
+    ):
+        templates = [subject(rig, generator(seed, "study", rig.name, purpose, "subject", k)) for k in range(people)]
+        whose = [i % size.test_subjects for i in range(n)]
+        if purpose == "train":  # the first scans are of the first people, whatever ``times``
+            whose = [i % size.train_subjects + i // size.train * size.train_subjects for i in range(n)]
+        out[purpose] = [_scan(library[purpose], templates[k], seed, purpose, i) for i, k in enumerate(whose)]
+        out[f"{purpose}_subjects"] = whose
+    return StudySet(rig=library["train"], **out)
+
+
+def sized(rig, size):
+    """The Size of a name for a rig.
+
+    Raises
+    ------
+    InputError
+        A name that is not known.
+    """
+    if size not in SIZES:
+        raise InputError("size", repr(size), f"one of {', '.join(SIZES)}")
+    if size == "paper" and _kind(rig) == "body":
+        return replace(SIZES[size], **_PAPER_BODY)
+    return SIZES[size]
+
+
+def part_groups(rig):
+    """(n_parts,) int: the chain that each part belongs to (a finger, an arm), as the paper's parts are."""
+    chain = chains(rig)
+    groups = np.zeros(len(rig.parts), dtype=int)
+    for j in np.flatnonzero(rig.moving)[::-1]:
+        groups[rig.part_of_joint[j]] = chain[j]
+    return groups
+
+
+def _scan(rig, template, seed, purpose, i):
+    rng = generator(seed, "study", rig.name, purpose, i)
+    natural = rig.poses and rng.random() < NATURAL[_kind(rig)]
+    pose = (natural_poses if natural else uniform_poses)(rig, 1, rng)[0]
+    return synthesize_one(rig, pose, template, SCAN, rng)
+
+
+def _divided(rig):
+    """The library's poses for training and for the test; a rig with fewer than two has none in either."""
+    names = list(dict.fromkeys(name.removesuffix(_MIRROR) for name in rig.poses))
+    test = set(names[_TEST_EVERY - 1 :: _TEST_EVERY]) if len(names) > 1 else set()
+    test = test or set(names[-1:])
+    if len(names) < 2:
+        return {"train": {}, "test": {}}
+    return {
+        purpose: {n: pose for n, pose in rig.poses.items() if (n.removesuffix(_MIRROR) in test) == (purpose == "test")}
+        for purpose in ("train", "test")
+    }
+
+
+def _kind(rig):
+    """Whether a rig is of a whole body, by SMPL's joint names, or of something else, which is treated as hands are."""
+    return "body" if {"pelvis", "left_knee"} <= set(rig.joint_names) else "hand"

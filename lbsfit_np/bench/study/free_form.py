@@ -1,0 +1,150 @@
+"""The free-form baselines, which play 3D-CODED's part: no skinning, the template's vertices move under Chamfer and Laplacian.
+
+What differs is where the vertices start: from the template, from the best of several synthetic scans that look alike
+("augmented"), or from what a regressor says that was taught with the true vertices of the training scans ("supervised").
+"""
+
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from ...fitting.scan_fit import FitSettings
+from ...learning.finish import free_form
+from ...losses.objective import PRESETS
+from ...optimize.frame import Frame
+from ...optimize.model import Model
+from ...optimize.problem import Problem
+from ...seeds import integer_seed
+from ...skinning import skin
+from ...starts.look import look
+
+__all__ = ["Augmented", "FromTemplate", "Supervised", "fit_free_form", "taught"]
+
+# Vertices that have all of a pose to make are rougher than offsets: of λ_lap from 0.3 (the fits' own) to 0.003 this one leaves
+# the least joint and vertex errors, on the tuning seed 5.
+_SETTINGS = FitSettings(full_iterations=200, full_tolerance=1e-4, weights=PRESETS["default"].replace(lam_lap=0.01))
+# Synthetic scans that the augmented baseline starts from.
+_STARTS = 6
+_COMPONENTS, _HIDDEN, _EPOCHS = 64, (256, 128), 300
+
+
+def fit_free_form(rig, points, starts):
+    """Vertices fitted to a scan from each of some starts; those with the least Chamfer distance.
+
+    Parameters
+    ----------
+    rig : Rig
+    points : (n, 3) array
+        In the rig's unit.
+    starts : iterable of (m, 3) arrays
+        Vertices, in the scan's frame up to translation and scale.
+
+    Returns
+    -------
+    vertices : (m, 3) array
+    joints : (J, 3) array
+        Of the joint regressor.
+    """
+    found = [_fitted(rig, points, start) for start in starts]
+    best = min(found, key=lambda result: result.terms["recon"])
+    return best.vertices, rig.regressor @ best.vertices
+
+
+def _fitted(rig, points, start):
+    from threadpoolctl import threadpool_limits
+
+    model = Model(rig.with_template(start), half=rig.size / 2)
+    frame = Frame(points.mean(axis=0), model.half)
+    with threadpool_limits(1):
+        problem = Problem(frame.inside(points))
+        return free_form(model, _SETTINGS, problem, points, np.arange(len(points)), frame, time.perf_counter())
+
+
+@dataclass(frozen=True)
+class FromTemplate:
+    """points → (vertices, joints), from the template in its rest pose."""
+
+    rig: object
+
+    def __call__(self, points):
+        return fit_free_form(self.rig, points, [self.rig.vertices])
+
+
+@dataclass(frozen=True)
+class Augmented:
+    """points → (vertices, joints), from the template and from poses of the library whose scans look alike."""
+
+    rig: object
+    library: object
+
+    def __call__(self, points):
+        poses = self.library.nearest(points, _STARTS)
+        return fit_free_form(self.rig, points, [self.rig.vertices, *(skin(self.rig, theta).vertices for theta in poses)])
+
+
+@dataclass(frozen=True)
+class Supervised:
+    """points → (vertices, joints), from what a regressor says that knows the true vertices of its training scans.
+
+    Attributes
+    ----------
+    rig : Rig
+    mean, deviation : (d,) arrays
+        Standardisation of the looks.
+    network : MLPRegressor
+        Standardised look → coefficients.
+    centre : (3m,) array
+    components : (k, 3m) array
+        Principal components of the vertices, about the scan's centroid.
+    """
+
+    rig: object
+    mean: np.ndarray
+    deviation: np.ndarray
+    network: object
+    centre: np.ndarray
+    components: np.ndarray
+
+    def __call__(self, points):
+        x = (look(points).vectors - self.mean) / self.deviation
+        vertices = self.centre + self.network.predict(x).reshape(1, -1)[0] @ self.components
+        return fit_free_form(self.rig, points, [vertices.reshape(-1, 3)])
+
+
+def taught(rig, scans, random_state):
+    """The supervised baseline's regressor, from training scans and their true vertices.
+
+    Parameters
+    ----------
+    rig : Rig
+    scans : list of SyntheticScan
+    random_state : int
+
+    Returns
+    -------
+    Supervised
+    """
+    import warnings
+
+    from sklearn.neural_network import MLPRegressor
+    from threadpoolctl import threadpool_limits
+
+    looks = np.concatenate([look(scan.points).vectors for scan in scans])
+    shapes = np.array([(scan.vertices - scan.points.mean(axis=0)).ravel() for scan in scans])
+    centre = shapes.mean(axis=0)
+    with threadpool_limits(1):
+        components = np.linalg.svd(shapes - centre, full_matrices=False)[2][: min(_COMPONENTS, len(scans) - 1)]
+        mean, deviation = looks.mean(axis=0), looks.std(axis=0) + 1e-6
+        network = MLPRegressor(
+            hidden_layer_sizes=_HIDDEN,
+            batch_size=min(64, len(scans)),
+            max_iter=_EPOCHS,
+            alpha=0.1,
+            random_state=integer_seed(random_state, "supervised"),
+        )
+        unit = rig.size / 2  # coefficients of about 1
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # that all epochs were used is the plan
+            network.fit((looks - mean) / deviation, (shapes - centre) @ components.T / unit)
+    return Supervised(rig, mean, deviation, network, centre, components * unit)

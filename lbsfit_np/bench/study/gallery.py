@@ -1,0 +1,226 @@
+"""Figures of rendered scans and meshes: the LBS triplet, partitions, the ablations, galleries, correspondence in colour."""
+
+import numpy as np
+
+from ...correspondence import surface_places, transfer
+from ...report.colors import part_colors
+from ...report.render import Mesh, Points, render
+from .canvas import tiles
+from .data import part_groups
+
+__all__ = ["ablation", "correspondence", "gallery", "partitions", "triplet"]
+
+SKIN = (224, 186, 164)
+# Width and height of tiles, pixels: of many, of few; and the radius of points in them.
+_TILE, _LARGE = (150, 178), (236, 276)
+_RADIUS = {_TILE: 1.35, _LARGE: 1.9}
+_N_SCANS = 4
+
+
+def triplet(shown, path):
+    """Template, posed, posed and deformed, beside the scan: of whose shape differs most, the scan nearest to the rest pose."""
+    rig, scans, half = shown.rig, shown.test, shown.rig.size / 2
+    vertices = shown.cells["joint"]["vertices"] if "joint" in shown.cells else np.array([s.vertices for s in scans])
+    changed = [np.linalg.norm(s.template - rig.vertices, axis=1).mean() / half for s in scans]
+    usable = [i for i in range(len(scans)) if np.isfinite(vertices[i]).all()]
+    if not usable:
+        return None
+    bent = [np.linalg.norm(np.delete(s.pose, rig.root, axis=0)) for s in scans]
+    i = min(usable, key=lambda k: (-round(changed[k], 6), bent[k]))
+    scan = scans[i]
+    posed = rig.pose(scan.pose, scan.translation, scan.scale)
+    frame = np.concatenate([posed, vertices[i], scan.points])
+    row = [
+        _mesh(rig, rig.vertices, size=_LARGE, view="oblique"),
+        *(_mesh(rig, V, size=_LARGE, view="oblique", frame=frame) for V in (posed, vertices[i])),
+        _points(rig, scan.points, None, size=_LARGE, view="oblique", frame=frame),
+    ]
+    tiles(path, [row], titles=["template $U$", "posed, $V$", "posed and deformed, $V^d$", "scan $X$"])
+    last = "what the whole loop found for the scan" if "joint" in shown.cells else "the true mesh of the scan"
+    return (
+        f"Linear blend skinning of the {shown.called}: the template U; posed, V = M(Θ, U); posed and deformed, V^d = M(Θ, U^d); "
+        f"a held-out scan X. Θ of V are the scan's true angles; V^d is {last}."
+    )
+
+
+def partitions(shown, path):
+    """The template by part and by group of parts, two sides."""
+    rig = shown.rig
+    groups, labels = part_groups(rig), rig.vertex_labels
+    row = []
+    for colors in (part_colors(len(rig.parts))[labels], part_colors(groups.max() + 1)[groups[labels]]):
+        row += [_mesh(rig, rig.vertices, colors, size=_LARGE, view=view) for view in ("front", "back")]
+    n = len(np.unique(groups))
+    named = [(f"parts, {len(rig.parts)}", 0, 1), (f"groups, {n}", 2, 3)]
+    tiles(path, [row], titles=["front", "back"] * 2, groups=named)
+    return (
+        f"Joint partitions of the {shown.called}, from the skinning weights: the {len(rig.parts)} parts that the structured "
+        f"Chamfer distance and the segmenter work with, and the {n} groups (chains of joints) that segmentation is judged by."
+    )
+
+
+def ablation(shown, path):
+    """Labels and reconstructions of Chamfer alone, of pose-only and of joint, from the worst to the best."""
+    rig, colors = shown.rig, part_colors(len(shown.rig.parts))
+    blocks = [("cd", "Chamfer alone"), ("pose-only", "pose-only: the modality gap"), ("joint", "joint")]
+    rows, notes = [], {}
+    for r, i in enumerate(shown.from_worst_to_best("joint", _N_SCANS)):
+        scan = shown.test[i]
+        found = [shown.cells[row]["vertices"][i] for row, _ in blocks]
+        frame = _frame(scan, found)
+        line = [_points(rig, scan.points, None, frame=frame)]
+        for b, ((row, _), V) in enumerate(zip(blocks, found)):
+            labels = shown.labels(row)[i] if row != "cd" else _nearest_labels(rig, scan.points, V)
+            line.append(_points(rig, scan.points, None if labels is None else colors[labels], frame=frame))
+            line.append(_mesh(rig, V, colors[rig.vertex_labels], frame=frame))
+            notes[r, 2 + 2 * b] = _said(shown.errors(row)[i])
+        rows.append(line)
+    if not rows:
+        return None
+    groups = [("", 0, 0), *((title, 1 + 2 * b, 2 + 2 * b) for b, (_, title) in enumerate(blocks))]
+    tiles(path, rows, titles=["input", *["labels", "reconstruction"] * 3], groups=groups[1:], notes=notes)
+    return (
+        f"Ablation on held-out scans of the {shown.called}, evenly from the worst to the best by the error of joint; below each "
+        "reconstruction its joint error in half sizes of the rig. Chamfer alone has no segmenter: its labels are those of the "
+        "nearest registered vertices. In pose-only the segmenter learns from inferred poses, but of the rig's own template: the "
+        "modality gap stays; in joint, from inferred templates, too."
+    )
+
+
+def gallery(shown, path):
+    """Input, segmentation, and the reconstructions of free-form, Chamfer alone and joint: the first scans, in no order."""
+    rig, colors = shown.rig, part_colors(len(shown.rig.parts))
+    names = ["free-form", "cd", "joint"]
+    rows, notes = [], {}
+    for r, i in enumerate(range(min(_N_SCANS, len(shown.test)))):
+        scan = shown.test[i]
+        found = [shown.cells[row]["vertices"][i] for row in names]
+        frame = _frame(scan, found)
+        said = colors[shown.labels("joint")[i]]
+        line = [_points(rig, scan.points, c, frame=frame) for c in (None, said)]
+        for k, (row, V) in enumerate(zip(names, found)):
+            line.append(_mesh(rig, V, frame=frame))
+            notes[r, 2 + k] = _said(shown.errors(row)[i])
+        rows.append([*line, _mesh(rig, scan.vertices, frame=frame)])
+    tiles(path, rows, titles=["input", "segmentation", "free-form", "Chamfer alone", "joint", "truth"], notes=notes)
+    return (
+        f"The first held-out scans of the {shown.called}: input, the segmentation that joint infers, registered meshes of the "
+        "free-form baseline, of skinning with Chamfer alone and of joint, and the true mesh; below, joint errors in half sizes "
+        "of the rig."
+    )
+
+
+def correspondence(shown, path):
+    """A scan coloured by place, its colours on a scan of someone else through the registrations, and the true ones."""
+    rig = shown.rig
+    names = [row for row in ("cd", "joint") if row in shown.cells]
+    rows, notes = [], {}
+    for r, (i, k) in enumerate(_pairs(shown)):
+        a, b = shown.test[i], shown.test[k]
+        true = [_rest_colors(rig, s.points, s.vertices) for s in (a, b)]
+        line = [_points(rig, a.points, true[0], size=_LARGE, frame=_frame(a, []))]
+        for c, row in enumerate(names):
+            V = shown.cells[row]["vertices"]
+            if not np.isfinite(V[[i, k]]).all():
+                line.append(None)
+                notes[r, 1 + c] = _said(np.nan)
+                continue
+            there = transfer(b.points, V[k], V[i], rig.faces)
+            line.append(_points(rig, b.points, true[0][_nearest(a.points, there)], size=_LARGE, frame=_frame(b, [])))
+            notes[r, 1 + c] = _said(_transfer_error(rig, a, b, there))
+        rows.append([*line, _points(rig, b.points, true[1], size=_LARGE, frame=_frame(b, []))])
+    if not rows:
+        return None
+    called = {"cd": "B, by Chamfer alone", "joint": "B, by joint"}
+    tiles(path, rows, titles=["A", *(called[row] for row in names), "B, truth"], notes=notes)
+    return (
+        f"Correspondence on the {shown.called}: scan A coloured by place on the template; scan B, of someone else, where each "
+        "point has the colour of the point of A that the registrations carry it to; B by its true places. Below, the mean "
+        "distance between the places on A that points of B are carried to, before the snap, and the true ones, in half sizes of "
+        "the rig."
+    )
+
+
+# ---- little pictures ----
+
+
+def _mesh(rig, vertices, colors=SKIN, *, size=_TILE, view="front", frame=None):
+    if not np.isfinite(vertices).all():
+        return None
+    item = Mesh(np.asarray(vertices, dtype=float), rig.faces, np.asarray(colors))
+    return render(item, size=size, view=view, up=rig.up or "+y", forward=rig.forward, frame=frame)
+
+
+def _points(rig, points, colors, *, size=_TILE, view="front", frame=None):
+    item = Points(points, np.array((128, 138, 150)) if colors is None else colors, _RADIUS[size])
+    return render(item, size=size, view=view, up=rig.up or "+y", forward=rig.forward, frame=frame)
+
+
+def _frame(scan, found):
+    return np.concatenate([scan.points, scan.vertices, *(V for V in found if np.isfinite(V).all())])
+
+
+def _said(error):
+    return "not fitted" if not np.isfinite(error) else f"{error:.3f}"
+
+
+# ---- labels and colours ----
+
+
+def _nearest(points, to):
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points).query(to)[1]
+
+
+def _nearest_labels(rig, points, vertices):
+    """(n,) int: the part of the nearest vertex; None where there are none."""
+    return rig.vertex_labels[_nearest(vertices, points)] if np.isfinite(vertices).all() else None
+
+
+def _rest_colors(rig, points, vertices):
+    """(n, 3) RGB by where points of a posed mesh lie on the template: smooth in space, different at any two places."""
+    corners, barycentric = surface_places(points, vertices, rig.faces)
+    rest = np.einsum("nk,nka->na", barycentric, rig.vertices[corners])
+    low, high = rig.vertices.min(axis=0), rig.vertices.max(axis=0)
+    x, y, z = ((rest - low) / np.maximum(high - low, 1e-9 * rig.size)).T
+    return _from_oklab(0.74 + 0.2 * (z - 0.5), 0.5 * (x - 0.5), 0.44 * (y - 0.5))
+
+
+def _from_oklab(lightness, a, b):
+    """(n, 3) RGB 0–255 of colours in Oklab (Ottosson, 2020), where equal steps look about equal."""
+    lms = np.stack(
+        [
+            lightness + 0.3963377774 * a + 0.2158037573 * b,
+            lightness - 0.1055613458 * a - 0.0638541728 * b,
+            lightness - 0.0894841775 * a - 1.2914855480 * b,
+        ]
+    )
+    linear = np.array(
+        [
+            [4.0767416621, -3.3077115913, 0.2309699292],
+            [-1.2684380046, 2.6097574011, -0.3413193965],
+            [-0.0041960863, -0.7034186147, 1.7076147010],
+        ]
+    ) @ lms**3
+    return (255 * np.clip(linear, 0.0, 1.0).T ** (1 / 2.2)).round()
+
+
+def _pairs(shown):
+    """Pairs (A, B) of scans of different people: from the middle of the ranking by joint's error, then from its better half."""
+    ranked = shown.from_worst_to_best("joint", len(shown.test))
+    out = []
+    for a in ranked[len(ranked) // 2 :] + ranked[: len(ranked) // 2]:
+        used = {i for pair in out for i in pair}
+        others = [b for b in ranked if shown.test_subjects[b] != shown.test_subjects[a] and b not in used]
+        if a not in used and others:
+            out.append((a, others[len(others) // 2]))
+        if len(out) == 2:
+            break
+    return out
+
+
+def _transfer_error(rig, a, b, there):
+    corners, barycentric = surface_places(b.points, b.vertices, rig.faces)
+    true = np.einsum("nk,nka->na", barycentric, a.vertices[corners])
+    return np.linalg.norm(there - true, axis=1).mean() / (rig.size / 2)

@@ -1,0 +1,159 @@
+"""The study's measures, the paper's: Recon, Pose, Corre., labels, and how far templates are from the truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from ...correspondence import surface_places
+from ...seeds import generator
+from ..measure import joint_error, recon, vertex_error
+
+__all__ = ["Registrations", "Truth", "measured", "template_gap"]
+
+# Points of a scan that are carried to another one in a pair.
+_POINTS = 400
+_PERCENTILES = (50, 90, 95)
+
+
+@dataclass(frozen=True)
+class Registrations:
+    """What a row of the study found for some scans.
+
+    Attributes
+    ----------
+    vertices : (N, m, 3) array
+        In the scans' frame; NaN for a scan that could not be fitted.
+    joints : (N, J, 3) array
+    """
+
+    vertices: np.ndarray
+    joints: np.ndarray
+
+    @property
+    def fitted(self):
+        """(N,) bool."""
+        return np.isfinite(self.vertices).all(axis=(1, 2))
+
+
+class Truth:
+    """What is known of scans, whatever found their registrations: made once.
+
+    Parameters
+    ----------
+    rig : Rig
+    scans : list of SyntheticScan
+    pairs : int
+        For correspondences.
+    seed : int
+    """
+
+    def __init__(self, rig, scans, pairs, seed):
+        from scipy.spatial import cKDTree
+
+        self.rig, self.scans, self.half = rig, scans, rig.size / 2
+        self.recon = np.array([recon(s.points, s.vertices) for s in scans]) / self.half
+        rng = generator(seed, "study", "points")
+        rows = [rng.choice(len(s.points), min(_POINTS, len(s.points)), replace=False) for s in scans]
+        self.points = [s.points[r] for s, r in zip(scans, rows)]
+        self.places = [_places(p, s.vertices, rig) for p, s in zip(self.points, scans)]
+        self.trees = [cKDTree(s.points) for s in scans]
+        self.pairs = _pairs(len(scans), pairs, generator(seed, "study", "pairs"))
+
+
+def measured(truth, registrations):
+    """The figures of a row.
+
+    Parameters
+    ----------
+    truth : Truth
+    registrations : Registrations
+        Of its scans.
+
+    Returns
+    -------
+    dict
+        Lengths in half sizes of the rig. "recon" √L_c beside "recon_truth", that of the true mesh on the same scans; "pose";
+        "vertices"; "corre" and "corre_snapped", each with "mean", "p50", "p90" and "p95" over all points of all pairs;
+        "unfitted", the scans that all these leave out.
+    """
+    rig, half, fitted = truth.rig, truth.half, np.flatnonzero(registrations.fitted)
+    found = [(truth.scans[i], registrations.vertices[i], registrations.joints[i]) for i in fitted]
+    out = {"unfitted": len(truth.scans) - len(fitted)}
+    if not len(fitted):
+        return out
+    out["recon"] = _mean(recon(s.points, V) / half for s, V, _ in found)
+    out["recon_truth"] = float(truth.recon[fitted].mean())
+    poses = [joint_error(joints, s.joints, rig.moving) / half for s, _, joints in found]
+    out["pose"], out["pose_median"] = float(np.mean(poses)), float(np.median(poses))
+    out["vertices"] = _mean(vertex_error(V, s.vertices) / half for s, V, _ in found)
+    out["corre"], out["corre_snapped"] = _correspondences(truth, registrations, set(fitted.tolist()))
+    return out
+
+
+def template_gap(rig, templates, true):
+    """How far templates are from the true ones, mean distances of vertices in half sizes.
+
+    Parameters
+    ----------
+    rig : Rig
+    templates, true : list of (m, 3) arrays
+        U^d and U^gt in rig units.
+
+    Returns
+    -------
+    dict
+        "before" ‖U − U^gt‖, "after" ‖U^d − U^gt‖, and both "up to a shift", which no scan shows.
+    """
+    half, U = rig.size / 2, rig.vertices
+    centred = [_centred(V) for V in true]
+    return {
+        "before": _mean(vertex_error(U, V) / half for V in true),
+        "after": _mean(vertex_error(D, V) / half for D, V in zip(templates, true, strict=True)),
+        "before, up to a shift": _mean(vertex_error(_centred(U), V) / half for V in centred),
+        "after, up to a shift": _mean(vertex_error(_centred(D), V) / half for D, V in zip(templates, centred, strict=True)),
+    }
+
+
+def _correspondences(truth, registrations, fitted):
+    """Errors before and after the snap to the nearest point of the other scan."""
+    rig, half = truth.rig, truth.half
+    found = {i: _places(truth.points[i], registrations.vertices[i], rig) for i in sorted(fitted)}
+    plain, snapped = [], []
+    for a, b in truth.pairs:
+        if a in fitted and b in fitted:
+            there = found[a] @ registrations.vertices[b]
+            true = truth.places[a] @ truth.scans[b].vertices
+            plain.append(np.linalg.norm(there - true, axis=1) / half)
+            on = truth.scans[b].points[truth.trees[b].query(there)[1]]
+            snapped.append(np.linalg.norm(on - true, axis=1) / half)
+    return _spread(plain), _spread(snapped)
+
+
+def _places(points, vertices, rig):
+    """(n, m) sparse matrix that takes vertices to the points' places on the surface."""
+    corners, barycentric = surface_places(points, vertices, rig.faces)
+    start = np.arange(0, corners.size + 1, 3)
+    return sparse.csr_array((barycentric.ravel(), corners.ravel(), start), shape=(len(points), len(vertices)))
+
+
+def _pairs(n, most, rng):
+    """Ordered pairs of different scans: all of them, or as many as wanted."""
+    a, b = np.divmod(np.arange(n * n), n)
+    every = np.column_stack([a, b])[a != b]
+    return every if len(every) <= most else every[np.sort(rng.choice(len(every), most, replace=False))]
+
+
+def _spread(errors):
+    if not errors:
+        return None
+    errors = np.concatenate(errors)
+    return {"mean": float(errors.mean())} | {f"p{q}": float(np.percentile(errors, q)) for q in _PERCENTILES}
+
+
+def _centred(vertices):
+    return vertices - vertices.mean(axis=0)
+
+
+def _mean(values):
+    return float(np.mean(list(values)))

@@ -1,0 +1,121 @@
+"""The oracle fit: pose, proportions and offsets where every point's true place on the surface is known. What no fit can better.
+
+    E = mean ‖x_i − V^d_i‖² + λ mean ‖x_i − V_i‖² + λ_lap L_lap,
+
+V_i the place of the mesh that point x_i was taken from: the objective of a fit, its nearest neighbours replaced by true partners.
+"""
+
+import time
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from ...correspondence import surface_places
+from ...fitting.assemble import assemble
+from ...fitting.scan_fit import FitSettings
+from ...losses.laplacian import laplacian_offsets
+from ...optimize.frame import Frame
+from ...optimize.lbfgs import minimise
+from ...optimize.model import Model
+from ...optimize.problem import Evaluation, Problem
+from ...skinning import skin_adjoint
+
+__all__ = ["OracleFit"]
+
+_RIDGE = 1e-4
+_ITERATIONS = 200
+
+
+@dataclass(frozen=True)
+class OracleFit:
+    """Fits with true correspondences.
+
+    Attributes
+    ----------
+    rig : Rig
+    settings : FitSettings
+        Its weights count here.
+    """
+
+    rig: object
+    settings: FitSettings = field(default_factory=FitSettings)
+
+    @cached_property
+    def _model(self):
+        return Model(self.rig)
+
+    def __call__(self, scan):
+        """The fit of a SyntheticScan; a FitResult in its frame."""
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(1):
+            return self._fit(scan, time.perf_counter())
+
+    def _fit(self, scan, started):
+        model, points = self._model, scan.points
+        frame = Frame(points.mean(axis=0), scan.scale * model.half)
+        first = np.unique(self.rig.weld, return_index=True)[1]
+        places = surface_places(points, scan.vertices[first], model.rig.faces)
+        known = _Known(model, frame.inside(points), *places, self.settings.weights)
+        free = ("pose", "translation", "scale", "proportions")
+        start = model.rest()
+        start = start.replace(translation=-model.areas @ model.rig.vertices)
+        steps = {"max_iterations": _ITERATIONS, "tolerance": 1e-6}
+        pose = minimise(known.evaluate, start, model.rig, free, **steps)
+        last = minimise(known.evaluate, pose.state, model.rig, (*free, "residual"), **steps)
+        problem = Problem(known.X)
+        return assemble(
+            self.rig,
+            model,
+            problem,
+            last,
+            points=points,
+            rows=np.arange(len(points)),
+            frame=frame,
+            sigma=self.settings.refinements[-1],
+            evaluation=problem.evaluate(model, last.state, self.settings.weights.replace(lam_s=0.0)),
+            evaluations=pose.evaluations + last.evaluations,
+            note="true correspondences",
+            started=started,
+            labels=scan.labels,
+        )
+
+
+@dataclass(frozen=True)
+class _Known:
+    """The objective between points and their true places."""
+
+    model: object
+    X: np.ndarray
+    corners: np.ndarray
+    barycentric: np.ndarray
+    weights: object
+
+    def evaluate(self, state):
+        model, w = self.model, self.weights
+        Vd, V = model.pose(state)
+        value, to_Vd = self._distance(Vd.vertices, 1.0)
+        undeformed, to_V = self._distance(V.vertices, w.lam)
+        lap, to_offsets = laplacian_offsets(Vd.rest - model.rig.vertices, model.K, squared=w.squared)
+        g, h = skin_adjoint(Vd, to_Vd), skin_adjoint(V, to_V)
+        coefficients, residual = model.offset_gradients(g, w.lam_lap * to_offsets)
+        c = state.coefficients
+        total = value + undeformed + w.lam_lap * lap + _RIDGE * float(c @ c)
+        return Evaluation(
+            total,
+            {},
+            g.theta + h.theta,
+            g.translation + h.translation,
+            g.scale + h.scale,
+            coefficients + 2 * _RIDGE * c,
+            residual,
+        )
+
+    def _distance(self, vertices, weight):
+        """weight · mean ‖x − place‖², and its gradient to the vertices."""
+        r = np.einsum("nk,nka->na", self.barycentric, vertices[self.corners]) - self.X
+        pull = (2 * weight / len(r)) * self.barycentric[:, :, None] * r[:, None]
+        grad = np.zeros_like(vertices)
+        np.add.at(grad, self.corners.ravel(), pull.reshape(-1, 3))
+        return weight * float((r * r).sum()) / len(r), grad

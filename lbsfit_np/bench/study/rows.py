@@ -1,0 +1,210 @@
+"""The rows of the study: each a way of registering scans, from the free-form baselines to the whole loop and the oracle."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from ...workers import each
+from .data import study_set
+from .free_form import Augmented, FromTemplate, taught
+from .measures import Registrations, template_gap
+from .oracle import OracleFit
+
+__all__ = ["ROWS", "Context", "Found", "Row"]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the study's table.
+
+    Attributes
+    ----------
+    what : str
+        In words.
+    paper : str or None
+        The name of the paper's row that it plays the part of.
+    find : callable (Context) → Found
+    """
+
+    what: str
+    paper: str | None
+    find: Callable
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a row found.
+
+    Attributes
+    ----------
+    test : Registrations
+        Of the scans held out.
+    train : Registrations or None
+        Of the training scans, where the paper has that figure, too.
+    labels : list of (n,) int arrays or None
+        What the row's segmenter alone says of the test scans' points.
+    accuracy : list of float
+        Of the segmenter on the test scans, before learning and after each round.
+    gap : dict
+        Of the subjects' templates, and of the test scans', ``measures.template_gap``.
+    history : list of dict
+        Of the loop.
+    """
+
+    test: Registrations
+    train: Registrations | None = None
+    labels: list | None = None
+    accuracy: list = field(default_factory=list)
+    gap: dict = field(default_factory=dict)
+    history: list = field(default_factory=list)
+
+
+@dataclass(frozen=True)
+class Context:
+    """What rows work with.
+
+    Attributes
+    ----------
+    source : Rig
+        With all its poses, of which ``given.rig`` has those of training.
+    given : StudySet
+    size : Size
+    seed : int
+        Of the scans.
+    fitter : LBSFitter
+        Pretrained.
+    accuracy : callable (segmenter) → float
+        On the test scans.
+    jobs : int
+    progress : callable (share)
+    """
+
+    source: object
+    given: object
+    size: object
+    seed: int
+    fitter: object
+    accuracy: Callable
+    jobs: int
+    progress: Callable
+
+
+# ---- baselines without skinning ----
+
+
+def _from_template(c):
+    return Found(_registered(c, FromTemplate(c.given.rig)))
+
+
+def _augmented(c):
+    return Found(_registered(c, Augmented(c.given.rig, c.fitter.regressor_)))
+
+
+def _supervised(c, times=1):
+    scans = c.given.train if times == 1 else study_set(c.source, c.size, c.seed, times=times).train
+    fit = taught(c.given.rig, scans, c.fitter.random_state)
+    test = _registered(c, fit, end=0.5 if times == 1 else 1.0)
+    return Found(test, None if times > 1 else _registered(c, fit, c.given.train, start=0.5))
+
+
+# ---- the loop and its ablations ----
+
+
+def _learned(c, variant):
+    from sklearn.base import clone
+
+    given, accuracy = c.given, []
+    fitter = clone(c.fitter).set_params(variant=variant)
+    fitter._pretrained = c.fitter._pretrained
+    labels = variant != "cd"
+    if labels:
+        accuracy.append(c.accuracy(c.fitter.segmenter_))
+    watch = (lambda k, segmenter: accuracy.append(c.accuracy(segmenter))) if labels else None
+    stages = {}
+
+    def progress(stage, share, figures=None):
+        stages[stage] = share
+        c.progress(0.8 * min(0.99, len(stages) / 12))
+
+    fitter.fit([s.points for s in given.train], given.train_subjects, progress=progress, on_round=watch)
+    results = each(_New(fitter), [s.points for s in given.test], jobs=c.jobs, done=lambda p: c.progress(0.8 + 0.2 * p))
+    rig = given.rig
+    true = dict(zip(given.train_subjects, given.train))
+    gap = {"subjects": template_gap(rig, [fitter.template_[k].vertices for k in true], [s.template for s in true.values()])}
+    own = [(r, s) for r, s in zip(results, given.test) if r is not None]
+    if own:
+        deformed = [r.scale / s.scale * (rig.vertices + r.offsets) for r, s in own]
+        gap["test scans"] = template_gap(rig, deformed, [s.template for _, s in own])
+    train = _of_results(rig, fitter.results_) if variant == "joint" else None
+    said = [fitter.segmenter_.predict(s.points) for s in given.test] if labels else None
+    return Found(_of_results(rig, results), train, said, accuracy, gap, fitter.history_)
+
+
+@dataclass(frozen=True)
+class _New:
+    """points → the FitResult with what was learned; None where there is none."""
+
+    fitter: object
+
+    def __call__(self, points):
+        from ...errors import LbsfitError
+
+        try:
+            return self.fitter.fit_scan(points)
+        except LbsfitError:
+            return None
+
+
+# ---- oracles ----
+
+
+def _oracle_labels(c):
+    work = _Labelled(c.fitter)
+    results = each(work, [(s.points, s.labels) for s in c.given.test], jobs=c.jobs, done=c.progress)
+    return Found(_of_results(c.given.rig, results))
+
+
+@dataclass(frozen=True)
+class _Labelled:
+    fitter: object
+
+    def __call__(self, task):
+        points, labels = task
+        return self.fitter.fit_scan(points, labels=labels)
+
+
+def _oracle_fit(c):
+    results = each(OracleFit(c.given.rig), c.given.test, jobs=c.jobs, done=c.progress)
+    return Found(_of_results(c.given.rig, results))
+
+
+# ---- registrations ----
+
+
+def _registered(c, fit, scans=None, start=0.0, end=1.0):
+    scans = c.given.test if scans is None else scans
+    found = each(fit, [s.points for s in scans], jobs=c.jobs, done=lambda p: c.progress(start + (end - start) * p))
+    return Registrations(np.array([V for V, _ in found]), np.array([joints for _, joints in found]))
+
+
+def _of_results(rig, results):
+    nothing = np.full(rig.vertices.shape, np.nan), np.full(rig.joints.shape, np.nan)
+    both = [nothing if r is None else (r.vertices, r.joints) for r in results]
+    return Registrations(np.array([V for V, _ in both]), np.array([joints for _, joints in both]))
+
+
+ROWS = {
+    "free-form": Row("no skinning, from the template", "free-form, unsupervised", _from_template),
+    "free-form-augmented": Row("no skinning, from synthetic scans that look alike", "free-form, augmented", _augmented),
+    "free-form-supervised": Row("no skinning, true correspondences in training", "free-form, supervised", _supervised),
+    "free-form-supervised-3x": Row(
+        "the same with three times the training scans", "free-form, supervised, three times the data", lambda c: _supervised(c, 3)
+    ),
+    "cd": Row("Chamfer alone, no labels", "LBS-AE_CD", lambda c: _learned(c, "cd")),
+    "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand")),
+    "pose-only": Row("segmenter from inferred poses, not templates", None, lambda c: _learned(c, "pose-only")),
+    "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint")),
+    "oracle-labels": Row("true labels given, scans one by one", None, _oracle_labels),
+    "oracle-fit": Row("true correspondences given, scans one by one", None, _oracle_fit),
+}

@@ -1,0 +1,147 @@
+"""One run of the study: every row for every rig and seed, each kept as soon as it is there."""
+
+import time
+from copy import deepcopy
+from dataclasses import asdict
+
+import numpy as np
+
+from ...errors import InputError
+from ..environment import environment
+from ..run import TRAINING_SEED
+from .data import SCAN, part_groups, sized, study_set
+from .local_optimum import along_path
+from .measures import Truth, measured
+from .rows import ROWS, Context
+
+__all__ = ["FIRST_SEED", "cell_name", "study"]
+
+# Of the scans, and those after it; nothing was tuned on them.
+FIRST_SEED = 300
+
+
+def study(
+    rigs,
+    *,
+    size="small",
+    seeds=None,
+    rows=tuple(ROWS),
+    jobs=1,
+    before=None,
+    kept=lambda cell: True,
+    progress=None,
+    on_cell=None,
+):
+    """Register the study's scans by each row, and measure.
+
+    Parameters
+    ----------
+    rigs : dict of str to Rig
+        By what they are called in the report.
+    size : {"small", "medium", "paper"}
+    seeds : sequence of int, optional
+        Of the scans; by default as many as the size has, from 300 on.
+    rows : sequence of str
+        Of ``ROWS``.
+    jobs : int, default 1
+        Processes; figures do not depend on it.
+    before : dict, optional
+        A report of the same settings: what it has is not done again.
+    kept : callable (cell name) → bool, optional
+        Whether the arrays of a cell of ``before`` are still there.
+    progress : callable (name, seed, row, share), optional
+    on_cell : callable (report, name, seed, row, arrays), optional
+        After each row of each rig and seed, with the report so far and what is to be kept as :func:`cell_name`.
+
+    Returns
+    -------
+    dict
+        Plain data for JSON.
+
+    Raises
+    ------
+    InputError
+        Names that are not known; a report of other settings.
+    """
+    known = [row for row in rows if row in ROWS]
+    if not rows or len(known) < len(rows):
+        raise InputError("rows", repr(rows), f"some of {', '.join(ROWS)}")
+    sizes = {name: sized(rig, size) for name, rig in rigs.items()}
+    count = max(s.seeds for s in sizes.values())
+    seeds = [FIRST_SEED + k for k in range(count)] if seeds is None else [int(s) for s in seeds]
+    progress = progress or (lambda name, seed, row, share: None)
+    report = _begun(before, size, rigs) | {"complete": False, "environment": environment()}
+    for name, rig in rigs.items():
+        entry = report["rigs"].setdefault(name, {"digest": rig.digest, "size": asdict(sizes[name]), "seeds": {}})
+        if "local_optimum" not in entry:
+            entry["local_optimum"] = along_path(rig)
+        for seed in seeds:
+            done = entry["seeds"].setdefault(str(seed), {})
+            todo = [row for row in ROWS if row in rows and not (row in done and kept(cell_name(name, seed, row)))]
+            if todo:
+                for row, cell, arrays in _cells(name, rig, sizes[name], seed, todo, jobs, progress):
+                    done[row] = cell
+                    if on_cell is not None:
+                        on_cell(report, name, seed, row, arrays)
+    report["complete"] = True
+    return report
+
+
+def cell_name(name, seed, row):
+    """What the arrays of a row are kept under: "hand-300-joint"."""
+    return f"{name}-{seed}-{row}"
+
+
+def _begun(before, size, rigs):
+    """The report to go on with."""
+    if before is None:
+        return {"benchmark": "study", "size": size, "scan": asdict(SCAN), "rigs": {}}
+    remedy = "Choose another folder, or --existing replace."
+    if before.get("benchmark") != "study":
+        raise InputError("before", f"results of {before.get('benchmark', 'nothing known')}", "results of study", remedy)
+    if before["size"] != size or before["scan"] != asdict(SCAN):
+        raise InputError("before", f"results of size {before['size']!r}", f"results of size {size!r} and the same scans", remedy)
+    for name, entry in before["rigs"].items():
+        if name in rigs and entry["digest"] != rigs[name].digest:
+            raise InputError("before", f"results of another rig than {name!r} now is", "results of the same rigs", remedy)
+    return deepcopy(before)
+
+
+def _cells(name, rig, size, seed, rows, jobs, progress):
+    """(row, its entry of the report, its arrays), one after the other."""
+    from ...learning.fitter import LBSFitter
+
+    given = study_set(rig, size, seed)
+    groups = part_groups(given.rig)
+
+    def accuracy(segmenter):
+        """Share of the test scans' points in the right group of parts."""
+        said = [segmenter.predict(s.points) for s in given.test]
+        return float(np.mean([np.mean(groups[found] == groups[s.labels]) for found, s in zip(said, given.test)]))
+
+    parameters = {"training_scans": size.training_scans, "n_jobs": jobs, "random_state": TRAINING_SEED}
+    fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
+    fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
+    truth = Truth(given.rig, given.test, size.pairs, seed)
+    train_truth = None
+    for row in rows:
+        say = lambda share, row=row: progress(name, seed, row, share)  # noqa: E731
+        context = Context(rig, given, size, seed, fitter, accuracy, jobs, say)
+        started = time.perf_counter()
+        found = ROWS[row].find(context)
+        seconds = round(time.perf_counter() - started, 1)
+        entry = measured(truth, found.test) | {"seconds": seconds, "accuracy": found.accuracy, "gap": found.gap}
+        entry["history"] = found.history
+        if found.train is not None:
+            train_truth = train_truth or Truth(given.rig, given.train, size.pairs, seed)
+            entry["on_training"] = measured(train_truth, found.train)
+        say(1.0)
+        yield row, entry, _arrays(found)
+
+
+def _arrays(found):
+    """What pictures need, small."""
+    out = {"vertices": found.test.vertices.astype(np.float32), "joints": found.test.joints.astype(np.float32)}
+    if found.labels is not None:
+        out["labels"] = np.concatenate(found.labels).astype(np.int16)
+    return out

@@ -1,0 +1,218 @@
+"""What is known of registered scans: which places of one scan are which of another, and who was scanned.
+
+Three kinds of truth, which the benchmark of pairs asks in the same way: ``asked`` draws places of a scan whose correspondences
+are known, ``true`` says where these are on another.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..correspondence import surface_places
+from ..errors import FileError, InputError
+
+__all__ = ["Asked", "Landmarks", "PairScan", "Registrations", "VertexOrder", "read_registrations"]
+
+
+@dataclass(frozen=True)
+class PairScan:
+    """A scan of the benchmark.
+
+    Attributes
+    ----------
+    name : str
+        What its fit is called; no two are the same.
+    path : Path
+    subject : str
+        Who was scanned.
+    """
+
+    name: str
+    path: Path
+    subject: str
+
+
+@dataclass(frozen=True)
+class Asked:
+    """Places of a scan whose correspondences are asked for.
+
+    Attributes
+    ----------
+    points : (n, 3) array
+        In the scan's frame and unit.
+    keys : object
+        By which the truth knows them again.
+    """
+
+    points: np.ndarray
+    keys: object
+
+
+@dataclass(frozen=True)
+class VertexOrder:
+    """Vertex i of one scan is vertex i of every other.
+
+    Attributes
+    ----------
+    n : int
+        Vertices of each.
+    """
+
+    n: int
+
+    what = "vertex order"
+
+    def check(self, i, points):
+        """Raise where scan i, with these points, does not fit the truth."""
+        if len(points) != self.n:
+            raise InputError(
+                "truth",
+                f"a table without truth for scans of {self.n} and {len(points)} vertices",
+                "scans with the same vertices in the same order, or columns that say what corresponds",
+                "Add the columns name and vertex, or name, x, y and z, or registration.",
+            )
+
+    def linked(self, a, b):
+        """Whether anything is known of the pair."""
+        return True
+
+    def asked(self, i, points, most, rng):
+        """At most so many random places of scan i."""
+        rows = _some_rows(np.arange(self.n), most, rng)
+        return Asked(points[rows], rows)
+
+    def true(self, asked, b, points):
+        """Which of the places are known on scan b, with these points, and where they are: rows (k,), (k, 3)."""
+        return np.arange(len(asked.points)), points[asked.keys]
+
+
+@dataclass(frozen=True)
+class Landmarks:
+    """Places with names: those of one name correspond.
+
+    Attributes
+    ----------
+    places : tuple of dict
+        For each scan name → vertex (int), or its place (three floats).
+    lines : tuple of dict
+        For each scan name → the line that says so, for errors.
+    """
+
+    places: tuple
+    lines: tuple
+
+    what = "named places"
+
+    def check(self, i, points):
+        """Raise where scan i, with these points, does not fit the truth."""
+        for name, place in self.places[i].items():
+            if isinstance(place, int) and place >= len(points):
+                got = f"vertex {place} for {name!r} in line {self.lines[i][name]}"
+                raise InputError("truth", got, f"vertices that the scan has, 0 to {len(points) - 1}", "Vertices count from 0.")
+
+    def linked(self, a, b):
+        """Whether anything is known of the pair."""
+        return not self.places[a].keys().isdisjoint(self.places[b])
+
+    def asked(self, i, points, most, rng):
+        """At most so many random places of scan i."""
+        names = list(self.places[i])
+        names = [names[k] for k in _some_rows(np.arange(len(names)), most, rng)]
+        return Asked(self._at(i, names, points), names)
+
+    def true(self, asked, b, points):
+        """Which of the places are known on scan b, and where they are."""
+        rows = [k for k, name in enumerate(asked.keys) if name in self.places[b]]
+        return np.array(rows, dtype=int), self._at(b, [asked.keys[k] for k in rows], points)
+
+    def _at(self, i, names, points):
+        places = [self.places[i][name] for name in names]
+        return np.array([points[p] if isinstance(p, int) else p for p in places]).reshape(-1, 3)
+
+
+@dataclass(frozen=True)
+class Registrations:
+    """Each scan has a mesh registered to it, whose vertices mean the same on all: the truth is as ``correspondence.transfer``.
+
+    Attributes
+    ----------
+    vertices : tuple of ((m, 3) array or None)
+        For each scan its registration, in the scan's frame and unit; None where there is none.
+    faces : (F, 3) int array
+    reliable : tuple of ((n,) bool array or None), optional
+        Points of each scan where the registration can be relied on; None for all.
+    """
+
+    vertices: tuple
+    faces: np.ndarray
+    reliable: tuple = ()
+
+    what = "registrations"
+
+    def check(self, i, points):
+        """Raise where scan i, with these points, does not fit the truth."""
+        known = self._reliable(i)
+        if known is not None and len(known) != len(points):
+            raise InputError("truth", f"{len(known)} flags of reliable points", f"{len(points)}, one for each point of the scan")
+        if known is not None and not known.any():
+            raise InputError("truth", "no reliable point", "some points where the registration can be relied on")
+
+    def linked(self, a, b):
+        """Whether anything is known of the pair."""
+        return self.vertices[a] is not None and self.vertices[b] is not None
+
+    def asked(self, i, points, most, rng):
+        """At most so many random places of scan i."""
+        known = self._reliable(i)
+        rows = _some_rows(np.arange(len(points)) if known is None else np.flatnonzero(known), most, rng)
+        return Asked(points[rows], surface_places(points[rows], self.vertices[i], self.faces))
+
+    def true(self, asked, b, points):
+        """Which of the places are known on scan b, and where they are."""
+        corners, barycentric = asked.keys
+        return np.arange(len(corners)), np.einsum("nk,nka->na", barycentric, self.vertices[b][corners])
+
+    def _reliable(self, i):
+        return self.reliable[i] if self.reliable else None
+
+
+def read_registrations(paths, what="registrations"):
+    """Meshes of one topology.
+
+    Parameters
+    ----------
+    paths : sequence of (Path or None)
+        For each scan; one at least is there.
+    what : str
+        What errors call them.
+
+    Returns
+    -------
+    tuple of ((m, 3) array or None), (F, 3) int array
+
+    Raises
+    ------
+    FileError
+        A mesh that cannot be read, or is not of the same triangles as the others.
+    """
+    from ..io.scans import load_mesh
+
+    vertices, first, faces = [], None, None
+    for path in paths:
+        if path is None:
+            vertices.append(None)
+            continue
+        v, f = load_mesh(path)
+        if first is None:
+            first, m, faces = path, len(v), f
+        elif len(v) != m or not np.array_equal(f, faces):
+            got = f"a mesh of {len(v)} vertices and {len(f)} triangles that are not those of {first} ({m} and {len(faces)})"
+            raise FileError(str(path), got, f"{what} of one mesh, whose vertices mean the same on all scans")
+        vertices.append(v)
+    return tuple(vertices), faces
+
+
+def _some_rows(rows, most, rng):
+    """At most so many of the rows, in their order."""
+    return rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))

@@ -1,0 +1,114 @@
+"""``lbsfit bench faust``: the MPI-FAUST data set, for people who have it."""
+
+from pathlib import Path
+
+from .bench_pairs import (
+    MEASURING,
+    RESULTS,
+    draw_gallery,
+    fit_settings,
+    fitter_of,
+    fitting_options,
+    made_output,
+    need_output,
+    run_stoppable,
+    say_failures,
+)
+from .parsing import Option, add_options, formatter, positive, settings
+from .progress import say
+
+__all__ = ["add_parser"]
+
+_OPTIONS = (
+    Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o"),
+    Option("rig", "a rig file, or a bundled rig, see: lbsfit rig list", default="body", metavar="RIG"),
+    Option("scans", "take only the first so many scans of each subject, for trying it out", positive, metavar="N"),
+    *fitting_options(samples=20_000),
+    *MEASURING,
+)
+
+_DESCRIPTION = """\
+Learn from the training scans of MPI-FAUST, fit them and the test scans, and print the error of the correspondences between
+training scans, whose registrations give the truth, beside the table of the paper: pairs of one subject (intra) and of
+different ones (inter), in cm, with percentiles, before and after the snap onto the nearest point of the other scan.
+
+DIR is the folder MPI-FAUST as it is published, or the one it is in: training/scans, training/registrations,
+training/ground_truth_vertices, test/scans, test/challenge_pairs. What is missing is left out where the rest still makes sense,
+and named. The data set does not come with this package: its licence forbids it, see http://faust.is.tue.mpg.de.
+"""
+
+_EPILOG = """\
+examples:
+  lbsfit bench faust MPI-FAUST --scans 2 -o faust-try --jobs 2
+  lbsfit bench faust MPI-FAUST -o faust --jobs 2
+
+OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan, model.npz, which
+lbsfit fit takes, and, for each challenge whose pairs are listed, challenge-intra/ or challenge-inter/ with a file for each pair
+(012_023.txt: for each vertex of test_scan_012 its point on test_scan_023), and challenge-intra.zip or challenge-inter.zip to be
+submitted. The same command once more does what is not there yet; what an interrupted loop has learned is not kept.
+Exit code: 0 all fitted, 1 some scans could not be fitted (their pairs are missing) or their fits say that they failed (their
+pairs count), 2 usage or unreadable data, 130 stopped by Ctrl-C.
+"""
+
+
+def add_parser(benches):
+    """Add ``lbsfit bench faust`` to the subparsers ``benches``."""
+    bench = benches.add_parser(
+        "faust",
+        help="the MPI-FAUST data set, for people who have it",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=formatter,
+    )
+    bench.add_argument("folder", metavar="DIR", help="MPI-FAUST, or the folder that it is in")
+    add_options(bench, _OPTIONS)
+    bench.set_defaults(run=lambda arguments: _run(arguments.folder, settings(arguments, _OPTIONS)))
+
+
+def _run(folder, values):
+    from ..bench.faust import challenge_files, faust_bench, faust_table, read_faust
+    from ..io.write import write_json
+
+    need_output(values)
+    found = read_faust(folder, most=values["scans"], learn=values["learn"])
+    fitter = fitter_of(values)
+    scans = [*found.training, *found.test]
+    more = [file for archive, files in challenge_files(Path(values["output"]), found).values() for file in (archive, *files)]
+    out = made_output(values, scans, inputs=found.files, more=more)
+    people = len({s.subject for s in found.training})
+    say(f"{len(found.training)} training scans of {people} subjects, {len(found.test)} test scans")
+    for note in found.notes:
+        say(f"note: {note}")
+
+    def work(progress):
+        report, fits = faust_bench(
+            fitter,
+            found,
+            out,
+            reporter=progress,
+            learn=values["learn"],
+            most_pairs=values["pairs"],
+            points=values["points"],
+            seed=values["seed"],
+            settings=fit_settings(values),
+            existing=values["existing"],
+            n_samples=values["samples"],
+            jobs=values["jobs"],
+        )
+        report["gallery"] = draw_gallery(out, fitter.rig, scans, fits, values)
+        write_json(out / RESULTS, report)
+        say("")
+        say(faust_table(report, markdown=values["markdown"]))
+        for kind, written in report["challenge"].items():
+            say(_written(kind, written))
+        say(f"\nresults in {out}")
+        return say_failures(fits)
+
+    return run_stoppable(work, values, out)
+
+
+def _written(kind, written):
+    words = f"{kind}-subject challenge: {written['written']} files in challenge-{kind}"
+    if written["missing"]:
+        words += f", {written['missing']} pairs missing, as a scan has no fit"
+    return words + (f"; to submit: {written['archive']}" if written["archive"] else "; no archive, as it would not be complete")

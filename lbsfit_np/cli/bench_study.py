@@ -1,0 +1,106 @@
+"""What ``lbsfit bench study`` runs: the paper's study, its page and its pictures."""
+
+import time
+from pathlib import Path
+
+from ..errors import InputError, MissingExtraError
+from .bench_runs import RESULTS, made_results, numbers, read_results
+from .outputs import make_folder
+from .progress import Progress, percentage_bar, say, span
+
+__all__ = ["run_study"]
+
+_PAGE, _CELLS = "README.md", "cells"
+
+
+def run_study(values):
+    """The study; the exit code."""
+    from ..bench.study.page import console_table
+    from ..bench.study.run import cell_name, study
+    from ..io.rigs import load_rig
+    from ..io.write import write_json, write_npz
+
+    if values["output"] is None:
+        raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT, such as docs/study.")
+    results = made_results(values)
+    out, cells = results.parent, results.parent / _CELLS
+    make_folder(cells)
+    resumed = values["existing"] == "resume" and results.exists()
+    rigs = {Path(name).stem: load_rig(name) for name in values["rig"].split(",")}
+    progress = _StudyProgress()
+
+    def on_cell(report, name, seed, row, arrays):
+        write_npz(cells / f"{cell_name(name, seed, row)}.npz", **arrays)
+        write_json(results, report)
+        progress.cell(name, seed, row, report["rigs"][name]["seeds"][str(seed)][row])
+
+    try:
+        report = study(
+            rigs,
+            size=values["size"],
+            seeds=numbers(values["seeds"]) if values["seeds"] else None,
+            rows=tuple(values["rows"].split(",")),
+            jobs=values["jobs"],
+            before=read_results(results) if resumed else None,
+            kept=lambda cell: (cells / f"{cell}.npz").exists(),
+            progress=progress,
+            on_cell=on_cell,
+        )
+    finally:
+        progress.close()
+    write_json(results, report)
+    written = _write_page(report, rigs, out, pictures=values["figures"])
+    say("")
+    say(console_table(report, markdown=values["markdown"]))
+    say(f"\n{written}")
+    cells = (cell for rig in report["rigs"].values() for rows in rig["seeds"].values() for cell in rows.values())
+    return 1 if any(cell["unfitted"] for cell in cells) else 0
+
+
+def _write_page(report, rigs, out, *, pictures):
+    """The page, and its pictures where they can be drawn; what was written, in words."""
+    from ..bench.study.page import page
+    from ..io.npz import read_npz
+    from ..io.write import atomic_path
+
+    captions, why = {}, ""
+    if pictures:
+        from ..bench.study.figures import draw
+
+        def arrays(cell):
+            path = out / _CELLS / f"{cell}.npz"
+            return read_npz(path) if path.exists() else None
+
+        try:
+            captions = draw(report, arrays, out, rigs=rigs)
+        except MissingExtraError as error:
+            why = f", without pictures: {error}"
+    with atomic_path(out / _PAGE) as temporary:
+        Path(temporary).write_text(page(report, captions), encoding="utf-8")
+    return f"results in {out / RESULTS}, tables in {out / _PAGE}{why}"
+
+
+class _StudyProgress(Progress):
+    """A bar for each row on a terminal, and a line when it is done; lines elsewhere."""
+
+    def __init__(self):
+        super().__init__(0)
+        self._what, self._began = None, time.monotonic()
+
+    def __call__(self, name, seed, row, share):
+        """``row`` is done to ``share`` for a rig and seed."""
+        what = f"{name}, seed {seed}, {row}"
+        if what != self._what:
+            self.close()
+            self._what = what
+            if self.terminal:
+                self._bar = percentage_bar(what)
+        if self._bar is not None:
+            self._bar.update(max(0.0, 100 * share - self._bar.n))
+
+    def cell(self, name, seed, row, entry):
+        """A row is done and written."""
+        self.close()
+        self._what = None
+        found = f"pose {entry['pose']:.4f}, corre. {entry['corre']['mean']:.4f}" if "pose" in entry else "nothing could be fitted"
+        self.line(f"{name}, seed {seed}, {row}: {found}; {span(entry['seconds'])}, {span(time.monotonic() - self._began)} in all")

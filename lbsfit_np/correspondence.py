@@ -1,0 +1,154 @@
+"""Correspondence through registrations: the place of a point on one registered mesh, and the same place on another."""
+
+import numpy as np
+
+from .errors import InputError, check_array
+from .neighbors import PointIndex
+from .optimize.surface import closest_on_mesh, faces_around
+
+__all__ = ["surface_places", "transfer"]
+
+# Points at a time: with some tens of triangles each, arrays stay below 100 MB.
+_CHUNK = 20_000
+# Triangles of one kind that a point is compared with at first; four times as many where these may not be all that matter.
+_FIRST = 4
+
+
+def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
+    """Where points of scan A are on scan B, by the registrations of both.
+
+    A point of A → its closest surface point on A's registration (barycentric) → the same place on B's registration → with
+    ``snap_to`` the nearest of these points.
+
+    Parameters
+    ----------
+    points : (n, 3) array or Scan
+        Of scan A, in its frame and unit.
+    registration_a, registration_b : (m, 3) arrays
+        Vertices of the same mesh registered to A and to B, such as ``FitResult.vertices``; each in its scan's frame and unit.
+    faces : (F, 3) int array
+        Of that mesh, such as ``Rig.faces``.
+    snap_to : (k, 3) array or Scan, optional
+        Points of scan B; by default places on B's registration are returned as they are.
+
+    Returns
+    -------
+    (n, 3) array
+        In B's frame and unit.
+
+    Raises
+    ------
+    InputError
+        Points that are not finite numbers of shape (n, 3), registrations of different lengths, faces that do not index them, or
+        none.
+    """
+    points = _checked_points("points", points)
+    a = _checked_points("registration_a", registration_a)
+    b = check_array("registration_b", registration_b, a.shape)
+    faces = _checked_faces(faces, len(a))
+    snap_to = None if snap_to is None else _checked_points("snap_to", snap_to)
+    if snap_to is not None and not len(snap_to):
+        raise InputError("snap_to", "an array without points", "points of scan B, shape (k, 3)", "Leave it out for no snap.")
+    corners, barycentric = surface_places(points, a, faces)
+    found = np.einsum("nk,nka->na", barycentric, b[corners])
+    return found if snap_to is None else snap_to[PointIndex(snap_to).nearest(found)]
+
+
+def surface_places(points, vertices, faces):
+    """For each point the closest place on a triangle mesh, among all of its triangles.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    vertices : (m, 3) array
+    faces : (F, 3) int array
+        F ≥ 1. Arguments are trusted.
+
+    Returns
+    -------
+    corners : (n, 3) int array
+        Vertices of the closest triangle.
+    barycentric : (n, 3) array
+        At least 0, sum 1: the place is ``einsum("nk,nka->na", barycentric, vertices[corners])``.
+    """
+    from scipy.spatial import cKDTree
+
+    used = np.unique(faces)
+    nearest_vertex, around = cKDTree(vertices[used]), faces_around(faces, len(vertices))
+    kinds = _kinds(vertices, faces)
+    corners, barycentric = np.empty((len(points), 3), dtype=int), np.empty((len(points), 3))
+    for start in range(0, len(points), _CHUNK):
+        rows = slice(start, start + _CHUNK)
+        x = points[rows]
+        first = closest_on_mesh(x, used[nearest_vertex.query(x)[1]], vertices, faces, around)
+        best = _Best(first.corners, first.barycentric, np.linalg.norm(x - first.points, axis=1))
+        for kind in kinds:
+            _improve(best, x, vertices, faces, *kind)
+        corners[rows], barycentric[rows] = best.corners, best.barycentric
+    return corners, barycentric
+
+
+class _Best:
+    """The closest places found so far, and how far they are."""
+
+    def __init__(self, corners, barycentric, away):
+        self.corners, self.barycentric, self.away = corners, barycentric, away
+
+
+def _kinds(vertices, faces):
+    """Triangles by size, so that a few long ones do not widen the search among all others.
+
+    A triangle lies within its radius of its centroid. Triples (tree of centroids, their faces, the largest radius), each of the
+    radii between one power of 2 and the next.
+    """
+    from scipy.spatial import cKDTree
+
+    p = vertices[faces]
+    centroid = p.mean(axis=1)
+    radius = np.linalg.norm(p - centroid[:, None], axis=2).max(axis=1)
+    octave = np.floor(np.log2(np.maximum(radius, 1e-9 * max(radius.max(), np.finfo(float).tiny))))
+    groups = [np.flatnonzero(octave == k) for k in np.unique(octave)]
+    return [(cKDTree(centroid[rows]), rows, radius[rows].max()) for rows in groups]
+
+
+def _improve(best, x, vertices, faces, tree, which, radius):
+    """Compare with all triangles of one kind that may be closer: those whose centroids are within ``away + radius``."""
+    rows, k = np.arange(len(x)), _FIRST
+    while len(rows):
+        k = min(k, len(which))
+        distance, index = (q.reshape(len(rows), k) for q in tree.query(x[rows], k=k))
+        near = distance[:, 0] <= best.away[rows] + radius
+        rows, distance, index = rows[near], distance[near], index[near]
+        if not len(rows):
+            return
+        found = closest_on_mesh(x[rows], np.arange(len(rows)), vertices, faces, which[index])
+        away = np.linalg.norm(x[rows] - found.points, axis=1)
+        closer = away < best.away[rows]
+        at = rows[closer]
+        best.corners[at], best.barycentric[at], best.away[at] = found.corners[closer], found.barycentric[closer], away[closer]
+        if k == len(which):
+            return
+        rows = rows[distance[:, -1] <= best.away[rows] + radius]
+        k *= 4
+
+
+def _checked_points(argument, value):
+    try:
+        array = np.asarray(getattr(value, "points", value))
+    except ValueError:
+        array = None
+    if array is None or array.ndim != 2 or array.shape[1] != 3:
+        got = "rows of different lengths" if array is None else f"an array of shape {array.shape}"
+        raise InputError(argument, got, "shape (n, 3), one point per row")
+    return check_array(argument, array, array.shape)
+
+
+def _checked_faces(faces, m):
+    faces = np.asarray(faces)
+    if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces) or faces.dtype.kind not in "iu":
+        got = f"{faces.dtype} values of shape {faces.shape}"
+        raise InputError("faces", got, "whole numbers of shape (F, 3), one triangle at least", "Pass rig.faces.")
+    if faces.min() < 0 or faces.max() >= m:
+        got = f"vertices {faces.min()} to {faces.max()}"
+        raise InputError("faces", got, f"rows of the registrations, 0 to {m - 1}", "Pass the faces of the rig that was fitted.")
+    return faces

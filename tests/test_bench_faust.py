@@ -1,0 +1,251 @@
+"""The benchmark of MPI-FAUST on folders of its layout, made with the bundled body: what is read, measured, written, left out."""
+
+import json
+import shutil
+import zipfile
+
+import numpy as np
+import pytest
+from cli_runs import one_line
+from registered_sets import fits_are_given
+
+import lbsfit_np as lbs
+from lbsfit_np.bench.faust import PAPER, faust_table, read_faust
+from lbsfit_np.errors import FileError
+from lbsfit_np.io.write import write_mesh_ply, write_points_ply
+from lbsfit_np.synthesis import sample_surface
+
+pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
+
+TRAINING, TEST = (0, 1, 2, 10, 11), (0, 1, 19, 20)
+UNRELIABLE = 7
+
+
+@pytest.fixture(scope="module")
+def body():
+    return lbs.load_rig("body-coarse")
+
+
+@pytest.fixture(scope="module")
+def truth(body):
+    """Scan name → vertices, all turned about up."""
+    rng = np.random.default_rng(0)
+    poses = lbs.synthesize(body, len(TRAINING) + len(TEST), poses="natural", random_state=3, n_points=50)
+    names = [f"tr_scan_{i:03d}" for i in TRAINING] + [f"test_scan_{i:03d}" for i in TEST]
+    found = {}
+    for name, pose, angle in zip(names, poses, rng.uniform(-3, 3, len(names)), strict=True):
+        c, s = np.cos(angle), np.sin(angle)
+        found[name] = pose.vertices @ [[c, 0, -s], [0, 1, 0], [s, 0, c]]
+    return found
+
+
+@pytest.fixture(scope="module")
+def made(body, truth, tmp_path_factory):
+    """DIR with MPI-FAUST in it."""
+    folder = tmp_path_factory.mktemp("faust")
+    root = folder / "MPI-FAUST"
+    for name in ("training/scans", "training/registrations", "training/ground_truth_vertices", "test/scans"):
+        (root / name).mkdir(parents=True)
+    (root / "test" / "challenge_pairs").mkdir()
+    for k, (name, vertices) in enumerate(truth.items()):
+        points = sample_surface(vertices, body.faces, 900, np.random.default_rng(k))[0]
+        number = name[-3:]
+        if name.startswith("test"):
+            write_points_ply(root / "test" / "scans" / f"{name}.ply", points)
+            continue
+        points[:UNRELIABLE] += 0.01  # off the registration: no truth there
+        write_points_ply(root / "training" / "scans" / f"{name}.ply", points)
+        write_mesh_ply(root / "training" / "registrations" / f"tr_reg_{number}.ply", vertices, body.faces)
+        flags = ["0"] * UNRELIABLE + ["1"] * (900 - UNRELIABLE)
+        (root / "training" / "ground_truth_vertices" / f"tr_gt_{number}.txt").write_text("\n".join(flags) + "\n")
+    (root / "test" / "challenge_pairs" / "intra_challenge.txt").write_text("000_001\n019_000\n")
+    (root / "test" / "challenge_pairs" / "inter_challenge.txt").write_text("000_020\n")
+    return folder
+
+
+@pytest.fixture
+def own(made, tmp_path):
+    """A copy that a test may take pieces from."""
+    shutil.copytree(made, tmp_path / "data")
+    return tmp_path / "data" / "MPI-FAUST"
+
+
+def _points(made, name):
+    return lbs.load_scan(made / "MPI-FAUST" / "test" / "scans" / f"{name}.ply").points
+
+
+# ---- the layout ----
+
+
+def test_the_folder_or_its_parent(made):
+    for folder in (made, made / "MPI-FAUST"):
+        found = read_faust(folder)
+        assert [s.name for s in found.training] == [f"tr_scan_{i:03d}" for i in TRAINING]
+        assert [s.subject for s in found.training] == ["0", "0", "0", "1", "1"]
+        assert [(s.name[-3:], s.subject) for s in found.test] == [("000", "0"), ("001", "0"), ("019", "0"), ("020", "1")]
+        assert found.challenges == {"intra": [(0, 1), (2, 0)], "inter": [(0, 3)]} and all(found.complete.values())
+        assert found.notes == [] and found.truth.reliable[0].sum() == 900 - UNRELIABLE
+
+
+def test_the_first_scans_of_each_subject(made):
+    found = read_faust(made, most=2)
+    assert [s.name[-3:] for s in found.training] == ["000", "001", "010", "011"]
+    assert found.challenges == {"intra": [(0, 1)], "inter": [(0, 2)]} and found.complete == {"intra": False, "inter": True}
+    assert ["1 of 2 intra-subject pairs" in n for n in found.notes] == [True]
+
+
+@pytest.mark.parametrize(
+    "gone, note",
+    [
+        ("training/registrations", "training/registrations: no such folder; errors cannot be measured"),
+        ("training/registrations/tr_reg_001.ply", "no registrations of 1 scans"),
+        ("training/ground_truth_vertices", "ground_truth_vertices: no such folder; all vertices of the scans count"),
+        ("test/scans", "test/scans: no such folder; no files for the challenge"),
+        ("test/scans/test_scan_020.ply", "1 of 1 inter-subject pairs"),
+        ("test/challenge_pairs", "test/challenge_pairs: no such folder"),
+        ("test/challenge_pairs/intra_challenge.txt", "no intra_challenge.txt"),
+        ("test", "test/challenge_pairs: no such folder"),
+    ],
+)
+def test_what_is_missing_is_left_out_and_named(own, gone, note):
+    shutil.rmtree(own / gone) if (own / gone).is_dir() else (own / gone).unlink()
+    found = read_faust(own)
+    assert any(note in n for n in found.notes), found.notes
+    assert (found.truth is None) == (gone == "training/registrations")
+    if gone.startswith("test") and "_" not in gone.replace("challenge_pairs", ""):
+        assert found.test == []
+
+
+def test_without_training_scans_nothing_is_learned(own):
+    shutil.rmtree(own / "training" / "scans")
+    with pytest.raises(FileError, match="training/scans: got no such folder; .*--no-learn"):
+        read_faust(own)
+    found = read_faust(own, learn=False)
+    assert found.training == [] and found.truth is None and len(found.test) == 4 and "only the challenge's" in found.notes[0]
+
+
+def test_the_lists_may_stand_beside_training_and_test(own):
+    (own / "test" / "challenge_pairs").rename(own / "challenge_pairs")
+    (own / "challenge_pairs" / "intra_challenge.txt").rename(own / "challenge_pairs" / "FAUST_challenge_intra.txt")
+    assert read_faust(own).challenges == {"intra": [(0, 1), (2, 0)], "inter": [(0, 3)]}
+
+
+def test_what_is_broken_is_named(own, tmp_path, body):
+    with pytest.raises(FileError, match="no such folder; expected the folder MPI-FAUST"):
+        read_faust(tmp_path / "none")
+    with pytest.raises(FileError, match="without training or test"):
+        read_faust(own / "training")
+    lists = own / "test" / "challenge_pairs" / "inter_challenge.txt"
+    lists.write_text("000_020\n\n1-2\n")
+    with pytest.raises(FileError, match="'1-2' in line 3"):
+        read_faust(own)
+    lists.write_text("000_020\n")
+    (own / "training" / "ground_truth_vertices" / "tr_gt_000.txt").write_text("1\n2\n")
+    with pytest.raises(FileError, match="tr_gt_000.txt: got 2 words"):
+        read_faust(own)
+    (own / "training" / "ground_truth_vertices" / "tr_gt_000.txt").unlink()
+    assert read_faust(own).truth.reliable[0] is None
+    write_mesh_ply(own / "training" / "registrations" / "tr_reg_010.ply", body.vertices, body.faces[:-3])
+    with pytest.raises(FileError, match="tr_reg_010.ply: .* registrations of FAUST of one mesh"):
+        read_faust(own)
+    shutil.rmtree(own / "training" / "registrations")
+    shutil.rmtree(own / "test")
+    with pytest.raises(FileError, match="neither registrations of training scans nor pairs of test scans"):
+        read_faust(own)
+
+
+# ---- the command ----
+
+
+def _command(folder, out, *more):
+    return ("bench", "faust", folder, "-o", out, "--rig", "body-coarse", "--samples", 300, "--pictures", 1, *more)
+
+
+def test_exact_fits_have_no_error_and_write_what_the_challenge_asks_for(made, truth, tmp_path, run, monkeypatch):
+    fits_are_given(monkeypatch, truth)
+    code, out, err = run(*_command(made, tmp_path, "--no-learn"))
+    assert (code, err) == (0, "") and "5 training scans of 2 subjects, 4 test scans" in out
+    report = json.loads((tmp_path / "results.json").read_text())
+    assert report["benchmark"] == "faust" and report["unit"] == "m" and len(report["scans"]) == 9
+    for kind, pairs in (("intra", 8), ("inter", 12)):
+        assert report["figures"][kind]["pairs"] == pairs and report["figures"][kind]["before"]["p95"] < 1e-9
+    assert {e["points"] for e in report["pairs"]} == {900 - UNRELIABLE}
+    for name, inter, intra in PAPER:
+        row = next(line for line in out.splitlines() if line.startswith(name))
+        assert f"{inter:g}" in row and f"{'–' if intra is None else intra}" in row
+    assert "4.08" in out and "2.161" in out and "0.00" in out and "another set" in out
+    a, b = "test_scan_000", "test_scan_020"
+    found = np.loadtxt(tmp_path / "challenge-inter" / "000_020.txt")
+    faces = lbs.load_rig("body-coarse").faces
+    expected = lbs.transfer(_points(made, a), truth[a], truth[b], faces, snap_to=_points(made, b))
+    np.testing.assert_allclose(found, expected, atol=6e-7)
+    assert sorted(p.name for p in (tmp_path / "challenge-intra").iterdir()) == ["000_001.txt", "019_000.txt"]
+    with zipfile.ZipFile(tmp_path / "challenge-intra.zip") as archive:
+        assert sorted(archive.namelist()) == ["000_001.txt", "019_000.txt"]
+        first = archive.read("019_000.txt").decode().splitlines()
+    assert len(first) == 900 and len(first[0].split()) == 3
+    assert report["challenge"]["inter"] == {"written": 1, "missing": 0, "archive": "challenge-inter.zip"}
+
+
+def test_a_shift_of_the_fits_is_the_error(made, truth, tmp_path, run, monkeypatch):
+    """All onto one scan whose registration is off by 2 cm."""
+    fits_are_given(monkeypatch, truth | {"tr_scan_001": truth["tr_scan_001"] + [0.0, 0.02, 0.0]})
+    _, out, _ = run(*_command(made, tmp_path, "--no-learn"))
+    report = json.loads((tmp_path / "results.json").read_text())
+    row = next(line for line in out.splitlines() if line.startswith("lbsfit, before the snap")).split()
+    figures = [report["figures"][kind]["before"][key] for kind in ("inter", "intra") for key in ("mean", "median", "p90", "p95")]
+    assert row[-8:] == [f"{100 * value:.2f}" for value in figures]
+    onto = [e["before"]["mean"] for e in report["pairs"] if e["b"] == "tr_scan_001"]
+    assert onto == pytest.approx([0.02] * 4)
+
+
+def test_a_scan_without_a_fit_is_missing_everywhere(made, truth, tmp_path, run, monkeypatch):
+    fits_are_given(monkeypatch, truth | {name: ValueError("bad") for name in ("tr_scan_001", "test_scan_019")})
+    code, out, _ = run(*_command(made, tmp_path, "--no-learn", "--markdown"))
+    assert code == 1 and "failed: tr_scan_001: ValueError: bad" in out and "failed: test_scan_019" in out
+    assert "1 files in challenge-intra, 1 pairs missing" in out and "| method | scans |" in out
+    report = json.loads((tmp_path / "results.json").read_text())
+    assert (report["figures"]["intra"]["pairs"], report["figures"]["intra"]["missing"]) == (4, 4)
+    assert not (tmp_path / "challenge-intra.zip").exists() and (tmp_path / "challenge-inter.zip").exists()
+
+
+def test_a_challenge_of_which_scans_are_left_out_has_no_archive(made, truth, tmp_path, run, monkeypatch):
+    fits_are_given(monkeypatch, truth)
+    code, out, _ = run(*_command(made, tmp_path, "--no-learn", "--scans", 2))
+    assert code == 0 and "1 files in challenge-intra; no archive" in out and "to submit: challenge-inter.zip" in out
+    assert not (tmp_path / "challenge-intra.zip").exists() and "1 of 2 intra-subject pairs" in out
+
+
+def test_without_registrations_the_challenge_is_written_all_the_same(own, truth, tmp_path, run, monkeypatch):
+    shutil.rmtree(own / "training" / "registrations")
+    fits_are_given(monkeypatch, truth)
+    code, out, _ = run(*_command(own, tmp_path / "out", "--no-learn"))
+    assert code == 0 and "note: " in out and "errors cannot be measured" in out and "lbsfit, before" not in out and "FMNet" in out
+    assert (tmp_path / "out" / "challenge-intra.zip").exists()
+
+
+def test_a_run_that_learns_from_the_training_scans(made, tmp_path, run):
+    quick = ("--scans", 1, "--held-out", 0, "--training-scans", 20, "--effort", "fast", "--rounds", 1, "--points", 100)
+    code, out, err = run(*_command(made, tmp_path, *quick))
+    assert code in (0, 1), err  # so little training may end in a fit that says it failed
+    model = lbs.LBSFitter.load(tmp_path / "model.npz")
+    assert set(model.template_) == {"0", "1"}
+    assert len(list((tmp_path / "fits").glob("*.npz"))) == 4 and "learned together" in out
+    assert sorted(p.name for p in (tmp_path / "challenge-inter").iterdir()) == ["000_020.txt"]
+    assert (tmp_path / "gallery.png").exists() and "no archive" in out
+
+
+def test_bad_usage(made, tmp_path, run):
+    code, _, err = run("bench", "faust", made)
+    assert code == 2 and "-o/--output: got nothing" in one_line(err)
+    code, _, err = run("bench", "faust", tmp_path, "-o", tmp_path / "out")
+    assert code == 2 and "without training or test" in one_line(err) and not (tmp_path / "out").exists()
+    code, _, err = run("bench", "faust", made, "-o", tmp_path / "out", "--rig", "none.npz")
+    assert code == 2 and "none.npz" in one_line(err) and not (tmp_path / "out").exists()
+
+
+def test_the_table_without_pairs_of_a_kind():
+    nothing = {"pairs": 0, "missing": 3, "before": dict.fromkeys(("mean", "median", "p90", "p95"))}
+    nothing["after"] = nothing["before"]
+    text = faust_table({"figures": {"intra": nothing, "inter": nothing}, "settings": {"learn": True}})
+    assert "0 intra pairs (3 missing)" in text

@@ -1,0 +1,163 @@
+"""The table of ``lbsfit bench pairs --truth``: its forms, what it takes for what, and what is wrong with it."""
+
+import numpy as np
+import pytest
+from registered_sets import posed_meshes, write_meshes
+
+from lbsfit_np.bench.truth import Landmarks, Registrations, VertexOrder
+from lbsfit_np.bench.truth_file import read_truth
+from lbsfit_np.errors import FileError, InputError
+
+
+@pytest.fixture(scope="module")
+def meshes(tube_rig):
+    return posed_meshes(tube_rig, 3)
+
+
+@pytest.fixture
+def folder(tube_rig, meshes, tmp_path):
+    return write_meshes(tmp_path / "scans", tube_rig, meshes)
+
+
+def _read(folder, text, **options):
+    (folder.parent / "truth.csv").write_text(text, encoding="utf-8")
+    return read_truth(folder.parent / "truth.csv", folder, **options)
+
+
+def _asked(truth, i, points, most=10**6):
+    return truth.asked(i, points, most, np.random.default_rng(0))
+
+
+def test_scans_and_subjects_alone_mean_the_vertex_order(folder, meshes):
+    scans, truth, notes = _read(folder, "scan,subject\ns0,ann\ns2.ply,bob\n")
+    assert [(s.name, s.path, s.subject) for s in scans] == [("s0", folder / "s0.ply", "ann"), ("s2", folder / "s2.ply", "bob")]
+    assert truth == VertexOrder(meshes.shape[1])
+    assert notes == [f"1 of 3 scan files in {folder} are not in truth.csv and are left out"]
+    asked = _asked(truth, 0, meshes[0], 20)
+    rows, true = truth.true(asked, 1, meshes[2])
+    assert len(rows) == 20 == len(set(asked.keys.tolist()))
+    np.testing.assert_array_equal(asked.points, meshes[0][asked.keys])
+    np.testing.assert_array_equal(true, meshes[2][asked.keys])
+    with pytest.raises(InputError, match="242 and 7 vertices"):
+        truth.check(1, meshes[0][:7])
+
+
+def test_places_by_vertices(folder, meshes):
+    text = "Scan;Subject;Name;Vertex\ns0;ann;tip;5\ns0;ann;end;7\n\n# a comment\ns1;ann;end;9\ns1;ann;other;1\ns2;ann;none;0\n"
+    _, truth, _ = _read(folder, text)
+    assert isinstance(truth, Landmarks) and truth.places == ({"tip": 5, "end": 7}, {"end": 9, "other": 1}, {"none": 0})
+    assert truth.linked(0, 1) and not truth.linked(0, 2)
+    rows, true = truth.true(_asked(truth, 0, meshes[0]), 1, meshes[1])
+    np.testing.assert_array_equal(rows, [1])
+    np.testing.assert_array_equal(true, meshes[1][[9]])
+    np.testing.assert_array_equal(_asked(truth, 0, meshes[0]).points, meshes[0][[5, 7]])
+    assert len(_asked(truth, 0, meshes[0], 1).points) == 1
+    truth.check(0, meshes[0])
+    with pytest.raises(InputError, match="vertex 7 for 'end' in line 3; expected .* 0 to 5.*count from 0"):
+        truth.check(0, meshes[0][:6])
+
+
+def test_places_by_coordinates_and_another_column_of_subjects(folder, meshes):
+    text = "scan,person,name,x,y,z,remark\ns0,ann,tip,1,2,3,good\ns1,bob,tip,4,5,6e-1,\n"
+    scans, truth, _ = _read(folder, text, subject_column="Person")
+    assert [s.subject for s in scans] == ["ann", "bob"]
+    _, true = truth.true(_asked(truth, 0, meshes[0]), 1, meshes[1])
+    np.testing.assert_array_equal(true, [[4, 5, 0.6]])
+
+
+def test_registrations(folder, tube_rig, meshes):
+    """A place between vertices of one registration is the same place of the other."""
+    write_meshes(folder.parent / "reg", tube_rig, meshes + 0.01, "r{}.ply")
+    _, truth, _ = _read(folder, "scan,subject,registration\ns0,a,reg/r0.ply\ns1,a,reg/r1.ply\n")
+    assert isinstance(truth, Registrations)
+    middle = meshes[:2, tube_rig.faces[:6]].mean(axis=2) + 0.01
+    _, true = truth.true(_asked(truth, 0, middle[0]), 1, meshes[1])
+    np.testing.assert_allclose(true, middle[1], atol=1e-9)
+
+
+def test_only_reliable_points_are_asked_for(tube_rig, meshes):
+    flags = np.zeros(242, dtype=bool)
+    flags[[3, 9]] = True
+    truth = Registrations((meshes[0], meshes[1], None), tube_rig.faces, (flags, flags, None))
+    np.testing.assert_array_equal(_asked(truth, 0, meshes[0]).points, meshes[0][[3, 9]])
+    assert truth.linked(0, 1) and not truth.linked(0, 2)
+    with pytest.raises(InputError, match="242 flags"):
+        truth.check(0, meshes[0][:7])
+    with pytest.raises(InputError, match="no reliable point"):
+        Registrations(truth.vertices, tube_rig.faces, (flags & False, None, None)).check(0, meshes[0])
+
+
+def test_files_in_subfolders_and_the_table_among_them(folder, meshes, tube_rig):
+    write_meshes(folder / "more", tube_rig, meshes)
+    (folder / "truth.csv").write_text("scan,subject\nmore/s0,a\ns0.ply,b\nmore/s1.ply,a\n")
+    scans, _, notes = read_truth(folder / "truth.csv", folder)
+    assert [s.name for s in scans] == ["more-s0", "s0", "more-s1"]
+    assert "3 of 6 scan files" in notes[0]
+
+
+def test_without_subjects_all_are_one(folder):
+    scans, _, notes = _read(folder, "scan\ns0\ns1\ns2\n")
+    assert {s.subject for s in scans} == {"0"}
+    assert notes == ["truth.csv has no column subject: all scans are taken to be of one subject"]
+
+
+@pytest.mark.parametrize(
+    "text, words",
+    [
+        ("", ["0 lines", "heading"]),
+        ("scan,subject\n", ["1 lines"]),
+        ("scan,subject\ns0,a\n", ["1 scan", "two scans"]),
+        ("scan,subject,vertx\ns0,a,5\n", ["scan, subject, vertx", "name and vertex"]),
+        ("scan,subject,name\ns0,a,b\n", ["name and vertex, or name, x, y and z"]),
+        ("scan,subject,name,vertex,x,y,z\ns0,a,t,1,1,1,1\n", ["scan, subject, name, vertex"]),
+        ("file,subject\ns0,a\n", ["file, subject"]),
+        ("scan,scan\ns0,a\n", ["scan, scan", "different"]),
+        ("scan,subject\ns0,a\ns1\n", ["1 columns in line 3", "2, as in the heading"]),
+        ("scan,subject\ns0,a\ns1,\n", ["no subject in line 3"]),
+        ("scan,subject\ns0,a\ns0,a\n", ["'s0' once more in line 3"]),
+        ("scan,subject\ns0,a\nx1,a\n", ["'x1' in line 3", "no scan file"]),
+        ("scan,subject\ns0,a\ns1.pyl,a\n", ["'s1.pyl'", "Did you mean 's1.ply'?"]),
+        ("scan,subject,name,vertex\ns0,a,t,1\ns0,b,u,2\n", ["'b' in line 3", "'a' above"]),
+        ("scan,subject,name,vertex\ns0,a,t,1\ns0,a,t,2\ns1,a,t,1\n", ["'t' of s0.ply twice, in lines 2 and 3"]),
+        ("scan,subject,name,vertex\ns0,a,t,-1\ns1,a,t,1\n", ["'-1' in line 2"]),
+        ("scan,subject,name,vertex\ns0,a,,1\ns1,a,t,1\n", ["no name in line 2"]),
+        ("scan,subject,name,x,y,z\ns0,a,t,1,2,nan\ns1,a,t,1,1,1\n", ["1, 2, nan in line 2", "finite"]),
+        ("scan,subject,registration\ns0,a,\ns1,a,x.ply\n", ["no registration in line 2"]),
+        ("scan,subject,registration\ns0,a,no.ply\ns1,a,x.ply\n", ["no.ply", "no such file"]),
+        ('scan,subject\n"s0,a\ns1,a\n', ["line 2", "cannot be read"]),
+    ],
+)
+def test_bad_tables_are_named(folder, text, words):
+    with pytest.raises(FileError) as error:
+        _read(folder, text)
+    for word in words:
+        assert word in str(error.value)
+
+
+def test_other_things_that_are_wrong(folder, tube_rig, meshes, tmp_path):
+    with pytest.raises(FileError, match="no such file"):
+        read_truth(tmp_path / "none.csv", folder)
+    (tmp_path / "bytes.csv").write_bytes(b"scan\n\xff\xfe")
+    with pytest.raises(FileError, match="UTF-8"):
+        read_truth(tmp_path / "bytes.csv", folder)
+    with pytest.raises(FileError, match="no such folder"):
+        read_truth(tmp_path / "bytes.csv", tmp_path / "none")
+    with pytest.raises(FileError, match="a column 'person'"):
+        _read(folder, "scan,subject\ns0,a\ns1,a\n", subject_column="person")
+    write_meshes(tmp_path / "scans" / "b", tube_rig, meshes[:1], "t{}.ply")
+    write_meshes(tmp_path / "scans" / "c", tube_rig, meshes[:1], "t{}.ply")
+    with pytest.raises(FileError, match="'t0' in line 2, which may be b/t0.ply, c/t0.ply"):
+        _read(folder, "scan,subject\nt0,a\ns1,a\n")
+    np.savetxt(folder / "s0.xyz", meshes[0])
+    with pytest.raises(FileError, match="one name"):
+        _read(folder, "scan,subject\ns0.ply,a\ns0.xyz,a\n")
+    with pytest.raises(FileError, match="points without faces"):
+        _read(folder, "scan,subject,registration\ns0.ply,a,scans/s0.xyz\ns1,a,scans/s1.ply\n")
+
+
+def test_registrations_are_of_one_mesh(folder, tube_rig, meshes):
+    from lbsfit_np.io.write import write_mesh_ply
+
+    write_mesh_ply(folder / "s2.ply", meshes[2], tube_rig.faces[:-1])
+    with pytest.raises(FileError, match="479 triangles that are not those of .*s0.ply|not those of"):
+        _read(folder, "scan,subject,registration\ns0,a,scans/s0.ply\ns1,a,scans/s2.ply\n")

@@ -1,0 +1,105 @@
+"""Places on a surface against all of its triangles, and the transfer of points by registrations whose truth is known."""
+
+import numpy as np
+import pytest
+from posed_samples import state_within
+
+import lbsfit_np as lbs
+from lbsfit_np.correspondence import surface_places
+from lbsfit_np.errors import InputError
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.synthesis import sample_surface
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+# A fan whose long triangles reach far beyond the vertices that are near a point: the closest one touches none of these.
+LONG = np.array([[0.0, 0, 0], [10, 0, 0], [10, 0.1, 0], [5, 0.05, 0.3], [5, 0.05, 0.31], [5.01, 0.05, 0.3], [5, 0.06, 0.3]])
+LONG_FACES = np.array([[0, 1, 2], [3, 4, 5], [3, 5, 6], [3, 6, 4]])
+
+
+def _distances(x, vertices, faces):
+    """From each point to all triangles, by trimesh."""
+    from trimesh.triangles import closest_point
+
+    triangles = vertices[faces]
+    return np.array([np.linalg.norm(closest_point(triangles, np.tile(p, (len(faces), 1))) - p, axis=1).min() for p in x])
+
+
+@pytest.fixture(scope="module")
+def poses(tube_rig):
+    """The same rig in two poses."""
+    model = Model(tube_rig)
+    return [model.pose(state_within(model, seed))[0].vertices for seed in (4, 5)]
+
+
+@pytest.mark.parametrize("mesh", ["tube", "long"])
+def test_places_are_the_closest_of_all_triangles(tube_rig, poses, mesh):
+    V, faces = (poses[0], tube_rig.faces) if mesh == "tube" else (LONG, LONG_FACES)
+    rng = np.random.default_rng(0)
+    on_skin = sample_surface(V, faces, 60, rng)[0]
+    anywhere = rng.uniform(V.min(axis=0) - 0.5, V.max(axis=0) + 0.5, (60, 3))
+    x = np.vstack([on_skin, on_skin + 0.02 * rng.standard_normal((60, 3)), anywhere, V, [[5.2, 0.05, 0.1]]])
+    corners, barycentric = surface_places(x, V, faces)
+    places = np.einsum("nk,nka->na", barycentric, V[corners])
+    np.testing.assert_allclose(np.linalg.norm(x - places, axis=1), _distances(x, V, faces), atol=1e-9)
+    assert (barycentric > -1e-12).all() and np.allclose(barycentric.sum(axis=1), 1)
+    rows = {tuple(sorted(f)) for f in faces.tolist()}
+    assert all(tuple(sorted(c)) in rows for c in corners.tolist())
+
+
+def test_many_points_are_done_in_pieces(tube_rig, poses, monkeypatch):
+    x = sample_surface(poses[0], tube_rig.faces, 100, np.random.default_rng(0))[0]
+    whole = surface_places(x, poses[0], tube_rig.faces)
+    monkeypatch.setattr("lbsfit_np.correspondence._CHUNK", 7)
+    for a, b in zip(whole, surface_places(x, poses[0], tube_rig.faces), strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_a_point_goes_to_the_same_place_of_the_other_registration(tube_rig, poses):
+    """Points on A's surface whose places on B's are known."""
+    on_a, triangle, weight = sample_surface(poses[0], tube_rig.faces, 200, np.random.default_rng(1))
+    expected = np.einsum("nk,nka->na", weight, poses[1][tube_rig.faces[triangle]])
+    np.testing.assert_allclose(lbs.transfer(on_a, *poses, tube_rig.faces), expected, atol=1e-9)
+
+
+def test_a_registration_that_is_shifted_gives_places_that_are(tube_rig, poses):
+    at = lbs.transfer(poses[0], poses[0], poses[1] + [0.3, 0, 0], tube_rig.faces)
+    np.testing.assert_allclose(at, poses[1] + [0.3, 0, 0], atol=1e-12)
+
+
+def test_the_snap_takes_the_nearest_point(tube_rig, poses):
+    targets = lbs.Scan(np.array([[0.0, 0, 0], [9, 9, 9], [0, 1, 0]]))
+    found = lbs.transfer(poses[0], *poses, tube_rig.faces, snap_to=targets)
+    nearest = np.linalg.norm(poses[1][:, None] - targets.points, axis=2).argmin(axis=1)
+    np.testing.assert_array_equal(found, targets.points[nearest])
+    np.testing.assert_array_equal(found, lbs.transfer(poses[0], *poses, tube_rig.faces, snap_to=targets.points))
+
+
+def test_one_point_and_none(tube_rig, poses):
+    one = lbs.transfer(poses[0][:1], *poses, tube_rig.faces)
+    np.testing.assert_allclose(one, poses[1][:1], atol=1e-12)
+    assert lbs.transfer(np.empty((0, 3)), *poses, tube_rig.faces).shape == (0, 3)
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"points": np.zeros((4, 2))}, ["points: got an array of shape (4, 2)", "shape (n, 3)"]),
+        ({"points": np.full((1, 3), np.nan)}, ["points", "NaN"]),
+        ({"points": [[0, 0, 0], [1]]}, ["points", "different lengths"]),
+        ({"registration_a": np.zeros(3)}, ["registration_a", "(3,)"]),
+        ({"registration_b": np.zeros((5, 3))}, ["registration_b: got shape (5, 3)"]),
+        ({"faces": np.zeros((0, 3), int)}, ["faces", "one triangle at least", "rig.faces"]),
+        ({"faces": np.zeros((2, 3))}, ["faces", "float64", "whole numbers"]),
+        ({"faces": [[0, 1, 242]]}, ["faces", "0 to 242", "0 to 241"]),
+        ({"faces": [[0, -1, 2]]}, ["faces", "-1 to 2"]),
+        ({"snap_to": np.zeros((0, 3))}, ["snap_to", "without points"]),
+        ({"snap_to": np.zeros((5, 4))}, ["snap_to", "(5, 4)"]),
+    ],
+)
+def test_bad_arguments_are_named(tube_rig, poses, change, words):
+    given = {"points": poses[0], "registration_a": poses[0], "registration_b": poses[1], "faces": tube_rig.faces} | change
+    with pytest.raises(InputError) as error:
+        lbs.transfer(**given)
+    for word in words:
+        assert word in str(error.value)

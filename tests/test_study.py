@@ -1,0 +1,242 @@
+"""The paper's study: its scans, its measures, rows that are cheap, its page, and that a run goes on where it stopped."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbsfit_np.bench.study import rows as rows_module
+from lbsfit_np.bench.study.data import SIZES, Size, part_groups, sized, study_set
+from lbsfit_np.bench.study.free_form import FromTemplate, taught
+from lbsfit_np.bench.study.measures import Registrations, Truth, measured, template_gap
+from lbsfit_np.bench.study.oracle import OracleFit
+from lbsfit_np.bench.study.page import GOALS, PAPER, console_table, page
+from lbsfit_np.bench.study.rows import ROWS, Found
+from lbsfit_np.bench.study.run import cell_name, study
+from lbsfit_np.cli import main as run
+from lbsfit_np.errors import InputError
+from lbsfit_np.io.rigs import load_rig
+
+TINY = Size(4, 3, 2, 1, 6, 50, 1)
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig("hand-coarse")
+
+
+@pytest.fixture(scope="module")
+def given(rig):
+    return study_set(rig, TINY, 300)
+
+
+# ---- scans ----
+
+
+def test_training_and_test_share_neither_poses_nor_people(rig, given):
+    names = set(given.rig.poses)
+    assert 0.6 * len(rig.poses) < len(names) < len(rig.poses)  # the rest is for the test
+    templates = {s.template.tobytes() for s in given.train} & {s.template.tobytes() for s in given.test}
+    assert not templates and len({s.template.tobytes() for s in given.train}) == TINY.train_subjects
+    body = study_set(load_rig("body-coarse"), replace(TINY, train=1, test=1), 300).rig.poses
+    assert all(name.removesuffix(" (mirrored)") in body for name in body)  # a pose and its mirror image are never apart
+
+
+def test_scans_are_a_function_of_seed_and_number(rig, given):
+    again, more = study_set(rig, TINY, 300), study_set(rig, TINY, 300, times=3)
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(given.train + given.test, again.train + again.test))
+    assert len(more.train) == 12 and more.train_subjects[:4] == given.train_subjects and len(set(more.train_subjects)) == 6
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(given.train, more.train))
+    assert not np.array_equal(study_set(rig, TINY, 301).train[0].points[:9], given.train[0].points[:9])
+    # Missing areas in every scan.
+    assert len(given.train[0].points) <= 2500 and np.abs(given.train[0].points).max() < 3 * rig.size
+
+
+def test_sizes_are_the_papers(rig):
+    assert (sized(rig, "paper").train, sized(rig, "paper").test) == (1500, 300)
+    body = sized(load_rig("body-coarse"), "paper")
+    assert (body.train, body.test, body.pairs) == (23000, 2300, 4000)
+    assert sized(rig, "small") == SIZES["small"]
+    with pytest.raises(InputError, match="'huge'.*small, medium, paper"):
+        sized(rig, "huge")
+
+
+def test_groups_of_parts_are_fingers_and_limbs(rig):
+    groups = part_groups(rig)
+    named = {}
+    for part, group in zip(rig.parts, groups):
+        named.setdefault(group, []).append(part)
+    assert len(named) == 6 and sorted(map(len, named.values())) == [1, 3, 3, 3, 3, 3]
+    assert any(all("index" in part for part in parts) for parts in named.values())
+
+
+# ---- measures ----
+
+
+def test_the_truth_has_no_errors(rig, given):
+    truth = Truth(given.rig, given.test, 6, 0)
+    found = measured(truth, Registrations(*(np.array([getattr(s, n) for s in given.test]) for n in ("vertices", "joints"))))
+    assert found["pose"] == found["vertices"] == found["unfitted"] == 0
+    assert found["recon"] == pytest.approx(found["recon_truth"]) and found["recon"] > 0
+    assert found["corre"]["mean"] < 1e-12 and 0 < found["corre_snapped"]["mean"] < 0.05
+    assert found["corre_snapped"]["p50"] <= found["corre_snapped"]["p90"] <= found["corre_snapped"]["p95"]
+
+
+def test_errors_are_in_half_sizes_and_of_the_right_pairs(rig, given):
+    truth = Truth(given.rig, given.test, 6, 0)
+    assert sorted(map(tuple, truth.pairs)) == [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
+    shift = np.array([0.0, 0.0, 0.1 * given.half])
+    vertices = np.array([s.vertices + (i == 2) * shift for i, s in enumerate(given.test)])
+    joints = np.array([s.joints + (i == 2) * shift for i, s in enumerate(given.test)])
+    found = measured(truth, Registrations(vertices, joints))
+    assert found["pose"] == pytest.approx(0.1 / 3) and found["vertices"] == pytest.approx(0.1 / 3)
+    # Carried to the shifted one: off by the shift. From it, to the others: its points find other places of the surface.
+    assert 0.1 / 3 < found["corre"]["mean"] < 0.1
+    lost = measured(truth, Registrations(np.where(np.arange(3)[:, None, None] == 2, np.nan, vertices), joints))
+    assert lost["unfitted"] == 1 and lost["corre"]["mean"] < 1e-12
+    assert measured(truth, Registrations(np.full_like(vertices, np.nan), joints)) == {"unfitted": 3}
+
+
+def test_template_gaps(rig):
+    half, U = rig.size / 2, rig.vertices
+    found = template_gap(rig, [U + [0, 0, 0.2 * half]], [U + [0, 0, 0.3 * half]])
+    assert found["before"] == pytest.approx(0.3) and found["after"] == pytest.approx(0.1)
+    assert found["before, up to a shift"] == pytest.approx(0, abs=1e-12) == found["after, up to a shift"]
+
+
+# ---- rows ----
+
+
+def test_the_oracle_fit_comes_nearest_to_the_truth(given):
+    scan = given.test[0]
+    result = OracleFit(given.rig)(scan)
+    off = np.linalg.norm(result.joints - scan.joints, axis=1)[given.rig.moving].mean()
+    assert off < 0.03 * given.half
+    assert np.linalg.norm(result.vertices - scan.vertices, axis=1).mean() < 0.03 * given.half
+
+
+def test_the_objective_of_the_oracle_has_the_gradient_that_it_says(given):
+    from lbsfit_np.bench.study import oracle
+    from lbsfit_np.correspondence import surface_places
+    from lbsfit_np.optimize.model import Model
+
+    model, scan, rng = Model(given.rig), given.test[1], np.random.default_rng(0)
+    places = surface_places(scan.points, scan.vertices, given.rig.faces)
+    known = oracle._Known(model, scan.points / given.half, *places, oracle.OracleFit(given.rig).settings.weights)
+    state = model.rest().replace(coefficients=0.05 * rng.standard_normal(model.n_coefficients))
+    state = state.replace(residual=0.01 * rng.standard_normal(model.rig.vertices.shape))
+    state = state.replace(theta=state.theta + 0.1 * rng.standard_normal(state.theta.shape), scale=1.1)
+    e, h = known.evaluate(state), 1e-6
+    for name in ("theta", "translation", "coefficients", "residual"):
+        value, gradient = getattr(state, name), getattr(e, name)
+        way = rng.standard_normal(value.shape)
+        ends = [known.evaluate(state.replace(**{name: value + s * h * way})).value for s in (1, -1)]
+        assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(float((gradient * way).sum()), rel=1e-5), name
+    ends = [known.evaluate(state.replace(scale=1.1 + s * h)).value for s in (1, -1)]
+    assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(e.scale, rel=1e-5)
+
+
+def test_free_form_explains_the_scan_and_the_taught_one_starts_near_the_truth(given):
+    scan = given.train[1]
+    vertices, joints = FromTemplate(given.rig)(scan.points)
+    from lbsfit_np.bench.measure import recon
+
+    assert recon(scan.points, vertices) < 2.5 * recon(scan.points, scan.vertices)
+    assert vertices.shape == scan.vertices.shape and joints.shape == scan.joints.shape
+    learned, _ = taught(given.rig, given.train, 0)(scan.points)  # one that it was taught with
+    off = [np.linalg.norm(V - scan.vertices, axis=1).mean() for V in (learned, vertices)]
+    assert off[0] < 0.5 * off[1]
+
+
+# ---- runs ----
+
+
+def _true(c):
+    """A row that finds the truth, and nothing for the last scan."""
+    vertices, joints = (np.array([getattr(s, name) for s in c.given.test]) for name in ("vertices", "joints"))
+    vertices[-1] = np.nan
+    c.progress(0.5)
+    return Found(Registrations(vertices, joints), accuracy=[0.5, c.accuracy(c.fitter.segmenter_)], labels=[np.zeros(3, int)])
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Rows that are quick, and a size that is tiny."""
+    made = []
+
+    def counted(c):
+        made.append(c.seed)
+        return _true(c)
+
+    quick_rows = {name: replace(row, find=counted) for name, row in ROWS.items()}
+    monkeypatch.setattr("lbsfit_np.bench.study.run.ROWS", quick_rows)
+    monkeypatch.setitem(SIZES, "small", TINY)
+    return made
+
+
+def test_a_run_measures_writes_and_goes_on(rig, quick):
+    kept, shares = {}, []
+    arguments = {"size": "small", "rows": ("joint", "cd"), "seeds": [1]}
+    report = study(
+        {"h": rig},
+        **arguments,
+        progress=lambda *a: shares.append(a),
+        on_cell=lambda report, name, seed, row, arrays: kept.update({cell_name(name, seed, row): arrays}),
+    )
+    assert report["complete"] and set(kept) == {"h-1-cd", "h-1-joint"} and ("h", 1, "cd", 0.5) in shares
+    cell = report["rigs"]["h"]["seeds"]["1"]["joint"]
+    assert cell["unfitted"] == 1 and cell["pose"] == 0 and 0.2 < cell["accuracy"][1] <= 1
+    assert kept["h-1-cd"]["vertices"].shape == (3, *rig.vertices.shape)
+    quick.clear()
+    again = study({"h": rig}, before=report, **arguments | {"seeds": [1, 2]})
+    assert quick == [2, 2] and again["rigs"]["h"]["seeds"]["1"] == report["rigs"]["h"]["seeds"]["1"]
+    quick.clear()
+    study({"h": rig}, before=report, kept=lambda cell: cell != "h-1-cd", **arguments)
+    assert quick == [1]
+
+
+def test_reports_of_something_else_are_refused(rig, quick):
+    report = study({"h": rig}, rows=("joint",), seeds=[1])
+    with pytest.raises(InputError, match="size 'small'.*size 'medium'"):
+        study({"h": rig}, size="medium", before=report)
+    with pytest.raises(InputError, match="another rig than 'h'"):
+        study({"h": load_rig("hand-left-coarse")}, before=report)
+    with pytest.raises(InputError, match="results of starts.*results of study"):
+        study({"h": rig}, before={"benchmark": "starts"})
+    with pytest.raises(InputError, match="some of free-form"):
+        study({"h": rig}, rows=("joint", "nothing"))
+
+
+def test_the_command_writes_a_page_and_resumes(quick, tmp_path, capsys):
+    out = tmp_path / "study"
+    command = ["bench", "study", "--rig", "hand-coarse", "--rows", "joint,rand", "--no-figures", "-o", str(out)]
+    assert run(command) == 1  # a scan could not be fitted
+    said = capsys.readouterr().out
+    assert "hand-coarse, seed 300, joint: pose 0.0000" in said and "Pose" in said
+    text = (out / "README.md").read_text()
+    assert "0.0000 [0.035]" in text and "## Where the protocols differ" in text and "![" not in text
+    assert {path.name for path in (out / "cells").iterdir()} == {"hand-coarse-300-joint.npz", "hand-coarse-300-rand.npz"}
+    quick.clear()
+    assert run(command) == 1 and quick == []
+    assert (out / "README.md").read_text() == text
+    assert run([*command, "--size", "medium"]) == 2 and "--existing replace" in capsys.readouterr().err
+    assert run(["bench", "study"]) == 2 and "-o OUT" in capsys.readouterr().err
+
+
+def test_the_page_says_what_is_missed(rig, quick):
+    report = study({"hand": rig}, rows=("joint", "rand"), seeds=[1, 2])
+    for seed, pose in (("1", 0.03), ("2", 0.05)):
+        report["rigs"]["hand"]["seeds"][seed]["joint"]["pose"] = pose
+    text = page(report, {"a.png": "A picture."})
+    assert f"Pose 0.040 (goal ≤ {GOALS['pose']:g}, missed)" in text and "0.0400 (0.0300–0.0500) [0.035]" in text
+    assert "rand 0.0000 < joint 0.0400" in text and "![A picture.](a.png)" in text
+    assert "Recon ÷ truth 1.000 (goal ≤ 1.05)" in text
+    assert console_table(report).count("joint") >= 2
+
+
+def test_rows_know_the_papers():
+    assert set(PAPER["hand"]) < set(ROWS) and set(PAPER["body"]) < set(ROWS)
+    assert all(ROWS[row].paper for known in PAPER.values() for row in known)
+    from lbsfit_np.cli.bench import STUDY_NAMES
+
+    assert STUDY_NAMES == tuple(ROWS) and rows_module.ROWS is ROWS

@@ -1,0 +1,194 @@
+"""The study's figures: what is drawn of which rows, the same bytes for the same inputs, and errors."""
+
+import sys
+from dataclasses import asdict
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lbsfit_np import load_rig
+from lbsfit_np.bench.study import charts, gallery
+from lbsfit_np.bench.study.data import Size, study_set
+from lbsfit_np.bench.study.diagram import diagram
+from lbsfit_np.bench.study.figures import Shown, draw
+from lbsfit_np.bench.study.run import cell_name
+from lbsfit_np.errors import InputError, MissingExtraError
+
+NAME, SEED = "hand-coarse", 300
+TINY = Size(4, 4, 2, 2, 6, 50, 1)
+# How far each row's registrations are from the truth, in half sizes.
+ERRORS = {"free-form": 0.3, "cd": 0.2, "rand": 0.1, "pose-only": 0.05, "joint": 0.02}
+ALWAYS = ["diagram.png", *(f"{kind}-{NAME}.png" for kind in ("triplet", "partitions", "mixture", "local-optimum"))]
+
+
+@pytest.fixture(scope="module")
+def rig():
+    return load_rig(NAME)
+
+
+@pytest.fixture(scope="module")
+def given(rig):
+    return study_set(rig, TINY, SEED)
+
+
+@pytest.fixture(scope="module")
+def report(rig):
+    rows = {row: {"accuracy": []} for row in ERRORS}
+    rows["rand"]["accuracy"], rows["joint"]["accuracy"] = [0.9, 0.91, 0.92], [0.9, 0.94, 0.95, 0.955]
+    entry = {"digest": rig.digest, "size": asdict(TINY), "seeds": {str(SEED): rows}}
+    return {"rigs": {NAME: entry}}
+
+
+@pytest.fixture(scope="module")
+def cells(rig, given):
+    """The true registrations, the i-th scan's shifted by (i + 1) / N of the row's error; one scan that "cd" could not fit."""
+    out = {}
+    share = (np.arange(len(given.test)) + 1)[:, None, None] / len(given.test)
+    for row, error in ERRORS.items():
+        shift = error * rig.size / 2 * share * [1.0, 0.0, 0.0]
+        cell = {
+            "vertices": (np.array([s.vertices for s in given.test]) + shift).astype(np.float32),
+            "joints": (np.array([s.joints for s in given.test]) + shift).astype(np.float32),
+        }
+        if row in ("rand", "pose-only", "joint"):
+            cell["labels"] = np.concatenate([s.labels for s in given.test]).astype(np.int16)
+        out[cell_name(NAME, SEED, row)] = cell
+    for array in out[cell_name(NAME, SEED, "cd")].values():
+        array[1] = np.nan
+    return out
+
+
+@pytest.fixture
+def shown(rig, report, cells):
+    return Shown(NAME, rig, report["rigs"][NAME], cells.get)
+
+
+@pytest.fixture
+def viz():
+    pytest.importorskip("matplotlib", reason="the extra viz is not installed")
+
+
+def test_all_figures_are_drawn_twice_the_same(viz, rig, report, cells, tmp_path):
+    from matplotlib.image import imread
+
+    kinds = ("triplet", "partitions", "mixture", "local-optimum", "accuracy", "ablation", "gallery", "correspondence")
+    captions = draw(report, cells.get, tmp_path / "new" / "one", rigs={NAME: rig})
+    expected = ["diagram.png", *("accuracy.png" if k == "accuracy" else f"{k}-{NAME}.png" for k in kinds)]
+    assert list(captions) == expected
+    assert sorted(p.name for p in (tmp_path / "new" / "one").iterdir()) == sorted(expected)
+    draw(report, cells.get, tmp_path / "two", rigs={NAME: rig})
+    for name, caption in captions.items():
+        data = (tmp_path / "new" / "one" / name).read_bytes()
+        assert data == (tmp_path / "two" / name).read_bytes(), name
+        assert len(data) < 400_000 and b"Software" not in data and b"Date" not in data, name
+        image = imread(tmp_path / "two" / name)
+        assert image.ndim == 3 and max(image.shape) < 1300 and image[..., :3].std() > 0.03, name
+        assert len(caption) > 60 and caption.endswith(".") and "\n" not in caption
+
+
+def test_figures_whose_rows_are_missing_are_left_out(viz, rig, report, cells, tmp_path):
+    assert list(draw(report, lambda cell: None, tmp_path / "none", rigs={NAME: rig})) == [*ALWAYS, "accuracy.png"]
+    rows = report["rigs"][NAME]["seeds"][str(SEED)]
+    partly = {"rigs": {NAME: report["rigs"][NAME] | {"seeds": {str(SEED): {"joint": rows["joint"]}}}}}
+    captions = draw(partly, cells.get, tmp_path / "joint", rigs={NAME: rig})
+    assert list(captions) == [*ALWAYS, f"correspondence-{NAME}.png"]
+    assert list(draw(report, cells.get, tmp_path / "no rig", rigs={})) == ["diagram.png", "accuracy.png"]
+    begun = {"rigs": {NAME: report["rigs"][NAME] | {"seeds": {}}}}
+    assert list(draw(begun, cells.get, tmp_path / "begun", rigs={NAME: rig})) == ["diagram.png"]
+
+
+def test_rigs_without_a_local_optimum_have_no_picture_of_one(viz, tube_rig, tmp_path):
+    shown = Shown("tube", tube_rig, {"size": asdict(TINY), "seeds": {str(SEED): {}}}, lambda cell: None)
+    assert charts.local_optimum(shown, tmp_path / "x.png") is None and not any(tmp_path.iterdir())
+
+
+def test_captions_say_whose_mesh_it_is(viz, shown, rig, report, tmp_path):
+    assert "what the whole loop found" in gallery.triplet(shown, tmp_path / "a.png")
+    bare = Shown(NAME, rig, report["rigs"][NAME], lambda cell: None)
+    assert "the true mesh of the scan" in gallery.triplet(bare, tmp_path / "b.png")
+
+
+def test_the_users_settings_change_nothing(viz, tmp_path):
+    import matplotlib
+
+    diagram(tmp_path / "a.png")
+    with matplotlib.rc_context({"font.size": 31.0, "savefig.dpi": 30, "figure.facecolor": "red"}):
+        diagram(tmp_path / "b.png")
+        assert matplotlib.rcParams["font.size"] == 31.0  # nor are they changed
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_without_matplotlib_the_error_names_the_extra(monkeypatch, rig, report, cells, tmp_path):
+    for name in [m for m in sys.modules if m.split(".")[0] == "matplotlib"]:
+        monkeypatch.delitem(sys.modules, name)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(MissingExtraError, match=r"needs matplotlib, which is not installed; run: .*lbsfit_np\[viz\]"):
+        draw(report, cells.get, tmp_path, rigs={NAME: rig})
+    assert not any(tmp_path.iterdir())
+
+
+# ---- what is shown ----
+
+
+def test_errors_and_the_order_from_worst_to_best(shown):
+    n = len(shown.test)
+    assert shown.errors("joint") == pytest.approx(ERRORS["joint"] * (np.arange(n) + 1) / n, rel=1e-4)
+    assert shown.from_worst_to_best("joint", n) == list(range(n))[::-1]
+    assert shown.from_worst_to_best("joint", 2) == [n - 1, 0]
+    assert np.isnan(shown.errors("cd")[1]) and shown.from_worst_to_best("cd", n) == [3, 2, 0]
+
+
+def test_labels_are_dealt_out_to_their_scans(shown):
+    for said, scan in zip(shown.labels("joint"), shown.test, strict=True):
+        assert np.array_equal(said, scan.labels)
+
+
+def test_arrays_of_other_scans_are_refused(rig, report, cells):
+    name = cell_name(NAME, SEED, "joint")
+    for change, message in (
+        ({"labels": cells[name]["labels"][:-1]}, r"arrays of 'joint': got \d+ labels; expected \d+ labels"),
+        ({"vertices": cells[name]["vertices"][1:]}, r"arrays of 'joint': got vertices of shape \(3, 555, 3\)"),
+    ):
+        other = cells | {name: cells[name] | change}
+        with pytest.raises(InputError, match=message):
+            Shown(NAME, rig, report["rigs"][NAME], other.get).labels("joint")
+    with pytest.raises(InputError, match="arrays of 'cd': got none"):
+        Shown(NAME, rig, report["rigs"][NAME], cells.get).labels("cd")
+
+
+def test_the_test_scans_do_not_depend_on_how_many_training_scans_are_made_again(shown, given, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.bench.study.figures._MOST_TRAINING", 2)
+    assert len(shown.train) == 2
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(shown.test, given.test, strict=True))
+    assert all(np.array_equal(a.pose, b.pose) for a, b in zip(shown.train, given.train))
+
+
+def test_pairs_are_of_different_people(shown):
+    pairs = gallery._pairs(shown)
+    assert len({i for pair in pairs for i in pair}) == 4
+    assert all(shown.test_subjects[a] != shown.test_subjects[b] for a, b in pairs)
+    ranked = {"from_worst_to_best": lambda row, n: [3, 2, 1, 0], "test": shown.test}
+    (pair,) = gallery._pairs(SimpleNamespace(test_subjects=[0, 0, 0, 1], **ranked))
+    assert 3 in pair
+    assert gallery._pairs(SimpleNamespace(test_subjects=[0, 0, 0, 0], **ranked)) == []
+
+
+def test_true_registrations_carry_colours_to_their_places(shown, rig):
+    a, b = shown.test[:2]
+    from lbsfit_np.correspondence import transfer
+
+    there = transfer(b.points, b.vertices, a.vertices, rig.faces)
+    assert gallery._transfer_error(rig, a, b, there) < 1e-9
+    assert gallery._transfer_error(rig, a, b, there + [0.0, 0.0, rig.size / 2]) == pytest.approx(1.0)
+    # Colours: equal for the same place in any pose, different for other places.
+    colors = [gallery._rest_colors(rig, s.vertices, s.vertices) for s in (a, b)]
+    assert np.abs(colors[0] - colors[1]).max() <= 1 and colors[0].min() >= 0 and colors[0].max() <= 255
+    assert np.ptp(colors[0], axis=0).min() > 80
+
+
+def test_the_mixture_shows_two_joints_that_bend(rig):
+    middle = [rig.joint_names.index(name) for name in ("middle1", "middle2")]
+    assert charts._telling_angles(rig) == ((middle[0], 0), (middle[1], 0))
+    body = load_rig("body-coarse")
+    assert [body.joint_names[j].split("_")[1] for j, _ in charts._telling_angles(body)] == ["hip", "knee"]
