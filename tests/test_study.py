@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbsfit_np.bench.measure import recon
 from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study.data import SIZES, Size, part_groups, sized, study_set
 from lbsfit_np.bench.study.free_form import FromTemplate, taught
@@ -139,9 +140,7 @@ def test_the_objective_of_the_oracle_has_the_gradient_that_it_says(given):
 def test_free_form_explains_the_scan_and_the_taught_one_starts_near_the_truth(given):
     scan = given.train[1]
     vertices, joints = FromTemplate(given.rig)(scan.points)
-    from lbsfit_np.bench.measure import recon
-
-    assert recon(scan.points, vertices) < 2.5 * recon(scan.points, scan.vertices)
+    assert recon(scan.points, vertices) < 1.5 * recon(scan.points, scan.vertices)
     assert vertices.shape == scan.vertices.shape and joints.shape == scan.joints.shape
     learned, _ = taught(given.rig, given.train, 0)(scan.points)  # one that it was taught with
     off = [np.linalg.norm(V - scan.vertices, axis=1).mean() for V in (learned, vertices)]
@@ -156,7 +155,8 @@ def _true(c):
     vertices, joints = (np.array([getattr(s, name) for s in c.given.test]) for name in ("vertices", "joints"))
     vertices[-1] = np.nan
     c.progress(0.5)
-    return Found(Registrations(vertices, joints), accuracy=[0.5, c.accuracy(c.fitter.segmenter_)], labels=[np.zeros(3, int)])
+    said = {"labels": [np.zeros(3, int)], "fitted_labels": [s.labels for s in c.given.test[:-1]] + [None]}
+    return Found(Registrations(vertices, joints), accuracy=[0.5, c.accuracy(c.fitter.segmenter_)], **said)
 
 
 @pytest.fixture
@@ -185,7 +185,7 @@ def test_a_run_measures_writes_and_goes_on(rig, quick):
     )
     assert report["complete"] and set(kept) == {"h-1-cd", "h-1-joint"} and ("h", 1, "cd", 0.5) in shares
     cell = report["rigs"]["h"]["seeds"]["1"]["joint"]
-    assert cell["unfitted"] == 1 and cell["pose"] == 0 and 0.2 < cell["accuracy"][1] <= 1
+    assert cell["unfitted"] == 1 and cell["pose"] == 0 and 0.2 < cell["accuracy"][1] <= 1 and cell["fitted_labels"] == 1
     assert kept["h-1-cd"]["vertices"].shape == (3, *rig.vertices.shape)
     quick.clear()
     again = study({"h": rig}, before=report, **arguments | {"seeds": [1, 2]})

@@ -25,7 +25,7 @@ __all__ = ["Augmented", "FromTemplate", "Supervised", "fit_free_form", "taught"]
 # the least joint and vertex errors, on the tuning seed 5.
 _SETTINGS = FitSettings(full_iterations=200, full_tolerance=1e-4, weights=PRESETS["default"].replace(lam_lap=0.01))
 # Synthetic scans that the augmented baseline starts from.
-_STARTS = 6
+_STARTS = 4
 _COMPONENTS, _HIDDEN, _EPOCHS = 64, (256, 128), 300
 
 

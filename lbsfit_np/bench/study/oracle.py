@@ -1,8 +1,9 @@
 """The oracle fit: pose, proportions and offsets where every point's true place on the surface is known. What no fit can better.
 
-    E = mean ‖x_i − V^d_i‖² + λ mean ‖x_i − V_i‖² + λ_lap L_lap,
+    E = mean ‖x_i − V^d_i‖² + λ_lap L_lap + ridge ‖c‖²,
 
-V_i the place of the mesh that point x_i was taken from: the objective of a fit, its nearest neighbours replaced by true partners.
+V^d_i the place of the mesh that point x_i was taken from: the objective of a fit, its nearest neighbours replaced by the true ones.
+The term of the undeformed template is left out: with true partners there is no wrong pose that offsets could hide.
 """
 
 import time
@@ -23,7 +24,7 @@ from ...skinning import skin_adjoint
 
 __all__ = ["OracleFit"]
 
-_RIDGE = 1e-4
+_RIDGE = 3e-5
 _ITERATIONS = 200
 
 
@@ -94,28 +95,19 @@ class _Known:
 
     def evaluate(self, state):
         model, w = self.model, self.weights
-        Vd, V = model.pose(state)
-        value, to_Vd = self._distance(Vd.vertices, 1.0)
-        undeformed, to_V = self._distance(V.vertices, w.lam)
+        Vd, _ = model.pose(state)
+        value, to_Vd = self._distance(Vd.vertices)
         lap, to_offsets = laplacian_offsets(Vd.rest - model.rig.vertices, model.K, squared=w.squared)
-        g, h = skin_adjoint(Vd, to_Vd), skin_adjoint(V, to_V)
+        g = skin_adjoint(Vd, to_Vd)
         coefficients, residual = model.offset_gradients(g, w.lam_lap * to_offsets)
         c = state.coefficients
-        total = value + undeformed + w.lam_lap * lap + _RIDGE * float(c @ c)
-        return Evaluation(
-            total,
-            {},
-            g.theta + h.theta,
-            g.translation + h.translation,
-            g.scale + h.scale,
-            coefficients + 2 * _RIDGE * c,
-            residual,
-        )
+        total = value + w.lam_lap * lap + _RIDGE * float(c @ c)
+        return Evaluation(total, {}, g.theta, g.translation, g.scale, coefficients + 2 * _RIDGE * c, residual)
 
-    def _distance(self, vertices, weight):
-        """weight · mean ‖x − place‖², and its gradient to the vertices."""
+    def _distance(self, vertices):
+        """mean ‖x − place‖², and its gradient to the vertices."""
         r = np.einsum("nk,nka->na", self.barycentric, vertices[self.corners]) - self.X
-        pull = (2 * weight / len(r)) * self.barycentric[:, :, None] * r[:, None]
+        pull = (2.0 / len(r)) * self.barycentric[:, :, None] * r[:, None]
         grad = np.zeros_like(vertices)
         np.add.at(grad, self.corners.ravel(), pull.reshape(-1, 3))
-        return weight * float((r * r).sum()) / len(r), grad
+        return float((r * r).sum()) / len(r), grad

@@ -147,7 +147,9 @@ def _more(report, name):
         if cells:
             first, last = [c["accuracy"][0] for c in cells], [c["accuracy"][-1] for c in cells]
             spread = f"{np.mean(first):.1%} before, {np.mean(last):.1%} after {_rounds(cells)}"
-            lines.append(f"- Labels of the segmenter alone on test scans, chains of joints as parts, {row}: {spread}.")
+            fits = [c["fitted_labels"] for c in cells if c.get("fitted_labels") is not None]
+            more = f"; of its fits {np.mean(fits):.1%}" if fits else ""
+            lines.append(f"- Labels of the segmenter alone on test scans, chains of joints as parts, {row}: {spread}{more}.")
     for row in ("cd", "rand", "pose-only", "joint"):
         cells = [c["gap"] for c in _cells(report, name, row) if c["gap"]]
         for whose in ("subjects", "test scans"):

@@ -44,6 +44,8 @@ class Found:
         Of the training scans, where the paper has that figure, too.
     labels : list of (n,) int arrays or None
         What the row's segmenter alone says of the test scans' points.
+    fitted_labels : list of (n,) int arrays or None
+        What its fits say of them; None each where there is no fit.
     accuracy : list of float
         Of the segmenter on the test scans, before learning and after each round.
     gap : dict
@@ -55,6 +57,7 @@ class Found:
     test: Registrations
     train: Registrations | None = None
     labels: list | None = None
+    fitted_labels: list | None = None
     accuracy: list = field(default_factory=list)
     gap: dict = field(default_factory=dict)
     history: list = field(default_factory=list)
@@ -138,7 +141,7 @@ def _learned(c, variant):
         gap["test scans"] = template_gap(rig, deformed, [s.template for _, s in own])
     train = _of_results(rig, fitter.results_) if variant == "joint" else None
     said = [fitter.segmenter_.predict(s.points) for s in given.test] if labels else None
-    return Found(_of_results(rig, results), train, said, accuracy, gap, fitter.history_)
+    return Found(_of_results(rig, results), train, said, _labels(results), accuracy, gap, fitter.history_)
 
 
 @dataclass(frozen=True)
@@ -186,6 +189,10 @@ def _registered(c, fit, scans=None, start=0.0, end=1.0):
     scans = c.given.test if scans is None else scans
     found = each(fit, [s.points for s in scans], jobs=c.jobs, done=lambda p: c.progress(start + (end - start) * p))
     return Registrations(np.array([V for V, _ in found]), np.array([joints for _, joints in found]))
+
+
+def _labels(results):
+    return [None if r is None else r.labels for r in results]
 
 
 def _of_results(rig, results):

@@ -114,10 +114,13 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
     given = study_set(rig, size, seed)
     groups = part_groups(given.rig)
 
-    def accuracy(segmenter):
+    def right(said):
         """Share of the test scans' points in the right group of parts."""
-        said = [segmenter.predict(s.points) for s in given.test]
-        return float(np.mean([np.mean(groups[found] == groups[s.labels]) for found, s in zip(said, given.test)]))
+        shares = [np.mean(groups[found] == groups[s.labels]) for found, s in zip(said, given.test) if found is not None]
+        return float(np.mean(shares)) if shares else None
+
+    def accuracy(segmenter):
+        return right([segmenter.predict(s.points) for s in given.test])
 
     parameters = {"training_scans": size.training_scans, "n_jobs": jobs, "random_state": TRAINING_SEED}
     fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
@@ -132,6 +135,8 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
         seconds = round(time.perf_counter() - started, 1)
         entry = measured(truth, found.test) | {"seconds": seconds, "accuracy": found.accuracy, "gap": found.gap}
         entry["history"] = found.history
+        if found.fitted_labels is not None:
+            entry["fitted_labels"] = right(found.fitted_labels)
         if found.train is not None:
             train_truth = train_truth or Truth(given.rig, given.train, size.pairs, seed)
             entry["on_training"] = measured(train_truth, found.train)
