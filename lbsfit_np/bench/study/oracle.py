@@ -2,7 +2,7 @@
 
     E = mean ‖x_i − V^d_i‖² + λ_lap L_lap + ridge ‖c‖²,
 
-V^d_i the place of the mesh that point x_i was taken from: the objective of a fit, its nearest neighbours replaced by the true ones.
+V^d_i the place of the mesh that point x_i was taken from: the objective of a fit, nearest neighbours replaced by the true ones.
 The term of the undeformed template is left out: with true partners there is no wrong pose that offsets could hide.
 """
 
