@@ -18,7 +18,7 @@ from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
 
-TINY = Size(4, 3, 2, 1, 6, 50, 1)
+TINY = Size(4, 3, 2, 1, 6, 50, 2, 1)
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from lbsfit_np.bench.study.run import cell_name
 from lbsfit_np.errors import InputError, MissingExtraError
 
 NAME, SEED = "hand-coarse", 300
-TINY = Size(4, 4, 2, 2, 6, 50, 1)
+TINY = Size(4, 4, 2, 2, 6, 50, 2, 1)
 # How far each row's registrations are from the truth, in half sizes.
 ERRORS = {"free-form": 0.3, "cd": 0.2, "rand": 0.1, "pose-only": 0.05, "joint": 0.02}
 ALWAYS = ["diagram.png", *(f"{kind}-{NAME}.png" for kind in ("triplet", "partitions", "mixture", "local-optimum"))]

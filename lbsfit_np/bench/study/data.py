@@ -38,6 +38,8 @@ class Size:
         Of test scans, for correspondences.
     training_scans : int
         Synthetic scans of pretraining.
+    rounds : int
+        Of the loop, at most.
     seeds : int
         How many times all is done.
     """
@@ -48,14 +50,15 @@ class Size:
     test_subjects: int
     pairs: int
     training_scans: int
+    rounds: int
     seeds: int
 
 
 # Of hands; :func:`sized` knows those of bodies.
 SIZES = {
-    "small": Size(10, 6, 2, 2, 30, 500, 1),
-    "medium": Size(60, 30, 3, 5, 400, 4000, 3),
-    "paper": Size(1500, 300, 30, 10, 4000, 4000, 3),
+    "small": Size(10, 6, 2, 2, 30, 500, 2, 1),
+    "medium": Size(60, 30, 3, 5, 400, 4000, 4, 3),
+    "paper": Size(1500, 300, 30, 10, 4000, 4000, 4, 3),
 }
 # Of poses, the share that is near the library's; the paper has 20,000 from motion and 3,000 bent ones.
 NATURAL = {"hand": 0.5, "body": 20 / 23}

@@ -122,7 +122,7 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
     def accuracy(segmenter):
         return right([segmenter.predict(s.points) for s in given.test])
 
-    parameters = {"training_scans": size.training_scans, "n_jobs": jobs, "random_state": TRAINING_SEED}
+    parameters = {"training_scans": size.training_scans, "rounds": size.rounds, "n_jobs": jobs, "random_state": TRAINING_SEED}
     fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
     fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
     truth = Truth(given.rig, given.test, size.pairs, seed)
