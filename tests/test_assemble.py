@@ -9,6 +9,7 @@ from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.assemble import assemble
+from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.losses.objective import PRESETS
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.lbfgs import Outcome
@@ -40,7 +41,7 @@ def rigs(tube_rig):
     return {"tube": tube_rig, "tube with seams": build_rig(seams), "hand": lbs.load_rig("hand-coarse")}
 
 
-def _assembled(rig, model, turn, *, changed, seed=0, **options):
+def _assembled(rig, model, turn, *, changed, seed=0, sigma=0.025, **options):
     """(result, state, frame) of points on the mesh of a random state."""
     rng = np.random.default_rng(seed)
     theta = rig.lower + rng.random(rig.lower.shape) * (rig.upper - rig.lower)
@@ -59,7 +60,7 @@ def _assembled(rig, model, turn, *, changed, seed=0, **options):
         points=frame.outside(X),
         rows=np.arange(len(X)),
         frame=frame,
-        sigma=0.025,
+        sigma=sigma,
         evaluation=problem.evaluate(model, state, PRESETS["default"]),
         evaluations=1,
         note="a note",
@@ -110,6 +111,28 @@ def test_known_labels_are_returned_and_others_are_the_meshs(rigs):
     assert (r.confidence == 1).all() and r.labels is not known
     found, _, _ = _assembled(rig, model, TURNS["any"], changed=False)
     assert (found.labels == rig.vertex_labels).mean() > 0.97  # the points are the vertices
+
+
+def test_labels_reach_as_far_in_every_unit(rigs):
+    """σ is in the normalised frame: so are the distances of the vertices that vote."""
+    rig = rigs["tube"]
+    model = Model(rig)
+    r, state, _ = _assembled(rig, model, TURNS["any"], changed=False, sigma=0.1)
+    V = model.pose(state)[0].vertices
+    labels, confidence = labels_from_mesh(V, V, model.labels, len(rig.parts), 0.1)
+    np.testing.assert_allclose(r.confidence, confidence, atol=1e-9)
+    assert confidence.min() < 0.9 and (r.labels == labels).mean() > 0.99  # but for ties
+
+
+def test_the_segmenters_word_counts_for_labels_and_as_evidence(rigs):
+    rig = rigs["tube"]
+    model = Model(rig)
+    proba = np.eye(4)[(rig.vertex_labels + 1) % 4]  # sure, and wrong everywhere
+    told, _, _ = _assembled(rig, model, TURNS["any"], changed=False, sigma=0.1, proba=proba)
+    alone, _, _ = _assembled(rig, model, TURNS["any"], changed=False, sigma=0.1)
+    assert told.evidence["disagreement"] == 1.0 and alone.evidence["disagreement"] == 0.0
+    at_borders = (told.labels != alone.labels).mean()
+    assert 0.02 < at_borders < 0.5  # elsewhere no vertex has what it says
 
 
 def test_a_turn_that_was_found_is_in_the_root_alone(rigs):

@@ -100,6 +100,7 @@ def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
     whole, _ = _evidence(model, state, X)
     partial, _ = _evidence(model, state, X, partial=True)
     assert partial["unreached"] < 0.6 * whole["unreached"]
+    assert partial["worst_part"] < 0.5 * whole["worst_part"]
     problem = shown_problem(model, Problem(X), state, True)
     hidden = problem.v_weights == 0
     assert 0.3 < hidden.mean() < 0.9 and problem.v_weights.shape == (len(model.rig.vertices),)
@@ -116,6 +117,33 @@ def test_clutter_has_no_partner_and_takes_no_part(model, right):
     assert shown_problem(model, same, far, False) is same  # nothing fits: that is no reason to look away
 
 
+@pytest.mark.parametrize("of", ["points", "surface"])
+def test_what_is_usual_in_a_scan_has_a_partner_however_far_that_is(model, of):
+    """Nearly all is 0.05 away, so that 0.15 is little and 0.25 is not."""
+    state = model.rest()
+    V = model.pose(state)[0].vertices
+    tip, out = V[:, 1].argmax(), np.array([0.0, 1.0, 0.0])  # beyond the highest vertex, distances are from that one
+    usual = V + 0.05 * np.array([0.0, 0.0, 1.0])
+    if of == "points":
+        X = np.vstack([usual, V[tip] + 0.15 * out, V[tip] + 0.25 * out])
+        kept = shown_problem(model, Problem(X), state, False).x_weights[-2:] > 0
+    else:  # the scan lacks what is around the tip
+        away = np.linalg.norm(V - V[tip], axis=1)
+        back = [shown_problem(model, Problem(V[away > gap] + 0.05 * out), state, False) for gap in (0.12, 0.3)]
+        kept = np.array([p.v_weights is None or p.v_weights[tip] > 0 for p in back])
+    assert list(kept) == [True, False]
+
+
+def test_a_view_that_shows_next_to_nothing_hides_nothing(tube_rig):
+    """From below, along the arm: of surface as little as its end there is too much without a partner."""
+    tube = Model(tube_rig)
+    V = tube.pose(tube.rest())[0].vertices
+    end = Problem(V[V[:, 1] < V[:, 1].min() + 0.02])
+    assert shown_problem(tube, end, tube.rest(), True) is end
+    above = Problem(V[V[:, 2] > np.median(V[:, 2])])
+    assert 0.2 < shown_problem(tube, above, tube.rest(), True).v_weights.mean() < 0.5
+
+
 def test_a_rival_and_limits_count(model, right):
     state, X, _ = right
     evidence, _ = _evidence(model, state, X, rivals=(4.0, 2.0), value=1.0)
@@ -123,6 +151,11 @@ def test_a_rival_and_limits_count(model, right):
     assert _evidence(model, state, X, rivals=(0.5,), value=1.0)[0]["rival"] == 1.0
     at_limits = state.replace(theta=model.rig.upper.copy())
     assert _evidence(model, at_limits, X)[0]["at_limits"] == 1.0
+    # The root's turn is no bend of a joint: it may be at its limits, or beyond.
+    inside = 0.5 * (model.rig.lower + model.rig.upper)
+    inside[model.rig.root] = model.rig.upper[model.rig.root]
+    assert (model.rig.upper > model.rig.lower)[model.rig.root].all()
+    assert _evidence(model, state.replace(theta=inside), X)[0]["at_limits"] == 0.0
 
 
 def test_no_evidence_raises_the_probability():

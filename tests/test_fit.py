@@ -8,6 +8,11 @@ from fit_checks import mean_error
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
+from lbsfit_np.fitting.scout import Found
+from lbsfit_np.optimize.frame import Frame
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.synthesis import uniform_poses
 
@@ -69,6 +74,36 @@ def test_rigs_of_one_and_two_parts(parts, tube_scan):
     r = fitter.fit_scan(tube_scan.points)
     assert r.parts == tuple(parts) and set(r.labels) <= set(range(len(parts)))
     assert np.isfinite(r.vertices).all()
+
+
+# ---- from what a scout has found ----
+
+
+def _from_truth(rig, points, truth, settings, **known):
+    """The fit of a scan whose true pose was found."""
+    model = Model(rig)
+    frame = Frame(np.zeros(3), model.half)
+    state = model.rest().replace(theta=truth.pose)
+    found = {"proba": None, "value": 1.0, "rivals": ()} | known
+    return ScanFit(model, settings).fit(points, found=Found(frame, Problem(frame.inside(points)), state, **found))
+
+
+def test_what_the_scout_has_seen_is_evidence(tube_rig):
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=6, shape=0.0, n_points=400, **CLEAN)
+    settings = FitSettings(full_iterations=1, polish=0)
+    proba = np.full((400, 4), 0.25)
+    r = _from_truth(tube_rig, scan.points, scan, settings, proba=proba, value=1.0, rivals=(4.0, 2.0))
+    assert r.evidence["rival"] == 0.5 and r.evidence["disagreement"] == pytest.approx(0.75)
+    alone = _from_truth(tube_rig, scan.points, scan, settings)
+    assert alone.evidence["rival"] == alone.evidence["disagreement"] == 0.0
+
+
+def test_a_lump_beside_the_body_does_not_pull_the_mesh(tube_rig):
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=6, shape=0.0, n_points=400, **CLEAN)
+    lump = scan.points[scan.points[:, 2].argmax()] + [0.0, 0.0, 0.1] + 0.01 * np.random.default_rng(0).random((40, 3))
+    settings = FitSettings(full_iterations=10, polish=0)
+    plain, beside = (_from_truth(tube_rig, p, scan, settings).vertices for p in (scan.points, np.vstack([scan.points, lump])))
+    assert np.linalg.norm(beside - plain, axis=1).max() < 0.02 * tube_rig.size
 
 
 # ---- equivariance ----

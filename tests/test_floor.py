@@ -68,6 +68,43 @@ def test_a_wall_is_found_where_any_side_may_be_down(hand):
     assert _kept(turned, up=UP).all()  # where up is known, walls are not looked for
 
 
+@pytest.mark.parametrize("degrees, stays", [(0, False), (15, False), (35, True), (50, True)])
+@pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+def test_where_up_is_known_a_slope_is_no_floor(hand, axis, degrees, stays):
+    (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1, floor=1.0)
+    kept = _kept(scan.points @ matrix_from_rotvec(np.radians(degrees) * np.array(axis)).T, up=UP)
+    assert kept.all() if stays else kept[scan.labels < 0].mean() < 0.05
+
+
+def _on_a_table(n_above, *, noise=0.0, n_below=2000, seed=0):
+    """Points of a table at y = 0, 2 wide, and of a box above it."""
+    rng = np.random.default_rng(seed)
+    across = rng.uniform(-1, 1, (n_below, 2))
+    table = np.column_stack([across[:, 0], noise * rng.standard_normal(n_below), across[:, 1]])
+    return np.vstack([table, [0.0, 0.35, 0.0] + rng.uniform(-0.3, 0.3, (n_above, 3))])
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_plane_is_that_of_all_its_points(seed):
+    """Not that of the three that it was found by: of points along the table's edges, the lower ones go, and no others."""
+    rng = np.random.default_rng([seed, 1])
+    edges = rng.uniform(-1, 1, (100, 3))
+    edges[:50, 0], edges[50:, 2] = np.sign(edges[:50, 0]), np.sign(edges[50:, 2])
+    edges[:, 1] = rng.permutation(np.linspace(0.01, 0.06, 100))
+    points = np.vstack([_on_a_table(1500, noise=0.005, seed=seed), edges])
+    kept = _kept(points, up=UP)
+    assert not kept[:2000].any() and kept[2000:3500].all() and 0.2 < kept[3500:].mean() < 0.8
+    assert points[~kept, 1].max() < points[kept, 1].min()
+
+
+@pytest.mark.parametrize("n_above, goes", [(100, False), (400, True)])
+def test_of_a_scan_that_is_all_but_a_plane_nothing_is_left_out(n_above, goes):
+    """More than nine tenths of the points: what would be left is no body."""
+    points = _on_a_table(n_above)
+    assert _kept(points, up=UP)[:2000].any() != goes
+    assert _kept(points).all() != goes
+
+
 def test_given_rows_are_kept_to(hand):
     (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1, floor=1.0)
     rows, dropped = off_floor(scan.points, np.arange(0, len(scan.points), 2), up=UP)

@@ -162,6 +162,32 @@ def test_vertices_without_faces_do_not_pull(tube_rig):
     np.testing.assert_allclose(*found, atol=1e-6)
 
 
+def test_no_angle_turns_far_in_one_step(tube):
+    """Nor does the whole move far: nothing is known of what lies behind."""
+    truth = tube.rest().replace(theta=np.zeros((4, 3)))
+    truth.theta[1:, 0] = [1.2, 0.0, 0.0]
+    truth.theta[0, 1] = 0.8
+    problem, _ = sampled(tube, truth)
+    steps, start = GaussNewton(tube, reach=1.0), tube.rest()
+    for n in (1, 2):
+        found = steps.pose(problem, start, iterations=n)[0]
+        turned = np.abs(found.theta - start.theta).max()
+        assert 0.3 * (n - 1) < turned <= 0.3 * n + 1e-12
+    assert turned > 0.31
+    away = steps.pose(Problem(problem.X + [0.9, 0.0, 0.0]), truth, free=("translation",), iterations=1)[0]
+    np.testing.assert_allclose(away.translation[0], 0.3, rtol=1e-12)
+
+
+def test_of_a_one_sided_scan_the_shown_vertices_pull_as_all_do_of_a_whole_one(tube):
+    """Far beyond its reach each residual counts s²: points as much as all vertices that pull."""
+    state = tube.rest()
+    V = tube.pose(state)[0].vertices
+    front = Problem(V[V[:, 2] > np.median(V[:, 2])] + [0.0, 0.0, 50.0])
+    for partial in (False, True):
+        value = GaussNewton(tube, partial=partial, reach=0.05).pose(front, state, iterations=0)[1]
+        assert value == pytest.approx(2 * 0.05**2, rel=1e-3)
+
+
 def test_of_one_start_comes_one_answer(tube):
     truth = state_within(tube, 8)
     problem, _ = sampled(tube, truth)

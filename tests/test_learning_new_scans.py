@@ -2,6 +2,8 @@
 
 import copy
 import warnings
+from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,6 +11,12 @@ from learning_runs import NAN, SMALL, mean_gap
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.scout import Found
+from lbsfit_np.learning import finish
+from lbsfit_np.optimize.frame import Frame
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
@@ -37,6 +45,62 @@ def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_p
     named = [learned_people.fit_scan(s.points, subject="ann") for s in scans]
     assert not any("somebody" in r.message for r in named)
     assert mean_gap(tube_rig, found, scans, "vertices") < 0.8 * mean_gap(tube_rig, named, scans, "vertices")
+
+
+def _seen(rig, scan):
+    """What a scout finds of a scan in the rig's own unit, if it finds the truth."""
+    frame = Frame(np.zeros(3), rig.size / 2)
+    state = Model(rig).rest().replace(theta=scan.pose, translation=scan.translation / frame.unit)
+    return Found(frame, Problem(frame.inside(scan.points)), state, None, 1.0, ())
+
+
+@pytest.mark.parametrize("whose, somebody_else", [("own", False), ("slimmer", True)])
+def test_somebody_else_is_told_by_proportions(tube_rig, whose, somebody_else):
+    slimmer = tube_rig.vertices * [0.7, 1.0, 0.7], tube_rig.joints
+    templates = [(tube_rig.vertices, tube_rig.joints) if whose == "own" else slimmer]
+    for scan in lbs.synthesize(tube_rig, 2, templates=templates, random_state=3, n_points=400):
+        model, found = Model(tube_rig), _seen(tube_rig, scan)
+        assert finish._is_somebody_else(model, found, FitSettings()) == somebody_else
+
+
+@dataclass(frozen=True)
+class _Alone:
+    """What a fit of a scan by itself is told."""
+
+    message: str
+    found: object
+
+
+@pytest.mark.parametrize("whose, somebody_else", [("ann", False), ("bob", False), ("bob", True)])
+def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, people, whose, somebody_else, monkeypatch):
+    template = people[whose].vertices, people[whose].joints
+    (scan,) = lbs.synthesize(tube_rig, 1, templates=[template], random_state=3, n_points=300)
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
+    fitter.segmenter_, fitter.regressor_ = None, object()
+    seen, looks = _seen(tube_rig, scan), []
+
+    def look(points, x_weights):
+        looks.append(points)
+        return seen
+
+    by_itself = SimpleNamespace(scout=look, fit=lambda points, found, **given: _Alone("by itself", found))
+    monkeypatch.setattr(finish, "scan_fit", lambda *made_of: by_itself)
+    monkeypatch.setattr(finish, "_scouted", lambda fitter, subject, x, a, settings: look(x, a))
+    monkeypatch.setattr(finish, "_is_somebody_else", lambda *known: somebody_else)
+    r = finish.fit_new(fitter, scan.points, list(people), None, None, None)
+    assert len(looks) == 1
+    if somebody_else:  # what was seen is not looked for again
+        assert r.found is seen and "by itself; somebody else" in r.message
+    else:
+        assert f"on the template of subject {whose!r}" in r.message
+
+
+@pytest.mark.parametrize("factor, known", [(1.3, True), (1 / 1.3, True), (1.4, False), (1 / 1.4, False), (50.0, False)])
+def test_the_subjects_unit_is_a_scans_where_its_size_allows_that(factor, known):
+    learned = 1000.0
+    assert finish._unit(factor * learned, learned, FitSettings()) == (learned if known else None)
+    assert finish._unit(factor * learned, learned, FitSettings(scale="fixed")) == 1.0
 
 
 def test_what_fit_scan_takes_counts_after_learning_too(tube_rig, learned_people, people_scans):

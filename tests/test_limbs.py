@@ -14,7 +14,7 @@ from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rotations import rotvec_from_matrix
 from lbsfit_np.skinning import skin
 from lbsfit_np.starts import limbs as limbs_module
-from lbsfit_np.starts.limbs import LimbPoses, _posed_limb
+from lbsfit_np.starts.limbs import LimbPoses, _posed_limb, _Tried
 from lbsfit_np.synthesis import natural_poses, sample_surface, uniform_poses
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -194,6 +194,21 @@ def test_steps_from_what_is_proposed_bring_two_exchanged_fingers_home(hand, pair
         proposals = hand.limbs.proposals(problem, best.state, 2)
         best = refit.race([best, *(Runner(problem, best.state.replace(theta=theta)) for theta in proposals)], 4)[0]
     assert hand.error(best.state.theta, truth) < 0.01
+
+
+@pytest.mark.parametrize("cost, pairs", [(0.9e-4, 0), (1.1e-4, 1)])
+def test_two_limbs_that_cost_next_to_nothing_are_where_they_should_be(tube, cost, pairs, monkeypatch):
+    """Other poses that cost twice as much are as good as none, where there is no fault to mend."""
+    state, problem = tube.seen(tube.poses[0])
+    fingers = [limb for limb in tube.limbs._limbs if limb.hangs.sum() == 1]
+    monkeypatch.setattr(tube.limbs, "_limbs", fingers)
+
+    def tried(limb, grid, few, posed, state):
+        place = np.stack([np.zeros((len(limb.rows), 3)), np.ones((len(limb.rows), 3))])
+        return _Tried(place, np.array([0.5, 1.0]) * cost, np.zeros((2, len(few))), np.zeros((2, 1, 3)))
+
+    monkeypatch.setattr(tube.limbs, "_tried", tried)
+    assert len(fingers) == 2 and len(tube.limbs.proposals(problem, state, 2)) == pairs
 
 
 @pytest.mark.parametrize("n", [1, 2, 3])

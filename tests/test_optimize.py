@@ -366,6 +366,25 @@ def test_tenfold_density_is_no_clutter(tube_rig):
     assert near_rows(s.points, rows)[1] <= 0.01 * len(thin)
 
 
+@pytest.mark.parametrize("height, dropped", [(6.7, 0), (7.3, 1)])
+def test_how_lonely_a_wild_point_is(height, dropped):
+    """On a grid the fifth neighbour is √2 away, so that five times as far is 7.07."""
+    x, y = np.mgrid[:21.0, :21.0]
+    grid = np.column_stack([x.ravel(), y.ravel(), np.zeros(441)])
+    rows, n = near_rows(np.vstack([grid, [[10.0, 10.0, height]]]), np.arange(442))
+    assert n == dropped and (rows[:441] == np.arange(441)).all()
+
+
+@pytest.mark.parametrize("away, dropped", [(2.8, 0), (3.2, 10)])
+def test_how_far_a_wild_clump_is(away, dropped):
+    """A ball of radius 1 has an extent of 2, of which one and a half is 3."""
+    ball = np.random.default_rng(0).standard_normal((1000, 3))
+    ball /= np.linalg.norm(ball, axis=1)[:, None]
+    clump = [away, 0.0, 0.0] + 0.02 * np.random.default_rng(1).standard_normal((10, 3))
+    rows, n = near_rows(np.vstack([ball, clump]), np.arange(1010))
+    assert n == dropped and (rows[:1000] == np.arange(1000)).all()
+
+
 def test_few_points_are_all_kept():
     points = np.random.default_rng(0).random((5, 3))
     rows, dropped = near_rows(points, np.arange(5))

@@ -133,6 +133,16 @@ def test_parts_give_one_more_start(model, refit, case):
     assert case.error(model, state) < 0.008 and which == 3
 
 
+def test_labels_that_err_are_mended_on_the_way(model, refit, case):
+    """A third of the points has a label drawn at random; those that are known to be right are kept to."""
+    rng = np.random.default_rng(0)
+    wrong = rng.random(len(case.proba)) < 0.33
+    drawn = np.eye(case.proba.shape[1])[rng.integers(case.proba.shape[1], size=len(case.proba))]
+    proba = np.where(wrong[:, None], drawn, case.proba)
+    mended, kept = (case.error(model, refit.from_parts(case.problem, proba, known)) for known in (False, True))
+    assert mended < 0.5 * kept
+
+
 def test_known_labels_lead_alone(model, refit, case):
     state, value, which = refit(case.problem, proba=case.proba, labels_known=True)
     assert case.error(model, state) < 0.003 and which == 0

@@ -8,10 +8,14 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import Runner
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import EFFORTS, Scout
+from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rotations import matrix_from_rotvec
+from lbsfit_np.starts.library import Start
 from lbsfit_np.starts.turns import ORIENTATIONS, turns_of
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -188,6 +192,15 @@ def test_doubt_is_worth_a_second_look(make, scans, effort, p, looks, monkeypatch
     assert known[scout(scans[0].points).effort] == looks[0] and known[scout.effort] == effort
 
 
+@pytest.mark.parametrize("unit, kept", [(0.9, "thorough"), (1.2, "balanced")])
+def test_looks_are_compared_in_the_scans_unit(tube_rig, unit, kept, monkeypatch):
+    """The second leaves 0.8 of the first's unexplained, in units of its own."""
+    first, second = (SimpleNamespace(value=v, frame=SimpleNamespace(unit=u)) for v, u in ((1.0, 1.0), (0.8, unit)))
+    monkeypatch.setattr(Scout, "_look", lambda self, *scan: second if self.effort is EFFORTS["thorough"] else first)
+    monkeypatch.setattr(Scout, "_probability", lambda self, found: 0.0)
+    assert _untrained(tube_rig)(np.zeros((9, 3))) is {"thorough": second, "balanced": first}[kept]
+
+
 def test_a_wrong_pose_is_in_doubt(make, scans):
     scout = make()
     found = scout(scans[0].points)
@@ -271,6 +284,91 @@ def test_the_same_again(make, scans):
     scout = make()
     scout(scans[1].points)
     np.testing.assert_array_equal(scout(scans[0].points).state.theta, a.state.theta)  # one scan does not change the next
+
+
+# ---- which of them are followed, on known ones ----
+
+
+def _untrained(rig, poses=None, *, orientation="aligned", effort="balanced", segmenter=None, **more):
+    """A Scout whose library answers with the first of its poses, whatever it sees."""
+    poses = np.zeros((2, *rig.lower.shape)) if poses is None else poses
+
+    def starts(points, turns, k, unit=None):
+        return [Start(poses[0], 0, 1.0, 0.0)]
+
+    library = SimpleNamespace(poses=poses, starts=starts, regress=lambda points: poses[0])
+    return Scout(Model(rig), library, turns_of(rig, orientation), segmenter, FitSettings(effort=effort), **more)
+
+
+def test_a_finger_that_every_start_has_wrong_is_put_in_its_place():
+    rig = lbs.load_rig("hand-coarse")
+    bent = np.zeros_like(rig.lower)
+    finger = [rig.joint_names.index(f"index{k}") for k in (1, 2, 3)]
+    bent[finger, 0] = 0.9 * rig.upper[finger, 0]
+    (scan,) = lbs.synthesize(rig, 1, poses=bent[None], random_state=0, **CLEAN)
+    scout = _untrained(rig, np.stack([np.zeros_like(bent), bent]), effort="fast", proportions=False)
+    assert _error(rig, scout(scan.points), scan) < 0.02  # without other poses for limbs 0.05
+
+
+@pytest.mark.parametrize("right", ["labels", "library"])
+def test_the_better_one_of_labels_and_library_goes_on(tube_rig, right, monkeypatch):
+    """The others start from behind, and stay there."""
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=41, poses=np.zeros((1, 4, 3)), **CLEAN)
+    behind = np.zeros((2, 4, 3))
+    behind[:, 0, 1] = np.pi
+    uniform = SimpleNamespace(predict_proba=lambda points: np.full((len(points), 4), 0.25))
+    poses = np.zeros((2, 4, 3)) if right == "library" else behind
+    scout = _untrained(tube_rig, poses, effort="fast", segmenter=uniform, proportions=False)
+
+    def labelled(points, x_weights, frame):
+        problem = Problem(frame.inside(points))
+        return Runner(problem, scout._refit.placed(problem, behind[0] if right == "library" else np.zeros((4, 3))), frame)
+
+    monkeypatch.setattr(scout, "_labelled", labelled)
+    assert _error(tube_rig, scout(scan.points), scan) < 0.03
+
+
+@pytest.mark.parametrize(
+    "before, after, best, rivals",
+    [
+        # What proportions leave of the best one's E, 0.3 of 1.2, is taken for what they would leave of the others', too.
+        ((1.0, 1.2, 1.6, 3.0), (0.8, 0.3), 1, (0.8, 0.4, 0.75)),
+        ((1.0, 1.2, 1.6, 3.0), (0.5, 0.9), 0, (0.9, 0.8, 1.5)),
+        ((1.0, 2.5, 4.0), (0.4,), 0, (1.0, 1.6)),  # too much worse for proportions to be worth a try
+    ],
+)
+def test_what_the_finals_leave_unexplained_chooses(tube_rig, before, after, best, rivals, monkeypatch):
+    scout, frame, problem = _untrained(tube_rig), Frame(np.zeros(3), 1.0), Problem(np.zeros((9, 3)))
+    runners = [Runner(problem, scout.model.rest().replace(translation=np.full(3, k)), frame, v) for k, v in enumerate(before)]
+    left = iter(after)
+    monkeypatch.setattr(scout, "_refit", SimpleNamespace(first_steps=lambda r: r, last_steps=lambda r: r))
+    for step, answer in (("_runners", runners), ("_facings", [])):
+        monkeypatch.setattr(scout, step, lambda *given, answer=answer: answer)
+    for step in ("_other_limbs", "_distinct"):
+        monkeypatch.setattr(scout, step, lambda given: given)
+    monkeypatch.setattr(scout, "_with_proportions", lambda r: replace(r, value=next(left)))
+    found = scout._look(problem.X, None)
+    assert found.value == min(after) and found.state.translation[0] == best and next(left, None) is None
+    assert found.rivals == pytest.approx(rivals)
+
+
+@pytest.mark.parametrize("orientation, halves", [("aligned", ""), ("upright", "y"), ("any", "yxz")])
+def test_labels_are_read_under_half_turns_as_well(tube_rig, orientation, halves):
+    """Front for back; where any side may be up, upside down, too."""
+    scout, own = _untrained(tube_rig, orientation=orientation), Frame(np.array([1.0, 2.0, 3.0]), 5.0, _any(7))
+    frames = scout._facings([Runner(None, None, own)])
+    assert frames[0] is own and len(frames) == 1 + len(halves)
+    for frame, axis in zip(frames[1:], halves):
+        half = np.where(np.array(list("xyz")) == axis, 1.0, -1.0)
+        np.testing.assert_allclose(own.turn.T @ frame.turn, np.diag(half), atol=1e-12)
+        assert frame.unit == own.unit and frame.centre is own.centre
+
+
+def test_labels_are_read_under_turns_that_are_apart(tube_rig):
+    runners = [Runner(None, None, Frame(np.zeros(3), 1.0, _upright(a))) for a in (0.3, 0.8, 1.5, 3.4, 2.0, -1.0)]
+    for effort, own in (("balanced", [0, 2, 5]), ("fast", [0])):  # the second of all is the half turn
+        frames = _untrained(tube_rig, orientation="upright", effort=effort)._facings(runners)
+        assert [f for f in frames if f is not frames[1]] == [runners[k].name for k in own]
 
 
 # ---- by way of the fitter ----

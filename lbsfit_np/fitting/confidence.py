@@ -26,6 +26,8 @@ _NOISE, _NOISIEST, _SPARSEST = 2.5, 0.015, 0.08
 _LONELY, _LEAST_KEPT = 3.0, 0.7
 # Points and surface with no partner nearer than this, in half sizes, have none.
 _PARTNER = 0.08
+# A one-sided view that would leave less of the surface than this share is no view of this pose.
+_LEAST_SEEN = 0.2
 # Parts with less than this share of the surface are too small to be judged by themselves.
 _PART = 0.01
 # Evidence below this is as good as none.
@@ -131,7 +133,7 @@ def shown_problem(model, problem, state, partial):
     Returns
     -------
     Problem
-        With weights of 0 for these; the same one where there are none, or too many to be no error of the pose.
+        With weights of 0 for these; the same one where there are none, or where hardly any surface would be left.
     """
     V = model.pose(state)[0].vertices
     on, to_X = PointIndex(V).nearest(problem.X), problem.x_index.nearest(V)
@@ -141,8 +143,7 @@ def shown_problem(model, problem, state, partial):
     if partial and len(model.rig.faces):
         normals = vertex_normals(V, model.rig.faces)
         v_kept &= shown(normals, normals[on], to_X)
-    least = 0.2 if partial else 0.5
-    if (x_kept.all() and v_kept.all()) or x_kept.mean() < 0.5 or v_kept.mean() < least:
+    if (x_kept.all() and v_kept.all()) or v_kept.mean() < _LEAST_SEEN:
         return problem
     a = problem.x_weights if problem.x_weights is not None else np.full(len(problem.X), 1.0 / len(problem.X))
     return Problem(problem.X, a * x_kept / (a * x_kept).sum(), v_kept.astype(float))

@@ -6,6 +6,8 @@ __all__ = ["off_floor"]
 
 # Planes tried; how thick a floor is, and from how far below it on few points may be, as shares of the scan's extent.
 _TRIES, _THICK, _BELOW = 300, 0.012, 0.03
+# Cosine of how far a floor may be from level, where up is known.
+_UPRIGHT = np.cos(np.radians(20))
 # As clutter may be anywhere: the share of the points that may lie below, and how many points make a square one with something
 # above, as a share of how many there are around the middle one of the points above.
 _CLUTTER_BELOW, _SOMETHING = 0.04, 0.07
@@ -52,7 +54,7 @@ def off_floor(points, rows, *, up=None):
     normal, height = normal * turn[:, None], height * turn
     fits = (height < -_BELOW).mean(axis=0) < _CLUTTER_BELOW
     if up is not None:
-        fits &= normal @ up > np.cos(np.radians(20))
+        fits &= normal @ up > _UPRIGHT
     support = np.where(fits, (np.abs(height) < _THICK).mean(axis=0), 0.0)
     if not len(support) or support.max() < _LEAST:
         return rows, 0
@@ -63,6 +65,8 @@ def off_floor(points, rows, *, up=None):
         origin = x[on].mean(axis=0)
         n = np.linalg.svd(x[on] - origin, full_matrices=False)[2][2]
         n = n if ((x - origin) @ n).mean() > 0 else -n
+    if up is not None and n @ up <= _UPRIGHT:
+        return rows, 0
     on = (x - origin) @ n < 1.5 * _THICK
     if on.mean() < _LEAST or on.mean() > 0.9 or _share_beyond(x, on, n) < _BEYOND:
         return rows, 0
