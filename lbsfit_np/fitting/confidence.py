@@ -21,9 +21,9 @@ _SCALE = 0.05
 # Of noise, distances up to so many medians are no fault of the pose; of sparse points, surface that is nearer than their spacing
 # is none. But beyond these, in half sizes, noise and gaps are large enough to hide a wrong pose.
 _NOISE, _NOISIEST, _SPARSEST = 2.5, 0.015, 0.08
-# Points whose neighbours are so many times as far away as is usual are clutter, which no pose explains; unless less than this
-# share of the weight would be left.
-_LONELY, _LEAST_KEPT = 3.0, 0.7
+# Points whose neighbours are so many times as far away as is usual are clutter, which no pose explains (density that varies
+# tenfold makes 3.2); unless less than this share of the weight would be left.
+_LONELY, _LEAST_KEPT = 4.0, 0.7
 # Points and surface with no partner nearer than this, in half sizes, have none.
 _PARTNER = 0.08
 # A one-sided view that would leave less of the surface than this share is no view of this pose.
