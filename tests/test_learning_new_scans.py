@@ -69,6 +69,7 @@ class _Alone:
 
     message: str
     found: object
+    seconds: float = 0.0
 
 
 @pytest.mark.parametrize("whose, somebody_else", [("ann", False), ("bob", False), ("bob", True)])

@@ -22,11 +22,18 @@ def run_study(values):
 
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT, such as docs/study.")
+    names = values["rig"].split(",")
+    rigs = {Path(name).stem: load_rig(name) for name in names}
+    if len(rigs) < len(names):
+        raise InputError("--rig", values["rig"], "rigs whose files have different names", "Leave one out, or rename it.")
+    folder = Path(values["output"])
+    if (folder / _PAGE).exists() and not (folder / RESULTS).exists() and values["existing"] != "replace":
+        remedy = "Choose another one, or --existing replace."
+        raise InputError("-o/--output", f"{folder}, which has another {_PAGE}", "a folder of the study's own", remedy)
     results = made_results(values)
     out, cells = results.parent, results.parent / _CELLS
     make_folder(cells)
     resumed = values["existing"] == "resume" and results.exists()
-    rigs = {Path(name).stem: load_rig(name) for name in values["rig"].split(",")}
     progress = _StudyProgress()
 
     def on_cell(report, name, seed, row, arrays):
@@ -49,6 +56,7 @@ def run_study(values):
     finally:
         progress.close()
     write_json(results, report)
+    report = read_results(results)  # the page is of what is written, in its order
     written = _write_page(report, rigs, out, pictures=values["figures"])
     say("")
     say(console_table(report, markdown=values["markdown"]))

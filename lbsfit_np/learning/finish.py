@@ -91,11 +91,11 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
 
 
 def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
-    started = time.perf_counter()
+    started, seed = time.perf_counter(), fitter._seed()
     rig, settings, half = fitter.rig, fitter._fit_settings(), fitter.rig.size / 2
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if len(rows) > settings.max_points:
-        rows = np.sort(generator(fitter._seed(), "thin").choice(rows, settings.max_points, replace=False))
+        rows = np.sort(generator(seed, "thin").choice(rows, settings.max_points, replace=False))
     rows, left_out = clean_rows(points, rows, up=up_of(rig, fitter.orientation))
     guess = reference_scale(points[rows], rig, settings.scale).scale
     x = points[rows]
@@ -113,14 +113,15 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     else:  # one look for all, on the rig's own template with proportions
         seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a)
         found = [(s, _on_template(fitter, s, seen, settings)) for s in subjects]
-    subject, best = min(found, key=lambda f: f[1].value)
+    subject, best = min(found, key=lambda f: f[1].value * f[1].frame.unit**2)  # values go by the square of the frame's unit
     note = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
     if anyone and len(fit.model.rig.faces) and _is_somebody_else(fit.model, best, settings):
         # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
-        given = {"theta0": theta0, "labels": labels, "point_weights": point_weights, "random_state": fitter._seed()}
+        given = {"theta0": theta0, "labels": labels, "point_weights": point_weights, "random_state": seed}
         alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **given, found=seen)
-        return replace(alone, message=f"{alone.message}; somebody else than the people learned from")
+        message = f"{alone.message}; somebody else than the people learned from"
+        return replace(alone, message=message, seconds=time.perf_counter() - started)
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     note = "; ".join(filter(None, [note, unit, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
@@ -159,7 +160,9 @@ def _on_template(fitter, subject, seen, settings):
     if learned is None:
         refit = refit.freeing(("pose", "translation", "scale"))
     state, value, _ = refit(problem, poses=[seen.state.theta], proba=seen.proba)
-    return Found(replace(seen.frame, unit=seen.frame.unit * ratio), problem, state, seen.proba, value, ())
+    # What the others would leave unexplained if this template helped them as much.
+    rivals = tuple(value * r / max(seen.value, np.finfo(float).tiny) for r in seen.rivals)
+    return Found(replace(seen.frame, unit=seen.frame.unit * ratio), problem, state, seen.proba, value, rivals)
 
 
 def _given(fitter, subject, x, a, settings, guess, theta0, known):

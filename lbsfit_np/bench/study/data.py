@@ -14,12 +14,14 @@ from ...seeds import generator
 from ...synthesis import Synthesis, natural_poses, synthesize_one, uniform_poses
 from ..subjects import subject
 
-__all__ = ["NATURAL", "SCAN", "SIZES", "Size", "StudySet", "part_groups", "sized", "study_set"]
+__all__ = ["NATURAL", "SCAN", "SIZES", "Size", "StudySet", "kind_of", "part_groups", "sized", "study_set"]
 
 # Missing areas in every scan, uneven density, a little noise; the subject's own shape.
 SCAN = Synthesis(shape=0.0, holes=2, least_holes=1)
 # Every so-manieth pose of the library is for the test.
 _TEST_EVERY = 4
+# Poses whose angles are nowhere further apart than this, radians, are one by two names, and not for training.
+_ALIKE = 0.3
 # What the names of mirror images end with; they go with their originals.
 _MIRROR = " (mirrored)"
 
@@ -56,12 +58,12 @@ class Size:
 
 # Of hands; :func:`sized` knows those of bodies.
 SIZES = {
-    "small": Size(10, 6, 2, 2, 30, 500, 2, 1),
+    "small": Size(8, 6, 2, 2, 30, 400, 2, 1),
     "medium": Size(60, 30, 3, 5, 400, 4000, 4, 3),
     "paper": Size(1500, 300, 30, 10, 4000, 4000, 4, 3),
 }
 # Of poses, the share that is near the library's; the paper has 20,000 from motion and 3,000 bent ones.
-NATURAL = {"hand": 0.5, "body": 20 / 23}
+NATURAL = {"hand": 0.5, "body": 20 / 23, "other": 0.5}
 # Bodies have more vertices and joints, and the paper has more of them.
 _OF_BODIES = {"small": {"train": 8, "test": 4, "pairs": 12}, "medium": {}, "paper": {"train": 23000, "test": 2300}}
 
@@ -131,7 +133,7 @@ def sized(rig, size):
     """
     if size not in SIZES:
         raise InputError("size", repr(size), f"one of {', '.join(SIZES)}")
-    return replace(SIZES[size], **_OF_BODIES[size]) if _kind(rig) == "body" else SIZES[size]
+    return replace(SIZES[size], **_OF_BODIES[size]) if kind_of(rig) == "body" else SIZES[size]
 
 
 def part_groups(rig):
@@ -145,7 +147,7 @@ def part_groups(rig):
 
 def _scan(rig, template, seed, purpose, i):
     rng = generator(seed, "study", rig.name, purpose, i)
-    natural = rig.poses and rng.random() < NATURAL[_kind(rig)]
+    natural = rig.poses and rng.random() < NATURAL[kind_of(rig)]
     pose = (natural_poses if natural else uniform_poses)(rig, 1, rng)[0]
     return synthesize_one(rig, pose, template, SCAN, rng)
 
@@ -157,12 +159,15 @@ def _divided(rig):
     test = test or set(names[-1:])
     if len(names) < 2:
         return {"train": {}, "test": {}}
-    return {
-        purpose: {n: pose for n, pose in rig.poses.items() if (n.removesuffix(_MIRROR) in test) == (purpose == "test")}
-        for purpose in ("train", "test")
-    }
+    held_out = {n: pose for n, pose in rig.poses.items() if n.removesuffix(_MIRROR) in test}
+    like = {n for n, pose in rig.poses.items() if any(np.abs(pose - other).max() < _ALIKE for other in held_out.values())}
+    # A pose stays with its mirror image.
+    like = {n.removesuffix(_MIRROR) for n in like}
+    return {"train": {n: pose for n, pose in rig.poses.items() if n.removesuffix(_MIRROR) not in like}, "test": held_out}
 
 
-def _kind(rig):
-    """Whether a rig is of a whole body, by SMPL's joint names, or of something else, which is treated as hands are."""
-    return "body" if {"pelvis", "left_knee"} <= set(rig.joint_names) else "hand"
+def kind_of(rig):
+    """What a rig is of, by its joints' names: "body", "hand" or "other"; the last is treated as hands are."""
+    if {"pelvis", "left_knee"} <= set(rig.joint_names):
+        return "body"
+    return "hand" if any("thumb" in name.lower() for name in rig.joint_names) else "other"

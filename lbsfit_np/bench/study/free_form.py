@@ -19,17 +19,17 @@ from ...seeds import integer_seed
 from ...skinning import skin
 from ...starts.look import look
 
-__all__ = ["Augmented", "FromTemplate", "Supervised", "fit_free_form", "taught"]
+__all__ = ["Augmented", "FromTemplate", "Supervised", "best_free_form", "taught"]
 
 # Vertices that have all of a pose to make are rougher than offsets: of λ_lap from 0.3 (the fits' own) to 0.003 this one leaves
 # the least joint and vertex errors, on the tuning seed 5.
 _SETTINGS = FitSettings(full_iterations=200, full_tolerance=1e-4, weights=PRESETS["default"].replace(lam_lap=0.01))
 # Synthetic scans that the augmented baseline starts from.
-_STARTS = 4
+_STARTS = 3
 _COMPONENTS, _HIDDEN, _EPOCHS = 64, (256, 128), 300
 
 
-def fit_free_form(rig, points, starts):
+def best_free_form(rig, points, starts):
     """Vertices fitted to a scan from each of some starts; those with the least Chamfer distance.
 
     Parameters
@@ -68,7 +68,7 @@ class FromTemplate:
     rig: object
 
     def __call__(self, points):
-        return fit_free_form(self.rig, points, [self.rig.vertices])
+        return best_free_form(self.rig, points, [self.rig.vertices])
 
 
 @dataclass(frozen=True)
@@ -80,7 +80,7 @@ class Augmented:
 
     def __call__(self, points):
         poses = self.library.nearest(points, _STARTS)
-        return fit_free_form(self.rig, points, [self.rig.vertices, *(skin(self.rig, theta).vertices for theta in poses)])
+        return best_free_form(self.rig, points, [self.rig.vertices, *(skin(self.rig, theta).vertices for theta in poses)])
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class Supervised:
     def __call__(self, points):
         x = (look(points).vectors - self.mean) / self.deviation
         vertices = self.centre + self.network.predict(x).reshape(1, -1)[0] @ self.components
-        return fit_free_form(self.rig, points, [vertices.reshape(-1, 3)])
+        return best_free_form(self.rig, points, [vertices.reshape(-1, 3)])
 
 
 def taught(rig, scans, random_state):
@@ -127,14 +127,17 @@ def taught(rig, scans, random_state):
     """
     import warnings
 
+    from sklearn.decomposition import PCA
     from sklearn.neural_network import MLPRegressor
     from threadpoolctl import threadpool_limits
 
     looks = np.concatenate([look(scan.points).vectors for scan in scans])
-    shapes = np.array([(scan.vertices - scan.points.mean(axis=0)).ravel() for scan in scans])
+    shapes = np.array([(scan.vertices - scan.points.mean(axis=0)).ravel() for scan in scans], dtype=np.float32)
     centre = shapes.mean(axis=0)
     with threadpool_limits(1):
-        components = np.linalg.svd(shapes - centre, full_matrices=False)[2][: min(_COMPONENTS, len(scans) - 1)]
+        k = min(_COMPONENTS, len(scans) - 1)
+        seed = integer_seed(random_state, "components")
+        components = PCA(k, svd_solver="randomized", random_state=seed).fit(shapes).components_
         mean, deviation = looks.mean(axis=0), looks.std(axis=0) + 1e-6
         network = MLPRegressor(
             hidden_layer_sizes=_HIDDEN,

@@ -9,10 +9,10 @@ from ...correspondence import surface_places
 from ...seeds import generator
 from ..measure import joint_error, recon, vertex_error
 
-__all__ = ["Registrations", "Truth", "measured", "template_gap"]
+__all__ = ["POINTS", "Registrations", "Truth", "measured", "template_gap"]
 
 # Points of a scan that are carried to another one in a pair.
-_POINTS = 400
+POINTS = 400
 _PERCENTILES = (50, 90, 95)
 
 
@@ -53,8 +53,9 @@ class Truth:
 
         self.rig, self.scans, self.half = rig, scans, rig.size / 2
         self.recon = np.array([recon(s.points, s.vertices) for s in scans]) / self.half
+        self.pose = np.array([_regressed(rig, s) for s in scans]) / self.half
         rng = generator(seed, "study", "points")
-        rows = [rng.choice(len(s.points), min(_POINTS, len(s.points)), replace=False) for s in scans]
+        rows = [rng.choice(len(s.points), min(POINTS, len(s.points)), replace=False) for s in scans]
         self.points = [s.points[r] for s, r in zip(scans, rows)]
         self.places = [_places(p, s.vertices, rig) for p, s in zip(self.points, scans)]
         self.trees = [cKDTree(s.points) for s in scans]
@@ -73,9 +74,10 @@ def measured(truth, registrations):
     Returns
     -------
     dict
-        Lengths in half sizes of the rig. "recon" √L_c beside "recon_truth", that of the true mesh on the same scans; "pose";
-        "vertices"; "corre" and "corre_snapped", each with "mean", "p50", "p90" and "p95" over all points of all pairs;
-        "unfitted", the scans that all these leave out.
+        Lengths in half sizes of the rig. "recon" √L_c beside "recon_truth", that of the true mesh on the same scans; "pose"
+        beside "pose_truth", that of the true template and angles with the joint regressor's joints; "vertices"; "corre" and
+        "corre_snapped", each with "mean", "p50", "p90" and "p95" over all points of all pairs; "unfitted", the scans that all
+        these leave out.
     """
     rig, half, fitted = truth.rig, truth.half, np.flatnonzero(registrations.fitted)
     found = [(truth.scans[i], registrations.vertices[i], registrations.joints[i]) for i in fitted]
@@ -86,6 +88,7 @@ def measured(truth, registrations):
     out["recon_truth"] = float(truth.recon[fitted].mean())
     poses = [joint_error(joints, s.joints, rig.moving) / half for s, _, joints in found]
     out["pose"], out["pose_median"] = float(np.mean(poses)), float(np.median(poses))
+    out["pose_truth"] = float(truth.pose[fitted].mean())
     out["vertices"] = _mean(vertex_error(V, s.vertices) / half for s, V, _ in found)
     out["corre"], out["corre_snapped"] = _correspondences(truth, registrations, set(fitted.tolist()))
     return out
@@ -115,6 +118,13 @@ def template_gap(rig, templates, true):
     }
 
 
+def _regressed(rig, scan):
+    """Joint error of the exact template in the exact pose with the regressor's joints: people's own are elsewhere."""
+    offsets = scan.template - rig.vertices
+    found = rig.pose_joints(scan.pose, scan.translation, scan.scale, offsets, joints=rig.joints + rig.regressor @ offsets)
+    return joint_error(found, scan.joints, rig.moving)
+
+
 def _correspondences(truth, registrations, fitted):
     """Errors before and after the snap to the nearest point of the other scan."""
     rig, half = truth.rig, truth.half
@@ -139,9 +149,10 @@ def _places(points, vertices, rig):
 
 def _pairs(n, most, rng):
     """Ordered pairs of different scans: all of them, or as many as wanted."""
-    a, b = np.divmod(np.arange(n * n), n)
-    every = np.column_stack([a, b])[a != b]
-    return every if len(every) <= most else every[np.sort(rng.choice(len(every), most, replace=False))]
+    count = n * (n - 1)
+    rows = np.arange(count) if count <= most else np.sort(rng.choice(count, most, replace=False))
+    a, b = np.divmod(rows, max(n - 1, 1))
+    return np.column_stack([a, b + (b >= a)])
 
 
 def _spread(errors):

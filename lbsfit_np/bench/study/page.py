@@ -36,7 +36,8 @@ _INTRODUCTION = """\
 # The paper's study
 
 Written by `lbsfit bench study`; change that command, not this page. Every experiment of LBS-AE (CVPR 2019) in its
-classical form: the paper's networks are fits and small scikit-learn models here, all else is as there. The paper's
+classical form: the paper's networks are fits and small scikit-learn models here, what else differs stands below. The
+paper's
 figures, where it has them, stand in square brackets.
 """
 
@@ -45,8 +46,8 @@ _PROTOCOL = """\
 
 - Hands: the paper poses its synthetic hands with what it inferred from its own captures, which are not public. Here
   {natural_hand:.0%} of the poses are near natural ones of the rig's own library, the others uniform within the joint
-  limits. Every fourth pose of the library is for the test alone, and neither training nor the library of starts sees
-  it.
+  limits. Every fourth pose of the library, and what is within 0.3 rad of it, is for the test alone, and neither
+  training nor the library of starts sees it.
 - Bodies: in place of SURREAL's poses, natural ones as above; in place of its bent bodies (3,000 of 23,000), poses
   uniform within the limits.
 - People: changed shapes of the bundled rigs (`bench/subjects.py`), a rule that neither training nor a fit's proportions
@@ -54,12 +55,15 @@ _PROTOCOL = """\
 - Scans: {n_points} points, one or two missing areas, uneven density, noise of {noise:g}; they face the rig's way up to
   what the root joint may turn. Lengths are in half sizes of the rig, so that the template fills [−1, 1]³; the paper
   scales every shape to it.
+- Learning is told which training scans are of one person, who share a template; the paper's is not. Test scans come without.
+  Three times the data has three times as many people, too.
+- Seeds are of the scans; what is trained has one seed, so that ranges say nothing of training.
 - The free-form rows play 3D-CODED's part: the template's vertices move under Chamfer and Laplacian, from the template,
   from the best of several synthetic scans that look alike ("augmented"), or from what a regressor says that was taught
   with true vertices ("supervised").
 - Recon is compared with its value at the true mesh on the same scan, as √CD is not 0 there. Corre. carries points of
-  scan A by their closest surface point on A's registration to B's; "snapped" goes on to the nearest point of scan B, as
-  the paper does.
+  scan A by their closest surface point on A's registration to B's, {points} points of each; "snapped" goes on to the
+  nearest point of scan B, as the paper does.
 - Size "{size}": the paper learns from 1,500 hands and 23,000 bodies and tests on 300 and 2,300; `--size paper` does,
   too.
 """
@@ -107,8 +111,9 @@ def _described(row):
 
 
 def _main(report, name, *, markdown):
-    paper = PAPER.get(_of_paper(name), {})
-    lines = [("", "Recon", "÷ truth", "Pose", "median", "Corre.", "p50", "p90", "p95", "snapped", "vertices", "unfitted", "s")]
+    paper = PAPER.get(report["rigs"][name]["kind"], {})
+    heads = ("Recon", "÷ truth", "Pose", "median", "Corre.", "p50", "p90", "p95", "snapped", "p50", "p90", "p95", "vertices")
+    lines = [("", *heads, "unfitted", "s")]
     for row in ROWS:
         cells = _cells(report, name, row)
         if not cells:
@@ -124,7 +129,8 @@ def _main(report, name, *, markdown):
                 _over(cells, "pose_median"),
                 _with(_over(cells, "corre", "mean"), known[2]),
                 *(_over(cells, "corre", p) for p in ("p50", "p90", "p95")),
-                _over(cells, "corre_snapped", "mean"),
+                _with(_over(cells, "corre_snapped", "mean"), known[2]),
+                *(_over(cells, "corre_snapped", p) for p in ("p50", "p90", "p95")),
                 _over(cells, "vertices"),
                 str(sum(c["unfitted"] for c in cells)),
                 _number([c["seconds"] for c in cells], ".0f"),
@@ -145,8 +151,8 @@ def _more(report, name):
     for row in ("rand", "pose-only", "joint"):
         cells = [c for c in _cells(report, name, row) if c["accuracy"]]
         if cells:
-            first, last = [c["accuracy"][0] for c in cells], [c["accuracy"][-1] for c in cells]
-            spread = f"{np.mean(first):.1%} before, {np.mean(last):.1%} after {_rounds(cells)}"
+            first, kept = [c["accuracy"][0] for c in cells], [c["kept_accuracy"] for c in cells]
+            spread = f"{np.mean(first):.1%} before, {np.mean(kept):.1%} of what was kept of {_rounds(cells)}"
             fits = [c["fitted_labels"] for c in cells if c.get("fitted_labels") is not None]
             more = f"; of its fits {np.mean(fits):.1%}" if fits else ""
             lines.append(f"- Labels of the segmenter alone on test scans, chains of joints as parts, {row}: {spread}{more}.")
@@ -167,8 +173,13 @@ def _more(report, name):
         lines.append(f"{swing}: {rise}.")
     joint, oracle = _cells(report, name, "joint"), _cells(report, name, "oracle-fit")
     if joint and oracle:
-        shares = [np.mean([c[key] for c in joint]) / np.mean([c[key] for c in oracle]) for key in ("pose", "vertices")]
-        lines.append(f"- Joint ÷ oracle fit: Pose {shares[0]:.2f}, vertices {shares[1]:.2f}.")
+        shares = {key: _mean(joint, key) / _mean(oracle, key) for key in ("recon", "pose", "vertices", "corre")}
+        told = f"Recon {shares['recon']:.2f}, Pose {shares['pose']:.2f}, Corre. {shares['corre']:.2f}"
+        lines.append(f"- Joint ÷ oracle fit: {told}, vertices {shares['vertices']:.2f}.")
+    floor = [c["pose_truth"] for c in joint if "pose_truth" in c]
+    if floor:
+        words = "of the exact template in the exact pose, with the joint regressor's joints where people have their own"
+        lines.append(f"- Pose {words}: {np.mean(floor):.4f}. No row can be expected below it.")
     return "\n".join(lines)
 
 
@@ -182,21 +193,36 @@ def _reached(report, name):
         ("Pose", np.mean([c["pose"] for c in cells]), GOALS["pose"], "≤"),
         ("Corre. before the snap", np.mean([c["corre"]["mean"] for c in cells]), GOALS["corre"], "≤"),
     ]
-    labels = [c["accuracy"][-1] for c in cells if c["accuracy"]]
+    labels = [c["kept_accuracy"] for c in cells if c.get("kept_accuracy") is not None]
     if labels:
-        found.append(("labels", np.mean(labels), GOALS["accuracy"].get(_of_paper(name), 0.95), "≥"))
+        found.append(("labels", np.mean(labels), GOALS["accuracy"].get(report["rigs"][name]["kind"], 0.95), "≥"))
     gaps = [c["gap"]["subjects"] for c in cells if c["gap"]]
-    if gaps:
-        share = np.mean([g["after, up to a shift"] / g["before, up to a shift"] for g in gaps])
-        found.append(("template gap ÷ before, up to a shift", share, GOALS["gap"], "≤"))
+    for more in ("", ", up to a shift") if gaps else ():
+        share = np.mean([g["after" + more] / g["before" + more] for g in gaps])
+        found.append((f"template gap ÷ before{more}", share, GOALS["gap"], "≤"))
     words = []
     for what, value, goal, sign in found:
         met = value <= goal if sign == "≤" else value >= goal
         words.append(f"{what} {value:.3f} (goal {sign} {goal:g}{'' if met else ', missed'})")
-    poses = {row: [c["pose"] for c in _cells(report, name, row) if "pose" in c] for row in _ORDER}
-    order = sorted((np.mean(values), row) for row, values in poses.items() if values)
-    ranked = " < ".join(f"{row} {value:.4f}" for value, row in order)
-    return f"Joint: {'; '.join(words)}.\n\nPose, from the best of the ablations to the worst: {ranked}."
+    measures = (("recon", "Recon"), ("pose", "Pose"), ("corre", "Corre."))
+    orders = "\n\n".join(_order(report, name, key, what) for key, what in measures)
+    return f"Joint: {'; '.join(words)}.\n\n{orders}"
+
+
+def _order(report, name, key, what):
+    """The ablations from the best to the worst by a measure, and whether that is the paper's order."""
+    cells = {row: [c for c in _cells(report, name, row) if key in c] for row in _ORDER}
+    ranked = sorted((_mean(found, key), row) for row, found in cells.items() if found)
+    wanted = [row for row in ("joint", "rand", "cd") if cells[row]]
+    kept = [row for _, row in ranked if row in wanted] == wanted
+    verdict = f"the paper's order, {' before '.join(wanted)}: {'kept' if kept else 'missed'}" if len(wanted) > 1 else "alone"
+    words = " < ".join(f"{row} {value:.4f}" for value, row in ranked)
+    return f"{what}, from the best of the ablations to the worst: {words} ({verdict})."
+
+
+def _mean(cells, key):
+    """Over the seeds; of a measure with percentiles, its mean."""
+    return np.mean([c[key]["mean"] if isinstance(c[key], dict) else c[key] for c in cells])
 
 
 _ORDER = ("joint", "pose-only", "rand", "cd")
@@ -216,17 +242,20 @@ def _sizes(report):
 
 def _protocol(report):
     from .data import NATURAL
+    from .measures import POINTS
 
     scan = report["scan"]
     return _PROTOCOL.format(
-        natural_hand=NATURAL["hand"], n_points=scan["n_points"], noise=scan["noise"], size=report["size"]
+        natural_hand=NATURAL["hand"], n_points=scan["n_points"], noise=scan["noise"], size=report["size"], points=POINTS
     )
 
 
 def _provenance(report):
     e = report["environment"]
     machine = f"Python {e['python']}, numpy {e['numpy']}, scipy {e['scipy']}, scikit-learn {e['scikit-learn']}, {e['cpus']} CPUs"
-    commit = f", commit {e['commit'][:12]}" if e.get("commit") else ""
+    cells = [c for rig in report["rigs"].values() for rows in rig["seeds"].values() for c in rows.values()]
+    commits = sorted({c["commit"][:12] for c in cells if c.get("commit")})
+    commit = f", commit{'s' if len(commits) > 1 else ''} {', '.join(commits)}" if commits else ""
     return f"---\n\nlbsfit_np {e['lbsfit_np']}{commit}; {machine}. `results.json` beside this page has every figure."
 
 
@@ -262,7 +291,3 @@ def _with(text, paper):
 def _rounds(cells):
     rounds = sorted({len(c["accuracy"]) - 1 for c in cells})
     return f"{' or '.join(map(str, rounds))} rounds"
-
-
-def _of_paper(name):
-    return "body" if "body" in name else "hand"

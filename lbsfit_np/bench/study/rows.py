@@ -48,6 +48,8 @@ class Found:
         What its fits say of them; None each where there is no fit.
     accuracy : list of float
         Of the segmenter on the test scans, before learning and after each round.
+    kept_accuracy : float or None
+        Of the one that was kept in the end.
     gap : dict
         Of the subjects' templates, and of the test scans', ``measures.template_gap``.
     history : list of dict
@@ -59,6 +61,7 @@ class Found:
     labels: list | None = None
     fitted_labels: list | None = None
     accuracy: list = field(default_factory=list)
+    kept_accuracy: float | None = None
     gap: dict = field(default_factory=dict)
     history: list = field(default_factory=list)
 
@@ -131,32 +134,19 @@ def _learned(c, variant):
         c.progress(0.8 * min(0.99, len(stages) / 12))
 
     fitter.fit([s.points for s in given.train], given.train_subjects, progress=progress, on_round=watch)
-    results = each(_New(fitter), [s.points for s in given.test], jobs=c.jobs, done=lambda p: c.progress(0.8 + 0.2 * p))
+    results = each(_Tried(fitter.fit_scan), [s.points for s in given.test], jobs=c.jobs, done=lambda p: c.progress(0.8 + 0.2 * p))
     rig = given.rig
-    true = dict(zip(given.train_subjects, given.train))
-    gap = {"subjects": template_gap(rig, [fitter.template_[k].vertices for k in true], [s.template for s in true.values()])}
+    true = {k: s.template for k, s in zip(given.train_subjects, given.train) if k in fitter.template_}
+    learned = [fitter.unit_[k] * fitter.template_[k].vertices for k in true]
+    gap = {"subjects": template_gap(rig, learned, list(true.values()))}
     own = [(r, s) for r, s in zip(results, given.test) if r is not None]
     if own:
         deformed = [r.scale / s.scale * (rig.vertices + r.offsets) for r, s in own]
         gap["test scans"] = template_gap(rig, deformed, [s.template for _, s in own])
     train = _of_results(rig, fitter.results_) if variant == "joint" else None
     said = [fitter.segmenter_.predict(s.points) for s in given.test] if labels else None
-    return Found(_of_results(rig, results), train, said, _labels(results), accuracy, gap, fitter.history_)
-
-
-@dataclass(frozen=True)
-class _New:
-    """points → the FitResult with what was learned; None where there is none."""
-
-    fitter: object
-
-    def __call__(self, points):
-        from ...errors import LbsfitError
-
-        try:
-            return self.fitter.fit_scan(points)
-        except LbsfitError:
-            return None
+    kept = c.accuracy(fitter.segmenter_) if labels else None
+    return Found(_of_results(rig, results), train, said, _labels(results), accuracy, kept, gap, fitter.history_)
 
 
 # ---- oracles ----
@@ -164,7 +154,7 @@ class _New:
 
 def _oracle_labels(c):
     work = _Labelled(c.fitter)
-    results = each(work, [(s.points, s.labels) for s in c.given.test], jobs=c.jobs, done=c.progress)
+    results = each(_Tried(work), [(s.points, s.labels) for s in c.given.test], jobs=c.jobs, done=c.progress)
     return Found(_of_results(c.given.rig, results))
 
 
@@ -178,11 +168,26 @@ class _Labelled:
 
 
 def _oracle_fit(c):
-    results = each(OracleFit(c.given.rig), c.given.test, jobs=c.jobs, done=c.progress)
+    results = each(_Tried(OracleFit(c.given.rig)), c.given.test, jobs=c.jobs, done=c.progress)
     return Found(_of_results(c.given.rig, results))
 
 
 # ---- registrations ----
+
+
+@dataclass(frozen=True)
+class _Tried:
+    """task → what the work makes of it; None where it cannot."""
+
+    work: object
+
+    def __call__(self, task):
+        from ...errors import LbsfitError
+
+        try:
+            return self.work(task)
+        except LbsfitError:
+            return None
 
 
 def _registered(c, fit, scans=None, start=0.0, end=1.0):

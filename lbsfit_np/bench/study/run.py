@@ -1,5 +1,6 @@
 """One run of the study: every row for every rig and seed, each kept as soon as it is there."""
 
+import hashlib
 import time
 from copy import deepcopy
 from dataclasses import asdict
@@ -9,7 +10,7 @@ import numpy as np
 from ...errors import InputError
 from ..environment import environment
 from ..run import TRAINING_SEED
-from .data import SCAN, part_groups, sized, study_set
+from .data import SCAN, kind_of, part_groups, sized, study_set
 from .local_optimum import along_path
 from .measures import Truth, measured
 from .rows import ROWS, Context
@@ -63,6 +64,9 @@ def study(
     InputError
         Names that are not known; a report of other settings.
     """
+    for name, rig in rigs.items():
+        if not len(rig.faces):
+            raise InputError("rigs", f"{name!r}, which has no faces", "rigs with a surface to scan")
     known = [row for row in rows if row in ROWS]
     if not rows or len(known) < len(rows):
         raise InputError("rows", repr(rows), f"some of {', '.join(ROWS)}")
@@ -72,7 +76,7 @@ def study(
     progress = progress or (lambda name, seed, row, share: None)
     report = _begun(before, size, rigs) | {"complete": False, "environment": environment()}
     for name, rig in rigs.items():
-        entry = report["rigs"].setdefault(name, {"digest": rig.digest, "size": asdict(sizes[name]), "seeds": {}})
+        entry = report["rigs"].setdefault(name, _described(rig, sizes[name]))
         if "local_optimum" not in entry:
             entry["local_optimum"] = along_path(rig)
         for seed in seeds:
@@ -102,9 +106,19 @@ def _begun(before, size, rigs):
     if before["size"] != size or before["scan"] != asdict(SCAN):
         raise InputError("before", f"results of size {before['size']!r}", f"results of size {size!r} and the same scans", remedy)
     for name, entry in before["rigs"].items():
-        if name in rigs and entry["digest"] != rigs[name].digest:
-            raise InputError("before", f"results of another rig than {name!r} now is", "results of the same rigs", remedy)
+        if name in rigs:
+            now = _described(rigs[name], sized(rigs[name], size))
+            if entry.get("size") != now["size"]:
+                raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", remedy)
+            if any(entry.get(key) != now[key] for key in ("digest", "poses")):
+                raise InputError("before", f"results of another rig than {name!r} now is", "results of the same rigs", remedy)
     return deepcopy(before)
+
+
+def _described(rig, size):
+    """A rig's entry of the report, without results."""
+    poses = hashlib.sha256(repr([(name, pose.tolist()) for name, pose in sorted(rig.poses.items())]).encode()).hexdigest()
+    return {"kind": kind_of(rig), "digest": rig.digest, "poses": poses, "size": asdict(size), "seeds": {}}
 
 
 def _cells(name, rig, size, seed, rows, jobs, progress):
@@ -115,7 +129,7 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
     groups = part_groups(given.rig)
 
     def right(said):
-        """Share of the test scans' points in the right group of parts."""
+        """Share of the test scans' points in the right group of parts; None without scans."""
         shares = [np.mean(groups[found] == groups[s.labels]) for found, s in zip(said, given.test) if found is not None]
         return float(np.mean(shares)) if shares else None
 
@@ -134,7 +148,7 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
         found = ROWS[row].find(context)
         seconds = round(time.perf_counter() - started, 1)
         entry = measured(truth, found.test) | {"seconds": seconds, "accuracy": found.accuracy, "gap": found.gap}
-        entry["history"] = found.history
+        entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history, "commit": environment()["commit"]}
         if found.fitted_labels is not None:
             entry["fitted_labels"] = right(found.fitted_labels)
         if found.train is not None:
