@@ -257,6 +257,7 @@ def _fit(fitter, todo, values, on_result, progress):
     fit_scans(
         fitter,
         [functools.partial(load_scan, f.source, **scan_options(values)) for f in todo],
+        subject=None if values["subject"] is None else next(iter(fitter.template_)),  # the only one that is left
         jobs=values["jobs"],
         finish=outputs.Writer(fitter.rig, todo),
         on_result=on_result,

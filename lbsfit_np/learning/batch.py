@@ -41,7 +41,7 @@ class ScanOutcome:
     seconds: float = 0.0
 
 
-def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=None):
+def fit_scans(fitter, scans, *, subject=None, jobs=1, finish=None, on_result=None, pretrain=None):
     """Fit many scans; one that fails does not stop the others.
 
     Parameters
@@ -53,6 +53,8 @@ def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=No
         Of each scan the (n, 3) points, the Scan, or a callable without arguments that returns one of these, such as
         ``functools.partial(load_scan, path)``. Callables are called where the scan is fitted; their errors are failures of
         their scan alone.
+    subject : str or int, optional
+        Whose scans they are, as for ``LBSFitter.fit_scan``; one of those that a fitter has learned from.
     jobs : int, default 1
         Worker processes; with 1 all happens in this one. They are started afresh ("spawn"), so that a script must call this
         under ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``, results are the same to the last
@@ -93,9 +95,9 @@ def fit_scans(fitter, scans, *, jobs=1, finish=None, on_result=None, pretrain=No
     todo = [i for i in range(len(scans)) if i not in outcomes]
     if jobs == 1 or len(todo) < 2:
         for i in todo:
-            report(_fit_one(fitter, finish, i, read.pop(i, scans[i])))
+            report(_fit_one(fitter, subject, finish, i, read.pop(i, scans[i])))
     else:
-        _fit_by_workers(fitter, finish, scans, deque(todo), int(jobs), report)
+        _fit_by_workers(_Work(fitter, subject, finish), scans, deque(todo), int(jobs), report)
     return [outcomes[i] for i in range(len(scans))]
 
 
@@ -123,11 +125,11 @@ def _pretrained(fitter, scans, report, pretrain):
     return {}
 
 
-def _fit_one(fitter, finish, index, source):
+def _fit_one(fitter, subject, finish, index, source):
     started = time.perf_counter()
     try:
         scan = source() if callable(source) else source
-        result = fitter.fit_scan(scan)
+        result = fitter.fit_scan(scan) if subject is None else fitter.fit_scan(scan, subject=subject)
         if not np.isfinite(result.vertices).all():
             return ScanOutcome(index, error=result.message, seconds=time.perf_counter() - started)
         if finish is not None:
@@ -150,14 +152,15 @@ class _Work:
     """What every worker is given once: a task of its is (index, source)."""
 
     fitter: object
+    subject: object
     finish: object
 
     def __call__(self, task):
-        return _fit_one(self.fitter, self.finish, *task)
+        return _fit_one(self.fitter, self.subject, self.finish, *task)
 
 
-def _fit_by_workers(fitter, finish, scans, todo, jobs, report):
-    with Workers(_Work(fitter, finish), min(jobs, len(todo))) as workers:
+def _fit_by_workers(work, scans, todo, jobs, report):
+    with Workers(work, min(jobs, len(todo))) as workers:
 
         def take(answers):
             for (index, _), outcome, death in answers:
