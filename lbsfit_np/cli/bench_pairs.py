@@ -5,6 +5,7 @@ from pathlib import Path
 
 from ..bench.truth_file import TRUTH_FILES
 from ..errors import InputError, LbsfitError
+from .bench_runs import RESULTS
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, load_rig_with
 from .learn import OPTIONS as LEARN_OPTIONS
@@ -29,7 +30,6 @@ __all__ = [
     "say_failures",
 ]
 
-RESULTS = "results.json"
 GALLERY = "gallery.png"
 
 # Options of the fits that mean the same as in lbsfit fit and lbsfit learn, and are part of what fits are kept by.

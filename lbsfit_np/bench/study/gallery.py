@@ -134,7 +134,8 @@ def correspondence(shown, path):
     called = {"cd": "B, by Chamfer alone", "joint": "B, by joint"}
     tiles(path, rows, titles=["A", *(called[row] for row in names), "B, truth"], notes=notes)
     return (
-        f"Correspondence on the {shown.called}: scan A coloured by place on the template; scan B, of someone else, where each "
+        f"Correspondence on the {shown.called}: scan A coloured by place on the template; scan B, of someone else (pairs by the "
+        "error of joint: a middling one and a better one), where each "
         "point has the colour of the point of A that the registrations carry it to; B by its true places. Below, the mean "
         "distance between the places on A that points of B are carried to, before the snap, and the true ones, in half sizes of "
         "the rig."

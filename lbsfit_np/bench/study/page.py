@@ -142,10 +142,10 @@ def _main(report, name, *, markdown):
 def _more(report, name):
     """Training scans, labels and templates."""
     lines = []
-    for row, known in (("free-form-supervised", _PAPER_ON_TRAINING), ("joint", _PAPER_ON_TRAINING)):
+    for row, known in _PAPER_ON_TRAINING.items():
         cells = [c["on_training"] for c in _cells(report, name, row) if "on_training" in c]
         if cells:
-            paper = f" (paper, bodies: {known[row]})"
+            paper = f" (paper, bodies: {known})"
             text = f"- On the training scans, {row}: Corre. {_over(cells, 'corre', 'mean')}{paper}, Pose {_over(cells, 'pose')}."
             lines.append(text)
     for row in ("rand", "pose-only", "joint"):
