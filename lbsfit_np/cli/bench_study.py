@@ -110,5 +110,6 @@ class _StudyProgress(Progress):
         """A row is done and written."""
         self.close()
         self._what = None
-        found = f"pose {entry['pose']:.4f}, corre. {entry['corre']['mean']:.4f}" if "pose" in entry else "nothing could be fitted"
+        found = f"pose {entry['pose']:.4f}" if "pose" in entry else "nothing could be fitted"
+        found += f", corre. {entry['corre']['mean']:.4f}" if entry.get("corre") else ""
         self.line(f"{name}, seed {seed}, {row}: {found}; {span(entry['seconds'])}, {span(time.monotonic() - self._began)} in all")

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from ...learning.variants import as_variant
 from ...workers import each
 from .data import study_set
 from .free_form import Augmented, FromTemplate, taught
@@ -80,8 +81,8 @@ class Context:
         Of the scans.
     fitter : LBSFitter
         Pretrained.
-    accuracy : callable (segmenter) → float
-        On the test scans.
+    right : callable (labels) → float
+        Share of the test scans' points that such labels, a list of (n,) int arrays, put into the right group of parts.
     jobs : int
     progress : callable (share)
     """
@@ -91,7 +92,7 @@ class Context:
     size: object
     seed: int
     fitter: object
-    accuracy: Callable
+    right: Callable
     jobs: int
     progress: Callable
 
@@ -123,16 +124,17 @@ def _learned(c, variant):
     given, accuracy = c.given, []
     fitter = clone(c.fitter).set_params(variant=variant)
     fitter._pretrained = c.fitter._pretrained
-    labels = variant != "cd"
-    if labels:
-        accuracy.append(c.accuracy(c.fitter.segmenter_))
-    watch = (lambda k, segmenter: accuracy.append(c.accuracy(segmenter))) if labels else None
-    stages = {}
+    labels = as_variant(variant).labels
+
+    def watch(k, segmenter):
+        if labels:
+            accuracy.append(c.right(_said(segmenter, given.test)))
 
     def progress(stage, share, figures=None):
-        stages[stage] = share
-        c.progress(0.8 * min(0.99, len(stages) / 12))
+        if figures is not None:
+            c.progress(0.8 * (figures["round"] + 1) / (fitter.rounds + 1))
 
+    watch(0, c.fitter.segmenter_)
     fitter.fit([s.points for s in given.train], given.train_subjects, progress=progress, on_round=watch)
     results = each(_Tried(fitter.fit_scan), [s.points for s in given.test], jobs=c.jobs, done=lambda p: c.progress(0.8 + 0.2 * p))
     rig = given.rig
@@ -144,8 +146,8 @@ def _learned(c, variant):
         deformed = [r.scale / s.scale * (rig.vertices + r.offsets) for r, s in own]
         gap["test scans"] = template_gap(rig, deformed, [s.template for _, s in own])
     train = _of_results(rig, fitter.results_) if variant == "joint" else None
-    said = [fitter.segmenter_.predict(s.points) for s in given.test] if labels else None
-    kept = c.accuracy(fitter.segmenter_) if labels else None
+    said = _said(fitter.segmenter_, given.test) if labels else None
+    kept = c.right(said) if labels else None
     return Found(_of_results(rig, results), train, said, _labels(results), accuracy, kept, gap, fitter.history_)
 
 
@@ -194,6 +196,10 @@ def _registered(c, fit, scans=None, start=0.0, end=1.0):
     scans = c.given.test if scans is None else scans
     found = each(fit, [s.points for s in scans], jobs=c.jobs, done=lambda p: c.progress(start + (end - start) * p))
     return Registrations(np.array([V for V, _ in found]), np.array([joints for _, joints in found]))
+
+
+def _said(segmenter, scans):
+    return [segmenter.predict(s.points) for s in scans]
 
 
 def _labels(results):

@@ -133,9 +133,6 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
         shares = [np.mean(groups[found] == groups[s.labels]) for found, s in zip(said, given.test) if found is not None]
         return float(np.mean(shares)) if shares else None
 
-    def accuracy(segmenter):
-        return right([segmenter.predict(s.points) for s in given.test])
-
     parameters = {"training_scans": size.training_scans, "rounds": size.rounds, "n_jobs": jobs, "random_state": TRAINING_SEED}
     fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
     fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
@@ -143,7 +140,7 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
     train_truth = None
     for row in rows:
         say = lambda share, row=row: progress(name, seed, row, share)  # noqa: E731
-        context = Context(rig, given, size, seed, fitter, accuracy, jobs, say)
+        context = Context(rig, given, size, seed, fitter, right, jobs, say)
         started = time.perf_counter()
         found = ROWS[row].find(context)
         seconds = round(time.perf_counter() - started, 1)
