@@ -6,6 +6,7 @@ from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning.collection import read_collection
 from lbsfit_np.learning.loop import Loop, LoopSettings
 from lbsfit_np.learning.variants import as_variant
+from lbsfit_np.starts.turns import Facing
 from lbsfit_np.synthesis import Synthesis
 
 SMALL = {"effort": "fast", "training_scans": 200, "training": {"n_points": 400}, "rounds": 1, "random_state": 0}
@@ -33,7 +34,7 @@ def collected(rig, scans, subjects=None, **options):
 def loop_over(rig, collection, variant, segmenter, library=None, **options):
     """The loop of a fitter like ``SMALL``."""
     given = {
-        "turns": np.eye(3)[None],
+        "facing": Facing(),
         "fit_settings": FitSettings(),
         "settings": LoopSettings.for_training(200, rounds=1),
         "synthesis": Synthesis(n_points=400),

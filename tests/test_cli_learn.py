@@ -148,7 +148,7 @@ def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):
         "subjects": ["a", "b", "a", "7"], "cache": True, "points": [350] * 4, "held_out": 0.25, "sequence": True,
         "smooth": 1e-5, "rounds": 3, "variant": "rand", "weights": "paper", "joints": "fixed", "scale": "fixed",
         "max_points": 300, "random_state": 4, "training_scans": 50, "training": {"turn": 3.14}, "n_jobs": 2,
-        "orientation": "any", "effort": "fast", "partial": True,
+        "orientation": "any", "up": None, "effort": "fast", "partial": True,
     }  # fmt: skip
 
 
@@ -159,7 +159,7 @@ def test_defaults_are_the_librarys():
         if option.key in parameters and option.key != "training":
             assert option.default == parameters[option.key].default, option.name
             checked += 1
-    assert checked == 13
+    assert checked == 14
     same = {option.key: option for option in fit.OPTIONS}
-    for key in ("orientation", "partial", "effort"):
+    for key in ("orientation", "up", "partial", "effort"):
         assert next(option for option in learn.OPTIONS if option.key == key) is same[key]

@@ -9,6 +9,7 @@ from cli_runs import one_line
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit
 from lbsfit_np.fitting.scout import EFFORTS
+from lbsfit_np.rig.frames import AXES
 from lbsfit_np.starts.turns import ORIENTATIONS
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -123,8 +124,9 @@ def test_an_error_of_the_system_that_nobody_foresaw_is_one_line(run, monkeypatch
 def test_defaults_are_the_librarys():
     parameters = inspect.signature(lbs.LBSFitter).parameters
     options = {option.key: option for option in fit.OPTIONS}
-    for key in ("weights", "joints", "scale", "orientation", "partial", "effort", "max_points", "training_scans"):
+    for key in ("weights", "joints", "scale", "orientation", "up", "partial", "effort", "max_points", "training_scans"):
         assert options[key].default == parameters[key].default, key
     assert set(options["weights"].choices) == set(lbs.losses.PRESETS)
     assert set(options["orientation"].choices) == set(ORIENTATIONS)
+    assert set(options["up"].choices) == set(AXES)
     assert set(options["effort"].choices) == set(EFFORTS)

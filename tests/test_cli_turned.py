@@ -54,6 +54,21 @@ def test_turned_scans_in_millimetres(name, turned, tube_rig, tmp_path, run):
     assert (settings["orientation"], settings["effort"], settings["partial"]) == (name, "balanced", False)
 
 
+def test_a_known_up_axis_leaves_a_floor_out(tube_rig, tmp_path, run):
+    """Of a scan that stands along z, on a floor: with its axis known the first look tells the floor from the body."""
+    tube_rig.save(tmp_path / "tube.npz")
+    side = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # y to z
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=11, n_points=900, floor=0.5)
+    write_points_ply(tmp_path / "z.ply", scan.points @ TURNS["upright"].T @ side.T)
+    options = ("-o", tmp_path, *TRAINING, "--effort", "fast", "--up=+z")
+    assert run("fit", tmp_path / "tube.npz", tmp_path / "z.ply", *options)[0] == 0
+    settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
+    r = lbs.FitResult.load(tmp_path / "z.fit.npz")
+    truth = scan.joints @ TURNS["upright"].T @ side.T
+    assert settings["up"] == "+z" and "points of a floor left out" in r.message and "stands along" not in r.message
+    assert np.linalg.norm(r.joints - truth, axis=1).mean() / (tube_rig.size / 2) < 0.06
+
+
 def test_what_is_said_of_the_orientation_holds(turned, tube_rig, tmp_path, run):
     """Said to face the rig's way, a scan that lies on its side is fitted, but wrongly."""
     folder, truth = turned

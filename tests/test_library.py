@@ -12,7 +12,7 @@ from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.segmentation import cache
 from lbsfit_np.starts.library import PoseLibrary, build_library
 from lbsfit_np.starts.look import LOOK_SIZE, look
-from lbsfit_np.starts.turns import turns_of
+from lbsfit_np.starts.turns import facing_of
 from lbsfit_np.synthesis import StartScans, Synthesis
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -71,7 +71,7 @@ def test_a_scan_of_the_library_is_its_own_nearest(library, scans):
 @pytest.mark.parametrize("factor, shift", [(1.0, 0.0), (1000.0, 0.0), (0.0254, 3.0), (7.7, [1e3, -2e3, 50.0])])
 def test_the_turn_and_the_unit_of_a_scan_are_told(tube_rig, library, scans, orientation, k, factor, shift):
     """A scan of the library, turned, moved, and in another unit, is found as itself, with its turn and its unit."""
-    turns = turns_of(tube_rig, orientation)
+    turns = facing_of(tube_rig, orientation).turns
     s = scans[3]
     start = library.starts(factor * s.points @ turns[k].T + shift, turns, 4)[0]
     np.testing.assert_array_equal(start.theta, s.pose)
@@ -79,7 +79,7 @@ def test_the_turn_and_the_unit_of_a_scan_are_told(tube_rig, library, scans, orie
 
 
 def test_starts_are_sorted_and_come_once_under_one_turn(tube_rig, library, scans):
-    turns, binding = turns_of(tube_rig, "upright"), 0
+    turns, binding = facing_of(tube_rig, "upright").turns, 0
     for scan in scans[N : N + 6]:
         points = scan.points @ turns[5].T
         starts = library.starts(points, turns, 12)

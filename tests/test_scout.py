@@ -16,7 +16,7 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.library import Start
-from lbsfit_np.starts.turns import ORIENTATIONS, turns_of
+from lbsfit_np.starts.turns import ORIENTATIONS, facing_of
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -46,7 +46,7 @@ def make(tube_rig, tube_fitter):
     def made(orientation="upright", settings=None, *, segmenter=True, **more):
         library, s = trained
         settings = settings or FitSettings(effort="fast")
-        return Scout(model, library, turns_of(tube_rig, orientation), s if segmenter else None, settings, **more)
+        return Scout(model, library, facing_of(tube_rig, orientation), s if segmenter else None, settings, **more)
 
     return made
 
@@ -213,12 +213,12 @@ def test_without_the_librarys_poses_starts_are_rest_and_f_under_its_turns(make, 
     scout = make(nearest=False, segmenter=False)
     points = scans[0].points @ _upright(2.0).T
     runners = scout._runners(points, None)
-    library, turns = scout.library, [s.turn for s in scout.library.starts(points, scout.turns, scout.effort.starts)]
+    library, turns = scout.library, [s.turn for s in scout.library.starts(points, scout.facing.turns, scout.effort.starts)]
     assert len(runners) == 2 * len(set(turns))
-    f = library.regress(points @ scout.turns[turns[0]])
+    f = library.regress(points @ scout.facing.turns[turns[0]])
     for k, r in enumerate(runners):
         np.testing.assert_array_equal(r.state.theta, f if k % 2 else np.zeros_like(f))
-    assert {r.name.turn.tobytes() for r in runners} == {scout.turns[k].tobytes() for k in turns}
+    assert {r.name.turn.tobytes() for r in runners} == {scout.facing.turns[k].tobytes() for k in turns}
     everything = make(segmenter=False)._runners(points, None)
     np.testing.assert_array_equal(everything[-1].state.theta, f)
     assert sum((r.state.theta == library.poses).all(axis=(1, 2)).any() for r in everything) == len(everything) - 1
@@ -297,7 +297,7 @@ def _untrained(rig, poses=None, *, orientation="aligned", effort="balanced", seg
         return [Start(poses[0], 0, 1.0, 0.0)]
 
     library = SimpleNamespace(poses=poses, starts=starts, regress=lambda points: poses[0])
-    return Scout(Model(rig), library, turns_of(rig, orientation), segmenter, FitSettings(effort=effort), **more)
+    return Scout(Model(rig), library, facing_of(rig, orientation), segmenter, FitSettings(effort=effort), **more)
 
 
 def test_a_finger_that_every_start_has_wrong_is_put_in_its_place():

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
+from lbsfit_np.rig.frames import AXES
 from lbsfit_np.rotations import matrix_from_rotvec
-from lbsfit_np.starts.turns import ORIENTATIONS, any_side_up, some_turns, stands_note, turns_of
+from lbsfit_np.starts.turns import ORIENTATIONS, any_side_up, facing_of, some_turns, stands_note
 
 
 def _between(A, B):
@@ -24,35 +25,55 @@ def _random_rotations(n, seed=0):
 
 @pytest.mark.parametrize("orientation", ORIENTATIONS)
 def test_turns_are_rotations_that_begin_with_none(tube_rig, orientation):
-    turns = turns_of(tube_rig, orientation)
+    turns = facing_of(tube_rig, orientation).turns
     np.testing.assert_allclose(turns @ turns.transpose(0, 2, 1), np.tile(np.eye(3), (len(turns), 1, 1)), atol=1e-12)
     np.testing.assert_allclose(np.linalg.det(turns), 1.0, atol=1e-12)
     np.testing.assert_allclose(turns[0], np.eye(3), atol=1e-15)
     assert len(np.unique(turns.round(9), axis=0)) == len(turns)
-    np.testing.assert_array_equal(turns, turns_of(tube_rig, orientation))
+    np.testing.assert_array_equal(turns, facing_of(tube_rig, orientation).turns)
 
 
 def test_aligned_is_no_turn(tube_rig):
-    np.testing.assert_array_equal(turns_of(tube_rig, "aligned"), np.eye(3)[None])
+    np.testing.assert_array_equal(facing_of(tube_rig, "aligned").turns, np.eye(3)[None])
 
 
 @pytest.mark.parametrize("up, axis", [("+y", [0, 1, 0]), ("+z", [0, 0, 1]), ("-x", [-1, 0, 0]), (None, [0, 1, 0])])
 def test_upright_turns_stand_on_the_rigs_up_axis(tube_rig, up, axis):
-    turns = turns_of(replace(tube_rig, up=up), "upright")
+    turns = facing_of(replace(tube_rig, up=up), "upright").turns
     np.testing.assert_allclose(turns @ np.array(axis, dtype=float), np.tile(axis, (24, 1)), atol=1e-12)
     angles = np.linspace(0, 2 * np.pi, 500)
     every = matrix_from_rotvec(angles[:, None] * np.array(axis, dtype=float))
     assert _between(every[:, None], turns[None]).min(axis=1).max() <= np.radians(7.51)
 
 
+@pytest.mark.parametrize("orientation", ["aligned", "upright"])
+@pytest.mark.parametrize("up", AXES)
+def test_turns_lead_to_the_scans_up_axis(tube_rig, orientation, up):
+    rig, axis = replace(tube_rig, up="+z"), np.array(AXES[up])
+    facing, own = facing_of(rig, orientation, up), facing_of(rig, orientation)
+    np.testing.assert_array_equal(facing.up, axis)
+    assert own.open_up == (orientation == "upright") and not facing.open_up
+    np.testing.assert_allclose(facing.turns @ [0.0, 0.0, 1.0], np.tile(axis, (len(own.turns), 1)), atol=1e-12)
+    shortest = 0.0 if up == "+z" else np.pi if up == "-z" else np.pi / 2
+    assert _between(facing.turns[0], np.eye(3)) == pytest.approx(shortest, abs=1e-6)
+    if orientation == "upright":
+        between = _between(facing.turns[:, None], facing.turns[None])
+        np.testing.assert_allclose(between, _between(own.turns[:, None], own.turns[None]), atol=1e-6)
+
+
+def test_where_any_rotation_may_be_no_axis_is_up(tube_rig):
+    facing = facing_of(tube_rig, "any")
+    assert facing.up is None and not facing.open_up
+
+
 def test_any_rotation_has_a_turn_near_it(tube_rig):
-    turns = turns_of(tube_rig, "any")
+    turns = facing_of(tube_rig, "any").turns
     nearest = _between(_random_rotations(800)[:, None], turns[None]).min(axis=1)
     assert nearest.max() < np.radians(32) and nearest.mean() < np.radians(19)
 
 
 def test_turns_are_spread_evenly(tube_rig):
-    turns = turns_of(tube_rig, "any")[1:]
+    turns = facing_of(tube_rig, "any").turns[1:]
     apart = _between(turns[:, None], turns[None]) + 9 * np.eye(len(turns))
     assert apart.min() > np.radians(12)
     nearest = _between(_random_rotations(20_000)[:, None], turns[None]).argmin(axis=1)
@@ -62,7 +83,7 @@ def test_turns_are_spread_evenly(tube_rig):
 
 @pytest.mark.parametrize("orientation, n", [("aligned", 1), ("upright", 6), ("any", 6)])
 def test_some_turns_are_even_ones_of_all(tube_rig, orientation, n):
-    turns = turns_of(tube_rig, orientation)
+    turns = facing_of(tube_rig, orientation).turns
     some = some_turns(turns)
     assert len(some) == n
     np.testing.assert_array_equal(some[0], turns[0])
@@ -72,13 +93,13 @@ def test_some_turns_are_even_ones_of_all(tube_rig, orientation, n):
 
 def test_the_bundled_rigs_stand_on_y():
     for name in ("hand-coarse", "body-coarse"):
-        turns = turns_of(lbs.load_rig(name), "upright")
+        turns = facing_of(lbs.load_rig(name), "upright").turns
         np.testing.assert_allclose(turns[:, 1], np.tile([0.0, 1.0, 0.0], (24, 1)), atol=1e-12)
 
 
 def test_any_side_may_be_up():
     up = np.array([0.0, 1.0, 0.0])
-    turns = turns_of(lbs.load_rig("hand-coarse"), "upright")
+    turns = facing_of(lbs.load_rig("hand-coarse"), "upright").turns
     wide = any_side_up(turns, up)
     assert len(wide) == 6 * len(turns)
     np.testing.assert_array_equal(wide[: len(turns)], turns)

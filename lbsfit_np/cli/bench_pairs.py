@@ -33,7 +33,7 @@ __all__ = [
 GALLERY = "gallery.png"
 
 # Options of the fits that mean the same as in lbsfit fit and lbsfit learn, and are part of what fits are kept by.
-_OF_FITS = ("scale", "orientation", "partial", "effort", "max-points", "training-scans", "seed")
+_OF_FITS = ("scale", "orientation", "up", "partial", "effort", "max-points", "training-scans", "seed")
 _OF_LEARNING = ("rounds", "held-out")
 
 

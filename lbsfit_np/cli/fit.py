@@ -38,6 +38,11 @@ OPTIONS = (
         default="upright",
         choices=("upright", "aligned", "any"),
     ),
+    Option(
+        "up",
+        "the scans' up axis, such as --up=+z; by default the rig's, or another one where that does not suit a scan",
+        choices=("+x", "-x", "+y", "-y", "+z", "-z"),
+    ),
     Option("partial", "scans show one side only, as single depth views do", bool, False),
     Option("effort", "how many starts go how far", default="balanced", choices=("fast", "balanced", "thorough")),
     Option("weights", "weights of the objective", default="default", choices=("default", "paper")),
@@ -76,7 +81,7 @@ overwritten. After Ctrl-C, the same command with --existing skip does the rest.
 
 A model keeps its rig, its segmenter and how these were made: options about the rig (--card, --shape, --skin,
 --normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale,
---orientation, --partial, --effort, --weights, --max-points and --seed are the model's unless they are given.
+--orientation, --up, --partial, --effort, --weights, --max-points and --seed are the model's unless they are given.
 """
 
 _EPILOG = """\
@@ -232,6 +237,7 @@ def _fitter(rig_path, values, given):
         joints=values["joints"],
         scale=values["scale"],
         orientation=values["orientation"],
+        up=values["up"],
         partial=values["partial"],
         effort=values["effort"],
         max_points=values["max_points"],

@@ -25,7 +25,7 @@ __all__ = ["OPTIONS", "add_parser", "learn_files"]
 
 # Options that mean the same here as in lbsfit fit.
 _SHARED = (
-    *("scale", "orientation", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
+    *("scale", "orientation", "up", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
     *("training-scans", "training", "seed", "jobs"),
 )
 
@@ -196,7 +196,7 @@ def _fitter(rig, values):
     from ..learning.training import training_settings
 
     training_settings(values["training"])
-    names = ("weights", "joints", "scale", "orientation", "partial", "effort", "max_points", "training_scans", "training")
+    names = ("weights", "joints", "scale", "orientation", "up", "partial", "effort", "max_points", "training_scans", "training")
     return LBSFitter(
         rig,
         **{name: values[name] for name in (*names, "variant", "rounds", "held_out", "sequence", "smooth")},

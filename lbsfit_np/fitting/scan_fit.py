@@ -13,7 +13,7 @@ from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.clean import clean_rows
 from ..starts.scale import reference_scale, unit_note
-from ..starts.turns import some_turns, stands_note
+from ..starts.turns import Facing, some_turns, stands_note
 from .assemble import assemble
 from .confidence import shown_problem
 from .refit import Refit
@@ -83,23 +83,21 @@ class ScanFit:
         Without one, and without known labels, there is no structured term.
     library : PoseLibrary, optional
         Needed but with known labels or a given start.
-    turns : (R, 3, 3) array, optional
+    facing : Facing, optional
         How scans may be turned; by default they face the rig's way.
-    up : (3,) array, optional
-        Where scans are upright: the direction that no floor lies in.
     nearest : bool, default True
         Whether the library's poses are starts, as for ``Scout``.
     """
 
-    def __init__(self, model, settings=None, *, segmenter=None, library=None, turns=None, up=None, nearest=True):
+    def __init__(self, model, settings=None, *, segmenter=None, library=None, facing=None, nearest=True):
         self.model, self.settings = model, settings or FitSettings()
         self.segmenter, self.library, self.nearest = segmenter, library, nearest
-        self.turns, self.up = np.eye(3)[None] if turns is None else turns, up
+        self.facing = facing or Facing()
 
     @cached_property
     def scout(self):
         """The Scout of these settings."""
-        return Scout(self.model, self.library, self.turns, self.segmenter, self.settings, nearest=self.nearest)
+        return Scout(self.model, self.library, self.facing, self.segmenter, self.settings, nearest=self.nearest)
 
     def fit(self, points, *, theta0=None, labels=None, point_weights=None, random_state=None, found=None):
         """Fit one scan.
@@ -130,7 +128,7 @@ class ScanFit:
     def _fit(self, points, theta0, labels, point_weights, random_state, started, found):
         model, settings = self.model, self.settings
         rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
-        rows, left_out = clean_rows(points, rows, up=self.up)
+        rows, left_out = clean_rows(points, rows, up=self.facing.up)
         guess = reference_scale(points[rows], model.source, settings.scale).scale
         a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
         if theta0 is None and labels is None:
@@ -147,7 +145,7 @@ class ScanFit:
             # The residual takes what the template lacks; the pose is better known by distances to the surface.
             known = None if labels is None else labels[rows]
             last = replace(last, state=self._refit.polish(problem, last.state, labels=known))
-        stands = "" if self.up is None or theta0 is not None else stands_note(frame.turn, self.up)
+        stands = stands_note(frame.turn, self.facing.up) if self.facing.open_up and theta0 is None else ""
         note = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
         return assemble(
             model.source,
@@ -177,7 +175,7 @@ class ScanFit:
         """The search from a given start, which says how the scan is turned, or with known labels, which tell it."""
         model, settings = self.model, self.settings
         centre = points[rows].mean(axis=0)
-        best, turns = None, some_turns(self.turns)
+        best, turns = None, some_turns(self.facing.turns)
         if theta0 is not None:  # in a frame that is turned along, the segmenter sees the scan as it has learned it
             turns = root_turn(model.source, theta0)[None]
             theta0 = turned_root(model.source, theta0, turns[0].T)

@@ -31,8 +31,6 @@ _LABELLED, _ELSEWHERE = 900, 0.8
 _ALIKE = 0.03
 # Without proportions, the right pose may leave this many times as much unexplained as a wrong one.
 _RIVAL = 2.0
-# More turns than about one axis.
-_MANY = 100
 # A pose that is right with less than this probability is worth a second look.
 _SURE = 0.8
 
@@ -112,8 +110,8 @@ class Scout:
     ----------
     model : Model
     library : PoseLibrary
-    turns : (R, 3, 3) array
-        How scans may be turned, ``starts.turns.turns_of``.
+    facing : Facing
+        How scans may be turned.
     segmenter : Segmenter or None
         Without one there is no hypothesis from labels.
     settings : FitSettings
@@ -125,15 +123,15 @@ class Scout:
         False leaves out the library's poses, of limbs as well, but not what they tell of turn and unit.
     """
 
-    def __init__(self, model, library, turns, segmenter, settings, *, unit=None, proportions=True, nearest=True):
-        self.model, self.library, self.turns, self.segmenter = model, library, turns, segmenter
+    def __init__(self, model, library, facing, segmenter, settings, *, unit=None, proportions=True, nearest=True):
+        self.model, self.library, self.facing, self.segmenter = model, library, facing, segmenter
         self.settings, self.nearest, self.effort = settings, nearest, EFFORTS[settings.effort]
         self.unit = 1.0 if settings.scale == "fixed" else unit
         self._free = ("pose", "translation") if self.unit else ("pose", "translation", "scale")
         self._refit = Refit(model, self._free, partial=settings.partial)
-        self._up = up = up_axis(model.source)
+        up = up_axis(model.source)
         # About the up axis; where any rotation may be, about the other two axes as well.
-        self._flips = [up] if len(turns) < _MANY else [up, *np.eye(3)[up == 0]]
+        self._flips = [up] if facing.up is not None else [up, *np.eye(3)[up == 0]]
         self._limbs = LimbPoses(model, library.poses)
         self._shape = None
         if proportions and settings.polish and len(model.rig.faces):
@@ -156,8 +154,8 @@ class Scout:
         if self.effort.again and self._probability(found) < _SURE:
             closer = copy(self)
             closer.effort = EFFORTS[self.effort.again]
-            if 1 < len(self.turns) < _MANY:  # not every scan has the rig's up axis
-                closer.turns = any_side_up(self.turns, self._up)
+            if self.facing.open_up:  # not every scan has the rig's up axis
+                closer.facing = replace(self.facing, turns=any_side_up(self.facing.turns, self.facing.up))
             # E goes by the square of the frame's unit.
             found = min(found, closer._look(points, x_weights), key=lambda f: f.value * f.frame.unit**2)
         return found
@@ -191,9 +189,9 @@ class Scout:
 
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points
-        starts = self.library.starts(points, self.turns, self.effort.starts, unit=self.unit)
+        starts = self.library.starts(points, self.facing.turns, self.effort.starts, unit=self.unit)
         # f answers for a scan that faces the rig's way.
-        seen = self.library.regress(points @ self.turns[starts[0].turn])
+        seen = self.library.regress(points @ self.facing.turns[starts[0].turn])
         if self.nearest:
             starts.append(replace(starts[0], theta=seen))
         else:
@@ -201,7 +199,7 @@ class Scout:
             starts = [replace(s, theta=theta) for s in turns for theta in (np.zeros_like(seen), seen)]
         # One unit for all, as what is left unexplained is compared.
         unit = self.unit or float(np.median([s.scale for s in starts]))
-        frames = {s.turn: Frame(centre, unit * self.model.half, self.turns[s.turn]) for s in starts}
+        frames = {s.turn: Frame(centre, unit * self.model.half, self.facing.turns[s.turn]) for s in starts}
         problems = {turn: Problem(frame.inside(points), x_weights) for turn, frame in frames.items()}
         placed = self._refit.placed
         return [
@@ -252,7 +250,7 @@ class Scout:
     def _facings(self, runners):
         """Frames under which labels are read: the best runner's, its half turns, and those of others that face elsewhere."""
         frames = []
-        if len(self.turns) > 1:
+        if len(self.facing.turns) > 1:
             flips = [matrix_from_rotvec(np.pi * axis) for axis in self._flips]
             frames = [replace(runners[0].name, turn=runners[0].name.turn @ flip) for flip in flips]
         out = [runners[0].name]

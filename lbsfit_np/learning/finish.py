@@ -20,7 +20,7 @@ from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.clean import clean_rows
 from ..starts.scale import reference_scale, unit_note
-from ..starts.turns import some_turns, turns_of, up_of
+from ..starts.turns import facing_of, some_turns
 from .variants import as_variant
 
 __all__ = ["fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
@@ -96,7 +96,7 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if len(rows) > settings.max_points:
         rows = np.sort(generator(seed, "thin").choice(rows, settings.max_points, replace=False))
-    rows, left_out = clean_rows(points, rows, up=up_of(rig, fitter.orientation))
+    rows, left_out = clean_rows(points, rows, up=_facing(fitter).up)
     guess = reference_scale(points[rows], rig, settings.scale).scale
     x = points[rows]
     a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
@@ -139,14 +139,14 @@ def _is_somebody_else(model, found, settings):
 
 def _scouted(fitter, subject, x, a, settings):
     """A scan of which nothing is known; in the subject's unit where its size allows that."""
-    turns, library, segmenter = turns_of(fitter.rig, fitter.orientation), fitter.regressor_, fitter.segmenter_
-    unit = _unit(library.starts(x, turns, 1)[0].scale, fitter.unit_[subject], settings)
+    facing, library, segmenter = _facing(fitter), fitter.regressor_, fitter.segmenter_
+    unit = _unit(library.starts(x, facing.turns, 1)[0].scale, fitter.unit_[subject], settings)
     model, nearest = _template_fit(fitter, subject, settings).model, as_variant(fitter.variant).library
 
     def make():
-        return Scout(model, library, turns, segmenter, settings, unit=unit, proportions=False, nearest=nearest)
+        return Scout(model, library, facing, segmenter, settings, unit=unit, proportions=False, nearest=nearest)
 
-    made_of = model, library, segmenter, settings, fitter.orientation, nearest, unit
+    made_of = model, library, segmenter, settings, _facing_words(fitter), nearest, unit
     return _kept(fitter, (subject, "scout", unit is None), made_of, make)(x, a)
 
 
@@ -171,7 +171,7 @@ def _given(fitter, subject, x, a, settings, guess, theta0, known):
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
         refit = refit.freeing(("pose", "translation", "scale"))
-    best, turns = None, some_turns(turns_of(fitter.rig, fitter.orientation))
+    best, turns = None, some_turns(_facing(fitter).turns)
     if theta0 is not None:
         turns = root_turn(fitter.rig, theta0)[None]
         theta0 = turned_root(fitter.rig, theta0, turns[0].T)
@@ -206,15 +206,22 @@ def _template_fit(fitter, subject, settings):
 
 def scan_fit(fitter, segmenter=None, library=None):
     """Fits of scans by themselves, with what was pretrained."""
-    model, settings, orientation = fitter._model(), fitter._fit_settings(), fitter.orientation
+    model, settings = fitter._model(), fitter._fit_settings()
     nearest = as_variant(fitter.variant).library
-    made_of = model, settings, orientation, segmenter, library, nearest
+    made_of = model, settings, _facing_words(fitter), segmenter, library, nearest
 
     def make():
-        turns, up = turns_of(fitter.rig, orientation), up_of(fitter.rig, orientation)
-        return ScanFit(model, settings, segmenter=segmenter, library=library, turns=turns, up=up, nearest=nearest)
+        return ScanFit(model, settings, segmenter=segmenter, library=library, facing=_facing(fitter), nearest=nearest)
 
     return _kept(fitter, (None, "scan fit"), made_of, make)
+
+
+def _facing(fitter):
+    return facing_of(fitter.rig, fitter.orientation, fitter.up)
+
+
+def _facing_words(fitter):
+    return f"{fitter.orientation} {fitter.up}"
 
 
 def _kept(fitter, key, made_of, make):

@@ -12,7 +12,7 @@ from ..fitting.scan_fit import FitSettings
 from ..losses.objective import as_weights
 from ..optimize.model import Model
 from ..seeds import integer_seed
-from ..starts.turns import turns_of, up_of
+from ..starts.turns import facing_of
 from .archive import model_digest, read_fitter, write_fitter
 from .collection import as_scans, as_subjects, read_collection
 from .finish import fit_free_form, fit_new, results_of, scan_fit
@@ -43,6 +43,8 @@ class LBSFitter(BaseEstimator):
     orientation : {"upright", "aligned", "any"}, default "upright"
         How a scan may be turned: about the up axis, not at all (it faces the rig's way, within the root joint's limits), or in
         any way. The turn is found by hypotheses; the less is open, the surer and the faster.
+    up : {"+x", "-x", "+y", "-y", "+z", "-z"}, optional
+        The scans' up axis where it is known; by default the rig's, or another one where that does not suit a scan.
     partial : bool, default False
         Whether scans show one side only, as single depth views do: what is trained then sees such scans, and parts of the
         model that a scan has no points of do not pull.
@@ -97,6 +99,7 @@ class LBSFitter(BaseEstimator):
         joints="follow",
         scale="estimate",
         orientation="upright",
+        up=None,
         partial=False,
         effort="balanced",
         max_points=2500,
@@ -115,6 +118,7 @@ class LBSFitter(BaseEstimator):
         self.joints = joints
         self.scale = scale
         self.orientation = orientation
+        self.up = up
         self.partial = partial
         self.effort = effort
         self.max_points = max_points
@@ -153,21 +157,17 @@ class LBSFitter(BaseEstimator):
         labels = as_variant(self.variant).labels
         if segmenter is not None:
             segmenter.check_rig(self.rig)
-        if not labels:
-            segmenter = None
+        segmenter = segmenter if labels else None
         train = labels and segmenter is None
         share = _LIBRARY_TIME if train else 1.0
-        library = self._pretrain_library(cache, lambda p: progress(share * p))
+        made_of = self.rig, self._synthesis(), self.training_scans
+        options = {"random_state": self._seed(), "cache": cache and self._repeatable()}
+        library = pretrain_library(*made_of, progress=lambda p: progress(share * p), jobs=self._jobs(), **options)
         if train:
-            options = {"random_state": self._seed(), "n_jobs": self.n_jobs, "cache": cache and self._repeatable()}
-            options["progress"] = lambda p: progress(share + (1 - share) * p)
-            segmenter = pretrain_segmenter(self.rig, self._synthesis(), self.training_scans, **options)
+            options |= {"n_jobs": self.n_jobs, "progress": lambda p: progress(share + (1 - share) * p)}
+            segmenter = pretrain_segmenter(*made_of, **options)
         self.segmenter_, self.regressor_ = self._pretrained = segmenter, library
         return self
-
-    def _pretrain_library(self, cache, progress):
-        options = {"random_state": self._seed(), "jobs": self._jobs(), "cache": cache and self._repeatable()}
-        return pretrain_library(self.rig, self._synthesis(), self.training_scans, progress=progress, **options)
 
     def fit(self, scans, subjects=None, *, cache=False, progress=None, on_round=None):
         """Learn from a collection of scans: Algorithm 1 of the paper, see ``learning.loop``.
@@ -197,7 +197,7 @@ class LBSFitter(BaseEstimator):
             any out. A single scan that cannot be used is left out, with a warning and its reason in ``failures_``.
         """
         self._check()
-        variant, seed = as_variant(self.variant), self._seed()
+        variant, seed, facing = as_variant(self.variant), self._seed(), facing_of(self.rig, self.orientation, self.up)
         collection = read_collection(
             self.rig,
             scans,
@@ -205,7 +205,7 @@ class LBSFitter(BaseEstimator):
             max_points=self.max_points,
             held_out=self.held_out if variant.skinning else 0.0,
             scale=self.scale,
-            up=up_of(self.rig, self.orientation),
+            up=facing.up,
             random_state=seed,
         )
         collection.warn(stacklevel=2)
@@ -230,7 +230,7 @@ class LBSFitter(BaseEstimator):
             variant,
             segmenter,
             library,
-            turns=turns_of(self.rig, self.orientation),
+            facing=facing,
             fit_settings=settings,
             settings=LoopSettings.for_training(self.training_scans, rounds=int(self.rounds)),
             synthesis=self._synthesis(),

@@ -106,7 +106,7 @@ class Loop:
         Pretrained.
     library : PoseLibrary
         Pretrained.
-    turns : (R, 3, 3) array
+    facing : Facing
         How scans may be turned.
     fit_settings : FitSettings
     settings : LoopSettings
@@ -132,7 +132,7 @@ class Loop:
         segmenter,
         library,
         *,
-        turns,
+        facing,
         fit_settings,
         settings,
         synthesis,
@@ -151,7 +151,7 @@ class Loop:
         self.on_round = on_round or (lambda k, segmenter: None)
         self.model = Model(rig, joints)
         self.shifting = Model(rig, joints, shifts=TemplateSettings().shifts if joints == "follow" else 0.0)
-        self.library, self.turns = library, turns
+        self.library, self.facing = library, facing
         self.coefficients = {}
         self.history = []
 
@@ -190,7 +190,7 @@ class Loop:
         members, half = self.collection.members, self.model.half
         guess = members[0].unit  # one for all
         segmenter = self.segmenter if self.variant.labels else None
-        work = _FirstFit(self.model, self.fit_settings, segmenter, self.library, self.turns, self.variant.library)
+        work = _FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library)
         answers = self._work(work, [m.points[m.rows] for m in members], "first fits")
         scales = {}
         for m, (frame, state, loss, proba) in zip(self.collection.members, answers, strict=True):
@@ -359,12 +359,12 @@ class _FirstFit:
     settings: object
     segmenter: object
     library: object
-    turns: np.ndarray
+    facing: object
     nearest: bool
 
     @cached_property
     def _scout(self):
-        return Scout(self.model, self.library, self.turns, self.segmenter, self.settings, nearest=self.nearest)
+        return Scout(self.model, self.library, self.facing, self.segmenter, self.settings, nearest=self.nearest)
 
     def __call__(self, points):
         found = self._scout(points)

@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import InputError, brief, check_array
 from ..fitting.scout import EFFORTS
 from ..losses.objective import as_weights
+from ..rig.frames import AXES
 from ..rig.rig import Rig
 from ..scan import check_points
 from ..segmentation.segmenter import jobs_of
@@ -33,6 +34,12 @@ def check_parameters(fitter):
         value = getattr(fitter, name)
         if not isinstance(value, str) or value not in known:
             raise InputError(name, brief(value), f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}")
+    if fitter.up is not None:
+        if not isinstance(fitter.up, str) or fitter.up not in AXES:
+            raise InputError("up", brief(fitter.up), f"{', '.join(map(repr, AXES))} or None")
+        if fitter.orientation == "any":
+            remedy = "Leave it out, or choose 'upright'."
+            raise InputError("up", f"{fitter.up!r} with orientation 'any'", "an orientation that has an up axis", remedy)
     as_variant(fitter.variant)
     for name, most in (("held_out", 0.9), ("smooth", 1e6)):
         value = getattr(fitter, name)

@@ -1,11 +1,13 @@
 """Which way a scan may face: the turns that a start is tried under."""
 
+from dataclasses import dataclass, field
+
 import numpy as np
 
-from ..rig.frames import up_axis
+from ..rig.frames import AXES, up_axis
 from ..rotations import matrix_from_rotvec
 
-__all__ = ["ORIENTATIONS", "any_side_up", "some_turns", "stands_note", "turns_of", "up_of"]
+__all__ = ["ORIENTATIONS", "Facing", "any_side_up", "facing_of", "some_turns", "stands_note"]
 
 ORIENTATIONS = ("aligned", "upright", "any")
 # Steps of 15° about the up axis; all rotations some 30° apart. Steps towards the surface turn the rest of the way.
@@ -13,8 +15,27 @@ _UPRIGHT = 24
 _ANY = 600
 
 
-def turns_of(rig, orientation):
-    """Rotations that cover how a scan may be turned.
+@dataclass(frozen=True)
+class Facing:
+    """How scans may be turned against a rig.
+
+    Attributes
+    ----------
+    turns : (R, 3, 3) array
+        Rotations from the rig's frame to the scans' that cover it; by default the identity alone.
+    up : (3,) array or None
+        The direction that is up in a scan; None where any may be.
+    open_up : bool
+        Whether that is but what is likely, and scans may stand along another coordinate axis after all.
+    """
+
+    turns: np.ndarray = field(default_factory=lambda: np.eye(3)[None])
+    up: np.ndarray | None = None
+    open_up: bool = False
+
+
+def facing_of(rig, orientation, up=None):
+    """The turns that a fitter's parameters leave open.
 
     Parameters
     ----------
@@ -22,24 +43,24 @@ def turns_of(rig, orientation):
         Its up axis matters; +y where it has none.
     orientation : {"aligned", "upright", "any"}
         The scan faces the rig's way, is turned about the up axis, or is turned in any way.
+    up : str, optional
+        The scans' up axis where it is known, such as "+z"; by default the rig's, but for scans that it does not suit. Scans of
+        another up axis than the rig's are taken to be turned by the shortest way from one to the other, and then as said.
 
     Returns
     -------
-    (R, 3, 3) array
-        The first one is the identity.
+    Facing
     """
-    if orientation == "aligned":
-        return np.eye(3)[None]
+    if orientation == "any":
+        return Facing(np.concatenate([np.eye(3)[None], _spread_rotations(_ANY - 1)]))
+    own = up_axis(rig)
+    turns = np.eye(3)[None]
     if orientation == "upright":
         angles = np.linspace(0.0, 2 * np.pi, _UPRIGHT, endpoint=False)
-        return matrix_from_rotvec(angles[:, None] * up_axis(rig))
-    spread = _spread_rotations(_ANY - 1)
-    return np.concatenate([np.eye(3)[None], spread])
-
-
-def up_of(rig, orientation):
-    """(3,) the direction that is up in a scan, which may be turned about it alone; None where any rotation may be."""
-    return None if orientation == "any" else up_axis(rig)
+        turns = matrix_from_rotvec(angles[:, None] * own)
+    if up is None:
+        return Facing(turns, own, open_up=orientation == "upright")
+    return Facing(_turn_from(own, np.array(AXES[up])) @ turns, np.array(AXES[up]))
 
 
 def any_side_up(turns, up):
