@@ -116,7 +116,9 @@ def test_skip_keeps_fits_of_the_same_model(tube_model, tubes, tmp_path, run):
         code, text, _ = run(*arguments)
         assert code == 0 and f"{kept} of 2 scans are fitted already" in text
     assert (tmp_path / "t0.fit.npz").read_bytes() == (results / "t0.fit.npz").read_bytes()
-    assert run(*arguments, "--subject", "0", "--max-points", 99)[0] == 0  # its only subject; settings do not count
+    assert run(*arguments, "--max-points", 99)[0] == 0  # settings do not count
+    code, _, err = run(*arguments, "--subject", "0")  # its only one; but without, a scan may be somebody else's
+    assert code == 2 and "--subject told otherwise" in one_line(err)
 
 
 @pytest.mark.parametrize("change", ["another model", "a rig", "a model"])
@@ -128,7 +130,8 @@ def test_skip_does_not_take_fits_made_with_something_else(change, tube_model, tu
         template = fitter.template_[0]
         fitter.template_[0] = template.with_template(1.01 * template.vertices, template.joints)
         fitter.save(tmp_path / "other.npz")
-        model, words = tmp_path / "other.npz", "with another model, or with other subjects of it; expected fits with this model"
+        model = tmp_path / "other.npz"
+        words = "with another model, or with --subject told otherwise; expected fits with this model"
         _copied(results, "t0.*", tmp_path)
     elif change == "a rig":
         model, words = tubes / "tube.npz", "with a learned model; expected fits with rig 'tube' alone"
@@ -148,7 +151,7 @@ def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, h
     arguments = ("fit", learned_hands[0], hands[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip")
     assert run(*arguments)[0] == 0
     code, _, err = run(*arguments, "--subject", "ben")
-    assert code == 2 and "with another model, or with other subjects of it" in one_line(err)
+    assert code == 2 and "with another model, or with --subject told otherwise" in one_line(err)
 
 
 @pytest.mark.parametrize("variant", ["cd", "free-form"])

@@ -163,6 +163,7 @@ def test_results_say_which_model_they_were_made_with(learned, tube_fitter, tube_
     assert len(digest) == 64 and model_digest(tube_fitter) == tube_result.model_digest == ""
     found = learned.fit_scan(clouds[0])
     assert {r.model_digest for r in (found, *learned.results_)} == {digest}
+    assert learned.fit_scan(clouds[0], subject="a").model_digest == model_digest(learned, named=True) != digest
     found.save(tmp_path / "r.npz")
     assert lbs.FitResult.load(tmp_path / "r.npz").model_digest == digest
     tube_result.save(tmp_path / "r.npz")

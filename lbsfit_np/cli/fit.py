@@ -175,7 +175,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     values = dict(values)  # a model changes some
     fitter, model = _fitter(rig_path, values, given)
     rig = fitter.rig
-    kept = _kept(files, fitter) if values["existing"] == "skip" else {}
+    kept = _kept(files, fitter, values["subject"]) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"{len(kept)} of {len(files)} scans are fitted already and kept")
@@ -271,12 +271,12 @@ def _fit(fitter, todo, values, on_result, progress):
     )
 
 
-def _kept(files, fitter):
+def _kept(files, fitter, subject):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
     from ..fitting.result import FitResult
     from ..learning.archive import model_digest
 
-    kept, rig, digest = {}, fitter.rig, model_digest(fitter)
+    kept, rig, digest = {}, fitter.rig, model_digest(fitter, named=subject is not None)
     for f in files:
         if not all(path.is_file() for path in f.paths.values()):
             continue
@@ -306,7 +306,7 @@ def _kept(files, fitter):
 def _made_with(theirs, ours):
     if not theirs:
         return "without a model"
-    return "with another model, or with other subjects of it" if ours else "with a learned model"
+    return "with another model, or with --subject told otherwise" if ours else "with a learned model"
 
 
 def _farewell(counts, n, out, stopped):

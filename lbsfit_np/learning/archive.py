@@ -75,16 +75,17 @@ def write_fitter(fitter, path):
     write_npz(path, **{MODEL_KEY: np.array(text)}, **rig_arrays(fitter.rig), **_learned_arrays(fitter))
 
 
-def model_digest(fitter):
+def model_digest(fitter, *, named=False):
     """Hex digest of all that a fit with a learned fitter depends on, but for the settings of the fit; "" before ``fit``.
 
-    The same before and after saving. Templates that were left out, as by ``lbsfit fit --subject``, do not count.
+    The same before and after saving. Templates that were left out, as by ``lbsfit fit --subject``, do not count. ``named``:
+    whether the fit was told its subject; one that was not may find that the scan is of somebody else.
     """
     if getattr(fitter, "template_", None) is None:
         return ""
     h = hashlib.sha256()
     subjects = [(s, float(fitter.unit_[s])) for s in fitter.template_]
-    h.update(repr((fitter.rig.digest, fitter.variant, fitter.joints, subjects)).encode())
+    h.update(repr((fitter.rig.digest, fitter.variant, fitter.joints, subjects, bool(named))).encode())
     for name, array in sorted(_learned_arrays(fitter).items()):
         h.update(f"{name} {array.dtype.str} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return h.hexdigest()

@@ -254,9 +254,9 @@ class LBSFitter(BaseEstimator):
         collection.warn(stacklevel=3)
         return self
 
-    def _signed(self, results):
+    def _signed(self, results, *, named=False):
         """The results with the digest of what they were made with."""
-        digest = model_digest(self)
+        digest = model_digest(self, named=named)
         return [r if r is None else replace(r, model_digest=digest) for r in results]
 
     def transform(self, scans, subjects=None):
@@ -342,7 +342,7 @@ class LBSFitter(BaseEstimator):
         if learned is not None or not as_variant(self.variant).skinning:
             subjects = None if learned is None else list(learned) if subject is None else [subject]
             found = fit_new(self, points, subjects, theta0, labels, point_weights, anyone=subject is None)
-            return self._signed([found])[0]
+            return self._signed([found], named=subject is not None)[0]
         trained = {}
         if labels is None:
             if not self._is_pretrained():
