@@ -7,7 +7,7 @@ import pytest
 
 from lbsfit_np.bench.measure import recon
 from lbsfit_np.bench.study import rows as rows_module
-from lbsfit_np.bench.study.data import SIZES, Size, part_groups, sized, study_set
+from lbsfit_np.bench.study.data import SCAN, SIZES, Size, part_groups, sized, study_set
 from lbsfit_np.bench.study.free_form import FromTemplate, taught
 from lbsfit_np.bench.study.measures import Registrations, Truth, measured, template_gap
 from lbsfit_np.bench.study.oracle import OracleFit
@@ -16,6 +16,7 @@ from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import cell_name, study
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.scout import EFFORTS
 from lbsfit_np.io.rigs import load_rig
 
 TINY = Size(4, 3, 2, 1, 6, 50, 2, 1)
@@ -270,6 +271,32 @@ def test_other_rigs_have_no_goals(rig, quick):
     report["rigs"]["h"]["kind"] = "other"
     text = console_table(report)
     assert "goal" not in text and "[0.035]" not in text and "from the best of the ablations" in text
+
+
+def test_every_row_does_what_it_says(tube_rig, monkeypatch):
+    """All of them, as the command runs them, on few scans."""
+    few = Size(train=4, test=3, train_subjects=2, test_subjects=2, pairs=4, training_scans=60, rounds=1, seeds=1)
+    monkeypatch.setitem(SIZES, "small", few)
+    monkeypatch.setattr("lbsfit_np.bench.study.data.SCAN", replace(SCAN, n_points=300))
+    monkeypatch.setitem(EFFORTS, "balanced", EFFORTS["fast"])
+    cells = study({"tube": tube_rig}, seeds=[5])["rigs"]["tube"]["seeds"]["5"]
+    assert list(cells) == list(ROWS) and not any(cell["unfitted"] for cell in cells.values())
+    assert min(cells, key=lambda row: cells[row]["pose"]) == "oracle-fit"
+    assert cells["joint"]["pose"] < 0.5 * cells["free-form"]["pose"]
+    told = {row: len(cell["accuracy"]) for row, cell in cells.items()}
+    assert told == dict.fromkeys(ROWS, 0) | {"joint": 2, "pose-only": 2, "rand": 2}
+    assert {row for row, cell in cells.items() if cell["gap"]} == {"joint", "pose-only", "rand", "cd"}
+    assert len({cells[row]["accuracy"][0] for row in ("joint", "pose-only", "rand")}) == 1  # the same pretraining
+    assert len({cells[row]["accuracy"][1] for row in ("joint", "pose-only", "rand")}) == 3  # and different learning
+
+
+def test_rows_that_need_no_pretraining_do_none(tube_rig, monkeypatch):
+    few = Size(train=4, test=2, train_subjects=2, test_subjects=2, pairs=2, training_scans=60, rounds=1, seeds=1)
+    monkeypatch.setitem(SIZES, "small", few)
+    monkeypatch.setattr("lbsfit_np.learning.fitter.LBSFitter.pretrain", None)
+    rows = tuple(name for name, row in ROWS.items() if not row.pretrained)
+    cells = study({"tube": tube_rig}, rows=rows, seeds=[5])["rigs"]["tube"]["seeds"]["5"]
+    assert {"free-form", "oracle-labels", "oracle-fit"} < set(cells) == set(rows)
 
 
 def test_rows_know_the_papers():

@@ -26,11 +26,14 @@ class Row:
     paper : str or None
         The name of the paper's row that it plays the part of.
     find : callable (Context) → Found
+    pretrained : bool, default True
+        Whether it needs what the fitter is pretrained with.
     """
 
     what: str
     paper: str | None
     find: Callable
+    pretrained: bool = True
 
 
 @dataclass(frozen=True)
@@ -80,7 +83,7 @@ class Context:
     seed : int
         Of the scans.
     fitter : LBSFitter
-        Pretrained.
+        Pretrained, where one of the rows asked for needs that.
     right : callable (labels) → float
         Share of the test scans' points that such labels, a list of (n,) int arrays, put into the right group of parts.
     jobs : int
@@ -213,16 +216,19 @@ def _of_results(rig, results):
 
 
 ROWS = {
-    "free-form": Row("no skinning, from the template", "free-form, unsupervised", _from_template),
+    "free-form": Row("no skinning, from the template", "free-form, unsupervised", _from_template, False),
     "free-form-augmented": Row("no skinning, from synthetic scans that look alike", "free-form, augmented", _augmented),
-    "free-form-supervised": Row("no skinning, true correspondences in training", "free-form, supervised", _supervised),
+    "free-form-supervised": Row("no skinning, true correspondences in training", "free-form, supervised", _supervised, False),
     "free-form-supervised-3x": Row(
-        "the same with three times the training scans", "free-form, supervised, three times the data", lambda c: _supervised(c, 3)
+        "the same with three times the training scans",
+        "free-form, supervised, three times the data",
+        lambda c: _supervised(c, 3),
+        False,
     ),
     "cd": Row("Chamfer alone, no labels", "LBS-AE_CD", lambda c: _learned(c, "cd")),
     "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand")),
     "pose-only": Row("segmenter from inferred poses, not templates", None, lambda c: _learned(c, "pose-only")),
     "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint")),
-    "oracle-labels": Row("true labels given, scans one by one", None, _oracle_labels),
-    "oracle-fit": Row("true correspondences given, scans one by one", None, _oracle_fit),
+    "oracle-labels": Row("true labels given, scans one by one", None, _oracle_labels, False),
+    "oracle-fit": Row("true correspondences given, scans one by one", None, _oracle_fit, False),
 }

@@ -135,7 +135,8 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
 
     parameters = {"training_scans": size.training_scans, "rounds": size.rounds, "n_jobs": jobs, "random_state": TRAINING_SEED}
     fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
-    fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
+    if any(ROWS[row].pretrained for row in rows):
+        fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
     truth = Truth(given.rig, given.test, size.pairs, seed)
     train_truth = None
     for row in rows:
