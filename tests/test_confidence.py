@@ -10,6 +10,7 @@ from lbsfit_np.fitting.confidence import EVIDENCE, evidence_of, logarithms, prob
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 
+PARTS = {"part_unexplained": "left_arm", "part_unreached": "right_arm"}
 NOTHING = dict.fromkeys(EVIDENCE, 0.0)
 
 
@@ -46,8 +47,9 @@ def test_a_finger_in_a_wrong_place_is_told_and_named(model, right, finger):
     row = model.source.joint_names.index(f"{finger}1")
     theta[row, 0] += 0.9 if theta[row, 0] < 0.6 else -0.9
     bad, worst = _evidence(model, state.replace(theta=theta), X)
-    assert bad["unexplained"] > 3 * good["unexplained"] and bad["worst_part"] > 2 * good["worst_part"]
-    assert finger in model.source.parts[worst]
+    assert bad["unexplained"] > 3 * good["unexplained"] and bad["part_unexplained"] > 2 * good["part_unexplained"]
+    assert bad["part_unreached"] > 2 * good["part_unreached"]
+    assert finger in model.source.parts[worst["part_unreached"]]
     assert probability_of(bad) < probability_of(good)
 
 
@@ -92,6 +94,22 @@ def test_clutter_is_no_fault_but_a_lump_beside_the_mesh_is(model, right):
     assert lumped["unexplained"] > 0.06
 
 
+@pytest.mark.parametrize("n", [300, 2500])
+def test_clutter_close_to_the_body_is_no_fault_but_a_finger_of_points_is(model, n):
+    """Whose third neighbours are on the body, so that these do not tell it."""
+    rng = np.random.default_rng(1)
+    (scan,) = lbs.synthesize(model.source, 1, poses="natural", random_state=4, shape=0.0, n_points=n)
+    state, X = model.rest().replace(theta=scan.pose), scan.points / model.half
+    strewn = X[rng.choice(n, n // 10)] + rng.uniform(-0.12, 0.12, (n // 10, 3))
+    plain, _ = _evidence(model, state, X)
+    cluttered, _ = _evidence(model, state, np.vstack([X, strewn]))
+    assert cluttered["unexplained"] < plain["unexplained"] + 0.02
+    assert cluttered["part_unexplained"] < 0.12
+    finger = rng.uniform(-1, 1, (n // 15, 3)) * [0.05, 0.25, 0.05] + X.mean(axis=0) + [0.0, 0.0, 0.4]
+    sixth, _ = _evidence(model, state, np.vstack([X, finger]))
+    assert sixth["unexplained"] > 0.04 and sixth["part_unexplained"] > 0.15
+
+
 def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
     state, _, _ = right
     theta = state.theta
@@ -100,7 +118,7 @@ def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
     whole, _ = _evidence(model, state, X)
     partial, _ = _evidence(model, state, X, partial=True)
     assert partial["unreached"] < 0.6 * whole["unreached"]
-    assert partial["worst_part"] < 0.5 * whole["worst_part"]
+    assert partial["part_unreached"] < 0.5 * whole["part_unreached"]
     problem = shown_problem(model, Problem(X), state, True)
     hidden = problem.v_weights == 0
     assert 0.3 < hidden.mean() < 0.9 and problem.v_weights.shape == (len(model.rig.vertices),)
@@ -158,6 +176,16 @@ def test_a_rival_and_limits_count(model, right):
     assert _evidence(model, state.replace(theta=inside), X)[0]["at_limits"] == 0.0
 
 
+def test_few_points_for_the_angles_count(model, right):
+    state, X, _ = right
+    angles = int(((model.rig.upper > model.rig.lower) & model.rig.moving[:, None]).sum()) - 3  # without the root's
+    assert angles == 21
+    assert _evidence(model, state, X[:100])[0]["sparse"] == pytest.approx(angles / 100)
+    half = np.r_[np.ones(50), np.zeros(50)]
+    assert _evidence(model, state, X[:100], x_weights=half)[0]["sparse"] == pytest.approx(angles / 50)
+    assert _evidence(model, state, X[:10])[0]["sparse"] == 1.0
+
+
 def test_no_evidence_raises_the_probability():
     worst = probability_of(dict.fromkeys(EVIDENCE, 1.0))
     best = probability_of(NOTHING)
@@ -171,15 +199,18 @@ def test_no_evidence_raises_the_probability():
     "evidence, low, high",
     [
         # As of right fits of the calibration …
-        ({"unexplained": 0.001, "unreached": 0.01, "worst_part": 0.1, "disagreement": 0.3, "at_limits": 0.1}, 0.95, 1.0),
-        ({"unexplained": 0.006, "unreached": 0.03, "worst_part": 0.2, "disagreement": 0.2, "at_limits": 0.2}, 0.3, 0.7),
-        # … and of wrong ones: a limb elsewhere, facing the wrong way.
-        ({"unexplained": 0.02, "unreached": 0.05, "worst_part": 0.4, "disagreement": 0.3, "at_limits": 0.2}, 0.05, 0.2),
-        ({"unexplained": 0.08, "unreached": 0.1, "worst_part": 0.8, "disagreement": 0.5, "at_limits": 0.3}, 0.0, 0.05),
+        ((0.001, 0.01, 0.03, 0.1, 0.3, 0.1, 0.01), 0.85, 1.0),
+        ((0.005, 0.02, 0.1, 0.3, 0.25, 0.2, 0.01), 0.2, 0.6),
+        # … of wrong ones, a limb elsewhere, facing the wrong way …
+        ((0.01, 0.03, 0.15, 0.3, 0.25, 0.2, 0.01), 0.05, 0.3),
+        ((0.03, 0.05, 0.3, 0.3, 0.3, 0.2, 0.02), 0.0, 0.05),
+        # … and of scans with hardly more points than angles.
+        ((0.001, 0.05, 0.02, 0.3, 0.2, 0.0, 0.9), 0.3, 0.7),
     ],
 )
 def test_each_piece_of_evidence_has_its_own_weight(evidence, low, high):
-    assert low < probability_of(NOTHING | evidence) < high
+    names = ("unexplained", "unreached", "part_unexplained", "part_unreached", "disagreement", "at_limits", "sparse")
+    assert low < probability_of(NOTHING | dict(zip(names, evidence, strict=True))) < high
 
 
 @pytest.mark.parametrize("p, status", [(0.51, "ok"), (0.49, "suspect"), (0.06, "suspect"), (0.04, "failed")])
@@ -189,9 +220,11 @@ def test_where_doubt_begins(p, status):
 
 def test_the_verdict_names_reasons():
     assert verdict_of(NOTHING, 0.95) == ("ok", "")
-    status, reason = verdict_of(NOTHING | {"unexplained": 0.21, "rival": 0.9, "worst_part": 0.6}, 0.3, "left_arm")
+    much = {"unexplained": 0.21, "rival": 0.9, "part_unexplained": 0.6, "part_unreached": 0.7}
+    status, reason = verdict_of(NOTHING | much, 0.3, PARTS)
     assert status == "suspect"
-    assert "21% of the points are not explained" in reason and "another pose" in reason and "part left_arm" in reason
+    assert "21% of the points are not explained" in reason and "another pose" in reason
+    assert "part left_arm does not fit" in reason and "part right_arm has no points" in reason
     assert verdict_of(NOTHING | {"unexplained": 0.9}, 0.01)[0] == "failed"
     assert verdict_of(NOTHING, 0.3)[1] == "several small things together"
 

@@ -115,7 +115,7 @@ def assemble(
             x_weights=problem.x_weights,
         )
         probability = probability_of(evidence)
-        status, reason = verdict_of(evidence, probability, rig.parts[worst] if worst >= 0 else "")
+        status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})
     ended = "converged" if last.converged else "ended at its limit of iterations"
     return FitResult(
         pose=pose,

@@ -15,7 +15,10 @@ from ..optimize.surface import closest_on_mesh, faces_around, vertex_normals
 __all__ = ["EVIDENCE", "evidence_of", "logarithms", "probability_of", "shown_problem", "verdict_of"]
 
 # What a fit is judged by; docs/fitting.md has the same list.
-EVIDENCE = ("distance", "unexplained", "unreached", "worst_part", "disagreement", "rival", "at_limits")
+EVIDENCE = (
+    *("distance", "unexplained", "unreached", "part_unexplained", "part_unreached"),
+    *("disagreement", "rival", "at_limits", "sparse"),
+)
 # s of ρ(d²) = d² / (d² + s²): distances of about this count half, in half sizes of the rig.
 _SCALE = 0.05
 # Of noise, distances up to so many medians are no fault of the pose; of sparse points, surface that is nearer than their spacing
@@ -24,6 +27,10 @@ _NOISE, _NOISIEST, _SPARSEST = 2.5, 0.015, 0.08
 # Points whose neighbours are so many times as far away as is usual are clutter, which no pose explains (density that varies
 # tenfold makes 3.2); unless less than this share of the weight would be left.
 _LONELY, _LEAST_KEPT = 4.0, 0.7
+# Clutter near the body has neighbours on it, but hardly any that are unexplained, too, whereas a limb that the pose misses leaves
+# many. So among points with a ρ above the first, the k-th neighbour counts: clutter is where that is further away than the second
+# times what is usual among all points. k is one for each so many points of the scan, and at most the fourth.
+_ODD, _LONELY_ODD, _POINTS_PER_K, _MOST_K = 0.05, 2.8, 400, 6
 # Points and surface with no partner nearer than this, in half sizes, have none.
 _PARTNER = 0.08
 # A one-sided view that would leave less of the surface than this share is no view of this pose.
@@ -68,11 +75,12 @@ def evidence_of(
     evidence : dict of str to float
         "distance": the points' median distance from the surface ÷ s; "unexplained": mean of ρ over what these distances are
         beyond 2.5 times their median, which is taken for noise up to 0.015; "unreached": the same over the surface's from the
-        points; "worst_part": the largest of both over single parts; "disagreement": 1 − mean probability that the segmenter
-        gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals'; "at_limits": share of the
-        angles that are at a limit. All in [0, 1]; what is not known is 0. Points far from all others count for nothing.
-    worst_part : int
-        The part of "worst_part"; −1 where nothing is unexplained.
+        points; "part_unexplained" and "part_unreached": the largest of each over single parts; "disagreement": 1 − mean
+        probability that the segmenter gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals';
+        "at_limits": share of the angles that are at a limit; "sparse": angles ÷ points. All in [0, 1]; what is not known is
+        0. Points far from all others, and unexplained ones far from all others of these, count for nothing.
+    worst : dict of str to int
+        The parts of "part_unexplained" and "part_unreached"; −1 where nothing is.
     """
     a = np.full(len(vertices), 1.0 / len(vertices)) if areas is None else areas
     w = np.full(len(X), 1.0 / len(X)) if x_weights is None else x_weights / x_weights.sum()
@@ -86,8 +94,8 @@ def evidence_of(
     index = PointIndex(X)
     to_X = index.nearest(vertices)
     # Between points there is nothing to reach.
-    third = _third_neighbour(X)
-    w = _without_lonely(w, third)
+    third = _neighbour(X, X, 3)
+    w = _without(w, third > _LONELY * np.median(third))
     spacing = 2.0 * float(np.median(third))  # how far apart points are where they are sparse
     back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing, _SPARSEST), 0.0) ** 2
     seen = np.ones(len(vertices), dtype=bool)
@@ -97,26 +105,22 @@ def evidence_of(
     typical = float(np.sqrt(_median(away, w)))
     away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
     rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
+    w = _without(w, _lonely_odd(X, rho_x))
     a = np.where(seen, a, 0.0)
     parts = labels[on]
-    worst, worst_part = 0.0, -1
-    for p in np.unique(labels):
-        points, surface = parts == p, (labels == p) & seen
-        weight, share = w[points].sum(), a[surface].sum()
-        own = [float(w[points] @ rho_x[points] / weight)] if weight > _PART else []
-        own += [float(a[surface] @ rho_v[surface] / share)] if share > _PART else []
-        if max(own, default=0.0) > worst:
-            worst, worst_part = max(own), int(p)
+    of_points, of_surface = _worst(parts, w, rho_x), _worst(labels, a, rho_v)
     out = {
         "distance": min(1.0, typical / _SCALE),
         "unexplained": float(w @ rho_x),
         "unreached": float(a @ rho_v / max(a.sum(), 1e-12)),
-        "worst_part": worst,
+        "part_unexplained": of_points[0],
+        "part_unreached": of_surface[0],
         "disagreement": 0.0 if proba is None else float(max(0.0, 1.0 - w @ proba[np.arange(len(X)), parts])),
         "rival": float(min(1.0, value / min(rivals))) if len(rivals) and value is not None and min(rivals) > 0 else 0.0,
         "at_limits": 0.0 if theta is None else _at_limits(rig, theta),
+        "sparse": float(min(1.0, _bending(rig).sum() * (w**2).sum())),  # 1 ÷ Σw² points that weigh the same are as good
     }
-    return out, worst_part
+    return out, {"part_unexplained": of_points[1], "part_unreached": of_surface[1]}
 
 
 def shown_problem(model, problem, state, partial):
@@ -155,22 +159,45 @@ def _median(values, weights):
     return values[order[np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())]]
 
 
-def _third_neighbour(X):
-    """(n,) distance of each point's third neighbour; 0 where there are fewer."""
+def _neighbour(of, among, k):
+    """(n,) distance of the k-th neighbour of points ``of`` among points that they are of; infinite where there are fewer."""
     from scipy.spatial import cKDTree
 
-    return cKDTree(X).query(X, k=4)[0][:, 3] if len(X) > 3 else np.zeros(len(X))
+    return cKDTree(among).query(of, k=[k + 1])[0][:, 0]
 
 
-def _without_lonely(w, third):
+def _lonely_odd(X, rho):
+    """(n,) bool: unexplained points with hardly another unexplained one near them."""
+    k = int(np.clip(len(X) // _POINTS_PER_K, 1, _MOST_K))
+    odd = np.flatnonzero(rho > _ODD)
+    lonely = np.zeros(len(X), dtype=bool)
+    if len(odd):
+        lonely[odd] = _neighbour(X[odd], X[odd], k) > _LONELY_ODD * np.median(_neighbour(X, X, k))
+    return lonely
+
+
+def _without(w, clutter):
     """Weights of the points, those of clutter 0."""
-    kept = np.where(third > _LONELY * np.median(third), 0.0, w)
+    kept = np.where(clutter, 0.0, w)
     return kept / kept.sum() if kept.sum() > _LEAST_KEPT else w
 
 
-def _at_limits(rig, theta):
+def _worst(parts, weights, rho):
+    """The largest weighted mean of ρ over a part that is large enough to be judged, and that part; 0 and −1 without one."""
+    share, sums = np.bincount(parts, weights), np.bincount(parts, weights * rho)
+    of = np.where(share > _PART, sums / np.maximum(share, 1e-300), 0.0)
+    return (float(of.max()), int(of.argmax())) if of.max() > 0 else (0.0, -1)
+
+
+def _bending(rig):
+    """(J, 3) bool: the angles that are to be found, without the root's."""
     free = (rig.upper > rig.lower) & rig.moving[:, None]
     free[rig.root] = False
+    return free
+
+
+def _at_limits(rig, theta):
+    free = _bending(rig)
     if not free.any():
         return 0.0
     room = np.minimum(theta - rig.lower, rig.upper - theta)[free]
@@ -181,8 +208,8 @@ def _at_limits(rig, theta):
 
 # Logistic regression on log10(evidence + floor): intercept, then one weight for each of EVIDENCE. Found by ``bench.calibrate`` on
 # the tuning seed: both bundled rigs, all conditions and worse, careful fits and careless ones.
-_INTERCEPT = -13.71
-_WEIGHTS = (0.0, -3.92, -1.39, -1.79, -0.94, -0.27, -0.86)
+_INTERCEPT = -16.34
+_WEIGHTS = (0.0, -2.56, -1.39, -1.84, -0.49, -1.22, -0.33, -0.63, -1.88)
 # Noise of 2 % of the size gives a "distance" of 0.54. What lies further off is not the rig, and no scan of the calibration was
 # like it: such a fit is not believed more than this.
 _NOT_THE_RIG, _MOST_THEN = 0.6, 0.25
@@ -197,11 +224,11 @@ def probability_of(evidence):
 
 
 def logarithms(evidence):
-    """(7,) decimal logarithms of the pieces of evidence, what the probability is linear in before the logistic function."""
+    """(9,) decimal logarithms of the pieces of evidence, what the probability is linear in before the logistic function."""
     return np.log10(np.array([evidence[name] for name in EVIDENCE]) + _FLOOR)
 
 
-def verdict_of(evidence, probability, worst_part=""):
+def verdict_of(evidence, probability, worst=None):
     """Status and reason.
 
     Parameters
@@ -209,8 +236,8 @@ def verdict_of(evidence, probability, worst_part=""):
     evidence : dict
         Of :func:`evidence_of`.
     probability : float
-    worst_part : str
-        Name of the part that is worst.
+    worst : dict of str to str, optional
+        Names of the parts of "part_unexplained" and "part_unreached".
 
     Returns
     -------
@@ -220,8 +247,12 @@ def verdict_of(evidence, probability, worst_part=""):
     """
     if probability >= _SUSPECT:
         return "ok", ""
-    told = [(words, evidence[name]) for name, (least, words) in _WORDS.items() if evidence[name] > least]
-    reason = "; ".join(words.format(value=value, part=worst_part) for words, value in told) or "several small things together"
+    told = [
+        words.format(value=evidence[name], part=(worst or {}).get(name, ""))
+        for name, (least, words) in _WORDS.items()
+        if evidence[name] > least
+    ]
+    reason = "; ".join(told) or "several small things together"
     return "failed" if probability < _FAILED else "suspect", reason
 
 
@@ -230,8 +261,10 @@ _WORDS = {
     "distance": (_NOT_THE_RIG, "points lie far from the mesh"),
     "unexplained": (0.03, "{value:.0%} of the points are not explained"),
     "unreached": (0.12, "{value:.0%} of the model is not reached by points"),
-    "worst_part": (0.25, "part {part} does not fit"),
+    "part_unexplained": (0.15, "part {part} does not fit"),
+    "part_unreached": (0.4, "part {part} has no points"),
     "disagreement": (0.35, "labels and mesh disagree on {value:.0%} of the points"),
     "rival": (0.6, "another pose explains the scan nearly as well"),
     "at_limits": (0.25, "{value:.0%} of the angles are at their limits"),
+    "sparse": (0.1, "it has few points"),
 }
