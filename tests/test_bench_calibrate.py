@@ -106,7 +106,8 @@ def test_no_fit_of_what_is_not_the_rig_is_right(fits, rigs):
 def test_cases_are_all_rows_worse_scans_other_rigs_and_solids(rigs):
     hand, other = rigs
     cases = {case.name: case for case in cases_of(hand, rigs)}
-    worse = ["1000 points, 2 % noise", "300 points, 1 % noise", "300 points, 2 % noise", "60 points", "floor, clutter, 1 % noise"]
+    worse = ["1000 points, 2 % noise", "300 points, 1 % noise", "300 points, 2 % noise", "60 points", "one side, not said"]
+    worse += ["floor, clutter, 1 % noise"]
     assert list(cases) == [*conditions_of(hand), *worse, f"in truth {other.name}", "in truth a solid"]
     assert all(case.rig is hand for case in cases.values())
     shown = [case.shown for case in cases.values()]

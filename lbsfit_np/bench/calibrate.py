@@ -112,7 +112,8 @@ def cases_of(rig, rigs):
     return [*cases, Case(rig, "in truth a solid", turned, None)]
 
 
-# Fewer points, more noise, and floors than any row has, and one side alone where nobody says so. Noise of 0.04 half sizes is 2 % of the size.
+# Fewer points, more noise, and floors than any row has, and one side alone where nobody says so. Noise of 0.04 half sizes is 2 %
+# of the size.
 _WORSE = {
     "1000 points, 2 % noise": {"n_points": 1000, "noise": 0.04},
     "300 points, 1 % noise": {"n_points": 300, "noise": 0.02},

@@ -108,6 +108,9 @@ failed counted, 2 usage or unreadable rig, 130 stopped by Ctrl-C.
 """
 
 
+_WAYS = "--existing skip, which keeps finished fits, or --existing replace"
+
+
 def add_parser(commands):
     """Add ``lbsfit fit`` to the subparsers ``commands``."""
     parser = commands.add_parser(
@@ -171,7 +174,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     started = time.perf_counter()
     out = Path(values["output"])
     read = [rig_path, values["segmenter"], values["card"] if values["card"] != "none" else None, *inputs]
-    files = outputs.plan(scans, out, inputs=[p for p in read if p], existing=values["existing"])
+    files = outputs.plan(scans, out, inputs=[p for p in read if p], existing=values["existing"], ways=_WAYS)
     values = dict(values)  # a model changes some
     fitter, model = _fitter(rig_path, values, given)
     rig = fitter.rig

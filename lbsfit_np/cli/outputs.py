@@ -51,7 +51,7 @@ class ScanFiles:
         return {"fit": self.fit, "mesh": self.mesh, "labels": self.labels}
 
 
-def plan(sources, out, *, inputs, existing, argument="-o"):
+def plan(sources, out, *, inputs, existing, argument="-o", **ways):
     """The files of every scan, after all that can go wrong with their names has been ruled out.
 
     Parameters
@@ -65,6 +65,8 @@ def plan(sources, out, *, inputs, existing, argument="-o"):
     existing : {"error", "skip", "replace"}
     argument : str, default "-o"
         The option that gave ``out``.
+    **ways
+        As for :func:`check_outputs`.
 
     Returns
     -------
@@ -82,13 +84,18 @@ def plan(sources, out, *, inputs, existing, argument="-o"):
         name = Path(source).stem
         files.append(ScanFiles(source, name, out / f"{name}.fit.npz", out / f"{name}.mesh.ply", out / f"{name}.labels.ply"))
     _check_clashes(files, out)
-    paths = [path for f in files for path in f.paths.values()] + [out / SUMMARY]
-    check_outputs(paths, out, inputs=[*sources, *inputs], existing=existing, argument=argument)
+    paths = [path for f in files for path in f.paths.values()]
+    check_outputs(paths, out, inputs=[*sources, *inputs], existing=existing, argument=argument, **ways)
+    # Of each run alone: one that is there is no fit that could be lost.
+    check_outputs([out / SUMMARY], out, inputs=[*sources, *inputs], existing="replace", argument=argument)
     return files
 
 
-def check_outputs(paths, out, *, inputs, existing, argument="-o"):
-    """Raise where files to write have names that are too long, are inputs, folders, or, with ``existing="error"``, there."""
+def check_outputs(paths, out, *, inputs, existing, argument="-o", ways="--existing replace"):
+    """Raise where files to write have names that are too long, are inputs, folders, or, with ``existing="error"``, there.
+
+    ``ways``: what the message says may be done about that.
+    """
     if os.path.exists(out) and not os.path.isdir(out):
         raise FileError(str(out), "a file", "a folder to write to, or a name for a new one")
     for path in paths:
@@ -105,7 +112,7 @@ def check_outputs(paths, out, *, inputs, existing, argument="-o"):
             argument,
             f"{out}, where {listed([path.name for path in there], 5)} exist{'s' if len(there) == 1 else ''} already",
             "a folder without results of these names",
-            "Choose another folder, or --existing replace; lbsfit fit also has --existing skip, which keeps finished fits.",
+            f"Choose another folder, or {ways}.",
         )
 
 

@@ -145,7 +145,10 @@ class ScanFit:
             # The residual takes what the template lacks; the pose is better known by distances to the surface.
             known = None if labels is None else labels[rows]
             last = replace(last, state=self._refit.polish(problem, last.state, labels=known))
-        stands = stands_note(frame.turn, self.facing.up) if self.facing.open_up and theta0 is None else ""
+        stands = ""
+        if self.facing.open_up and theta0 is None and stands_note(frame.turn, self.facing.up):
+            # What was found under another axis may but lean.
+            stands = stands_note(frame.turn @ root_turn(model.source, last.state.theta), self.facing.up)
         note = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
         return assemble(
             model.source,

@@ -73,7 +73,7 @@ def stands_note(turn, up):
     """In words, which way a scan stands that was turned so, where its up axis is not the rig's; else empty."""
     along = turn @ up
     axis = int(np.abs(along).argmax())
-    if along @ up > 0.7:
+    if along[axis] * up[axis] > 0:
         return ""
     return f"the scan stands along its {'-' if along[axis] < 0 else '+'}{'xyz'[axis]} axis, which is not the rig's up axis"
 
