@@ -121,7 +121,7 @@ def test_clean_rows_says_what_it_left_out(hand):
     points = np.vstack([scan.points, [[9.0, 9.0, 9.0]]])
     rows, note = clean_rows(points, np.arange(len(points)), up=UP)
     assert len(points) - 1 not in rows
-    assert "1 points far from all others left out" in note and "points of a floor left out" in note
+    assert "1 point far from all others left out" in note and "points of a floor left out" in note
     (plain,) = lbs.synthesize(hand, 1, poses="natural", random_state=1)
     rows, note = clean_rows(plain.points, np.arange(len(plain.points)), up=UP)
     assert note == "" and len(rows) == len(plain.points)

@@ -50,7 +50,7 @@ def main(argv=None):
             warnings.showwarning = _show_warning
             return arguments.run(arguments)
     except LbsfitError as error:
-        print(f"lbsfit: error: {error}", file=sys.stderr)
+        print(f"lbsfit: error: {_as_written(error, getattr(arguments, 'flags', {}))}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output, such as head, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -79,6 +79,12 @@ def _parser():
     for name in _COMMANDS:
         importlib.import_module(f".{name}", __name__).add_parser(commands)
     return parser
+
+
+def _as_written(error, flags):
+    """The message; where it names a parameter that an option gives, the option."""
+    name = getattr(error, "argument", None)
+    return str(error).replace(f"{name}:", f"{flags[name]}:", 1) if name in flags else str(error)
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):

@@ -232,6 +232,7 @@ def _epilog(example, *, done=_SOME_FAIL, unusable="an unusable rig"):
 def _add_options(bench, options, run):
     """Options, and what runs with them: ``run(arguments, values)``."""
     add_options(bench, options)
+    bench.set_defaults(flags=bench.get_default("flags") | {"before": "-o"})  # the report of an earlier run is in that folder
     bench.set_defaults(run=lambda arguments: run(arguments, settings(arguments, options)))
 
 

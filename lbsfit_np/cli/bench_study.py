@@ -1,12 +1,14 @@
 """What ``lbsfit bench study`` runs: the paper's study, its page and its pictures."""
 
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 from ..errors import InputError, MissingExtraError
 from .bench_runs import RESULTS, made_results, numbers, read_results
+from .models import say_model_as_rig
 from .outputs import make_folder
-from .progress import Progress, percentage_bar, say, span
+from .progress import SILENCE, Progress, percentage_bar, say, span
 
 __all__ = ["run_study"]
 
@@ -23,6 +25,8 @@ def run_study(values):
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT, such as docs/study.")
     names = values["rig"].split(",")
+    for name in names:
+        say_model_as_rig(name)
     rigs = {Path(name).stem: load_rig(name) for name in names}
     if len(rigs) < len(names):
         raise InputError("--rig", values["rig"], "rigs whose files have different names", "Leave one out, or rename it.")
@@ -34,6 +38,8 @@ def run_study(values):
     out, cells = results.parent, results.parent / _CELLS
     make_folder(cells)
     resumed = values["existing"] == "resume" and results.exists()
+    if values["figures"] and find_spec("matplotlib") is None:
+        say(f"note: {MissingExtraError('matplotlib', 'viz', 'drawing the figures')}; without it, all but these is done")
     progress = _StudyProgress()
 
     def on_cell(report, name, seed, row, arrays):
@@ -53,6 +59,10 @@ def run_study(values):
             progress=progress,
             on_cell=on_cell,
         )
+    except KeyboardInterrupt:
+        progress.close()
+        say(f"stopped: finished rows are kept in {out}, and the same command goes on")
+        raise
     finally:
         progress.close()
     write_json(results, report)
@@ -94,6 +104,7 @@ class _StudyProgress(Progress):
     def __init__(self):
         super().__init__(0)
         self._what, self._began = None, time.monotonic()
+        self._told = self._began
 
     def __call__(self, name, seed, row, share):
         """``row`` is done to ``share`` for a rig and seed."""
@@ -103,6 +114,9 @@ class _StudyProgress(Progress):
             self._what = what
             if self.terminal:
                 self._bar = percentage_bar(what)
+        if not self.terminal and time.monotonic() - self._told > SILENCE:
+            self._told = time.monotonic()
+            self.line(f"{what}: {share:.0%}")
         if self._bar is not None:
             self._bar.update(max(0.0, 100 * share - self._bar.n))
 

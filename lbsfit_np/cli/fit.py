@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, brief
 from . import outputs
-from .models import about_model, is_model, load_model, model_in_words
+from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, say
 from .stopping import exit_code, terminable
@@ -142,6 +142,7 @@ def load_rig_with(path, values, *, quiet=False):
     names = ("card", "shape", "skin", "normalize_weights", "parts")
     rig = load_rig(path, **{name: values[name] for name in names})
     if not quiet:
+        say_model_as_rig(path)
         _say_notes(rig)
     return rig
 

@@ -14,7 +14,7 @@ from ..learning.variants import VARIANTS
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, load_rig_with, scan_options
-from .models import about_model, is_model, model_in_words
+from .models import about_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, say, span
 from .stopping import exit_code, terminable
@@ -128,8 +128,6 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     model = Path(values["output"])
     files = _checked(rig_path, scans, values, inputs)
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
-    if is_model(rig_path):
-        say(f"{rig_path} is {model_in_words(about_model(rig_path))}: its rig is used, what it has learned is not")
     rig = load_rig_with(rig_path, values)
     fitter = _fitter(rig, values)
     outputs.make_folder(model.parent)

@@ -5,8 +5,9 @@ import os
 from dataclasses import asdict, is_dataclass
 
 from ..errors import FileError, InputError, brief, listed
+from .progress import say
 
-__all__ = ["about_model", "is_model", "load_model", "model_in_words"]
+__all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig"]
 
 # Options of lbsfit fit that a model has settled: its rig's, and those of training.
 _SETTLED = ("card", "shape", "skin", "normalize-weights", "parts", "joints", "segmenter", "training-scans", "training")
@@ -95,6 +96,12 @@ def model_in_words(about):
     who = f"{len(names)} subject{'' if len(names) == 1 else 's'}" + (f" ({listed(names)})" if names != ["0"] else "")
     rounds = f"{about['rounds']} round{'' if about['rounds'] == 1 else 's'}"
     return f"a learned model: {who}, {rounds}, variant {about['variant']!r}"
+
+
+def say_model_as_rig(path):
+    """Say that of a model only the rig is used, where ``path`` is one."""
+    if is_model(path):
+        say(f"{path} is {model_in_words(about_model(path))}: its rig is used, what it has learned is not")
 
 
 def _is_none(name, values):

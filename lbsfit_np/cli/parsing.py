@@ -113,7 +113,12 @@ class Option:
 
 
 def add_options(parser, options):
-    """Add options to a parser; those that are not given leave no trace in the namespace, see :func:`settings`."""
+    """Add options to a parser; those that are not given leave no trace in the namespace, see :func:`settings`.
+
+    The namespace gets ``flags``, what the user writes for each option, by its key.
+    """
+    flags = {option.key: option.flag or f"--{option.name}" for option in options}
+    parser.set_defaults(flags=(parser.get_default("flags") or {}) | flags)
     for option in options:
         names = [*([option.flag] if option.flag else []), f"--{option.name}"]
         keywords = {"default": argparse.SUPPRESS, "dest": option.key, "help": _help(option)}

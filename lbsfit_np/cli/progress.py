@@ -3,7 +3,7 @@
 import sys
 import time
 
-__all__ = ["LearningProgress", "Progress", "percentage_bar", "say", "span"]
+__all__ = ["SILENCE", "LearningProgress", "Progress", "percentage_bar", "say", "span"]
 
 # What the stages of LBSFitter.fit do, in words; others are called by their names.
 _STAGES = {
@@ -14,7 +14,7 @@ _STAGES = {
     "labels": "labels of the scans",
 }
 # Seconds, at least, between lines about one stage where there is no bar.
-_SILENCE = 60
+SILENCE = 60
 
 
 def say(text):
@@ -58,7 +58,8 @@ class Progress:
             text = f"{entry['name']}: {entry['status']}: {entry['message']}"
             where = sys.stderr if entry["status"] == "failed" else sys.stdout
         else:
-            text = f"{entry['name']}: fitted in {entry['seconds']:.1f} s, recon {entry['terms']['recon']:.4f}, {entry['message']}"
+            how = f"recon {entry['terms']['recon']:.4f}, right with probability {entry['probability']:.2f}"
+            text = f"{entry['name']}: fitted in {entry['seconds']:.1f} s, {how}; {entry['message']}"
             where = sys.stdout
         if not self.terminal:
             print(f"[{self.done}/{self.total}] {text}", file=where, flush=True)
@@ -171,7 +172,7 @@ class LearningProgress:
     def _tell(self):
         """Where there is no bar, a line now and then in a stage that takes long."""
         left = self._left_in_words()
-        if left and self._share < 1 and self._clock() - self._told >= _SILENCE:
+        if left and self._share < 1 and self._clock() - self._told >= SILENCE:
             self._told = self._clock()
             print(f"{_STAGES.get(self._stage, self._stage)}: {self._share:.0%}, {left}", flush=True)
 

@@ -12,6 +12,9 @@ from .result import FitResult
 
 __all__ = ["assemble"]
 
+# Of the surface, where more than this share is far from all points, they may be of one side only.
+_HARDLY_REACHED = 0.1
+
 
 def assemble(
     rig,
@@ -116,6 +119,8 @@ def assemble(
         )
         probability = probability_of(evidence)
         status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})
+        if status != "ok" and not partial and evidence["unreached"] > _HARDLY_REACHED:
+            reason += "; of scans that show one side only, partial tells the fit so"
     ended = "converged" if last.converged else "ended at its limit of iterations"
     return FitResult(
         pose=pose,

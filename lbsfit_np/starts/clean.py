@@ -30,6 +30,6 @@ def clean_rows(points, rows, *, up=None):
     checked_extent(points[rows])
     rows, wild = near_rows(points, rows)
     rows, floor = off_floor(points, rows, up=up)
-    notes = [f"{wild} points far from all others left out"] if wild else []
-    notes += [f"{floor} points of a floor left out"] if floor else []
+    told = (wild, "far from all others"), (floor, "of a floor")
+    notes = [f"{n} point{'' if n == 1 else 's'} {where} left out" for n, where in told if n]
     return rows, "; ".join(notes)

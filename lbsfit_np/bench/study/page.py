@@ -83,7 +83,7 @@ def page(report, captions):
     -------
     str
     """
-    parts = [_INTRODUCTION, _sizes(report), "\n".join(f"- **{row}**: {_described(row)}." for row in ROWS)]
+    parts = [_INTRODUCTION, _sizes(report), _rows(report)]
     for name in report["rigs"]:
         parts += [f"## {name.capitalize()}", _main(report, name, markdown=True), _reached(report, name), _more(report, name)]
     parts.append(_protocol(report))
@@ -100,6 +100,12 @@ def console_table(report, *, markdown=False):
     for name in report["rigs"]:
         parts += [name, _main(report, name, markdown=markdown), _reached(report, name)]
     return "\n\n".join(parts)
+
+
+def _rows(report):
+    """What the rows are that were run."""
+    run = [row for row in ROWS if any(_cells(report, name, row) for name in report["rigs"])]
+    return "\n".join(f"- **{row}**: {_described(row)}." for row in run)
 
 
 def _described(row):
