@@ -259,6 +259,77 @@ def test_the_page_says_what_is_missed(rig, quick):
     assert console_table(report).count("joint") >= 2
 
 
+def test_rows_are_compared_over_the_seeds_that_all_of_them_have(rig, quick):
+    report = study({"h": rig}, rows=("joint", "cd", "oracle-fit"), seeds=[1, 2])
+    assert report["complete"]
+    seeds = report["rigs"]["h"]["seeds"]
+    for row, poses in {"joint": (0.05, 0.01), "cd": (0.03, 0.02), "oracle-fit": (0.001, 0.005)}.items():
+        for seed, pose in zip("12", poses):
+            seeds[seed][row]["pose"] = pose
+    assert "Pose, from the best of the ablations to the worst: cd 0.0250 < joint 0.0300 (the paper's order" in page(report, {})
+    assert "Joint ÷ oracle fit: Recon 1.00, Pose 10.00" in page(report, {})
+    del seeds["1"]["cd"], seeds["1"]["oracle-fit"]
+    text = page(report, {})
+    assert "joint 0.0100 < cd 0.0200 (the paper's order, joint before cd: kept)" in text
+    assert "Joint ÷ oracle fit: Recon 1.00, Pose 2.00" in text
+    again = study({"h": rig}, rows=("joint",), seeds=[1], before=report)
+    assert not again["complete"] and study({"h": rig}, rows=("cd", "oracle-fit"), seeds=[1], before=again)["complete"]
+
+
+def test_what_cannot_be_fitted_has_a_reason(rig, quick, tmp_path, monkeypatch, capsys):
+    arguments = ["bench", "study", "--rig", "hand-coarse", "--rows", "joint", "--no-figures", "-o", str(tmp_path)]
+    assert run(arguments) == 1
+    assert "failed: hand-coarse, seed 300, joint, scan 2: its fit is not finite" in capsys.readouterr().out
+    fitted = rows_module.FromTemplate.__call__
+
+    def sometimes(self, points):
+        if points is given_points[1]:
+            raise InputError("points", "some", "others")
+        return fitted(self, points)
+
+    given = study_set(rig, TINY, 300)
+    given_points = [s.points for s in given.test]
+    monkeypatch.setattr(rows_module.FromTemplate, "__call__", sometimes)
+    context = rows_module.Context(rig, given, TINY, 300, None, None, 1, lambda share: None)
+    found = ROWS["free-form"].find(context)
+    assert list(found.test.fitted) == [True, False, True] and found.failures == {1: "points: got some; expected others."}
+
+
+def test_pictures_of_other_rigs_stay_on_the_page(rig, quick, tmp_path, monkeypatch):
+    def draw(report, arrays, out, *, rigs):
+        for name in rigs:
+            (out / f"triplet-{name}.png").write_bytes(b"")
+        return {f"triplet-{name}.png": f"of {name}, {len(rigs)}" for name in rigs}
+
+    monkeypatch.setattr("lbsfit_np.bench.study.figures.draw", draw)
+    arguments = ["bench", "study", "--rows", "joint", "-o", str(tmp_path), "--rig"]
+    for rigs, more, words in (
+        ("hand-coarse,hand-left-coarse", [], ["of hand-coarse, 2", "of hand-left-coarse, 2"]),
+        ("hand-coarse", [], ["of hand-coarse, 1", "of hand-left-coarse, 2"]),
+        ("hand-coarse", ["--no-figures"], ["of hand-coarse, 1", "of hand-left-coarse, 2"]),
+    ):
+        run([*arguments, rigs, *more])
+        text = (tmp_path / "README.md").read_text()
+        assert all(word in text for word in words), (rigs, more)
+    (tmp_path / "triplet-hand-left-coarse.png").unlink()
+    run([*arguments, "hand-coarse", "--no-figures"])
+    assert "of hand-left-coarse" not in (tmp_path / "README.md").read_text()
+
+
+def test_the_command_says_what_is_missing_and_what_goes_on(quick, tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("lbsfit_np.cli.bench_study.find_spec", lambda name: None)
+    monkeypatch.setattr("lbsfit_np.cli.bench_study.SILENCE", -1.0)
+
+    def stopped(*a, **k):
+        k["progress"]("h", 300, "joint", 0.5)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lbsfit_np.bench.study.run.study", stopped)
+    assert run(["bench", "study", "--rig", "hand-coarse", "--rows", "joint", "-o", str(tmp_path)]) == 130
+    text = capsys.readouterr().out
+    assert "'lbsfit_np[viz]'" in text and "h, seed 300, joint: 50%" in text and "the same command goes on" in text
+
+
 def test_one_fit_has_no_correspondences(rig, quick, monkeypatch, tmp_path):
     monkeypatch.setitem(SIZES, "small", replace(TINY, test=2))
     assert run(["bench", "study", "--rig", "hand-coarse", "--rows", "joint,oracle-fit", "--no-figures", "-o", str(tmp_path)]) == 1

@@ -8,6 +8,7 @@ import warnings
 from .. import __version__
 from ..errors import LbsfitError
 from .parsing import Parser, formatter
+from .stopping import exit_code
 
 __all__ = ["main"]
 
@@ -55,9 +56,9 @@ def main(argv=None):
     except BrokenPipeError:  # the reader of our output, such as head, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except KeyboardInterrupt:
+    except KeyboardInterrupt as stop:
         print("lbsfit: stopped", file=sys.stderr)
-        return 130
+        return exit_code(stop)
     except OSError as error:  # one that no reader or writer has foreseen
         where = "" if error.filename is None else f"{error.filename}: "
         print(f"lbsfit: error: {where}{error.strerror or error}", file=sys.stderr)

@@ -8,7 +8,10 @@ from ..errors import FileError, InputError
 from .outputs import check_outputs, make_folder
 from .progress import Progress, say
 
-__all__ = ["RESULTS", "made_results", "numbers", "read_results", "run_data", "run_learn", "run_roundtrip", "run_starts"]
+__all__ = [
+    *("RESULTS", "failures_code", "made_results", "numbers", "read_results"),
+    *("run_data", "run_learn", "run_roundtrip", "run_starts"),
+]
 
 RESULTS = "results.json"
 
@@ -50,7 +53,7 @@ def run_starts(rigs, values):
         write_json(results, report)
     say("")
     say(starts_table(report, markdown=values["markdown"]))
-    return _code(
+    return failures_code(
         (f"{name}, {row}, {fit}, scan {scan['scan']}", scan["failed"])
         for name, entry in report["rigs"].items()
         for row, content in entry["rows"].items()
@@ -117,7 +120,7 @@ def run_roundtrip(rigs, values):
     finally:
         progress.close()
     say(roundtrip_table(report, markdown=values["markdown"]))
-    return _code(
+    return failures_code(
         (f"{name}, seed {seed}, scan {scan['scan']}", scan["failed"])
         for name, entry in report["rigs"].items()
         for seed, run in entry["seeds"].items()
@@ -183,7 +186,7 @@ def _farewell(report, values, out):
     say("")
     say(table(report, markdown=values["markdown"]))
     say(f"\nresults in {out}")
-    return _code(
+    return failures_code(
         (f"{row}, seed {seed}, scan {scan['scan']}", scan["failed"])
         for row, content in report["rows"].items()
         for seed, entry in content["seeds"].items()
@@ -248,7 +251,7 @@ def made_results(values, more=()):
     return out / RESULTS
 
 
-def _code(failures):
+def failures_code(failures):
     """Print what failed, pairs (where, why); the exit code."""
     code = 0
     for where, why in failures:

@@ -5,10 +5,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..errors import InputError, MissingExtraError
-from .bench_runs import RESULTS, made_results, numbers, read_results
+from .bench_runs import RESULTS, failures_code, made_results, numbers, read_results
 from .models import say_model_as_rig
 from .outputs import make_folder
 from .progress import SILENCE, Progress, percentage_bar, say, span
+from .stopping import terminable
 
 __all__ = ["run_study"]
 
@@ -48,17 +49,18 @@ def run_study(values):
         progress.cell(name, seed, row, report["rigs"][name]["seeds"][str(seed)][row])
 
     try:
-        report = study(
-            rigs,
-            size=values["size"],
-            seeds=numbers(values["seeds"]) if values["seeds"] else None,
-            rows=tuple(values["rows"].split(",")),
-            jobs=values["jobs"],
-            before=read_results(results) if resumed else None,
-            kept=lambda cell: (cells / f"{cell}.npz").exists(),
-            progress=progress,
-            on_cell=on_cell,
-        )
+        with terminable():
+            report = study(
+                rigs,
+                size=values["size"],
+                seeds=numbers(values["seeds"]) if values["seeds"] else None,
+                rows=tuple(values["rows"].split(",")),
+                jobs=values["jobs"],
+                before=read_results(results) if resumed else None,
+                kept=lambda cell: (cells / f"{cell}.npz").exists(),
+                progress=progress,
+                on_cell=on_cell,
+            )
     except KeyboardInterrupt:
         progress.close()
         say(f"stopped: finished rows are kept in {out}, and the same command goes on")
@@ -68,11 +70,20 @@ def run_study(values):
     write_json(results, report)
     report = read_results(results)  # the page is of what is written, in its order
     written = _write_page(report, rigs, out, pictures=values["figures"])
+    write_json(results, report)
     say("")
     say(console_table(report, markdown=values["markdown"]))
     say(f"\n{written}")
-    cells = (cell for rig in report["rigs"].values() for rows in rig["seeds"].values() for cell in rows.values())
-    return 1 if any(cell["unfitted"] for cell in cells) else 0
+    return failures_code(_failures(report))
+
+
+def _failures(report):
+    """(where, why) of all test scans that a row could not fit."""
+    for name, entry in report["rigs"].items():
+        for seed, rows in entry["seeds"].items():
+            for row, cell in rows.items():
+                for scan, why in cell.get("failures", {}).items():
+                    yield f"{name}, seed {seed}, {row}, scan {scan}", why
 
 
 def _write_page(report, rigs, out, *, pictures):
@@ -81,7 +92,8 @@ def _write_page(report, rigs, out, *, pictures):
     from ..io.npz import read_npz
     from ..io.write import atomic_path
 
-    captions, why = {}, ""
+    # Pictures of what this run did not draw again stay.
+    captions, why = {file: text for file, text in report.get("captions", {}).items() if (out / file).exists()}, ""
     if pictures:
         from ..bench.study.figures import draw
 
@@ -90,9 +102,11 @@ def _write_page(report, rigs, out, *, pictures):
             return read_npz(path) if path.exists() else None
 
         try:
-            captions = draw(report, arrays, out, rigs=rigs)
+            drawn = draw(report, arrays, out, rigs=rigs)
+            captions = drawn | {file: text for file, text in captions.items() if file not in drawn}
         except MissingExtraError as error:
             why = f", without pictures: {error}"
+    report["captions"] = captions
     with atomic_path(out / _PAGE) as temporary:
         Path(temporary).write_text(page(report, captions), encoding="utf-8")
     return f"results in {out / RESULTS}, tables in {out / _PAGE}{why}"

@@ -2,9 +2,9 @@
 
     E = mean ‖x_i − V^d_i‖² + λ_lap L_lap + ridge ‖c‖²,
 
-V^d_i the place of the mesh that point x_i was taken from: the objective of a fit, nearest neighbours replaced by the true ones,
-which is what a fit could reach whose partners were all right. The term of the undeformed template is left out: with true
-partners there is no wrong pose that offsets could hide.
+V^d_i the place of the mesh that point x_i was taken from: a fit's objective with the true partners for the nearest ones, and the
+λ_lap and ridge that leave the least errors then. That is what a fit could reach whose partners were all right. The term of the
+undeformed template is left out: with true partners there is no wrong pose that offsets could hide.
 """
 
 import time

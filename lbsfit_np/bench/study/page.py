@@ -46,8 +46,8 @@ _PROTOCOL = """\
 
 - Hands: the paper poses its synthetic hands with what it inferred from its own captures, which are not public. Here
   {natural_hand:.0%} of the poses are near natural ones of the rig's own library, the others uniform within the joint
-  limits. Every fourth pose of the library, and what is within 0.3 rad of it, is for the test alone, and neither
-  training nor the library of starts sees it.
+  limits. Every fourth pose of the library is for the test alone; what of the others is within 0.3 rad of one of these
+  is left out, so that neither training nor the library of starts sees it.
 - Bodies: in place of SURREAL's poses, natural ones as above; in place of its bent bodies (3,000 of 23,000), poses
   uniform within the limits.
 - People: changed shapes of the bundled rigs (`bench/subjects.py`), a rule that neither training nor a fit's proportions
@@ -177,11 +177,11 @@ def _more(report, name):
         swing = f"- The {path['chain']} chain swung from {path['from']}'s place to beside {path['to']}"
         rise = f"L_c rises to {path['rise']:.2f} times its start before it falls, L_s never above {low:.2f} times its own"
         lines.append(f"{swing}: {rise}.")
-    joint, oracle = _cells(report, name, "joint"), _cells(report, name, "oracle-fit")
+    joint, oracle = _paired(report, name, ("joint", "oracle-fit")).values()
     shares = [f"{what} {_mean(joint, key) / _mean(oracle, key):.2f}" for key, what in _MEASURES if _both(joint, oracle, key)]
     if shares:
         lines.append(f"- Joint ÷ oracle fit: {', '.join(shares)}.")
-    floor = [c["pose_truth"] for c in joint if "pose_truth" in c]
+    floor = [c["pose_truth"] for c in _cells(report, name, "joint") if "pose_truth" in c]
     if floor:
         words = "of the exact template in the exact pose, with the joint regressor's joints where people have their own"
         lines.append(f"- Pose {words}: {np.mean(floor):.4f}. Fits come below where angles and place make up for it.")
@@ -216,9 +216,10 @@ def _reached(report, name):
 
 def _order(report, name, key, what):
     """The ablations from the best to the worst by a measure, and whether that is the paper's order."""
-    cells = {row: _with_measure(_cells(report, name, row), key) for row in _ORDER}
+    run = [row for row in _ORDER if _cells(report, name, row)]
+    cells = {row: _with_measure(found, key) for row, found in _paired(report, name, run).items()}
     ranked = sorted((_mean(found, key), row) for row, found in cells.items() if found)
-    wanted = [row for row in ("joint", "rand", "cd") if cells[row]]
+    wanted = [row for row in ("joint", "rand", "cd") if cells.get(row)]
     kept = [row for _, row in ranked if row in wanted] == wanted
     if len(ranked) < 2:
         return ""
@@ -281,6 +282,12 @@ def _provenance(report):
 
 def _cells(report, name, row):
     return [rows[row] for rows in report["rigs"][name]["seeds"].values() if row in rows]
+
+
+def _paired(report, name, rows):
+    """Row → its cells of the seeds that all of these rows have: only these can be compared."""
+    seeds = [done for done in report["rigs"][name]["seeds"].values() if all(row in done for row in rows)]
+    return {row: [done[row] for done in seeds] for row in rows}
 
 
 def _over(cells, *keys):

@@ -1,7 +1,7 @@
 """The rows of the study: each a way of registering scans, from the free-form baselines to the whole loop and the oracle."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -58,6 +58,8 @@ class Found:
         Of the subjects' templates, and of the test scans', ``measures.template_gap``.
     history : list of dict
         Of the loop.
+    failures : dict of int to str
+        Why, by the number of the test scan that could not be fitted.
     """
 
     test: Registrations
@@ -68,6 +70,7 @@ class Found:
     kept_accuracy: float | None = None
     gap: dict = field(default_factory=dict)
     history: list = field(default_factory=list)
+    failures: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -104,18 +107,24 @@ class Context:
 
 
 def _from_template(c):
-    return Found(_registered(c, FromTemplate(c.given.rig)))
+    return _free_form(c, FromTemplate(c.given.rig))
 
 
 def _augmented(c):
-    return Found(_registered(c, Augmented(c.given.rig, c.fitter.regressor_)))
+    return _free_form(c, Augmented(c.given.rig, c.fitter.regressor_))
 
 
 def _supervised(c, times=1):
     scans = c.given.train if times == 1 else study_set(c.source, c.size, c.seed, times=times).train
     fit = taught(c.given.rig, scans, c.fitter.random_state)
-    test = _registered(c, fit, end=0.5 if times == 1 else 1.0)
-    return Found(test, None if times > 1 else _registered(c, fit, c.given.train, start=0.5))
+    found = _free_form(c, fit, end=0.5 if times == 1 else 1.0)
+    return found if times > 1 else replace(found, train=_free_form(c, fit, c.given.train, start=0.5).test)
+
+
+def _free_form(c, fit, scans=None, start=0.0, end=1.0):
+    points = [s.points for s in (c.given.test if scans is None else scans)]
+    results, failures = _tried(c, fit, points, lambda p: c.progress(start + (end - start) * p))
+    return Found(_registrations(c.given.rig, results), failures=failures)
 
 
 # ---- the loop and its ablations ----
@@ -139,7 +148,7 @@ def _learned(c, variant):
 
     watch(0, c.fitter.segmenter_)
     fitter.fit([s.points for s in given.train], given.train_subjects, progress=progress, on_round=watch)
-    results = each(_Tried(fitter.fit_scan), [s.points for s in given.test], jobs=c.jobs, done=lambda p: c.progress(0.8 + 0.2 * p))
+    results, failures = _tried(c, fitter.fit_scan, [s.points for s in given.test], lambda p: c.progress(0.8 + 0.2 * p))
     rig = given.rig
     true = {k: s.template for k, s in zip(given.train_subjects, given.train) if k in fitter.template_}
     learned = [fitter.unit_[k] * fitter.template_[k].vertices for k in true]
@@ -151,16 +160,15 @@ def _learned(c, variant):
     train = _of_results(rig, fitter.results_) if variant == "joint" else None
     said = _said(fitter.segmenter_, given.test) if labels else None
     kept = c.right(said) if labels else None
-    return Found(_of_results(rig, results), train, said, _labels(results), accuracy, kept, gap, fitter.history_)
+    return Found(_of_results(rig, results), train, said, _labels(results), accuracy, kept, gap, fitter.history_, failures)
 
 
 # ---- oracles ----
 
 
 def _oracle_labels(c):
-    work = _Labelled(c.fitter)
-    results = each(_Tried(work), [(s.points, s.labels) for s in c.given.test], jobs=c.jobs, done=c.progress)
-    return Found(_of_results(c.given.rig, results))
+    results, failures = _tried(c, _Labelled(c.fitter), [(s.points, s.labels) for s in c.given.test], c.progress)
+    return Found(_of_results(c.given.rig, results), failures=failures)
 
 
 @dataclass(frozen=True)
@@ -173,16 +181,23 @@ class _Labelled:
 
 
 def _oracle_fit(c):
-    results = each(_Tried(OracleFit(c.given.rig)), c.given.test, jobs=c.jobs, done=c.progress)
-    return Found(_of_results(c.given.rig, results))
+    results, failures = _tried(c, OracleFit(c.given.rig), c.given.test, c.progress)
+    return Found(_of_results(c.given.rig, results), failures=failures)
 
 
 # ---- registrations ----
 
 
+def _tried(c, work, tasks, done):
+    """What work makes of each task, None where it cannot; and why, by number."""
+    answers = each(_Tried(work), tasks, jobs=c.jobs, done=done)
+    failures = {i: answer for i, answer in enumerate(answers) if isinstance(answer, str)}
+    return [None if isinstance(answer, str) else answer for answer in answers], failures
+
+
 @dataclass(frozen=True)
 class _Tried:
-    """task → what the work makes of it; None where it cannot."""
+    """task → what the work makes of it; where it cannot, why."""
 
     work: object
 
@@ -191,14 +206,8 @@ class _Tried:
 
         try:
             return self.work(task)
-        except LbsfitError:
-            return None
-
-
-def _registered(c, fit, scans=None, start=0.0, end=1.0):
-    scans = c.given.test if scans is None else scans
-    found = each(fit, [s.points for s in scans], jobs=c.jobs, done=lambda p: c.progress(start + (end - start) * p))
-    return Registrations(np.array([V for V, _ in found]), np.array([joints for _, joints in found]))
+        except LbsfitError as error:
+            return str(error)
 
 
 def _said(segmenter, scans):
@@ -210,8 +219,13 @@ def _labels(results):
 
 
 def _of_results(rig, results):
+    return _registrations(rig, [None if r is None else (r.vertices, r.joints) for r in results])
+
+
+def _registrations(rig, found):
+    """Of pairs of vertices and joints, or None."""
     nothing = np.full(rig.vertices.shape, np.nan), np.full(rig.joints.shape, np.nan)
-    both = [nothing if r is None else (r.vertices, r.joints) for r in results]
+    both = [nothing if one is None else one for one in found]
     return Registrations(np.array([V for V, _ in both]), np.array([joints for _, joints in both]))
 
 

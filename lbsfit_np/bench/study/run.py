@@ -57,7 +57,7 @@ def study(
     Returns
     -------
     dict
-        Plain data for JSON.
+        Plain data for JSON. "complete": all seeds of each rig have the same rows.
 
     Raises
     ------
@@ -87,8 +87,13 @@ def study(
                     done[row] = cell
                     if on_cell is not None:
                         on_cell(report, name, seed, row, arrays)
-    report["complete"] = True
+    report["complete"] = all(len({tuple(rows) for rows in _in_order(entry)}) == 1 for entry in report["rigs"].values())
     return report
+
+
+def _in_order(entry):
+    """The rows that each seed of a rig has."""
+    return [[row for row in ROWS if row in done] for done in entry["seeds"].values()]
 
 
 def cell_name(name, seed, row):
@@ -152,6 +157,8 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
         if found.train is not None:
             train_truth = train_truth or Truth(given.rig, given.train, size.pairs, seed)
             entry["on_training"] = measured(train_truth, found.train)
+        lost = np.flatnonzero(~found.test.fitted)
+        entry["failures"] = {str(i): found.failures.get(int(i), "its fit is not finite") for i in lost}
         say(1.0)
         yield row, entry, _arrays(found)
 
