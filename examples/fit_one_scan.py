@@ -29,8 +29,8 @@ def main():
     bend = result.pose[rig.joint_names.index("index2"), 0]  # about x, the first column of the joint's rest frame
     print(f"the index finger's middle joint is bent by {np.degrees(bend):.0f} degrees")
 
-    # vertices = scale · M(Θ, U + offsets) + translation: the result's own fields give its vertices back.
-    again = rig.pose(result.pose, result.translation, result.scale, result.offsets)
+    # vertices = scale · M(Θ, U + offsets) + translation, about the changed template's joints: the fields give them back.
+    again = rig.pose(result.pose, result.translation, result.scale, result.offsets, joints=result.rest_joints)
     np.testing.assert_allclose(again, result.vertices, atol=1e-9)
 
     with tempfile.TemporaryDirectory() as folder:

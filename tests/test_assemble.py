@@ -135,6 +135,22 @@ def test_the_segmenters_word_counts_for_labels_and_as_evidence(rigs):
     assert 0.02 < at_borders < 0.5  # elsewhere no vertex has what it says
 
 
+@pytest.mark.parametrize("partial", [False, True])
+def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
+    """Half of the points, from one side, and a pose that is wrong."""
+    rig = rigs["hand"]
+    model = Model(rig)
+    state = model.rest()
+    V = model.pose(state)[0].vertices
+    X = V[V[:, 2] > np.median(V[:, 2])] + [0.0, 0.15, 0.0]
+    problem, frame = Problem(X), Frame(np.zeros(3), 1.0, np.eye(3))
+    more = {"sigma": 0.025, "evaluations": 1, "note": "", "started": 0.0, "rows": np.arange(len(X)), "points": X}
+    evaluation = problem.evaluate(model, state, PRESETS["default"])
+    outcome = Outcome(state, 0.0, True, "", 1)
+    r = assemble(rig, model, problem, outcome, frame=frame, evaluation=evaluation, partial=partial, **more)
+    assert r.status != "ok" and ("one side only" in r.message) != partial
+
+
 def test_a_turn_that_was_found_is_in_the_root_alone(rigs):
     """Of the rest pose: the pose's root is the turn, and all else is nothing."""
     rig, turn = rigs["hand"], TURNS["any"]

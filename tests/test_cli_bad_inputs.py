@@ -112,6 +112,11 @@ def test_bad_rigs(name, made, tmp_path, run):
     assert not (tmp_path / "out").exists() and not (tmp_path / "ran").exists()
 
 
+def test_a_rig_is_no_scan(made, tmp_path, run):
+    code, _, err = run("fit", made / "tube.npz", made / "tube.npz", "-o", tmp_path / "out", *QUICK)
+    assert code == 1 and "a rig, or a model that was learned" in err and "expected a scan" in err
+
+
 def test_a_card_that_names_no_joint(made, tmp_path, run):
     (tmp_path / "tube.toml").write_text('[lock]\njoints = ["elbo"]\n')
     code, _, err = run(

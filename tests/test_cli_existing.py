@@ -81,6 +81,23 @@ def test_existing_results(fitted, made, tmp_path, run):
     assert code == 0 and (tmp_path / "one.mesh.ply").read_bytes() != (fitted[0] / "one.mesh.ply").read_bytes()
 
 
+def test_a_summary_alone_is_in_nobodys_way(fitted, made, tmp_path, run):
+    """Of a run whose scans could not be read, or of other scans: their fits stay."""
+    (tmp_path / "scan.foo").write_text("0 0 0")
+    assert run("fit", made / "tube.npz", tmp_path / "scan.foo", "-o", tmp_path / "out", *QUICK)[0] == 1
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["summary.json"]
+    code, text, _ = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", *QUICK)
+    assert code == 0 and "right with probability" in text
+    before = (tmp_path / "out" / "one.fit.npz").read_bytes()
+    assert run("fit", made / "tube.npz", made / "two.xyz", "-o", tmp_path / "out", *QUICK)[0] == 0
+    assert (tmp_path / "out" / "one.fit.npz").read_bytes() == before
+    code, _, err = run("fit", made / "tube.npz", made / "two.xyz", "-o", tmp_path / "out", *QUICK)
+    assert code == 2 and "two.fit.npz" in one_line(err) and "--existing skip, which keeps finished fits" in err
+    (tmp_path / "out" / "scan.ply").write_bytes(b"")
+    code, _, err = run("demo", "--rig", made / "tube.npz", "-o", tmp_path / "out")
+    assert code == 2 and "scan.ply" in one_line(err) and "skip" not in err and "--existing replace" in err
+
+
 def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
     for path in fitted[0].iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())

@@ -96,6 +96,10 @@ def test_bad_configuration_files(text, words, made, tmp_path, run):
         (("fit", "tube.npz", "one.ply", "-o", "out", "--see", "3"), ["--see"]),
         (("rig", "card", "tube.npz"), ["-o/--output"]),
         (("demo",), ["-o/--output"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--max-points", "3"), ["error: --max-points: got 3", "at least 4"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--up=+z", "--orientation", "any"), ["error: --up: got", "Leave it out"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--up", "up"), ["--up", "'+z'"]),
+        (("bench", "starts", "--rows", "0.3", "--fits", "own", "--scans", "1", "--effort", "none"), ["--effort"]),
     ],
 )
 def test_usage_errors(arguments, words, made, run, monkeypatch):

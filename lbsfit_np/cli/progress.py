@@ -58,8 +58,10 @@ class Progress:
             text = f"{entry['name']}: {entry['status']}: {entry['message']}"
             where = sys.stderr if entry["status"] == "failed" else sys.stdout
         else:
-            how = f"recon {entry['terms']['recon']:.4f}, right with probability {entry['probability']:.2f}"
-            text = f"{entry['name']}: fitted in {entry['seconds']:.1f} s, {how}; {entry['message']}"
+            how = f"fitted in {entry['seconds']:.1f} s, recon {entry['terms']['recon']:.4f}"
+            if entry.get("evidence"):
+                how += f", right with probability {entry['probability']:.2f}"
+            text = f"{entry['name']}: {how}, {entry['message']}"
             where = sys.stdout
         if not self.terminal:
             print(f"[{self.done}/{self.total}] {text}", file=where, flush=True)
