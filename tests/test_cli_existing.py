@@ -81,6 +81,25 @@ def test_existing_results(fitted, made, tmp_path, run):
     assert code == 0 and (tmp_path / "one.mesh.ply").read_bytes() != (fitted[0] / "one.mesh.ply").read_bytes()
 
 
+def test_pictures_are_drawn_where_they_are_asked_for(fitted, made, tmp_path, run):
+    """Also of fits that are there already, which are not fitted again."""
+    for path in fitted[0].iterdir():
+        if path.name.startswith("one."):
+            (tmp_path / path.name).write_bytes(path.read_bytes())
+    before = (tmp_path / "one.fit.npz").read_bytes()
+    scans = [made / "one.ply", made / "two.xyz"]
+    arguments = ("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", "skip", *QUICK)
+    assert run(*arguments, "--pictures")[0] == 0
+    for name in ("one", "two"):
+        picture = (tmp_path / f"{name}.png").read_bytes()
+        assert picture.startswith(b"\x89PNG") and len(picture) > 5000
+    assert (tmp_path / "one.fit.npz").read_bytes() == before
+    summary = json.loads((tmp_path / "summary.json").read_text())
+    assert [s["files"]["picture"] for s in summary["scans"]] == ["one.png", "two.png"]
+    assert run(*arguments)[0] == 0
+    assert "picture" not in json.loads((tmp_path / "summary.json").read_text())["scans"][0]["files"]
+
+
 def test_a_summary_alone_is_in_nobodys_way(fitted, made, tmp_path, run):
     """Of a run whose scans could not be read, or of other scans: their fits stay."""
     (tmp_path / "scan.foo").write_text("0 0 0")

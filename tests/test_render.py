@@ -229,3 +229,20 @@ def test_part_colours_differ_and_stay():
         assert distance[:20].min() > 65 and distance.min() > 45
     apart = np.linalg.norm(colors[:20, None].astype(float) - colors[None, :20], axis=2) + 999 * np.eye(20)
     assert apart.min() > 40
+
+
+def test_fits_are_drawn_as_the_rig_stands(tube_rig, tube_scan, tube_result):
+    """However the scan lies, the picture is the same."""
+    from dataclasses import replace
+
+    from lbsfit_np.optimize.frame import turned_root
+    from lbsfit_np.report.fit_picture import fit_picture
+    from lbsfit_np.rotations import matrix_from_rotvec
+
+    shown = fit_picture(tube_rig, tube_scan.points, tube_result, size=(60, 80))
+    R = matrix_from_rotvec(np.array([0.4, 1.9, -0.3]))
+    turned = {"vertices": tube_result.vertices @ R.T, "pose": turned_root(tube_rig, tube_result.pose, R)}
+    again = fit_picture(tube_rig, tube_scan.points @ R.T, replace(tube_result, **turned), size=(60, 80))
+    assert shown.shape[2] == 3 and (np.abs(shown.astype(int) - again).max(axis=2) > 8).mean() < 0.01
+    wide = fit_picture(tube_rig, tube_scan.points, tube_result, truth=tube_scan.vertices, size=(60, 80))
+    assert wide.shape[1] > 1.4 * shown.shape[1]

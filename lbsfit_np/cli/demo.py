@@ -62,6 +62,8 @@ def _run(arguments):
     from ..fitting.result import FitResult
     from ..io.rigs import load_rig
     from ..io.write import write_npz, write_points_ply
+    from ..report.fit_picture import fit_picture
+    from ..report.render import write_png
 
     started = time.perf_counter()
     values = settings(arguments, _OPTIONS)
@@ -94,7 +96,7 @@ def _run(arguments):
     if code:
         return code
     result = FitResult.load(out / "scan.fit.npz")
-    _draw(paths["picture"], rig, truth, result)
+    write_png(paths["picture"], fit_picture(rig, truth.points, result, truth=truth.vertices))
     say(_report(rig, truth, result))
     say(_FILES.format(out=out))
     say(f"{time.perf_counter() - started:.0f} s in all")
@@ -142,18 +144,3 @@ def _length(value, rig):
     if rig.metres_per_unit is None:
         return f"{value:.4g}"
     return f"{1000 * rig.metres_per_unit * value:.1f} mm"
-
-
-def _draw(path, rig, truth, result):
-    from ..report.colors import part_colors
-    from ..report.render import Mesh, Points, montage, render, write_png
-
-    colors = part_colors(len(rig.parts))
-    items = (
-        Points(truth.points, colors[result.labels]),
-        Mesh(truth.vertices, rig.faces),
-        Mesh(result.vertices, rig.faces, colors[rig.vertex_labels]),
-    )
-    axes = {"up": rig.up or "+y", "forward": rig.forward, "frame": truth.vertices}
-    rows = [[render(item, view=view, size=(420, 480), **axes) for item in items] for view in ("front", "oblique")]
-    write_png(path, montage(rows))

@@ -55,6 +55,7 @@ OPTIONS = (
     ),
     Option("drop-invalid", "leave out points that are NaN or infinite instead of refusing the scan", bool, False),
     Option("max-points", "points of a scan that take part in the optimisation; all are labelled", positive, 2500, metavar="N"),
+    Option("pictures", "draw each fit, too, as NAME.png", bool, False),
     Option("segmenter", "a segmenter saved by Segmenter.save, instead of one trained here", metavar="FILE", is_path=True),
     Option("training-scans", "synthetic scans for the segmenter; half as many for starts", positive, 4000, metavar="N"),
     Option(
@@ -75,6 +76,7 @@ Fit a rig to scans, or a model that `lbsfit learn` has learned. Of each scan NAM
   NAME.fit.npz     joint angles, translation, scale, offsets, registered vertices, joints, labels (FitResult.load reads it)
   NAME.mesh.ply    the registered mesh: the rig's vertices and faces in the scan's frame and unit
   NAME.labels.ply  every point of the scan with its part, the confidence, and a colour for the part
+  NAME.png         with --pictures: the scan by its parts beside the registered mesh, from two sides
 
 and OUT/summary.json tells how each of this run's scans went. Files appear when they are complete. Inputs are never
 overwritten. After Ctrl-C, the same command with --existing skip does the rest.
@@ -175,11 +177,12 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     started = time.perf_counter()
     out = Path(values["output"])
     read = [rig_path, values["segmenter"], values["card"] if values["card"] != "none" else None, *inputs]
-    files = outputs.plan(scans, out, inputs=[p for p in read if p], existing=values["existing"], ways=_WAYS)
+    names = {"existing": values["existing"], "pictures": values["pictures"], "ways": _WAYS}
+    files = outputs.plan(scans, out, inputs=[p for p in read if p], **names)
     values = dict(values)  # a model changes some
     fitter, model = _fitter(rig_path, values, given)
     rig = fitter.rig
-    kept = _kept(files, fitter, values["subject"]) if values["existing"] == "skip" else {}
+    kept = _kept(files, fitter, values) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"{len(kept)} of {len(files)} scans are fitted already and kept")
@@ -275,14 +278,14 @@ def _fit(fitter, todo, values, on_result, progress):
     )
 
 
-def _kept(files, fitter, subject):
+def _kept(files, fitter, values):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
     from ..fitting.result import FitResult
     from ..learning.archive import model_digest
 
-    kept, rig, digest = {}, fitter.rig, model_digest(fitter, named=subject is not None)
+    kept, rig, digest = {}, fitter.rig, model_digest(fitter, named=values["subject"] is not None)
     for f in files:
-        if not all(path.is_file() for path in f.paths.values()):
+        if not all(path.is_file() for what, path in f.paths.items() if what != "picture"):
             continue
         try:
             result = FitResult.load(f.fit)
@@ -303,8 +306,22 @@ def _kept(files, fitter, subject):
                 "fits with this model and subject" if digest else f"fits with rig {rig.name!r} alone",
                 "Choose another folder, or --existing replace.",
             )
+        if f.picture is not None and not f.picture.is_file():
+            _draw_kept(f, rig, result, values)
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)
     return kept
+
+
+def _draw_kept(files, rig, result, values):
+    """The picture of a fit that an earlier run has made, where its scan is still the same."""
+    from ..io.scans import load_scan
+
+    try:
+        scan = load_scan(files.source, **scan_options(values))
+    except FileError:
+        return
+    if len(scan.points) == len(result.labels):
+        outputs.draw(files, rig, scan, result)
 
 
 def _made_with(theirs, ours):

@@ -14,6 +14,7 @@ __all__ = [
     "check_file",
     "check_outputs",
     "check_sources",
+    "draw",
     "entry",
     "fitted_entry",
     "make_folder",
@@ -37,6 +38,8 @@ class ScanFiles:
     name : str
         Its file name without the extension.
     fit, mesh, labels : Path
+    picture : Path or None
+        None where none is wanted.
     """
 
     source: str
@@ -44,14 +47,16 @@ class ScanFiles:
     fit: Path
     mesh: Path
     labels: Path
+    picture: Path | None = None
 
     @property
     def paths(self):
         """What each file is → its path."""
-        return {"fit": self.fit, "mesh": self.mesh, "labels": self.labels}
+        paths = {"fit": self.fit, "mesh": self.mesh, "labels": self.labels, "picture": self.picture}
+        return {what: path for what, path in paths.items() if path is not None}
 
 
-def plan(sources, out, *, inputs, existing, argument="-o", **ways):
+def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, **ways):
     """The files of every scan, after all that can go wrong with their names has been ruled out.
 
     Parameters
@@ -65,6 +70,8 @@ def plan(sources, out, *, inputs, existing, argument="-o", **ways):
     existing : {"error", "skip", "replace"}
     argument : str, default "-o"
         The option that gave ``out``.
+    pictures : bool, default False
+        Whether each scan gets a picture, too.
     **ways
         As for :func:`check_outputs`.
 
@@ -82,7 +89,8 @@ def plan(sources, out, *, inputs, existing, argument="-o", **ways):
     files = []
     for source in sources:
         name = Path(source).stem
-        files.append(ScanFiles(source, name, out / f"{name}.fit.npz", out / f"{name}.mesh.ply", out / f"{name}.labels.ply"))
+        paths = [out / f"{name}.{ending}" for ending in ("fit.npz", "mesh.ply", "labels.ply")]
+        files.append(ScanFiles(source, name, *paths, out / f"{name}.png" if pictures else None))
     _check_clashes(files, out)
     paths = [path for f in files for path in f.paths.values()]
     check_outputs(paths, out, inputs=[*sources, *inputs], existing=existing, argument=argument, **ways)
@@ -172,6 +180,8 @@ class Writer:
 
         files, rig = self.files[index], self.rig
         colors = part_colors(len(rig.parts))
+        if files.picture is not None:
+            draw(files, rig, scan, result)
         # All three get their names only once all three are complete; the fit last, as it stands for the whole.
         with atomic_path(files.fit) as fit, atomic_path(files.mesh) as mesh, atomic_path(files.labels) as labels:
             result.save(fit)
@@ -195,6 +205,14 @@ class Writer:
         return fitted_entry(files, result, notes=scan.notes)
 
 
+def draw(files, rig, scan, result):
+    """Write the picture of a fit."""
+    from ..report.fit_picture import fit_picture
+    from ..report.render import write_png
+
+    write_png(files.picture, fit_picture(rig, scan.points, result))
+
+
 def fitted_entry(files, result, *, kept=False, notes=()):
     """The entry of a scan whose fit is there, with the fit's own status; ``kept``: an earlier run has made it."""
     return entry(
@@ -210,7 +228,7 @@ def fitted_entry(files, result, *, kept=False, notes=()):
         seconds=round(result.seconds, 3),
         scale=result.scale,
         points=len(result.labels),
-        files={kind: path.name for kind, path in files.paths.items()},
+        files={kind: path.name for kind, path in files.paths.items() if path.is_file()},
         notes=list(notes),
     )
 

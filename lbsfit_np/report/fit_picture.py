@@ -1,0 +1,46 @@
+"""A fit as a picture: the scan by its parts beside the registered mesh, from two sides."""
+
+import numpy as np
+
+from ..optimize.frame import root_turn
+from .colors import part_colors
+from .render import Mesh, Points, montage, render
+
+__all__ = ["fit_picture"]
+
+_VIEWS = ("front", "oblique")
+# Of a larger scan, so many points are drawn.
+_MOST_POINTS = 30_000
+
+
+def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
+    """Draw a fit.
+
+    Parameters
+    ----------
+    rig : Rig
+    points : (n, 3) array
+        The scan.
+    result : FitResult
+        Of it.
+    truth : (m, 3) array, optional
+        The true mesh, drawn between the two in grey.
+    size : (int, int)
+        Of each of the pictures, pixels.
+
+    Returns
+    -------
+    (h, w, 3) uint8 array
+        From left to right the scan coloured by the parts found, the true mesh, the registered mesh in the same colours; the first
+        line seen from the front, the second obliquely. All turned back as the rig stands, so that subjects are seen from their
+        own front however their scans lie.
+    """
+    turn, colors = root_turn(rig, result.pose), part_colors(len(rig.parts))
+    rows = np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(int)
+    found = result.vertices @ turn
+    items = [Points(np.asarray(points)[rows] @ turn, colors[result.labels[rows]])]
+    if truth is not None:
+        items.append(Mesh(truth @ turn, rig.faces))
+    items.append(Mesh(found, rig.faces, colors[rig.vertex_labels]))
+    axes = {"up": rig.up or "+y", "forward": rig.forward, "frame": found if truth is None else np.vstack([found, truth @ turn])}
+    return montage([[render(item, view=view, size=size, **axes) for item in items] for view in _VIEWS])
