@@ -37,6 +37,14 @@ def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
     assert entry["joint_error"] == pytest.approx(np.mean(entry["joints"])) and 0 < entry["vertex_error"] < 0.5
     assert 0 < report["rows"]["before"]["3"]["label_error"] < 1 and "label_error" not in entry
     assert report["rows"]["free-form"]["3"]["rounds"] == 0
+    # The same once more has nothing to do, and more does the rest.
+    monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"rounds": 7})
+    again = learn_bench("hand", shared_rigs, before=report, **options)
+    assert again["rows"] == report["rows"] and rows == [("cd", 3), ("free-form", 3)]
+    more = learn_bench("hand", shared_rigs, before=report, **options | {"variants": ("free-form", "cd"), "seeds": (3, 4)})
+    assert more["rows"]["cd"]["3"] == entry and [more["rows"][v]["4"]["rounds"] for v in ("cd", "free-form")] == [7, 7]
+    with pytest.raises(InputError, match="before: got results with n_scans 6; expected n_scans 9"):
+        learn_bench("hand", shared_rigs, before=report, **options | {"n_scans": 9})
 
 
 def test_scans_that_could_not_be_fitted_are_counted(shared_rigs):

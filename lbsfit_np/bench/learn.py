@@ -16,6 +16,7 @@ from ..synthesis import synthesize_one, uniform_poses
 from . import body, hand
 from .environment import environment
 from .measure import joint_error, label_accuracy, vertex_error
+from .resume import begun
 from .run import TRAINING_SEED
 from .subjects import subject
 
@@ -138,6 +139,7 @@ def learn_bench(
     variants=VARIANT_ROWS[:4],
     training_scans=4000,
     jobs=1,
+    before=None,
     progress=None,
     on_row=None,
 ):
@@ -154,7 +156,10 @@ def learn_bench(
         Of ``VARIANT_ROWS``.
     training_scans : int, default 4000
     jobs : int, default 1
-    progress : callable (variant, seed, stage, share), optional
+    before : dict, optional
+        A report of the same settings: what it has is not done again.
+    progress : callable (variant, seed, stage, share, figures), optional
+        As for ``LBSFitter.fit``; variant and seed are None while what all share is trained.
     on_row : callable (report, variant, seed), optional
         After each variant of each seed, with the report so far.
 
@@ -162,6 +167,11 @@ def learn_bench(
     -------
     dict
         Plain data for JSON. Lengths in half sizes of the rig (hand) or cm (body).
+
+    Raises
+    ------
+    InputError
+        Arguments that cannot be used; a report of other settings.
     """
     from sklearn.base import clone
 
@@ -172,36 +182,39 @@ def learn_bench(
         raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
     if not variants or not set(variants) <= set(VARIANT_ROWS):
         raise InputError("variants", repr(variants), f"some of {', '.join(VARIANT_ROWS)}")
+    empty = {
+        "benchmark": f"learn {name}",
+        "unit": "half size" if name == "hand" else "cm",
+        "settings": {"n_scans": n_scans, "subjects": N_SUBJECTS, "training_scans": training_scans},
+        "test_scans": asdict(hand.SCAN if name == "hand" else body.SCAN),
+        "rows": {},
+    }
+    report = begun(before, empty, same=("settings", "test_scans")) | {"complete": False, "environment": environment()}
     rig = collection(name, data, 3, seed=seeds[0])[0]
     # All scans face the rig's way.
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
-    fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress("all", "–", "pretraining", p))
+    fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress(None, None, "pretraining", p))
     first, pretrained = fitter.segmenter_, fitter._pretrained
-    report = {
-        "benchmark": f"learn {name}",
-        "complete": False,
-        "unit": "half size" if name == "hand" else "cm",
-        "settings": {"n_scans": n_scans, "subjects": N_SUBJECTS, "training_scans": training_scans, "jobs": jobs},
-        "test_scans": asdict(hand.SCAN if name == "hand" else body.SCAN),
-        "environment": environment(),
-        "rows": {},
-    }
     unit = rig.size / 2 if name == "hand" else 0.01
     for seed in seeds:
+        todo = [variant for variant in variants if str(seed) not in report["rows"].get(variant, {})]
+        if not todo:
+            continue
         _, scans, subjects, others = collection(name, data, n_scans, seed=seed)
         same = dict.fromkeys(subjects, rig)
         before = {"template_gap": _gap(same, scans, subjects) / unit, "label_error": _wrong(first, others)}
         report["rows"].setdefault("before", {})[str(seed)] = before
-        for variant in variants:
+        for variant in todo:
             one = clone(fitter).set_params(variant=variant)
             one._pretrained = pretrained
             say = None
             if progress is not None:
-                say = lambda stage, share, figures=None, v=variant, s=seed: progress(v, s, stage, share)  # noqa: E731
+                say = lambda stage, share, figures=None, v=variant, s=seed: progress(v, s, stage, share, figures)  # noqa: E731
             started = time.perf_counter()
             one.fit([scan.points for scan in scans], subjects, progress=say)
             seconds = time.perf_counter() - started
-            entry = _measured(rig, one, scans, subjects, others, unit) | {"seconds": seconds, "history": one.history_}
+            entry = _measured(rig, one, scans, subjects, others, unit) | {"seconds": seconds, "jobs": jobs}
+            entry |= {"history": one.history_, "commit": environment()["commit"]}
             report["rows"].setdefault(variant, {})[str(seed)] = entry
             if on_row is not None:
                 on_row(report, variant, seed)

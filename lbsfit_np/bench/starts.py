@@ -5,7 +5,6 @@ itself, and no hints but the orientation and the kind of scan that the condition
 """
 
 import time
-from copy import deepcopy
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -16,6 +15,7 @@ from .baseline import PlainChamfer
 from .conditions import CONDITIONS, SEEN, conditions_of, starts_scan
 from .environment import environment
 from .measure import joint_error
+from .resume import begun
 from .run import TRAINING_SEED
 
 __all__ = [
@@ -100,7 +100,8 @@ def starts_bench(
     rigs = {name: load_rig(name) for name in names}
     todo = _plan(rigs, rows, fits)
     settings = {"seed": seed, "scans_a_row": n_scans, "effort": effort, "training_scans": training_scans}
-    report = _begun(before, settings) | {"complete": False, "environment": environment()}
+    empty = {"benchmark": "starts", "settings": settings, "rigs": {}, "confidence": None}
+    report = begun(before, empty) | {"complete": False, "environment": environment()}
     for name, row, fit in todo:
         rig, condition = rigs[name], CONDITIONS[row]
         entry = _row_entry(report, name, rig, row, condition)
@@ -139,20 +140,6 @@ def _plan(rigs, rows, fits):
         got = f"{', '.join(rows or ())} with fits {', '.join(fits)} for {', '.join(rigs)}"
         raise InputError("rows", got, "a row that one of the rigs can be in, with labels to give where fits is oracle")
     return todo
-
-
-def _begun(before, settings):
-    """The report to go on with."""
-    if before is None:
-        return {"benchmark": "starts", "settings": settings, "rigs": {}, "confidence": None}
-    remedy = "Choose another folder, or --existing replace."
-    if before.get("benchmark") != "starts" or not {"settings", "rigs", "confidence"} <= set(before):
-        raise InputError("before", f"results of {before.get('benchmark', 'nothing known')}", "results of starts", remedy)
-    other = [key for key in settings if before["settings"].get(key) != settings[key]]
-    if other:
-        got, expected = (", ".join(f"{key} {known.get(key)}" for key in other) for known in (before["settings"], settings))
-        raise InputError("before", f"results with {got}", expected, remedy)
-    return deepcopy(before)
 
 
 def _row_entry(report, name, rig, row, condition):

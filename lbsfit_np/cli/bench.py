@@ -145,7 +145,8 @@ def _add_learn(benches):
         _seeds_option("the collections", "100,101,102"),
         Option("variants", "what to learn, with commas: joint, pose-only, rand, cd, free-form", str, "joint,pose-only,rand,cd"),
         *_TRAINING,
-        *_TABLE,
+        _MARKDOWN,
+        _RESUMING,
     )
     _add_options(bench, options, lambda arguments, values: runs.run_learn(arguments.collection, values))
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import FileError, InputError
 from .outputs import check_outputs, make_folder
-from .progress import Progress, say
+from .progress import LearningProgress, Progress, say
 
 __all__ = [
     *("RESULTS", "failures_code", "made_results", "numbers", "read_results"),
@@ -14,6 +14,7 @@ __all__ = [
 ]
 
 RESULTS = "results.json"
+_ROUNDS = 4  # LBSFitter's own, which the benchmark takes
 
 
 def run_starts(rigs, values):
@@ -70,23 +71,31 @@ def run_learn(name, values):
 
     _checked_data(name, values)
     results = made_results(values)
+    resumed = values["existing"] == "resume" and results.exists()
+    progress = _VariantsProgress()
 
     def on_row(report, variant, seed):
         write_json(results, report)
+        progress.close()
         entry = report["rows"][variant][str(seed)]
         error = f"joints {entry['joint_error']:.4f}, vertices {entry['vertex_error']:.4f} {report['unit']}"
         say(f"seed {seed}, {variant}: {error}, {entry['seconds']:.0f} s")
 
-    report = learn_bench(
-        name,
-        values["data"],
-        n_scans=values["scans"],
-        seeds=numbers(values["seeds"]),
-        variants=values["variants"].split(","),
-        training_scans=values["training_scans"],
-        jobs=values["jobs"],
-        on_row=on_row,
-    )
+    try:
+        report = learn_bench(
+            name,
+            values["data"],
+            n_scans=values["scans"],
+            seeds=numbers(values["seeds"]),
+            variants=values["variants"].split(","),
+            training_scans=values["training_scans"],
+            jobs=values["jobs"],
+            before=read_results(results) if resumed else None,
+            progress=progress,
+            on_row=on_row,
+        )
+    finally:
+        progress.close()
     write_json(results, report)
     say("")
     say(learn_table(report, markdown=values["markdown"]))
@@ -225,6 +234,27 @@ class _BenchProgress(Progress):
         error = entry["mean"].get("joint_error")
         words = "all failed" if error is None else f"mean joint error {error:.4g} {report['unit']}"
         self.line(f"seed {seed}, {content['what']}: {len(entry['scans'])} scans in {entry['wall_seconds']:.0f} s, {words}")
+
+
+class _VariantsProgress:
+    """Learning as in ``lbsfit learn``, once for each variant and seed."""
+
+    def __init__(self):
+        self._what, self._shown = None, None
+
+    def __call__(self, variant, seed, stage, share, figures=None):
+        """What ``LBSFitter.fit`` says while it learns."""
+        if self._what != (variant, seed):
+            self.close()
+            self._what, self._shown = (variant, seed), LearningProgress(_ROUNDS)
+            if variant is not None:
+                say(f"seed {seed}, {variant}:")
+        self._shown(stage, share, figures)
+
+    def close(self):
+        """Leave the terminal in order."""
+        if self._shown is not None:
+            self._shown.close()
 
 
 # ---- what runs share ----

@@ -2,13 +2,13 @@
 
 import hashlib
 import time
-from copy import deepcopy
 from dataclasses import asdict
 
 import numpy as np
 
 from ...errors import InputError
 from ..environment import environment
+from ..resume import REMEDY, begun
 from ..run import TRAINING_SEED
 from .data import SCAN, kind_of, part_groups, sized, study_set
 from .local_optimum import along_path
@@ -103,21 +103,15 @@ def cell_name(name, seed, row):
 
 def _begun(before, size, rigs):
     """The report to go on with."""
-    if before is None:
-        return {"benchmark": "study", "size": size, "scan": asdict(SCAN), "rigs": {}}
-    remedy = "Choose another folder, or --existing replace."
-    if before.get("benchmark") != "study":
-        raise InputError("before", f"results of {before.get('benchmark', 'nothing known')}", "results of study", remedy)
-    if before["size"] != size or before["scan"] != asdict(SCAN):
-        raise InputError("before", f"results of size {before['size']!r}", f"results of size {size!r} and the same scans", remedy)
-    for name, entry in before["rigs"].items():
+    report = begun(before, {"benchmark": "study", "size": size, "scan": asdict(SCAN), "rigs": {}}, same=("size", "scan"))
+    for name, entry in report["rigs"].items():
         if name in rigs:
             now = _described(rigs[name], sized(rigs[name], size))
             if entry.get("size") != now["size"]:
-                raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", remedy)
+                raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", REMEDY)
             if any(entry.get(key) != now[key] for key in ("digest", "poses")):
-                raise InputError("before", f"results of another rig than {name!r} now is", "results of the same rigs", remedy)
-    return deepcopy(before)
+                raise InputError("before", f"results of another rig than {name!r} now is", "results of the same rigs", REMEDY)
+    return report
 
 
 def _described(rig, size):

@@ -1,0 +1,48 @@
+"""Reports of runs that go on where an earlier one stopped."""
+
+from copy import deepcopy
+
+from ..errors import InputError
+
+__all__ = ["REMEDY", "begun"]
+
+REMEDY = "Choose another folder, or --existing replace."
+
+
+def begun(before, empty, *, same=("settings",)):
+    """The report to go on with.
+
+    Parameters
+    ----------
+    before : dict or None
+        What an earlier run has written.
+    empty : dict
+        The report of a run without results: "benchmark", what has to be the same, and what else every report has.
+    same : sequence of str
+        Keys of what has to be the same; of dicts, each key of theirs.
+
+    Returns
+    -------
+    dict
+        ``empty`` itself where there is no earlier report, else a copy of that.
+
+    Raises
+    ------
+    InputError
+        A report of another benchmark or of other settings.
+    """
+    if before is None:
+        return empty
+    if before.get("benchmark") != empty["benchmark"] or not set(empty) <= set(before):
+        got = f"results of {before.get('benchmark', 'nothing known')}"
+        raise InputError("before", got, f"results of {empty['benchmark']}", REMEDY)
+    theirs, ours = ({k: v for name in same for k, v in _named(name, of[name])} for of in (before, empty))
+    other = [key for key in ours if theirs.get(key) != ours[key]]
+    if other:
+        got, expected = (", ".join(f"{key} {known.get(key)}" for key in other) for known in (theirs, ours))
+        raise InputError("before", f"results with {got}", expected, REMEDY)
+    return deepcopy(before)
+
+
+def _named(name, value):
+    return value.items() if isinstance(value, dict) else [(name, value)]
