@@ -10,6 +10,7 @@ import lbsfit_np as lbs
 from lbsfit_np.bench import calibrate as module
 from lbsfit_np.bench.calibrate import Case, calibrate, cases_of, judged
 from lbsfit_np.bench.conditions import CONDITIONS, SEEN, condition_scan, conditions_of
+from lbsfit_np.bench.run import TRAINING_SEED
 from lbsfit_np.bench.starts import PROBABLE
 from lbsfit_np.fitting.scout import EFFORTS
 
@@ -24,6 +25,7 @@ class Fits:
 
     def __init__(self):
         self.scout, self.efforts, self.points, self.fitters = SimpleNamespace(effort=None), [], [], []
+        self.seeds = []
         self.truth, self.changed = None, lambda truth, k: truth.joints
 
     def fitter(self, rig, **parameters):
@@ -37,6 +39,7 @@ class Fits:
     def fit(self, points, random_state):
         self.efforts.append(self.scout.effort)
         self.points.append(points)
+        self.seeds.append(random_state)
         k = len(self.efforts) - 1
         return SimpleNamespace(joints=self.changed(self.truth, k), evidence={"number": k})
 
@@ -63,6 +66,8 @@ def test_every_scan_is_fitted_carelessly_and_carefully(fits, rigs):
     ((rig, parameters),) = fits.fitters
     assert rig is rigs[0] and parameters["training_scans"] == 60
     assert CONDITIONS["turned"].fitter.items() <= parameters.items()
+    # The seed is of the scans; what is trained and how it is fitted is the same for all.
+    assert fits.seeds == 6 * [TRAINING_SEED] and parameters["random_state"] == TRAINING_SEED != 7
 
 
 @pytest.mark.parametrize("row", ["turned", "unit"])

@@ -110,6 +110,50 @@ def test_clutter_close_to_the_body_is_no_fault_but_a_finger_of_points_is(model, 
     assert sixth["unexplained"] > 0.04 and sixth["part_unexplained"] > 0.15
 
 
+@pytest.mark.parametrize(
+    "n, together, a_fault",
+    [(300, 5, True), (1250, 3, False), (1250, 5, True), (2450, 5, False), (2450, 8, True), (6000, 5, False), (6000, 8, True)],
+)
+def test_how_many_points_make_a_lump_depends_on_how_many_there_are(model, n, together, a_fault):
+    """Five of 300 points close to each other are more than chance, five of 2,450 are not; and eight always are."""
+    (scan,) = lbs.synthesize(model.source, 1, poses="natural", random_state=4, shape=0.0, n_points=n)
+    state, X = model.rest().replace(theta=scan.pose), scan.points / model.half
+    lump = X.mean(axis=0) + [0.0, 0.0, 0.8] + np.random.default_rng(1).uniform(-0.01, 0.01, (together, 3))
+    plain, lumped = (_evidence(model, state, points)[0]["unexplained"] for points in (X, np.vstack([X, lump])))
+    assert lumped - plain == pytest.approx(together / (n + together) if a_fault else 0.0, rel=0.1, abs=1e-4)
+
+
+def test_far_points_are_a_fault_only_where_they_are_too_many(model, right):
+    """Up to three in ten may be clutter; where there are more, the pose may be wrong instead."""
+    state, X, _ = right
+    for share, a_fault in ((0.2, False), (0.4, True)):
+        n = int(share / (1 - share) * len(X))
+        far = np.random.default_rng(0).uniform(X.min(axis=0) - 1.5, X.max(axis=0) + 1.5, (n, 3))
+        evidence, _ = _evidence(model, state, np.vstack([X, far]))
+        assert evidence["unexplained"] > 0.9 * share if a_fault else evidence["unexplained"] < 0.002, share
+
+
+def test_a_part_that_no_point_is_near_is_wholly_unreached(model, right):
+    """However small it is."""
+    state, X, labels = right
+    finger = [i for i, part in enumerate(model.source.parts) if part.startswith("index")]
+    evidence, worst = _evidence(model, state, X[~np.isin(labels, finger)])
+    assert evidence["part_unreached"] > 0.9 and evidence["unreached"] < 0.2
+    assert model.source.parts[worst["part_unreached"]] == "index3"
+
+
+def test_few_points_do_not_hide_a_wrong_limb(model):
+    """However far apart they are, surface further from them than 0.08 is not reached."""
+    (scan,) = lbs.synthesize(model.source, 1, poses="natural", random_state=4, shape=0.0, n_points=60)
+    state, X = model.rest().replace(theta=scan.pose), scan.points / model.half
+    theta = scan.pose.copy()
+    theta[model.source.joint_names.index("index1"), 0] -= 0.9
+    bad, worst = _evidence(model, state.replace(theta=theta), X)
+    assert bad["unreached"] > 0.25 and bad["part_unreached"] > 0.96
+    assert model.source.parts[worst["part_unreached"]].startswith("index")
+    assert probability_of(bad) < probability_of(_evidence(model, state, X)[0])
+
+
 def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
     state, _, _ = right
     theta = state.theta

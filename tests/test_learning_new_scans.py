@@ -2,7 +2,7 @@
 
 import copy
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -95,6 +95,38 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
         assert r.found is seen and "by itself; somebody else" in r.message
     else:
         assert f"on the template of subject {whose!r}" in r.message
+
+
+@pytest.mark.parametrize(
+    "ann, bob, better",
+    [
+        ((4e-3, 1.0), (1e-3, 1000.0), "ann"),  # metres and millimetres
+        ((4e-3, 1.0), (3e-3, 1.2), "ann"),
+        ((4e-3, 1.0), (3e-3, 1.1), "bob"),
+    ],
+)
+def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, better, monkeypatch):
+    """(value in the normalised frame, scan units in a rig unit) of each: a value goes by the square of the frame's unit."""
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter.template_, fitter.unit_ = people, {"ann": ann[1], "bob": bob[1]}
+    fitter.segmenter_, fitter.regressor_ = None, object()
+    seen, told = _seen(tube_rig, scan), {}
+
+    def on_template(fitter, subject, seen, settings):
+        value, unit = {"ann": ann, "bob": bob}[subject]
+        return replace(seen, value=value, frame=replace(seen.frame, unit=unit * tube_rig.size / 2))
+
+    def finish_fit(problem, state, **place):
+        told.update(place)
+        return "the result"
+
+    monkeypatch.setattr(finish, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a: seen))
+    monkeypatch.setattr(finish, "_on_template", on_template)
+    monkeypatch.setattr(finish, "_template_fit", lambda *made_of: SimpleNamespace(model=Model(tube_rig), finish=finish_fit))
+    assert finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False) == "the result"
+    assert f"on the template of subject {better!r}" in told["note"]
+    assert told["value"] == {"ann": ann, "bob": bob}[better][0]
 
 
 @pytest.mark.parametrize("factor, known", [(1.3, True), (1 / 1.3, True), (1.4, False), (1 / 1.4, False), (50.0, False)])

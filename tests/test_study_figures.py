@@ -192,3 +192,143 @@ def test_the_mixture_shows_two_joints_that_bend(rig):
     assert charts._telling_angles(rig) == ((middle[0], 0), (middle[1], 0))
     body = load_rig("body-coarse")
     assert [body.joint_names[j].split("_")[1] for j, _ in charts._telling_angles(body)] == ["hip", "knee"]
+
+
+# ---- what is drawn ----
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """What figures hand to the canvas: axes in turn, and the arguments of tiles, of pictures of which nothing is rendered."""
+    seen = SimpleNamespace(axes=[], tiles=[], meshes=[])
+    axes_at, render = charts.axes_at, gallery.render
+
+    def recorded(*place, **options):
+        seen.axes.append(axes_at(*place, **options))
+        return seen.axes[-1]
+
+    def rendered(item, *, size, **view):
+        if hasattr(item, "faces"):
+            seen.meshes.append(item.vertices)
+        return render(item, size=(24, 28), **view)
+
+    def laid_out(path, rows, *, titles, groups=(), notes=None):
+        seen.tiles.append(SimpleNamespace(rows=rows, titles=titles, groups=groups, notes=notes))
+
+    monkeypatch.setattr(charts, "axes_at", recorded)
+    monkeypatch.setattr(gallery, "render", rendered)
+    monkeypatch.setattr(gallery, "tiles", laid_out)
+    return seen
+
+
+def test_what_is_inferred_in_the_mixture_is_near_the_inferred_poses(viz, shown, rig, drawn, tmp_path, monkeypatch):
+    monkeypatch.setattr(charts, "_N_POSES", 80)
+    charts.mixture(shown, tmp_path / "mixture.png")
+    (jx, ax), (jy, ay) = charts._telling_angles(rig)
+    crosses = np.degrees([(s.pose[jx, ax], s.pose[jy, ay]) for s in shown.train])
+    noise = np.degrees(0.15) + 1e-6
+    points = [[np.asarray(c.get_offsets()) for c in axes.collections] for axes in drawn.axes[::3]]  # without the marginals
+
+    def share_near(xy):
+        return (np.abs(xy[:, None] - crosses).max(axis=2).min(axis=1) <= noise).mean()
+
+    (uniform,), (inferred, marks), (far, near, _) = points
+    assert len(uniform) == 40 and len(inferred) == len(near) and len(near) + len(far) == 80 and 20 < len(near) < 60
+    np.testing.assert_allclose(marks, crosses)
+    assert share_near(inferred) == share_near(near) == 1.0
+    assert max(share_near(uniform), share_near(far)) < 0.7
+
+
+def test_the_accuracy_of_every_seed_is_drawn_and_their_mean(viz, drawn, tmp_path):
+    told = {"rand": ([0.80, 0.81], [0.84, 0.87]), "joint": ([0.80, 0.90, 0.93], [0.84, 0.92])}
+    seeds = {str(k): {row: {"accuracy": both[k]} for row, both in told.items()} for k in (0, 1)}
+    charts.accuracy({"rigs": {"hand": {"seeds": seeds}}}, tmp_path / "accuracy.png")
+    (axes,) = drawn.axes
+    lines = {(line.get_color(), line.get_linewidth() > 1): [] for line in axes.lines}
+    for line in axes.lines:
+        lines[line.get_color(), line.get_linewidth() > 1].append(pytest.approx(list(line.get_ydata())))
+    for row, both in told.items():
+        color = charts.ROW_COLORS[row]
+        assert lines[color, False] == [[100 * v for v in values] for values in both]
+        mean = [50 * (a + b) for a, b in zip(*both)]  # as far as all seeds go
+        assert lines[color, True] == [mean]
+
+
+@pytest.fixture
+def exact(rig, given, report):
+    """True registrations of "joint"; of the others each scan's are off, the later the less."""
+    cells, n = {}, len(given.test)
+    for row, error in (ERRORS | {"joint": 0.0}).items():
+        shift = error * rig.size / 2 * ((n - np.arange(n)) / n)[:, None, None] * [1.0, 0.0, 0.0]
+        cells[cell_name(NAME, SEED, row)] = {
+            "vertices": np.array([s.vertices for s in given.test]) + shift,
+            "joints": np.array([s.joints for s in given.test]) + shift,
+            "labels": np.concatenate([s.labels for s in given.test]),
+        }
+    return Shown(NAME, rig, report["rigs"][NAME], cells.get)
+
+
+def test_colours_go_from_the_first_scan_to_the_second(exact, drawn, tmp_path):
+    gallery.correspondence(exact, tmp_path / "x.png")
+    (sheet,) = drawn.tiles
+    assert sheet.titles == ["A", "B, by Chamfer alone", "B, by joint", "B, truth"]
+    for r, row in enumerate(sheet.rows):
+        assert sheet.notes[r, 2] == "0.000" and float(sheet.notes[r, 1]) > 0.02
+        joint, truth = (picture.astype(float) for picture in row[2:])
+        assert np.abs(joint - truth).mean() < 0.2 * np.abs(row[0].astype(float) - truth).mean()
+
+
+def test_the_ablation_goes_from_the_worst_of_joint_to_the_best(shown, drawn, tmp_path):
+    """Of "cd" another one is the best, and one could not be fitted."""
+    cd = {what: array.copy() for what, array in shown.cells["cd"].items()}
+    cd["vertices"][3], cd["joints"][3] = shown.test[3].vertices, shown.test[3].joints
+    shown.cells["cd"] = cd
+    gallery.ablation(shown, tmp_path / "x.png")
+    (sheet,) = drawn.tiles
+    n = len(shown.test)
+    errors = {row: [sheet.notes[r, c] for r in range(n)] for row, c in (("cd", 2), ("pose-only", 4), ("joint", 6))}
+    for row in ("joint", "pose-only"):
+        assert list(map(float, errors[row])) == pytest.approx(ERRORS[row] * np.arange(n, 0, -1) / n, abs=6e-4)
+    assert errors["cd"] == ["0.000", "0.150", "not fitted", "0.050"]
+    assert [title for title, *_ in sheet.groups] == ["Chamfer alone", "pose-only: the modality gap", "joint"]
+    for r, i in enumerate(range(n)[::-1]):
+        assert (sheet.rows[r][2] is None) == (i == 1)  # not fitted
+
+
+def test_the_gallery_has_the_first_scans_and_each_row_in_its_column(shown, drawn, tmp_path):
+    gallery.gallery(shown, tmp_path / "x.png")
+    (sheet,) = drawn.tiles
+    assert sheet.titles[2:] == ["free-form", "Chamfer alone", "joint", "truth"]
+    n = len(shown.test)
+    for c, row in enumerate(("free-form", "cd", "joint"), start=2):
+        for i in range(n):
+            if row == "cd" and i == 1:
+                assert sheet.notes[i, c] == "not fitted"
+            else:
+                assert float(sheet.notes[i, c]) == pytest.approx(ERRORS[row] * (i + 1) / n, abs=6e-4)
+    meshes = [shown.cells[row]["vertices"][0] for row in ("free-form", "cd", "joint")] + [shown.test[0].vertices]
+    for seen, mesh in zip(drawn.meshes, meshes):
+        np.testing.assert_array_equal(seen, mesh)
+
+
+def test_pairs_begin_in_the_middle_of_joints_ranking(shown):
+    """From the worst to the best 3, 2, 1, 0: the third is the first of the better half."""
+    first, second = gallery._pairs(shown)
+    assert first[0] == 1 and shown.from_worst_to_best("joint", 4) == [3, 2, 1, 0] != shown.from_worst_to_best("cd", 4)
+    assert second[0] not in first
+
+
+def test_the_triplet_is_of_the_most_changed_person_nearest_to_rest(shown, rig, drawn, tmp_path):
+    scans = shown.test
+    changed = [round(np.linalg.norm(s.template - rig.vertices, axis=1).mean() / rig.size, 6) for s in scans]
+    bent = [np.linalg.norm(np.delete(s.pose, rig.root, axis=0)) for s in scans]
+    most = [i for i in range(len(scans)) if changed[i] == max(changed)]
+    i = min(most, key=bent.__getitem__)
+    assert 1 < len(most) < len(scans)
+    gallery.triplet(shown, tmp_path / "x.png")
+    template, posed, deformed = drawn.meshes
+    np.testing.assert_array_equal(template, rig.vertices)
+    np.testing.assert_allclose(posed, rig.pose(scans[i].pose), atol=1e-12)
+    np.testing.assert_array_equal(deformed, shown.cells["joint"]["vertices"][i])
+    ((row,),) = [sheet.rows for sheet in drawn.tiles]
+    assert len(row) == 4

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lbsfit_np import load_rig
+from lbsfit_np.bench.study import local_optimum
 from lbsfit_np.bench.study.local_optimum import along_path, limbs, swings, target_scan
 from lbsfit_np.losses import chamfer
 from lbsfit_np.rig.partition import leading_joint
@@ -78,3 +79,19 @@ def test_the_other_hand_meets_it_too(found):
 def test_rigs_without_such_a_path_have_none(tube_rig):
     assert swings(tube_rig) == [] and along_path(tube_rig) is None
     assert along_path(load_rig("body-coarse"), steps=5) is None
+
+
+@pytest.mark.parametrize("highest, is_one", [(1.0, False), (1.01, False), (1.03, True)])
+def test_a_rise_that_sampling_may_make_is_no_local_optimum(hand, monkeypatch, highest, is_one):
+    """The second path rises by so much, the first one falls."""
+    tops = iter([0.9, highest])
+
+    def curves(rig, swing, steps):
+        return [2.0, 2.0 * next(tops), 1.0], [3.0, 2.0, 1.0]
+
+    monkeypatch.setattr(local_optimum, "_curves", curves)
+    found, second = along_path(hand, steps=3), swings(hand)[1]
+    if not is_one:
+        assert found is None
+    else:
+        assert found["rise"] == pytest.approx(highest) and found["from"] == hand.joint_names[second.away]

@@ -314,4 +314,4 @@ def _with(text, paper):
 
 def _rounds(cells):
     rounds = sorted({len(c["accuracy"]) - 1 for c in cells})
-    return f"{' or '.join(map(str, rounds))} rounds"
+    return f"{' or '.join(map(str, rounds))} round{'' if rounds == [1] else 's'}"

@@ -1,0 +1,93 @@
+"""What the study learns from and is tested on: whose poses, which share of them natural, and what rows are given of it."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from lbsfit_np.bench.run import TRAINING_SEED
+from lbsfit_np.bench.study import data
+from lbsfit_np.bench.study.data import SCAN, Size, study_set
+from lbsfit_np.bench.study.measures import Registrations
+from lbsfit_np.bench.study.rows import ROWS, Found
+from lbsfit_np.bench.study.run import study
+from lbsfit_np.io.rigs import load_rig
+
+MANY = Size(train=300, test=200, train_subjects=2, test_subjects=2, pairs=1, training_scans=1, rounds=1, seeds=1)
+
+
+@pytest.fixture
+def drawn(monkeypatch):
+    """Scans that are their poses alone; (the library that poses are near, or None; pose) of each in turn."""
+    calls = []
+
+    def recorded(draw, natural):
+        def drawn(rig, n, rng):
+            poses = draw(rig, n, rng)
+            calls.append((rig.poses if natural else None, poses[0]))
+            return poses
+
+        return drawn
+
+    monkeypatch.setattr(data, "natural_poses", recorded(data.natural_poses, True))
+    monkeypatch.setattr(data, "uniform_poses", recorded(data.uniform_poses, False))
+    monkeypatch.setattr(data, "synthesize_one", lambda rig, pose, *made_of: SimpleNamespace(pose=pose))
+    return calls
+
+
+@pytest.mark.parametrize("name, share", [("hand-coarse", 0.5), ("body-coarse", 20 / 23)])
+def test_natural_poses_are_of_their_own_half_of_the_library_and_as_many_as_in_the_paper(name, share, drawn):
+    rig = load_rig(name)
+    given = study_set(rig, MANY, 300)
+    assert [pose.tobytes() for _, pose in drawn] == [s.pose.tobytes() for s in given.train + given.test]
+    libraries = {"train": drawn[: MANY.train], "test": drawn[MANY.train :]}
+    names = {}
+    for purpose, calls in libraries.items():
+        natural = [library for library, _ in calls if library is not None]
+        assert len(natural) / len(calls) == pytest.approx(share, abs=0.08)
+        (names[purpose],) = {tuple(library) for library in natural}  # one library for all of them
+    train, test = map(set, names.values())
+    assert not train & test and train == set(given.rig.poses) and train | test <= set(rig.poses)
+    assert 0.15 < len(test) / len(rig.poses) < 0.35  # every fourth
+    apart = [np.abs(rig.poses[a] - rig.poses[b]).max() for a in train for b in test]
+    assert min(apart) >= 0.3
+
+
+def test_a_rig_without_natural_poses_has_uniform_ones_alone(tube_rig, drawn):
+    study_set(tube_rig, replace(MANY, train=5, test=5), 300)
+    assert not tube_rig.poses and [library for library, _ in drawn] == [None] * 10
+
+
+def test_every_scan_has_missing_areas_noise_and_a_shape_of_its_subject_alone():
+    assert (SCAN.holes, SCAN.least_holes) == (2, 1)
+    assert (SCAN.n_points, SCAN.noise, SCAN.density, SCAN.shape) == (2500, 0.004, 0.5, 0.0)
+    assert (SCAN.turn, SCAN.scale, SCAN.clutter, SCAN.floor, SCAN.one_sided) == (0, 0, 0, 0, False)
+
+
+# ---- what rows are given ----
+
+
+def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypatch):
+    """Poses of the test in the fitter's rig would be a leak."""
+    contexts = []
+
+    def find(c):
+        contexts.append(c)
+        return Found(Registrations(*(np.array([getattr(s, what) for s in c.given.test]) for what in ("vertices", "joints"))))
+
+    rig, size = load_rig("hand-coarse"), Size(3, 2, 1, 1, 2, 77, 5, 1)
+    monkeypatch.setattr("lbsfit_np.bench.study.run.ROWS", {"joint": replace(ROWS["joint"], find=find, pretrained=False)})
+    monkeypatch.setitem(data.SIZES, "small", size)
+    monkeypatch.setattr(data, "SCAN", replace(SCAN, n_points=50))
+    monkeypatch.setattr("lbsfit_np.bench.study.run.along_path", lambda rig: None)
+    study({"hand": rig}, rows=("joint",), seeds=[1, 2])
+    assert [c.seed for c in contexts] == [1, 2] and TRAINING_SEED not in (1, 2)
+    for c in contexts:
+        assert set(c.fitter.rig.poses) == set(c.given.rig.poses) < set(rig.poses) == set(c.source.poses)
+        assert c.fitter.orientation == "aligned" and c.fitter.random_state == TRAINING_SEED
+        assert (c.fitter.training_scans, c.fitter.rounds) == (77, 5)
+    # The same scans for whoever asks with that seed.
+    again = study_set(rig, size, 2)
+    for a, b in zip(contexts[1].given.train + contexts[1].given.test, again.train + again.test, strict=True):
+        assert np.array_equal(a.points, b.points)

@@ -1,0 +1,191 @@
+"""The study's page: which figure stands where, what is divided by what, and that the paper's figures are the paper's."""
+
+import re
+from dataclasses import asdict
+
+import pytest
+
+from lbsfit_np.bench.environment import environment
+from lbsfit_np.bench.study.data import SCAN, SIZES
+from lbsfit_np.bench.study.page import PAPER, console_table, page
+from lbsfit_np.bench.study.rows import ROWS
+
+# No two figures of a cell are alike, so that none can stand in another's place.
+CELL = {
+    "recon": 0.042,
+    "recon_truth": 0.040,
+    "pose": 0.011,
+    "pose_median": 0.012,
+    "pose_truth": 0.013,
+    "vertices": 0.014,
+    "corre": {"mean": 0.021, "p50": 0.022, "p90": 0.023, "p95": 0.024},
+    "corre_snapped": {"mean": 0.031, "p50": 0.032, "p90": 0.033, "p95": 0.034},
+    "unfitted": 0,
+    "seconds": 77.0,
+    "accuracy": [],
+    "kept_accuracy": None,
+    "gap": {},
+    "history": [],
+    "commit": None,
+}
+GAP = {"before": 0.20, "after": 0.05, "before, up to a shift": 0.10, "after, up to a shift": 0.04}
+TESTED = {"before": 0.30, "after": 0.06, "before, up to a shift": 0.15, "after, up to a shift": 0.07}
+
+
+def _report(kind="hand", **rows):
+    """A report of one rig, its rows by name with "_" for "-": a cell, or one for each seed."""
+    rows = {name.replace("_", "-"): cells if isinstance(cells, list) else [cells] for name, cells in rows.items()}
+    seeds = {}
+    for row, cells in rows.items():
+        for k, cell in enumerate(cells):
+            seeds.setdefault(str(300 + k), {})[row] = CELL | cell
+    entry = {"kind": kind, "digest": "", "poses": "", "size": asdict(SIZES["small"]), "seeds": seeds, "local_optimum": None}
+    return {
+        "benchmark": "study",
+        "size": "small",
+        "scan": asdict(SCAN),
+        "rigs": {kind: entry},
+        "environment": environment(),
+        "complete": True,
+    }
+
+
+def _columns(report, row):
+    """[(head, entry)] of a row of the main table."""
+    lines = [[c.strip() for c in line.strip("| ").split("|")] for line in page(report, {}).splitlines() if line.startswith("|")]
+    heads = next(line for line in lines if "Recon" in line)
+    (entries,) = [line[1:] for line in lines if line[0] == row]
+    return list(zip([head for head in heads if head], entries, strict=True))
+
+
+# ---- the main table ----
+
+
+def test_every_figure_stands_under_its_name():
+    paper = [f"[{value:.3f}]" for value in PAPER["hand"]["joint"]]
+    assert _columns(_report(joint={}), "joint") == [
+        ("Recon", f"0.0420 {paper[0]}"),
+        ("÷ truth", "1.05"),
+        ("Pose", f"0.0110 {paper[1]}"),
+        ("median", "0.0120"),
+        ("Corre.", f"0.0210 {paper[2]}"),
+        ("p50", "0.0220"),
+        ("p90", "0.0230"),
+        ("p95", "0.0240"),
+        ("snapped", f"0.0310 {paper[2]}"),
+        ("p50", "0.0320"),
+        ("p90", "0.0330"),
+        ("p95", "0.0340"),
+        ("vertices", "0.0140"),
+        ("unfitted", "0"),
+        ("s", "77"),
+    ]
+
+
+def test_seeds_have_a_mean_and_a_range_and_what_was_not_fitted_is_counted():
+    columns = dict(_columns(_report(cd=[{"pose": 0.1, "unfitted": 1}, {"pose": 0.2, "unfitted": 2}]), "cd"))
+    assert columns["Pose"].startswith("0.1500 (0.1000–0.2000)") and columns["unfitted"] == "3"
+
+
+def test_the_papers_figures_are_those_of_its_table():
+    """Table 1 of the paper; and of its text, three times the data."""
+    rows = ("free-form", "free-form-augmented", "free-form-supervised", "cd", "rand", "joint")
+    bodies = """
+        0.076 0.082 0.136
+        0.081 0.081 0.132
+        0.073 0.071 0.104
+        0.051 0.152 0.147
+        0.041 0.058 0.100
+        0.037 0.048 0.091
+    """
+    hands = """
+        0.099 0.035 0.176
+        0.069 0.049 0.140
+        0.062 0.047 0.135
+        0.082 0.069 0.168
+        0.069 0.050 0.137
+        0.053 0.035 0.111
+    """
+    for kind, table in (("body", bodies), ("hand", hands)):
+        figures = [tuple(map(float, line.split())) for line in table.strip().splitlines()]
+        assert {row: PAPER[kind][row] for row in rows} == dict(zip(rows, figures, strict=True)), kind
+    assert set(PAPER["hand"]) == set(rows)
+    assert PAPER["body"].keys() - set(rows) == {"free-form-supervised-3x"}
+    assert PAPER["body"]["free-form-supervised-3x"] == (None, None, 0.095)
+
+
+@pytest.mark.parametrize("kind", ["hand", "body"])
+def test_each_row_has_the_papers_figures_of_its_kind(kind):
+    report = _report(kind, **{row.replace("-", "_"): {} for row in ROWS})
+    for row in ROWS:
+        columns = dict(_columns(report, row))
+        said = [re.findall(r"\[(.*)\]", columns[name]) for name in ("Recon", "Pose", "Corre.", "snapped")]
+        known = PAPER[kind].get(row, (None,) * 3)
+        assert said == [[] if value is None else [f"{value:.3f}"] for value in (*known, known[2])], row
+
+
+def test_on_the_training_scans_the_papers_figures_are_those_of_bodies():
+    trained = {"on_training": CELL | {"corre": {"mean": 0.055}, "pose": 0.066}}
+    text = page(_report("body", joint=trained, free_form_supervised=trained), {})
+    assert "On the training scans, joint: Corre. 0.0550 (paper, bodies: 0.069), Pose 0.0660" in text
+    assert "On the training scans, free-form-supervised: Corre. 0.0550 (paper, bodies: 0.065), Pose 0.0660" in text
+
+
+# ---- what is said below it ----
+
+
+def test_gaps_of_templates_are_after_over_before():
+    report = _report(joint=[{"gap": {"subjects": GAP, "test scans": TESTED}}] * 2)
+    text = page(report, {})
+    assert "template gap ÷ before 0.250 (goal ≤ 0.5)" in text
+    assert "template gap ÷ before, up to a shift 0.400 (goal ≤ 0.5)" in text
+
+    def plain(line):
+        """Without ranges."""
+        return re.sub(r" \(0\.\d+–0\.\d+\)", "", line)
+
+    said = {line.split(":")[0]: plain(line) for line in text.splitlines() if line.startswith("- Templates")}
+    assert set(said) == {"- Templates of the subjects, joint", "- Templates of the test scans, joint"}
+    for line, gap in zip(said.values(), ("0.2000 0.0500 0.1000 0.0400", "0.3000 0.0600 0.1500 0.0700")):
+        a, b, c, d = gap.split()
+        assert f"‖U − U^gt‖ {a}, ‖U^d − U^gt‖ {b}" in line and f"up to a shift of all vertices {c} and {d}." in line
+
+
+def test_a_gap_that_grew_misses_its_goal():
+    grown = GAP | {"before": 0.05, "after": 0.2}
+    assert "template gap ÷ before 4.000 (goal ≤ 0.5, missed)" in console_table(_report(joint={"gap": {"subjects": grown}}))
+
+
+def test_joint_is_divided_by_the_oracle():
+    half = {"recon": 0.021, "pose": 0.0055 / 2, "vertices": 0.007, "corre": CELL["corre"] | {"mean": 0.042}}
+    text = page(_report(joint={}, oracle_fit=half), {})
+    assert "Joint ÷ oracle fit: Recon 2.00, Pose 4.00, Corre. 0.50, vertices 2.00." in text
+
+
+def test_recon_is_divided_by_its_value_at_the_truth_seed_by_seed():
+    cells = [{"recon": 0.06, "recon_truth": 0.03}, {"recon": 0.04, "recon_truth": 0.04}]
+    assert "Recon ÷ truth 1.500 (goal ≤ 1.05, missed)" in console_table(_report(joint=cells))
+
+
+def test_accuracies_are_before_learning_and_of_what_was_kept():
+    learned = {"accuracy": [0.80, 0.90, 0.93], "kept_accuracy": 0.91, "fitted_labels": 0.97}
+    report = _report(joint=learned, rand=learned | {"accuracy": [0.80, 0.85], "kept_accuracy": 0.82, "fitted_labels": None})
+    lines = [line for line in page(report, {}).splitlines() if line.startswith("- Labels of the segmenter")]
+    before_kept = r", (\S+): (\S+) before, (\S+) of what was kept of (\d) round"
+    said = [re.search(before_kept, line).groups() for line in lines]
+    assert said == [("rand", "80.0%", "82.0%", "1"), ("joint", "80.0%", "91.0%", "2")]
+    assert ["of its fits 97.0%" in line for line in lines] == [False, True]
+    assert "labels 0.910 (goal ≥ 0.95, missed)" in console_table(report)
+    assert "labels 0.960 (goal ≥ 0.96)" in console_table(_report("body", joint=learned | {"kept_accuracy": 0.96}))
+
+
+def test_the_floor_of_pose_is_that_of_the_true_template():
+    assert re.search(r"- Pose of the exact template in the exact pose.*: 0\.0130\.", page(_report(joint={}), {}))
+
+
+@pytest.mark.parametrize("rand, verdict", [(0.02, "kept"), (0.001, "missed"), (0.2, "missed")])
+def test_the_order_of_the_ablations_is_from_the_least_error(rand, verdict):
+    text = console_table(_report(joint={"pose": 0.01}, rand={"pose": rand}, cd={"pose": 0.1}))
+    (line,) = [line for line in text.splitlines() if line.startswith("Pose, from the best")]
+    ranked = [row for row, _ in sorted({"joint": 0.01, "rand": rand, "cd": 0.1}.items(), key=lambda known: known[1])]
+    assert re.findall(r"(joint|rand|cd) \d", line) == ranked and verdict in line
