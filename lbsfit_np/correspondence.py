@@ -6,7 +6,7 @@ from .errors import InputError, check_array
 from .neighbors import PointIndex
 from .optimize.surface import closest_on_mesh, faces_around
 
-__all__ = ["surface_places", "transfer"]
+__all__ = ["at_places", "surface_places", "transfer"]
 
 # Points at a time: with some tens of triangles each, arrays stay below 100 MB.
 _CHUNK = 20_000
@@ -50,7 +50,7 @@ def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
     if snap_to is not None and not len(snap_to):
         raise InputError("snap_to", "an array without points", "points of scan B, shape (k, 3)", "Leave it out for no snap.")
     corners, barycentric = surface_places(points, a, faces)
-    found = np.einsum("nk,nka->na", barycentric, b[corners])
+    found = at_places(corners, barycentric, b)
     return found if snap_to is None else snap_to[PointIndex(snap_to).nearest(found)]
 
 
@@ -69,7 +69,7 @@ def surface_places(points, vertices, faces):
     corners : (n, 3) int array
         Vertices of the closest triangle.
     barycentric : (n, 3) array
-        At least 0, sum 1: the place is ``einsum("nk,nka->na", barycentric, vertices[corners])``.
+        At least 0, sum 1: the place is ``at_places(corners, barycentric, vertices)``.
     """
     from scipy.spatial import cKDTree
 
@@ -86,6 +86,11 @@ def surface_places(points, vertices, faces):
             _improve(best, x, vertices, faces, *kind)
         corners[rows], barycentric[rows] = best.corners, best.barycentric
     return corners, barycentric
+
+
+def at_places(corners, barycentric, vertices):
+    """(n, 3): where places of :func:`surface_places` are on a mesh of the same triangles, with (m, 3) ``vertices``."""
+    return np.einsum("nk,nka->na", barycentric, vertices[corners])
 
 
 class _Best:

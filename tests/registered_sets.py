@@ -60,7 +60,8 @@ def fits_are_given(patch, registrations):
         if isinstance(given, Exception | KeyboardInterrupt):
             raise given
         vertices, more = given if isinstance(given, tuple) else (given, {})
-        return result_of(self.rig, vertices, len(scan.points), **more)
+        result = result_of(self.rig, vertices, len(scan.points), **more)
+        return self._signed([result], named=options.get("subject") is not None)[0]
 
     def pretrain(self, **options):
         self.segmenter_ = self.regressor_ = "given"
@@ -69,3 +70,42 @@ def fits_are_given(patch, registrations):
     patch.setattr(lbs.LBSFitter, "fit_scan", fit_scan)
     patch.setattr(lbs.LBSFitter, "pretrain", pretrain)
     return asked
+
+
+def learning_is_given(patch, registrations):
+    """Have fitters learn by looking up registrations, where there is one; the rig is everybody's template.
+
+    Returns a list that gets, each time, the pairs (scan, subject) that were learned from.
+    """
+    import lbsfit_np as lbs
+
+    learned = []
+
+    def fit(self, scans, subjects=None, **options):
+        scans = [scan() for scan in scans]
+        learned.append([(scan.name, subject) for scan, subject in zip(scans, subjects, strict=True)])
+        found = [registrations.get(scan.name) for scan in scans]
+        known = [s for s, vertices in zip(subjects, found) if vertices is not None]
+        self.template_, self.unit_ = dict.fromkeys(known, self.rig), dict.fromkeys(known, 1.0)
+        self.segmenter_ = self.regressor_ = None
+        self.history_, self._learned_with = [{"round": 0}], self.rig.digest
+        results = [v if v is None else result_of(self.rig, v, len(s.points)) for s, v in zip(scans, found)]
+        self.results_ = self._signed(results)
+        return self
+
+    patch.setattr(lbs.LBSFitter, "fit", fit)
+    return learned
+
+
+def what_fits_are_told(patch):
+    """A dict that gets of each scan that is fitted its subject and the fitter; after ``fits_are_given``."""
+    import lbsfit_np as lbs
+
+    told, fit_scan = {}, lbs.LBSFitter.fit_scan
+
+    def noted(self, scan, **options):
+        told[scan.name] = options.get("subject"), self
+        return fit_scan(self, scan, **options)
+
+    patch.setattr(lbs.LBSFitter, "fit_scan", noted)
+    return told

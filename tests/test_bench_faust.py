@@ -1,16 +1,19 @@
 """The benchmark of MPI-FAUST on folders of its layout, made with the bundled body: what is read, measured, written, left out."""
 
 import json
+import os
 import shutil
 import zipfile
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cli_runs import one_line
-from registered_sets import fits_are_given
+from registered_sets import fits_are_given, learning_is_given, what_fits_are_told
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.faust import PAPER, faust_table, read_faust
+from lbsfit_np.bench.pairs import choose_pairs, measure_pairs
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_mesh_ply, write_points_ply
 from lbsfit_np.synthesis import sample_surface
@@ -100,6 +103,7 @@ def test_the_first_scans_of_each_subject(made):
         ("training/registrations", "training/registrations: no such folder; errors cannot be measured"),
         ("training/registrations/tr_reg_001.ply", "no registrations of 1 scans"),
         ("training/ground_truth_vertices", "ground_truth_vertices: no such folder; all vertices of the scans count"),
+        ("training/ground_truth_vertices/tr_gt_001.txt", "no file for tr_scan_001, all of whose vertices count"),
         ("test/scans", "test/scans: no such folder; no files for the challenge"),
         ("test/scans/test_scan_020.ply", "1 of 1 inter-subject pairs"),
         ("test/challenge_pairs", "test/challenge_pairs: no such folder"),
@@ -173,7 +177,10 @@ def test_exact_fits_have_no_error_and_write_what_the_challenge_asks_for(made, tr
     for name, inter, intra in PAPER:
         row = next(line for line in out.splitlines() if line.startswith(name))
         assert f"{inter:g}" in row and f"{'–' if intra is None else intra}" in row
-    assert "4.08" in out and "2.161" in out and "0.00" in out and "another set" in out
+    theirs = next(line for line in out.splitlines() if line.startswith("LBS-AE (23K)"))
+    assert theirs.split() == ["LBS-AE", "(23K)", "test", "4.08", "–", "–", "–", "2.161", "–", "–", "–"]
+    assert out.index("inter ") < out.index("intra ") and "0.00" in out and "another set" in out
+    assert "measuring the errors: 20 pairs\n" in out and "writing what the challenge asks for: 3 pairs\n" in out
     a, b = "test_scan_000", "test_scan_020"
     found = np.loadtxt(tmp_path / "challenge-inter" / "000_020.txt")
     faces = lbs.load_rig("body-coarse").faces
@@ -211,9 +218,13 @@ def test_a_scan_without_a_fit_is_missing_everywhere(made, truth, tmp_path, run, 
 
 def test_a_challenge_of_which_scans_are_left_out_has_no_archive(made, truth, tmp_path, run, monkeypatch):
     fits_are_given(monkeypatch, truth)
+    (tmp_path / "challenge-intra").mkdir()
+    (tmp_path / "challenge-intra" / "mine.txt").write_text("keep")
+    assert run(*_command(made, tmp_path, "--no-learn"))[0] == 0 and (tmp_path / "challenge-intra.zip").exists()
     code, out, _ = run(*_command(made, tmp_path, "--no-learn", "--scans", 2))
     assert code == 0 and "1 files in challenge-intra; no archive" in out and "to submit: challenge-inter.zip" in out
     assert not (tmp_path / "challenge-intra.zip").exists() and "1 of 2 intra-subject pairs" in out
+    assert sorted(p.name for p in (tmp_path / "challenge-intra").iterdir()) == ["000_001.txt", "mine.txt"]
 
 
 def test_without_registrations_the_challenge_is_written_all_the_same(own, truth, tmp_path, run, monkeypatch):
@@ -224,15 +235,55 @@ def test_without_registrations_the_challenge_is_written_all_the_same(own, truth,
     assert (tmp_path / "out" / "challenge-intra.zip").exists()
 
 
-def test_a_run_that_learns_from_the_training_scans(made, tmp_path, run):
-    quick = ("--scans", 1, "--held-out", 0, "--training-scans", 20, "--effort", "fast", "--rounds", 1, "--points", 100)
-    code, out, err = run(*_command(made, tmp_path, *quick))
-    assert code in (0, 1), err  # so little training may end in a fit that says it failed
-    model = lbs.LBSFitter.load(tmp_path / "model.npz")
-    assert set(model.template_) == {"0", "1"}
-    assert len(list((tmp_path / "fits").glob("*.npz"))) == 4 and "learned together" in out
-    assert sorted(p.name for p in (tmp_path / "challenge-inter").iterdir()) == ["000_020.txt"]
-    assert (tmp_path / "gallery.png").exists() and "no archive" in out
+def test_only_training_scans_are_learned_from(made, truth, tmp_path, run, monkeypatch):
+    """What learning leaves is fitted as its subject's; test scans have numbers of subjects, too, but are other people."""
+    fits_are_given(monkeypatch, truth)
+    told = what_fits_are_told(monkeypatch)
+    learned = learning_is_given(monkeypatch, truth | {"tr_scan_001": None})
+    code, out, err = run(*_command(made, tmp_path, "--scans", 2, "--pictures", 3))
+    assert (code, err) == (0, "") and "learned together" in out
+    assert learned == [[("tr_scan_000", "0"), ("tr_scan_001", "0"), ("tr_scan_010", "1"), ("tr_scan_011", "1")]]
+    subjects = {name: subject for name, (subject, _) in told.items()}
+    assert subjects == {"tr_scan_001": "0"} | dict.fromkeys(("test_scan_000", "test_scan_001", "test_scan_020"))
+    assert list(json.loads((tmp_path / "fits.json").read_text())["learned_from"]) == [name for name, _ in learned[0]]
+    assert set(lbs.LBSFitter.load(tmp_path / "model.npz").template_) == {"0", "1"}
+    gallery = json.loads((tmp_path / "results.json").read_text())["gallery"]
+    assert len(gallery) == 3 and f"gallery.png, from top to bottom: {', '.join(gallery)}" in out
+    told.clear()
+    assert run(*_command(made, tmp_path, "--scans", 2))[0] == 0 and len(learned) == 1 and told == {}
+
+
+def test_the_options_reach_what_they_are_for(made, truth, body, tmp_path, run, monkeypatch):
+    rng, out = np.random.default_rng(0), tmp_path / "out"
+    given = {name: v + 0.01 * rng.standard_normal(v.shape) for name, v in truth.items()}
+    asked = fits_are_given(monkeypatch, given)
+    told = what_fits_are_told(monkeypatch)
+    options = ("--no-learn", "--pictures", 0, "--pairs", 3, "--points", 7, "--seed", 4)
+    assert run(*_command(made, out, *options))[0] == 0
+    assert {f.random_state for _, f in told.values()} == {4}
+    assert {len(lbs.FitResult.load(path).labels) for path in (out / "fits").iterdir()} == {300}
+    report, found = json.loads((out / "results.json").read_text()), read_faust(made)
+    pairs = choose_pairs(found.training, found.truth, 3, 4)
+    fits = SimpleNamespace(has=given.__contains__, load=lambda name: SimpleNamespace(vertices=given[name]))
+    measured = measure_pairs(found.training, found.truth, fits, body.faces, pairs, points=7, seed=4)
+    assert report["pairs"] == measured["pairs"] and len(report["pairs"]) == 6 and {e["points"] for e in report["pairs"]} == {7}
+    code, _, err = run(*_command(made, out, *options, "--samples", 200))
+    assert code == 2 and "fits of samples 300; expected samples 200" in one_line(err)
+    asked.clear()
+    assert run(*_command(made, out, *options))[0] == 0 and asked == []
+    assert run(*_command(made, out, *options, "--existing", "replace"))[0] == 0 and len(asked) == 9
+
+
+def test_files_for_the_challenge_that_cannot_be_written_lose_no_figure(made, truth, tmp_path, run, monkeypatch):
+    def write(*arguments):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("lbsfit_np.bench.faust._write_points", write)
+    fits_are_given(monkeypatch, truth)
+    code, _, err = run(*_command(made, tmp_path, "--no-learn"))
+    assert code == 2 and "No space left" in one_line(err)
+    report = json.loads((tmp_path / "results.json").read_text())
+    assert report["benchmark"] == "faust" and len(report["pairs"]) == 20 and report["challenge"] == {}
 
 
 def test_bad_usage(made, tmp_path, run):
@@ -242,6 +293,17 @@ def test_bad_usage(made, tmp_path, run):
     assert code == 2 and "without training or test" in one_line(err) and not (tmp_path / "out").exists()
     code, _, err = run("bench", "faust", made, "-o", tmp_path / "out", "--rig", "none.npz")
     assert code == 2 and "none.npz" in one_line(err) and not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("name", ["results.json", "challenge-inter/000_020.txt"])
+def test_an_input_is_never_overwritten(own, tmp_path, run, monkeypatch, name):
+    """One file by two names."""
+    fits_are_given(monkeypatch, {})
+    source = own / "test" / "challenge_pairs" / "inter_challenge.txt"
+    (tmp_path / "out" / name).parent.mkdir(parents=True)
+    os.link(source, tmp_path / "out" / name)
+    code, _, err = run(*_command(own, tmp_path / "out", "--no-learn"))
+    assert code == 2 and "never overwritten" in one_line(err) and source.read_text() == "000_020\n"
 
 
 def test_the_table_without_pairs_of_a_kind():

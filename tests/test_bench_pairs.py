@@ -1,19 +1,34 @@
 """The benchmark of pairs: what it measures where the truth is known, what it keeps of fits, and the command."""
 
 import json
+import os
+import signal
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cli_runs import QUICK_LEARNING, one_line
-from registered_sets import fits_are_given, posed_meshes, result_of, write_meshes
+from registered_sets import (
+    fits_are_given,
+    learning_is_given,
+    posed_meshes,
+    result_of,
+    what_fits_are_told,
+    write_meshes,
+)
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.pair_fits import Fits, fit_scans_of
-from lbsfit_np.bench.pair_pictures import gallery_of
+from lbsfit_np.bench.pair_pictures import gallery, gallery_of
 from lbsfit_np.bench.pairs import choose_pairs, measure_pairs, pairs_table, summary, unit_of
 from lbsfit_np.bench.truth import Landmarks, PairScan, Registrations, VertexOrder
+from lbsfit_np.bench.truth_file import read_truth
+from lbsfit_np.cli.pair_runs import PairsProgress
+from lbsfit_np.cli.progress import SILENCE
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.archive import model_digest
+from lbsfit_np.report.colors import part_colors
 
 pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
 
@@ -144,6 +159,27 @@ def test_points_are_chosen_by_the_seed(scans, tube_rig, meshes, tmp_path):
     assert a == b != c
 
 
+def test_points_of_different_scans_are_chosen_apart(scans, tube_rig, meshes, tmp_path):
+    asked = {}
+
+    class Watched(VertexOrder):
+        def asked(self, i, points, most, rng):
+            found = super().asked(i, points, most, rng)
+            asked[i] = found.keys.tolist()
+            return found
+
+    fits = _fits(tmp_path, tube_rig, {s.name: v for s, v in zip(scans, meshes)})
+    measure_pairs(scans, Watched(242), fits, tube_rig.faces, {"intra": [(0, 1), (1, 0)], "inter": [(0, 2)]}, points=20)
+    assert len(asked[0]) == len(asked[1]) == 20 and set(asked) == {0, 1} and asked[0] != asked[1]
+
+
+def test_measuring_is_told_from_its_beginning(scans, tube_rig, meshes, tmp_path):
+    fits, told = _fits(tmp_path, tube_rig, {s.name: v for s, v in zip(scans, meshes)}), []
+    pairs = {"intra": [(0, 1), (1, 0)], "inter": []}
+    measure_pairs(scans, VertexOrder(242), fits, tube_rig.faces, pairs, points=5, on_pair=lambda *a: told.append(a))
+    assert told == [(0, 2), (1, 2), (2, 2)]
+
+
 def test_pairs_are_chosen_by_the_seed(scans):
     truth = VertexOrder(5)
     chosen = choose_pairs(scans, truth, 3, 1)
@@ -166,6 +202,11 @@ def test_pairs_are_chosen_by_the_seed(scans):
 def test_the_unit_is_told_by_the_scale(scale, metres, given, expected):
     fits = SimpleNamespace(entries={"a": {"scale": scale}, "b": {"failed": "x"}})
     assert unit_of(SimpleNamespace(metres_per_unit=metres), fits, given) == expected
+
+
+def test_one_fit_of_a_wrong_scale_does_not_change_the_unit():
+    fits = SimpleNamespace(entries={name: {"scale": scale} for name, scale in zip("abc", (1.0, 1.1, 40.0))})
+    assert unit_of(SimpleNamespace(metres_per_unit=1.0), fits) == ("m", 100.0)
 
 
 def test_the_table_has_centimetres_where_the_unit_is_known():
@@ -194,6 +235,26 @@ def test_the_gallery_goes_from_the_worst_to_the_best():
     fits = Fits(None, {n: {"status": "ok", "recon": r} for n, r in recons} | {"f": {"failed": "x"}})
     assert gallery_of(fits, 3) == ["c", "a", "b"] and gallery_of(fits, 9) == ["c", "e", "a", "d", "b"]
     assert gallery_of(fits, 0) == [] == gallery_of(Fits(None), 3)
+
+
+def test_the_gallery_shows_the_labels_found(tube_rig, meshes, monkeypatch):
+    drawn = []
+
+    def render(*items, **options):
+        drawn.append(items)
+        return np.zeros((4, 4, 3), dtype=np.uint8)
+
+    monkeypatch.setattr("lbsfit_np.bench.pair_pictures.render", render)
+    labels = np.arange(242) % 4
+    gallery(tube_rig, [(meshes[0], replace(result_of(tube_rig, meshes[1], 242), labels=labels))])
+    colors = part_colors(4)
+    (cloud,), (mesh,), (over, plain) = drawn[:3]
+    for points in (cloud, over):
+        np.testing.assert_array_equal(points.points, meshes[0])
+        np.testing.assert_array_equal(points.colors, colors[labels])
+    np.testing.assert_array_equal(mesh.vertices, meshes[1])
+    np.testing.assert_array_equal(mesh.colors, colors[tube_rig.vertex_labels])
+    assert len(drawn) == 6 and np.array_equal(plain.vertices, meshes[1])
 
 
 # ---- what is kept ----
@@ -256,6 +317,69 @@ def test_fits_of_other_settings_or_scans_are_not_taken(folder, fitter, tube_rig,
         fit_scans_of(fitter, scans, out, settings={"seed": 1})
 
 
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        ({"up": "+z"}, "rig's up [+]y; expected rig's up [+]z"),
+        ({"forward": "-z"}, "rig's forward [+]z; expected rig's forward -z"),
+        ({"metres_per_unit": 1.0}, "rig's metres per unit 0.25; expected rig's metres per unit 1.0"),
+        ({"poses": {"wave": np.full((4, 3), 0.1)}}, "rig's poses .*; expected rig's poses "),
+        ({"locked": np.arange(4) == 2}, "rig's joints that are still"),
+    ],
+)
+def test_fits_of_a_rig_with_other_axes_or_poses_are_not_taken(scans, tube_rig, meshes, tmp_path, monkeypatch, change, words):
+    asked = fits_are_given(monkeypatch, {s.name: v for s, v in zip(scans, meshes)})
+    rig = replace(tube_rig, granularity="arm and fingers")
+    other = replace(rig, **change)
+    assert other.digest == rig.digest
+    fit_scans_of(lbs.LBSFitter(rig), scans[:2], tmp_path)
+    with pytest.raises(InputError, match=words + ".*--existing replace"):
+        fit_scans_of(lbs.LBSFitter(other), scans[:2], tmp_path)
+    assert asked == ["s0", "s1"]
+    fit_scans_of(lbs.LBSFitter(other), scans[:2], tmp_path, existing="replace")
+    assert asked == ["s0", "s1", "s0", "s1"]
+
+
+def test_what_was_learned_from_is_fitted_as_its_subjects(scans, tube_rig, meshes, tmp_path, monkeypatch):
+    """Learning leaves s1; s3 was not learned from, and somebody of the same name may be another person."""
+    given = {s.name: v for s, v in zip(scans, meshes)}
+    asked = fits_are_given(monkeypatch, given)
+    told = what_fits_are_told(monkeypatch)
+    learned = learning_is_given(monkeypatch, given | {"s1": None})
+
+    def fit(n_jobs=None):
+        told.clear(), asked.clear()
+        return fit_scans_of(lbs.LBSFitter(tube_rig, n_jobs=n_jobs), scans, tmp_path, learn_from=scans[:3])
+
+    def subjects():
+        return {name: subject for name, (subject, _) in told.items()}
+
+    fit()
+    assert learned == [[("s0", "ann"), ("s1", "ann"), ("s2", "bob")]] and subjects() == {"s1": "ann", "s3": None}
+    assert [e["kept"] for e in fit().entries.values()] == [True] * 4 and asked == []
+    for name in ("s0", "s2", "s3"):
+        (tmp_path / "fits" / f"{name}.npz").unlink()
+    fit(n_jobs=2)
+    assert subjects() == {"s0": "ann", "s2": "bob", "s3": None} and {f.n_jobs for _, f in told.values()} == {2}
+    assert [e["kept"] for e in fit().entries.values()] == [True] * 4 and asked == []
+    assert list(json.loads((tmp_path / "fits.json").read_text())["learned_from"]) == ["s0", "s1", "s2"]
+    # Fits of other models, and of s3 as its namesake's, are not what would be made now.
+    named = model_digest(lbs.LBSFitter.load(tmp_path / "model.npz"), named=True)
+    for name, digest in (("s0", ""), ("s2", "another"), ("s3", named)):
+        replace(result_of(tube_rig, meshes[0], 242), model_digest=digest).save(tmp_path / "fits" / f"{name}.npz")
+    fit()
+    assert subjects() == {"s0": "ann", "s2": "bob", "s3": None} and len(learned) == 1
+
+
+def test_a_subject_of_whom_nothing_was_learned_is_anybody(scans, fitter, meshes, tmp_path, monkeypatch):
+    given = {s.name: v for s, v in zip(scans, meshes)}
+    fits_are_given(monkeypatch, given)
+    told = what_fits_are_told(monkeypatch)
+    learning_is_given(monkeypatch, given | {"s2": None, "s3": None})
+    fit_scans_of(fitter, scans, tmp_path, learn_from=scans)
+    assert {name: subject for name, (subject, _) in told.items()} == {"s2": None, "s3": None}
+
+
 # ---- the command ----
 
 
@@ -264,6 +388,7 @@ def _command(folder, out, *more):
 
 
 def test_a_run_that_learns_and_what_the_next_one_keeps(folder, tmp_path, run, meshes, tube_rig, monkeypatch):
+    """The one test that learns in earnest, some 10 s: what the loop leaves is what the benchmark takes."""
     code, out, err = run(*_command(folder, tmp_path / "out", *QUICK_LEARNING, "--points", 50, "--pictures", 1))
     assert code in (0, 1), err  # so little training may end in a fit that says it failed
     assert "intra" in out and "inter" in out and "learned together" in out
@@ -289,11 +414,67 @@ def test_fits_one_by_one(folder, tmp_path, run, meshes, monkeypatch):
     fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(meshes)})
     code, out, err = run(*_command(folder, tmp_path / "out", "--no-learn", "--unit", "mm", "--pictures", 1))
     assert (code, err) == (0, "") and "fitted one by one" in out and "(mm)" in out
+    assert "measuring the errors: 12 pairs\n" in out and "gallery.png, from top to bottom: s0\n" in out
     report = json.loads((tmp_path / "out" / "results.json").read_text())
     assert report["figures"]["inter"]["before"]["mean"] < 1e-9 and report["cm_per_unit"] == 0.1
     assert not (tmp_path / "out" / "model.npz").exists() and "rounds" not in report["settings"]
+    assert report["gallery"] == ["s0"]
     code, out, err = run(*_command(folder, tmp_path / "out", "--no-learn", "--seed", 1))
     assert code == 2 and "fits of seed 0; expected seed 1" in one_line(err)
+
+
+def test_the_options_reach_what_they_are_for(folder, scans, tmp_path, run, meshes, tube_rig, monkeypatch):
+    rng, out = np.random.default_rng(0), tmp_path / "out"
+    given = {f"s{i}": v + 0.02 * rng.standard_normal(v.shape) for i, v in enumerate(meshes)}
+    asked = fits_are_given(monkeypatch, given)
+    told = what_fits_are_told(monkeypatch)
+    options = ("--no-learn", "--pictures", 0, "--pairs", 3, "--points", 7, "--seed", 4)
+    assert run(*_command(folder, out, *options, "--samples", 50))[0] == 0
+    assert {f.random_state for _, f in told.values()} == {4}
+    assert {len(lbs.FitResult.load(path).labels) for path in (out / "fits").iterdir()} == {50}
+    report = json.loads((out / "results.json").read_text())
+    truth, fits = VertexOrder(242), _fits(tmp_path, tube_rig, given)
+    pairs = choose_pairs(scans, truth, 3, 4)
+    assert report["pairs"] == measure_pairs(scans, truth, fits, tube_rig.faces, pairs, points=7, seed=4)["pairs"]
+    assert len(report["pairs"]) == 6 and {e["points"] for e in report["pairs"]} == {7}
+    code, _, err = run(*_command(folder, out, *options, "--samples", 60))
+    assert code == 2 and "fits of samples 50; expected samples 60" in one_line(err)
+    asked.clear()
+    assert run(*_command(folder, out, *options, "--samples", 50))[0] == 0 and asked == []
+    assert run(*_command(folder, out, *options, "--samples", 50, "--existing", "replace"))[0] == 0
+    assert asked == ["s0", "s1", "s2", "s3"]
+
+
+def test_a_picture_that_cannot_be_drawn_loses_no_figure(folder, tmp_path, run, meshes, monkeypatch):
+    def write_png(path, image):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("lbsfit_np.report.render.write_png", write_png)
+    fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(meshes)})
+    (tmp_path / "gallery.png").write_bytes(b"of an earlier run")
+    code, out, err = run(*_command(folder, tmp_path, "--no-learn", "--pictures", 1))
+    assert code == 2 and "No space left" in one_line(err) and "before the snap" in out
+    report = json.loads((tmp_path / "results.json").read_text())
+    assert len(report["pairs"]) == 12 and report["gallery"] == [] and not (tmp_path / "gallery.png").exists()
+
+
+def test_what_an_earlier_run_wrote_is_no_scan(tube_rig, meshes, tmp_path, run, monkeypatch):
+    write_meshes(tmp_path / "scans", tube_rig, meshes)
+    (tmp_path / "truth.csv").write_text("scan,subject\ns0,ann\ns1,ann\ns2,bob\n")
+    tube_rig.save(tmp_path / "tube.npz")
+    learning_is_given(monkeypatch, {f"s{i}": v for i, v in enumerate(meshes)})
+    told = []
+    for _ in range(2):  # the second time OUT, which is in DIR, has a model and fits
+        code, out, err = run(*_command(tmp_path, tmp_path / "out", "--pictures", 0))
+        assert (code, err) == (0, "")
+        told.append(next(line for line in out.splitlines() if line.startswith("note: ") and "left out" in line))
+    assert "2 of 5 scan files" in told[0] and told[0] == told[1]
+    assert (tmp_path / "out" / "model.npz").exists() and len(list((tmp_path / "out" / "fits").iterdir())) == 3
+    (tmp_path / "out" / "other.ply").write_bytes((tmp_path / "scans" / "s0.ply").read_bytes())
+    notes = read_truth(tmp_path / "truth.csv", tmp_path, output=tmp_path / "out")[2]
+    assert "3 of 6 scan files" in notes[0]  # what somebody else has put there counts
+    (tmp_path / "out" / "fits.json").unlink()
+    assert "7 of 10 scan files" in read_truth(tmp_path / "truth.csv", tmp_path, output=tmp_path / "out")[2][0]
 
 
 def test_scans_that_fail_are_named_and_their_pairs_missing(folder, tmp_path, run, meshes, tube_rig, monkeypatch):
@@ -314,6 +495,43 @@ def test_a_run_that_is_stopped_says_what_is_kept(folder, tmp_path, run, meshes, 
     fits_are_given(monkeypatch, {"s0": meshes[0], "s1": KeyboardInterrupt()})
     code, out, _ = run(*_command(folder, tmp_path / "out", "--no-learn"))
     assert code == 130 and "stopped: 1 fits are kept" in out
+
+
+def test_sigterm_stops_a_run_as_ctrl_c_does(folder, tmp_path, run, meshes, monkeypatch):
+    def unhandled(signum, frame):
+        raise AssertionError("SIGTERM went past the run")
+
+    def terminating(self, scan, **options):
+        if scan.name == "s1":
+            os.kill(os.getpid(), signal.SIGTERM)
+        return result_of(self.rig, meshes[0], len(scan.points))
+
+    fits_are_given(monkeypatch, {})
+    monkeypatch.setattr(lbs.LBSFitter, "fit_scan", terminating)
+    before = signal.signal(signal.SIGTERM, unhandled)
+    try:
+        code, out, _ = run(*_command(folder, tmp_path / "out", "--no-learn"))
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert code == 143 and "stopped: 1 fits are kept" in out
+
+
+def test_measuring_says_a_line_a_minute(capsys):
+    now = [0.0]
+    progress = PairsProgress(1, terminal=False, clock=lambda: now[0])
+    for done in range(6):
+        now[0] += 0.6 * SILENCE
+        progress.measured(done, 5)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines == ["measuring the errors: 5 pairs", "measuring the errors: 2 of 5 pairs", "measuring the errors: 4 of 5 pairs"]
+    progress.written(0, 1)
+    progress.written(1, 1)
+    assert capsys.readouterr().out.splitlines() == ["writing what the challenge asks for: 1 pair"]
+    progress = PairsProgress(1, terminal=True)
+    for done in range(3):
+        progress.measured(done, 2)
+    told = capsys.readouterr()
+    assert told.out == "" and "measuring the errors" in told.err
 
 
 @pytest.mark.parametrize(
@@ -359,3 +577,13 @@ def test_an_input_is_never_overwritten(tube_rig, folder, tmp_path, run):
     (tmp_path / "fits" / "tube.npz").write_bytes((folder / "tube.npz").read_bytes())
     code, _, err = run(*_command(tmp_path / "fits", tmp_path))
     assert code == 2 and "never overwritten" in one_line(err)
+
+
+@pytest.mark.parametrize("option, name", [("--truth", "results.json"), ("--rig", "model.npz")])
+def test_neither_the_truth_nor_the_rig_is_overwritten(folder, tmp_path, run, monkeypatch, option, name):
+    fits_are_given(monkeypatch, {})
+    source = folder / {"--truth": "truth.csv", "--rig": "tube.npz"}[option]
+    (tmp_path / name).write_bytes(source.read_bytes())
+    code, _, err = run(*_command(folder, tmp_path, "--no-learn", option, tmp_path / name))
+    assert code == 2 and f"{name} is an input" in one_line(err) and "never overwritten" in err
+    assert (tmp_path / name).read_bytes() == source.read_bytes()

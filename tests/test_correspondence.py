@@ -5,7 +5,7 @@ import pytest
 from posed_samples import state_within
 
 import lbsfit_np as lbs
-from lbsfit_np.correspondence import surface_places
+from lbsfit_np.correspondence import at_places, surface_places
 from lbsfit_np.errors import InputError
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.synthesis import sample_surface
@@ -40,11 +40,47 @@ def test_places_are_the_closest_of_all_triangles(tube_rig, poses, mesh):
     anywhere = rng.uniform(V.min(axis=0) - 0.5, V.max(axis=0) + 0.5, (60, 3))
     x = np.vstack([on_skin, on_skin + 0.02 * rng.standard_normal((60, 3)), anywhere, V, [[5.2, 0.05, 0.1]]])
     corners, barycentric = surface_places(x, V, faces)
-    places = np.einsum("nk,nka->na", barycentric, V[corners])
+    places = at_places(corners, barycentric, V)
     np.testing.assert_allclose(np.linalg.norm(x - places, axis=1), _distances(x, V, faces), atol=1e-9)
     assert (barycentric > -1e-12).all() and np.allclose(barycentric.sum(axis=1), 1)
     rows = {tuple(sorted(f)) for f in faces.tolist()}
     assert all(tuple(sorted(c)) in rows for c in corners.tolist())
+
+
+def _flat(center, radius):
+    """An equilateral triangle in a plane of z, one corner towards −x; its edge's middle is half a radius from the centre."""
+    angle = np.pi * np.array([1, 5 / 3, 1 / 3])
+    return center + radius * np.stack([np.cos(angle), np.sin(angle), np.zeros(3)], axis=1)
+
+
+# The point is the origin: its nearest vertex is one of the other triangles', its closest place within an edge of the first one.
+FAR_CENTRE = {
+    "behind many centroids": [_flat([-1.9 / 2, 0, -0.1], 1.9)] + [_flat([0, 0, 0.5 + 0.001 * k], 1.0) for k in range(20)],
+    "by its own radius alone": [
+        np.array([[-0.2, -0.1, 0], [2.9, -0.1, 0], [1.35, -2.4, 0]]),
+        np.array([[0, 0, 0.2], [0.1, 0, 0.3], [0, 0.1, 0.3]]),
+        _flat([100, 0, 0], 1.0),
+    ],
+}
+
+
+@pytest.mark.parametrize("triangles", FAR_CENTRE.values(), ids=FAR_CENTRE)
+def test_the_closest_triangle_need_not_have_the_nearest_centroid(triangles):
+    V, faces, x = np.concatenate(triangles), np.arange(3 * len(triangles)).reshape(-1, 3), np.zeros((1, 3))
+    away = _distances(x, V, faces)
+    assert np.linalg.norm(V, axis=1).argmin() > 2 and away == pytest.approx(0.1)
+    corners, barycentric = surface_places(x, V, faces)
+    np.testing.assert_array_equal(np.sort(corners), [[0, 1, 2]])
+    np.testing.assert_allclose(np.linalg.norm(at_places(corners, barycentric, V)), 0.1)
+
+
+def test_triangles_of_all_sizes_in_any_place():
+    rng = np.random.default_rng(2)
+    size = 2 ** rng.uniform(-3, 1, (150, 1, 1))
+    V = (rng.uniform(-1, 1, (150, 1, 3)) + size * rng.standard_normal((150, 3, 3))).reshape(-1, 3)
+    faces, x = np.arange(450).reshape(-1, 3), rng.uniform(-3, 3, (80, 3))
+    places = at_places(*surface_places(x, V, faces), V)
+    np.testing.assert_allclose(np.linalg.norm(x - places, axis=1), _distances(x, V, faces), atol=1e-9)
 
 
 def test_many_points_are_done_in_pieces(tube_rig, poses, monkeypatch):

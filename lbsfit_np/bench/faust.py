@@ -18,9 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..correspondence import surface_places
-from ..errors import FileError, brief
-from ..neighbors import PointIndex
+from ..correspondence import transfer
+from ..errors import FileError, brief, listed
 from .pairs import KINDS, pairs_bench
 from .truth import PairScan, Registrations, read_registrations
 
@@ -39,6 +38,7 @@ AIMS = {"intra": 1.6, "inter": 2.2}
 
 _POSES = {"training": 10, "test": 20}
 _NUMBER = re.compile(r"(\d+)$")
+_PAIR = re.compile(r"\s*(\d+)_(\d+)\s*")
 _CHALLENGES = {kind: (f"{kind}_challenge.txt", f"FAUST_challenge_{kind}.txt") for kind in KINDS}
 
 
@@ -156,7 +156,12 @@ def _truth(training, found):
     if not flags.is_dir():
         found.notes.append(f"{flags}: no such folder; all vertices of the scans count, reliably registered or not")
         return Registrations(vertices, faces)
-    return Registrations(vertices, faces, tuple(_flags(flags / f"tr_gt_{_number(s.path):03d}.txt") for s in found.training))
+    reliable = tuple(_flags(flags / f"tr_gt_{_number(s.path):03d}.txt") for s in found.training)
+    given = zip(found.training, vertices, reliable, strict=True)
+    unknown = [scan.name for scan, registration, known in given if known is None and registration is not None]
+    if unknown:
+        found.notes.append(f"{flags}: no file for {listed(unknown, 5)}, all of whose vertices count, reliably registered or not")
+    return Registrations(vertices, faces, reliable)
 
 
 def _flags(path):
@@ -214,14 +219,14 @@ def _pairs(path):
     for k, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
         if not line.strip():
             continue
-        match = re.fullmatch(r"\s*(\d+)_(\d+)\s*", line)
+        match = _PAIR.fullmatch(line)
         if match is None:
             raise FileError(str(path), f"{brief(line)} in line {k}", "pairs of numbers of scans, such as 012_023")
         pairs.append((int(match[1]), int(match[2])))
     return pairs
 
 
-def faust_bench(fitter, found, folder, *, reporter=None, **options):
+def faust_bench(fitter, found, folder, *, on_figures=None, reporter=None, **options):
     """Learn from the training scans, fit all, measure errors where the truth is known, and write the challenge's files.
 
     Parameters
@@ -230,8 +235,10 @@ def faust_bench(fitter, found, folder, *, reporter=None, **options):
     found : Faust
     folder : Path
         There already.
+    on_figures : callable (report), optional
+        Called before the challenge's files are written.
     reporter, **options
-        As for ``pairs.pairs_bench``.
+        As for ``pairs.pairs_bench``; ``reporter.written(done, total)`` as well, of the challenge's files.
 
     Returns
     -------
@@ -241,9 +248,12 @@ def faust_bench(fitter, found, folder, *, reporter=None, **options):
     """
     options |= {"also": found.test, "unit": "m", "reporter": reporter}
     report, fits = pairs_bench(fitter, found.training, found.truth, folder, **options)
-    on_pair = getattr(reporter, "measured", None)
+    report |= {"benchmark": "faust", "paper": PAPER, "notes": found.notes, "challenge": {}}
+    if on_figures is not None:
+        on_figures(report)
+    on_pair = getattr(reporter, "written", None)
     report["challenge"] = write_challenge(folder, found, fits, fitter.rig.faces, on_pair=on_pair)
-    return report | {"benchmark": "faust", "paper": PAPER, "notes": found.notes}, fits
+    return report, fits
 
 
 # ---- the challenge ----
@@ -262,7 +272,7 @@ def write_challenge(folder, found, fits, faces, *, on_pair=None):
     """Write the correspondences that the challenge asks for, and an archive of each kind whose pairs are all there.
 
     A file for each pair, named as in the challenge's list: for each vertex of the first scan a line with x, y, z (metres) of the
-    point of the second scan that is nearest to what the registrations give.
+    point of the second scan that is nearest to what the registrations give. Files of an earlier run's pairs are removed.
 
     Parameters
     ----------
@@ -273,6 +283,7 @@ def write_challenge(folder, found, fits, faces, *, on_pair=None):
     faces : (F, 3) int array
         Of the rig.
     on_pair : callable (done, total), optional
+        Called before the first pair, too.
 
     Returns
     -------
@@ -280,6 +291,10 @@ def write_challenge(folder, found, fits, faces, *, on_pair=None):
         Kind → "written" and "missing" pairs, "archive": its name, or None where pairs are missing.
     """
     report, done, total = {}, 0, sum(map(len, found.challenges.values()))
+    if on_pair is not None and total:
+        on_pair(0, total)
+    for kind in KINDS:
+        _remove_challenge(folder, kind)
     for kind, (archive, files) in challenge_files(folder, found).items():
         (folder / f"challenge-{kind}").mkdir(exist_ok=True)
         written = []
@@ -291,20 +306,25 @@ def write_challenge(folder, found, fits, faces, *, on_pair=None):
             if on_pair is not None:
                 on_pair(done, total)
         whole = found.complete[kind] and len(written) == len(files)
-        archive.unlink(missing_ok=True)
         if whole:
             _write_archive(archive, written)
         report[kind] = {"written": len(written), "missing": len(files) - len(written), "archive": archive.name if whole else None}
     return report
 
 
+def _remove_challenge(folder, kind):
+    """What an earlier run has written, perhaps with other fits or for other pairs."""
+    (folder / f"challenge-{kind}.zip").unlink(missing_ok=True)
+    for path in (folder / f"challenge-{kind}").glob("*.txt"):
+        if _PAIR.fullmatch(path.stem):
+            path.unlink()
+
+
 def _correspondences(a, b, fits, faces):
     from ..io.scans import load_scan
 
-    points, target = load_scan(a.path).points, load_scan(b.path).points
-    corners, barycentric = surface_places(points, fits.load(a.name).vertices, faces)
-    found = np.einsum("nk,nka->na", barycentric, fits.load(b.name).vertices[corners])
-    return target[PointIndex(target).nearest(found)]
+    registrations = fits.load(a.name).vertices, fits.load(b.name).vertices
+    return transfer(load_scan(a.path), *registrations, faces, snap_to=load_scan(b.path))
 
 
 def _write_points(path, points):

@@ -1,8 +1,8 @@
 """Fits of a folder of scans for the benchmark of pairs: learned together or one by one, each kept in a file, and taken up again.
 
 The folder has ``fits/NAME.npz`` for each scan, ``model.npz`` where something was learned, and ``fits.json``: the settings, and
-the digests of the files that were read. What was made with other settings is an error; a scan whose file has changed is fitted
-again.
+the digests of the files that were read. What was made with other settings, or another rig, is an error; a scan whose file has
+changed is fitted again.
 """
 
 import functools
@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import FileError, InputError, LbsfitError
 from ..fitting.result import FitResult
 
-__all__ = ["Fits", "fit_files", "fit_scans_of"]
+__all__ = ["Fits", "fit_files", "fit_scans_of", "made_files"]
 
 _RECORD, _MODEL, _FITS = "fits.json", "model.npz", "fits"
 _REMEDY = "Choose another folder, or --existing replace."
@@ -63,6 +63,13 @@ def fit_files(folder, scans):
     return [folder / _RECORD, folder / _MODEL, *(_file(folder, s.name) for s in scans)]
 
 
+def made_files(folder):
+    """The files with points or meshes that an earlier run of :func:`fit_scans_of` has written."""
+    if not (folder / _RECORD).is_file():
+        return []
+    return [path for path in (folder / _MODEL, *sorted((folder / _FITS).glob("*.npz"))) if path.is_file()]
+
+
 def fit_scans_of(
     fitter, scans, folder, *, learn_from=(), settings=None, existing="resume", n_samples=None, jobs=1, reporter=None
 ):
@@ -76,8 +83,8 @@ def fit_scans_of(
     folder : Path
         There already.
     learn_from : sequence of PairScan
-        Scans that the fitter learns from first, some of ``scans``; those of a subject share a template. Where there are
-        none, all are fitted one by one.
+        Scans that the fitter learns from first, some of ``scans``; those of a subject share a template. What learning leaves
+        of them is fitted as their subject's, all others as anybody's. Where there are none, all are fitted one by one.
     settings : dict, optional
         Plain data that fits depend on, beside the rig and the scans.
     existing : {"resume", "replace"}
@@ -111,7 +118,7 @@ def fit_scans_of(
     same = set() if before is None else {s.name for s in scans if before.scans.get(s.name) == record.scans[s.name]}
     if learn_from and learned is None:
         same = set()
-    kept = {name: entry for name, entry in ((n, _entry_before(folder, n, learned or fitter)) for n in sorted(same)) if entry}
+    kept = _kept(folder, sorted(same), learned or fitter, learn_from)
     fits.entries |= kept
     if kept:
         reporter.kept(len(kept))
@@ -123,7 +130,7 @@ def fit_scans_of(
         learned = _learn(fitter, learn_from, read, fits, reporter)
     fits.history = [] if learned is None else learned.history_
     todo = [s for s in scans if s.name not in fits.entries]
-    _fit_others(learned or fitter, todo, read, fits, jobs, reporter)
+    _fit_others(learned or fitter, todo, learn_from, read, fits, jobs, reporter)
     fits.entries = {s.name: fits.entries[s.name] for s in scans}
     return fits
 
@@ -147,22 +154,38 @@ def _learn(fitter, learn_from, read, fits, reporter):
     return fitter
 
 
-def _fit_others(fitter, todo, read, fits, jobs, reporter):
+def _fit_others(fitter, todo, learn_from, read, fits, jobs, reporter):
+    """Fit scans one by one, those of a subject that was learned as this subject's."""
     from ..learning.batch import fit_scans
 
-    def on_result(outcome):
-        name = todo[outcome.index].name
-        fits.entries[name] = outcome.result if outcome.error is None else {"failed": outcome.error}
-        reporter.fitted(name, fits.entries[name] | {"seconds": round(outcome.seconds, 3)}, len(todo))
+    known, groups = _known_subjects(fitter, learn_from), {}
+    for scan in todo:
+        groups.setdefault(known.get(scan.name), []).append(scan.name)
+    for subject, names in groups.items():
 
-    fit_scans(
-        fitter,
-        [read[s.name] for s in todo],
-        jobs=jobs,
-        finish=_Save(fits.folder, [s.name for s in todo]),
-        on_result=on_result,
-        pretrain=lambda fitter: fitter.pretrain(cache=True, progress=reporter.training),
-    )
+        def on_result(outcome, names=names):
+            name = names[outcome.index]
+            fits.entries[name] = outcome.result if outcome.error is None else {"failed": outcome.error}
+            reporter.fitted(name, fits.entries[name] | {"seconds": round(outcome.seconds, 3)}, len(todo))
+
+        fit_scans(
+            fitter,
+            [read[name] for name in names],
+            subject=subject,
+            jobs=jobs,
+            finish=_Save(fits.folder, names),
+            on_result=on_result,
+            pretrain=lambda fitter: fitter.pretrain(cache=True, progress=reporter.training),
+        )
+
+
+def _known_subjects(fitter, learn_from):
+    """Scan name → subject of the scans that a fitter has learned from, where it has a template of the subject.
+
+    Others may have a subject of the same name who is another person, as the test scans of FAUST have.
+    """
+    templates = getattr(fitter, "template_", None) or {}
+    return {s.name: s.subject for s in learn_from if s.subject in templates}
 
 
 @dataclass(frozen=True)
@@ -190,20 +213,22 @@ def _entry(result, kept=False):
     }
 
 
-def _entry_before(folder, name, fitter):
-    """What is said of a fit that is there and was made with this fitter, else None."""
+def _kept(folder, names, fitter, learn_from):
+    """Scan name → what is said of its fit, for those whose fits are there and were made with this fitter."""
     from ..learning.archive import model_digest
 
-    path = _file(folder, name)
-    if not path.is_file():
-        return None
-    try:
-        result = FitResult.load(path)
-    except FileError:
-        return None
-    if result.rig_digest != fitter.rig.digest or result.model_digest != model_digest(fitter):
-        return None
-    return _entry(result, kept=True)
+    known, kept = _known_subjects(fitter, learn_from), {}
+    learned, refitted = (model_digest(fitter, named=named) for named in (False, True))
+    for name in names:
+        try:
+            result = FitResult.load(_file(folder, name))
+        except FileError:
+            continue
+        # Of a scan that was learned from, the fit that learning left, or a later one as its subject's.
+        digests = (learned, refitted) if name in known else (learned,)
+        if result.rig_digest == fitter.rig.digest and result.model_digest in digests:
+            kept[name] = _entry(result, kept=True)
+    return kept
 
 
 def _learned_before(folder, fitter):
@@ -235,7 +260,7 @@ class _Record:
     def of(cls, rig, scans, learn_from, settings):
         digests = {s.name: _digest(s.path) for s in scans}
         learned_from = {s.name: [s.subject, digests[s.name]] for s in learn_from}
-        return cls(json.loads(json.dumps({"rig": rig.digest, **settings})), learned_from, digests)
+        return cls(json.loads(json.dumps(_described(rig) | settings)), learned_from, digests)
 
     @classmethod
     def read(cls, path):
@@ -264,6 +289,23 @@ class _Record:
             theirs, ours = (f"{len(of.learned_from)} scans" if of.learned_from else "nothing" for of in (self, now))
             got = f"{folder}, with fits that learned from {theirs}"
             raise InputError("-o/--output", got, f"fits that learned from {ours}, these and as they are now", _REMEDY)
+
+
+def _described(rig):
+    """All of a rig that fits depend on: its digest, and what that does not cover, much of which a card may change."""
+    still = [sorted(name for name, on in zip(rig.joint_names, mask, strict=True) if on) for mask in (rig.locked, rig.merged)]
+    return {
+        "rig": rig.digest,
+        "rig's up": rig.up,
+        "rig's forward": rig.forward,
+        "rig's metres per unit": rig.metres_per_unit,
+        "rig's joints that are still": _digest_of(still),
+        "rig's poses": _digest_of([(name, pose.tolist()) for name, pose in sorted(rig.poses.items())]),
+    }
+
+
+def _digest_of(value):
+    return hashlib.sha256(repr(value).encode()).hexdigest()
 
 
 def _brief(value):

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..report.colors import part_colors
 from ..report.render import Mesh, Points, montage, render
+from .pictures import evenly
 
 __all__ = ["gallery", "gallery_of"]
 
@@ -14,9 +15,7 @@ _GREY = (205, 205, 210)
 def gallery_of(fits, k):
     """Names of ``k`` fits, evenly from the worst to the best by recon; those of scans without a fit are left out."""
     ranked = sorted((name for name in fits.entries if fits.has(name)), key=lambda name: (-fits.entries[name]["recon"], name))
-    if not ranked or not k:
-        return []
-    return [ranked[r] for r in np.unique(np.linspace(0, len(ranked) - 1, k).round().astype(int))]
+    return evenly(ranked, k)
 
 
 def gallery(rig, shown, *, size=(260, 340)):

@@ -8,7 +8,7 @@ import time
 
 import numpy as np
 
-from ..correspondence import surface_places
+from ..correspondence import at_places, surface_places
 from ..errors import InputError, LbsfitError
 from ..neighbors import PointIndex
 from ..seeds import generator
@@ -151,6 +151,7 @@ def measure_pairs(scans, truth, fits, faces, pairs, *, points=5000, seed=0, on_p
     points, seed
         As of :func:`pairs_bench`.
     on_pair : callable (done, total), optional
+        Called before the first pair, too.
 
     Returns
     -------
@@ -161,6 +162,8 @@ def measure_pairs(scans, truth, fits, faces, pairs, *, points=5000, seed=0, on_p
     """
     known = {(a, b): kind for kind, chosen in pairs.items() for a, b in chosen}
     todo = sorted((p for p in known if all(fits.has(scans[i].name) for i in p)), key=lambda p: (p[1], p[0]))
+    if on_pair is not None and todo:
+        on_pair(0, len(todo))
     registered = {i: fits.load(scans[i].name).vertices for i in sorted({i for p in todo for i in p})}
     asked = {a: _Places.of(scans[a], a, truth, registered[a], faces, points, seed) for a in sorted({a for a, _ in todo})}
     entries, errors, target = [], {kind: {"before": [], "after": []} for kind in KINDS}, (None, None, None)
@@ -222,7 +225,7 @@ class _Places:
 
     def on(self, registration, rows):
         """(k, 3) the same places of another registration."""
-        return np.einsum("nk,nka->na", self.barycentric[rows], registration[self.corners[rows]])
+        return at_places(self.corners[rows], self.barycentric[rows], registration)
 
 
 def _points(scan):

@@ -5,7 +5,7 @@ import numpy as np
 from ..report.colors import part_colors
 from ..report.render import Mesh, Points, montage, render
 
-__all__ = ["picture", "shown"]
+__all__ = ["evenly", "picture", "shown"]
 
 _VIEWS = ("front", (70.0, 15.0))
 
@@ -16,6 +16,11 @@ def shown(fits, k):
     With 3 these are the worst, the median and the best. Fits that failed are left out.
     """
     ranked = sorted((i for i, (_, result, _) in enumerate(fits) if result is not None), key=lambda i: -fits[i][2]["joint_error"])
+    return evenly(ranked, k)
+
+
+def evenly(ranked, k):
+    """``k`` of what is ranked, at even distances from the first to the last; all where there are fewer."""
     if not ranked or not k:
         return []
     return [ranked[r] for r in np.unique(np.linspace(0, len(ranked) - 1, k).round().astype(int))]

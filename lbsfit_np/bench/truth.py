@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..correspondence import surface_places
+from ..correspondence import at_places, surface_places
 from ..errors import FileError, InputError
 
 __all__ = ["Asked", "Landmarks", "PairScan", "Registrations", "VertexOrder", "read_registrations"]
@@ -171,7 +171,7 @@ class Registrations:
     def true(self, asked, b, points):
         """Which of the places are known on scan b, and where they are."""
         corners, barycentric = asked.keys
-        return np.arange(len(corners)), np.einsum("nk,nka->na", barycentric, self.vertices[b][corners])
+        return np.arange(len(corners)), at_places(corners, barycentric, self.vertices[b])
 
     def _reliable(self, i):
         return self.reliable[i] if self.reliable else None

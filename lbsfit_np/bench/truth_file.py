@@ -6,6 +6,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from ..errors import FileError, brief, listed
+from .pair_fits import made_files
 from .truth import Landmarks, PairScan, Registrations, VertexOrder, read_registrations
 
 __all__ = ["TRUTH_FILES", "read_truth"]
@@ -23,7 +24,7 @@ FILE does not name are left out. Without the column subject all scans are of one
 _FORMS = "scan and subject alone, or with them name and vertex, or name, x, y and z, or registration"
 
 
-def read_truth(path, folder, *, subject_column="subject"):
+def read_truth(path, folder, *, subject_column="subject", output=None):
     """The scans of a folder and what is known of them.
 
     Parameters
@@ -33,6 +34,8 @@ def read_truth(path, folder, *, subject_column="subject"):
     folder : str or Path
         Where the scans are.
     subject_column : str, default "subject"
+    output : str or Path, optional
+        Where results are written, perhaps in ``folder``: what an earlier run has written there is not counted as left out.
 
     Returns
     -------
@@ -74,9 +77,10 @@ def read_truth(path, folder, *, subject_column="subject"):
     notes = []
     if not with_subject:
         notes.append(f"{path.name} has no column {subject_column}: all scans are taken to be of one subject")
-    others = len(files) - len(scans)
+    ours = set() if output is None else {p.resolve() for p in made_files(Path(output))}
+    others = sum(p not in at and p.resolve() not in ours for p in files)
     if others:
-        notes.append(f"{others} of {len(files)} scan files in {folder} are not in {path.name} and are left out")
+        notes.append(f"{others} of {others + len(scans)} scan files in {folder} are not in {path.name} and are left out")
     return scans, truth, notes
 
 

@@ -1,18 +1,20 @@
 """``lbsfit bench faust``: the MPI-FAUST data set, for people who have it."""
 
+import functools
 from pathlib import Path
 
-from .bench_pairs import (
+from .pair_runs import (
     MEASURING,
+    OUTPUT,
     RESULTS,
-    draw_gallery,
-    fit_settings,
+    RIG,
+    bench_keywords,
+    finished,
     fitter_of,
     fitting_options,
     made_output,
     need_output,
     run_stoppable,
-    say_failures,
 )
 from .parsing import Option, add_options, formatter, positive, settings
 from .progress import say
@@ -20,8 +22,8 @@ from .progress import say
 __all__ = ["add_parser"]
 
 _OPTIONS = (
-    Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o"),
-    Option("rig", "a rig file, or a bundled rig, see: lbsfit rig list", default="body", metavar="RIG"),
+    OUTPUT,
+    RIG,
     Option("scans", "take only the first so many scans of each subject, for trying it out", positive, metavar="N"),
     *fitting_options(samples=20_000),
     *MEASURING,
@@ -81,28 +83,11 @@ def _run(folder, values):
         say(f"note: {note}")
 
     def work(progress):
-        report, fits = faust_bench(
-            fitter,
-            found,
-            out,
-            reporter=progress,
-            learn=values["learn"],
-            most_pairs=values["pairs"],
-            points=values["points"],
-            seed=values["seed"],
-            settings=fit_settings(values),
-            existing=values["existing"],
-            n_samples=values["samples"],
-            jobs=values["jobs"],
-        )
-        report["gallery"] = draw_gallery(out, fitter.rig, scans, fits, values)
-        write_json(out / RESULTS, report)
-        say("")
-        say(faust_table(report, markdown=values["markdown"]))
-        for kind, written in report["challenge"].items():
-            say(_written(kind, written))
-        say(f"\nresults in {out}")
-        return say_failures(fits)
+        options = bench_keywords(values) | {"on_figures": functools.partial(write_json, out / RESULTS), "reporter": progress}
+        report, fits = faust_bench(fitter, found, out, **options)
+        words = [faust_table(report, markdown=values["markdown"])]
+        words += [_written(kind, written) for kind, written in report["challenge"].items()]
+        return finished(out, report, "\n".join(words), fitter.rig, scans, fits, values)
 
     return run_stoppable(work, values, out)
 

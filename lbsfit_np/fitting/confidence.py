@@ -27,9 +27,9 @@ _NOISE, _NOISIEST, _SPARSEST = 2.5, 0.015, 0.08
 # Points whose neighbours are so many times as far away as is usual are clutter, which no pose explains (density that varies
 # tenfold makes 3.2); unless less than this share of the weight would be left.
 _LONELY, _LEAST_KEPT = 4.0, 0.7
-# Clutter near the body has neighbours on it, but hardly any that are unexplained, too, whereas a limb that the pose misses leaves
-# many. So among points with a ρ above _ODD, the k-th neighbour counts: clutter is where that is more than _LONELY_ODD times as far
-# away as is usual among all points. k is one for each _POINTS_PER_K points of the scan, at most _MOST_K.
+# Clutter near the body has neighbours on it, but hardly any that are unexplained, too, whereas a limb that the pose misses
+# leaves many. So among points with a ρ above _ODD the k-th neighbour counts: clutter is where that is more than _LONELY_ODD
+# times as far away as is usual among all points. k is one for each _POINTS_PER_K points of the scan, at most _MOST_K.
 _ODD, _LONELY_ODD, _POINTS_PER_K, _MOST_K = 0.05, 2.8, 400, 6
 # Points and surface with no partner nearer than this, in half sizes, have none.
 _PARTNER = 0.08

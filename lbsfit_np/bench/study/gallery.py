@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ...correspondence import surface_places, transfer
+from ...correspondence import at_places, surface_places, transfer
 from ...report.colors import part_colors
 from ...report.render import Mesh, Points, render
 from .canvas import tiles
@@ -182,7 +182,7 @@ def _nearest_labels(rig, points, vertices):
 def _rest_colors(rig, points, vertices):
     """(n, 3) RGB by where points of a posed mesh lie on the template: smooth in space, different at any two places."""
     corners, barycentric = surface_places(points, vertices, rig.faces)
-    rest = np.einsum("nk,nka->na", barycentric, rig.vertices[corners])
+    rest = at_places(corners, barycentric, rig.vertices)
     low, high = rig.vertices.min(axis=0), rig.vertices.max(axis=0)
     x, y, z = ((rest - low) / np.maximum(high - low, 1e-9 * rig.size)).T
     return _from_oklab(0.74 + 0.2 * (z - 0.5), 0.5 * (x - 0.5), 0.44 * (y - 0.5))
@@ -223,5 +223,5 @@ def _pairs(shown):
 
 def _transfer_error(rig, a, b, there):
     corners, barycentric = surface_places(b.points, b.vertices, rig.faces)
-    true = np.einsum("nk,nka->na", barycentric, a.vertices[corners])
+    true = at_places(corners, barycentric, a.vertices)
     return np.linalg.norm(there - true, axis=1).mean() / (rig.size / 2)

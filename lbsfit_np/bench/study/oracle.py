@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...correspondence import surface_places
+from ...correspondence import at_places, surface_places
 from ...fitting.assemble import assemble
 from ...fitting.scan_fit import FitSettings
 from ...losses.laplacian import laplacian_offsets
@@ -109,7 +109,7 @@ class _Known:
 
     def _distance(self, vertices):
         """mean ‖x − place‖², and its gradient to the vertices."""
-        r = np.einsum("nk,nka->na", self.barycentric, vertices[self.corners]) - self.X
+        r = at_places(self.corners, self.barycentric, vertices) - self.X
         pull = (2.0 / len(r)) * self.barycentric[:, :, None] * r[:, None]
         grad = np.zeros_like(vertices)
         np.add.at(grad, self.corners.ravel(), pull.reshape(-1, 3))

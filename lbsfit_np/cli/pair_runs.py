@@ -1,0 +1,270 @@
+"""What ``lbsfit bench pairs`` and ``lbsfit bench faust`` share: options, the fitter, what is written, what people are told."""
+
+import functools
+import time
+from pathlib import Path
+
+from ..errors import InputError, LbsfitError
+from .bench_runs import RESULTS
+from .fit import OPTIONS as FIT_OPTIONS
+from .fit import RIG_OPTIONS, load_rig_with
+from .learn import OPTIONS as LEARN_OPTIONS
+from .outputs import check_outputs, make_folder
+from .parsing import Option, natural, positive
+from .progress import SILENCE, LearningProgress, Progress, say
+from .stopping import exit_code, terminable
+
+__all__ = [
+    "GALLERY",
+    "MEASURING",
+    "OUTPUT",
+    "RESULTS",
+    "RIG",
+    "PairsProgress",
+    "bench_keywords",
+    "finished",
+    "fitter_of",
+    "fitting_options",
+    "made_output",
+    "need_output",
+    "run_stoppable",
+]
+
+GALLERY = "gallery.png"
+
+OUTPUT = Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o")
+RIG = Option("rig", "a rig file, or a bundled rig, see: lbsfit rig list", default="body", metavar="RIG")
+
+# Options of the fits that mean the same as in lbsfit fit and lbsfit learn, and are part of what fits are kept by.
+_OF_FITS = ("scale", "orientation", "up", "partial", "effort", "max-points", "training-scans", "seed")
+_OF_LEARNING = ("rounds", "held-out")
+
+
+def fitting_options(samples=None):
+    """Options of the rig and of the fits; ``samples``: points of a scan for its fit, by default."""
+    words = "points to sample from a scan that is a mesh, or to keep of a cloud, for its fit"
+    words += "; by default all" if samples is None else ""
+    return (
+        Option("learn", "learn from the scans first, by the loop; else each is fitted by itself", bool, True),
+        *(o for o in LEARN_OPTIONS if o.name in _OF_LEARNING),
+        *RIG_OPTIONS,
+        *(o for o in FIT_OPTIONS if o.name in _OF_FITS),
+        Option("samples", words, positive, samples, metavar="N"),
+        next(o for o in FIT_OPTIONS if o.name == "jobs"),
+    )
+
+
+MEASURING = (
+    Option("pairs", "pairs of each kind, at most; a random choice where there are more", positive, 500, metavar="N"),
+    Option("points", "points of a scan to follow, at most; a random choice", positive, 5000, metavar="N"),
+    Option("pictures", "fits to show in the gallery, from the worst to the best", natural, 5, metavar="K"),
+    Option("markdown", "print the table as Markdown", bool, False),
+    Option("existing", "what to do with fits of the same settings", default="resume", choices=("resume", "replace")),
+)
+
+
+def need_output(values):
+    """Raise where no folder to write to is given."""
+    if values["output"] is None:
+        raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT.")
+
+
+def fitter_of(values):
+    """The fitter, by the values of ``fitting_options``."""
+    from ..learning.fitter import LBSFitter
+
+    rig = load_rig_with(values["rig"], values)
+    names = [name.replace("-", "_") for name in (*_OF_FITS, *_OF_LEARNING) if name != "seed"]
+    return LBSFitter(rig, **{name: values[name] for name in names}, n_jobs=values["jobs"], random_state=values["seed"])
+
+
+def bench_keywords(values):
+    """Keywords of ``pairs_bench`` and ``faust_bench``, by the values of ``fitting_options`` and ``MEASURING``."""
+    return {
+        "learn": values["learn"],
+        "most_pairs": values["pairs"],
+        "points": values["points"],
+        "seed": values["seed"],
+        "settings": _fit_settings(values),
+        "existing": values["existing"],
+        "n_samples": values["samples"],
+        "jobs": values["jobs"],
+    }
+
+
+def _fit_settings(values):
+    """What fits depend on, beside rig and scans."""
+    names = [name.replace("-", "_") for name in (*_OF_FITS, *_OF_LEARNING, "learn", "samples")]
+    return {name: values[name] for name in names if values["learn"] or name not in ("rounds", "held_out")}
+
+
+def made_output(values, scans, inputs, more=()):
+    """The folder to write to, made, once it is known that nothing that is read is written there."""
+    from ..bench.pair_fits import fit_files
+
+    out = Path(values["output"])
+    read = [*(s.path for s in scans), *inputs, *(values[k] for k in ("rig", "card") if values[k] and values[k] != "none")]
+    written = [out / RESULTS, out / GALLERY, *fit_files(out, scans), *more]
+    check_outputs(written, out, inputs=read, existing="replace")
+    make_folder(out)
+    return out
+
+
+# ---- what a run writes and says at its end ----
+
+
+def finished(out, report, words, rig, scans, fits, values):
+    """Write the results, print them, then draw the gallery: a picture that cannot be drawn loses no figure.
+
+    Parameters
+    ----------
+    out : Path
+    report : dict
+        Gets "gallery": names of the fits that it shows, from top to bottom.
+    words : str
+        The table and what else is to be printed.
+    rig : Rig
+    scans : list of PairScan
+    fits : Fits
+    values : dict
+        Of the options.
+
+    Returns
+    -------
+    int
+        The exit code.
+    """
+    from ..io.write import write_json
+
+    (out / GALLERY).unlink(missing_ok=True)  # of an earlier run
+    report["gallery"] = []
+    write_json(out / RESULTS, report)
+    say("")
+    say(words)
+    report["gallery"] = _draw_gallery(out, rig, scans, fits, values)
+    say("")
+    if report["gallery"]:
+        write_json(out / RESULTS, report)
+        say(f"{GALLERY}, from top to bottom: {', '.join(report['gallery'])}")
+    say(f"results in {out}")
+    return _say_failures(fits)
+
+
+def _draw_gallery(out, rig, scans, fits, values):
+    """Draw the gallery; returns the names of the fits that it shows, from top to bottom."""
+    from ..bench.pair_pictures import gallery, gallery_of
+    from ..io.scans import load_scan
+    from ..report.render import write_png
+
+    paths = {s.name: s.path for s in scans}
+    load = functools.partial(load_scan, n_samples=values["samples"], random_state=values["seed"])
+    shown = {}
+    for name in gallery_of(fits, values["pictures"]):
+        try:
+            shown[name] = load(paths[name]).points, fits.load(name)
+        except LbsfitError:  # it was there when it was fitted
+            continue
+    if shown:
+        write_png(out / GALLERY, gallery(rig, shown.values()))
+    return list(shown)
+
+
+def _say_failures(fits):
+    """Print which scans have no fit, and whose fits say that they failed; the exit code."""
+    code = 0
+    for name, why in fits.failures():
+        say(f"failed: {name}: {why}")
+        code = 1
+    return code
+
+
+# ---- while it runs ----
+
+
+def run_stoppable(work, values, out):
+    """``work(progress)`` → its exit code; Ctrl-C and SIGTERM leave what is finished, and say so."""
+    progress = PairsProgress(values["rounds"])
+    try:
+        with terminable():
+            return work(progress)
+    except KeyboardInterrupt as stop:
+        progress.close()
+        n = len(list((out / "fits").glob("*.npz")))
+        rest = f"{n} fits are kept in {out}; the same command once more does the rest"
+        say(f"stopped: {rest}" if n else "stopped before a scan was fitted")
+        return exit_code(stop)
+    finally:
+        progress.close()
+
+
+class PairsProgress(Progress):
+    """Learning, training and fits as in other commands; pairs as a bar on a terminal, a line now and then elsewhere.
+
+    Parameters
+    ----------
+    rounds : int
+        Of learning, at most.
+    terminal : bool, optional
+        As for ``Progress``.
+    clock : callable, optional
+        Seconds, for tests.
+    """
+
+    def __init__(self, rounds, terminal=None, clock=time.monotonic):
+        super().__init__(0, terminal)
+        self._learning = LearningProgress(rounds, self.terminal)
+        self._clock, self._told = clock, None
+
+    def learning(self, stage, share, figures=None):
+        """What the loop does, see ``LBSFitter.fit``."""
+        self._learning(stage, share, figures)
+
+    def kept(self, n):
+        """So many fits are there already."""
+        self.line(f"{n} scan{' is' if n == 1 else 's are'} fitted already and kept")
+
+    def fitted(self, name, entry, total):
+        """One of so many scans is done."""
+        self._learning.close()
+        self.total = total
+        if "failed" in entry:
+            entry = {"status": "failed", "message": entry["failed"]}
+        else:
+            entry = entry | {"terms": {"recon": entry["recon"]}}
+        self.scan({"name": name, **entry})
+        if self.done == total:
+            self.close()
+            self.done = 0
+
+    def measured(self, done, total):
+        """So many pairs are measured; at first none."""
+        self._pairs("measuring the errors", done, total)
+
+    def written(self, done, total):
+        """So many pairs of the challenge are written; at first none."""
+        self._pairs("writing what the challenge asks for", done, total)
+
+    def _pairs(self, doing, done, total):
+        self._learning.close()
+        if not self.terminal:
+            if not done:
+                say(f"{doing}: {total} pair{'' if total == 1 else 's'}")
+                self._told = self._clock()
+            elif done < total and self._clock() - self._told >= SILENCE:
+                say(f"{doing}: {done} of {total} pairs")
+                self._told = self._clock()
+            return
+        if self._bar is None:
+            import sys
+
+            from tqdm import tqdm
+
+            self._bar = tqdm(total=total, desc=doing, unit="pair", leave=False, file=sys.stderr)
+        self._bar.update(done - self._bar.n)
+        if done == total:
+            self.close()
+
+    def close(self):
+        """Leave the terminal in order."""
+        self._learning.close()
+        super().close()
