@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from ..errors import InputError, LbsfitError
-from .bench_runs import RESULTS
+from .bench_runs import RESULTS, failures_code
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, load_rig_with
 from .learn import OPTIONS as LEARN_OPTIONS
@@ -147,7 +147,7 @@ def finished(out, report, words, rig, scans, fits, values):
         write_json(out / RESULTS, report)
         say(f"{GALLERY}, from top to bottom: {', '.join(report['gallery'])}")
     say(f"results in {out}")
-    return _say_failures(fits)
+    return failures_code(fits.failures())
 
 
 def _draw_gallery(out, rig, scans, fits, values):
@@ -167,15 +167,6 @@ def _draw_gallery(out, rig, scans, fits, values):
     if shown:
         write_png(out / GALLERY, gallery(rig, shown.values()))
     return list(shown)
-
-
-def _say_failures(fits):
-    """Print which scans have no fit, and whose fits say that they failed; the exit code."""
-    code = 0
-    for name, why in fits.failures():
-        say(f"failed: {name}: {why}")
-        code = 1
-    return code
 
 
 # ---- while it runs ----
