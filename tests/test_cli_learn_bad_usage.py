@@ -66,7 +66,7 @@ def test_bad_usage_is_found_before_any_work(arguments, words, tubes, tmp_path, r
     for folder in ("folder.npz", "old", "sub"):
         (tmp_path / folder).mkdir()
     np.savez(tmp_path / "cloud.npz", points=np.eye(3))
-    contents = {"there.npz": "x", "old/summary.json": "{}", "one.csv": "t0,a\nt1,b\n", "sub/t0.ply": "x"}
+    contents = {"there.npz": "x", "old/t0.fit.npz": "x", "one.csv": "t0,a\nt1,b\n", "sub/t0.ply": "x"}
     contents |= {"bad.toml": "round = 3", "share.toml": "held-out = 2"}
     contents |= {"word.toml": 'smooth = "much"', "half.toml": "rounds = 1.5"}
     for name, text in contents.items():

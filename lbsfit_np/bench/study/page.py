@@ -178,7 +178,8 @@ def _more(report, name):
         rise = f"L_c rises to {path['rise']:.2f} times its start before it falls, L_s never above {low:.2f} times its own"
         lines.append(f"{swing}: {rise}.")
     joint, oracle = _paired(report, name, ("joint", "oracle-fit")).values()
-    shares = [f"{what} {_mean(joint, key) / _mean(oracle, key):.2f}" for key, what in _MEASURES if _both(joint, oracle, key)]
+    measures = [(key, what) for key, what in _MEASURES if _both(joint, oracle, key) and _mean(oracle, key) > 0]
+    shares = [f"{what} {_mean(joint, key) / _mean(oracle, key):.2f}" for key, what in measures]
     if shares:
         lines.append(f"- Joint ÷ oracle fit: {', '.join(shares)}.")
     floor = [c["pose_truth"] for c in _cells(report, name, "joint") if "pose_truth" in c]
