@@ -51,7 +51,7 @@ def test_other_kinds_of_seeds_work(tube_rig, tube_scan, seed):
     small = {"effort": "fast", "training_scans": 2, "training": {"n_points": 100}, "max_points": 300}
     fitter = lbs.LBSFitter(tube_rig, random_state=seed, **small)
     result = fitter.fit_scan(tube_scan.points)
-    assert np.isfinite(result.vertices).all() and result.status in ("ok", "suspect")  # two training scans of any seed
+    assert np.isfinite(result.vertices).all() and 0 <= result.probability <= 1  # two training scans of any seed: no more is sure
 
 
 # ---- the estimator ----
