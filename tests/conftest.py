@@ -213,6 +213,35 @@ def fitted(made, cli_cache, tmp_path_factory):
 
 
 @pytest.fixture(scope="session")
+def pair_meshes(tube_rig):
+    """The true meshes of ``pair_scans``."""
+    from registered_sets import posed_meshes
+
+    return posed_meshes(tube_rig, 4)
+
+
+@pytest.fixture(scope="session")
+def pair_folder(tube_rig, pair_meshes, tmp_path_factory):
+    """A folder with the scans s0 … s3 of two people, their truth.csv, and tube.npz."""
+    from registered_sets import WHO, write_meshes
+
+    folder = write_meshes(tmp_path_factory.mktemp("pairs"), tube_rig, pair_meshes)
+    (folder / "truth.csv").write_text("\n".join(["scan,subject", *(f"s{i},{who}" for i, who in enumerate(WHO))]))
+    tube_rig.save(folder / "tube.npz")
+    return folder
+
+
+@pytest.fixture
+def pair_scans(pair_folder):
+    """Of that folder, as the benchmark has them."""
+    from registered_sets import WHO
+
+    from lbsfit_np.bench.truth import PairScan
+
+    return [PairScan(f"s{i}", pair_folder / f"s{i}.ply", who) for i, who in enumerate(WHO)]
+
+
+@pytest.fixture(scope="session")
 def hands(tmp_path_factory):
     """A folder of scans of two hands and their truth: anna0 … anna3, ben0 … ben2 (.ply), and who.csv."""
     import numpy as np

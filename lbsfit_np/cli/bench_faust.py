@@ -3,31 +3,13 @@
 import functools
 from pathlib import Path
 
-from .pair_runs import (
-    MEASURING,
-    OUTPUT,
-    RESULTS,
-    RIG,
-    bench_keywords,
-    finished,
-    fitter_of,
-    fitting_options,
-    made_output,
-    need_output,
-    run_stoppable,
-)
-from .parsing import Option, add_options, formatter, positive, settings
+from . import pair_runs
+from .parsing import Option, positive
 from .progress import say
 
 __all__ = ["add_parser"]
 
-_OPTIONS = (
-    OUTPUT,
-    RIG,
-    Option("scans", "take only the first so many scans of each subject, for trying it out", positive, metavar="N"),
-    *fitting_options(samples=20_000),
-    *MEASURING,
-)
+_OWN = (Option("scans", "take only the first so many scans of each subject, for trying it out", positive, metavar="N"),)
 
 _DESCRIPTION = """\
 Learn from the training scans of MPI-FAUST, fit them and the test scans, and print the error of the correspondences between
@@ -48,48 +30,47 @@ OUT gets results.json (every figure of every pair, settings, versions), gallery.
 lbsfit fit takes, and, for each challenge whose pairs are listed, challenge-intra/ or challenge-inter/ with a file for each pair
 (012_023.txt: for each vertex of test_scan_012 its point on test_scan_023), and challenge-intra.zip or challenge-inter.zip to be
 submitted. The same command once more does what is not there yet; what an interrupted loop has learned is not kept.
-Exit code: 0 all fitted, 1 some scans could not be fitted (their pairs are missing) or their fits say that they failed (their
-pairs count), 2 usage or unreadable data, 130 stopped by Ctrl-C.
 """
 
 
 def add_parser(benches):
     """Add ``lbsfit bench faust`` to the subparsers ``benches``."""
-    bench = benches.add_parser(
+    pair_runs.add_command(
+        benches,
         "faust",
+        _run,
+        _OWN,
         help="the MPI-FAUST data set, for people who have it",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=formatter,
+        folder="MPI-FAUST, or the folder that it is in",
+        samples=20_000,
     )
-    bench.add_argument("folder", metavar="DIR", help="MPI-FAUST, or the folder that it is in")
-    add_options(bench, _OPTIONS)
-    bench.set_defaults(run=lambda arguments: _run(arguments.folder, settings(arguments, _OPTIONS)))
 
 
 def _run(folder, values):
     from ..bench.faust import challenge_files, faust_bench, faust_table, read_faust
     from ..io.write import write_json
 
-    need_output(values)
     found = read_faust(folder, most=values["scans"], learn=values["learn"])
-    fitter = fitter_of(values)
+    fitter = pair_runs.fitter_of(values)
     scans = [*found.training, *found.test]
     more = [file for archive, files in challenge_files(Path(values["output"]), found).values() for file in (archive, *files)]
-    out = made_output(values, scans, inputs=found.files, more=more)
+    out = pair_runs.made_output(values, scans, inputs=found.files, more=more)
     people = len({s.subject for s in found.training})
     say(f"{len(found.training)} training scans of {people} subjects, {len(found.test)} test scans")
     for note in found.notes:
         say(f"note: {note}")
 
     def work(progress):
-        options = bench_keywords(values) | {"on_figures": functools.partial(write_json, out / RESULTS), "reporter": progress}
-        report, fits = faust_bench(fitter, found, out, **options)
+        on_figures = functools.partial(write_json, out / pair_runs.RESULTS)
+        options = pair_runs.bench_keywords(values) | {"reporter": progress}
+        report, fits = faust_bench(fitter, found, out, on_figures=on_figures, **options)
         words = [faust_table(report, markdown=values["markdown"])]
         words += [_written(kind, written) for kind, written in report["challenge"].items()]
-        return finished(out, report, "\n".join(words), fitter.rig, scans, fits, values)
+        return pair_runs.finished(out, report, "\n".join(words), fitter.rig, scans, fits, values)
 
-    return run_stoppable(work, values, out)
+    return pair_runs.run_stoppable(work, values, out)
 
 
 def _written(kind, written):

@@ -2,31 +2,16 @@
 
 from ..bench.truth_file import TRUTH_FILES
 from ..errors import InputError
-from .pair_runs import (
-    MEASURING,
-    OUTPUT,
-    RIG,
-    bench_keywords,
-    finished,
-    fitter_of,
-    fitting_options,
-    made_output,
-    need_output,
-    run_stoppable,
-)
-from .parsing import Option, add_options, formatter, settings
+from . import pair_runs
+from .parsing import Option
 from .progress import say
 
 __all__ = ["add_parser"]
 
-_OPTIONS = (
-    OUTPUT,
+_OWN = (
     Option("truth", "the table of scans, subjects and what corresponds", metavar="FILE"),
-    RIG,
     Option("subject-column", "the column of FILE that says who was scanned", default="subject", metavar="NAME"),
     Option("unit", "the scans'; auto: what the scale of the fits says", default="auto", choices=("auto", "m", "cm", "mm", "in")),
-    *fitting_options(),
-    *MEASURING,
 )
 
 _DESCRIPTION = f"""\
@@ -45,43 +30,40 @@ examples:
 OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan, and, after
 learning, model.npz, which lbsfit fit takes. The same command once more does what is not there yet; what an interrupted loop has
 learned is not kept. Scans are fitted as their subject's: the column is part of what learning is told.
-Exit code: 0 all fitted, 1 some scans could not be fitted (their pairs are missing) or their fits say that they failed (their
-pairs count), 2 usage or unreadable data, 130 stopped by Ctrl-C.
 """
 
 
 def add_parser(benches):
     """Add ``lbsfit bench pairs`` to the subparsers ``benches``."""
-    bench = benches.add_parser(
+    pair_runs.add_command(
+        benches,
         "pairs",
+        _run,
+        _OWN,
         help="correspondence between scans of your own whose truth is known",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        formatter_class=formatter,
+        folder="where the scans are, in any format that lbsfit fit reads",
     )
-    bench.add_argument("folder", metavar="DIR", help="where the scans are, in any format that lbsfit fit reads")
-    add_options(bench, _OPTIONS)
-    bench.set_defaults(run=lambda arguments: _run(arguments.folder, settings(arguments, _OPTIONS)))
 
 
 def _run(folder, values):
     from ..bench.pairs import pairs_bench, pairs_table
     from ..bench.truth_file import read_truth
 
-    need_output(values)
     if values["truth"] is None:
         raise InputError("--truth", "nothing", "a table of scans and what corresponds", "Add --truth FILE.")
     column = values["subject_column"]
     scans, truth, notes = read_truth(values["truth"], folder, subject_column=column, output=values["output"])
-    fitter = fitter_of(values)
-    out = made_output(values, scans, inputs=[values["truth"]])
+    fitter = pair_runs.fitter_of(values)
+    out = pair_runs.made_output(values, scans, inputs=[values["truth"]])
     for note in notes:
         say(f"note: {note}")
 
     def work(progress):
-        options = bench_keywords(values) | {"unit": values["unit"], "reporter": progress}
+        options = pair_runs.bench_keywords(values) | {"unit": values["unit"], "reporter": progress}
         report, fits = pairs_bench(fitter, scans, truth, out, **options)
         report["notes"] = notes
-        return finished(out, report, pairs_table(report, markdown=values["markdown"]), fitter.rig, scans, fits, values)
+        return pair_runs.finished(out, report, pairs_table(report, markdown=values["markdown"]), fitter.rig, scans, fits, values)
 
-    return run_stoppable(work, values, out)
+    return pair_runs.run_stoppable(work, values, out)

@@ -10,38 +10,65 @@ from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, load_rig_with
 from .learn import OPTIONS as LEARN_OPTIONS
 from .outputs import check_outputs, make_folder
-from .parsing import Option, natural, positive
+from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import SILENCE, LearningProgress, Progress, say
 from .stopping import exit_code, terminable
 
 __all__ = [
-    "GALLERY",
-    "MEASURING",
-    "OUTPUT",
-    "RESULTS",
-    "RIG",
-    "PairsProgress",
-    "bench_keywords",
-    "finished",
-    "fitter_of",
-    "fitting_options",
-    "made_output",
-    "need_output",
-    "run_stoppable",
+    *("GALLERY", "RESULTS", "PairsProgress", "add_command"),
+    *("bench_keywords", "finished", "fitter_of", "made_output", "run_stoppable"),
 ]
 
 GALLERY = "gallery.png"
 
-OUTPUT = Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o")
-RIG = Option("rig", "a rig file, or a bundled rig, see: lbsfit rig list", default="body", metavar="RIG")
+_OUTPUT = Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o")
+_RIG = Option("rig", "a rig file, or a bundled rig, see: lbsfit rig list", default="body", metavar="RIG")
 
 # Options of the fits that mean the same as in lbsfit fit and lbsfit learn, and are part of what fits are kept by.
 _OF_FITS = ("scale", "orientation", "up", "partial", "effort", "max-points", "training-scans", "seed")
 _OF_LEARNING = ("rounds", "held-out")
 
 
-def fitting_options(samples=None):
-    """Options of the rig and of the fits; ``samples``: points of a scan for its fit, by default."""
+_EXIT_CODES = """\
+Exit code: 0 all fitted, 1 some scans could not be fitted (their pairs are missing) or their fits say that they failed (their
+pairs count), 2 usage or unreadable data, 130 stopped by Ctrl-C.
+"""
+
+
+def add_command(benches, name, run, own, *, help, description, epilog, folder, samples=None):
+    """Add a benchmark of a folder of scans.
+
+    Parameters
+    ----------
+    benches : subparsers of ``lbsfit bench``
+    name : str
+    run : callable (folder, values) → exit code
+    own : sequence of Option
+        Those that the other one does not have.
+    help, description, epilog : str
+        The epilog without the exit codes.
+    folder : str
+        What DIR is.
+    samples : int, optional
+        Points of a scan for its fit, by default.
+    """
+    options = (_OUTPUT, _RIG, *own, *_fitting_options(samples), *_MEASURING)
+    bench = benches.add_parser(
+        name, help=help, description=description, epilog=epilog + _EXIT_CODES, formatter_class=formatter
+    )
+    bench.add_argument("folder", metavar="DIR", help=folder)
+    add_options(bench, options)
+
+    def checked(arguments):
+        values = settings(arguments, options)
+        if values["output"] is None:
+            raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT.")
+        return run(arguments.folder, values)
+
+    bench.set_defaults(run=checked)
+
+
+def _fitting_options(samples):
     words = "points to sample from a scan that is a mesh, or to keep of a cloud, for its fit"
     words += "; by default all" if samples is None else ""
     return (
@@ -54,7 +81,7 @@ def fitting_options(samples=None):
     )
 
 
-MEASURING = (
+_MEASURING = (
     Option("pairs", "pairs of each kind, at most; a random choice where there are more", positive, 500, metavar="N"),
     Option("points", "points of a scan to follow, at most; a random choice", positive, 5000, metavar="N"),
     Option("pictures", "fits to show in the gallery, from the worst to the best", natural, 5, metavar="K"),
@@ -63,14 +90,8 @@ MEASURING = (
 )
 
 
-def need_output(values):
-    """Raise where no folder to write to is given."""
-    if values["output"] is None:
-        raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT.")
-
-
 def fitter_of(values):
-    """The fitter, by the values of ``fitting_options``."""
+    """The fitter, by the values of the options."""
     from ..learning.fitter import LBSFitter
 
     rig = load_rig_with(values["rig"], values)
@@ -79,7 +100,7 @@ def fitter_of(values):
 
 
 def bench_keywords(values):
-    """Keywords of ``pairs_bench`` and ``faust_bench``, by the values of ``fitting_options`` and ``MEASURING``."""
+    """Keywords of ``pairs_bench`` and ``faust_bench``, by the values of the options and ``MEASURING``."""
     return {
         "learn": values["learn"],
         "most_pairs": values["pairs"],
