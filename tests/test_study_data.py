@@ -40,7 +40,8 @@ def drawn(monkeypatch):
 def test_natural_poses_are_of_their_own_half_of_the_library_and_as_many_as_in_the_paper(name, share, drawn):
     rig = load_rig(name)
     given = study_set(rig, MANY, 300)
-    assert [pose.tobytes() for _, pose in drawn] == [s.pose.tobytes() for s in given.train + given.test]
+    scans = [*given.train, *given.test]
+    assert [pose.tobytes() for _, pose in drawn] == [s.pose.tobytes() for s in scans]
     libraries = {"train": drawn[: MANY.train], "test": drawn[MANY.train :]}
     names = {}
     for purpose, calls in libraries.items():
@@ -55,8 +56,19 @@ def test_natural_poses_are_of_their_own_half_of_the_library_and_as_many_as_in_th
 
 
 def test_a_rig_without_natural_poses_has_uniform_ones_alone(tube_rig, drawn):
-    study_set(tube_rig, replace(MANY, train=5, test=5), 300)
+    given = study_set(tube_rig, replace(MANY, train=5, test=5), 300)
+    assert len([*given.train, *given.test]) == 10
     assert not tube_rig.poses and [library for library, _ in drawn] == [None] * 10
+
+
+def test_scans_are_made_when_they_are_asked_for_and_are_the_same_each_time():
+    """At the paper's size all of them with their truth would fill the memory."""
+    scans = study_set(load_rig("hand-coarse"), replace(MANY, train=6), 300).train
+    assert scans[1] is not scans[1] and len(scans) == 6 and len(scans[1:]) == 5
+    assert np.array_equal(scans[1].points, scans[1].points) and np.array_equal(scans[-1].points, scans[5].points)
+    assert np.array_equal(scans[1].template, scans.templates[scans.subjects[1]][0])
+    with pytest.raises(IndexError):
+        scans[6]
 
 
 def test_every_scan_has_missing_areas_noise_and_a_shape_of_its_subject_alone():
@@ -89,5 +101,5 @@ def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypat
         assert (c.fitter.training_scans, c.fitter.rounds) == (77, 5)
     # The same scans for whoever asks with that seed.
     again = study_set(rig, size, 2)
-    for a, b in zip(contexts[1].given.train + contexts[1].given.test, again.train + again.test, strict=True):
+    for a, b in zip([*contexts[1].given.train, *contexts[1].given.test], [*again.train, *again.test], strict=True):
         assert np.array_equal(a.points, b.points)

@@ -4,6 +4,7 @@ Where the paper takes poses of captured hands and of SURREAL, natural poses here
 divided between training and test; where it takes bent bodies, poses here are uniform within the limits.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -14,7 +15,7 @@ from ...seeds import generator
 from ...synthesis import Synthesis, natural_poses, synthesize_one, uniform_poses
 from ..subjects import subject
 
-__all__ = ["NATURAL", "SCAN", "SIZES", "Size", "StudySet", "kind_of", "part_groups", "sized", "study_set"]
+__all__ = ["NATURAL", "SCAN", "SIZES", "Scans", "Size", "StudySet", "kind_of", "part_groups", "sized", "study_set"]
 
 # Missing areas in every scan, uneven density, a little noise; the subject's own shape.
 SCAN = Synthesis(shape=0.0, holes=2, least_holes=1)
@@ -76,14 +77,14 @@ class StudySet:
     ----------
     rig : Rig
         Its library of natural poses is that of training alone.
-    train, test : list of SyntheticScan
+    train, test : Scans
     train_subjects, test_subjects : list of int
         Whose scan each is.
     """
 
     rig: object
-    train: list
-    test: list
+    train: Sequence
+    test: Sequence
     train_subjects: list
     test_subjects: list
 
@@ -91,6 +92,42 @@ class StudySet:
     def half(self):
         """Half the rig's size: the study's unit of length, in which the template fills [−1, 1]³."""
         return self.rig.size / 2
+
+
+@dataclass(frozen=True)
+class Scans(Sequence):
+    """Scans as a sequence of SyntheticScan, each made anew when it is asked for: 23,000 bodies with their truth fill no memory.
+
+    Attributes
+    ----------
+    rig : Rig
+        Its library is what natural poses are near.
+    templates : list of (vertices, joints)
+        Of the people.
+    subjects : list of int
+        Whose scan each is.
+    seed : int
+    purpose : {"train", "test"}
+    """
+
+    rig: object
+    templates: list
+    subjects: list
+    seed: int
+    purpose: str
+
+    def __len__(self):
+        return len(self.subjects)
+
+    def __getitem__(self, i):
+        """Scan i, the same each time; a list of them for a slice."""
+        if isinstance(i, slice):
+            return [self[k] for k in range(len(self))[i]]
+        i = range(len(self))[i]
+        rng = generator(self.seed, "study", self.rig.name, self.purpose, i)
+        natural = self.rig.poses and rng.random() < NATURAL[kind_of(self.rig)]
+        pose = (natural_poses if natural else uniform_poses)(self.rig, 1, rng)[0]
+        return synthesize_one(self.rig, pose, self.templates[self.subjects[i]], SCAN, rng)
 
 
 def study_set(rig, size, seed, *, times=1):
@@ -118,7 +155,7 @@ def study_set(rig, size, seed, *, times=1):
         whose = [i % size.test_subjects for i in range(n)]
         if purpose == "train":  # the first scans are of the first people, whatever ``times``
             whose = [i % size.train_subjects + i // size.train * size.train_subjects for i in range(n)]
-        out[purpose] = [_scan(library[purpose], templates[k], seed, purpose, i) for i, k in enumerate(whose)]
+        out[purpose] = Scans(library[purpose], templates, whose, seed, purpose)
         out[f"{purpose}_subjects"] = whose
     return StudySet(rig=library["train"], **out)
 
@@ -143,13 +180,6 @@ def part_groups(rig):
     for j in np.flatnonzero(rig.moving)[::-1]:
         groups[rig.part_of_joint[j]] = chain[j]
     return groups
-
-
-def _scan(rig, template, seed, purpose, i):
-    rng = generator(seed, "study", rig.name, purpose, i)
-    natural = rig.poses and rng.random() < NATURAL[kind_of(rig)]
-    pose = (natural_poses if natural else uniform_poses)(rig, 1, rng)[0]
-    return synthesize_one(rig, pose, template, SCAN, rng)
 
 
 def _divided(rig):

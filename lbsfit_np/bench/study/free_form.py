@@ -27,6 +27,8 @@ _SETTINGS = FitSettings(full_iterations=200, full_tolerance=1e-4, weights=PRESET
 # Synthetic scans that the augmented baseline starts from.
 _STARTS = 3
 _COMPONENTS, _HIDDEN, _EPOCHS = 64, (256, 128), 300
+# Training scans that the components are of; more of them change nothing but the memory that it takes.
+_OF_COMPONENTS = 2000
 
 
 def best_free_form(rig, points, starts):
@@ -118,7 +120,7 @@ def taught(rig, scans, random_state):
     Parameters
     ----------
     rig : Rig
-    scans : list of SyntheticScan
+    scans : sequence of SyntheticScan
     random_state : int
 
     Returns
@@ -131,13 +133,18 @@ def taught(rig, scans, random_state):
     from sklearn.neural_network import MLPRegressor
     from threadpoolctl import threadpool_limits
 
-    looks = np.concatenate([look(scan.points).vectors for scan in scans])
-    shapes = np.array([(scan.vertices - scan.points.mean(axis=0)).ravel() for scan in scans], dtype=np.float32)
+    def shape_of(scan):
+        return (scan.vertices - scan.points.mean(axis=0)).ravel().astype(np.float32)
+
+    some = np.unique(np.linspace(0, len(scans) - 1, min(len(scans), _OF_COMPONENTS)).astype(int))
+    shapes = np.array([shape_of(scans[i]) for i in some])
     centre = shapes.mean(axis=0)
     with threadpool_limits(1):
-        k = min(_COMPONENTS, len(scans) - 1)
+        k = min(_COMPONENTS, len(some) - 1)
         seed = integer_seed(random_state, "components")
         components = PCA(k, svd_solver="randomized", random_state=seed).fit(shapes).components_
+        both = [(look(scan.points).vectors[0], components @ (shape_of(scan) - centre)) for scan in scans]
+        looks, coefficients = (np.array(values) for values in zip(*both, strict=True))
         mean, deviation = looks.mean(axis=0), looks.std(axis=0) + 1e-6
         network = MLPRegressor(
             hidden_layer_sizes=_HIDDEN,
@@ -149,5 +156,5 @@ def taught(rig, scans, random_state):
         unit = rig.size / 2  # coefficients of about 1
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # that all epochs were used is the plan
-            network.fit((looks - mean) / deviation, (shapes - centre) @ components.T / unit)
+            network.fit((looks - mean) / deviation, coefficients / unit)
     return Supervised(rig, mean, deviation, network, centre, components * unit)

@@ -42,23 +42,23 @@ class Truth:
     Parameters
     ----------
     rig : Rig
-    scans : list of SyntheticScan
+    scans : sequence of SyntheticScan
+        Of which no more than one is held at a time.
     pairs : int
         For correspondences.
     seed : int
     """
 
     def __init__(self, rig, scans, pairs, seed):
-        from scipy.spatial import cKDTree
-
         self.rig, self.scans, self.half = rig, scans, rig.size / 2
-        self.recon = np.array([recon(s.points, s.vertices) for s in scans]) / self.half
-        self.pose = np.array([_regressed(rig, s) for s in scans]) / self.half
+        self.recon, self.pose = np.empty(len(scans)), np.empty(len(scans))
+        self.points, self.places = [], []
         rng = generator(seed, "study", "points")
-        rows = [rng.choice(len(s.points), min(POINTS, len(s.points)), replace=False) for s in scans]
-        self.points = [s.points[r] for s, r in zip(scans, rows)]
-        self.places = [_places(p, s.vertices, rig) for p, s in zip(self.points, scans)]
-        self.trees = [cKDTree(s.points) for s in scans]
+        for i, s in enumerate(scans):
+            self.recon[i] = recon(s.points, s.vertices) / self.half
+            self.pose[i] = _regressed(rig, s) / self.half
+            self.points.append(s.points[rng.choice(len(s.points), min(POINTS, len(s.points)), replace=False)])
+            self.places.append(_places(self.points[i], s.vertices, rig))
         self.pairs = _pairs(len(scans), pairs, generator(seed, "study", "pairs"))
 
 
@@ -80,16 +80,18 @@ def measured(truth, registrations):
         these leave out.
     """
     rig, half, fitted = truth.rig, truth.half, np.flatnonzero(registrations.fitted)
-    found = [(truth.scans[i], registrations.vertices[i], registrations.joints[i]) for i in fitted]
     out = {"unfitted": len(truth.scans) - len(fitted)}
     if not len(fitted):
         return out
-    out["recon"] = _mean(recon(s.points, V) / half for s, V, _ in found)
-    out["recon_truth"] = float(truth.recon[fitted].mean())
-    poses = [joint_error(joints, s.joints, rig.moving) / half for s, _, joints in found]
-    out["pose"], out["pose_median"] = float(np.mean(poses)), float(np.median(poses))
-    out["pose_truth"] = float(truth.pose[fitted].mean())
-    out["vertices"] = _mean(vertex_error(V, s.vertices) / half for s, V, _ in found)
+    errors = {"recon": [], "pose": [], "vertices": []}
+    for i in fitted:
+        s, V = truth.scans[i], registrations.vertices[i]
+        errors["recon"].append(recon(s.points, V) / half)
+        errors["pose"].append(joint_error(registrations.joints[i], s.joints, rig.moving) / half)
+        errors["vertices"].append(vertex_error(V, s.vertices) / half)
+    out |= {name: float(np.mean(values)) for name, values in errors.items()}
+    out["pose_median"] = float(np.median(errors["pose"]))
+    out["recon_truth"], out["pose_truth"] = float(truth.recon[fitted].mean()), float(truth.pose[fitted].mean())
     out["corre"], out["corre_snapped"] = _correspondences(truth, registrations, set(fitted.tolist()))
     return out
 
@@ -127,17 +129,20 @@ def _regressed(rig, scan):
 
 def _correspondences(truth, registrations, fitted):
     """Errors before and after the snap to the nearest point of the other scan."""
+    from scipy.spatial import cKDTree
+
     rig, half = truth.rig, truth.half
-    found = {i: _places(truth.points[i], registrations.vertices[i], rig) for i in sorted(fitted)}
-    plain, snapped = [], []
-    for a, b in truth.pairs:
-        if a in fitted and b in fitted:
-            there = found[a] @ registrations.vertices[b]
-            true = truth.places[a] @ truth.scans[b].vertices
-            plain.append(np.linalg.norm(there - true, axis=1) / half)
-            on = truth.scans[b].points[truth.trees[b].query(there)[1]]
-            snapped.append(np.linalg.norm(on - true, axis=1) / half)
-    return _spread(plain), _spread(snapped)
+    pairs = [(a, b) for a, b in truth.pairs.tolist() if a in fitted and b in fitted]
+    found = {a: _places(truth.points[a], registrations.vertices[a], rig) for a in sorted({a for a, _ in pairs})}
+    plain, snapped, scan = {}, {}, None
+    for a, b in sorted(pairs, key=lambda pair: pair[::-1]):  # all that go to one scan together
+        if scan is None or scan[0] != b:
+            scan = b, truth.scans[b].vertices, truth.scans[b].points
+            tree = cKDTree(scan[2])
+        there, true = found[a] @ registrations.vertices[b], truth.places[a] @ scan[1]
+        plain[a, b] = np.linalg.norm(there - true, axis=1) / half
+        snapped[a, b] = np.linalg.norm(scan[2][tree.query(there)[1]] - true, axis=1) / half
+    return tuple(_spread([errors[pair] for pair in pairs]) for errors in (plain, snapped))
 
 
 def _places(points, vertices, rig):

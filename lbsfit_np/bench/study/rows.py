@@ -150,13 +150,13 @@ def _learned(c, variant):
     fitter.fit([s.points for s in given.train], given.train_subjects, progress=progress, on_round=watch)
     results, failures = _tried(c, fitter.fit_scan, [s.points for s in given.test], lambda p: c.progress(0.8 + 0.2 * p))
     rig = given.rig
-    true = {k: s.template for k, s in zip(given.train_subjects, given.train) if k in fitter.template_}
-    learned = [fitter.unit_[k] * fitter.template_[k].vertices for k in true]
-    gap = {"subjects": template_gap(rig, learned, list(true.values()))}
-    own = [(r, s) for r, s in zip(results, given.test) if r is not None]
+    people = sorted(fitter.template_)
+    learned = [fitter.unit_[k] * fitter.template_[k].vertices for k in people]
+    gap = {"subjects": template_gap(rig, learned, [given.train.templates[k][0] for k in people])}
+    own = [(r, k) for r, k in zip(results, given.test_subjects) if r is not None]
     if own:
-        deformed = [r.scale / s.scale * (rig.vertices + r.offsets) for r, s in own]
-        gap["test scans"] = template_gap(rig, deformed, [s.template for _, s in own])
+        deformed = [r.scale * (rig.vertices + r.offsets) for r, _ in own]  # the study's scans are of scale 1
+        gap["test scans"] = template_gap(rig, deformed, [given.test.templates[k][0] for _, k in own])
     train = _of_results(rig, fitter.results_) if variant == "joint" else None
     said = _said(fitter.segmenter_, given.test) if labels else None
     kept = c.right(said) if labels else None
