@@ -201,9 +201,10 @@ def _reached(report, name):
     ]
     if _both(cells, cells, "corre"):
         found.append(("Corre. before the snap", _mean(cells, "corre"), GOALS["corre"], "≤"))
-    labels = [c["kept_accuracy"] for c in cells if c.get("kept_accuracy") is not None]
-    if labels:
-        found.append(("labels", np.mean(labels), GOALS["accuracy"][kind], "≥"))
+    for what, key in (("labels of the segmenter alone", "kept_accuracy"), ("labels of its fits", "fitted_labels")):
+        labels = [c[key] for c in cells if c.get(key) is not None]
+        if labels:
+            found.append((what, np.mean(labels), GOALS["accuracy"][kind], "≥"))
     gaps = [c["gap"]["subjects"] for c in cells if c["gap"]]
     for more in ("", ", up to a shift") if gaps else ():
         share = np.mean([g["after" + more] / g["before" + more] for g in gaps])
