@@ -3,8 +3,8 @@
 Hypotheses come from the library of synthesised poses, under all turns that the scan may have, and from f. Under the turn of
 the best one, under the half turns that take front for back or left for right, and under others that did well, the segmenter
 says which part each point belongs to, which gives more. All go a few steps on the rig's own template, the best go on, limbs
-are tried in other places, the last ones find the rig's proportions; what they leave unexplained chooses. Where that leaves the
-pose in doubt, all is done once more with more effort.
+are tried in other places, the last ones find the rig's proportions; what they leave unexplained chooses. Of what is chosen
+other bends are tried. Where that leaves the pose in doubt, all is done once more with more effort.
 """
 
 from copy import copy
@@ -19,6 +19,7 @@ from ..rig.frames import up_axis
 from ..rotations import matrix_from_rotvec
 from ..starts.limbs import LimbPoses
 from ..starts.turns import any_side_up
+from .bends import Bends
 from .confidence import evidence_of, probability_of
 from .refit import Refit, Runner, thinned
 
@@ -55,6 +56,8 @@ class Effort:
         Of how many survivors.
     proposals : int
         Poses tried for each limb, at most.
+    bends : bool
+        Whether other bends of joints are tried in the end.
     again : str or None
         The effort of a second look where the first leaves the pose in doubt; None for none.
     """
@@ -66,13 +69,14 @@ class Effort:
     generations: int
     parents: int
     proposals: int
+    bends: bool
     again: str | None = None
 
 
 EFFORTS = {
-    "fast": Effort(6, 2, 2, 1, 1, 1, 1),
-    "balanced": Effort(16, 4, 4, 2, 3, 1, 2, again="thorough"),
-    "thorough": Effort(48, 8, 8, 3, 8, 4, 3),
+    "fast": Effort(6, 2, 2, 1, 1, 1, 1, bends=False),
+    "balanced": Effort(16, 4, 4, 2, 3, 1, 2, bends=True, again="thorough"),
+    "thorough": Effort(48, 8, 8, 3, 8, 4, 3, bends=True),
 }
 
 
@@ -133,9 +137,10 @@ class Scout:
         # About the up axis; where any rotation may be, about the other two axes as well.
         self._flips = [up] if facing.up is not None else [up, *np.eye(3)[up == 0]]
         self._limbs = LimbPoses(model, library.poses)
-        self._shape = None
+        self._shape = self._bends = None
         if proportions and settings.polish and len(model.rig.faces):
-            self._shape = GaussNewton(model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
+            steps = {"ridge": settings.polish_ridge, "tangential": 0.02, "partial": settings.partial}
+            self._shape, self._bends = GaussNewton(model, **steps), Bends(model, self._free, self._to_the_end, **steps)
 
     def __call__(self, points, x_weights=None):
         """Look at one scan.
@@ -173,6 +178,9 @@ class Scout:
         # What the others would leave unexplained if proportions helped them as much as the best.
         helped = min((e.value, e.value / max(r.value, 1e-300)) for e, r in zip(ends, close, strict=True))[1]
         finals = sorted(ends, key=lambda r: r.value)
+        if self._bends and effort.bends:
+            state, value = self._bends(finals[0].problem, finals[0].state, finals[0].value)
+            finals[0] = replace(finals[0], state=state, value=value)
         others = [replace(r, value=r.value * helped) for r in near[len(finals) :]]
         best, *others = self._resized([*finals, *others], finals[0])
         seen = None if self.segmenter is None else self._labels(best.problem)
@@ -273,9 +281,13 @@ class Scout:
     def _with_proportions(self, runner):
         if self._shape is None:
             return replace(runner, state=self._refit.polish(runner.problem, runner.state))
-        steps = {"free": self._free, "iterations": self.settings.polish}
-        (state,), (value,) = self._shape.shared([runner.problem], [runner.state], **steps)
-        return replace(runner, state=state, value=value + self._shape.ridge * float(state.coefficients @ state.coefficients))
+        state, value = self._to_the_end(runner.problem, runner.state)
+        return replace(runner, state=state, value=value)
+
+    def _to_the_end(self, problem, state):
+        """The last steps of a pose, of the template's proportions as well where they are looked for; what they make smaller."""
+        (state,), (value,) = self._shape.shared([problem], [state], free=self._free, iterations=self.settings.polish)
+        return state, value + self._shape.ridge * float(state.coefficients @ state.coefficients)
 
     def _joints(self, runner):
         return runner.name.outside(self.model.pose(runner.state)[0].joints)
