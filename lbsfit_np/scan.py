@@ -146,7 +146,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
                 argument,
                 f"{count} of {len(array)} points with a coordinate that is NaN or infinite, the first at index {first}",
                 "finite numbers",
-                "Remove them, or pass drop_invalid=True (--drop-invalid on the command line) to leave them out.",
+                "Remove them, or read the file with load_scan(path, drop_invalid=True) (--drop-invalid), which leaves them out.",
             )
         array = array[~bad]
         dropped = f" after {count} with a coordinate that is NaN or infinite were left out"

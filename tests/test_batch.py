@@ -35,6 +35,13 @@ def alone(quick_fitter, clouds):
     return fit_scans(quick_fitter, clouds)
 
 
+@pytest.mark.parametrize("scans, word", [("a.ply", "a str"), (["a.ply"], "the path 'a.ply'"), (np.zeros((9, 3)), "one array")])
+def test_what_is_no_sequence_of_scans_is_named(quick_fitter, scans, word):
+    """A text has letters and an array rows, each of which would be a scan that failed."""
+    with pytest.raises(InputError, match=f"scans: got {word}"):
+        fit_scans(quick_fitter, scans)
+
+
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_do_not_depend_on_jobs_or_order(quick_fitter, clouds, alone, jobs):
     outcomes = fit_scans(quick_fitter, clouds[::-1], jobs=jobs)

@@ -69,7 +69,7 @@ def test_existing_results(fitted, made, tmp_path, run):
     assert (tmp_path / "two.labels.ply").is_file()
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert [(s["status"], s["kept"]) for s in summary["scans"]] == [("ok", True), ("ok", False)]
-    assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "kept": 1}
+    assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "unfitted": 0, "kept": 1}
     assert f"2 of 2 scans fitted, 1 of them skipped as fitted before; results in {tmp_path}\n" in text
     assert summary["scans"][0]["terms"] == lbs.FitResult.load(tmp_path / "one.fit.npz").terms
 
@@ -117,6 +117,18 @@ def test_a_summary_alone_is_in_nobodys_way(fitted, made, tmp_path, run):
     assert code == 2 and "scan.ply" in one_line(err) and "skip" not in err and "--existing replace" in err
 
 
+def test_what_cannot_be_fitted_now_has_no_fit_of_an_earlier_run(fitted, made, tmp_path, run):
+    """--existing skip would take that for its fit."""
+    scan, out = tmp_path / "one.ply", tmp_path / "out"
+    out.mkdir()
+    for path in fitted[0].glob("one.*"):
+        (out / path.name).write_bytes(path.read_bytes())
+    scan.write_bytes(b"ply")
+    assert run("fit", made / "tube.npz", scan, "-o", out, "--existing", "replace", *QUICK)[0] == 1
+    assert [path.name for path in out.iterdir()] == ["summary.json"]
+    assert run("fit", made / "tube.npz", scan, "-o", out, "--existing", "skip", *QUICK)[0] == 1
+
+
 def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
     for path in fitted[0].iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
@@ -132,7 +144,7 @@ def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
         assert f"two   {status.ljust(len('status'))}  {probability:.2f}" in text and text.rstrip().count("odd") == 1
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert [(s["name"], s["status"], s["kept"]) for s in summary["scans"]] == [("two", status, True), ("one", "ok", True)]
-        assert summary["counts"] == {"ok": 1, "suspect": 0, "failed": 0, "kept": 2} | {status: 1}
+        assert summary["counts"] == {"ok": 1, "suspect": 0, "failed": 0, "unfitted": 0, "kept": 2} | {status: 1}
 
 
 def test_skip_does_not_take_fits_of_another_rig(fitted, made, tmp_path, run):

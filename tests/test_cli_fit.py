@@ -35,7 +35,7 @@ def test_fit_writes_every_file(fitted, made, tube_rig):
 def test_the_summary_tells_all(fitted, made, tube_rig):
     out, _ = fitted
     summary = json.loads((out / "summary.json").read_text())
-    assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "kept": 0} and summary["not_done"] == []
+    assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "unfitted": 0, "kept": 0} and summary["not_done"] == []
     assert summary["rig"]["digest"] == tube_rig.digest and summary["rig"]["parts"] == list(tube_rig.parts)
     assert summary["seed"] == 0 and summary["settings"]["training_scans"] == 40
     assert summary["versions"]["lbsfit_np"] == lbs.__version__ and summary["versions"]["numpy"] == np.__version__
@@ -63,7 +63,7 @@ def test_failed_scans_are_named_and_the_others_written(made, tmp_path, run):
     (tmp_path / "empty.ply").write_bytes(b"")
     code, text, err = run("fit", made / "tube.npz", tmp_path / "empty.ply", made / "one.ply", "-o", tmp_path / "out", *QUICK)
     assert code == 1
-    assert "empty: failed: " in err and "an empty file (0 bytes)" in err and "1 of 2 scans fitted (1 failed)" in text
+    assert "empty: failed: " in err and "an empty file (0 bytes)" in err and "1 of 2 scans fitted (1 could not be)" in text
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "one.fit.npz",
         "one.labels.ply",

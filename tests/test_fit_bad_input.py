@@ -101,7 +101,7 @@ def test_bad_parameters_are_named(tube_rig, tube_scan, parameters, words):
         assert word in str(error.value)
 
 
-@pytest.mark.parametrize("n_jobs", [0, True, 1.5, "2"])
+@pytest.mark.parametrize("n_jobs", [0, -3, True, 1.5, "2"])
 def test_numbers_of_processes_that_cannot_be_are_named_where_none_are_started(tube_rig, tube_scan, n_jobs):
     fitter = lbs.LBSFitter(tube_rig, random_state=0, n_jobs=n_jobs)
     with pytest.raises(InputError, match="n_jobs: got .*expected a positive whole number of processes"):

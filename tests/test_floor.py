@@ -125,6 +125,8 @@ def test_clean_rows_says_what_it_left_out(hand):
     (plain,) = lbs.synthesize(hand, 1, poses="natural", random_state=1)
     rows, note = clean_rows(plain.points, np.arange(len(plain.points)), up=UP)
     assert note == "" and len(rows) == len(plain.points)
+    rows, note = clean_rows(points, np.arange(0, len(points), 2), up=UP)  # its counts are not of the whole scan
+    assert note.endswith(f"points of a floor left out (of {(len(points) + 1) // 2} that were looked at)")
 
 
 def test_a_wide_floor_says_nothing_of_the_unit(hand):

@@ -123,12 +123,25 @@ def test_the_nearest_vertices_vote(case, known, chunk):
         word = proba[::3][np.linalg.norm(asked - x, axis=1).argmin()] if known else np.full(4, 0.999)
         score = _votes(x, V, v_labels, 4, 0.5, word)
         assert labels[i] == score.argmax()
-        assert confidence[i] == pytest.approx(score.max() / score.sum(), rel=1e-9)
+        spacing = np.median([np.sort(np.linalg.norm(V - v, axis=1))[1] for v in V])
+        off = (np.linalg.norm(V - x, axis=1).min() ** 2 - max(4 * 0.5, 3 * spacing) ** 2) / (2 * 0.5**2)
+        assert confidence[i] == pytest.approx(score.max() / score.sum() / (1 + np.exp(off)), rel=1e-9)
 
 
 def test_votes_of_a_mesh_of_few_vertices():
     labels, confidence = labels_from_mesh(np.array([[0.1, 0, 0], [2.1, 0, 0], [50.0, 0, 0]]), V, V_LABELS, 3, 0.2)
     assert labels.tolist() == [0, 1, 1]
-    np.testing.assert_allclose(confidence, 1.0, atol=1e-6)
+    np.testing.assert_allclose(confidence, [1.0, 1.0, 0.0], atol=1e-6)
     labels, confidence = labels_from_mesh(np.array([[1.0, 0, 0]]), V, V_LABELS, 3, 0.2)
     assert confidence == pytest.approx(0.5)
+
+
+def test_points_off_the_mesh_have_no_confidence():
+    """Of clutter and floors it would look as if they were known."""
+    V = np.stack(np.meshgrid(*[np.linspace(0, 1, 11)] * 2, [0.0]), axis=-1).reshape(-1, 3)
+    above = np.column_stack([np.full(6, 0.5), np.full(6, 0.5), [0.0, 0.1, 0.25, 0.35, 0.6, 1e9]])
+    _, confidence = labels_from_mesh(above, V, np.zeros(len(V), dtype=int), 2, 0.02)  # vertices are 0.1 apart: off from 0.3
+    np.testing.assert_allclose(confidence, [1, 1, 1, 0, 0, 0], atol=1e-3)
+    _, confidence = labels_from_mesh(above, V, np.zeros(len(V), dtype=int), 2, 0.1)  # off from 4 sigma
+    np.testing.assert_allclose(confidence[[0, 1, 2, 4, 5]], [1, 1, 1, 0, 0], atol=0.01)
+    assert 0.5 < confidence[3] < 1

@@ -20,6 +20,8 @@ def clouds(people_scans):
 
 BAD_COLLECTIONS = [
     (lambda c: ([], None), ["scans: got none", "one or more"]),
+    (lambda c: (c[0], None), ["scans: got one array of shape (", "in a list"]),
+    (lambda c: ([c[0], "a.ply"], None), ["scans: got the path 'a.ply'", "load_scan"]),
     (lambda c: (c[:4], ["a", "b"]), ["subjects: got 2 ids", "4, one for each scan"]),
     (lambda c: (c[:4], "anna"), ["subjects: got 'anna'", "a sequence"]),
     (lambda c: (c[:4], 7), ["subjects: got 7", "a sequence"]),

@@ -246,3 +246,19 @@ def test_fits_are_drawn_as_the_rig_stands(tube_rig, tube_scan, tube_result):
     assert shown.shape[2] == 3 and (np.abs(shown.astype(int) - again).max(axis=2) > 8).mean() < 0.01
     wide = fit_picture(tube_rig, tube_scan.points, tube_result, truth=tube_scan.vertices, size=(60, 80))
     assert wide.shape[1] > 1.4 * shown.shape[1]
+
+
+def test_points_off_the_mesh_are_in_the_picture(tube_rig, tube_scan, tube_result):
+    """Where a fit is wrong they are what is to be seen; a single wild one is not."""
+    from lbsfit_np.report.fit_picture import fit_picture
+
+    def drawn(points):
+        shown = fit_picture(tube_rig, points, tube_result, size=(60, 80))
+        mesh = shown[:, shown.shape[1] // 2 :]
+        return (np.abs(mesh.astype(int) - mesh[0, -1]).max(axis=2) > 8).sum()
+
+    far = tube_scan.points.copy()
+    far[::4] += [2 * tube_rig.size, 0, 0]
+    wild = tube_scan.points.copy()
+    wild[7] += 100 * tube_rig.size
+    assert drawn(far) < 0.5 * drawn(tube_scan.points) and drawn(wild) > 0.9 * drawn(tube_scan.points)

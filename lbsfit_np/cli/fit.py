@@ -195,6 +195,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
         if outcome.error is None:
             entries[f.name] = outcome.result
         else:
+            outputs.remove_earlier(f)
             entries[f.name] = outputs.entry(f, "failed", message=outcome.error, seconds=round(outcome.seconds, 3))
             if outcome.details:
                 entries[f.name]["details"] = outcome.details

@@ -19,6 +19,7 @@ __all__ = [
     "fitted_entry",
     "make_folder",
     "plan",
+    "remove_earlier",
     "same_file",
 ]
 
@@ -91,7 +92,7 @@ def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, **way
         name = Path(source).stem
         paths = [out / f"{name}.{ending}" for ending in ("fit.npz", "mesh.ply", "labels.ply")]
         files.append(ScanFiles(source, name, *paths, out / f"{name}.png" if pictures else None))
-    _check_clashes(files, out)
+    _check_clashes(files, out, argument)
     paths = [path for f in files for path in f.paths.values()]
     check_outputs(paths, out, inputs=[*sources, *inputs], existing=existing, argument=argument, **ways)
     # Of each run alone: one that is there is no fit that could be lost.
@@ -205,6 +206,12 @@ class Writer:
         return fitted_entry(files, result, notes=scan.notes)
 
 
+def remove_earlier(files):
+    """Remove what an earlier run has written of a scan that could not be fitted now: it would be taken for the scan's fit."""
+    for path in files.paths.values():
+        path.unlink(missing_ok=True)
+
+
 def draw(files, rig, scan, result):
     """Write the picture of a fit."""
     from ..report.fit_picture import fit_picture
@@ -253,7 +260,10 @@ def _check_length(path, remedy):
         raise FileError(str(path), "a name that is too long for a file", f"at most {_LONGEST_NAME} bytes", remedy)
 
 
-def _check_clashes(files, out):
+def _check_clashes(files, out, argument):
+    other_way = "fit them into different folders"
+    if argument == "--results":
+        other_way = "learn without --results, and fit the model to each folder"
     seen = {}
     for f in files:
         other = seen.setdefault(_folded(f.name), f)
@@ -263,7 +273,7 @@ def _check_clashes(files, out):
                 "SCAN",
                 f"{other.source} {what}, whose results would both be called {out / f.name}.*",
                 "scans whose names differ by more than their extension and upper or lower case",
-                "Rename one, or fit them into different folders.",
+                f"Rename one, or {other_way}.",
             )
 
 

@@ -10,14 +10,19 @@ __all__ = ["counts_of", "doubts_of", "say_doubtful", "write_summary", "written_o
 
 
 def counts_of(entries):
-    """How many scans came out how, and how many of all were kept; ``entries`` as in :func:`write_summary`."""
+    """How many scans came out how, how many of the failed ones have no fit, how many of all were kept.
+
+    ``entries`` as in :func:`write_summary`.
+    """
     counts = {s: sum(e["status"] == s for e in entries.values()) for s in ("ok", "suspect", "failed")}
-    return counts | {"kept": sum(e.get("kept", False) for e in entries.values())}
+    unfitted = sum(e["status"] == "failed" and "files" not in e for e in entries.values())
+    return counts | {"unfitted": unfitted, "kept": sum(e.get("kept", False) for e in entries.values())}
 
 
 def doubts_of(counts):
-    """How many are suspect and how many have failed, in brackets; nothing where all are well."""
-    doubts = [f"{counts[status]} {status}" for status in ("suspect", "failed") if counts[status]]
+    """How many fits are suspect or have failed, and how many scans have none, in brackets; nothing where all are well."""
+    known = {"suspect": counts["suspect"], "failed": counts["failed"] - counts["unfitted"], "could not be": counts["unfitted"]}
+    doubts = [f"{n} {what}" for what, n in known.items() if n]
     return f" ({', '.join(doubts)})" if doubts else ""
 
 

@@ -119,9 +119,10 @@ def assemble(
         )
         probability = probability_of(evidence)
         status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})
+        if status == "failed":
+            reason += "; is it the right rig, and does the scan stand along the rig's up axis? Another one is told with up (--up)"
         if status != "ok" and not partial and evidence["unreached"] > _HARDLY_REACHED:
-            reason += "; of scans that show one side only, partial tells the fit so"
-    ended = "converged" if last.converged else "ended at its limit of iterations"
+            reason += "; if the scan shows one side only, say so with partial (--partial)"
     return FitResult(
         pose=pose,
         translation=translation,
@@ -135,7 +136,7 @@ def assemble(
         terms=dict(evaluation.terms, total=evaluation.value, recon=recon),
         converged=last.converged,
         status=status,
-        message=f"{reason}; {ended}; {note}" if reason else f"{ended}; {note}",
+        message="; ".join(filter(None, [reason, note])),
         probability=probability,
         evidence=evidence,
         evaluations=evaluations,

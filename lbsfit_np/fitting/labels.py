@@ -10,6 +10,8 @@ _FLOOR = 1e-3
 _TEMPER = 0.5
 # Points are taken to be no farther from a mesh than so many times its size: squares of more leave double precision.
 _FARTHEST = 1e6
+# Points further from all vertices than so many σ, and so many times the vertices' own distance from each other, are of no part.
+_OFF, _SPACINGS = 4.0, 3.0
 
 
 def refined_labels(X, proba, V, v_labels, sigma, *, doubt=0.0):
@@ -69,7 +71,8 @@ def labels_from_mesh(points, V, v_labels, n_parts, sigma, *, proba=None, proba_p
     -------
     labels : (n,) int array
     confidence : (n,) array
-        Share of the votes that the label has, in (0, 1].
+        Share of the votes that the label has, in [0, 1]. Where the nearest vertex is further away than 4σ (and than three
+        times the distance that vertices have from each other), most votes are for no part at all: clutter, a floor.
     """
     from scipy.spatial import cKDTree
 
@@ -78,6 +81,7 @@ def labels_from_mesh(points, V, v_labels, n_parts, sigma, *, proba=None, proba_p
     tree = cKDTree(V)
     known = None if proba is None else cKDTree(proba_points)
     k = min(8, len(V))
+    off_from = max(_OFF * sigma, _SPACINGS * float(np.median(tree.query(V, k=min(2, len(V)))[0][..., -1])))
     labels, confidence = np.empty(len(points), dtype=int), np.empty(len(points))
     for start in range(0, len(points), chunk):
         x = np.clip(points[start : start + chunk], low - far, high + far)
@@ -90,5 +94,6 @@ def labels_from_mesh(points, V, v_labels, n_parts, sigma, *, proba=None, proba_p
             score *= (proba[known.query(x)[1]] + _FLOOR) ** _TEMPER
         best = score.argmax(axis=1)
         labels[start : start + len(x)] = best
-        confidence[start : start + len(x)] = score[np.arange(len(x)), best] / score.sum(axis=1)
+        off = np.exp(np.minimum((d[:, 0] ** 2 - off_from**2) / sigma**2, 1000.0) / 2)  # votes for none
+        confidence[start : start + len(x)] = score[np.arange(len(x)), best] / score.sum(axis=1) / (1.0 + off)
     return labels, confidence

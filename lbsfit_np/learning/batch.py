@@ -11,6 +11,7 @@ import numpy as np
 from ..errors import InputError, LbsfitError
 from ..scan import check_points
 from ..workers import Workers
+from .collection import as_scans
 from .variants import as_variant
 
 __all__ = ["ScanOutcome", "fit_scans"]
@@ -83,7 +84,7 @@ def fit_scans(fitter, scans, *, subject=None, jobs=1, finish=None, on_result=Non
         raise InputError("jobs", repr(jobs), "a positive whole number of worker processes")
     if hasattr(fitter, "_check"):
         fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
-    scans = list(scans)
+    scans = as_scans(scans)
     outcomes = {}
 
     def report(outcome):

@@ -1,6 +1,7 @@
 """The scans of a collection made ready for the loop: read, checked, in one unit, grouped by subject; bad ones set aside."""
 
 import itertools
+import os
 import warnings
 from dataclasses import dataclass, field
 
@@ -166,7 +167,15 @@ def as_scans(scans):
     if isinstance(scans, (str, bytes, Scan)) or not hasattr(scans, "__iter__"):
         remedy = "Put a single scan in a list, too." if isinstance(scans, Scan) else None
         raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
-    return list(scans)
+    if isinstance(scans, np.ndarray) and scans.dtype != object and scans.ndim == 2:
+        got = f"one array of shape {scans.shape}"
+        raise InputError("scans", got, "a sequence of scans, (n, 3) each", "Put a single scan in a list, too.")
+    scans = list(scans)
+    path = next((s for s in scans if isinstance(s, (str, bytes, os.PathLike))), None)
+    if path is not None:
+        remedy = "Read it: load_scan(path), or functools.partial(load_scan, path) to have it read when it is its turn."
+        raise InputError("scans", f"the path {brief(path)}", "points, Scans, or callables that return one", remedy)
+    return scans
 
 
 def as_subjects(subjects, n):

@@ -42,5 +42,8 @@ def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
     if truth is not None:
         items.append(Mesh(truth @ turn, rig.faces))
     items.append(Mesh(found, rig.faces, colors[rig.vertex_labels]))
-    axes = {"up": rig.up or "+y", "forward": rig.forward, "frame": found if truth is None else np.vstack([found, truth @ turn])}
+    # What of the scan lies off the mesh is to be seen, too, but for single wild points.
+    around = np.clip(items[0].points, *np.percentile(items[0].points, [1, 99], axis=0))
+    frame = np.vstack([found, around] if truth is None else [found, around, truth @ turn])
+    axes = {"up": rig.up or "+y", "forward": rig.forward, "frame": frame}
     return montage([[render(item, view=view, size=size, **axes) for item in items] for view in _VIEWS])

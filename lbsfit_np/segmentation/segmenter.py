@@ -231,13 +231,13 @@ def jobs_of(n_jobs, random_state):
 
     if n_jobs is None:
         return 1
-    if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs == 0:
+    if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs < -1 or n_jobs == 0:
         raise InputError("n_jobs", brief(n_jobs), "a positive whole number of processes, −1 for one a processor, or None for one")
     if isinstance(random_state, np.random.Generator):
         return 1  # copies of it in several processes would draw the same numbers for different scans
     if multiprocessing.current_process().daemon:
         return 1  # such a process may not start others
-    return int(n_jobs) if n_jobs > 0 else max(1, (os.cpu_count() or 1) + 1 + int(n_jobs))
+    return int(n_jobs) if n_jobs > 0 else os.cpu_count() or 1
 
 
 def _in_context(points, rows, descriptor, first):

@@ -28,8 +28,9 @@ def clean_rows(points, rows, *, up=None):
         Points without an extent that can be worked with.
     """
     checked_extent(points[rows])
+    looked_at = f" (of {len(rows)} that were looked at)" if len(rows) < len(points) else ""
     rows, wild = near_rows(points, rows)
     rows, floor = off_floor(points, rows, up=up)
     told = (wild, "far from all others"), (floor, "of a floor")
     notes = [f"{n} point{'' if n == 1 else 's'} {where} left out" for n, where in told if n]
-    return rows, "; ".join(notes)
+    return rows, "; ".join(notes) + (looked_at if notes else "")
