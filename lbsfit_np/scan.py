@@ -130,7 +130,9 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", "numbers of shape (n, 3)") from None
     if points is None or given.dtype.kind not in "iuf":
-        raise InputError(argument, "None" if points is None else f"values of type {given.dtype}", "numbers of shape (n, 3)")
+        remedy = "Read a file with load_scan(path)." if given.dtype.kind in "US" else None
+        got = "None" if points is None else f"values of type {given.dtype}"
+        raise InputError(argument, got, "numbers of shape (n, 3)", remedy)
     if given.size == 0:
         raise InputError(argument, "an empty cloud (0 points)", f"at least {minimum} points of shape (n, 3)")
     if given.ndim != 2 or given.shape[1] != 3:

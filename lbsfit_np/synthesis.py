@@ -154,6 +154,10 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
         A setting that is not known or out of range; poses or templates that do not fit the rig; natural poses of a rig
         without a library.
     """
+    from .rig.rig import Rig
+
+    if not isinstance(rig, Rig):
+        raise InputError("rig", brief(rig), "a Rig", "load_rig(name or path) gives one.")
     settings = make_settings(settings)
     _check_count("n_scans", n_scans)
     if isinstance(poses, str):

@@ -136,3 +136,8 @@ def test_points_given_many_times_do_not_make_the_others_clutter(tube_scan):
     points = np.vstack([tube_scan.points, np.repeat(tube_scan.points[:1], 20 * len(tube_scan.points), axis=0)])
     rows, dropped = near_rows(points, np.arange(len(points)))
     assert dropped == 0 and len(rows) == len(points)
+
+
+def test_a_path_where_points_belong_is_told_how_to_be_read(quick_fitter):
+    with pytest.raises(InputError, match=r"points: got values of type <U5.*Read a file with load_scan"):
+        quick_fitter.fit_scan("a.ply")

@@ -387,3 +387,8 @@ def test_settings_pass_through():
 
 def test_no_scans_is_an_empty_list(tube_rig):
     assert lbs.synthesize(tube_rig, 0) == []
+
+
+def test_the_name_of_a_rig_is_no_rig():
+    with pytest.raises(InputError, match="rig: got 'hand'; expected a Rig. load_rig"):
+        lbs.synthesize("hand", 1)
