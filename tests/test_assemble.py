@@ -9,6 +9,7 @@ from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.assemble import assemble
+from lbsfit_np.fitting.confidence import evidence_of
 from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.losses.objective import PRESETS
 from lbsfit_np.optimize.frame import Frame
@@ -149,6 +150,52 @@ def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
     outcome = Outcome(state, 0.0, True, "", 1)
     r = assemble(rig, model, problem, outcome, frame=frame, evaluation=evaluation, partial=partial, **more)
     assert r.status != "ok" and ("one side only" in r.message) != partial
+
+
+def _at_rest(model, X, *, state=None, x_weights=None, proba=None, **options):
+    """The result of points in the normalised frame, which is the scan's."""
+    state, problem = state or model.rest(), Problem(X, x_weights)
+    given = {"sigma": 0.025, "evaluations": 1, "note": "", "started": 0.0, "rows": np.arange(len(X)), "points": X}
+    given |= {"frame": Frame(np.zeros(3), 1.0), "evaluation": problem.evaluate(model, state, PRESETS["default"])}
+    return assemble(model.source, model, problem, Outcome(state, 0.0, True, "", 1), proba=proba, **given, **options)
+
+
+@pytest.mark.parametrize("without", ["proba", "rivals", "value", "theta", "partial", "areas", "x_weights"])
+def test_the_evidence_is_of_all_that_is_known(rigs, without):
+    """Points of one side, half of which weigh little, on a hand with its angles at their limits."""
+    model = Model(rigs["hand"])
+    state = model.rest().replace(theta=model.rig.upper.copy())
+    V = model.pose(state)[0].vertices
+    side = V[:, 2] > np.median(V[:, 2])
+    X = V[side] + [0.05, 0.05, 0.0]
+    weights = np.where(X[:, 1] > np.median(X[:, 1]), 1.0, 0.1)
+    known = {"proba": np.eye(len(model.source.parts))[(model.labels[side] + (X[:, 1] > 0)) % 2], "rivals": (2.0,), "value": 1.0}
+    given = {**known, "partial": True, "x_weights": weights / weights.sum()}
+    r = _at_rest(model, X, state=state, **given)
+    given |= {"theta": state.theta, "areas": model.areas}
+    assert r.evidence == evidence_of(model.rig, V, model.labels, X, **given)[0]
+    del given[without]
+    assert r.evidence != evidence_of(model.rig, V, model.labels, X, **given)[0]  # so that each of them is told
+
+
+def test_a_wrong_pose_of_a_whole_scan_is_not_taken_for_one_side(rigs):
+    model = Model(rigs["hand"])
+    (scan,) = lbs.synthesize(model.source, 1, poses="natural", random_state=4, shape=0.0)
+    theta = scan.pose.copy()
+    theta[model.source.joint_names.index("index1"), 0] -= 0.9
+    r = _at_rest(model, scan.points / model.half, state=model.rest().replace(theta=theta))
+    assert r.status != "ok" and "part index3 has no points" in r.message and "partial" not in r.message
+
+
+@pytest.mark.parametrize("status", ["ok", "suspect", "failed"])
+def test_another_rig_or_up_axis_is_a_matter_of_failed_fits(rigs, status, monkeypatch):
+    model, reason = Model(rigs["tube"]), {"ok": ""}.get(status, "a reason")
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: (status, reason))
+    r = _at_rest(model, model.pose(model.rest())[0].vertices)
+    assert r.status == status and r.message.startswith(reason)
+    assert ("right rig" in r.message) == ("--up" in r.message) == (status == "failed")
+    if status != "failed":
+        assert r.message == reason
 
 
 def test_a_turn_that_was_found_is_in_the_root_alone(rigs):

@@ -1,5 +1,6 @@
 """The benchmark of learning: its scans, and its table."""
 
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -67,6 +68,82 @@ def test_the_table_has_a_row_a_variant():
     text = learn_table(report)
     assert "before" in text and "0.0500" in text
     assert "cd" in text and "0.0200" in text and "–" in text
+
+
+def _rows(**rows):
+    """A report whose rows have, by seed, their joint error, or None."""
+    first = {str(seed): {"template_gap": 0.05} for seed in sorted({s for of in rows.values() for s in of})}
+    rows = {v: {str(s): {"joint_error": e, "seconds": 10.0 * s} for s, e in of.items()} for v, of in rows.items()}
+    return {"unit": "half size", "settings": {"n_scans": 6, "subjects": 3}, "rows": {"before": first} | rows}
+
+
+def _cell(text, row, column):
+    lines = [[cell.strip() for cell in line.strip("|").split("|")] for line in text.splitlines() if line.startswith("|")]
+    return next(line for line in lines if line[0] == row)[lines[0].index(column)]
+
+
+def test_variants_are_compared_over_the_seeds_that_all_have():
+    text = learn_table(_rows(joint={100: 0.03, 101: 0.07}, cd={100: 0.04}), markdown=True)
+    assert [_cell(text, row, "joints") for row in ("joint", "cd")] == ["0.0300", "0.0400"]
+    assert "Mean over seeds (1)" in text and "Seed 101 is left out: there is no cd of it." in text
+    text = learn_table(_rows(joint={100: 0.03}, cd={101: 0.04}), markdown=True)
+    assert [_cell(text, row, "joints") for row in ("joint", "cd")] == ["–", "–"] and "Mean over seeds (0)" in text
+    assert "left out" not in learn_table(_rows(joint={100: 0.03, 101: 0.07}, cd={100: 0.04, 101: 0.05}))
+
+
+@pytest.mark.parametrize("nothing", [None, float("nan")])
+def test_a_seed_in_which_nothing_was_fitted_counts_for_no_row_of_that_column(nothing):
+    text = learn_table(_rows(joint={100: 0.03, 101: 0.07}, cd={100: 0.04, 101: nothing}), markdown=True)
+    assert [_cell(text, row, "joints") for row in ("joint", "cd")] == ["0.0300", "0.0400"]
+    assert _cell(text, "joint", "s in all") == "1005" and "Mean over seeds (2)" in text
+    assert "joints: without seed 101, of which a row has no value." in text
+    text = learn_table(_rows(joint={100: 0.03}, cd={100: nothing}), markdown=True)
+    assert [_cell(text, row, "joints") for row in ("joint", "cd")] == ["0.0300", "–"] and "without" not in text
+
+
+def test_where_nothing_could_be_fitted_there_is_no_error(shared_rigs):
+    rig, scans, subjects, others = collection("hand", shared_rigs, 3, seed=3)
+    templates = {k: SimpleNamespace(vertices=s.template) for k, s in enumerate(scans)}
+    fitter = SimpleNamespace(results_=[None] * 3, history_=[{}], template_=templates, segmenter_=None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        entry = _measured(rig, fitter, scans, subjects, others, rig.size / 2)
+    assert entry["unfitted"] == 3 and all(np.isnan(entry[key]) for key in ("joint_error", "joint_error_median", "vertex_error"))
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    """Learning that takes no time: a fitter that has fitted nothing."""
+    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda self, **o: vars(self).update(segmenter_=None, _pretrained=None))
+    monkeypatch.setattr("lbsfit_np.LBSFitter.fit", lambda self, *a, **o: vars(self).update(history_=[]))
+    monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"joint_error": 0.1})
+    monkeypatch.setattr("lbsfit_np.bench.learn._wrong", lambda *a: 0.2)
+
+
+def test_complete_is_a_report_whose_seeds_have_the_same_variants(shared_rigs, quick):
+    def run(seeds, variants, before=None):
+        return learn_bench("hand", shared_rigs, n_scans=3, seeds=seeds, variants=variants, before=before)
+
+    report = run((3, 4), ("joint",))
+    assert report["complete"]
+    assert not run((3,), ("joint", "cd"), report)["complete"]
+    assert run((3, 4), ("joint", "cd"), report)["complete"]
+
+
+def test_results_of_another_rig_or_other_poses_are_not_gone_on_with(shared_rigs, quick, monkeypatch):
+    options = {"n_scans": 3, "seeds": (3,), "variants": ("joint",)}
+    report = learn_bench("hand", shared_rigs, **options)
+    for key in ("rig", "poses"):
+        with pytest.raises(InputError, match=f"results with other {key} than --data has.*--existing replace"):
+            learn_bench("hand", shared_rigs, before=report | {key: "another"}, **options)
+    for lacking in ("rig", "rows"):
+        older = {key: value for key, value in report.items() if key != lacking}
+        with pytest.raises(InputError, match=f"results of learn hand without '{lacking}'.*--existing replace"):
+            learn_bench("hand", shared_rigs, before=older, **options)
+    with pytest.raises(InputError, match="without 'rows'"):
+        learn_bench("hand", shared_rigs, before=report | {"rows": None}, **options)
+    with pytest.raises(InputError, match="results of starts; expected results of learn hand"):
+        learn_bench("hand", shared_rigs, before={"benchmark": "starts"}, **options)
 
 
 @pytest.mark.parametrize("bad", [{"variants": ("other",)}, {"seeds": (1, 1)}, {"seeds": ()}])

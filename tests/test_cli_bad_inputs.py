@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from cli_runs import QUICK, one_line
 
+import lbsfit_np as lbs
 from lbsfit_np.io.write import write_points_ply
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -115,6 +116,15 @@ def test_bad_rigs(name, made, tmp_path, run):
 def test_a_rig_is_no_scan(made, tmp_path, run):
     code, _, err = run("fit", made / "tube.npz", made / "tube.npz", "-o", tmp_path / "out", *QUICK)
     assert code == 1 and "a rig, or a model that was learned" in err and "expected a scan" in err
+    scan = {"points": np.eye(3), "parents": np.zeros(2), "joints": np.zeros((2, 3)), "weights": np.zeros((3, 2))}
+    np.savez(tmp_path / "tracked.npz", **scan)
+    assert np.array_equal(lbs.load_scan(tmp_path / "tracked.npz").points, np.eye(3))
+
+
+def test_a_file_with_the_name_of_an_option_is_no_option(made, tmp_path, run, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run("fit", "card", made / "one.ply", "-o", tmp_path / "out", *QUICK)
+    assert code == 2 and one_line(err).startswith("lbsfit: error: card: got no such file")
 
 
 def test_a_card_that_names_no_joint(made, tmp_path, run):

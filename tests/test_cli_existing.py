@@ -1,15 +1,19 @@
 """Names that clash, inputs that are results, and what is there already: found before any work."""
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_runs import QUICK, one_line
 
 import lbsfit_np as lbs
 
 pytestmark = pytest.mark.usefixtures("own_cache")
+
+PIXELS = np.zeros((4, 4, 3), dtype=np.uint8)
 
 
 def test_missing_scans_are_found_before_any_work(made, tmp_path, run):
@@ -98,6 +102,37 @@ def test_pictures_are_drawn_where_they_are_asked_for(fitted, made, tmp_path, run
     assert [s["files"]["picture"] for s in summary["scans"]] == ["one.png", "two.png"]
     assert run(*arguments)[0] == 0
     assert "picture" not in json.loads((tmp_path / "summary.json").read_text())["scans"][0]["files"]
+
+
+def test_no_fit_is_lost_for_a_picture(fitted, made, tmp_path, run, monkeypatch):
+    def fail(*a, **k):
+        raise lbs.errors.InputError("forward", "'+y'", "another axis")
+
+    monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", fail)
+    (tmp_path / "one.png").write_bytes(b"of an earlier fit")
+    arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--pictures", *QUICK)
+    assert run(*arguments, "--existing", "replace")[0] == 0
+    (scan,) = json.loads((tmp_path / "summary.json").read_text())["scans"]
+    assert scan["notes"] == ["no picture: forward: got '+y'; expected another axis."] and "picture" not in scan["files"]
+    assert lbs.FitResult.load(tmp_path / "one.fit.npz").status == "ok" and not (tmp_path / "one.png").exists()
+    code, text, _ = run(*arguments, "--existing", "skip")
+    assert code == 0 and "one: no picture: forward" in text
+
+
+def test_pictures_of_kept_fits_show_what_was_fitted(fitted, made, tmp_path, run, monkeypatch):
+    """Not an earlier fit's picture, nor the points that the scan's file has by now or another sample takes."""
+    for path in fitted[0].glob("one.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    picture, fit = tmp_path / "one.png", tmp_path / "one.fit.npz"
+    picture.write_bytes(b"of an earlier fit")
+    os.utime(picture, ns=(0, fit.stat().st_mtime_ns - 10**9))
+    shown = []
+    monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", lambda rig, points, result: shown.append(points) or PIXELS)
+    arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", "--pictures", *QUICK)
+    assert run(*arguments, "--samples", "50", "--seed", "3")[0] == 0
+    np.testing.assert_allclose(shown[0], lbs.load_scan(fitted[0] / "one.labels.ply").points)
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert run(*arguments)[0] == 0 and len(shown) == 1  # it is there, and of this fit
 
 
 def test_a_summary_alone_is_in_nobodys_way(fitted, made, tmp_path, run):

@@ -88,7 +88,7 @@ def test_a_picture_that_cannot_be_drawn_loses_no_figure(pair_folder, tmp_path, r
     monkeypatch.setattr("lbsfit_np.report.render.write_png", write_png)
     fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(pair_meshes)})
     (tmp_path / "gallery.png").write_bytes(b"of an earlier run")
-    code, out, err = run(*_command(pair_folder, tmp_path, "--no-learn", "--pictures", 1))
+    code, out, err = run(*_command(pair_folder, tmp_path, "--no-learn", "--pictures", 1, "--existing", "replace"))
     assert code == 2 and "No space left" in one_line(err) and "before the snap" in out
     report = json.loads((tmp_path / "results.json").read_text())
     assert len(report["pairs"]) == 12 and report["gallery"] == [] and not (tmp_path / "gallery.png").exists()
@@ -130,7 +130,10 @@ def test_scans_that_fail_are_named_and_their_pairs_missing(pair_folder, tmp_path
 def test_a_run_that_is_stopped_says_what_is_kept(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     fits_are_given(monkeypatch, {"s0": pair_meshes[0], "s1": KeyboardInterrupt()})
     code, out, _ = run(*_command(pair_folder, tmp_path / "out", "--no-learn"))
-    assert code == 130 and "stopped: 1 fits are kept" in out
+    assert code == 130 and f"stopped: 1 fit is kept in {tmp_path / 'out'}; the same command once more does the rest" in out
+    fits_are_given(monkeypatch, {"s0": pair_meshes[0], "s1": pair_meshes[1], "s2": KeyboardInterrupt()})
+    code, out, _ = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--existing", "replace"))
+    assert code == 130 and "2 fits are kept" in out and "; the same command without --existing replace does the rest" in out
 
 
 def test_sigterm_stops_a_run_as_ctrl_c_does(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
@@ -149,7 +152,7 @@ def test_sigterm_stops_a_run_as_ctrl_c_does(pair_folder, tmp_path, run, pair_mes
         code, out, _ = run(*_command(pair_folder, tmp_path / "out", "--no-learn"))
     finally:
         signal.signal(signal.SIGTERM, before)
-    assert code == 143 and "stopped: 1 fits are kept" in out
+    assert code == 143 and "stopped: 1 fit is kept" in out
 
 
 def test_measuring_says_a_line_a_minute(capsys):
@@ -213,6 +216,21 @@ def test_an_input_is_never_overwritten(tube_rig, pair_folder, tmp_path, run):
     (tmp_path / "fits" / "tube.npz").write_bytes((pair_folder / "tube.npz").read_bytes())
     code, _, err = run(*_command(tmp_path / "fits", tmp_path))
     assert code == 2 and "never overwritten" in one_line(err)
+
+
+@pytest.mark.parametrize("theirs", ["results.json", "gallery.png", "fits/s0.npz", "model.npz"])
+def test_what_others_have_made_is_replaced_only_on_demand(pair_folder, tmp_path, run, pair_meshes, monkeypatch, theirs):
+    asked = fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(pair_meshes)})
+    there = tmp_path / "out" / theirs
+    there.parent.mkdir(parents=True)
+    there.write_bytes(b'{"benchmark": "starts"}')
+    command = _command(pair_folder, tmp_path / "out", "--no-learn", "--pictures", 0)
+    code, _, err = run(*command)
+    assert code == 2 and asked == [] and there.read_bytes() == b'{"benchmark": "starts"}'
+    for word in ("lbsfit: error: -o: got", f"{there.name} exists already", "--existing replace"):
+        assert word in one_line(err)
+    assert run(*command, "--existing", "replace")[0] == 0 and len(asked) == 4
+    assert run(*command)[0] == 0 and len(asked) == 4  # what it has written itself
 
 
 @pytest.mark.parametrize("option, name", [("--truth", "results.json"), ("--rig", "model.npz")])

@@ -86,6 +86,13 @@ def test_a_models_orientation_holds_unless_another_is_given(turned, tube_rig, tu
     run(*arguments)
     settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
     assert (settings["orientation"], settings["effort"], settings["partial"]) == ("upright", "fast", False)
+    fitter = lbs.LBSFitter.load(tube_model[0])
+    fitter.up = "+z"
+    fitter.save(tmp_path / "z.npz")
+    known = ("fit", tmp_path / "z.npz", folder / "any.ply", "-o", tmp_path / "z", "--existing", "replace", "--effort", "fast")
+    for options, up in (((), "+z"), (("--orientation", "any"), None), (("--up=-x",), "-x")):
+        assert run(*known, *options)[0] in (0, 1)
+        assert json.loads((tmp_path / "z" / "summary.json").read_text())["settings"]["up"] == up
     assert run(*arguments, "--orientation", "any", "--effort", "thorough")[0] == 0
     settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
     assert (settings["orientation"], settings["effort"]) == ("any", "thorough")

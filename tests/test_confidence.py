@@ -1,7 +1,10 @@
 """Evidence is near 0 for right fits and speaks up for wrong ones; the probability follows it; reasons are named."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.calibrate import regression
@@ -9,6 +12,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.confidence import EVIDENCE, evidence_of, logarithms, probability_of, shown_problem, verdict_of
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.rig.build import build_rig
 
 PARTS = {"part_unexplained": "left_arm", "part_unreached": "right_arm"}
 NOTHING = dict.fromkeys(EVIDENCE, 0.0)
@@ -228,6 +232,53 @@ def test_few_points_for_the_angles_count(model, right):
     half = np.r_[np.ones(50), np.zeros(50)]
     assert _evidence(model, state, X[:100], x_weights=half)[0]["sparse"] == pytest.approx(angles / 50)
     assert _evidence(model, state, X[:10])[0]["sparse"] == 1.0
+
+
+def test_clutter_is_not_among_the_points_there_are(model, right):
+    """What stands for nothing does not tell the angles."""
+    state, X, _ = right
+    far = 9.0 * np.random.default_rng(0).standard_normal((20, 3))
+    assert _evidence(model, state, np.vstack([X[:100], far]))[0]["sparse"] == pytest.approx(21 / 100)
+    # Nor is clutter close to the mesh, which other points are near.
+    near = X[:2000:40] + [0.0, 0.0, 0.3]
+    assert _evidence(model, state, np.vstack([X[:2000], near]))[0]["sparse"] == pytest.approx(21 / 2000, rel=0.005)
+
+
+@pytest.mark.parametrize("room, at_limits", [(0.0, 1.0), (0.008, 1.0), (0.012, 0.0), (0.05, 0.0)])
+@pytest.mark.parametrize("limit", ["lower", "upper"])
+def test_an_angle_is_at_a_limit_within_half_a_degree(model, right, limit, room, at_limits):
+    state, X, _ = right
+    theta = model.rig.lower + room if limit == "lower" else model.rig.upper - room
+    assert _evidence(model, state.replace(theta=theta), X)[0]["at_limits"] == at_limits
+
+
+def test_angles_of_locked_joints_are_not_to_be_found():
+    """They have room between their limits all the same."""
+    locked = np.array([False, False, True, False])
+    rig = replace(build_rig(make_tube_data()), locked=locked)
+    tube = Model(rig)
+    assert (tube.rig.upper > tube.rig.lower)[2].all() and not tube.rig.moving[2]
+    X = tube.pose(tube.rest())[0].vertices[:60]
+    theta = 0.5 * (tube.rig.lower + tube.rig.upper)
+    theta[2] = tube.rig.upper[2]
+    evidence, _ = _evidence(tube, tube.rest().replace(theta=theta), X)
+    assert evidence["at_limits"] == 0.0 and evidence["sparse"] == pytest.approx(6 / 60)
+    theta[3] = tube.rig.upper[3]
+    assert _evidence(tube, tube.rest().replace(theta=theta), X)[0]["at_limits"] == 0.5
+
+
+@pytest.mark.parametrize("beyond, without", [("long", "short"), ("short", "long")])
+def test_the_part_that_is_not_explained_is_not_the_one_that_is_not_reached(tube_rig, beyond, without):
+    """One finger's points are above its end, the other has none."""
+    tube = Model(tube_rig)
+    V = tube.pose(tube.rest())[0].vertices
+    part = {name: k for k, name in enumerate(tube_rig.parts)}
+    X = V[~np.isin(tube.labels, [part["long"], part["short"]])]
+    own = V[tube.labels == part[beyond]]
+    top = own[own[:, 1] > own[:, 1].max() - 0.1]
+    evidence, worst = _evidence(tube, tube.rest(), np.vstack([X, own, top + [0.0, 0.15, 0.0], top + [0.0, 0.2, 0.0]]))
+    assert worst == {"part_unexplained": part[beyond], "part_unreached": part[without]}
+    assert evidence["part_unexplained"] > 0.15 and evidence["part_unreached"] > 0.4
 
 
 def test_no_evidence_raises_the_probability():

@@ -140,3 +140,30 @@ def test_a_wide_floor_says_nothing_of_the_unit(hand):
     assert reference_scale(points[rows], hand, "fixed").scale == reference_scale(scan.points, hand, "estimate").scale == 1.0
     with pytest.raises(InputError, match="scale: got 'fixed' for a scan whose extent is"):
         reference_scale(points, hand, "fixed")
+
+
+class _Told(BaseException):
+    """Ends a fit where floors are looked for; nothing takes it for a scan's failure."""
+
+
+@pytest.mark.parametrize(
+    "up, orientation, side", [("+z", "upright", [0, 0, 1]), (None, "aligned", [0, 1, 0]), (None, "any", None)]
+)
+@pytest.mark.parametrize("what", ["fit of one scan", "fit of a new scan", "learning"])
+def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, orientation, side, monkeypatch):
+    points, labels = tube_scan.points, tube_scan.labels
+    where = {"fit of one scan": "fitting.scan_fit", "fit of a new scan": "learning.finish", "learning": "learning.collection"}
+
+    def spy(points, rows, *, up=None):
+        raise _Told(up)
+
+    monkeypatch.setattr(f"lbsfit_np.{where[what]}.clean_rows", spy)
+    fitter.set_params(up=up, orientation=orientation)
+    with pytest.raises(_Told) as told:
+        if what == "learning":
+            fitter.fit([points])
+        elif what == "fit of a new scan":  # there is nothing to be learned before it
+            fitter.set_params(variant="free-form").fit_scan(points)
+        else:
+            fitter.fit_scan(points, labels=labels)
+    np.testing.assert_array_equal(told.value.args[0], side)

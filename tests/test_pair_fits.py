@@ -134,3 +134,23 @@ def test_a_subject_of_whom_nothing_was_learned_is_anybody(pair_scans, fitter, pa
     learning_is_given(monkeypatch, given | {"s2": None, "s3": None})
     fit_scans_of(fitter, pair_scans, tmp_path, learn_from=pair_scans)
     assert {name: subject for name, (subject, _) in told.items()} == {"s2": None, "s3": None}
+
+
+def test_a_model_of_somebody_else_is_not_what_was_learned(pair_scans, fitter, tube_rig, pair_meshes, tmp_path, monkeypatch):
+    """A run that is stopped while it learns leaves no model that the next one takes for its own."""
+    given = {s.name: v for s, v in zip(pair_scans, pair_meshes)}
+    fits_are_given(monkeypatch, given)
+    learned = learning_is_given(monkeypatch, given)
+    foreign = lbs.LBSFitter(tube_rig, random_state=7).fit([lambda s=s: lbs.load_scan(s.path) for s in pair_scans[:1]], ["zoe"])
+    foreign.save(tmp_path / "model.npz")
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+
+        def stopped(self, scans, subjects=None, **options):
+            raise KeyboardInterrupt
+
+        patch.setattr(lbs.LBSFitter, "fit", stopped)
+        fit_scans_of(fitter, pair_scans, tmp_path, learn_from=pair_scans)
+    assert (tmp_path / "fits.json").exists() and not (tmp_path / "model.npz").exists()
+    learned.clear()
+    fit_scans_of(fitter, pair_scans, tmp_path, learn_from=pair_scans)
+    assert len(learned) == 1 and lbs.LBSFitter.load(tmp_path / "model.npz").template_.keys() == {"ann", "bob"}

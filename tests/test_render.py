@@ -262,3 +262,71 @@ def test_points_off_the_mesh_are_in_the_picture(tube_rig, tube_scan, tube_result
     wild = tube_scan.points.copy()
     wild[7] += 100 * tube_rig.size
     assert drawn(far) < 0.5 * drawn(tube_scan.points) and drawn(wild) > 0.9 * drawn(tube_scan.points)
+
+
+@pytest.fixture
+def drawn_items(monkeypatch):
+    """What a picture of a fit draws: (rig, points, result, options) → items and options of each call of the renderer."""
+    from lbsfit_np.report import fit_picture
+
+    def of(*fit, **options):
+        calls = []
+        monkeypatch.setattr(fit_picture, "render", lambda item, **how: calls.append((item, how)) or np.zeros((4, 4, 3), np.uint8))
+        fit_picture.fit_picture(*fit, **options)
+        return calls
+
+    return of
+
+
+def test_points_and_mesh_have_the_colours_of_their_parts(tube_rig, tube_scan, tube_result, drawn_items):
+    colors = part_colors(4)
+    calls = drawn_items(tube_rig, tube_scan.points, tube_result)
+    assert [how["view"] for _, how in calls] == ["front", "front", "oblique", "oblique"]
+    for points, mesh in ((calls[0][0], calls[1][0]), (calls[2][0], calls[3][0])):
+        assert isinstance(points, Points) and isinstance(mesh, Mesh) and len(points.points) == len(tube_scan.points)
+        np.testing.assert_array_equal(points.colors, colors[tube_result.labels])
+        np.testing.assert_array_equal(mesh.colors, colors[tube_rig.vertex_labels])
+
+
+def test_of_a_large_scan_each_point_keeps_its_colour(tube_rig, tube_scan, tube_result, drawn_items):
+    """Of 70,000 points, the x coordinate of which is their row, some are drawn, from the first to the last."""
+    from dataclasses import replace
+
+    rows = np.arange(70_000)
+    labels = rows * 4 // len(rows)
+    result = replace(tube_result, labels=labels, pose=np.zeros((4, 3)))
+    points = drawn_items(tube_rig, np.column_stack([rows, 0 * rows, 0 * rows]), result)[0][0]
+    shown = points.points[:, 0].round().astype(int)
+    assert len(shown) == 30_000 and shown[0] == 0 and shown[-1] == 69_999
+    np.testing.assert_array_equal(points.colors, part_colors(4)[labels[shown]])
+
+
+def test_the_truth_is_turned_along_and_seen_from_the_rigs_front(tube_rig, tube_scan, tube_result, drawn_items):
+    from dataclasses import replace
+
+    from lbsfit_np.optimize.frame import root_turn, turned_root
+    from lbsfit_np.rotations import matrix_from_rotvec
+
+    R = matrix_from_rotvec(np.array([0.4, 1.9, -0.3]))
+    turned = replace(tube_result, vertices=tube_result.vertices @ R.T, pose=turned_root(tube_rig, tube_result.pose, R))
+    rig, own = replace(tube_rig, forward="-x"), root_turn(tube_rig, tube_result.pose)
+    calls = drawn_items(rig, tube_scan.points @ R.T, turned, truth=tube_scan.vertices @ R.T)
+    for k, (item, how) in enumerate(calls):
+        whole = (tube_scan.points, tube_scan.vertices, tube_result.vertices)[k % 3]
+        np.testing.assert_allclose(item.points if k % 3 == 0 else item.vertices, whole @ own, atol=1e-9)
+        assert (how["up"], how["forward"]) == ("+y", "-x")
+    assert calls[1][0].colors is None  # grey
+    far = drawn_items(rig, tube_scan.points @ R.T, turned, truth=(tube_scan.vertices + 9.0) @ R.T)
+    reach = ((tube_scan.vertices + 9.0) @ own).max(axis=0)
+    assert all((how["frame"].max(axis=0) >= reach - 1e-9).all() for _, how in far)
+
+
+@pytest.mark.parametrize(
+    "up, forward, seen", [(None, "+z", ("+y", "+z")), (None, "-y", ("+y", None)), ("+z", "-y", ("+z", "-y"))]
+)
+def test_a_rig_that_says_less_is_drawn_as_well(tube_rig, tube_scan, tube_result, drawn_items, up, forward, seen):
+    """Where +y is taken for up, nothing faces along it."""
+    from dataclasses import replace
+
+    calls = drawn_items(replace(tube_rig, up=up, forward=forward), tube_scan.points, tube_result)
+    assert {(how["up"], how["forward"]) for _, how in calls} == {seen}

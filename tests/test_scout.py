@@ -173,7 +173,7 @@ def test_more_effort_is_more_of_everything():
         ("balanced", 0.9, ["balanced"]),
         ("balanced", 0.7, ["balanced", "thorough"]),
         ("fast", 0.0, ["fast"]),
-        ("thorough", 0.0, ["thorough"]),
+        ("thorough", 0.0, ["thorough", "thorough"]),  # the second under other up axes
     ],
 )
 def test_doubt_is_worth_a_second_look(make, scans, effort, p, looks, monkeypatch):
@@ -188,6 +188,10 @@ def test_doubt_is_worth_a_second_look(make, scans, effort, p, looks, monkeypatch
     monkeypatch.setattr(Scout, "_probability", lambda self, found: p)
     scout = make(settings=FitSettings(effort=effort))
     assert known[scout(scans[0].points).effort] == looks[-1] and seen == looks
+    seen.clear()
+    values = iter([2.0, 1.0])
+    make("aligned", FitSettings(effort=effort))(scans[0].points)
+    assert seen == (looks if effort == "balanced" else looks[:1])  # nothing is open that a second look could find
     values = iter([1.0, 2.0])  # a second look that finds nothing better changes nothing
     assert known[scout(scans[0].points).effort] == looks[0] and known[scout.effort] == effort
 
@@ -199,6 +203,31 @@ def test_looks_are_compared_in_the_scans_unit(tube_rig, unit, kept, monkeypatch)
     monkeypatch.setattr(Scout, "_look", lambda self, *scan: second if self.effort is EFFORTS["thorough"] else first)
     monkeypatch.setattr(Scout, "_probability", lambda self, found: 0.0)
     assert _untrained(tube_rig)(np.zeros((9, 3))) is {"thorough": second, "balanced": first}[kept]
+
+
+@pytest.mark.parametrize(
+    "orientation, up", [("upright", None), ("upright", "+z"), ("upright", "+y"), ("aligned", None), ("any", None)]
+)
+@pytest.mark.parametrize("effort", ["fast", "balanced", "thorough"])
+def test_a_second_look_tries_any_side_where_no_axis_was_told(tube_rig, effort, orientation, up, monkeypatch):
+    seen, facing = [], facing_of(tube_rig, orientation, up)
+
+    def look(self, *scan):
+        seen.append(self.facing)
+        return SimpleNamespace(value=1.0, frame=SimpleNamespace(unit=1.0))
+
+    monkeypatch.setattr(Scout, "_look", look)
+    monkeypatch.setattr(Scout, "_probability", lambda self, found: 0.0)
+    scout = _untrained(tube_rig, facing=facing, effort=effort)
+    scout(np.zeros((9, 3)))
+    assert seen[0] is facing and scout.facing is facing
+    if effort == "fast" or (orientation, up) != ("upright", None):
+        assert all(f is facing for f in seen)
+        return
+    assert len(seen) == 2
+    np.testing.assert_array_equal(seen[1].turns[: len(facing.turns)], facing.turns)
+    sides = {tuple(np.round(turn @ [0.0, 1.0, 0.0]) + 0.0) for turn in seen[1].turns}
+    assert sides == {tuple(s) for s in np.vstack([np.eye(3), -np.eye(3)]) + 0.0}
 
 
 def test_a_wrong_pose_is_in_doubt(make, scans):
@@ -289,7 +318,7 @@ def test_the_same_again(make, scans):
 # ---- which of them are followed, on known ones ----
 
 
-def _untrained(rig, poses=None, *, orientation="aligned", effort="balanced", segmenter=None, **more):
+def _untrained(rig, poses=None, *, orientation="aligned", facing=None, effort="balanced", segmenter=None, **more):
     """A Scout whose library answers with the first of its poses, whatever it sees."""
     poses = np.zeros((2, *rig.lower.shape)) if poses is None else poses
 
@@ -297,7 +326,8 @@ def _untrained(rig, poses=None, *, orientation="aligned", effort="balanced", seg
         return [Start(poses[0], 0, 1.0, 0.0)]
 
     library = SimpleNamespace(poses=poses, starts=starts, regress=lambda points: poses[0])
-    return Scout(Model(rig), library, facing_of(rig, orientation), segmenter, FitSettings(effort=effort), **more)
+    facing = facing or facing_of(rig, orientation)
+    return Scout(Model(rig), library, facing, segmenter, FitSettings(effort=effort), **more)
 
 
 def test_a_finger_that_every_start_has_wrong_is_put_in_its_place():

@@ -1,11 +1,18 @@
 """Which way a scan may face: the turns that starts are tried under cover all that the orientation allows."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
+from lbsfit_np.fitting.scout import Found
+from lbsfit_np.learning.finish import scan_fit
+from lbsfit_np.optimize.frame import Frame
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rig.frames import AXES
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.turns import ORIENTATIONS, any_side_up, facing_of, some_turns, stands_note
@@ -118,3 +125,76 @@ def test_a_scan_that_stands_otherwise_is_told(side, words):
     turn = next(t for t in any_side_up(np.eye(3)[None], up) if np.allclose(t @ up, side))
     note = stands_note(turn, up)
     assert words in note and bool(words) == bool(note)
+
+
+@pytest.mark.parametrize("axis", [[1, 0, 1], [1, 0, -1], [-1, 0, 1]])
+@pytest.mark.parametrize("degrees, leans", [(0, True), (40, True), (50, True), (60, False), (130, False)])
+def test_a_scan_that_leans_stands_as_the_rig_does(axis, degrees, leans):
+    """Between two of the other axes, the rig's is the nearest up to 54.7°; towards one of them up to 45°."""
+    about = np.radians(degrees) * np.array(axis) / np.sqrt(2)
+    assert (stands_note(matrix_from_rotvec(about), np.array([0.0, 1.0, 0.0])) == "") == leans
+    towards_z = stands_note(matrix_from_rotvec(np.radians([degrees, 0.0, 0.0])), np.array([0.0, 1.0, 0.0]))
+    assert towards_z == "" if degrees < 45 else "axis, which is not the rig's up axis" in towards_z
+
+
+@pytest.mark.parametrize(
+    "found, root, up, told",
+    [
+        (90, 0, None, True),
+        (90, -20, None, True),
+        (60, -30, None, False),  # 30° in all: found under another axis, it but leans
+        (30, 30, None, False),
+        (0, 0, None, False),
+        (90, 0, "+y", False),  # where the axis was told there is nothing to say
+    ],
+)
+def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
+    """Of a scan on its mesh: turned from y towards z by what was found, and by what the pose's root adds."""
+    model, turn = Model(tube_rig), matrix_from_rotvec(np.radians([found, 0.0, 0.0]))
+    theta = np.zeros((4, 3))
+    theta[0, 0] = np.radians(root)
+    state, frame = model.rest().replace(theta=theta), Frame(np.array([1.0, 2.0, 3.0]), model.half, turn)
+    X = model.pose(state)[0].vertices
+    seen = Found(frame, Problem(X), state, None, 0.0, ())
+    fit = ScanFit(model, FitSettings(effort="fast", polish=0, full_iterations=3), facing=facing_of(tube_rig, "upright", up))
+    r = fit.fit(frame.outside(X), found=seen)
+    assert r.status == "ok"
+    assert ("the scan stands along its +z axis" in r.message) == ("stands" in r.message) == told
+
+
+@pytest.mark.parametrize("found, root, up, told", [(90, 0, None, True), (60, -30, None, False), (90, 0, "+y", False)])
+def test_a_fit_on_a_learned_template_tells_it_as_well(tube_rig, fitter, found, root, up, told, monkeypatch):
+    model, turn = Model(tube_rig), matrix_from_rotvec(np.radians([found, 0.0, 0.0]))
+    theta = np.zeros((4, 3))
+    theta[0, 0] = np.radians(root)
+    state, frame = model.rest().replace(theta=theta), Frame(np.zeros(3), model.half, turn)
+    X = model.pose(state)[0].vertices
+    monkeypatch.setattr("lbsfit_np.learning.finish._scouted", lambda *given: Found(frame, Problem(X), state, None, 1.0, ()))
+    learned = {"template_": {"ann": tube_rig}, "unit_": {"ann": 1.0}, "history_": [], "_learned_with": tube_rig.digest}
+    for name, value in {**learned, "segmenter_": None, "regressor_": SimpleNamespace(digest="")}.items():
+        setattr(fitter, name, value)
+    monkeypatch.setattr("lbsfit_np.learning.fitter.model_digest", lambda *given, **named: "")
+    r = fitter.set_params(up=up).fit_scan(frame.outside(X), subject="ann")
+    assert r.status == "ok" and ("the scan stands along its +z axis" in r.message) == told
+
+
+def test_a_known_start_is_no_finding(tube_rig):
+    """Who says how the scan is turned need not be told."""
+    model, theta = Model(tube_rig), np.zeros((4, 3))
+    theta[0, 0] = np.pi / 2
+    points = tube_rig.pose(theta)
+    fit = ScanFit(model, FitSettings(effort="fast", polish=0, full_iterations=3), facing=facing_of(tube_rig, "upright"))
+    r = fit.fit(points, theta0=theta)
+    assert r.status == "ok" and "stands" not in r.message
+
+
+def test_an_axis_that_is_told_later_holds(tube_rig, fitter):
+    """Of what was made ready for fits, nothing is left that another axis or orientation was asked of."""
+    first = scan_fit(fitter)
+    assert scan_fit(fitter) is first and first.facing.open_up
+    second = scan_fit(fitter.set_params(up="+z"))
+    np.testing.assert_array_equal(second.facing.up, [0, 0, 1])
+    third = scan_fit(fitter.set_params(orientation="aligned"))
+    np.testing.assert_array_equal(third.facing.up, [0, 0, 1])
+    assert len(second.facing.turns) == 24 and len(third.facing.turns) == 1
+    np.testing.assert_array_equal(scan_fit(fitter.set_params(up=None)).facing.up, [0, 1, 0])

@@ -4,8 +4,10 @@ Three changed shapes of a rig, the same number of scans of each, and as many aga
 segmenter's labels are judged.
 """
 
+import hashlib
 import time
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from ..synthesis import synthesize_one, uniform_poses
 from . import body, hand
 from .environment import environment
 from .measure import joint_error, label_accuracy, vertex_error
-from .resume import begun
+from .resume import REMEDY, begun
 from .run import TRAINING_SEED
 from .subjects import subject
 
@@ -89,15 +91,17 @@ def _hand_poses(rig, data):
 
 
 def _body_poses(rig, data, seed, n):
-    from pathlib import Path
-
     from ..io.bvh import read_bvh
     from .retarget import bvh_thetas
 
-    motion = read_bvh(Path(data) / "motion" / "01_01.bvh")
+    motion = read_bvh(_motion(data))
     frames = generator(seed, "learn frames").choice(np.arange(1, len(motion.rotations)), n, replace=False)
     thetas = bvh_thetas(rig, motion, [int(f) for f in frames], face_forward=True)
     return lambda i, rng: thetas[i]
+
+
+def _motion(data):
+    return Path(data) / "motion" / "01_01.bvh"
 
 
 def touching_pose(rig, natural, rng):
@@ -166,12 +170,13 @@ def learn_bench(
     Returns
     -------
     dict
-        Plain data for JSON. Lengths in half sizes of the rig (hand) or cm (body).
+        Plain data for JSON. Lengths in half sizes of the rig (hand) or cm (body). "complete": all seeds, these and those of
+        ``before``, have the same variants.
 
     Raises
     ------
     InputError
-        Arguments that cannot be used; a report of other settings.
+        Arguments that cannot be used; a report of other settings, of another rig or of other poses.
     """
     from sklearn.base import clone
 
@@ -182,15 +187,21 @@ def learn_bench(
         raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
     if not variants or not set(variants) <= set(VARIANT_ROWS):
         raise InputError("variants", repr(variants), f"some of {', '.join(VARIANT_ROWS)}")
+    rig = collection(name, data, 3, seed=seeds[0])[0]
+    read = {"rig": rig.digest, "poses": _poses_digest(name, data)}
     empty = {
         "benchmark": f"learn {name}",
         "unit": "half size" if name == "hand" else "cm",
         "settings": {"n_scans": n_scans, "subjects": N_SUBJECTS, "training_scans": training_scans},
         "test_scans": asdict(hand.SCAN if name == "hand" else body.SCAN),
+        **read,
         "rows": {},
     }
     report = begun(before, empty, same=("settings", "test_scans")) | {"complete": False, "environment": environment()}
-    rig = collection(name, data, 3, seed=seeds[0])[0]
+    other = [key for key, digest in read.items() if report[key] != digest]
+    if other:
+        got = f"results with other {' and other '.join(other)} than --data has"
+        raise InputError("before", got, "results of the same data", REMEDY)
     # All scans face the rig's way.
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
     fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress(None, None, "pretraining", p))
@@ -202,8 +213,8 @@ def learn_bench(
             continue
         _, scans, subjects, others = collection(name, data, n_scans, seed=seed)
         same = dict.fromkeys(subjects, rig)
-        before = {"template_gap": _gap(same, scans, subjects) / unit, "label_error": _wrong(first, others)}
-        report["rows"].setdefault("before", {})[str(seed)] = before
+        untaught = {"template_gap": _gap(same, scans, subjects) / unit, "label_error": _wrong(first, others)}
+        report["rows"].setdefault("before", {})[str(seed)] = untaught
         for variant in todo:
             one = clone(fitter).set_params(variant=variant)
             one._pretrained = pretrained
@@ -218,8 +229,18 @@ def learn_bench(
             report["rows"].setdefault(variant, {})[str(seed)] = entry
             if on_row is not None:
                 on_row(report, variant, seed)
-    report["complete"] = True
+    ran = {s for row in report["rows"].values() for s in row}
+    report["complete"] = all(set(row) == ran for row in report["rows"].values())
     return report
+
+
+def _poses_digest(name, data):
+    """Of the files in the data folder that the scans' poses are made of."""
+    files = sorted((Path(data) / "hand_poses").glob("*.handpose")) if name == "hand" else [_motion(data)]
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def _measured(rig, fitter, scans, subjects, others, unit):
@@ -229,9 +250,9 @@ def _measured(rig, fitter, scans, subjects, others, unit):
     out = {
         "unfitted": len(scans) - len(fitted),
         "rounds": max(0, len(fitter.history_) - 1),
-        "joint_error": float(np.mean(joints)),
-        "joint_error_median": float(np.median(joints)),
-        "vertex_error": float(np.mean(vertices)),
+        "joint_error": float(np.mean(joints)) if fitted else np.nan,
+        "joint_error_median": float(np.median(joints)) if fitted else np.nan,
+        "vertex_error": float(np.mean(vertices)) if fitted else np.nan,
         "joints": joints,
         "vertices": vertices,
         "template_gap": _gap(fitter.template_, scans, subjects) / unit,
@@ -259,22 +280,41 @@ def _wrong(segmenter, scans):
 
 
 def learn_table(report, *, markdown=False):
-    """Means over the seeds of a report of :func:`learn_bench`, one row a variant."""
+    """Means of a report of :func:`learn_bench`, one row a variant: over the seeds that all rows have, what is left out below.
+
+    Where nothing could be fitted, a measure is missing; its seed is left out of that column in all rows.
+    """
     from .table import layout
 
-    rows = [("", *MEASURES.values())]
-    for variant, seeds in report["rows"].items():
-        cells = []
-        for measure in MEASURES:
-            values = [entry[measure] for entry in seeds.values() if measure in entry]
-            style = ".0f" if measure == "seconds" else ".4f" if report["unit"] != "cm" or measure == "label_error" else ".2f"
-            cells.append(format(np.mean(values), style) if values else "–")
-        rows.append((variant, *cells))
-    seeds = len(report["rows"]["before"])
+    rows = report["rows"]
+    every = list(dict.fromkeys(seed for seeds in rows.values() for seed in seeds))
+    seeds = [seed for seed in every if all(seed in of for of in rows.values())]
+    lines, columns, few = [("", *MEASURES.values())], [], {}
+    for measure, head in MEASURES.items():
+        values = {row: {s: of[s][measure] for s in seeds if _is_known(of[s].get(measure))} for row, of in rows.items()}
+        common = [s for s in seeds if all(s in known for known in values.values() if known)]
+        style = ".0f" if measure == "seconds" else ".4f" if report["unit"] != "cm" or measure == "label_error" else ".2f"
+        means = {row: np.mean([known[s] for s in common]) for row, known in values.items() if known and common}
+        columns.append([format(means[row], style) if row in means else "–" for row in rows])
+        lost = [s for s in seeds if s not in common]
+        if lost and any(values.values()):
+            few.setdefault(f"without seed{'s' if len(lost) > 1 else ''} {', '.join(lost)}", []).append(head)
+    lines += [(row, *cells) for row, *cells in zip(rows, *columns, strict=True)]
     n, people = (report["settings"][key] for key in ("n_scans", "subjects"))
     unit = "cm" if report["unit"] == "cm" else "half sizes of the rig"
     legend = (
-        f"Mean over seeds ({seeds}), {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
+        f"Mean over seeds ({len(seeds)}), {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
         f"of the segmenter alone on {n // 3} scans that nobody learned from."
     )
-    return f"{layout(rows, markdown=markdown)}\n\n{legend}"
+    for seed in every:
+        lacking = [row for row, of in rows.items() if seed not in of]
+        if lacking:
+            legend += f"\nSeed {seed} is left out: there is no {', no '.join(lacking)} of it."
+    for without, heads in few.items():
+        legend += f"\n{', '.join(heads)}: {without}, of which a row has no value."
+    return f"{layout(lines, markdown=markdown)}\n\n{legend}"
+
+
+def _is_known(value):
+    """Whether there is a figure: NaN is written as null."""
+    return value is not None and np.isfinite(value)

@@ -17,7 +17,7 @@ import numpy as np
 from ..errors import FileError, InputError, LbsfitError
 from ..fitting.result import FitResult
 
-__all__ = ["Fits", "fit_files", "fit_scans_of", "made_files"]
+__all__ = ["Fits", "fit_files", "fit_scans_of", "has_record", "made_files"]
 
 _RECORD, _MODEL, _FITS = "fits.json", "model.npz", "fits"
 _REMEDY = "Choose another folder, or --existing replace."
@@ -63,9 +63,14 @@ def fit_files(folder, scans):
     return [folder / _RECORD, folder / _MODEL, *(_file(folder, s.name) for s in scans)]
 
 
+def has_record(folder):
+    """Whether an earlier run of :func:`fit_scans_of` has begun in a folder."""
+    return (folder / _RECORD).is_file()
+
+
 def made_files(folder):
     """The files with points or meshes that an earlier run of :func:`fit_scans_of` has written."""
-    if not (folder / _RECORD).is_file():
+    if not has_record(folder):
         return []
     return [path for path in (folder / _MODEL, *sorted((folder / _FITS).glob("*.npz"))) if path.is_file()]
 
@@ -125,6 +130,8 @@ def fit_scans_of(
     for scan in scans:
         if scan.name not in kept:  # before the record says that what is there is of this file and these settings
             _file(folder, scan.name).unlink(missing_ok=True)
+    if learn_from and learned is None:  # a model that is there is somebody else's, and the record would vouch for it
+        (folder / _MODEL).unlink(missing_ok=True)
     record.write(folder / _RECORD)
     if learn_from and learned is None:
         learned = _learn(fitter, learn_from, read, fits, reporter)

@@ -29,19 +29,28 @@ def begun(before, empty, *, same=("settings",)):
     Raises
     ------
     InputError
-        A report of another benchmark or of other settings.
+        A report of another benchmark or of other settings, or one that lacks what every report has.
     """
     if before is None:
         return empty
-    if before.get("benchmark") != empty["benchmark"] or not set(empty) <= set(before):
-        got = f"results of {before.get('benchmark', 'nothing known')}"
-        raise InputError("before", got, f"results of {empty['benchmark']}", REMEDY)
+    theirs, ours = before.get("benchmark", "nothing known"), empty["benchmark"]
+    if theirs != ours:
+        raise InputError("before", f"results of {theirs}", f"results of {ours}", REMEDY)
+    lacking = [key for key, value in empty.items() if key not in before or not _alike(before[key], value)]
+    if lacking:
+        got = f"results of {theirs} without {', '.join(map(repr, lacking))}"
+        raise InputError("before", got, f"all that a run of this version writes: {', '.join(empty)}", REMEDY)
     theirs, ours = ({k: v for name in same for k, v in _named(name, of[name])} for of in (before, empty))
     other = [key for key in ours if theirs.get(key) != ours[key]]
     if other:
         got, expected = (", ".join(f"{key} {known.get(key)}" for key in other) for known in (theirs, ours))
         raise InputError("before", f"results with {got}", expected, REMEDY)
     return deepcopy(before)
+
+
+def _alike(theirs, ours):
+    """Whether a dict stands where one belongs."""
+    return isinstance(theirs, dict) or not isinstance(ours, dict)
 
 
 def _named(name, value):

@@ -6,7 +6,7 @@ import sys
 import warnings
 
 from .. import __version__
-from ..errors import LbsfitError
+from ..errors import FileError, LbsfitError
 from .parsing import Parser, formatter
 from .stopping import exit_code
 
@@ -85,7 +85,10 @@ def _parser():
 def _as_written(error, flags):
     """The message; where it names a parameter that an option gives, the option."""
     name = getattr(error, "argument", None)
-    return str(error).replace(f"{name}:", f"{flags[name]}:", 1) if name in flags else str(error)
+    # A file's name, and scans themselves, are no options, whatever they are called.
+    if name not in flags or isinstance(error, FileError) or name == "scans":
+        return str(error)
+    return str(error).replace(f"{name}:", f"{flags[name]}:", 1)
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):

@@ -307,22 +307,29 @@ def _kept(files, fitter, values):
                 "fits with this model and subject" if digest else f"fits with rig {rig.name!r} alone",
                 "Choose another folder, or --existing replace.",
             )
-        if f.picture is not None and not f.picture.is_file():
-            _draw_kept(f, rig, result, values)
+        if f.picture is not None and not _is_newer(f.picture, f.fit):
+            _draw_kept(f, rig, result)
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)
     return kept
 
 
-def _draw_kept(files, rig, result, values):
-    """The picture of a fit that an earlier run has made, where its scan is still the same."""
+def _draw_kept(files, rig, result):
+    """The picture of a fit that an earlier run has made, with the points that it labelled: the scan may be another by now."""
     from ..io.scans import load_scan
 
     try:
-        scan = load_scan(files.source, **scan_options(values))
-    except FileError:
+        points = load_scan(files.labels).points
+    except FileError as error:
+        say(f"{files.name}: no picture: {error}")
         return
-    if len(scan.points) == len(result.labels):
-        outputs.draw(files, rig, scan, result)
+    if len(points) == len(result.labels):
+        for note in outputs.draw(files, rig, points, result):
+            say(f"{files.name}: {note}")
+
+
+def _is_newer(picture, fit):
+    """Whether a picture is there and was drawn after the fit was written; an older one is of an earlier fit."""
+    return picture.is_file() and picture.stat().st_mtime_ns >= fit.stat().st_mtime_ns
 
 
 def _made_with(theirs, ours):

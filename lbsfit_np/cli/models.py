@@ -61,6 +61,8 @@ def load_model(path, values, given):
     for key in _FREE:
         if key in given:
             setattr(fitter, key, values[key])
+    if values["orientation"] == "any" and "orientation" in given and "up" not in given:
+        fitter.up = None  # no axis is known then, and the model's cannot be unsaid otherwise
     if "seed" in given or type(fitter.random_state) is not int:
         fitter.random_state = values["seed"]
     if values["subject"] is not None:

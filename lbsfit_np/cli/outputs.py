@@ -5,7 +5,7 @@ import unicodedata
 from dataclasses import dataclass
 from pathlib import Path
 
-from ..errors import FileError, InputError, listed
+from ..errors import FileError, InputError, LbsfitError, listed
 
 __all__ = [
     "SUMMARY",
@@ -181,8 +181,6 @@ class Writer:
 
         files, rig = self.files[index], self.rig
         colors = part_colors(len(rig.parts))
-        if files.picture is not None:
-            draw(files, rig, scan, result)
         # All three get their names only once all three are complete; the fit last, as it stands for the whole.
         with atomic_path(files.fit) as fit, atomic_path(files.mesh) as mesh, atomic_path(files.labels) as labels:
             result.save(fit)
@@ -203,7 +201,8 @@ class Writer:
                 normals=scan.normals,
                 part_names=rig.parts,
             )
-        return fitted_entry(files, result, notes=scan.notes)
+        undrawn = [] if files.picture is None else draw(files, rig, scan.points, result)
+        return fitted_entry(files, result, notes=[*scan.notes, *undrawn])
 
 
 def remove_earlier(files):
@@ -212,12 +211,17 @@ def remove_earlier(files):
         path.unlink(missing_ok=True)
 
 
-def draw(files, rig, scan, result):
-    """Write the picture of a fit."""
+def draw(files, rig, points, result):
+    """Write the picture of a fit that is written already; notes, one where it cannot be drawn: no fit is lost for a picture."""
     from ..report.fit_picture import fit_picture
     from ..report.render import write_png
 
-    write_png(files.picture, fit_picture(rig, scan.points, result))
+    try:
+        write_png(files.picture, fit_picture(rig, points, result))
+    except LbsfitError as error:
+        files.picture.unlink(missing_ok=True)  # of an earlier fit
+        return [f"no picture: {error}"]
+    return []
 
 
 def fitted_entry(files, result, *, kept=False, notes=()):

@@ -120,13 +120,15 @@ def _fit_settings(values):
 
 
 def made_output(values, scans, inputs, more=()):
-    """The folder to write to, made, once it is known that nothing that is read is written there."""
-    from ..bench.pair_fits import fit_files
+    """The folder to write to, made, once it is known that neither what is read nor what others have made is replaced there."""
+    from ..bench.pair_fits import fit_files, has_record
 
     out = Path(values["output"])
     read = [*(s.path for s in scans), *inputs, *(values[k] for k in ("rig", "card") if values[k] and values[k] != "none")]
     written = [out / RESULTS, out / GALLERY, *fit_files(out, scans), *more]
-    check_outputs(written, out, inputs=read, existing="replace")
+    # What this benchmark has left may be gone on with, or replaced; what somebody else has, only where people say so.
+    own = values["existing"] == "replace" or has_record(out)
+    check_outputs(written, out, inputs=read, existing="replace" if own else "error")
     make_folder(out)
     return out
 
@@ -202,7 +204,8 @@ def run_stoppable(work, values, out):
     except KeyboardInterrupt as stop:
         progress.close()
         n = len(list((out / "fits").glob("*.npz")))
-        rest = f"{n} fits are kept in {out}; the same command once more does the rest"
+        again = "the same command " + ("without --existing replace" if values["existing"] == "replace" else "once more")
+        rest = f"{n} fit{' is' if n == 1 else 's are'} kept in {out}; {again} does the rest"
         say(f"stopped: {rest}" if n else "stopped before a scan was fitted")
         return exit_code(stop)
     finally:

@@ -20,7 +20,7 @@ from .refit import Refit
 from .scout import Scout
 from .search import Search
 
-__all__ = ["FitSettings", "ScanFit"]
+__all__ = ["FitSettings", "ScanFit", "stands_words"]
 
 
 @dataclass(frozen=True)
@@ -145,10 +145,7 @@ class ScanFit:
             # The residual takes what the template lacks; the pose is better known by distances to the surface.
             known = None if labels is None else labels[rows]
             last = replace(last, state=self._refit.polish(problem, last.state, labels=known))
-        stands = ""
-        if self.facing.open_up and theta0 is None and stands_note(frame.turn, self.facing.up):
-            # What was found under another axis may but lean.
-            stands = stands_note(frame.turn @ root_turn(model.source, last.state.theta), self.facing.up)
+        stands = stands_words(self.facing, model.source, frame, last.state.theta) if theta0 is None else ""
         note = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
         return assemble(
             model.source,
@@ -195,6 +192,13 @@ class ScanFit:
                 best = frame, problem, proba, search
         frame, problem, proba, search = best
         return frame, problem, proba, search.full(search.pose())
+
+
+def stands_words(facing, rig, frame, theta):
+    """In words, which way a scan stands that was found to be fitted so, where it is another than the rig's and nobody said so."""
+    if not facing.open_up or not stands_note(frame.turn, facing.up):
+        return ""
+    return stands_note(frame.turn @ root_turn(rig, theta), facing.up)  # what was found under another axis may but lean
 
 
 def _thinned(n, point_weights, most, rng):

@@ -59,7 +59,8 @@ class Effort:
     bends : bool
         Whether other bends of joints are tried in the end.
     again : str or None
-        The effort of a second look where the first leaves the pose in doubt; None for none.
+        The effort of a second look where the first leaves the pose in doubt; None for none. With the effort of the first, only
+        where other up axes are to be tried.
     """
 
     starts: int
@@ -76,7 +77,7 @@ class Effort:
 EFFORTS = {
     "fast": Effort(6, 2, 2, 1, 1, 1, 1, bends=False),
     "balanced": Effort(16, 4, 4, 2, 3, 1, 2, bends=True, again="thorough"),
-    "thorough": Effort(48, 8, 8, 3, 8, 4, 3, bends=True),
+    "thorough": Effort(48, 8, 8, 3, 8, 4, 3, bends=True, again="thorough"),
 }
 
 
@@ -156,9 +157,10 @@ class Scout:
         Found
         """
         found = self._look(points, x_weights)
-        if self.effort.again and self._probability(found) < _SURE:
+        again = EFFORTS.get(self.effort.again)
+        if again and (again != self.effort or self.facing.open_up) and self._probability(found) < _SURE:
             closer = copy(self)
-            closer.effort = EFFORTS[self.effort.again]
+            closer.effort = again
             if self.facing.open_up:  # not every scan has the rig's up axis
                 closer.facing = replace(self.facing, turns=any_side_up(self.facing.turns, self.facing.up))
             # E goes by the square of the frame's unit.

@@ -86,7 +86,8 @@ def read_npy(path):
 def read_npz(path):
     """Read an NPZ file: points (or xyz, vertices, …), and faces, normals and labels where it has them."""
     by_name = {key.lower(): key for key in sorted(npz.npz_keys(path))}
-    if {"parents", "joints"} <= set(by_name) and any(key.startswith("weights") for key in by_name):
+    of_rig = {"parents", "joints"} <= set(by_name) and any(key.startswith("weights") for key in by_name)
+    if of_rig and not {"points", "xyz"} & set(by_name):
         raise FileError(str(path), "a rig, or a model that was learned", "a scan", "The rig comes before the scans.")
     found = {what: next((by_name[k] for k in keys if k in by_name), None) for what, keys in _NPZ_KEYS.items()}
     found["labels"] = next((key for name, key in by_name.items() if column_role(name) == 6), None)

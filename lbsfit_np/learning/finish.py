@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..fitting.assemble import assemble
-from ..fitting.scan_fit import FitSettings, ScanFit
+from ..fitting.scan_fit import FitSettings, ScanFit, stands_words
 from ..fitting.scout import Found, Scout
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import LossWeights
@@ -123,7 +123,8 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
         message = f"{alone.message}; somebody else than the people learned from"
         return replace(alone, message=message, seconds=time.perf_counter() - started)
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
-    note = "; ".join(filter(None, [note, unit, left_out]))
+    stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
+    note = "; ".join(filter(None, [note, unit, stands, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     return fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
 

@@ -45,5 +45,7 @@ def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
     # What of the scan lies off the mesh is to be seen, too, but for single wild points.
     around = np.clip(items[0].points, *np.percentile(items[0].points, [1, 99], axis=0))
     frame = np.vstack([found, around] if truth is None else [found, around, truth @ turn])
-    axes = {"up": rig.up or "+y", "forward": rig.forward, "frame": frame}
+    up = rig.up or "+y"
+    forward = None if rig.forward and rig.forward[-1] == up[-1] else rig.forward  # where up is but assumed
+    axes = {"up": up, "forward": forward, "frame": frame}
     return montage([[render(item, view=view, size=size, **axes) for item in items] for view in _VIEWS])

@@ -177,9 +177,9 @@ def _more(report, name):
         swing = f"- The {path['chain']} chain swung from {path['from']}'s place to beside {path['to']}"
         rise = f"L_c rises to {path['rise']:.2f} times its start before it falls, L_s never above {low:.2f} times its own"
         lines.append(f"{swing}: {rise}.")
-    joint, oracle = _paired(report, name, ("joint", "oracle-fit")).values()
-    measures = [(key, what) for key, what in _MEASURES if _both(joint, oracle, key) and _mean(oracle, key) > 0]
-    shares = [f"{what} {_mean(joint, key) / _mean(oracle, key):.2f}" for key, what in measures]
+    both = [(key, what, _compared(report, name, ("joint", "oracle-fit"), key)) for key, what in _MEASURES]
+    means = [(what, *(_mean(cells, key) for cells in rows.values())) for key, what, rows in both if len(rows) == 2]
+    shares = [f"{what} {joint / oracle:.2f}" for what, joint, oracle in means if oracle > 0]
     if shares:
         lines.append(f"- Joint ÷ oracle fit: {', '.join(shares)}.")
     floor = [c["pose_truth"] for c in _cells(report, name, "joint") if "pose_truth" in c]
@@ -199,7 +199,7 @@ def _reached(report, name):
         ("Recon ÷ truth", np.mean([c["recon"] / c["recon_truth"] for c in cells]), GOALS["ratio"], "≤"),
         ("Pose", _mean(cells, "pose"), GOALS["pose"], "≤"),
     ]
-    if _both(cells, cells, "corre"):
+    if _with_measure(cells, "corre"):
         found.append(("Corre. before the snap", _mean(cells, "corre"), GOALS["corre"], "≤"))
     for what, key in (("labels of the segmenter alone", "kept_accuracy"), ("labels of its fits", "fitted_labels")):
         labels = [c[key] for c in cells if c.get(key) is not None]
@@ -218,10 +218,8 @@ def _reached(report, name):
 
 def _order(report, name, key, what):
     """The ablations from the best to the worst by a measure, and whether that is the paper's order."""
-    run = [row for row in _ORDER if _cells(report, name, row)]
-    cells = {row: _with_measure(found, key) for row, found in _paired(report, name, run).items()}
-    ranked = sorted((_mean(found, key), row) for row, found in cells.items() if found)
-    wanted = [row for row in ("joint", "rand", "cd") if cells.get(row)]
+    ranked = sorted((_mean(found, key), row) for row, found in _compared(report, name, _ORDER, key).items())
+    wanted = [row for row in ("joint", "rand", "cd") if row in [known for _, known in ranked]]
     kept = [row for _, row in ranked if row in wanted] == wanted
     if len(ranked) < 2:
         return ""
@@ -238,10 +236,6 @@ def _mean(cells, key):
 def _with_measure(cells, key):
     """Those that have it: nothing fitted has none, a single fit no correspondences."""
     return [c for c in cells if c.get(key) is not None]
-
-
-def _both(a, b, key):
-    return _with_measure(a, key) and _with_measure(b, key)
 
 
 _MEASURES = (("recon", "Recon"), ("pose", "Pose"), ("corre", "Corre."), ("vertices", "vertices"))
@@ -286,10 +280,15 @@ def _cells(report, name, row):
     return [rows[row] for rows in report["rigs"][name]["seeds"].values() if row in rows]
 
 
-def _paired(report, name, rows):
-    """Row → its cells of the seeds that all of these rows have: only these can be compared."""
-    seeds = [done for done in report["rigs"][name]["seeds"].values() if all(row in done for row in rows)]
-    return {row: [done[row] for done in seeds] for row in rows}
+def _compared(report, name, rows, key):
+    """Row → its cells of the seeds in which all of these rows have a measure: only these can be compared.
+
+    Rows that have it in no seed are left out first; empty where no seed is left.
+    """
+    rows = [row for row in rows if _with_measure(_cells(report, name, row), key)]
+    found = [[_with_measure([done.get(row, {})], key) for row in rows] for done in report["rigs"][name]["seeds"].values()]
+    seeds = [cells for cells in found if all(cells)]
+    return {row: [cells[k][0] for cells in seeds] for k, row in enumerate(rows)} if seeds else {}
 
 
 def _over(cells, *keys):
