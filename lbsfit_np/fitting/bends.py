@@ -9,6 +9,7 @@ included, and what leaves less unexplained is kept.
 import numpy as np
 
 from ..optimize.gauss_newton import GaussNewton
+from ..rig.chains import bones
 from .refit import thinned
 
 __all__ = ["Bends", "other_bends"]
@@ -101,7 +102,8 @@ def other_bends(rig, theta):
         given to the joint that it hangs on, or to the one that hangs on it where there is just one; and a straight hinge bent to
         the middle of its range.
     """
-    above, out = _moving_parents(rig), []
+    bone, out = bones(rig), []
+    above = np.where(rig.moving & (np.arange(len(bone)) != rig.root), bone[rig.parents], -1)
     axes = (rig.upper > rig.lower).sum(axis=1)
     for j in np.flatnonzero(rig.moving):
         straight, middle = np.clip(0.0, rig.lower[j], rig.upper[j]), (rig.lower[j] + rig.upper[j]) / 2
@@ -117,12 +119,3 @@ def other_bends(rig, theta):
         elif axes[j] == 1 and np.linalg.norm(theta[j] - middle) > _BENT:
             out.append(((j,), middle[None]))
     return out
-
-
-def _moving_parents(rig):
-    """(J,) int: the next moving joint up, −1 for none."""
-    above = np.full(len(rig.parents), -1)
-    for level, up in rig.levels:
-        for j, p in zip(level, up):
-            above[j] = p if rig.moving[p] else above[p]
-    return np.where(rig.moving, above, -1)
