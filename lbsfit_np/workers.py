@@ -6,6 +6,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from .errors import InputError
+from .threads import one_thread
 
 __all__ = ["Workers", "each"]
 
@@ -37,9 +38,7 @@ def each(work, tasks, *, jobs=1, done=None):
     done = done or (lambda share: None)
     answers = {}
     if min(jobs, len(tasks)) <= 1:
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(1):  # as in the processes: results must not depend on where they were made
+        with one_thread():  # as in the processes: results must not depend on where they were made
             for k, task in enumerate(tasks):
                 answers[k] = work(task)
                 done((k + 1) / len(tasks))
@@ -252,12 +251,10 @@ def _serve(connection, payload):
     signal.signal(signal.SIGTERM, _end)
     try:
         work = pickle.loads(payload)
-        from threadpoolctl import threadpool_limits
-
-        threadpool_limits(1)  # the processes share the cores
-        connection.send(_READY)
-        while (task := pickle.loads(connection.recv_bytes())) is not None:
-            connection.send(work(task))
+        with one_thread():  # the processes share the cores
+            connection.send(_READY)
+            while (task := pickle.loads(connection.recv_bytes())) is not None:
+                connection.send(work(task))
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone
 

@@ -19,6 +19,7 @@ NAMES = [str(p.relative_to(PACKAGE)) for p in MODULES]
 ROOMS = (
     "errors",
     "seeds",
+    "threads",
     "workers",
     "rotations",
     "rig",

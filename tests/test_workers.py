@@ -2,6 +2,9 @@
 
 import os
 import signal
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -31,6 +34,22 @@ def test_errors_of_tasks_pass_on(jobs):
 def test_a_process_that_dies_is_said():
     with pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
         each(_killed, [1, 2, 3], jobs=2)
+
+
+def test_libraries_that_a_task_loads_have_one_thread_too(monkeypatch):
+    monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
+    assert each(_threads, range(3), jobs=2) == [{1}] * 3
+    code = "from lbsfit_np.workers import each; from test_workers import _threads; print(each(_threads, [0]))"
+    path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    run = subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
+    assert run.stdout.strip() == "[{1}]", run.stderr
+
+
+def _threads(_):
+    import scipy.linalg  # noqa: F401 (its BLAS is not NumPy's)
+    from threadpoolctl import threadpool_info
+
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
 
 
 def _squared(x):

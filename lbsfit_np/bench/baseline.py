@@ -14,6 +14,7 @@ from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..starts.scale import reference_scale
+from ..threads import one_thread
 
 __all__ = ["PlainChamfer"]
 
@@ -51,9 +52,7 @@ class PlainChamfer:
         FitResult
             Labels are those of the nearest fitted vertices.
         """
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(1):
+        with one_thread():
             return self._fit(np.asarray(scan.points, dtype=float), time.perf_counter())
 
     @cached_property

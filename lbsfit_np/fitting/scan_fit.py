@@ -14,6 +14,7 @@ from ..seeds import generator
 from ..starts.clean import clean_rows
 from ..starts.scale import reference_scale, unit_note
 from ..starts.turns import Facing, some_turns, stands_note
+from ..threads import one_thread
 from .assemble import assemble
 from .confidence import shown_problem
 from .refit import Refit
@@ -119,10 +120,8 @@ class ScanFit:
         -------
         FitResult
         """
-        from threadpoolctl import threadpool_limits
-
         started = time.perf_counter()
-        with threadpool_limits(1):  # threads on arrays this small cost more than they give
+        with one_thread():  # threads on arrays this small cost more than they give
             return self._fit(points, theta0, labels, point_weights, random_state, started, found)
 
     def _fit(self, points, theta0, labels, point_weights, random_state, started, found):

@@ -21,6 +21,7 @@ from ..seeds import generator
 from ..starts.clean import clean_rows
 from ..starts.scale import reference_scale, unit_note
 from ..starts.turns import facing_of, some_turns
+from ..threads import one_thread
 from .variants import as_variant
 
 __all__ = ["fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
@@ -78,15 +79,13 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
     InputError
         A start or labels where there is no skinning that could use them.
     """
-    from threadpoolctl import threadpool_limits
-
     if subjects is None or fitter.regressor_ is None:
         for name, value in (("theta0", theta0), ("labels", labels)):
             if value is not None:
                 expected = "None: in the variant 'free-form' vertices move freely, without pose or parts"
                 raise InputError(name, f"a {type(value).__name__}", expected, "Leave it out, or choose another variant.")
 
-    with threadpool_limits(1):
+    with one_thread():
         return _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone)
 
 

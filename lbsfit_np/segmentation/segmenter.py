@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import FileError, InputError, brief
 from ..losses.checks import check_set
 from ..seeds import generator
+from ..threads import one_thread
 from ..workers import each
 from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor
@@ -242,12 +243,10 @@ def jobs_of(n_jobs, random_state):
 
 def _in_context(points, rows, descriptor, first):
     """Descriptors of some points, with the context that the first stage gives them."""
-    from threadpoolctl import threadpool_limits
-
     # Evenly spread rows of a scan in its own order: no randomness where one scan has to be labelled.
     around = np.linspace(0, len(points) - 1, min(CONTEXT_POINTS, len(points))).astype(int)
     own = descriptor(points, np.concatenate([rows, around]))
-    with threadpool_limits(1):
+    with one_thread():
         proba = first.predict_proba(own.copy())
     k = len(rows)
     return np.hstack([own[:k], context(points[rows], proba[:k], points[around], proba[k:])])

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..seeds import generator, integer_seed
+from ..threads import one_thread
 
 __all__ = ["Stage", "Training", "passing_interrupts", "train_stage"]
 
@@ -149,8 +150,6 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
         On Ctrl-C, at once: what is trained by half is never returned.
     """
     from sklearn.neural_network import MLPClassifier
-    from threadpoolctl import threadpool_limits
-
     mean = X.mean(axis=0, dtype=float).astype(np.float32)
     deviation = X.std(axis=0, dtype=float).astype(np.float32) + np.float32(1e-6)
     classes = np.unique(y)
@@ -175,7 +174,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
             own[...] = given
     rng = generator(random_state, name, "order")
     averaged, count = None, 0
-    with threadpool_limits(1):  # the result must not depend on the number of threads, and a second one gains little
+    with one_thread():  # the result must not depend on the number of threads, and a second one gains little
         for epoch in range(training.epochs):
             for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
                 _fit_chunk(classifier, X[rows], y[rows], classes)

@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import FileError
 from ..seeds import integer_seed
 from ..segmentation.stage import passing_interrupts
+from ..threads import one_thread
 from ..workers import each
 from .look import look
 
@@ -207,8 +208,6 @@ def _trained(looks, radii, poses, random_state):
     import warnings
 
     from sklearn.neural_network import MLPRegressor
-    from threadpoolctl import threadpool_limits
-
     mean = looks.mean(axis=0)
     deviation = looks.std(axis=0) + np.float32(1e-6)
     network = MLPRegressor(
@@ -221,7 +220,7 @@ def _trained(looks, radii, poses, random_state):
         alpha=_DECAY,
         random_state=integer_seed(random_state, "regressor"),
     )
-    with threadpool_limits(1), passing_interrupts(), warnings.catch_warnings():
+    with one_thread(), passing_interrupts(), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that all epochs were used is the plan, no failure to converge
         network.fit((looks - mean) / deviation, poses.reshape(len(poses), -1).astype(np.float32))
     if len(network.loss_curve_) < _EPOCHS:

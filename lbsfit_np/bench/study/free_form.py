@@ -18,6 +18,7 @@ from ...optimize.problem import Problem
 from ...seeds import integer_seed
 from ...skinning import skin
 from ...starts.look import look
+from ...threads import one_thread
 
 __all__ = ["Augmented", "FromTemplate", "Supervised", "best_free_form", "taught"]
 
@@ -54,11 +55,9 @@ def best_free_form(rig, points, starts):
 
 
 def _fitted(rig, points, start):
-    from threadpoolctl import threadpool_limits
-
     model = Model(rig.with_template(start), half=rig.size / 2)
     frame = Frame(points.mean(axis=0), model.half)
-    with threadpool_limits(1):
+    with one_thread():
         problem = Problem(frame.inside(points))
         return free_form(model, _SETTINGS, problem, points, np.arange(len(points)), frame, time.perf_counter())
 
@@ -131,15 +130,13 @@ def taught(rig, scans, random_state):
 
     from sklearn.decomposition import PCA
     from sklearn.neural_network import MLPRegressor
-    from threadpoolctl import threadpool_limits
-
     def shape_of(scan):
         return (scan.vertices - scan.points.mean(axis=0)).ravel().astype(np.float32)
 
     some = np.unique(np.linspace(0, len(scans) - 1, min(len(scans), _OF_COMPONENTS)).astype(int))
     shapes = np.array([shape_of(scans[i]) for i in some])
     centre = shapes.mean(axis=0)
-    with threadpool_limits(1):
+    with one_thread():
         k = min(_COMPONENTS, len(some) - 1)
         seed = integer_seed(random_state, "components")
         components = PCA(k, svd_solver="randomized", random_state=seed).fit(shapes).components_

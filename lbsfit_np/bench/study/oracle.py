@@ -22,6 +22,7 @@ from ...optimize.lbfgs import minimise
 from ...optimize.model import Model
 from ...optimize.problem import Evaluation, Problem
 from ...skinning import skin_adjoint
+from ...threads import one_thread
 
 __all__ = ["OracleFit"]
 
@@ -51,9 +52,7 @@ class OracleFit:
 
     def __call__(self, scan):
         """The fit of a SyntheticScan; a FitResult in its frame."""
-        from threadpoolctl import threadpool_limits
-
-        with threadpool_limits(1):
+        with one_thread():
             return self._fit(scan, time.perf_counter())
 
     def _fit(self, scan, started):
