@@ -25,6 +25,7 @@ from ..optimize.model import Model
 from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import build_library
+from ..threads import one_thread
 from ..workers import each
 from .collection import mixed_units, odd_ones
 from .mixture import Mixture
@@ -155,6 +156,7 @@ class Loop:
         self.coefficients = {}
         self.history = []
 
+    @one_thread()
     def run(self):
         """All rounds; returns Learned, and leaves in each member its state, problem and loss."""
         started = time.perf_counter()
@@ -194,8 +196,7 @@ class Loop:
         answers = self._work(work, [m.points[m.rows] for m in members], "first fits")
         scales = {}
         for m, (frame, state, loss, proba) in zip(self.collection.members, answers, strict=True):
-            m.proba = proba
-            m.loss = loss
+            m.proba, m.loss = proba, loss
             m.use_frame(frame.unit / half, half, frame.turn)
             scales.setdefault(m.subject, []).append(state.scale * m.unit)
             m.state = state

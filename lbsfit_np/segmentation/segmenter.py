@@ -48,6 +48,7 @@ class Segmenter:
         if not 1 <= len(self.stages) <= 2 or any(len(s.mean) != w for s, w in zip(self.stages, widths, strict=False)):
             raise ValueError("stages that do not fit the descriptor")
 
+    @one_thread()
     def predict_proba(self, points, *, scale=1.0, rows=None):
         """Probability of each part for points of a scan.
 
@@ -246,8 +247,7 @@ def _in_context(points, rows, descriptor, first):
     # Evenly spread rows of a scan in its own order: no randomness where one scan has to be labelled.
     around = np.linspace(0, len(points) - 1, min(CONTEXT_POINTS, len(points))).astype(int)
     own = descriptor(points, np.concatenate([rows, around]))
-    with one_thread():
-        proba = first.predict_proba(own.copy())
+    proba = first.predict_proba(own.copy())
     k = len(rows)
     return np.hstack([own[:k], context(points[rows], proba[:k], points[around], proba[k:])])
 

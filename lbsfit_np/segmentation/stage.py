@@ -122,6 +122,7 @@ class Stage:
         return cls(arrays[f"{prefix}_mean"], arrays[f"{prefix}_deviation"], classifier, n_parts, int(arrays[f"{prefix}_only"]))
 
 
+@one_thread()  # the result must not depend on the number of threads, and a second one gains little
 def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=None):
     """Train one stage: epochs of Adam in chunks, and the mean of the weights over the later ones, which generalises better.
 
@@ -150,6 +151,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
         On Ctrl-C, at once: what is trained by half is never returned.
     """
     from sklearn.neural_network import MLPClassifier
+
     mean = X.mean(axis=0, dtype=float).astype(np.float32)
     deviation = X.std(axis=0, dtype=float).astype(np.float32) + np.float32(1e-6)
     classes = np.unique(y)
@@ -174,18 +176,17 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
             own[...] = given
     rng = generator(random_state, name, "order")
     averaged, count = None, 0
-    with one_thread():  # the result must not depend on the number of threads, and a second one gains little
-        for epoch in range(training.epochs):
-            for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
-                _fit_chunk(classifier, X[rows], y[rows], classes)
-                progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
-                if epoch >= min(training.average_from, training.epochs - 1):
-                    count += 1
-                    now = classifier.coefs_ + classifier.intercepts_
-                    if averaged is None:
-                        averaged = [w.copy() for w in now]
-                    else:
-                        averaged = [a + (w - a) / count for a, w in zip(averaged, now, strict=True)]
+    for epoch in range(training.epochs):
+        for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
+            _fit_chunk(classifier, X[rows], y[rows], classes)
+            progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
+            if epoch >= min(training.average_from, training.epochs - 1):
+                count += 1
+                now = classifier.coefs_ + classifier.intercepts_
+                if averaged is None:
+                    averaged = [w.copy() for w in now]
+                else:
+                    averaged = [a + (w - a) / count for a, w in zip(averaged, now, strict=True)]
     n = len(classifier.coefs_)
     classifier.coefs_, classifier.intercepts_ = averaged[:n], averaged[n:]
     return Stage(mean, deviation, classifier, n_parts)

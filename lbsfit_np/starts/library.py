@@ -208,6 +208,7 @@ def _trained(looks, radii, poses, random_state):
     import warnings
 
     from sklearn.neural_network import MLPRegressor
+
     mean = looks.mean(axis=0)
     deviation = looks.std(axis=0) + np.float32(1e-6)
     network = MLPRegressor(

@@ -130,6 +130,7 @@ def taught(rig, scans, random_state):
 
     from sklearn.decomposition import PCA
     from sklearn.neural_network import MLPRegressor
+
     def shape_of(scan):
         return (scan.vertices - scan.points.mean(axis=0)).ravel().astype(np.float32)
 
