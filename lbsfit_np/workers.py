@@ -8,9 +8,29 @@ from dataclasses import dataclass
 from .errors import InputError
 from .threads import one_thread
 
-__all__ = ["Workers", "each"]
+__all__ = ["Workers", "each", "kept_processes"]
 
 _READY = "ready"
+# In place of work for a process that is to end.
+_NOTHING = pickle.dumps(None)
+# Processes without work, while they are kept.
+_SPARE = None
+
+
+@contextmanager
+def kept_processes():
+    """In here, processes that have done their work wait for other work: new ones take time to start. ``with``, or a decorator."""
+    global _SPARE
+    if _SPARE is not None:  # those around this keep them longer
+        yield
+        return
+    _SPARE = []
+    try:
+        yield
+    finally:
+        spare, _SPARE = _SPARE, None
+        for worker in spare:
+            worker.end()
 
 
 def each(work, tasks, *, jobs=1, done=None):
@@ -71,6 +91,16 @@ class _Caught:
             return None, error
 
 
+def _spare():
+    """A process that waits for work, or None."""
+    while _SPARE:
+        worker = _SPARE.pop()
+        if worker.process.is_alive():
+            return worker
+        worker.end()
+    return None
+
+
 class Workers:
     """A context manager that keeps up to ``n`` processes, each of which has its own copy of ``work``.
 
@@ -120,7 +150,8 @@ class Workers:
         """Have a process do ``task``, a new one while there are fewer than n."""
         worker = next((w for w in self._workers if w.task is None), None)
         if worker is None:
-            worker = _Worker(self._payload)
+            worker = _spare() or _Worker()
+            worker.take_up(self._payload)
             self._workers.append(worker)
         worker.give(task)
 
@@ -132,15 +163,21 @@ class Workers:
         return [a for w in list(self._workers) if w.connection in ready for a in self._received(w)]
 
     def stop(self):
-        """End all processes, in the middle of a task if need be; returns answers that had been given by then."""
-        for w in self._workers:
+        """End the work, in the middle of a task if need be; returns answers that had been given by then."""
+        workers, self._workers = self._workers, []
+        if _SPARE is not None:
+            idle = [w for w in workers if w.task is None]
+            for w in idle:
+                w.give(None)
+            _SPARE.extend(idle)
+            workers = [w for w in workers if w not in idle]
+        for w in workers:
             w.ask_to_end()
         late = []
-        for w in self._workers:
+        for w in workers:
             w.join()
             late += w.last_answers()
             w.connection.close()
-        self._workers = []
         return late
 
     def _received(self, worker):
@@ -169,12 +206,12 @@ class Workers:
 class _Worker:
     """One process and the connection to it."""
 
-    def __init__(self, payload):
+    def __init__(self):
         import multiprocessing
 
         context = multiprocessing.get_context("spawn")  # a fork of a process with BLAS threads may hang
         self.connection, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs, payload), daemon=True)
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
         with _without_interrupts():
             self.process.start()
         theirs.close()
@@ -182,9 +219,17 @@ class _Worker:
         self.task = None
         self._torn = False
 
+    def take_up(self, payload):
+        """Other work, of which it says when it is ready for tasks."""
+        self.ready = False
+        self._send(payload)
+
     def give(self, task):
         data = pickle.dumps(task, protocol=pickle.HIGHEST_PROTOCOL)
         self.task = task
+        self._send(data)
+
+    def _send(self, data):
         try:
             self.connection.send_bytes(data)
         except OSError:
@@ -199,8 +244,15 @@ class _Worker:
     def ask_to_end(self):
         if self.task is None:
             self.give(None)
+            self._send(_NOTHING)
         else:
             self.process.terminate()
+
+    def end(self):
+        """End it where it waits for other work."""
+        self._send(_NOTHING)
+        self.join()
+        self.connection.close()
 
     def join(self):
         self.process.join(10)
@@ -245,16 +297,17 @@ def _without_interrupts():
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
-def _serve(connection, payload):
-    """A worker's life: do tasks until there are no more, the parent is gone, or it is told to end."""
+def _serve(connection):
+    """A worker's life: work comes, then its tasks until there are no more, then other work; until it is told to end."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _end)
     try:
-        work = pickle.loads(payload)
         with one_thread():  # the processes share the cores
-            connection.send(_READY)
-            while (task := pickle.loads(connection.recv_bytes())) is not None:
-                connection.send(work(task))
+            while (work := pickle.loads(connection.recv_bytes())) is not None:
+                connection.send(_READY)
+                while (task := pickle.loads(connection.recv_bytes())) is not None:
+                    connection.send(work(task))
+                del work, task
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone
 

@@ -4,13 +4,14 @@ import os
 import signal
 import subprocess
 import sys
+from multiprocessing import active_children
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from lbsfit_np.errors import InputError
-from lbsfit_np.workers import each
+from lbsfit_np.workers import each, kept_processes
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -36,6 +37,29 @@ def test_a_process_that_dies_is_said():
         each(_killed, [1, 2, 3], jobs=2)
 
 
+def test_processes_are_kept_for_other_work():
+    with kept_processes():
+        first = set(each(_process, range(4), jobs=2))
+        assert each(_squared, [2, 3], jobs=2) == [4, 9]
+        with kept_processes():
+            assert set(each(_process, range(4), jobs=2)) <= first
+        assert set(each(_process, range(4), jobs=2)) <= first
+        with pytest.raises(ZeroDivisionError):
+            each(_inverse, [1, 2, 0, 3], jobs=2)
+        assert each(_inverse, [1, 2], jobs=2) == [1, 0.5]
+    assert not first & {child.pid for child in active_children()}
+    assert not first & set(each(_process, range(4), jobs=2))
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
+def test_a_process_that_dies_while_it_is_kept_is_replaced():
+    with kept_processes():
+        for pid in set(each(_process, range(2), jobs=2)):
+            os.kill(pid, signal.SIGKILL)
+            _wait_for_end(pid)
+        assert each(_squared, [2, 3], jobs=2) == [4, 9]
+
+
 def test_libraries_that_a_task_loads_have_one_thread_too(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     assert each(_threads, range(3), jobs=2) == [{1}] * 3
@@ -43,6 +67,16 @@ def test_libraries_that_a_task_loads_have_one_thread_too(monkeypatch):
     path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     run = subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
     assert run.stdout.strip() == "[{1}]", run.stderr
+
+
+def _process(_):
+    return os.getpid()
+
+
+def _wait_for_end(pid):
+    for child in active_children():
+        if child.pid == pid:
+            child.join(10)
 
 
 def _threads(_):

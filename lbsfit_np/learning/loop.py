@@ -26,7 +26,7 @@ from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import build_library
 from ..threads import one_thread
-from ..workers import each
+from ..workers import each, kept_processes
 from .collection import mixed_units, odd_ones
 from .mixture import Mixture
 
@@ -157,6 +157,7 @@ class Loop:
         self.history = []
 
     @one_thread()
+    @kept_processes()
     def run(self):
         """All rounds; returns Learned, and leaves in each member its state, problem and loss."""
         started = time.perf_counter()
@@ -298,8 +299,7 @@ class Loop:
         won = 0
         for m, (state, loss, which) in zip(self.collection.members, answers, strict=True):
             won += which > 0
-            m.loss = loss
-            m.state = state
+            m.state, m.loss = state, loss
         return won
 
     def _smooth(self, templates):

@@ -7,6 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 from ...errors import InputError
+from ...workers import kept_processes
 from ..environment import environment
 from ..resume import REMEDY, begun
 from ..run import TRAINING_SEED
@@ -21,6 +22,7 @@ __all__ = ["FIRST_SEED", "cell_name", "study"]
 FIRST_SEED = 300
 
 
+@kept_processes()
 def study(
     rigs,
     *,
