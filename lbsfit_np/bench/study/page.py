@@ -37,8 +37,7 @@ _INTRODUCTION = """\
 
 Written by `lbsfit bench study`; change that command, not this page. Every experiment of LBS-AE (CVPR 2019) in its
 classical form: the paper's networks are fits and small scikit-learn models here, what else differs stands below. The
-paper's
-figures, where it has them, stand in square brackets.
+paper's figures, where it has them, stand in square brackets.
 """
 
 _PROTOCOL = """\
@@ -245,7 +244,7 @@ _ORDER = ("joint", "pose-only", "rand", "cd")
 def _sizes(report):
     sizes = [
         f"{name}: {e['size']['train']} scans of {e['size']['train_subjects']} people to learn from, {e['size']['test']} of "
-        f"{e['size']['test_subjects']} others to be tested on, seeds {', '.join(e['seeds'])}"
+        f"{e['size']['test_subjects']} others to be tested on, seed{'s' * (len(e['seeds']) > 1)} {', '.join(e['seeds'])}"
         for name, e in report["rigs"].items()
     ]
     return (
