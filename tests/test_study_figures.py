@@ -35,7 +35,8 @@ def given(rig):
 @pytest.fixture(scope="module")
 def report(rig):
     rows = {row: {"accuracy": []} for row in ERRORS}
-    rows["rand"]["accuracy"], rows["joint"]["accuracy"] = [0.9, 0.91, 0.92], [0.9, 0.94, 0.95, 0.955]
+    rows["rand"] |= {"accuracy": [0.9, 0.91, 0.92], "kept_accuracy": 0.92}
+    rows["joint"] |= {"accuracy": [0.9, 0.94, 0.95, 0.955], "kept_accuracy": 0.95}
     entry = {"digest": rig.digest, "size": asdict(TINY), "seeds": {str(SEED): rows}}
     return {"rigs": {NAME: entry}}
 
@@ -241,7 +242,9 @@ def test_what_is_inferred_in_the_mixture_is_near_the_inferred_poses(viz, shown, 
 
 def test_the_accuracy_of_every_seed_is_drawn_and_their_mean(viz, drawn, tmp_path):
     told = {"rand": ([0.80, 0.81], [0.84, 0.87]), "joint": ([0.80, 0.90, 0.93], [0.84, 0.92])}
-    seeds = {str(k): {row: {"accuracy": both[k]} for row, both in told.items()} for k in (0, 1)}
+    kept = {"rand": (0.81, 0.87), "joint": (0.90, 0.92)}
+    cells = {row: [{"accuracy": both[k], "kept_accuracy": kept[row][k]} for k in (0, 1)] for row, both in told.items()}
+    seeds = {str(k): {row: cells[row][k] for row in told} for k in (0, 1)}
     charts.accuracy({"rigs": {"hand": {"seeds": seeds}}}, tmp_path / "accuracy.png")
     (axes,) = drawn.axes
     lines = {(line.get_color(), line.get_linewidth() > 1): [] for line in axes.lines}
@@ -252,6 +255,8 @@ def test_the_accuracy_of_every_seed_is_drawn_and_their_mean(viz, drawn, tmp_path
         assert lines[color, False] == [[100 * v for v in values] for values in both]
         mean = [50 * (a + b) for a, b in zip(*both)]  # as far as all seeds go
         assert lines[color, True] == [mean]
+    rings = [tuple(ring.get_offsets()[0]) for ring in axes.collections]
+    assert rings == [pytest.approx((1, 100 * value)) for both in kept.values() for value in both]
 
 
 @pytest.fixture

@@ -137,8 +137,9 @@ def test_on_the_training_scans_the_papers_figures_are_those_of_bodies():
 def test_gaps_of_templates_are_after_over_before():
     report = _report(joint=[{"gap": {"subjects": GAP, "test scans": TESTED}}] * 2)
     text = page(report, {})
-    assert "template gap ÷ before 0.250 (goal ≤ 0.5)" in text
-    assert "template gap ÷ before, up to a shift 0.400 (goal ≤ 0.5)" in text
+    assert "template gap of the people learned from ÷ before 0.250 (goal ≤ 0.5)" in text
+    assert "of the test scans 0.200 (one scan each; no goal)" in text and "had 400 synthetic scans before learning" in text
+    assert "template gap of the people learned from ÷ before, up to a shift 0.400 (goal ≤ 0.5)" in text
 
     def plain(line):
         """Without ranges."""
@@ -153,7 +154,7 @@ def test_gaps_of_templates_are_after_over_before():
 
 def test_a_gap_that_grew_misses_its_goal():
     grown = GAP | {"before": 0.05, "after": 0.2}
-    assert "template gap ÷ before 4.000 (goal ≤ 0.5, missed)" in console_table(_report(joint={"gap": {"subjects": grown}}))
+    assert "learned from ÷ before 4.000 (goal ≤ 0.5, missed)" in console_table(_report(joint={"gap": {"subjects": grown}}))
 
 
 def test_joint_is_divided_by_the_oracle():
@@ -171,9 +172,9 @@ def test_accuracies_are_before_learning_and_of_what_was_kept():
     learned = {"accuracy": [0.80, 0.90, 0.93], "kept_accuracy": 0.91, "fitted_labels": 0.97}
     report = _report(joint=learned, rand=learned | {"accuracy": [0.80, 0.85], "kept_accuracy": 0.82, "fitted_labels": None})
     lines = [line for line in page(report, {}).splitlines() if line.startswith("- Labels of the segmenter")]
-    before_kept = r", (\S+): (\S+) before, (\S+) of what was kept of (\d) round"
+    before_kept = r", (\S+): (\S+) before learning, (\S+) as kept \(round (\d) of (\d)\)"
     said = [re.search(before_kept, line).groups() for line in lines]
-    assert said == [("rand", "80.0%", "82.0%", "1"), ("joint", "80.0%", "91.0%", "2")]
+    assert said == [("rand", "80.0%", "82.0%", "1", "1"), ("joint", "80.0%", "91.0%", "1", "2")]
     assert ["of its fits 97.0%" in line for line in lines] == [False, True]
     assert "labels of the segmenter alone 0.910 (goal ≥ 0.95, missed)" in console_table(report)
     assert "labels of its fits 0.970 (goal ≥ 0.95)" in console_table(report)
@@ -185,12 +186,16 @@ def test_the_floor_of_pose_is_that_of_the_true_template():
     assert re.search(r"- Pose of the exact template in the exact pose.*: 0\.0130\.", page(_report(joint={}), {}))
 
 
-@pytest.mark.parametrize("rand, verdict", [(0.02, "kept"), (0.001, "missed"), (0.2, "missed")])
+VERDICTS = [(0.02, "kept"), (0.001, "missed"), (0.2, "missed"), (0.0102, "level"), (0.0098, "level")]
+
+
+@pytest.mark.parametrize("rand, verdict", VERDICTS)
 def test_the_order_of_the_ablations_is_from_the_least_error(rand, verdict):
     text = console_table(_report(joint={"pose": 0.01}, rand={"pose": rand}, cd={"pose": 0.1}))
     (line,) = [line for line in text.splitlines() if line.startswith("Pose, from the best")]
     ranked = [row for row, _ in sorted({"joint": 0.01, "rand": rand, "cd": 0.1}.items(), key=lambda known: known[1])]
-    assert re.findall(r"(joint|rand|cd) \d", line) == ranked and verdict in line
+    assert re.findall(r"(joint|rand|cd) \d", line) == ranked and f": {verdict})" in line
+    assert ("≈" in line) == (verdict == "level")
 
 
 def test_rows_are_ranked_over_the_seeds_in_which_all_have_the_measure():

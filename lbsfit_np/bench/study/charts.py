@@ -8,12 +8,13 @@ from ...rig.chains import chains
 from ...synthesis import Synthesis
 from .canvas import GREY, INK, ROW_COLORS, axes_at, put, sheet
 from .local_optimum import along_path, limbs, swings, target_scan
+from .page import kept_round
 
 __all__ = ["accuracy", "local_optimum", "mixture"]
 
 _N_POSES = 1000
 _UNIFORM, _INFERRED = "#7f9fb5", "#d55e00"
-_CALLED = {"rand": "random", "joint": "joint"}
+_LEARNED = ("rand", "joint")
 
 
 def mixture(shown, path):
@@ -125,7 +126,7 @@ def local_optimum(shown, path, steps=41):
 
 def accuracy(report, path):
     """Accuracy of labels on held-out scans over rounds, Random against Joint, one panel a rig."""
-    lines = {name: _accuracies(entry) for name, entry in report["rigs"].items()}
+    lines = {name: _with_accuracies(entry) for name, entry in report["rigs"].items()}
     lines = {name: rows for name, rows in lines.items() if rows}
     if not lines:
         return None
@@ -133,13 +134,16 @@ def accuracy(report, path):
     with sheet(path, 20 + len(lines) * (width + 75), height + 120) as figure:
         for k, (name, rows) in enumerate(lines.items()):
             ax = axes_at(figure, 70 + k * (width + 75), 35, width, height)
-            for row, seeds in rows.items():
-                for values in seeds:
-                    ax.plot(100 * np.array(values), color=ROW_COLORS[row], lw=0.8, alpha=0.5)
+            for row, cells in rows.items():
+                color, seeds = ROW_COLORS[row], [100 * np.array(cell["accuracy"]) for cell in cells]
+                for values, cell in zip(seeds, cells, strict=True):
+                    ax.plot(values, color=color, lw=0.8, alpha=0.5)
+                    k = kept_round(cell)
+                    ax.scatter([k], [values[k]], s=90, facecolors="none", edgecolors=color)
                 rounds = min(map(len, seeds))
-                mean = 100 * np.mean([values[:rounds] for values in seeds], axis=0)
-                ax.plot(mean, color=ROW_COLORS[row], lw=2, marker="o", ms=4, label=_CALLED[row])
-            most = max(len(values) for seeds in rows.values() for values in seeds)
+                mean = np.mean([values[:rounds] for values in seeds], axis=0)
+                ax.plot(mean, color=color, lw=2, marker="o", ms=4, label=row)
+            most = max(len(cell["accuracy"]) for cells in rows.values() for cell in cells)
             ax.set_xticks(range(most), ["before", *map(str, range(1, most))])
             ax.set_xlabel("round")
             if k == 0:
@@ -147,18 +151,20 @@ def accuracy(report, path):
             ax.set_title(name)
             ax.grid(axis="y", color="#e6e6e6", lw=0.8)
             ax.set_axisbelow(True)
-        figure.legend(*ax.get_legend_handles_labels(), loc="lower center", ncol=len(_CALLED))
+        figure.legend(*ax.get_legend_handles_labels(), loc="lower center", ncol=len(_LEARNED))
+    several = any(len(cells) > 1 for rows in lines.values() for cells in rows.values())
     return (
-        "Segmentation accuracy on held-out shapes, before the first round and after each: the segmenter that learns from uniform "
-        "poses only (random) and the one that learns from inferred poses and templates, too (joint). Thin lines are seeds."
+        "Segmentation accuracy of the segmenter alone on held-out shapes, before the first round and after each: the one that "
+        "learns from uniform poses only (rand, the paper's Random) and the one that learns from inferred poses and templates, "
+        "too (joint). Rings: the round that was kept, by the fits' loss on scans left out." + " Thin lines are seeds." * several
     )
 
 
-def _accuracies(entry):
-    """row → list over seeds of accuracies over rounds; empty unless both rows are there."""
+def _with_accuracies(entry):
+    """row → its cells that have accuracies over rounds, over the seeds; empty unless both rows are there."""
     rows = {}
-    for row in ("rand", "joint"):
-        found = [cells[row]["accuracy"] for cells in entry["seeds"].values() if cells.get(row, {}).get("accuracy")]
+    for row in _LEARNED:
+        found = [cells[row] for cells in entry["seeds"].values() if cells.get(row, {}).get("accuracy")]
         if found:
             rows[row] = found
     return rows if len(rows) == 2 else {}

@@ -1,5 +1,7 @@
 """The study's page: its tables in Markdown, beside the paper's, written from the report and nothing else."""
 
+from itertools import pairwise
+
 import numpy as np
 
 from ..table import layout
@@ -40,6 +42,19 @@ classical form: the paper's networks are fits and small scikit-learn models here
 paper's figures, where it has them, stand in square brackets.
 """
 
+_COLUMNS = """\
+Columns of the tables; means over the test scans, the paper's figures in square brackets:
+
+- **Recon**: √L_c between scan and registered vertices. **÷ truth**: by its value at the true mesh on the same scan. It may be
+  below 1: a fit follows the scan's points, with their noise and their missing areas, the true mesh does not.
+- **Pose**: ‖joints − true joints‖, mean over the unlocked ones, and its **median** over the scans. Joints of free-form rows
+  are regressed from the vertices.
+- **Corre.**: how far from its true place on scan B a point of scan A is carried by the two registrations: mean and percentiles
+  over all points of all pairs of scans. **snapped**: the same after the step to the nearest point of B.
+- **vertices**: ‖registered − true vertices‖. **unfitted**: scans without a fit, which all these leave out. **s**: of learning
+  and all fits of the row, in so many processes as the run had.
+"""
+
 _PROTOCOL = """\
 ## Where the protocols differ
 
@@ -59,7 +74,8 @@ _PROTOCOL = """\
 - Seeds are of the scans; what is trained has one seed, so that ranges say nothing of training.
 - The free-form rows play 3D-CODED's part: the template's vertices move under Chamfer and Laplacian, from the template,
   from the best of several synthetic scans that look alike ("augmented"), or from what a regressor says that was taught
-  with true vertices ("supervised").
+  with true vertices ("supervised"). Taught by few scans, it knows these alone: compare its row with its figures on the
+  training scans.
 - Recon is compared with its value at the true mesh on the same scan, as √CD is not 0 there. Corre. carries points of
   scan A by their closest surface point on A's registration to B's, {points} points of each; "snapped" goes on to the
   nearest point of scan B, as the paper does.
@@ -82,7 +98,7 @@ def page(report, captions):
     -------
     str
     """
-    parts = [_INTRODUCTION, _sizes(report), _rows(report)]
+    parts = [_INTRODUCTION, _sizes(report), _rows(report), _COLUMNS]
     for name in report["rigs"]:
         parts += [f"## {name.capitalize()}", _main(report, name, markdown=True), _reached(report, name), _more(report, name)]
     parts.append(_protocol(report))
@@ -157,7 +173,7 @@ def _more(report, name):
         cells = [c for c in _cells(report, name, row) if c["accuracy"]]
         if cells:
             first, kept = [c["accuracy"][0] for c in cells], [c["kept_accuracy"] for c in cells]
-            spread = f"{np.mean(first):.1%} before, {np.mean(kept):.1%} of what was kept of {_rounds(cells)}"
+            spread = f"{np.mean(first):.1%} before learning, {np.mean(kept):.1%} as kept ({_rounds(cells)})"
             fits = [c["fitted_labels"] for c in cells if c.get("fitted_labels") is not None]
             more = f"; of its fits {np.mean(fits):.1%}" if fits else ""
             lines.append(f"- Labels of the segmenter alone on test scans, chains of joints as parts, {row}: {spread}{more}.")
@@ -184,7 +200,7 @@ def _more(report, name):
     floor = [c["pose_truth"] for c in _cells(report, name, "joint") if "pose_truth" in c]
     if floor:
         words = "of the exact template in the exact pose, with the joint regressor's joints where people have their own"
-        lines.append(f"- Pose {words}: {np.mean(floor):.4f}. Fits come below where angles and place make up for it.")
+        lines.append(f"- Pose {words}: {np.mean(floor):.4f}. A fit's Pose can be less: its angles make up for the joints.")
     return "\n".join(lines)
 
 
@@ -207,24 +223,33 @@ def _reached(report, name):
     gaps = [c["gap"]["subjects"] for c in cells if c["gap"]]
     for more in ("", ", up to a shift") if gaps else ():
         share = np.mean([g["after" + more] / g["before" + more] for g in gaps])
-        found.append((f"template gap ÷ before{more}", share, GOALS["gap"], "≤"))
+        found.append((f"template gap of the people learned from ÷ before{more}", share, GOALS["gap"], "≤"))
     words = []
     for what, value, goal, sign in found:
         met = value <= goal if sign == "≤" else value >= goal
         words.append(f"{what} {value:.3f} (goal {sign} {goal:g}{'' if met else ', missed'})")
-    return f"Joint: {'; '.join(words)}.\n\n{orders}"
+    others = [c["gap"]["test scans"] for c in cells if "test scans" in c["gap"]]
+    if others:
+        words.append(f"of the test scans {np.mean([g['after'] / g['before'] for g in others]):.3f} (one scan each; no goal)")
+    trained = report["rigs"][name]["size"]["training_scans"]
+    told = f"The segmenters had {trained:,} synthetic scans before learning, and as many in each round."
+    return f"Joint: {'; '.join(words)}. {told}\n\n{orders}"
 
 
 def _order(report, name, key, what):
     """The ablations from the best to the worst by a measure, and whether that is the paper's order."""
     ranked = sorted((_mean(found, key), row) for row, found in _compared(report, name, _ORDER, key).items())
-    wanted = [row for row in ("joint", "rand", "cd") if row in [known for _, known in ranked]]
-    kept = [row for _, row in ranked if row in wanted] == wanted
     if len(ranked) < 2:
         return ""
-    verdict = f" (the paper's order, {' before '.join(wanted)}: {'kept' if kept else 'missed'})" if len(wanted) > 1 else ""
-    words = " < ".join(f"{row} {value:.4f}" for value, row in ranked)
-    return f"{what}, from the best of the ablations to the worst: {words}{verdict}."
+    values = {row: value for value, row in ranked}
+    wanted = [row for row in ("joint", "rand", "cd") if row in values]
+    pairs = [(values[a], values[b]) for a, b in pairwise(wanted)]
+    verdict = "missed" if any(a > _LEVEL * b for a, b in pairs) else "kept" if all(_LEVEL * a < b for a, b in pairs) else "level"
+    words = ranked[0][1] + f" {ranked[0][0]:.4f}"
+    for (a, _), (b, row) in pairwise(ranked):
+        words += f" {'<' if _LEVEL * a < b else '≈'} {row} {b:.4f}"
+    more = f" (the paper's order, {' before '.join(wanted)}: {verdict})" if pairs else ""
+    return f"{what}, from the best of the ablations to the worst: {words}{more}."
 
 
 def _mean(cells, key):
@@ -239,6 +264,8 @@ def _with_measure(cells, key):
 
 _MEASURES = (("recon", "Recon"), ("pose", "Pose"), ("corre", "Corre."), ("vertices", "vertices"))
 _ORDER = ("joint", "pose-only", "rand", "cd")
+# What is nearer to each other than by this factor is level.
+_LEVEL = 1.03
 
 
 def _sizes(report):
@@ -247,9 +274,10 @@ def _sizes(report):
         f"{e['size']['test_subjects']} others to be tested on, seed{'s' * (len(e['seeds']) > 1)} {', '.join(e['seeds'])}"
         for name, e in report["rigs"].items()
     ]
+    several = any(len(e["seeds"]) > 1 for e in report["rigs"].values())
+    many = "Figures are means over the seeds, with their range. " if several else ""
     return (
-        f"Size `{report['size']}`; {'; '.join(sizes)}. Figures are means over the seeds, with their range where there are "
-        "several; lengths in half sizes of the rig ([−1, 1]³)."
+        f"Size `{report['size']}`; {'; '.join(sizes)}. {many}Lengths are in half sizes of the rig ([−1, 1]³)."
     )
 
 
@@ -313,5 +341,11 @@ def _with(text, paper):
 
 
 def _rounds(cells):
-    rounds = sorted({len(c["accuracy"]) - 1 for c in cells})
-    return f"{' or '.join(map(str, rounds))} round{'' if rounds == [1] else 's'}"
+    """Which round was kept, of how many."""
+    kept = sorted({(kept_round(c), len(c["accuracy"]) - 1) for c in cells})
+    return "round " + ", ".join(f"{k} of {n}" for k, n in kept)
+
+
+def kept_round(cell):
+    """The round whose segmenter was kept, by its accuracy; of several alike the first."""
+    return 1 + int(np.argmin(np.abs(np.array(cell["accuracy"][1:]) - cell["kept_accuracy"])))
