@@ -1,5 +1,6 @@
 """Scan: the unordered points X that a fit is given, with what the file knew about them."""
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -119,6 +120,9 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         Wrong shape, not numbers, empty, NaN or infinite (with their count and the first index), fewer than ``minimum``,
         or two and more points that are all equal.
     """
+    if isinstance(points, (str, bytes, os.PathLike)):
+        expected, remedy = "numbers of shape (n, 3)", "Read a file with load_scan(path)."
+        raise InputError(argument, f"the path {brief(str(points))}", expected, remedy)
     try:
         given = np.asarray(getattr(points, "points", points))
         if given.dtype.kind == "O":
@@ -130,9 +134,8 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", "numbers of shape (n, 3)") from None
     if points is None or given.dtype.kind not in "iuf":
-        remedy = "Read a file with load_scan(path)." if given.dtype.kind in "US" else None
         got = "None" if points is None else f"values of type {given.dtype}"
-        raise InputError(argument, got, "numbers of shape (n, 3)", remedy)
+        raise InputError(argument, got, "numbers of shape (n, 3)")
     if given.size == 0:
         raise InputError(argument, "an empty cloud (0 points)", f"at least {minimum} points of shape (n, 3)")
     if given.ndim != 2 or given.shape[1] != 3:
@@ -153,7 +156,8 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         array = array[~bad]
         dropped = f" after {count} with a coordinate that is NaN or infinite were left out"
     if len(array) < max(minimum, 1):
-        raise InputError(argument, f"{len(array)} points{dropped}", f"at least {max(minimum, 1)} points")
+        expected = f"at least {max(minimum, 1)} points"
+        raise InputError(argument, f"{len(array)} points{dropped}", expected, "A denser scan is needed.")
     if len(array) > 1 and (array == array[0]).all():
         raise InputError(
             argument, f"{len(array)} points that are all equal, at {_short(array[0])}{dropped}", "points of a surface"

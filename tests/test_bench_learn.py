@@ -8,7 +8,7 @@ import pytest
 from cli_runs import content_with_few_starts
 
 from lbsfit_np.bench.hand import hand_rig, natural_poses
-from lbsfit_np.bench.learn import _measured, collection, learn_bench, learn_table, touching_pose
+from lbsfit_np.bench.learn import _measured, _poses_digest, collection, learn_bench, learn_table, touching_pose
 from lbsfit_np.errors import InputError
 
 
@@ -144,6 +144,21 @@ def test_results_of_another_rig_or_other_poses_are_not_gone_on_with(shared_rigs,
         learn_bench("hand", shared_rigs, before=report | {"rows": None}, **options)
     with pytest.raises(InputError, match="results of starts; expected results of learn hand"):
         learn_bench("hand", shared_rigs, before={"benchmark": "starts"}, **options)
+
+
+def test_poses_are_others_when_any_of_their_files_is(tmp_path):
+    files = {"hand": [f"hand_poses/{name}.handpose" for name in ("a", "b", "c")], "body": ["motion/01_01.bvh"]}
+    for path in [*files["hand"], *files["body"]]:
+        (tmp_path / path).parent.mkdir(exist_ok=True)
+        (tmp_path / path).write_text("before")
+    for name, paths in files.items():
+        seen = {_poses_digest(name, tmp_path)}
+        for path in paths:
+            (tmp_path / path).write_text("after")
+            seen.add(_poses_digest(name, tmp_path))
+        assert len(seen) == 1 + len(paths)
+        (tmp_path / paths[0]).with_name("notes.txt").write_text("read by nobody")
+        assert _poses_digest(name, tmp_path) in seen
 
 
 @pytest.mark.parametrize("bad", [{"variants": ("other",)}, {"seeds": (1, 1)}, {"seeds": ()}])

@@ -125,3 +125,124 @@ def test_joints_that_do_not_move_are_passed_over(rig):
     theta[_joint(rig, "index3"), 0] = 1.2
     tried = {joints for joints, _ in other_bends(stiff, theta)}
     assert (_joint(rig, "index3"), _joint(rig, "index1")) in tried and not any(j in joints for joints in tried)
+
+
+def test_bends_go_neither_to_the_root_nor_over_a_branch(tube_rig):
+    theta = np.zeros((4, 3))
+    theta[1, 0], theta[2, 0] = 1.2, 0.9  # the elbow, on which two fingers hang, and one of them
+    tried = other_bends(tube_rig, theta)
+    assert {joints for joints, _ in tried} == {(1,), (2,), (2, 1)}
+
+
+def _limited(rig, joint, lower, upper):
+    limits = rig.lower.copy(), rig.upper.copy()
+    limits[0][joint], limits[1][joint] = lower, upper
+    return replace(rig, lower=limits[0], upper=limits[1])
+
+
+@pytest.mark.parametrize(
+    "lower, upper, angle, tried",
+    [
+        (0.5, 2.6, 0.7, [1.55]),  # as straight as it gets
+        (0.5, 2.6, 1.2, [0.5]),
+        (-2.6, -0.5, -0.7, [-1.55]),
+        (-2.6, -0.5, -1.2, [-0.5]),
+        (0.0, 1.0, 0.1, []),  # its middle is near
+        (-1.5, 1.5, 1.0, [0.0]),
+        (-1.5, 1.5, 0.1, []),
+    ],
+)
+def test_hinges_are_straight_where_their_limits_allow_and_bent_to_the_middle(tube_rig, lower, upper, angle, tried):
+    hinge = _limited(tube_rig, 1, [lower, 0.0, 0.0], [upper, 0.0, 0.0])
+    theta = np.zeros((4, 3))
+    theta[1, 0] = angle
+    found = [angles for joints, angles in other_bends(hinge, theta) if joints == (1,)]
+    np.testing.assert_allclose(np.reshape(found, (-1, 3)), np.outer(tried, [1.0, 0.0, 0.0]), atol=1e-12)
+
+
+def test_joints_that_turn_about_more_axes_are_not_bent(tube_rig):
+    theta = np.zeros((4, 3))
+    theta[1, 2] = 0.4  # the middle of the elbow's range is at 0.6 about x
+    assert other_bends(tube_rig, theta) == []
+
+
+def test_a_neighbour_is_given_what_a_joint_is_bent_beyond_its_straightest(tube_rig):
+    stiff = _limited(tube_rig, 2, [0.4, -0.2, -0.5], [1.6, 0.2, 0.4])
+    theta = np.zeros((4, 3))
+    theta[1, 0], theta[2, 0] = 0.1, 1.3
+    given = dict(other_bends(stiff, theta))
+    np.testing.assert_allclose(given[2, 1], [[0.4, 0.0, 0.0], [0.1 + 1.3 - 0.4, 0.0, 0.0]], atol=1e-12)
+
+
+# ---- which of them are followed, on known values ----
+
+
+@pytest.fixture
+def followed(tube_rig, monkeypatch):
+    """(what few points and all leave unexplained, by the pose) → (what is kept, value; what went how many steps; to the end).
+
+    The pose: the elbow's, the long and the short finger's bend. Few points' values may differ after all the first steps.
+    """
+
+    def follow(start, few, ends, value=1.0):
+        steps, ended = [], []
+
+        def bend(state):
+            return tuple(np.round(state.theta[1:, 0], 3).tolist())
+
+        def to_the_end(problem, state):
+            ended.append(bend(state))
+            return state, ends.get(bend(state), 9.0)
+
+        model = Model(tube_rig)
+        bends = Bends(model, FREE, to_the_end)
+        theta = np.zeros((4, 3))
+        theta[1:, 0] = start
+        monkeypatch.setattr(
+            bends, "_moved", lambda problem, state, n: steps.append((bend(state), n)) or (state, few.get(bend(state), 9.0))
+        )
+        state, left = bends(Problem(np.zeros((9, 3))), model.rest().replace(theta=theta), value)
+        return bend(state), left, steps, ended
+
+    return follow
+
+
+# Two bent joints: the elbow straight; the finger straight; that, with its bend given to the elbow.
+START, ELBOW, FINGER, GIVEN = (0.9, 0.8, 0.0), (0.0, 0.8, 0.0), (0.9, 0.0, 0.0), (1.4, 0.0, 0.0)
+ALL = (0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    "few, ends, kept, ended",
+    [
+        # The near ones go to the end, the nearest first, until one is better.
+        ({GIVEN: 0.9, ELBOW: 1.01, FINGER: 1.03}, {ELBOW: 0.5, FINGER: 0.1}, (ELBOW, 0.5), [GIVEN, ELBOW]),
+        ({GIVEN: 1.021, ELBOW: 1.021}, {GIVEN: 0.1}, (START, 1.0), []),
+        # By much.
+        ({GIVEN: 0.9}, {GIVEN: 0.996}, (START, 1.0), [GIVEN]),
+        ({GIVEN: 0.9}, {GIVEN: 0.994}, (GIVEN, 0.994), [GIVEN]),
+        # What was near besides is tried on what is kept; what failed, or was far, is not.
+        ({FINGER: 0.9, ELBOW: 0.95, ALL: 0.9}, {FINGER: 0.8, ELBOW: 0.1, ALL: 0.5}, (ALL, 0.5), [FINGER, ALL]),
+        ({FINGER: 0.9, ELBOW: 0.95, ALL: 0.9}, {FINGER: 0.8, ALL: 0.799}, (FINGER, 0.8), [FINGER, ALL]),
+        ({ELBOW: 0.8, FINGER: 0.9, ALL: 0.7}, {FINGER: 0.9, ALL: 0.1}, (FINGER, 0.9), [ELBOW, FINGER]),
+    ],
+)
+def test_bends_that_leave_less_unexplained_are_kept(followed, few, ends, kept, ended):
+    state, left, steps, went = followed(START, {START: 1.0} | few, ends)
+    assert (state, left) == kept and went == ended
+    assert steps[:4] == [(START, 6), *((move, 2) for move in (ELBOW, FINGER, GIVEN))]  # as many steps, before they are compared
+    assert [n for _, n in steps[4:7]] == [4, 4, 4]
+
+
+def test_three_go_to_the_end(followed):
+    bent = (0.9, 0.8, 0.7)
+    few = dict.fromkeys([(0.0, 0.8, 0.7), (0.9, 0.0, 0.7), (1.4, 0.0, 0.7), (0.9, 0.8, 0.0), (1.4, 0.8, 0.0)], 0.9)
+    _, _, steps, ended = followed(bent, {bent: 1.0} | few, {})
+    assert [n for _, n in steps] == [6, *[2] * 5, *[4] * 5] and len(ended) == 3
+
+
+def test_proportions_that_are_far_from_the_templates_cost(model, short_fingers):
+    """As they do in what chose the pose."""
+    problem, true = short_fingers
+    plain, dear = (Bends(model, FREE, None, tangential=0.02, ridge=ridge)._moved(problem, true, 0)[1] for ridge in (0.0, 1.0))
+    assert dear - plain == pytest.approx(float(true.coefficients @ true.coefficients)) and dear > plain

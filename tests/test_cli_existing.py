@@ -4,12 +4,17 @@ import json
 import os
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cli_runs import QUICK, one_line
 
 import lbsfit_np as lbs
+from lbsfit_np.cli import fit, outputs
+from lbsfit_np.cli.summary import counts_of, doubts_of
+from lbsfit_np.errors import FileError
+from lbsfit_np.io.write import write_points_ply
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -31,6 +36,7 @@ def test_clashing_names_are_found_before_any_work(other, made, tmp_path, run):
         (tmp_path / name).write_text("0 0 0\n")
     code, _, err = run("fit", made / "tube.npz", tmp_path / "one.ply", tmp_path / other, "-o", tmp_path / "out", *QUICK)
     assert code == 2 and "SCAN: got" in one_line(err) and ("twice" if other == "one.ply" else "both be called") in err
+    assert "fit them into different folders" in err
     assert not (tmp_path / "out").exists()
 
 
@@ -133,6 +139,115 @@ def test_pictures_of_kept_fits_show_what_was_fitted(fitted, made, tmp_path, run,
     np.testing.assert_allclose(shown[0], lbs.load_scan(fitted[0] / "one.labels.ply").points)
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert run(*arguments)[0] == 0 and len(shown) == 1  # it is there, and of this fit
+
+
+def _files(folder):
+    """Those of a scan, with an earlier fit's in their place."""
+    files = outputs.ScanFiles("one.ply", "one", *(folder / f"one.{e}" for e in ("fit.npz", "mesh.ply", "labels.ply", "png")))
+    for path in files.paths.values():
+        path.write_bytes(b"of an earlier fit")
+    return files
+
+
+def _held(monkeypatch, *names):
+    """Have files that cannot be removed, as where another program holds them open."""
+    remove = Path.unlink
+
+    def unlink(self, missing_ok=False):
+        if self.name in names:
+            raise PermissionError(13, "Permission denied")
+        remove(self, missing_ok=missing_ok)
+
+    monkeypatch.setattr(Path, "unlink", unlink)
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize(
+    "error, words",
+    [(FileError("one.png", "a full disk", "room"), "one.png: got a full disk"), (MemoryError("1 GB"), "MemoryError: 1 GB")],
+)
+def test_whatever_is_wrong_with_a_picture_is_a_note(error, words, held, tmp_path, monkeypatch):
+    def fail(*given):
+        raise error
+
+    files = _files(tmp_path)
+    monkeypatch.setattr("lbsfit_np.report.render.write_png", fail)
+    monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", lambda *given: PIXELS)
+    if held:
+        _held(monkeypatch, "one.png")
+    note, *more = outputs.draw(files, None, None, None)
+    assert note.startswith(f"no picture: {words}") and files.picture.exists() == held and files.fit.exists()
+    assert more == (["one.png of an earlier run cannot be removed (Permission denied)"] if held else [])
+
+
+def test_a_file_that_cannot_be_removed_does_not_stop_the_run(tmp_path, monkeypatch):
+    files = _files(tmp_path)
+    _held(monkeypatch, "one.mesh.ply")
+    entry = outputs.unfitted_entry(files, "no scan", seconds=1.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["one.mesh.ply"]
+    assert entry["message"] == "no scan; one.mesh.ply of an earlier run cannot be removed (Permission denied)"
+    assert (entry["status"], entry["seconds"]) == ("failed", 1.0) and "files" not in entry
+
+
+@pytest.mark.parametrize("labels, words", [(None, "no such file"), (4, "4 points; expected the 5"), (5, None)])
+def test_without_the_points_of_a_kept_fit_there_is_no_picture_of_it(labels, words, tube_rig, tmp_path, monkeypatch, capsys):
+    files = _files(tmp_path)
+    files.labels.unlink()
+    if labels is not None:
+        write_points_ply(files.labels, np.random.default_rng(0).random((labels, 3)))
+    monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", lambda rig, points, result: PIXELS)
+    fit._draw_kept(files, tube_rig, SimpleNamespace(labels=np.zeros(5, dtype=int)))
+    said = capsys.readouterr().out
+    if words is None:
+        assert said == "" and files.picture.read_bytes().startswith(b"\x89PNG")
+    else:
+        assert said.startswith("one: no picture: ") and words in said and not files.picture.exists()
+
+
+@pytest.mark.parametrize("later, newer", [(-1, False), (0, True), (1, True)])
+def test_a_picture_as_old_as_its_fit_is_of_it(later, newer, tmp_path):
+    """Some file systems count in seconds."""
+    files = _files(tmp_path)
+    for path, second in ((files.fit, 100), (files.picture, 100 + later)):
+        os.utime(path, (second, second))
+    assert fit._is_newer(files.picture, files.fit) == newer
+    files.picture.unlink()
+    assert not fit._is_newer(files.picture, files.fit)
+
+
+@pytest.mark.parametrize(
+    "statuses, doubts",
+    [
+        (["ok", "ok"], ""),
+        (["ok", "suspect", "failed", "failed", "none"], " (1 suspect, 2 failed, 1 could not be)"),
+        (["none", "none"], " (2 could not be)"),
+    ],
+)
+def test_what_could_not_be_fitted_is_told_from_what_was_fitted_wrongly(statuses, doubts):
+    entries = {str(k): {"status": s, "files": {}} for k, s in enumerate(statuses) if s != "none"}
+    entries |= {f"none{k}": {"status": "failed"} for k in range(statuses.count("none"))}
+    counts = counts_of(entries)
+    assert doubts_of(counts) == doubts and counts["unfitted"] == statuses.count("none")
+    assert counts["failed"] == statuses.count("failed") + statuses.count("none")
+    assert counts_of({"one": {"status": "ok"}})["unfitted"] == 0  # learned from, with no files asked for
+
+
+@pytest.mark.parametrize("existing", ["replace", "skip"])
+def test_stopped_while_replacing_it_is_said_that_other_fits_are_older(existing, fitted, made, tmp_path, run, monkeypatch):
+    """--existing skip would take them for this run's."""
+
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    for path in [*fitted[0].glob("one.*"), *fitted[0].glob("two.fit.npz")]:
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    monkeypatch.setattr(fit, "_fit", interrupted)
+    scans = [made / name for name in ("one.ply", "two.xyz", "three.npy")]
+    code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", existing, *QUICK)
+    told = "stopped before a scan was fitted; 2 of the others have fits of an earlier run, which --existing skip would keep\n"
+    if existing == "skip":
+        told = f"stopped: 1 of 3 scans are fitted and kept in {tmp_path}; the same command with --existing skip does the rest\n"
+    assert code == 130 and text.endswith(told)
 
 
 def test_a_summary_alone_is_in_nobodys_way(fitted, made, tmp_path, run):

@@ -54,6 +54,19 @@ def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypa
     assert summary["counts"]["ok"] + summary["counts"]["suspect"] == 2
 
 
+def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path, run):
+    results = tmp_path / "fits"
+    results.mkdir()
+    (tmp_path / "broken.ply").write_text("ply")
+    for name in ("broken.fit.npz", "broken.mesh.ply", "broken.labels.ply", "t9.fit.npz"):
+        (results / name).write_text("of an earlier run")
+    arguments = ("learn", tubes / "tube.npz", tubes / "t0.ply", tmp_path / "broken.ply", "-o", tmp_path / "m.npz")
+    more = ("--results", results, "--existing", "replace", "--variant", "free-form")
+    assert run(*arguments, *more)[0] == 1
+    kept = {"t9.fit.npz", "summary.json", *(f"t0.{kind}" for kind in ("fit.npz", "mesh.ply", "labels.ply"))}
+    assert {path.name for path in results.iterdir()} == kept
+
+
 def test_a_full_disk_leaves_no_half_model(tubes, tmp_path, run, monkeypatch):
     def full(entry, array, **_):
         entry.write(b"half")

@@ -1,5 +1,7 @@
 """Bad scans and bad parameters of a fit are named before any training."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -70,7 +72,7 @@ def test_bad_scans_are_named_before_any_training(tube_rig, tube_scan, monkeypatc
         ({"training_scans": 1.5}, ["training_scans: got 1.5", "positive integer"]),
         ({"training": [1]}, ["training: got list", "dict"]),
         ({"training": {"wobble": 1.0}}, ["wobble", "not known", "noise"]),
-        ({"training": {"noise": -1.0}}, ["noise: got -1.0"]),
+        ({"training": {"noise": -1.0}}, ["training: got noise: -1.0"]),
         ({"random_state": -1}, ["random_state: got -1", "non-negative"]),
         ({"random_state": 1.5}, ["random_state: got 1.5"]),
         ({"rig": None}, ["rig: got NoneType", "load_rig"]),
@@ -139,5 +141,6 @@ def test_points_given_many_times_do_not_make_the_others_clutter(tube_scan):
 
 
 def test_a_path_where_points_belong_is_told_how_to_be_read(quick_fitter):
-    with pytest.raises(InputError, match=r"points: got values of type <U5.*Read a file with load_scan"):
-        quick_fitter.fit_scan("a.ply")
+    for path in ("a.ply", Path("a.ply")):
+        with pytest.raises(InputError, match=r"points: got the path 'a.ply'.*Read a file with load_scan"):
+            quick_fitter.fit_scan(path)

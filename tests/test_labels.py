@@ -140,7 +140,8 @@ def test_points_off_the_mesh_have_no_confidence():
     """Of clutter and floors it would look as if they were known."""
     V = np.stack(np.meshgrid(*[np.linspace(0, 1, 11)] * 2, [0.0]), axis=-1).reshape(-1, 3)
     above = np.column_stack([np.full(6, 0.5), np.full(6, 0.5), [0.0, 0.1, 0.25, 0.35, 0.6, 1e9]])
-    _, confidence = labels_from_mesh(above, V, np.zeros(len(V), dtype=int), 2, 0.02)  # vertices are 0.1 apart: off from 0.3
+    with np.errstate(over="raise", invalid="raise"):
+        _, confidence = labels_from_mesh(above, V, np.zeros(len(V), dtype=int), 2, 0.02)  # vertices are 0.1 apart: off from 0.3
     np.testing.assert_allclose(confidence, [1, 1, 1, 0, 0, 0], atol=1e-3)
     _, confidence = labels_from_mesh(above, V, np.zeros(len(V), dtype=int), 2, 0.1)  # off from 4 sigma
     np.testing.assert_allclose(confidence[[0, 1, 2, 4, 5]], [1, 1, 1, 0, 0], atol=0.01)

@@ -89,3 +89,15 @@ def test_labels_beyond_64_bits_are_left_out_with_a_note(tmp_path):
     assert scan.labels is None and "at most 64 bits" in scan.notes[0]
     np.savez(tmp_path / "b.npz", points=POINTS, labels=np.array([1, 2, 3, 4], dtype=np.uint64))
     np.testing.assert_array_equal(load_scan(tmp_path / "b.npz").labels, [1, 2, 3, 4])
+
+
+def test_points_beside_what_a_rig_has_are_a_scan(tmp_path):
+    """Of a rig, vertices alone would be read as one."""
+    points = np.random.default_rng(0).random((9, 3))
+    of_rig = {"parents": np.array([-1, 0]), "joints": np.zeros((2, 3)), "weights_data": np.ones(4)}
+    for key in ("points", "xyz"):
+        np.savez(tmp_path / "scan.npz", **of_rig, **{key: points})
+        np.testing.assert_array_equal(load_scan(tmp_path / "scan.npz").points, points)
+    np.savez(tmp_path / "rig.npz", **of_rig, vertices=points)
+    with pytest.raises(FileError, match="a rig, or a model"):
+        load_scan(tmp_path / "rig.npz")

@@ -382,6 +382,46 @@ def test_what_the_finals_leave_unexplained_chooses(tube_rig, before, after, best
     assert found.rivals == pytest.approx(rivals)
 
 
+@pytest.mark.parametrize("effort, finals, tried", [("fast", 1, False), ("balanced", 2, True), ("thorough", 2, True)])
+def test_other_bends_are_tried_of_the_best_one(tube_rig, effort, finals, tried, monkeypatch):
+    """What they make of it is found; the rivals are judged by what proportions have made of it."""
+    scout, frame, problem = _untrained(tube_rig, effort=effort), Frame(np.zeros(3), 1.0), Problem(np.zeros((9, 3)))
+    runners = [Runner(problem, scout.model.rest().replace(translation=np.full(3, k)), frame, v) for k, v in enumerate((1.0, 1.2))]
+    left, asked = iter([0.8, 0.3][:finals]), []
+    monkeypatch.setattr(scout, "_refit", SimpleNamespace(first_steps=lambda r: r, last_steps=lambda r: r))
+    for step, answer in (("_runners", runners), ("_facings", [])):
+        monkeypatch.setattr(scout, step, lambda *given, answer=answer: answer)
+    for step in ("_other_limbs", "_distinct"):
+        monkeypatch.setattr(scout, step, lambda given: given)
+    monkeypatch.setattr(scout, "_with_proportions", lambda r: replace(r, value=next(left)))
+
+    def bends(problem, state, value):
+        asked.append((problem, state.translation[0], value))
+        return state.replace(theta=np.full((4, 3), 0.1)), 0.2
+
+    monkeypatch.setattr(scout, "_bends", bends)
+    found = scout._look(problem.X, None)
+    best = 0.3 if finals == 2 else 0.8
+    assert asked == ([(problem, finals - 1, best)] if tried else [])
+    assert found.value == (0.2 if tried else best) and (found.state.theta == 0.1).all() == tried
+    assert found.state.translation[0] == finals - 1 and found.rivals == pytest.approx((0.8,) if finals == 2 else (1.2 * 0.8,))
+
+
+def test_bends_are_tried_under_what_is_known(tube_rig):
+    """Of scans of one side, of a scale that is known; not where nothing but vertices, or no proportions, could tell."""
+    known = {"scale": "fixed", "partial": True, "polish_ridge": 7e-5}
+    scout = _untrained(tube_rig)
+    scout = Scout(scout.model, scout.library, scout.facing, None, FitSettings(**known))
+    assert scout._bends._free == scout._free == ("pose", "translation")
+    assert scout._bends._steps.partial and scout._bends._steps.ridge == scout._shape.ridge == 7e-5
+    for model, settings, options in (
+        (Model(replace(tube_rig, faces=np.empty((0, 3), dtype=int))), FitSettings(), {}),
+        (scout.model, FitSettings(polish=0), {}),
+        (scout.model, FitSettings(), {"proportions": False}),
+    ):
+        assert Scout(model, scout.library, scout.facing, None, settings, **options)._bends is None
+
+
 @pytest.mark.parametrize("orientation, halves", [("aligned", ""), ("upright", "y"), ("any", "yxz")])
 def test_labels_are_read_under_half_turns_as_well(tube_rig, orientation, halves):
     """Front for back; where any side may be up, upside down, too."""

@@ -11,9 +11,10 @@ from lbsfit_np.bench.study.data import SCAN, Size, part_groups
 from lbsfit_np.bench.study.free_form import Augmented, FromTemplate, best_free_form
 from lbsfit_np.bench.study.measures import POINTS, Registrations, Truth, measured
 from lbsfit_np.bench.study.oracle import OracleFit
-from lbsfit_np.bench.study.rows import ROWS, Found
+from lbsfit_np.bench.study.rows import ROWS, Context, Found
 from lbsfit_np.bench.study.run import study
 from lbsfit_np.correspondence import surface_places
+from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.synthesis import SyntheticScan, synthesize
@@ -68,6 +69,34 @@ def test_percentiles_are_over_the_points_of_all_pairs(tube_rig, posed):
     V[2, off] += [0.0, truth.half, 0.0]
     corre = measured(truth, Registrations(V, np.array([s.joints for s in posed])))["corre"]
     assert corre["p90"] == pytest.approx(0, abs=1e-9) and corre["p95"] == pytest.approx(1, abs=1e-9)
+
+
+class _Made(list):
+    """Scans as the study has them, each made anew when it is asked for; counts how often."""
+
+    asked = 0
+
+    def __getitem__(self, i):
+        self.asked += 1
+        return super().__getitem__(i)
+
+
+def test_each_scan_is_made_once_for_its_errors_and_once_for_its_pairs(tube_rig, posed):
+    """However many pairs lead to it. And a median is no mean."""
+    truth = Truth(tube_rig, _Made(posed), 6, 0)
+    joints = np.array([s.joints + [0.0, 0.0, k**2 * truth.half] for k, s in enumerate(posed)])
+    found = measured(truth, Registrations(np.array([s.vertices for s in posed]), joints))
+    assert len(truth.pairs) == 6 and truth.scans.asked == 2 * len(posed)
+    assert found["pose_median"] == pytest.approx(1.0) and found["pose"] == pytest.approx(5 / 3)
+
+
+def test_a_scan_that_was_not_fitted_counts_in_no_truth(tube_rig, posed):
+    truth = Truth(tube_rig, posed, 6, 0)
+    truth.recon, truth.pose = np.array([1.0, 2.0, 4.0]), np.array([3.0, 5.0, 9.0])
+    V = np.array([s.vertices for s in posed])
+    V[1] = np.nan
+    found = measured(truth, Registrations(V, np.array([s.joints for s in posed])))
+    assert (found["recon_truth"], found["pose_truth"], found["unfitted"]) == (2.5, 6.0, 1)
 
 
 def test_the_poses_truth_has_the_regressors_joints(tube_rig):
@@ -201,3 +230,85 @@ def test_free_form_starts_from_the_template_and_the_augmented_one_from_poses_tha
     assert x is points and n == 3
     for start, theta in zip(fitted, [np.zeros_like(poses[0]), *poses], strict=True):
         np.testing.assert_allclose(start, tube_rig.pose(theta), atol=1e-12)
+
+
+def test_components_are_of_some_scans_and_the_regressor_learns_from_all(tube_rig, monkeypatch):
+    """Four of nine, evenly taken; on these, three components leave nothing out."""
+    scans, given = synthesize(tube_rig, 9, random_state=6, n_points=60), []
+    monkeypatch.setattr(free_form, "_OF_COMPONENTS", 4)
+    monkeypatch.setattr("sklearn.neural_network.MLPRegressor.fit", lambda network, X, y: given.append((X, y)))
+    found = free_form.taught(tube_rig, scans, 0)
+    ((X, y),) = given
+    shapes = np.array([(s.vertices - s.points.mean(axis=0)).ravel() for s in scans])
+    some = [0, 2, 5, 8]
+    assert len(X) == len(y) == 9 and found.components.shape == (3, shapes.shape[1])
+    np.testing.assert_allclose(found.centre, shapes[some].mean(axis=0), atol=1e-6)
+    off = np.abs(found.centre + y @ found.components - shapes).max(axis=1) / (tube_rig.size / 2)
+    assert off[some].max() < 1e-5 and np.delete(off, some).min() > 1e-3
+    looks = np.concatenate([free_form.look(s.points).vectors for s in scans])
+    np.testing.assert_allclose(X, (looks - found.mean) / found.deviation)
+
+
+# ---- rows that learn ----
+
+
+def _learned(rig, size, monkeypatch, *, units, scales):
+    """What the row "cd" finds where learning and fits find the truth: (given, Found)."""
+    given = data.study_set(rig, size, 5)
+    true = {"train": given.train.templates, "test": given.test.templates}
+    results = []
+    for k, scale in zip(given.test_subjects, scales, strict=True):
+        U, joints = true["test"][k]
+        results.append(None if scale is None else SimpleNamespace(scale=scale, offsets=U / scale - rig.vertices, vertices=U))
+        if results[-1]:
+            vars(results[-1]).update(joints=joints, labels=None)
+    fits = iter(results)
+
+    def fit_scan(points):
+        found = next(fits)
+        if found is None:
+            raise InputError("points", "some", "others")
+        return found
+
+    templates = {k: SimpleNamespace(vertices=true["train"][k][0] / unit) for k, unit in units.items()}
+    own = {"template_": templates, "unit_": units, "history_": [], "segmenter_": None, "_pretrained": None, "rounds": 1}
+    fitter = SimpleNamespace(**own, fit=lambda *given, **more: None, fit_scan=fit_scan)
+    fitter.set_params = lambda **parameters: fitter
+    monkeypatch.setattr("sklearn.base.clone", lambda fitter: fitter)
+    return given, ROWS["cd"].find(Context(rig, given, size, 5, fitter, None, 1, lambda share: None))
+
+
+def test_gaps_of_templates_are_in_the_rigs_unit_and_of_the_right_people(tube_rig, monkeypatch):
+    """Units that learning has found, and scales of fits, are undone; the second subject was not learned."""
+    size = Size(6, 4, 3, 2, 1, 1, 1, 1)
+    monkeypatch.setattr(data, "SCAN", replace(SCAN, n_points=50))
+    given, found = _learned(tube_rig, size, monkeypatch, units={2: 2.0, 0: 0.5}, scales=[2.0, None, 0.5, 4.0])
+    people = {"subjects": (given.train.templates, (0, 2)), "test scans": (given.test.templates, (0, 0, 1))}
+    assert found.failures == {1: "points: got some; expected others."} and list(found.test.fitted) == [True, False, True, True]
+    for what, (templates, whose) in people.items():
+        gap, true = found.gap[what], [templates[k][0] for k in whose]
+        far = [np.linalg.norm(U - tube_rig.vertices, axis=1).mean() / given.half for U in true]
+        assert gap["before"] == pytest.approx(np.mean(far)) and gap["before"] > 0.01
+        assert gap["after"] == pytest.approx(0, abs=1e-12) == gap["after, up to a shift"]
+
+
+def test_three_times_the_data_is_more_people(tube_rig, monkeypatch):
+    """The row without a number learns from the scans that are given, and is judged on these as well."""
+    size, seen, fitted = Size(3, 2, 1, 1, 1, 1, 1, 1), [], []
+    monkeypatch.setattr(data, "SCAN", replace(SCAN, n_points=50))
+    given = data.study_set(tube_rig, size, 5)
+
+    def taught(rig, scans, random_state):
+        seen.append((rig, [s.points for s in scans], random_state))
+        return lambda points: fitted.append(points) or (tube_rig.vertices, tube_rig.joints)
+
+    monkeypatch.setattr("lbsfit_np.bench.study.rows.taught", taught)
+    shares = []
+    c = Context(tube_rig, given, size, 5, SimpleNamespace(random_state=7), None, 1, shares.append)
+    one, three = (ROWS[row].find(c) for row in ("free-form-supervised", "free-form-supervised-3x"))
+    assert [(rig is given.rig, len(points), seed) for rig, points, seed in seen] == [(True, 3, 7), (True, 9, 7)]
+    assert all(np.array_equal(a, b) for a, b in zip(seen[0][1], seen[1][1]))
+    asked = [*given.test, *given.train, *given.test]
+    assert all(np.array_equal(a, s.points) for a, s in zip(fitted, asked, strict=True))
+    assert len(one.train.vertices) == 3 and three.train is None and len(one.test.vertices) == len(three.test.vertices) == 2
+    assert shares == pytest.approx([0.25, 0.5, 2 / 3, 5 / 6, 1.0, 0.5, 1.0])

@@ -213,3 +213,8 @@ def test_joint_is_divided_by_the_oracle_of_the_same_seeds():
     oracle = [{"corre": {"mean": 0.01}, "pose": 0.01}, {"corre": {"mean": 0.05}, "pose": 0.01}]
     text = page(_report(joint=joint, oracle_fit=oracle), {})
     assert "Joint ÷ oracle fit: Recon 1.00, Pose 2.05, Corre. 2.00, vertices 1.00." in text
+
+
+def test_nothing_is_divided_by_an_oracle_without_errors():
+    text = page(_report(joint={}, oracle_fit={"pose": 0.0}), {})
+    assert "Joint ÷ oracle fit: Recon 1.00, Corre. 1.00, vertices 1.00." in text

@@ -162,6 +162,15 @@ def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
     assert ("the scan stands along its +z axis" in r.message) == ("stands" in r.message) == told
 
 
+def _as_learned(fitter, template, monkeypatch):
+    """The fitter, as if it had learned one person's template."""
+    learned = {"template_": {"ann": template}, "unit_": {"ann": 1.0}, "history_": [], "_learned_with": template.digest}
+    for name, value in {**learned, "segmenter_": None, "regressor_": SimpleNamespace(digest="")}.items():
+        setattr(fitter, name, value)
+    monkeypatch.setattr("lbsfit_np.learning.fitter.model_digest", lambda *given, **named: "")
+    return fitter
+
+
 @pytest.mark.parametrize("found, root, up, told", [(90, 0, None, True), (60, -30, None, False), (90, 0, "+y", False)])
 def test_a_fit_on_a_learned_template_tells_it_as_well(tube_rig, fitter, found, root, up, told, monkeypatch):
     model, turn = Model(tube_rig), matrix_from_rotvec(np.radians([found, 0.0, 0.0]))
@@ -170,21 +179,21 @@ def test_a_fit_on_a_learned_template_tells_it_as_well(tube_rig, fitter, found, r
     state, frame = model.rest().replace(theta=theta), Frame(np.zeros(3), model.half, turn)
     X = model.pose(state)[0].vertices
     monkeypatch.setattr("lbsfit_np.learning.finish._scouted", lambda *given: Found(frame, Problem(X), state, None, 1.0, ()))
-    learned = {"template_": {"ann": tube_rig}, "unit_": {"ann": 1.0}, "history_": [], "_learned_with": tube_rig.digest}
-    for name, value in {**learned, "segmenter_": None, "regressor_": SimpleNamespace(digest="")}.items():
-        setattr(fitter, name, value)
-    monkeypatch.setattr("lbsfit_np.learning.fitter.model_digest", lambda *given, **named: "")
-    r = fitter.set_params(up=up).fit_scan(frame.outside(X), subject="ann")
+    r = _as_learned(fitter, tube_rig, monkeypatch).set_params(up=up).fit_scan(frame.outside(X), subject="ann")
     assert r.status == "ok" and ("the scan stands along its +z axis" in r.message) == told
 
 
-def test_a_known_start_is_no_finding(tube_rig):
+@pytest.mark.parametrize("learned", [False, True])
+def test_a_known_start_is_no_finding(tube_rig, fitter, learned, monkeypatch):
     """Who says how the scan is turned need not be told."""
-    model, theta = Model(tube_rig), np.zeros((4, 3))
+    theta = np.zeros((4, 3))
     theta[0, 0] = np.pi / 2
     points = tube_rig.pose(theta)
-    fit = ScanFit(model, FitSettings(effort="fast", polish=0, full_iterations=3), facing=facing_of(tube_rig, "upright"))
-    r = fit.fit(points, theta0=theta)
+    if learned:
+        r = _as_learned(fitter, tube_rig, monkeypatch).fit_scan(points, subject="ann", theta0=theta)
+    else:
+        settings = FitSettings(effort="fast", polish=0, full_iterations=3)
+        r = ScanFit(Model(tube_rig), settings, facing=facing_of(tube_rig, "upright")).fit(points, theta0=theta)
     assert r.status == "ok" and "stands" not in r.message
 
 

@@ -178,9 +178,10 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     out = Path(values["output"])
     read = [rig_path, values["segmenter"], values["card"] if values["card"] != "none" else None, *inputs]
     names = {"existing": values["existing"], "pictures": values["pictures"], "ways": _WAYS}
-    files = outputs.plan(scans, out, inputs=[p for p in read if p], **names)
+    outputs.check_sources(scans)
     values = dict(values)  # a model changes some
-    fitter, model = _fitter(rig_path, values, given)
+    fitter, model = _fitter(rig_path, values, given)  # what options got wrong is said before what is in their way
+    files = outputs.plan(scans, out, inputs=[p for p in read if p], **names)
     rig = fitter.rig
     kept = _kept(files, fitter, values) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
@@ -195,8 +196,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
         if outcome.error is None:
             entries[f.name] = outcome.result
         else:
-            outputs.remove_earlier(f)
-            entries[f.name] = outputs.entry(f, "failed", message=outcome.error, seconds=round(outcome.seconds, 3))
+            entries[f.name] = outputs.unfitted_entry(f, outcome.error, seconds=round(outcome.seconds, 3))
             if outcome.details:
                 entries[f.name]["details"] = outcome.details
         progress.scan(entries[f.name])
@@ -216,7 +216,8 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     if stopped is not None and not isinstance(stopped, KeyboardInterrupt):
         raise stopped
     say_doubtful([entries[f.name] for f in files if f.name in entries])
-    return _farewell(counts, len(files), out, stopped)
+    older = [f for f in files if f.name not in entries and f.fit.is_file()] if values["existing"] == "replace" else []
+    return _farewell(counts, len(files), out, stopped, len(older))
 
 
 def _fitter(rig_path, values, given):
@@ -319,12 +320,15 @@ def _draw_kept(files, rig, result):
 
     try:
         points = load_scan(files.labels).points
+        if len(points) != len(result.labels):
+            got, expected = f"{len(points)} points", f"the {len(result.labels)} that the fit has labels of"
+            raise FileError(str(files.labels), got, expected)
     except FileError as error:
-        say(f"{files.name}: no picture: {error}")
-        return
-    if len(points) == len(result.labels):
-        for note in outputs.draw(files, rig, points, result):
-            say(f"{files.name}: {note}")
+        notes = [f"no picture: {error}", *outputs.remove([files.picture])]
+    else:
+        notes = outputs.draw(files, rig, points, result)
+    for note in notes:
+        say(f"{files.name}: {note}")
 
 
 def _is_newer(picture, fit):
@@ -338,11 +342,14 @@ def _made_with(theirs, ours):
     return "with another model, or with --subject told otherwise" if ours else "with a learned model"
 
 
-def _farewell(counts, n, out, stopped):
+def _farewell(counts, n, out, stopped, older):
+    """Say how it ended; ``older``: of the scans that were not dealt with, how many have fits of an earlier run."""
     done = counts["written"]
     if stopped is not None:
         rest = "; the same command with --existing skip does the rest" if done else ""
-        say(f"stopped: {done} of {n} scans are fitted and kept in {out}{rest}" if done else "stopped before a scan was fitted")
+        if older:  # which would be skipped
+            rest = f"; {older} of the others have fits of an earlier run, which --existing skip would keep"
+        say((f"stopped: {done} of {n} scans are fitted and kept in {out}" if done else "stopped before a scan was fitted") + rest)
         return exit_code(stopped)
     skipped = f", {counts['kept']} of them skipped as fitted before" if counts["kept"] else ""
     say(f"{done} of {n} scans fitted{doubts_of(counts)}{skipped}; results in {out}")

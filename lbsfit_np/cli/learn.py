@@ -317,12 +317,12 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
     try:
         for i, (f, result) in enumerate(zip(files, fitter.results_, strict=True)):
             if result is None:
-                entries[f.name] = outputs.entry(f, "failed", message=reading.failures[i])
+                entries[f.name] = outputs.unfitted_entry(f, reading.failures[i])
                 continue
             try:
                 entries[f.name] = _written(writer, i, f, reading.scans[i], result)
             except LbsfitError as error:
-                entries[f.name] = outputs.entry(f, "failed", message=str(error))
+                entries[f.name] = outputs.unfitted_entry(f, str(error))
             progress.scan(entries[f.name])
         stopped = False
     finally:
@@ -334,5 +334,5 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
 def _written(writer, i, files, scan, result):
     """The entry of a result; one that is not finite is not written."""
     if not np.isfinite(result.vertices).all():
-        return outputs.entry(files, "failed", message=result.message)
+        return outputs.unfitted_entry(files, result.message)
     return writer(i, scan, result)

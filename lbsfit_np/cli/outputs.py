@@ -19,8 +19,9 @@ __all__ = [
     "fitted_entry",
     "make_folder",
     "plan",
-    "remove_earlier",
+    "remove",
     "same_file",
+    "unfitted_entry",
 ]
 
 SUMMARY = "summary.json"
@@ -205,10 +206,20 @@ class Writer:
         return fitted_entry(files, result, notes=[*scan.notes, *undrawn])
 
 
-def remove_earlier(files):
-    """Remove what an earlier run has written of a scan that could not be fitted now: it would be taken for the scan's fit."""
-    for path in files.paths.values():
-        path.unlink(missing_ok=True)
+def unfitted_entry(files, message, **facts):
+    """The entry of a scan that could not be fitted now; removes what an earlier run has written of it, as if it were its fit."""
+    return entry(files, "failed", message="; ".join([message, *remove(files.paths.values())]), **facts)
+
+
+def remove(paths):
+    """Remove what an earlier run has written, where it is there; notes on files that another program holds, say."""
+    notes = []
+    for path in paths:
+        try:
+            path.unlink(missing_ok=True)
+        except OSError as error:
+            notes.append(f"{path.name} of an earlier run cannot be removed ({error.strerror or error})")
+    return notes
 
 
 def draw(files, rig, points, result):
@@ -218,9 +229,9 @@ def draw(files, rig, points, result):
 
     try:
         write_png(files.picture, fit_picture(rig, points, result))
-    except LbsfitError as error:
-        files.picture.unlink(missing_ok=True)  # of an earlier fit
-        return [f"no picture: {error}"]
+    except Exception as error:  # noqa: BLE001 (whatever is wrong with a picture, the fit is right)
+        words = str(error) if isinstance(error, LbsfitError) else f"{type(error).__name__}: {error}"
+        return [f"no picture: {words}", *remove([files.picture])]
     return []
 
 
@@ -250,13 +261,12 @@ def check_sources(sources):
     if missing:
         what = "a file that does not exist" if len(missing) == 1 else f"{len(missing)} files that do not exist"
         raise InputError(
-            "SCAN", f"{what}: {listed(missing, 5)}", "scan files that exist", "Check the paths; nothing has been done."
+            "SCAN", f"{what}: {listed(missing, 5)}", "scan files that exist", "Check the paths; the rig comes before the scans."
         )
     folders = [s for s in sources if os.path.isdir(s)]
     if folders:
-        raise InputError(
-            "SCAN", f"a folder: {listed(folders, 5)}", "scan files", f"Name the files in it, such as {folders[0]}/*.ply"
-        )
+        inside = os.path.join(folders[0], "*.ply")
+        raise InputError("SCAN", f"a folder: {listed(folders, 5)}", "scan files", f"Name the files in it, such as {inside}")
 
 
 def _check_length(path, remedy):

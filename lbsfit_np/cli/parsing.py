@@ -20,6 +20,14 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **keywords):
         super().__init__(**{"allow_abbrev": False, **keywords})
+        self.set_defaults(prog=self.prog)  # of a command, its own
+
+    def parse_args(self, args=None, namespace=None):
+        """As argparse does it, but what a command does not know is said to be the command's."""
+        found, unknown = self.parse_known_args(args, namespace)
+        if unknown:
+            self.exit(2, f"lbsfit: error: unrecognized arguments: {' '.join(unknown)} (see: {found.prog} --help)\n")
+        return found
 
     def error(self, message):
         """Print one line, and exit with code 2."""

@@ -120,7 +120,7 @@ def assemble(
         probability = probability_of(evidence)
         status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})
         if status == "failed":
-            reason += "; is it the right rig, and does the scan stand along the rig's up axis? Another one is told with up (--up)"
+            reason += "; is it the right rig, and does the scan stand as orientation and up say (--orientation, --up)?"
         if status != "ok" and not partial and evidence["unreached"] > _HARDLY_REACHED:
             reason += "; if the scan shows one side only, say so with partial (--partial)"
     return FitResult(

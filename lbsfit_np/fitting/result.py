@@ -48,7 +48,7 @@ class FitResult:
     status : {"ok", "suspect", "failed"}
         Whether the fit seems right, by ``probability``; ``failed`` also where it is not finite.
     message : str
-        The status in words: what speaks against the fit, how it ended, unit, what was left out.
+        The status in words: what speaks against the fit, the unit, what was left out.
     probability : float
         That the mean joint error is below 1.5 % of the rig's size, calibrated on the bundled rigs (``fitting.confidence``).
     evidence : dict of str to float

@@ -165,7 +165,7 @@ def _in_words(error):
 def as_scans(scans):
     """A sequence of scans as a list, or InputError."""
     if isinstance(scans, (str, bytes, Scan)) or not hasattr(scans, "__iter__"):
-        remedy = "Put a single scan in a list, too." if isinstance(scans, Scan) else None
+        remedy = "Put a single scan in a list, too." if isinstance(scans, Scan) else "Make a list of load_scan(path), one each."
         raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
     if isinstance(scans, np.ndarray) and scans.dtype != object and scans.ndim == 2:
         got = f"one array of shape {scans.shape}"

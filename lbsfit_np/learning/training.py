@@ -2,6 +2,7 @@
 
 from dataclasses import asdict
 
+from ..errors import InputError
 from ..synthesis import Synthesis, make_settings
 
 __all__ = ["training_settings"]
@@ -29,4 +30,7 @@ def training_settings(training, **defaults):
         A field that is not known, or out of its range.
     """
     given = asdict(training) if isinstance(training, Synthesis) else _DEFAULTS | defaults | dict(training or {})
-    return make_settings(given)
+    try:
+        return make_settings(given)
+    except InputError as error:
+        raise InputError("training", f"{error.argument}: {error.got}", error.expected, error.remedy) from None

@@ -137,8 +137,8 @@ def _correspondences(truth, registrations, fitted):
     plain, snapped, scan = {}, {}, None
     for a, b in sorted(pairs, key=lambda pair: pair[::-1]):  # all that go to one scan together
         if scan is None or scan[0] != b:
-            scan = b, truth.scans[b].vertices, truth.scans[b].points
-            tree = cKDTree(scan[2])
+            s = truth.scans[b]
+            scan, tree = (b, s.vertices, s.points), cKDTree(s.points)
         there, true = found[a] @ registrations.vertices[b], truth.places[a] @ scan[1]
         plain[a, b] = np.linalg.norm(there - true, axis=1) / half
         snapped[a, b] = np.linalg.norm(scan[2][tree.query(there)[1]] - true, axis=1) / half

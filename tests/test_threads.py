@@ -1,0 +1,90 @@
+"""Work that is done in one process has linear algebra on one thread, as in many processes; afterwards all is as before."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import scipy.linalg  # noqa: F401 (its BLAS is not NumPy's)
+from threadpoolctl import threadpool_info, threadpool_limits
+
+from lbsfit_np.bench.baseline import PlainChamfer
+from lbsfit_np.bench.study import free_form
+from lbsfit_np.bench.study.oracle import OracleFit
+from lbsfit_np.fitting.scan_fit import ScanFit
+from lbsfit_np.learning import finish
+from lbsfit_np.learning.loop import Loop
+from lbsfit_np.segmentation.segmenter import Segmenter
+from lbsfit_np.segmentation.stage import Training, train_stage
+from lbsfit_np.starts import library
+from lbsfit_np.threads import one_thread
+from lbsfit_np.workers import each
+
+
+class _Seen(Exception):
+    """Ends the work as soon as it is known on how many threads it is done."""
+
+
+def _blas():
+    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+def _look(*given, **more):
+    raise _Seen(_blas())
+
+
+@pytest.fixture(autouse=True)
+def two_threads():
+    with threadpool_limits(2):
+        if _blas() != {2}:
+            pytest.skip("a BLAS that cannot have two threads")
+        yield
+        assert _blas() == {2}
+
+
+def _regressor(monkeypatch):
+    monkeypatch.setattr("sklearn.neural_network.MLPRegressor.fit", _look)
+    return library._trained(np.eye(4), np.ones(4), np.zeros((4, 2, 3)), 0)
+
+
+def _baseline(monkeypatch):
+    monkeypatch.setattr("sklearn.decomposition.PCA.fit", _look)
+    scan = SimpleNamespace(points=np.random.default_rng(0).random((50, 3)), vertices=np.zeros((4, 3)))
+    return free_form.taught(SimpleNamespace(size=1.0), [scan] * 3, 0)
+
+
+def _new_scan(monkeypatch):
+    monkeypatch.setattr(finish, "_fit_new", _look)
+    return finish.fit_new(SimpleNamespace(regressor_=1), None, ("ann",), None, None, None)
+
+
+class _Stage:
+    predict_proba = None  # what it would be asked about is not made
+
+
+X = np.random.default_rng(0).random((40, 3))
+WORK = {
+    "a stage": lambda _: train_stage(X, np.arange(40) % 2, 2, Training(epochs=1), 0, "a", _look),
+    "labels": lambda _: Segmenter.predict_proba(SimpleNamespace(half=1.0, stages=[_Stage], descriptor=_look), X),
+    "the regressor f": _regressor,
+    "the loop": lambda _: Loop.run(SimpleNamespace(_first_fits=_look)),
+    "a fit": lambda _: ScanFit.fit(SimpleNamespace(_fit=_look), X),
+    "a new scan": _new_scan,
+    "tasks": lambda _: each(_look, [0]),
+    "the oracle": lambda _: OracleFit.__call__(SimpleNamespace(_fit=_look), None),
+    "plain Chamfer": lambda _: PlainChamfer.fit_scan(SimpleNamespace(_fit=_look), SimpleNamespace(points=X)),
+    "the supervised baseline": _baseline,
+}
+
+
+@pytest.mark.parametrize("what", WORK)
+def test_work_is_done_on_one_thread(what, monkeypatch):
+    with pytest.raises(_Seen) as seen:
+        WORK[what](monkeypatch)
+    assert seen.value.args == ({1},)
+
+
+def test_within_each_other_the_outer_one_holds():
+    with one_thread():
+        with one_thread():
+            pass
+        assert _blas() == {1}
