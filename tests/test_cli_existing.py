@@ -15,6 +15,7 @@ from lbsfit_np.cli import fit, outputs
 from lbsfit_np.cli.summary import counts_of, doubts_of
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_points_ply
+from lbsfit_np.report.render import write_png
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -130,15 +131,30 @@ def test_pictures_of_kept_fits_show_what_was_fitted(fitted, made, tmp_path, run,
     for path in fitted[0].glob("one.*"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     picture, fit = tmp_path / "one.png", tmp_path / "one.fit.npz"
-    picture.write_bytes(b"of an earlier fit")
+    write_png(picture, PIXELS)
+    of_an_earlier_fit = picture.read_bytes() + b"."
+    picture.write_bytes(of_an_earlier_fit)
     os.utime(picture, ns=(0, fit.stat().st_mtime_ns - 10**9))
     shown = []
     monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", lambda rig, points, result: shown.append(points) or PIXELS)
     arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", "--pictures", *QUICK)
     assert run(*arguments, "--samples", "50", "--seed", "3")[0] == 0
     np.testing.assert_allclose(shown[0], lbs.load_scan(fitted[0] / "one.labels.ply").points)
-    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert picture.read_bytes() + b"." == of_an_earlier_fit  # drawn anew, of the same pixels
     assert run(*arguments)[0] == 0 and len(shown) == 1  # it is there, and of this fit
+
+
+def test_a_picture_of_others_is_none_of_a_kept_fit_and_stays(fitted, made, tmp_path, run):
+    """A scan.obj may have its texture beside it."""
+    for path in fitted[0].glob("one.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    texture = tmp_path / "one.png"
+    texture.write_bytes(b"\x89PNG of others")
+    os.utime(texture, ns=(0, 0))
+    code, out, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", "--pictures", *QUICK)
+    assert code == 0 and "one.png is none that lbsfit has drawn" in out + err
+    assert texture.read_bytes() == b"\x89PNG of others"
+    assert "picture" not in json.loads((tmp_path / "summary.json").read_text())["scans"][0]["files"]
 
 
 def _files(folder):

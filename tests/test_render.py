@@ -11,6 +11,7 @@ from lbsfit_np.report.colors import part_colors
 from lbsfit_np.report.render import (
     Mesh,
     Points,
+    is_signed,
     montage,
     render,
     render_mesh,
@@ -214,6 +215,9 @@ def test_png_holds_the_pixels(tmp_path, channels):
     assert struct.unpack(">IIBBBBB", chunks[b"IHDR"]) == (5, 7, 8, 2 if channels == 3 else 6, 0, 0, 0)
     rows = np.frombuffer(zlib.decompress(chunks[b"IDAT"]), np.uint8).reshape(7, -1)
     np.testing.assert_array_equal(rows[:, 1:].reshape(image.shape), image)
+    assert is_signed(tmp_path / "a.png") and chunks[b"tEXt"] == b"Software\0lbsfit_np"
+    (tmp_path / "other.png").write_bytes(data.replace(b"lbsfit_np", b"paintings"))
+    assert not is_signed(tmp_path / "other.png")
     with pytest.raises(InputError, match="image"):
         write_png(tmp_path / "b.png", image / 255)
 

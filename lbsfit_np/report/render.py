@@ -14,7 +14,9 @@ from ..errors import InputError
 from ..io.write import atomic_path
 from ..raster import Buffer, splat_points, splat_triangles
 
-__all__ = ["VIEWS", "Mesh", "Points", "montage", "render", "render_mesh", "render_points", "write_png"]
+__all__ = ["VIEWS", "Mesh", "Points", "is_signed", "montage", "render", "render_mesh", "render_points", "write_png"]
+
+_SIGNED = b"Software\0lbsfit_np"
 
 # Azimuth and elevation in degrees; sides are the subject's own.
 VIEWS = {
@@ -155,8 +157,14 @@ def montage(rows, *, gap=8, background=(255, 255, 255)):
     return out
 
 
+def is_signed(path):
+    """Whether a file begins as those that :func:`write_png` writes."""
+    with open(path, "rb") as file:
+        return _SIGNED in file.read(100)
+
+
 def write_png(path, image):
-    """Write an (h, w, 3) or (h, w, 4) uint8 array as PNG."""
+    """Write an (h, w, 3) or (h, w, 4) uint8 array as PNG, signed as this package's."""
     image = np.ascontiguousarray(image)
     if image.ndim != 3 or image.shape[2] not in (3, 4) or image.dtype != np.uint8:
         raise InputError("image", f"{image.dtype} values of shape {image.shape}", "uint8 of shape (h, w, 3) or (h, w, 4)")
@@ -168,7 +176,8 @@ def write_png(path, image):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
 
     header = struct.pack(">IIBBBBB", width, height, 8, 2 if channels == 3 else 6, 0, 0, 0)
-    data = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(rows.tobytes(), 9)) + chunk(b"IEND", b"")
+    pixels = zlib.compress(rows.tobytes(), 9)
+    data = chunk(b"IHDR", header) + chunk(b"tEXt", _SIGNED) + chunk(b"IDAT", pixels) + chunk(b"IEND", b"")
     with atomic_path(path) as temporary:
         temporary.write_bytes(b"\x89PNG\r\n\x1a\n" + data)
 
