@@ -59,14 +59,14 @@ class Size:
 
 # Of hands; :func:`sized` knows those of bodies.
 SIZES = {
-    "small": Size(8, 6, 2, 2, 30, 400, 2, 1),
+    "small": Size(6, 6, 2, 2, 30, 400, 2, 1),
     "medium": Size(60, 30, 3, 5, 400, 4000, 4, 3),
     "paper": Size(1500, 300, 30, 10, 4000, 4000, 4, 3),
 }
 # Of poses, the share that is near the library's; the paper has 20,000 from motion and 3,000 bent ones.
 NATURAL = {"hand": 0.5, "body": 20 / 23, "other": 0.5}
 # Bodies have more vertices and joints, and the paper has more of them.
-_OF_BODIES = {"small": {"train": 8, "test": 4, "pairs": 12}, "medium": {}, "paper": {"train": 23000, "test": 2300}}
+_OF_BODIES = {"small": {"test": 4, "pairs": 12}, "medium": {}, "paper": {"train": 23000, "test": 2300}}
 
 
 @dataclass(frozen=True)
