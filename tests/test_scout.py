@@ -371,15 +371,20 @@ def test_what_the_finals_leave_unexplained_chooses(tube_rig, before, after, best
     scout, frame, problem = _untrained(tube_rig), Frame(np.zeros(3), 1.0), Problem(np.zeros((9, 3)))
     runners = [Runner(problem, scout.model.rest().replace(translation=np.full(3, k)), frame, v) for k, v in enumerate(before)]
     left = iter(after)
+    _only_finals(scout, runners, left, monkeypatch)
+    found = scout._look(problem.X, None)
+    assert found.value == min(after) and found.state.translation[0] == best and next(left, None) is None
+    assert found.rivals == pytest.approx(rivals)
+
+
+def _only_finals(scout, runners, left, monkeypatch):
+    """All steps of a look do nothing, but for the finals, who are left with these values."""
     monkeypatch.setattr(scout, "_refit", SimpleNamespace(first_steps=lambda r: r, last_steps=lambda r: r))
     for step, answer in (("_runners", runners), ("_facings", [])):
         monkeypatch.setattr(scout, step, lambda *given, answer=answer: answer)
     for step in ("_other_limbs", "_distinct"):
         monkeypatch.setattr(scout, step, lambda given: given)
     monkeypatch.setattr(scout, "_with_proportions", lambda r: replace(r, value=next(left)))
-    found = scout._look(problem.X, None)
-    assert found.value == min(after) and found.state.translation[0] == best and next(left, None) is None
-    assert found.rivals == pytest.approx(rivals)
 
 
 @pytest.mark.parametrize("effort, finals, tried", [("fast", 1, False), ("balanced", 2, True), ("thorough", 2, True)])
@@ -388,12 +393,7 @@ def test_other_bends_are_tried_of_the_best_one(tube_rig, effort, finals, tried, 
     scout, frame, problem = _untrained(tube_rig, effort=effort), Frame(np.zeros(3), 1.0), Problem(np.zeros((9, 3)))
     runners = [Runner(problem, scout.model.rest().replace(translation=np.full(3, k)), frame, v) for k, v in enumerate((1.0, 1.2))]
     left, asked = iter([0.8, 0.3][:finals]), []
-    monkeypatch.setattr(scout, "_refit", SimpleNamespace(first_steps=lambda r: r, last_steps=lambda r: r))
-    for step, answer in (("_runners", runners), ("_facings", [])):
-        monkeypatch.setattr(scout, step, lambda *given, answer=answer: answer)
-    for step in ("_other_limbs", "_distinct"):
-        monkeypatch.setattr(scout, step, lambda given: given)
-    monkeypatch.setattr(scout, "_with_proportions", lambda r: replace(r, value=next(left)))
+    _only_finals(scout, runners, left, monkeypatch)
 
     def bends(problem, state, value):
         asked.append((problem, state.translation[0], value))
