@@ -188,16 +188,16 @@ def test_ids_of_numpy_are_those_of_python(learned, clouds):
 @pytest.mark.parametrize(
     "training, words",
     [
-        ({"n_points": 10**30}, "n_points: got 1000.*at most 10000000"),
-        ({"n_points": 10**5000}, "n_points: got a number of several thousand digits"),
-        ({"holes": 10**30}, "holes: got 1000.*at most 1000"),
-        ({"noise": 1e300}, "noise: got 1e\\+300.*at most 1000"),
+        ({"n_points": 10**30}, "training: got n_points: 1000.*at most 10000000"),
+        ({"n_points": 10**5000}, "training: got n_points: a number of several thousand digits"),
+        ({"holes": 10**30}, "training: got holes: 1000.*at most 1000"),
+        ({"noise": 1e300}, "training: got noise: 1e\\+300.*at most 1000"),
         ({"shape": 1e300}, "shape: "),
         ({"turn": 1e300}, "turn: "),
         ({"density": 1e300}, "density: "),
-        (Synthesis(n_points=10**30), "n_points: got 1000"),
-        (Synthesis(noise=-1.0), "noise: got -1.0"),
-        ({"trun": 1.0}, "trun: got a setting that is not known"),
+        (Synthesis(n_points=10**30), "training: got n_points: 1000"),
+        (Synthesis(noise=-1.0), "training: got noise: -1.0"),
+        ({"trun": 1.0}, "training: got trun: a setting that is not known"),
     ],
 )
 def test_training_that_cannot_be_computed_is_named_before_any_work(training, words, tube_rig, clouds, monkeypatch):

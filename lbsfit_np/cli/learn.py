@@ -263,12 +263,14 @@ def _learned(fitter, reading, model, seconds):
     """What was learned, in a line."""
     n, who = len(reading.paths), len(fitter.template_)
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
+    held = sum(r is not None and "left out of learning" in r.message for r in fitter.results_)
+    apart = f", {held} of the scans held out" if held else ""
     early = ""
     if 0 < rounds < fitter.rounds:
         early = ", until the scans held out were explained no better"
     return (
         f"learned from {n - len(reading.failures)} of {n} scans of {who} subject{'' if who == 1 else 's'} "
-        f"in {rounds} round{'' if rounds == 1 else 's'}{early}; {model} written after {span(seconds)}"
+        f"in {rounds} round{'' if rounds == 1 else 's'}{apart}{early}; {model} written after {span(seconds)}"
     )
 
 
