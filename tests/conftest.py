@@ -88,6 +88,37 @@ def one_thread():
         yield
 
 
+# ---- first looks at the tube rig ----
+
+
+@pytest.fixture(scope="session")
+def clean_scans(tube_rig):
+    """Four scans without any flaw."""
+    from turned_scans import CLEAN
+
+    from lbsfit_np import synthesize
+
+    return synthesize(tube_rig, 4, random_state=40, **CLEAN)
+
+
+@pytest.fixture(scope="session")
+def make_scout(tube_rig, tube_fitter):
+    """(orientation, settings, other parameters) → a Scout of the tube."""
+    from lbsfit_np.fitting.scan_fit import FitSettings
+    from lbsfit_np.fitting.scout import Scout
+    from lbsfit_np.optimize.model import Model
+    from lbsfit_np.starts.turns import facing_of
+
+    model, trained = Model(tube_rig), (tube_fitter.regressor_, tube_fitter.segmenter_)
+
+    def made(orientation="upright", settings=None, *, segmenter=True, **more):
+        library, s = trained
+        settings = settings or FitSettings(effort="fast")
+        return Scout(model, library, facing_of(tube_rig, orientation), s if segmenter else None, settings, **more)
+
+    return made
+
+
 # ---- learning from the tube rig ----
 
 

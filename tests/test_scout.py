@@ -1,61 +1,14 @@
 """The first look at a scan: however it is turned, in whatever unit, its pose is found; what is known of it holds."""
 
-import copy
-from dataclasses import replace
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
+from turned_scans import any_turn, error_of, upright
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.refit import Runner
 from lbsfit_np.fitting.scan_fit import FitSettings
-from lbsfit_np.fitting.scout import EFFORTS, Scout
-from lbsfit_np.optimize.frame import Frame
-from lbsfit_np.optimize.model import Model
-from lbsfit_np.optimize.problem import Problem
-from lbsfit_np.rotations import matrix_from_rotvec
-from lbsfit_np.starts.library import Start
-from lbsfit_np.starts.turns import ORIENTATIONS, facing_of
+from lbsfit_np.starts.turns import ORIENTATIONS
 
 pytestmark = pytest.mark.usefixtures("one_thread")
-
-CLEAN = {"noise": 0.0, "holes": 0, "density": 0.0, "shape": 0.0, "n_points": 600}
-
-
-def _any(seed):
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.random(random_state=seed).as_matrix()
-
-
-def _upright(angle):
-    return matrix_from_rotvec(np.array([0.0, angle, 0.0]))
-
-
-@pytest.fixture(scope="module")
-def scans(tube_rig):
-    return lbs.synthesize(tube_rig, 4, random_state=40, **CLEAN)
-
-
-@pytest.fixture(scope="module")
-def make(tube_rig, tube_fitter):
-    """(orientation, settings, other parameters) → a Scout of the tube."""
-    model, trained = Model(tube_rig), (tube_fitter.regressor_, tube_fitter.segmenter_)
-
-    def made(orientation="upright", settings=None, *, segmenter=True, **more):
-        library, s = trained
-        settings = settings or FitSettings(effort="fast")
-        return Scout(model, library, facing_of(tube_rig, orientation), s if segmenter else None, settings, **more)
-
-    return made
-
-
-def _error(rig, found, scan, turn=None, unit=1.0, shift=0.0):
-    """Mean distance of the joints, in the scan's frame, in half sizes of the rig as large as the scan."""
-    joints = found.frame.outside(Model(rig).pose(found.state)[0].joints)
-    true = unit * scan.joints @ (np.eye(3) if turn is None else turn).T + shift
-    return np.linalg.norm(joints - true, axis=1).mean() / (unit * rig.size / 2)
 
 
 def _scale(found, rig):
@@ -66,25 +19,25 @@ def _scale(found, rig):
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.13, np.pi / 2, 2.0, np.pi, -1.2])
-def test_a_scan_turned_about_the_up_axis_is_found(tube_rig, make, scans, angle):
-    turn = _upright(angle)
-    for s in scans[:2]:
-        found = make()(s.points @ turn.T + [3.0, 0.0, -1.0])
-        assert _error(tube_rig, found, s, turn, shift=[3.0, 0.0, -1.0]) < 0.03
+def test_a_scan_turned_about_the_up_axis_is_found(tube_rig, make_scout, clean_scans, angle):
+    turn = upright(angle)
+    for s in clean_scans[:2]:
+        found = make_scout()(s.points @ turn.T + [3.0, 0.0, -1.0])
+        assert error_of(tube_rig, found, s, turn, shift=[3.0, 0.0, -1.0]) < 0.03
         np.testing.assert_allclose(found.frame.turn[:, 1], [0.0, 1.0, 0.0], atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_a_scan_turned_in_any_way_is_found(tube_rig, make, scans, seed):
-    turn, s = _any(seed), scans[seed % 4]
-    assert _error(tube_rig, make("any")(s.points @ turn.T), s, turn) < 0.03
+def test_a_scan_turned_in_any_way_is_found(tube_rig, make_scout, clean_scans, seed):
+    turn, s = any_turn(seed), clean_scans[seed % 4]
+    assert error_of(tube_rig, make_scout("any")(s.points @ turn.T), s, turn) < 0.03
 
 
 @pytest.mark.parametrize("unit", [1000.0, 39.37, 0.5, 2.0, 0.01, 3.7e5])
-def test_the_unit_is_found_with_the_turn(tube_rig, make, scans, unit):
-    turn, s = _upright(2.0), scans[1]
-    found = make()(unit * s.points @ turn.T + 5 * unit)
-    assert _error(tube_rig, found, s, turn, unit, 5 * unit) < 0.03
+def test_the_unit_is_found_with_the_turn(tube_rig, make_scout, clean_scans, unit):
+    turn, s = upright(2.0), clean_scans[1]
+    found = make_scout()(unit * s.points @ turn.T + 5 * unit)
+    assert error_of(tube_rig, found, s, turn, unit, 5 * unit) < 0.03
     assert _scale(found, tube_rig) == pytest.approx(unit, rel=0.05)
     assert 1 / 3 < found.state.scale < 3
 
@@ -93,7 +46,7 @@ def test_a_hand_that_lies_anyhow_in_millimetres():
     rig = lbs.load_rig("hand-coarse")
     fitter = lbs.LBSFitter(rig, orientation="any", training_scans=200, training={"n_points": 800}, random_state=0).pretrain()
     for k, s in enumerate(lbs.synthesize(rig, 2, poses="natural", random_state=1, n_points=700, shape=0.03)):
-        turn = _any(20 + k)
+        turn = any_turn(20 + k)
         r = fitter.fit_scan(1000 * s.points @ turn.T + [100.0, 0.0, -500.0])
         joints = (r.joints - [100.0, 0.0, -500.0]) @ turn / 1000
         assert np.linalg.norm(joints - s.joints, axis=1).mean() / (rig.size / 2) < 0.04
@@ -105,383 +58,84 @@ def test_a_hand_that_lies_anyhow_in_millimetres():
 # ---- what is known holds ----
 
 
-def test_an_aligned_scan_is_never_turned(tube_rig, make, scans):
-    for turn in (np.eye(3), _upright(np.pi)):
-        found = make("aligned")(scans[0].points @ turn.T)
+def test_an_aligned_scan_is_never_turned(tube_rig, make_scout, clean_scans):
+    for turn in (np.eye(3), upright(np.pi)):
+        found = make_scout("aligned")(clean_scans[0].points @ turn.T)
         np.testing.assert_array_equal(found.frame.turn, np.eye(3))
-    assert _error(tube_rig, make("aligned")(scans[0].points), scans[0]) < 0.03
+    assert error_of(tube_rig, make_scout("aligned")(clean_scans[0].points), clean_scans[0]) < 0.03
 
 
 @pytest.mark.parametrize("orientation", ORIENTATIONS)
-def test_a_scan_that_faces_the_rigs_way_is_found_whatever_is_open(tube_rig, make, scans, orientation):
-    assert _error(tube_rig, make(orientation)(scans[2].points), scans[2]) < 0.03
+def test_a_scan_that_faces_the_rigs_way_is_found_whatever_is_open(tube_rig, make_scout, clean_scans, orientation):
+    assert error_of(tube_rig, make_scout(orientation)(clean_scans[2].points), clean_scans[2]) < 0.03
 
 
-def test_a_fixed_scale_is_1(tube_rig, make, scans):
-    turn = _upright(1.0)
-    scout = make(settings=FitSettings(scale="fixed", effort="fast"))
-    found = scout(scans[0].points @ turn.T)
+def test_a_fixed_scale_is_1(tube_rig, make_scout, clean_scans):
+    turn = upright(1.0)
+    scout = make_scout(settings=FitSettings(scale="fixed", effort="fast"))
+    found = scout(clean_scans[0].points @ turn.T)
     assert _scale(found, tube_rig) == pytest.approx(1.0, rel=1e-12) and found.state.scale == 1.0
-    assert _error(tube_rig, found, scans[0], turn) < 0.03
-    larger = scout(1.1 * scans[0].points)  # and stays 1 where another would explain more
+    assert error_of(tube_rig, found, clean_scans[0], turn) < 0.03
+    larger = scout(1.1 * clean_scans[0].points)  # and stays 1 where another would explain more
     assert larger.state.scale == 1.0
 
 
 @pytest.mark.parametrize("factor", [0.3, 2.9])
-def test_a_fixed_scale_of_a_scan_that_no_pose_is_as_large_as_is_no_error(make, scans, factor):
-    found = make(settings=FitSettings(scale="fixed", effort="fast"))(factor * scans[0].points)
+def test_a_fixed_scale_of_a_scan_that_no_pose_is_as_large_as_is_no_error(make_scout, clean_scans, factor):
+    found = make_scout(settings=FitSettings(scale="fixed", effort="fast"))(factor * clean_scans[0].points)
     assert found.state.scale == 1.0 and np.isfinite(found.state.theta).all()
 
 
-def test_a_unit_that_is_given_is_kept(tube_rig, make, scans):
-    turn = _upright(-2.0)
-    found = make(unit=1000.0)(1000 * scans[3].points @ turn.T)
+def test_a_unit_that_is_given_is_kept(tube_rig, make_scout, clean_scans):
+    turn = upright(-2.0)
+    found = make_scout(unit=1000.0)(1000 * clean_scans[3].points @ turn.T)
     assert _scale(found, tube_rig) == pytest.approx(1000, rel=1e-12)
-    assert _error(tube_rig, found, scans[3], turn, 1000.0) < 0.03
+    assert error_of(tube_rig, found, clean_scans[3], turn, 1000.0) < 0.03
 
 
-def test_known_proportions_are_kept(make, scans):
-    assert not make(proportions=False)(scans[0].points).state.coefficients.any()
-    assert make()(scans[0].points).state.coefficients.any()
+def test_known_proportions_are_kept(make_scout, clean_scans):
+    assert not make_scout(proportions=False)(clean_scans[0].points).state.coefficients.any()
+    assert make_scout()(clean_scans[0].points).state.coefficients.any()
     off = FitSettings(effort="fast", polish=0)
-    assert not make(settings=off)(scans[0].points).state.coefficients.any()
+    assert not make_scout(settings=off)(clean_scans[0].points).state.coefficients.any()
 
 
-# ---- hypotheses ----
+# ---- what is seen, and what counts ----
 
 
-@pytest.mark.parametrize("effort", EFFORTS)
-def test_effort_is_the_number_of_starts(tube_rig, make, scans, effort, monkeypatch):
-    scout, turn = make(settings=FitSettings(effort=effort)), _upright(2.5)
-    first, counts = scout._refit.first_steps, []
-    monkeypatch.setattr(scout._refit, "first_steps", lambda runners: counts.append(len(runners)) or first(runners))
-    found = scout(scans[0].points @ turn.T)
-    assert counts[0] == EFFORTS[effort].starts + 1  # of the library and f
-    assert 1 <= counts[1] <= EFFORTS[effort].facings  # from labels
-    assert _error(tube_rig, found, scans[0], turn) < 0.03
-
-
-def test_more_effort_is_more_of_everything():
-    assert list(EFFORTS) == ["fast", "balanced", "thorough"]
-    fields = [[getattr(e, name) for name in e.__dataclass_fields__ if name != "again"] for e in EFFORTS.values()]
-    assert (np.diff(fields, axis=0) >= 0).all() and (np.diff(fields, axis=0)[:, :2] > 0).all()
-
-
-@pytest.mark.parametrize(
-    "effort, p, looks",
-    [
-        ("balanced", 0.9, ["balanced"]),
-        ("balanced", 0.7, ["balanced", "thorough"]),
-        ("fast", 0.0, ["fast"]),
-        ("thorough", 0.0, ["thorough", "thorough"]),  # the second under other up axes
-    ],
-)
-def test_doubt_is_worth_a_second_look(make, scans, effort, p, looks, monkeypatch):
-    known = {EFFORTS[name]: name for name in EFFORTS}
-    seen, values = [], iter([2.0, 1.0])
-
-    def look(self, points, x_weights):
-        seen.append(known[self.effort])
-        return SimpleNamespace(value=next(values), effort=self.effort, frame=SimpleNamespace(unit=1.0))
-
-    monkeypatch.setattr(Scout, "_look", look)
-    monkeypatch.setattr(Scout, "_probability", lambda self, found: p)
-    scout = make(settings=FitSettings(effort=effort))
-    assert known[scout(scans[0].points).effort] == looks[-1] and seen == looks
-    seen.clear()
-    values = iter([2.0, 1.0])
-    make("aligned", FitSettings(effort=effort))(scans[0].points)
-    assert seen == (looks if effort == "balanced" else looks[:1])  # nothing is open that a second look could find
-    values = iter([1.0, 2.0])  # a second look that finds nothing better changes nothing
-    assert known[scout(scans[0].points).effort] == looks[0] and known[scout.effort] == effort
-
-
-@pytest.mark.parametrize("unit, kept", [(0.9, "thorough"), (1.2, "balanced")])
-def test_looks_are_compared_in_the_scans_unit(tube_rig, unit, kept, monkeypatch):
-    """The second leaves 0.8 of the first's unexplained, in units of its own."""
-    first, second = (SimpleNamespace(value=v, frame=SimpleNamespace(unit=u)) for v, u in ((1.0, 1.0), (0.8, unit)))
-    monkeypatch.setattr(Scout, "_look", lambda self, *scan: second if self.effort is EFFORTS["thorough"] else first)
-    monkeypatch.setattr(Scout, "_probability", lambda self, found: 0.0)
-    assert _untrained(tube_rig)(np.zeros((9, 3))) is {"thorough": second, "balanced": first}[kept]
-
-
-@pytest.mark.parametrize(
-    "orientation, up", [("upright", None), ("upright", "+z"), ("upright", "+y"), ("aligned", None), ("any", None)]
-)
-@pytest.mark.parametrize("effort", ["fast", "balanced", "thorough"])
-def test_a_second_look_tries_any_side_where_no_axis_was_told(tube_rig, effort, orientation, up, monkeypatch):
-    seen, facing = [], facing_of(tube_rig, orientation, up)
-
-    def look(self, *scan):
-        seen.append(self.facing)
-        return SimpleNamespace(value=1.0, frame=SimpleNamespace(unit=1.0))
-
-    monkeypatch.setattr(Scout, "_look", look)
-    monkeypatch.setattr(Scout, "_probability", lambda self, found: 0.0)
-    scout = _untrained(tube_rig, facing=facing, effort=effort)
-    scout(np.zeros((9, 3)))
-    assert seen[0] is facing and scout.facing is facing
-    if effort == "fast" or (orientation, up) != ("upright", None):
-        assert all(f is facing for f in seen)
-        return
-    assert len(seen) == 2
-    np.testing.assert_array_equal(seen[1].turns[: len(facing.turns)], facing.turns)
-    sides = {tuple(np.round(turn @ [0.0, 1.0, 0.0]) + 0.0) for turn in seen[1].turns}
-    assert sides == {tuple(s) for s in np.vstack([np.eye(3), -np.eye(3)]) + 0.0}
-
-
-def test_a_wrong_pose_is_in_doubt(make, scans):
-    scout = make()
-    found = scout(scans[0].points)
-    assert scout._probability(found) > 0.8
-    wrong = found.state.replace(theta=found.state.theta * 0.0, translation=found.state.translation + 0.2)
-    assert scout._probability(replace(found, state=wrong)) < 0.05
-
-
-def test_without_the_librarys_poses_starts_are_rest_and_f_under_its_turns(make, scans):
-    scout = make(nearest=False, segmenter=False)
-    points = scans[0].points @ _upright(2.0).T
-    runners = scout._runners(points, None)
-    library, turns = scout.library, [s.turn for s in scout.library.starts(points, scout.facing.turns, scout.effort.starts)]
-    assert len(runners) == 2 * len(set(turns))
-    f = library.regress(points @ scout.facing.turns[turns[0]])
-    for k, r in enumerate(runners):
-        np.testing.assert_array_equal(r.state.theta, f if k % 2 else np.zeros_like(f))
-    assert {r.name.turn.tobytes() for r in runners} == {scout.facing.turns[k].tobytes() for k in turns}
-    everything = make(segmenter=False)._runners(points, None)
-    np.testing.assert_array_equal(everything[-1].state.theta, f)
-    assert sum((r.state.theta == library.poses).all(axis=(1, 2)).any() for r in everything) == len(everything) - 1
-
-
-def test_starts_stand_where_the_scan_is(make, scans):
-    points = 1000 * scans[0].points + [1e4, 0.0, 3.0]
-    for r in make()._runners(points, None):
-        V = make().model.pose(r.state)[0].vertices
-        assert np.linalg.norm(make().model.areas @ V - r.problem.X.mean(axis=0)) < 1e-9
-        np.testing.assert_allclose(r.name.outside(r.problem.X), points, atol=1e-6)
-
-
-def test_hypotheses_are_compared_in_one_unit(make, scans):
-    """What is left unexplained goes by the square of the unit: in units of their own, the largest would win."""
-    scout = make()
-    runners = scout._runners(1000 * scans[0].points, None)
-    assert len({r.name.unit for r in runners}) == 1 and len({r.state.scale for r in runners}) > 1
-    moved = [replace(r, value=float(k + 1)) for k, r in enumerate(runners)]
-    one = replace(moved[2], state=moved[2].state.replace(scale=1.25))
-    for before, after in zip(moved, scout._resized(moved, one)):
-        assert after.name.unit == before.name.unit * 1.25 and after.value == pytest.approx(before.value / 1.25**2)
-        for r in (before, after):
-            np.testing.assert_allclose(r.name.outside(r.problem.X), 1000 * scans[0].points, atol=1e-9)
-        V = [r.name.outside(scout.model.pose(r.state)[0].vertices) for r in (before, after)]
-        np.testing.assert_allclose(V[0], V[1], atol=1e-9)
-    assert scout(1000 * scans[0].points).state.scale == pytest.approx(1.0, abs=0.1)
-
-
-def test_labels_are_seen_in_the_frame_that_was_found(make, scans, tube_rig):
+def test_labels_are_seen_in_the_frame_that_was_found(make_scout, clean_scans, tube_rig):
     """However the scan lies, the segmenter sees it as if it faced the rig's way and had the rig's size."""
-    turn, s = _any(3), scans[1]
-    found = make("any")(1000 * s.points @ turn.T)
+    turn, s = any_turn(3), clean_scans[1]
+    found = make_scout("any")(1000 * s.points @ turn.T)
     assert found.proba.shape == (600, 4)
     np.testing.assert_allclose(found.proba.sum(axis=1), 1.0, atol=1e-5)
     assert (found.proba.argmax(axis=1) == s.labels).mean() > 0.75
-    assert make("any", segmenter=False)(s.points @ turn.T).proba is None
+    assert make_scout("any", segmenter=False)(s.points @ turn.T).proba is None
 
 
-def test_without_a_segmenter_scans_are_found_as_well(tube_rig, make, scans):
-    for k, s in enumerate(scans):
-        turn = _upright(1.0 + k)
-        assert _error(tube_rig, make(segmenter=False)(s.points @ turn.T), s, turn) < 0.03
+def test_without_a_segmenter_scans_are_found_as_well(tube_rig, make_scout, clean_scans):
+    for k, s in enumerate(clean_scans):
+        turn = upright(1.0 + k)
+        assert error_of(tube_rig, make_scout(segmenter=False)(s.points @ turn.T), s, turn) < 0.03
 
 
-def test_weights_of_points_count(tube_rig, make, scans):
+def test_weights_of_points_count(tube_rig, make_scout, clean_scans):
     """Half of the points are beside the body, and count for nothing."""
-    s, rng = scans[0], np.random.default_rng(0)
+    s, rng = clean_scans[0], np.random.default_rng(0)
     X = np.vstack([s.points, s.points + [0.2, 0.0, 0.15]])
     order = rng.permutation(len(X))
     light = np.r_[np.ones(600), np.full(600, 1e-9)]
-    found = make()(X[order], (light / light.sum())[order])
+    found = make_scout()(X[order], (light / light.sum())[order])
     np.testing.assert_allclose(found.frame.centre, s.points.mean(axis=0), atol=1e-6)
-    assert _error(tube_rig, found, s) < 0.03 < _error(tube_rig, make()(X[order]), s)
+    assert error_of(tube_rig, found, s) < 0.03 < error_of(tube_rig, make_scout()(X[order]), s)
     uneven = rng.random(600)
-    assert _error(tube_rig, make()(s.points, uneven / uneven.sum()), s) < 0.03
+    assert error_of(tube_rig, make_scout()(s.points, uneven / uneven.sum()), s) < 0.03
 
 
-def test_the_same_again(make, scans):
-    a, b = (make()(scans[0].points) for _ in range(2))
+def test_the_same_again(make_scout, clean_scans):
+    a, b = (make_scout()(clean_scans[0].points) for _ in range(2))
     np.testing.assert_array_equal(a.state.theta, b.state.theta)
     assert a.value == b.value
-    scout = make()
-    scout(scans[1].points)
-    np.testing.assert_array_equal(scout(scans[0].points).state.theta, a.state.theta)  # one scan does not change the next
-
-
-# ---- which of them are followed, on known ones ----
-
-
-def _untrained(rig, poses=None, *, orientation="aligned", facing=None, effort="balanced", segmenter=None, **more):
-    """A Scout whose library answers with the first of its poses, whatever it sees."""
-    poses = np.zeros((2, *rig.lower.shape)) if poses is None else poses
-
-    def starts(points, turns, k, unit=None):
-        return [Start(poses[0], 0, 1.0, 0.0)]
-
-    library = SimpleNamespace(poses=poses, starts=starts, regress=lambda points: poses[0])
-    facing = facing or facing_of(rig, orientation)
-    return Scout(Model(rig), library, facing, segmenter, FitSettings(effort=effort), **more)
-
-
-def test_a_finger_that_every_start_has_wrong_is_put_in_its_place():
-    rig = lbs.load_rig("hand-coarse")
-    bent = np.zeros_like(rig.lower)
-    finger = [rig.joint_names.index(f"index{k}") for k in (1, 2, 3)]
-    bent[finger, 0] = 0.9 * rig.upper[finger, 0]
-    (scan,) = lbs.synthesize(rig, 1, poses=bent[None], random_state=0, **CLEAN)
-    scout = _untrained(rig, np.stack([np.zeros_like(bent), bent]), effort="fast", proportions=False)
-    assert _error(rig, scout(scan.points), scan) < 0.02  # without other poses for limbs 0.05
-
-
-@pytest.mark.parametrize("right", ["labels", "library"])
-def test_the_better_one_of_labels_and_library_goes_on(tube_rig, right, monkeypatch):
-    """The others start from behind, and stay there."""
-    (scan,) = lbs.synthesize(tube_rig, 1, random_state=41, poses=np.zeros((1, 4, 3)), **CLEAN)
-    behind = np.zeros((2, 4, 3))
-    behind[:, 0, 1] = np.pi
-    uniform = SimpleNamespace(predict_proba=lambda points: np.full((len(points), 4), 0.25))
-    poses = np.zeros((2, 4, 3)) if right == "library" else behind
-    scout = _untrained(tube_rig, poses, effort="fast", segmenter=uniform, proportions=False)
-
-    def labelled(points, x_weights, frame):
-        problem = Problem(frame.inside(points))
-        return Runner(problem, scout._refit.placed(problem, behind[0] if right == "library" else np.zeros((4, 3))), frame)
-
-    monkeypatch.setattr(scout, "_labelled", labelled)
-    assert _error(tube_rig, scout(scan.points), scan) < 0.03
-
-
-@pytest.mark.parametrize(
-    "before, after, best, rivals",
-    [
-        # What proportions leave of the best one's E, 0.3 of 1.2, is taken for what they would leave of the others', too.
-        ((1.0, 1.2, 1.6, 3.0), (0.8, 0.3), 1, (0.8, 0.4, 0.75)),
-        ((1.0, 1.2, 1.6, 3.0), (0.5, 0.9), 0, (0.9, 0.8, 1.5)),
-        ((1.0, 2.5, 4.0), (0.4,), 0, (1.0, 1.6)),  # too much worse for proportions to be worth a try
-    ],
-)
-def test_what_the_finals_leave_unexplained_chooses(tube_rig, before, after, best, rivals, monkeypatch):
-    scout, frame, problem = _untrained(tube_rig), Frame(np.zeros(3), 1.0), Problem(np.zeros((9, 3)))
-    runners = [Runner(problem, scout.model.rest().replace(translation=np.full(3, k)), frame, v) for k, v in enumerate(before)]
-    left = iter(after)
-    _only_finals(scout, runners, left, monkeypatch)
-    found = scout._look(problem.X, None)
-    assert found.value == min(after) and found.state.translation[0] == best and next(left, None) is None
-    assert found.rivals == pytest.approx(rivals)
-
-
-def _only_finals(scout, runners, left, monkeypatch):
-    """All steps of a look do nothing, but for the finals, who are left with these values."""
-    monkeypatch.setattr(scout, "_refit", SimpleNamespace(first_steps=lambda r: r, last_steps=lambda r: r))
-    for step, answer in (("_runners", runners), ("_facings", [])):
-        monkeypatch.setattr(scout, step, lambda *given, answer=answer: answer)
-    for step in ("_other_limbs", "_distinct"):
-        monkeypatch.setattr(scout, step, lambda given: given)
-    monkeypatch.setattr(scout, "_with_proportions", lambda r: replace(r, value=next(left)))
-
-
-@pytest.mark.parametrize("effort, finals, tried", [("fast", 1, False), ("balanced", 2, True), ("thorough", 2, True)])
-def test_other_bends_are_tried_of_the_best_one(tube_rig, effort, finals, tried, monkeypatch):
-    """What they make of it is found; the rivals are judged by what proportions have made of it."""
-    scout, frame, problem = _untrained(tube_rig, effort=effort), Frame(np.zeros(3), 1.0), Problem(np.zeros((9, 3)))
-    runners = [Runner(problem, scout.model.rest().replace(translation=np.full(3, k)), frame, v) for k, v in enumerate((1.0, 1.2))]
-    left, asked = iter([0.8, 0.3][:finals]), []
-    _only_finals(scout, runners, left, monkeypatch)
-
-    def bends(problem, state, value):
-        asked.append((problem, state.translation[0], value))
-        return state.replace(theta=np.full((4, 3), 0.1)), 0.2
-
-    monkeypatch.setattr(scout, "_bends", bends)
-    found = scout._look(problem.X, None)
-    best = 0.3 if finals == 2 else 0.8
-    assert asked == ([(problem, finals - 1, best)] if tried else [])
-    assert found.value == (0.2 if tried else best) and (found.state.theta == 0.1).all() == tried
-    assert found.state.translation[0] == finals - 1 and found.rivals == pytest.approx((0.8,) if finals == 2 else (1.2 * 0.8,))
-
-
-def test_bends_are_tried_under_what_is_known(tube_rig):
-    """Of scans of one side, of a scale that is known; not where nothing but vertices, or no proportions, could tell."""
-    known = {"scale": "fixed", "partial": True, "polish_ridge": 7e-5}
-    scout = _untrained(tube_rig)
-    scout = Scout(scout.model, scout.library, scout.facing, None, FitSettings(**known))
-    assert scout._bends._free == scout._free == ("pose", "translation")
-    assert scout._bends._steps.partial and scout._bends._steps.ridge == scout._shape.ridge == 7e-5
-    for model, settings, options in (
-        (Model(replace(tube_rig, faces=np.empty((0, 3), dtype=int))), FitSettings(), {}),
-        (scout.model, FitSettings(polish=0), {}),
-        (scout.model, FitSettings(), {"proportions": False}),
-    ):
-        assert Scout(model, scout.library, scout.facing, None, settings, **options)._bends is None
-
-
-@pytest.mark.parametrize("orientation, halves", [("aligned", ""), ("upright", "y"), ("any", "yxz")])
-def test_labels_are_read_under_half_turns_as_well(tube_rig, orientation, halves):
-    """Front for back; where any side may be up, upside down, too."""
-    scout, own = _untrained(tube_rig, orientation=orientation), Frame(np.array([1.0, 2.0, 3.0]), 5.0, _any(7))
-    frames = scout._facings([Runner(None, None, own)])
-    assert frames[0] is own and len(frames) == 1 + len(halves)
-    for frame, axis in zip(frames[1:], halves):
-        half = np.where(np.array(list("xyz")) == axis, 1.0, -1.0)
-        np.testing.assert_allclose(own.turn.T @ frame.turn, np.diag(half), atol=1e-12)
-        assert frame.unit == own.unit and frame.centre is own.centre
-
-
-def test_labels_are_read_under_turns_that_are_apart(tube_rig):
-    runners = [Runner(None, None, Frame(np.zeros(3), 1.0, _upright(a))) for a in (0.3, 0.8, 1.5, 3.4, 2.0, -1.0)]
-    for effort, own in (("balanced", [0, 2, 5]), ("fast", [0])):  # the second of all is the half turn
-        frames = _untrained(tube_rig, orientation="upright", effort=effort)._facings(runners)
-        assert [f for f in frames if f is not frames[1]] == [runners[k].name for k in own]
-
-
-# ---- by way of the fitter ----
-
-
-@pytest.mark.parametrize("orientation", ["upright", "any"])
-@pytest.mark.parametrize("unit", [1.0, 25.4])
-def test_a_fit_of_a_turned_scan_is_the_turned_fit(tube_rig, tube_fitter, scans, orientation, unit):
-    fitter = lbs.LBSFitter(tube_rig, orientation=orientation, random_state=0)
-    fitter.segmenter_, fitter.regressor_ = tube_fitter._pretrained
-    turn = _upright(2.2) if orientation == "upright" else _any(8)
-    s = scans[0]
-    r = fitter.fit_scan(unit * s.points @ turn.T + [9.0, 0.0, -3.0])
-    back = (r.joints - [9.0, 0.0, -3.0]) @ turn / unit
-    assert np.linalg.norm(back - s.joints, axis=1).mean() / (tube_rig.size / 2) < 0.03
-    vertices = (r.vertices - [9.0, 0.0, -3.0]) @ turn / unit
-    assert np.linalg.norm(vertices - s.vertices, axis=1).mean() / (tube_rig.size / 2) < 0.04
-    assert (r.labels == s.labels).mean() > 0.9
-    posed = tube_rig.pose(r.pose, r.translation, r.scale, r.offsets, joints=r.rest_joints)
-    np.testing.assert_allclose(posed, r.vertices, atol=1e-9 * unit)
-
-
-@pytest.fixture(scope="module")
-def lying(quick_fitter, scans):
-    """Points of scans that lie in any way, and their fits."""
-    fitter = copy.copy(quick_fitter).set_params(orientation="any")
-    turned = [s.points @ _any(30 + k).T for k, s in enumerate(scans[:2])]
-    return [(points, fitter.fit_scan(points)) for points in turned]
-
-
-@pytest.mark.parametrize("orientation", ["aligned", "upright", "any"])
-def test_a_known_start_says_how_the_scan_is_turned(tube_rig, quick_fitter, lying, orientation):
-    """Whatever the orientation is: a pose that was found is a start for the same scan again."""
-    fitter = copy.copy(quick_fitter).set_params(orientation=orientation)
-    for points, first in lying:
-        again = fitter.fit_scan(points, theta0=first.pose)
-        assert np.linalg.norm(again.joints - first.joints, axis=1).mean() / (tube_rig.size / 2) < 0.03
-
-
-@pytest.mark.parametrize("angle", [0.0, 1.5, np.pi, -2.0])
-def test_known_labels_tell_the_turn(tube_rig, scans, angle):
-    fitter = lbs.LBSFitter(tube_rig, random_state=0)
-    turn = _upright(angle)
-    for s in scans[:2]:
-        r = fitter.fit_scan(s.points @ turn.T, labels=s.labels)
-        assert np.linalg.norm(r.joints @ turn - s.joints, axis=1).mean() / (tube_rig.size / 2) < 0.04
+    scout = make_scout()
+    scout(clean_scans[1].points)
+    np.testing.assert_array_equal(scout(clean_scans[0].points).state.theta, a.state.theta)  # one scan does not change the next
