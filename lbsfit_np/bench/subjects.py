@@ -1,19 +1,26 @@
 """Test subjects: changed templates that no training scan shares, made by another rule than the fit's own proportions.
 
 The fit knows one factor a bone, and stretches with the skinning weights. Here a subject has one length for each chain of
-joints (a finger, an arm), one for what they hang on, a breadth, and a thickness that moves the skin along its normals by a
-smooth random field: a fit can come near such a template, and never has it in its family.
+joints (a finger, an arm) and one for what they hang on (a palm, a trunk), and a thickness for each, by which the skin moves along
+its normals: a fit can come near such a template, and never has it in its family.
 """
 
 import numpy as np
+from scipy.spatial import cKDTree
 
-from ..rig.chains import chains
+from ..rig.chains import bones, chains
 
 __all__ = ["subject"]
+
+# Normals are means over balls of this many times the way that the skin goes along them.
+_SMOOTH = 4.0
 
 
 def subject(rig, rng, *, amount=0.12, thickness=0.12):
     """A changed template and its joints.
+
+    The skin of each bone stretches along it by its chain's length, and the joints on it go with the skin: those of a chain by
+    its own length, a chain's first one, such as a knuckle, by that of what it hangs on.
 
     Parameters
     ----------
@@ -33,34 +40,60 @@ def subject(rig, rng, *, amount=0.12, thickness=0.12):
     chain = chains(rig)
     lengths = 1 + amount * rng.uniform(-1, 1, chain.max() + 1)
     thick = thickness * rng.uniform(-1, 1, chain.max() + 1)
+    w = rig.weights.toarray()
+    along = _directions(rig, chain, w)
     J = rig.joints.copy()
     for level, up in rig.levels:
         for c, p in zip(level, up):
-            J[c] = J[p] + lengths[chain[c]] * (rig.joints[c] - rig.joints[p])
-    # Each vertex goes with its joints, and what lies beyond a chain's last joint stretches along the last bone.
-    w = rig.weights.toarray()
+            bone = rig.joints[c] - rig.joints[p]
+            J[c] = J[p] + bone + (lengths[chain[p]] - 1) * (bone @ along[p]) * along[p]
     U = np.zeros_like(rig.vertices)
     radius = np.zeros(len(U))
     for j in range(len(rig.parents)):
         rows = np.flatnonzero(w[:, j])
-        if not len(rows):
-            continue
-        p = rig.parents[j]
-        within = p >= 0 and chain[p] == chain[j]
-        along = (rig.joints[j] if within else rig.vertices[rows].mean(axis=0)) - rig.joints[p if within else j]
-        along = along / max(np.linalg.norm(along), 1e-12 * rig.size)
         arm = rig.vertices[rows] - rig.joints[j]
-        reach = arm @ along
-        U[rows] += w[rows, j, None] * (J[j] + arm + (lengths[chain[j]] - 1) * reach[:, None] * along)
-        across = np.linalg.norm(arm - reach[:, None] * along, axis=1)
+        reach = arm @ along[j]
+        U[rows] += w[rows, j, None] * (J[j] + arm + (lengths[chain[j]] - 1) * reach[:, None] * along[j])
+        across = np.linalg.norm(arm - reach[:, None] * along[j], axis=1)
         radius[rows] += w[rows, j] * thick[chain[j]] * np.minimum(across, 0.3 * rig.size)
-    return U + radius[:, None] * _normals(U, rig.faces), J
+    return U + radius[:, None] * _outwards(U, rig.faces, radius), J
+
+
+def _directions(rig, chain, weights):
+    """(J, 3): unit vectors that the skin of each joint stretches along.
+
+    Towards the chain's next joint; of its last one on from the joint before. Of what chains hang on, towards its skin's middle.
+    """
+    bone, along = bones(rig), np.zeros_like(rig.joints)
+    inside = [c for c in np.flatnonzero(rig.moving) if c != rig.root and chain[c] == chain[rig.parents[c]]]
+    following = {bone[rig.parents[c]]: c for c in inside}
+    for j in np.concatenate([[rig.root], *(level for level, _ in rig.levels)]):
+        p, rows = rig.parents[j], np.flatnonzero(weights[:, j])
+        if j in following:
+            way = rig.joints[following[j]] - rig.joints[j]
+        elif p >= 0 and chain[p] == chain[j]:
+            way = rig.joints[j] - rig.joints[p]
+        elif len(rows):
+            way = rig.vertices[rows].mean(axis=0) - rig.joints[j]
+        else:
+            way = along[p] if p >= 0 else np.zeros(3)
+        along[j] = way / max(np.linalg.norm(way), 1e-12 * rig.size)
+    return along
+
+
+def _outwards(vertices, faces, radius):
+    """(m, 3): the skin's normals, each the mean over several times the way that the skin goes, so that lips do not cross."""
+    tree, normals = cKDTree(vertices), _normals(vertices, faces)
+    near = tree.query_ball_point(vertices, _SMOOTH * np.abs(radius), return_sorted=True)
+    total = np.array([normals[rows].sum(axis=0) for rows in near])
+    return total / np.array([np.linalg.norm(normals[rows], axis=1).sum() for rows in near])[:, None].clip(1e-300)
 
 
 def _normals(vertices, faces):
+    """(m, 3): each vertex's normal, as long as the area of its faces."""
     p = vertices[faces]
     face = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     n = np.zeros_like(vertices)
     for k in range(3):
         np.add.at(n, faces[:, k], face)
-    return n / np.maximum(np.linalg.norm(n, axis=1, keepdims=True), 1e-300)
+    return n
