@@ -15,7 +15,7 @@ from lbsfit_np.cli import fit, outputs
 from lbsfit_np.cli.summary import counts_of, doubts_of
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_points_ply
-from lbsfit_np.report.render import write_png
+from lbsfit_np.report.render import is_signed, write_png
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -157,11 +157,47 @@ def test_a_picture_of_others_is_none_of_a_kept_fit_and_stays(fitted, made, tmp_p
     assert "picture" not in json.loads((tmp_path / "summary.json").read_text())["scans"][0]["files"]
 
 
+def test_a_picture_of_others_is_not_drawn_over_where_a_scan_is_still_to_be_fitted(made, tmp_path, run):
+    texture = tmp_path / "one.png"
+    texture.write_bytes(b"\x89PNG of others")
+    arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--pictures", *QUICK)
+    code, _, err = run(*arguments)
+    assert code == 2 and "one.png exists already, which lbsfit has not drawn" in one_line(err)
+    assert "leaves what others have drawn as it is" in err and "keeps finished fits" not in err
+    code, out, _ = run(*arguments, "--existing", "skip")
+    assert code == 0 and out.count("one.png is none that lbsfit has drawn, and stays\n") == 1 and "1 of 1 scans fitted" in out
+    assert texture.read_bytes() == b"\x89PNG of others" and (tmp_path / "one.fit.npz").is_file()
+    (scan,) = json.loads((tmp_path / "summary.json").read_text())["scans"]
+    assert sorted(scan["files"]) == ["fit", "labels", "mesh"]
+    code, _, err = run(*arguments)
+    assert "keeps finished fits" in err and ", of which one.png lbsfit has not drawn" in one_line(err)
+    assert run(*arguments, "--existing", "replace")[0] == 0 and is_signed(texture)
+
+
+def test_files_that_no_fit_belongs_to_are_nothing_to_skip(made, tmp_path, run):
+    for name in ("one.mesh.ply", "one.labels.ply"):
+        (tmp_path / name).write_bytes(b"of others")
+    arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, *QUICK)
+    for more in ((), ("--existing", "skip")):
+        code, _, err = run(*arguments, *more)
+        assert code == 2 and "one.mesh.ply, one.labels.ply exist already" in one_line(err) and "no fit (NAME.fit.npz)" in err
+        assert "--existing replace" in err and "keeps finished fits" not in err
+    assert [(tmp_path / name).read_bytes() for name in ("one.mesh.ply", "one.labels.ply")] == [b"of others"] * 2
+
+
+def test_what_cannot_be_fitted_costs_others_no_picture(tmp_path):
+    files = _files(tmp_path)
+    files.picture.write_bytes(b"\x89PNG of others")
+    outputs.unfitted_entry(files, "no scan")
+    assert [path.name for path in tmp_path.iterdir()] == ["one.png"]
+
+
 def _files(folder):
     """Those of a scan, with an earlier fit's in their place."""
     files = outputs.ScanFiles("one.ply", "one", *(folder / f"one.{e}" for e in ("fit.npz", "mesh.ply", "labels.ply", "png")))
-    for path in files.paths.values():
+    for path in (files.fit, files.mesh, files.labels):
         path.write_bytes(b"of an earlier fit")
+    write_png(files.picture, PIXELS)
     return files
 
 

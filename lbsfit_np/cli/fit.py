@@ -2,7 +2,6 @@
 
 import functools
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from ..errors import FileError, InputError, brief
@@ -183,6 +182,10 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     values = dict(values)  # a model changes some
     fitter, model = _fitter(rig_path, values, given)  # what options got wrong is said before what is in their way
     files = outputs.plan(scans, out, inputs=[p for p in read if p], **names)
+    if values["existing"] == "skip":
+        files, notes = outputs.without_pictures_of_others(files)
+        for note in notes:
+            say(note)
     rig = fitter.rig
     kept = _kept(files, fitter, values) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
@@ -285,7 +288,6 @@ def _kept(files, fitter, values):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
     from ..fitting.result import FitResult
     from ..learning.archive import model_digest
-    from ..report.render import is_signed
 
     kept, rig, digest = {}, fitter.rig, model_digest(fitter, named=values["subject"] is not None)
     for f in files:
@@ -310,10 +312,7 @@ def _kept(files, fitter, values):
                 "fits with this model and subject" if digest else f"fits with rig {rig.name!r} alone",
                 "Choose another folder, or --existing replace.",
             )
-        if f.picture is not None and f.picture.is_file() and not is_signed(f.picture):
-            say(f"{f.name}: no picture: {f.picture} is none that lbsfit has drawn, and stays")
-            f = replace(f, picture=None)
-        elif f.picture is not None and not _is_newer(f.picture, f.fit):
+        if f.picture is not None and not _is_newer(f.picture, f.fit):
             _draw_kept(f, rig, result)
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)
     return kept

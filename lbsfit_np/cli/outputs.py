@@ -2,7 +2,7 @@
 
 import os
 import unicodedata
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import FileError, InputError, LbsfitError, listed
@@ -22,9 +22,13 @@ __all__ = [
     "remove",
     "same_file",
     "unfitted_entry",
+    "without_pictures_of_others",
 ]
 
 SUMMARY = "summary.json"
+
+_FREE = "a folder without results of these names"
+_REPLACE = "--existing replace"
 
 _LONGEST_NAME = 255  # in all common file systems: bytes on POSIX, letters on Windows
 
@@ -58,7 +62,7 @@ class ScanFiles:
         return {what: path for what, path in paths.items() if path is not None}
 
 
-def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, **ways):
+def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, ways=_REPLACE):
     """The files of every scan, after all that can go wrong with their names has been ruled out.
 
     Parameters
@@ -74,8 +78,8 @@ def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, **way
         The option that gave ``out``.
     pictures : bool, default False
         Whether each scan gets a picture, too.
-    **ways
-        As for :func:`check_outputs`.
+    ways : str
+        What a message says may be done about fits that are there.
 
     Returns
     -------
@@ -84,7 +88,8 @@ def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, **way
     Raises
     ------
     InputError, FileError
-        Scans that do not exist, names that clash, outputs that are inputs or folders, outputs that exist already.
+        Scans that do not exist, names that clash, outputs that are inputs or folders, outputs that exist already; with
+        ``existing="skip"`` those that belong to no fit.
     """
     check_sources(sources)
     out = Path(out)
@@ -94,18 +99,29 @@ def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, **way
         paths = [out / f"{name}.{ending}" for ending in ("fit.npz", "mesh.ply", "labels.ply")]
         files.append(ScanFiles(source, name, *paths, out / f"{name}.png" if pictures else None))
     _check_clashes(files, out, argument)
-    paths = [path for f in files for path in f.paths.values()]
-    check_outputs(paths, out, inputs=[*sources, *inputs], existing=existing, argument=argument, **ways)
-    # Of each run alone: one that is there is no fit that could be lost.
-    check_outputs([out / SUMMARY], out, inputs=[*sources, *inputs], existing="replace", argument=argument)
+    # The summary is of each run alone: one that is there is no fit that could be lost.
+    paths = [path for f in files for path in f.paths.values()] + [out / SUMMARY]
+    check_outputs(paths, out, inputs=[*sources, *inputs], existing="replace", argument=argument)
+    if existing == "skip":
+        _check_strays(files, out)
+    elif existing == "error":
+        _check_there(files, out, argument, ways)
     return files
 
 
-def check_outputs(paths, out, *, inputs, existing, argument="-o", ways="--existing replace"):
-    """Raise where files to write have names that are too long, are inputs, folders, or, with ``existing="error"``, there.
+def without_pictures_of_others(files):
+    """The same files, none with a picture whose place is taken by a file that this package has not drawn; and notes on these."""
+    kept, notes = [], []
+    for f in files:
+        if f.picture is not None and _is_of_others(f.picture):
+            notes.append(f"{f.name}: no picture: {f.picture} is none that lbsfit has drawn, and stays")
+            f = replace(f, picture=None)
+        kept.append(f)
+    return kept, notes
 
-    ``ways``: what the message says may be done about that.
-    """
+
+def check_outputs(paths, out, *, inputs, existing, argument="-o"):
+    """Raise where files to write have names that are too long, are inputs, folders, or, with ``existing="error"``, there."""
     if os.path.exists(out) and not os.path.isdir(out):
         raise FileError(str(out), "a file", "a folder to write to, or a name for a new one")
     for path in paths:
@@ -118,12 +134,7 @@ def check_outputs(paths, out, *, inputs, existing, argument="-o", ways="--existi
             raise FileError(str(path), "a folder", "the name of a file to write")
     there = [path for path in paths if os.path.lexists(path)]
     if there and existing == "error":
-        raise InputError(
-            argument,
-            f"{out}, where {listed([path.name for path in there], 5)} exist{'s' if len(there) == 1 else ''} already",
-            "a folder without results of these names",
-            f"Choose another folder, or {ways}.",
-        )
+        raise InputError(argument, _there_in_words(out, there), _FREE, f"Choose another folder, or {_REPLACE}.")
 
 
 def check_file(path, *, inputs, existing):
@@ -208,7 +219,8 @@ class Writer:
 
 def unfitted_entry(files, message, **facts):
     """The entry of a scan that could not be fitted now; removes what an earlier run has written of it, as if it were its fit."""
-    return entry(files, "failed", message="; ".join([message, *remove(files.paths.values())]), **facts)
+    (ours,), _ = without_pictures_of_others([files])
+    return entry(files, "failed", message="; ".join([message, *remove(ours.paths.values())]), **facts)
 
 
 def remove(paths):
@@ -267,6 +279,49 @@ def check_sources(sources):
     if folders:
         inside = os.path.join(folders[0], "*.ply")
         raise InputError("SCAN", f"a folder: {listed(folders, 5)}", "scan files", f"Name the files in it, such as {inside}")
+
+
+def _check_there(files, out, argument, ways):
+    """Raise where results are there; what others have drawn is told from them."""
+    there = [path for f in files for path in f.paths.values() if os.path.lexists(path)]
+    if not there:
+        return
+    others = [f.picture for f in files if f.picture is not None and _is_of_others(f.picture)]
+    words = _there_in_words(out, there)
+    if others:
+        which = "which" if others == there else f"of which {listed([path.name for path in others], 5)}"
+        words += f", {which} lbsfit has not drawn"
+    if others == there:
+        ways = "--existing skip, which leaves what others have drawn as it is, or " + _REPLACE
+    elif not any(os.path.lexists(f.fit) for f in files):  # nothing that could be kept
+        words, ways = f"{words}, and no fit (NAME.fit.npz) with {'it' if len(there) == 1 else 'them'}", _REPLACE
+    raise InputError(argument, words, _FREE, f"Choose another folder, or {ways}.")
+
+
+def _check_strays(files, out):
+    """Raise where a mesh or labels are there without the fit that they would belong to: nobody knows whose they are."""
+    strays = [path for f in files if not os.path.lexists(f.fit) for path in (f.mesh, f.labels) if os.path.lexists(path)]
+    if strays:
+        raise InputError(
+            "--existing skip",
+            f"{_there_in_words(out, strays)}, but no fit (NAME.fit.npz) with {'it' if len(strays) == 1 else 'them'}",
+            "finished fits, which have all their files, or none",
+            f"Choose another folder, move {'it' if len(strays) == 1 else 'them'} away, or {_REPLACE}.",
+        )
+
+
+def _there_in_words(out, there):
+    return f"{out}, where {listed([path.name for path in there], 5)} exist{'s' if len(there) == 1 else ''} already"
+
+
+def _is_of_others(picture):
+    """Whether there is a file at a picture's place that this package has not drawn."""
+    from ..report.render import is_signed
+
+    try:
+        return os.path.lexists(picture) and not is_signed(picture)
+    except OSError:  # one that cannot be read is not for drawing over
+        return True
 
 
 def _check_length(path, remedy):
