@@ -57,8 +57,9 @@ def test_results_give_their_vertices_back(tube_rig, learned_people):
 
 def test_history_and_progress(learned_people):
     assert [h["round"] for h in learned_people.history_] == [0, 1]
-    assert set(learned_people.history_[0]) == {"round", "recon", "recon_held_out", "seconds"}
-    assert set(learned_people.history_[1]) == {"round", "recon", "recon_held_out", "seconds", "new_starts_won"}
+    keys = {"round", "recon", "recon_held_out", "seconds", "kept"}
+    assert [set(h) for h in learned_people.history_] == [keys, keys | {"new_starts_won"}]
+    assert [h["kept"] for h in learned_people.history_] == [False, True]
     # Round 0 has proportions for each scan by itself, which explain a little more than one template for all.
     assert learned_people.history_[1]["recon"] < 1.2 * learned_people.history_[0]["recon"]
     assert 0 <= learned_people.history_[1]["new_starts_won"] <= 10
@@ -66,7 +67,8 @@ def test_history_and_progress(learned_people):
     expected = ["first fits", "round", "templates", "segmenter", "labels", "library of starts", "poses of scans", "results"]
     assert stages == expected
     assert all(0 < share <= 1 for _, share, *_ in learned_people.told)
-    assert [a[2] for a in learned_people.told if a[0] == "round"] == learned_people.history_
+    noted = [{key: value for key, value in h.items() if key != "kept"} for h in learned_people.history_]
+    assert [a[2] for a in learned_people.told if a[0] == "round"] == noted
 
 
 def test_the_segmenter_goes_on_from_the_pretrained_one(learned_people, unlearned):
@@ -125,19 +127,24 @@ def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans)
 def test_rounds_end_when_the_loss_on_scans_left_out_ends_falling(make_learner, few_scans, monkeypatch):
     """The best round's state is what counts."""
     values = iter([0.5, 0.4, 0.399, 0.3])
-    noted = Loop._note
+    noted, poses = Loop._note, {}
 
     def note(self, k, began, more):
         noted(self, k, began, more)
+        poses[k] = self, [m.state.theta for m in self.collection.members]
         return 1.0 if k == 0 else next(values)
 
     monkeypatch.setattr(Loop, "_note", note)
     fitter = make_learner(variant="cd", rounds=6).fit([s.points for s in few_scans[:3]])
     assert [h["round"] for h in fitter.history_] == [0, 1, 2, 3]  # 0.399 is no improvement on 0.4 worth a round
+    assert [h["round"] for h in fitter.history_ if h["kept"]] == [3]
     values = iter([0.4, 0.6])
     templates = []
     found = Loop._templates
     monkeypatch.setattr(Loop, "_templates", lambda self: templates.append(found(self)) or templates[-1])
     fitter = make_learner(variant="cd", rounds=6).fit([s.points for s in few_scans[:3]])
-    assert len(templates) == 2 and len(fitter.history_) == 3
+    assert len(templates) == 2 and [h["kept"] for h in fitter.history_] == [False, True, False]
+    (loop, best), (_, last) = poses[1], poses[2]
+    assert all(np.array_equal(m.state.theta, theta) for m, theta in zip(loop.collection.members, best, strict=True))
+    assert not all(map(np.array_equal, best, last))
     np.testing.assert_array_equal(fitter.template_[0].vertices, templates[0][0][0])

@@ -162,7 +162,8 @@ def _true(c):
     said = [c.fitter.segmenter_.predict(s.points) for s in c.given.test]
     fitted = [s.labels for s in c.given.test[:-1]] + [None]
     own = {"labels": [np.zeros(3, int)], "fitted_labels": fitted, "kept_accuracy": 0.9}
-    return Found(Registrations(vertices, joints), accuracy=[0.5, c.right(said)], **own)
+    history = [{"round": 0, "kept": False}, {"round": 1, "kept": True}]
+    return Found(Registrations(vertices, joints), accuracy=[0.5, c.right(said)], history=history, **own)
 
 
 @pytest.fixture
@@ -177,6 +178,7 @@ def quick(monkeypatch):
     quick_rows = {name: replace(row, find=counted) for name, row in ROWS.items()}
     monkeypatch.setattr("lbsfit_np.bench.study.run.ROWS", quick_rows)
     monkeypatch.setitem(SIZES, "small", TINY)
+    monkeypatch.setattr("lbsfit_np.bench.study.page._TELLING", 1)
     return made
 
 
@@ -255,7 +257,7 @@ def test_the_page_says_what_is_missed(rig, quick):
     assert f"Pose 0.040 (goal ≤ {GOALS['pose']:g}, missed)" in text and "0.0400 (0.0300–0.0500) [0.035]" in text
     assert "rand 0.0000 < joint 0.0400 (the paper's order, joint before rand: missed)" in text
     assert "labels of the segmenter alone 0.900 (goal ≥ 0.95, missed)" in text and "![a](a.png)\n\nA picture." in text
-    assert "Recon ÷ truth 1.000 (goal ≤ 1.05)" in text
+    assert "Recon ÷ its value at the truth 1.000 (goal ≤ 1.05)" in text
     assert console_table(report).count("joint") >= 2
 
 
@@ -350,7 +352,7 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     monkeypatch.setitem(SIZES, "small", few)
     monkeypatch.setattr("lbsfit_np.bench.study.data.SCAN", replace(SCAN, n_points=300))
     monkeypatch.setitem(EFFORTS, "balanced", EFFORTS["fast"])
-    cells = study({"tube": tube_rig}, seeds=[5])["rigs"]["tube"]["seeds"]["5"]
+    cells = study({"tube": tube_rig}, seeds=[6])["rigs"]["tube"]["seeds"]["6"]
     assert list(cells) == list(ROWS) and not any(cell["unfitted"] for cell in cells.values())
     assert min(cells, key=lambda row: cells[row]["pose"]) == "oracle-fit"
     assert cells["joint"]["pose"] < 0.5 * cells["free-form"]["pose"]

@@ -32,11 +32,15 @@ def given(rig):
     return study_set(rig, TINY, SEED)
 
 
+def history(kept, n):
+    return [{"round": k, "kept": k == kept} for k in range(n + 1)]
+
+
 @pytest.fixture(scope="module")
 def report(rig):
     rows = {row: {"accuracy": []} for row in ERRORS}
-    rows["rand"] |= {"accuracy": [0.9, 0.91, 0.92], "kept_accuracy": 0.92}
-    rows["joint"] |= {"accuracy": [0.9, 0.94, 0.95, 0.955], "kept_accuracy": 0.95}
+    rows["rand"] |= {"accuracy": [0.9, 0.91, 0.92], "kept_accuracy": 0.92, "history": history(2, 2)}
+    rows["joint"] |= {"accuracy": [0.9, 0.94, 0.95, 0.955], "kept_accuracy": 0.95, "history": history(2, 3)}
     entry = {"digest": rig.digest, "size": asdict(TINY), "seeds": {str(SEED): rows}}
     return {"rigs": {NAME: entry}}
 
@@ -52,6 +56,9 @@ def cells(rig, given):
             "vertices": (np.array([s.vertices for s in given.test]) + shift).astype(np.float32),
             "joints": (np.array([s.joints for s in given.test]) + shift).astype(np.float32),
         }
+        if row == "joint":
+            posed = np.array([rig.pose(s.pose, s.translation, s.scale) for s in given.test])
+            cell |= {"posed": posed.astype(np.float32), "template": np.array([s.template for s in given.test], dtype=np.float32)}
         if row in ("rand", "pose-only", "joint"):
             cell["labels"] = np.concatenate([s.labels for s in given.test]).astype(np.int16)
         out[cell_name(NAME, SEED, row)] = cell
@@ -107,7 +114,7 @@ def test_rigs_without_a_local_optimum_have_no_picture_of_one(viz, tube_rig, tmp_
 def test_captions_say_whose_mesh_it_is(viz, shown, rig, report, tmp_path):
     assert "what the whole loop found" in gallery.triplet(shown, tmp_path / "a.png")
     bare = Shown(NAME, rig, report["rigs"][NAME], lambda cell: None)
-    assert "the true mesh of the scan" in gallery.triplet(bare, tmp_path / "b.png")
+    assert "the scan's true ones" in gallery.triplet(bare, tmp_path / "b.png")
 
 
 def test_the_users_settings_change_nothing(viz, tmp_path):
@@ -163,16 +170,6 @@ def test_the_test_scans_do_not_depend_on_how_many_training_scans_are_made_again(
     assert len(shown.train) == 2
     assert all(np.array_equal(a.points, b.points) for a, b in zip(shown.test, given.test, strict=True))
     assert all(np.array_equal(a.pose, b.pose) for a, b in zip(shown.train, given.train))
-
-
-def test_pairs_are_of_different_people(shown):
-    pairs = gallery._pairs(shown)
-    assert len({i for pair in pairs for i in pair}) == 4
-    assert all(shown.test_subjects[a] != shown.test_subjects[b] for a, b in pairs)
-    ranked = {"from_worst_to_best": lambda row, n: [3, 2, 1, 0], "test": shown.test}
-    (pair,) = gallery._pairs(SimpleNamespace(test_subjects=[0, 0, 0, 1], **ranked))
-    assert 3 in pair
-    assert gallery._pairs(SimpleNamespace(test_subjects=[0, 0, 0, 0], **ranked)) == []
 
 
 def test_true_registrations_carry_colours_to_their_places(shown, rig):
@@ -241,9 +238,14 @@ def test_what_is_inferred_in_the_mixture_is_near_the_inferred_poses(viz, shown, 
 
 
 def test_the_accuracy_of_every_seed_is_drawn_and_their_mean(viz, drawn, tmp_path):
+    from matplotlib.colors import to_rgba
+
     told = {"rand": ([0.80, 0.81], [0.84, 0.87]), "joint": ([0.80, 0.90, 0.93], [0.84, 0.92])}
     kept = {"rand": (0.81, 0.87), "joint": (0.90, 0.92)}
-    cells = {row: [{"accuracy": both[k], "kept_accuracy": kept[row][k]} for k in (0, 1)] for row, both in told.items()}
+    cells = {
+        row: [{"accuracy": both[k], "kept_accuracy": kept[row][k], "history": history(1, len(both[k]) - 1)} for k in (0, 1)]
+        for row, both in told.items()
+    }
     seeds = {str(k): {row: cells[row][k] for row in told} for k in (0, 1)}
     charts.accuracy({"rigs": {"hand": {"seeds": seeds}}}, tmp_path / "accuracy.png")
     (axes,) = drawn.axes
@@ -256,6 +258,9 @@ def test_the_accuracy_of_every_seed_is_drawn_and_their_mean(viz, drawn, tmp_path
         mean = [50 * (a + b) for a, b in zip(*both)]  # as far as all seeds go
         assert lines[color, True] == [mean]
     rings = [tuple(ring.get_offsets()[0]) for ring in axes.collections]
+    assert axes.get_ylabel()
+    edges = [tuple(ring.get_edgecolors()[0]) for ring in axes.collections]
+    assert edges == [pytest.approx(to_rgba(charts.ROW_COLORS[row])) for row in told for _ in (0, 1)]
     assert rings == [pytest.approx((1, 100 * value)) for both in kept.values() for value in both]
 
 
@@ -295,7 +300,8 @@ def test_the_ablation_goes_from_the_worst_of_joint_to_the_best(shown, drawn, tmp
     for row in ("joint", "pose-only"):
         assert list(map(float, errors[row])) == pytest.approx(ERRORS[row] * np.arange(n, 0, -1) / n, abs=6e-4)
     assert errors["cd"] == ["0.000", "0.150", "not fitted", "0.050"]
-    assert [title for title, *_ in sheet.groups] == ["Chamfer alone", "pose-only: the modality gap", "joint"]
+    assert [title for title, *_ in sheet.groups] == ["Chamfer alone", "pose-only", "joint"]
+    assert [sheet.notes[0, c] for c in (3, 5)] == ["100%", "100%"]  # the fixture's labels are the true ones
     for r, i in enumerate(range(n)[::-1]):
         assert (sheet.rows[r][2] is None) == (i == 1)  # not fitted
 
@@ -316,24 +322,38 @@ def test_the_gallery_has_the_first_scans_and_each_row_in_its_column(shown, drawn
         np.testing.assert_array_equal(seen, mesh)
 
 
-def test_pairs_begin_in_the_middle_of_joints_ranking(shown):
-    """From the worst to the best 3, 2, 1, 0: the third is the first of the better half."""
-    first, second = gallery._pairs(shown)
-    assert first[0] == 1 and shown.from_worst_to_best("joint", 4) == [3, 2, 1, 0] != shown.from_worst_to_best("cd", 4)
-    assert second[0] not in first
+def test_pairs_are_of_the_better_two_thirds(shown):
+    """From the worst to the best 3, 2, 1, 0, of people 1, 0, 1, 0."""
+    assert gallery._pairs(shown) == [(2, 1)]
+    ranked = {"from_worst_to_best": lambda row, n: [3, 2, 1, 0], "test": shown.test}
+    worst_alone = gallery._pairs(SimpleNamespace(test_subjects=[0, 0, 0, 1], **ranked))
+    assert worst_alone == [(3, 1)]
+    assert gallery._pairs(SimpleNamespace(test_subjects=[0, 0, 0, 0], **ranked)) == []
 
 
-def test_the_triplet_is_of_the_most_changed_person_nearest_to_rest(shown, rig, drawn, tmp_path):
-    scans = shown.test
-    changed = [round(np.linalg.norm(s.template - rig.vertices, axis=1).mean() / rig.size, 6) for s in scans]
-    bent = [np.linalg.norm(np.delete(s.pose, rig.root, axis=0)) for s in scans]
-    most = [i for i in range(len(scans)) if changed[i] == max(changed)]
-    i = min(most, key=bent.__getitem__)
-    assert 1 < len(most) < len(scans)
+def test_pairs_share_no_scan():
+    ranked = SimpleNamespace(from_worst_to_best=lambda row, n: list(range(6)), test=[None] * 6, test_subjects=[0, 1] * 3)
+    pairs = gallery._pairs(ranked)
+    assert len(pairs) == 2 and len({i for pair in pairs for i in pair}) == 4
+    assert all(ranked.test_subjects[a] != ranked.test_subjects[b] for a, b in pairs)
+
+
+def test_the_triplet_is_of_the_most_changed_person_of_the_better_half(shown, rig, drawn, tmp_path):
+    changed = [np.linalg.norm(s.template - rig.vertices, axis=1).mean() for s in shown.test]
+    i = max((0, 1), key=lambda k: changed[k])  # from the worst to the best 3, 2, 1, 0
     gallery.triplet(shown, tmp_path / "x.png")
-    template, posed, deformed = drawn.meshes
-    np.testing.assert_array_equal(template, rig.vertices)
-    np.testing.assert_allclose(posed, rig.pose(scans[i].pose), atol=1e-12)
-    np.testing.assert_array_equal(deformed, shown.cells["joint"]["vertices"][i])
+    cell = shown.cells["joint"]
+    expected = rig.vertices, *(cell[name][i] for name in ("template", "posed", "vertices"))
+    for mesh, wanted in zip(drawn.meshes, expected, strict=True):
+        np.testing.assert_array_equal(mesh, wanted)
     ((row,),) = [sheet.rows for sheet in drawn.tiles]
-    assert len(row) == 4
+    assert len(row) == 5
+
+
+def test_without_fits_the_triplet_is_of_the_truth(shown, rig, drawn, tmp_path, monkeypatch):
+    bare = Shown(NAME, rig, shown.entry, lambda cell: None)
+    assert "the scan's true ones" in gallery.triplet(bare, tmp_path / "x.png")
+    _, deformed, posed, both = drawn.meshes
+    (i,) = [k for k, s in enumerate(bare.test) if np.array_equal(s.vertices, both)]
+    np.testing.assert_array_equal(deformed, bare.test[i].template)
+    np.testing.assert_allclose(posed, rig.pose(bare.test[i].pose), atol=1e-12)

@@ -21,9 +21,20 @@ def environment():
         **{name: version(name) for name in libraries},
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
+        "processor": _processor(),
         "cpus": len(affinity(0)) if affinity else os.cpu_count(),
         "commit": _commit(),
     }
+
+
+def _processor():
+    """The processor's name, where the system tells."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        return platform.processor() or None
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or None
 
 
 def _commit():

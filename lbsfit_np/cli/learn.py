@@ -261,16 +261,18 @@ def _learn(fitter, reading, subjects, progress):
 
 def _learned(fitter, reading, model, seconds):
     """What was learned, in a line."""
+    from ..learning.finish import LEFT_OUT
+
     n, who = len(reading.paths), len(fitter.template_)
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
-    held = sum(r is not None and "left out of learning" in r.message for r in fitter.results_)
-    apart = f", {held} of the scans held out" if held else ""
-    early = ""
-    if 0 < rounds < fitter.rounds:
-        early = ", until the scans held out were explained no better"
+    held = sum(r is not None and LEFT_OUT in r.message for r in fitter.results_)
+    apart = f", {held} more held out," if held else ""
+    early = ", until those held out were explained no better" if 0 < rounds < fitter.rounds else ""
+    kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
+    which = f", round {kept} kept" if kept < rounds else ""
     return (
-        f"learned from {n - len(reading.failures)} of {n} scans of {who} subject{'' if who == 1 else 's'} "
-        f"in {rounds} round{'' if rounds == 1 else 's'}{apart}{early}; {model} written after {span(seconds)}"
+        f"learned from {n - len(reading.failures) - held} of {n} scans of {who} subject{'' if who == 1 else 's'}{apart} "
+        f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; {model} written after {span(seconds)}"
     )
 
 

@@ -24,10 +24,12 @@ from ..starts.turns import facing_of, some_turns
 from ..threads import one_thread
 from .variants import as_variant
 
-__all__ = ["fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
+__all__ = ["LEFT_OUT", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
 
 # A scan whose unit differs from its subject's by more than this factor has a unit of its own.
 _SAME_UNIT = 1.35
+# What the message of a scan says that only tells when to stop.
+LEFT_OUT = "left out of learning"
 # A scan of which other proportions leave less than this share unexplained of what a subject's own leave is of somebody else.
 _SOMEBODY = 0.8
 
@@ -59,7 +61,7 @@ class _Finish:
 
     def __call__(self, m):
         unit = unit_note(m.state.scale * m.frame.unit / self.models[m.subject].half, self.rig, self.settings.scale)
-        note = f"{'left out of learning' if m.held_out else 'learned from'}; {unit}"
+        note = f"{LEFT_OUT if m.held_out else 'learned from'}; {unit}"
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         return self._fit(m.subject).finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
 

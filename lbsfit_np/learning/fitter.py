@@ -87,8 +87,8 @@ class LBSFitter(BaseEstimator):
     failures_ : dict of int to str
         Why, by the number of the scan.
     history_ : list of dict
-        One entry a round, round 0 the fits of the scans by themselves: "recon" and "recon_held_out" (√L_c of the scans that
-        teach and of those left out, half sizes of the rig), "new_starts_won", "seconds".
+        One entry a round, round 0 the fits of the scans by themselves: "recon" and "recon_held_out" (mean √L_c of the scans
+        that teach and of those left out, half sizes of the rig), "new_starts_won", "seconds", "kept" (of one round).
     """
 
     def __init__(

@@ -163,7 +163,7 @@ class Loop:
         started = time.perf_counter()
         self._first_fits()
         self._note(0, started, {})
-        best, best_members, learned = np.inf, {}, None
+        best, best_members, learned, kept = np.inf, {}, None, 0
         for k in range(1, self.settings.rounds + 1):
             began = time.perf_counter()
             templates = self._templates()
@@ -176,7 +176,7 @@ class Loop:
             learned_now = Learned(templates, units, self.segmenter, self.library, self.history)
             fallen = value < best * (1 - self.settings.improvement)
             if value < best or learned is None:
-                best, learned = value, learned_now
+                best, learned, kept = value, learned_now, k
                 best_members = {m.index: (m.state, m.loss, m.proba) for m in self.collection.members}
             if not fallen:
                 break
@@ -184,7 +184,7 @@ class Loop:
             member.state, member.loss, member.proba = best_members[member.index]
         if self.sequence and self.smooth:
             self._smooth(learned.templates)
-        return replace(learned, history=self.history)
+        return replace(learned, history=[entry | {"kept": entry["round"] == kept} for entry in self.history])
 
     # ---- the steps ----
 
@@ -337,18 +337,18 @@ class Loop:
 
     def _note(self, k, began, more):
         """One more entry of the history; the value that decides when to stop."""
-        held = [m.loss for m in self.collection.members if m.held_out]
-        learning = [m.loss for m in self.collection.members if not m.held_out]
+        held = [np.sqrt(m.loss) for m in self.collection.members if m.held_out]
+        learning = [np.sqrt(m.loss) for m in self.collection.members if not m.held_out]
         entry = {
             "round": k,
-            "recon": float(np.sqrt(np.mean(learning))),
-            "recon_held_out": float(np.sqrt(np.mean(held))) if held else None,
+            "recon": float(np.mean(learning)),
+            "recon_held_out": float(np.mean(held)) if held else None,
             "seconds": round(time.perf_counter() - began, 2),
             **more,
         }
         self.history.append(entry)
         self.progress("round", 1.0, entry)
-        return float(np.mean(np.sqrt(held))) if held else -float(k)
+        return entry["recon_held_out"] if held else -float(k)
 
 
 # ---- what is done for one task, here or in another process ----

@@ -138,8 +138,8 @@ def accuracy(report, path):
                 color, seeds = ROW_COLORS[row], [100 * np.array(cell["accuracy"]) for cell in cells]
                 for values, cell in zip(seeds, cells, strict=True):
                     ax.plot(values, color=color, lw=0.8, alpha=0.5)
-                    k = kept_round(cell)
-                    ax.scatter([k], [values[k]], s=90, facecolors="none", edgecolors=color)
+                    kept = kept_round(cell)
+                    ax.scatter([kept], [values[kept]], s=90, facecolors="none", edgecolors=color)
                 rounds = min(map(len, seeds))
                 mean = np.mean([values[:rounds] for values in seeds], axis=0)
                 ax.plot(mean, color=color, lw=2, marker="o", ms=4, label=row)

@@ -11,20 +11,21 @@ from ..measure import joint_error
 from . import charts, gallery
 from .data import Size, study_set
 from .diagram import diagram
+from .page import FIGURES
 from .run import cell_name
 
 __all__ = ["Shown", "draw"]
 
-# Of each rig: name, function (Shown, path) → caption or None, and the rows whose arrays it needs.
-_FIGURES = (
-    ("triplet", gallery.triplet, ()),
-    ("partitions", gallery.partitions, ()),
-    ("mixture", charts.mixture, ()),
-    ("local-optimum", charts.local_optimum, ()),
-    ("ablation", gallery.ablation, ("cd", "pose-only", "joint")),
-    ("gallery", gallery.gallery, ("free-form", "cd", "joint")),
-    ("correspondence", gallery.correspondence, ("joint",)),
-)
+# Of each rig: function (Shown, path) → caption or None, and the rows whose arrays it needs.
+_OF_RIGS = {
+    "triplet": (gallery.triplet, ()),
+    "partitions": (gallery.partitions, ()),
+    "mixture": (charts.mixture, ()),
+    "local-optimum": (charts.local_optimum, ()),
+    "ablation": (gallery.ablation, ("cd", "pose-only", "joint")),
+    "gallery": (gallery.gallery, ("free-form", "cd", "joint")),
+    "correspondence": (gallery.correspondence, ("joint",)),
+}
 # Training scans are made again only for their poses.
 _MOST_TRAINING = 300
 
@@ -37,8 +38,9 @@ def draw(report, arrays, out, *, rigs):
     report : dict
         Of ``run.study``.
     arrays : callable (cell name) → mapping or None
-        What ``on_cell`` was given for the cell (``run.cell_name``): "vertices" (N, m, 3), "joints" (N, J, 3), and of rows with a
-        segmenter "labels", one after the other over the test scans' points. None where it is not there.
+        What ``on_cell`` was given for the cell (``run.cell_name``): "vertices" (N, m, 3), "joints" (N, J, 3), of
+        rows with a segmenter "labels", one after the other over the test scans' points, of joint "template" U^d and "posed"
+        M(Θ, U) of the first scans. None where it is not there.
     out : path-like
         A folder; made if need be.
     rigs : mapping of str to Rig
@@ -60,14 +62,17 @@ def draw(report, arrays, out, *, rigs):
     folder.mkdir(parents=True, exist_ok=True)
     there = {name: entry for name, entry in report["rigs"].items() if name in rigs and entry["seeds"]}
     all_shown = [Shown(name, rigs[name], entry, arrays) for name, entry in there.items()]
-    captions = {"diagram.png": diagram(folder / "diagram.png")}
-    for kind, figure, rows in _FIGURES:
+    of_all = {"diagram": diagram, "accuracy": lambda path: charts.accuracy(report, path)}
+    captions = {}
+    for kind in FIGURES:
+        if kind in of_all:
+            captions[f"{kind}.png"] = of_all[kind](folder / f"{kind}.png")
+            continue
+        figure, rows = _OF_RIGS[kind]
         for shown in all_shown:
             if all(row in shown.cells for row in rows):
                 name = f"{kind}-{shown.name}.png"
                 captions[name] = figure(shown, folder / name)
-        if kind == "local-optimum":  # where the paper has it: after the method, before the qualitative study
-            captions["accuracy.png"] = charts.accuracy(report, folder / "accuracy.png")
     return {name: caption for name, caption in captions.items() if caption is not None}
 
 

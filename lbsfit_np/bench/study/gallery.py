@@ -18,28 +18,33 @@ _N_SCANS = 4
 
 
 def triplet(shown, path):
-    """Template, posed, posed and deformed, beside the scan: of whose shape differs most, the scan nearest to the rest pose."""
+    """Template, posed, deformed, both, beside the scan: of the better half of the fits, that whose person differs most."""
     rig, scans, half = shown.rig, shown.test, shown.rig.size / 2
-    vertices = shown.cells["joint"]["vertices"] if "joint" in shown.cells else np.array([s.vertices for s in scans])
-    changed = [np.linalg.norm(s.template - rig.vertices, axis=1).mean() / half for s in scans]
-    usable = [i for i in range(len(scans)) if np.isfinite(vertices[i]).all()]
-    if not usable:
+    fits = shown.cells.get("joint", {})
+    if "template" in fits:
+        ranked = [i for i in shown.from_worst_to_best("joint", len(scans)) if i < len(fits["template"])]
+        stages = [fits[key] for key in ("posed", "template", "vertices")]
+    else:
+        ranked = list(range(len(scans)))
+        stages = [[rig.pose(s.pose, s.translation, s.scale), s.template, s.vertices] for s in scans]
+        stages = list(zip(*stages, strict=True))
+    if not ranked:
         return None
-    bent = [np.linalg.norm(np.delete(s.pose, rig.root, axis=0)) for s in scans]
-    i = min(usable, key=lambda k: (-round(changed[k], 6), bent[k]))
-    scan = scans[i]
-    posed = rig.pose(scan.pose, scan.translation, scan.scale)
-    frame = np.concatenate([posed, vertices[i], scan.points])
+    changed = {i: np.linalg.norm(scans[i].template - rig.vertices, axis=1).mean() / half for i in ranked}
+    i = max(ranked[len(ranked) // 2 :], key=lambda k: round(changed[k], 6))
+    posed, template, vertices = (stage[i] for stage in stages)
+    rest, frame = np.concatenate([rig.vertices, template]), np.concatenate([posed, vertices, scans[i].points])
     row = [
-        _mesh(rig, rig.vertices, size=_LARGE, view="oblique"),
-        *(_mesh(rig, V, size=_LARGE, view="oblique", frame=frame) for V in (posed, vertices[i])),
-        _points(rig, scan.points, None, size=_LARGE, view="oblique", frame=frame),
+        *(_mesh(rig, U, size=_LARGE, view="oblique", frame=rest) for U in (rig.vertices, template)),
+        *(_mesh(rig, V, size=_LARGE, view="oblique", frame=frame) for V in (posed, vertices)),
+        _points(rig, scans[i].points, None, size=_LARGE, view="oblique", frame=frame),
     ]
-    tiles(path, [row], titles=["template $U$", "posed, $V$", "posed and deformed, $V^d$", "scan $X$"])
-    last = "what the whole loop found for the scan" if "joint" in shown.cells else "the true mesh of the scan"
+    titles = ["template $U$", "deformed, $U^d$", "posed, $V$", "posed and deformed, $V^d$", "scan $X$"]
+    tiles(path, [row], titles=titles)
+    whose = "what the whole loop found for the scan" if "template" in fits else "the scan's true ones"
     return (
-        f"Linear blend skinning of the {shown.called}: the template U; posed, V = M(Θ, U); posed and deformed, V^d = M(Θ, U^d); "
-        f"a held-out scan X. Θ of V are the scan's true angles; V^d is {last}."
+        f"Linear blend skinning of the {shown.called}: the template U; deformed, U^d; posed, V = M(Θ, U); posed and deformed, "
+        f"V^d = M(Θ, U^d); a held-out scan X. Θ and U^d are {whose}."
     )
 
 
@@ -61,8 +66,8 @@ def partitions(shown, path):
 
 def ablation(shown, path):
     """Labels and reconstructions of Chamfer alone, of pose-only and of joint, from the worst to the best."""
-    rig, colors = shown.rig, part_colors(len(shown.rig.parts))
-    blocks = [("cd", "Chamfer alone"), ("pose-only", "pose-only: the modality gap"), ("joint", "joint")]
+    rig, colors, groups = shown.rig, part_colors(len(shown.rig.parts)), part_groups(shown.rig)
+    blocks = [("cd", "Chamfer alone"), ("pose-only", "pose-only"), ("joint", "joint")]
     rows, notes = [], {}
     for r, i in enumerate(shown.from_worst_to_best("joint", _N_SCANS)):
         scan = shown.test[i]
@@ -73,17 +78,20 @@ def ablation(shown, path):
             labels = shown.labels(row)[i] if row != "cd" else _nearest_labels(rig, scan.points, V)
             line.append(_points(rig, scan.points, None if labels is None else colors[labels], frame=frame))
             line.append(_mesh(rig, V, colors[rig.vertex_labels], frame=frame))
+            if labels is not None:
+                notes[r, 1 + 2 * b] = f"{np.mean(groups[labels] == groups[scan.labels]):.0%}"
             notes[r, 2 + 2 * b] = _said(shown.errors(row)[i])
         rows.append(line)
     if not rows:
         return None
-    groups = [("", 0, 0), *((title, 1 + 2 * b, 2 + 2 * b) for b, (_, title) in enumerate(blocks))]
-    tiles(path, rows, titles=["input", *["labels", "reconstruction"] * 3], groups=groups[1:], notes=notes)
+    over = [(title, 1 + 2 * b, 2 + 2 * b) for b, (_, title) in enumerate(blocks)]
+    tiles(path, rows, titles=["input", *["labels", "reconstruction"] * 3], groups=over, notes=notes)
     return (
-        f"Ablation on held-out scans of the {shown.called}, evenly from the worst to the best by the error of joint; below each "
-        "reconstruction its joint error in half sizes of the rig. Chamfer alone has no segmenter: its labels are those of the "
-        "nearest registered vertices. In pose-only the segmenter learns from inferred poses, but of the rig's own template: the "
-        "modality gap stays; in joint, from inferred templates, too."
+        f"Ablation on held-out scans of the {shown.called}, evenly from the worst to the best by the error of joint; below "
+        "labels the share in the right group of parts, below reconstructions the joint error in half sizes of the rig. Chamfer "
+        "alone has no segmenter: its labels are those of the nearest registered vertices. In pose-only the segmenter learns from "
+        "inferred poses, but not from inferred templates: bones of the rig's own are changed at random; in joint, from inferred "
+        "ones, too."
     )
 
 
@@ -134,8 +142,8 @@ def correspondence(shown, path):
     called = {"cd": "B, by Chamfer alone", "joint": "B, by joint"}
     tiles(path, rows, titles=["A", *(called[row] for row in names), "B, truth"], notes=notes)
     return (
-        f"Correspondence on the {shown.called}: scan A coloured by place on the template; scan B, of someone else (pairs by the "
-        "error of joint: a middling one and a better one), where each "
+        f"Correspondence on the {shown.called}: scan A coloured by place on the template; scan B, of someone else (pairs from "
+        "the better two thirds of the scans by the error of joint), where each "
         "point has the colour of the point of A that the registrations carry it to; B by its true places. Below, the mean "
         "distance between the places on A that points of B are carried to, before the snap, and the true ones, in half sizes of "
         "the rig."
@@ -208,10 +216,13 @@ def _from_oklab(lightness, a, b):
 
 
 def _pairs(shown):
-    """Pairs (A, B) of scans of different people: from the middle of the ranking by joint's error, then from its better half."""
-    ranked = shown.from_worst_to_best("joint", len(shown.test))
+    """At most two pairs (A, B) of scans of different people, from the better two thirds by joint's error where these have any."""
+    everybody = shown.from_worst_to_best("joint", len(shown.test))
+    ranked = everybody[len(everybody) // 3 :]
+    if len({shown.test_subjects[i] for i in ranked}) < 2:
+        ranked = everybody
     out = []
-    for a in ranked[len(ranked) // 2 :] + ranked[: len(ranked) // 2]:
+    for a in ranked:
         used = {i for pair in out for i in pair}
         others = [b for b in ranked if shown.test_subjects[b] != shown.test_subjects[a] and b not in used]
         if a not in used and others:

@@ -7,7 +7,13 @@ import numpy as np
 from ..table import layout
 from .rows import ROWS
 
-__all__ = ["GOALS", "PAPER", "console_table", "page"]
+__all__ = ["FIGURES", "GOALS", "PAPER", "console_table", "kept_round", "page"]
+
+# Kinds of figures, in reading order.
+FIGURES = (
+    *("diagram", "triplet", "partitions", "mixture", "local-optimum"),
+    *("accuracy", "ablation", "gallery", "correspondence"),
+)
 
 # Table 1 of the paper: Recon, Pose, Corre.
 PAPER = {
@@ -40,19 +46,25 @@ _INTRODUCTION = """\
 Written by `lbsfit bench study`; change that command, not this page. Every experiment of LBS-AE (CVPR 2019) in its
 classical form: the paper's networks are fits and small scikit-learn models here, what else differs stands below. The
 paper's figures, where it has them, stand in square brackets.
+
+Scans X of made people are registered, and what is found is compared with the truth. U is the rig's template, U^gt the true
+one of a person, U^d what a fit made of U; Θ are the angles of the joints. Goals are this project's own.
 """
 
 _COLUMNS = """\
 Columns of the tables; means over the test scans, the paper's figures in square brackets:
 
-- **Recon**: √L_c between scan and registered vertices. **÷ truth**: by its value at the true mesh on the same scan. It may be
-  below 1: a fit follows the scan's points, with their noise and their missing areas, the true mesh does not.
+- **Recon**: √L_c, L_c the Chamfer distance between scan and registered vertices. **at the truth**: its value at the true mesh
+  on the same scan. **÷**: one by the other, below 1 where a fit follows the scan's noise and missing areas more closely.
 - **Pose**: ‖joints − true joints‖, mean over the unlocked ones, and its **median** over the scans. Joints of free-form rows
   are regressed from the vertices.
 - **Corre.**: how far from its true place on scan B a point of scan A is carried by the two registrations: mean and percentiles
   over all points of all pairs of scans. **snapped**: the same after the step to the nearest point of B.
 - **vertices**: ‖registered − true vertices‖. **unfitted**: scans without a fit, which all these leave out. **s**: of learning
   and all fits of the row, in so many processes as the run had.
+
+Below each table: the **template gap** is ‖U^d − U^gt‖, mean over the vertices in the rest pose, and the same with both moved to a
+common centre ("up to a shift"), as no scan shows where the rest pose stands; before is ‖U − U^gt‖.
 """
 
 _PROTOCOL = """\
@@ -71,7 +83,13 @@ _PROTOCOL = """\
   scales every shape to it.
 - Learning is told which training scans are of one person, who share a template; the paper's is not. Test scans come without.
   Three times the data has three times as many people, too.
-- Seeds are of the scans; what is trained has one seed, so that ranges say nothing of training.
+- Seeds are of the scans; what is trained has one seed, so that ranges over seeds say nothing of training.
+- Labels: the paper's segmenter learns from uniform poses of U, and the gaps between its rows are what that leaves open. Here, in
+  all rows, half of the uniform poses are correlated, so that fists occur, and bones of U are lengthened and thickened at random,
+  as training ships: part of both gaps is closed before anything is learned.
+- Rounds: poses are found by Levenberg–Marquardt steps on distances to the surface, from labels, from the library and from f;
+  the whole objective (Chamfer, structured Chamfer, Laplacian) ends each fit after the last round. Templates of a round are made
+  before its segmenter learns, so that rows that keep the first round have the same templates.
 - The free-form rows play 3D-CODED's part: the template's vertices move under Chamfer and Laplacian, from the template,
   from the best of several synthetic scans that look alike ("augmented"), or from what a regressor says that was taught
   with true vertices ("supervised"). Taught by few scans, it knows these alone: compare its row with its figures on the
@@ -104,7 +122,8 @@ def page(report, captions):
     parts.append(_protocol(report))
     if captions:
         parts.append("## Figures")
-        parts += [f"![{file.removesuffix('.png')}]({file})\n\n{caption}" for file, caption in captions.items()]
+        files = sorted(captions, key=_place)
+        parts += [f"![{file.removesuffix('.png')}]({file})\n\n{captions[file]}" for file in files]
     parts.append(_provenance(report))
     return "\n\n".join(p.strip("\n") for p in parts if p) + "\n"
 
@@ -114,7 +133,13 @@ def console_table(report, *, markdown=False):
     parts = []
     for name in report["rigs"]:
         parts += [name, _main(report, name, markdown=markdown), _reached(report, name)]
-    return "\n\n".join(parts)
+    return "\n\n".join(filter(None, parts))
+
+
+def _place(file):
+    """Of a picture on the page: by its kind, then by its rig."""
+    kinds = [k for k, kind in enumerate(FIGURES) if file.startswith(kind)]
+    return (kinds or [len(FIGURES)])[0], file
 
 
 def _rows(report):
@@ -133,8 +158,9 @@ def _described(row):
 
 def _main(report, name, *, markdown):
     paper = PAPER.get(report["rigs"][name]["kind"], {})
-    heads = ("Recon", "÷ truth", "Pose", "median", "Corre.", "p50", "p90", "p95", "snapped", "p50", "p90", "p95", "vertices")
-    lines = [("", *heads, "unfitted", "s")]
+    carried = ("p50", "p90", "p95")
+    heads = ("Recon", "at the truth", "÷", "Pose", "median", "Corre.", *carried, "snapped", *carried, "vertices", "unfitted", "s")
+    lines = [("", *heads)]
     for row in ROWS:
         cells = _cells(report, name, row)
         if not cells:
@@ -145,13 +171,14 @@ def _main(report, name, *, markdown):
             (
                 row,
                 _with(_over(cells, "recon"), known[0]),
+                _over(cells, "recon_truth"),
                 _number(ratio, ".2f"),
                 _with(_over(cells, "pose"), known[1]),
                 _over(cells, "pose_median"),
                 _with(_over(cells, "corre", "mean"), known[2]),
-                *(_over(cells, "corre", p) for p in ("p50", "p90", "p95")),
+                *(_over(cells, "corre", p) for p in carried),
                 _with(_over(cells, "corre_snapped", "mean"), known[2]),
-                *(_over(cells, "corre_snapped", p) for p in ("p50", "p90", "p95")),
+                *(_over(cells, "corre_snapped", p) for p in carried),
                 _over(cells, "vertices"),
                 str(sum(c["unfitted"] for c in cells)),
                 _number([c["seconds"] for c in cells], ".0f"),
@@ -207,11 +234,11 @@ def _more(report, name):
 def _reached(report, name):
     """What joint was to reach, and the order of the ablations."""
     cells, kind = [c for c in _cells(report, name, "joint") if "pose" in c], report["rigs"][name]["kind"]
-    orders = "\n\n".join(_order(report, name, key, what) for key, what in _MEASURES[:3])
+    orders = "\n\n".join(filter(None, (_order(report, name, key, what) for key, what in _MEASURES[:3])))
     if not cells or kind not in PAPER:  # the goals are for hands and bodies
         return orders
     found = [
-        ("Recon ÷ truth", np.mean([c["recon"] / c["recon_truth"] for c in cells]), GOALS["ratio"], "≤"),
+        ("Recon ÷ its value at the truth", np.mean([c["recon"] / c["recon_truth"] for c in cells]), GOALS["ratio"], "≤"),
         ("Pose", _mean(cells, "pose"), GOALS["pose"], "≤"),
     ]
     if _with_measure(cells, "corre"):
@@ -238,13 +265,20 @@ def _reached(report, name):
 
 def _order(report, name, key, what):
     """The ablations from the best to the worst by a measure, and whether that is the paper's order."""
-    ranked = sorted((_mean(found, key), row) for row, found in _compared(report, name, _ORDER, key).items())
+    compared = _compared(report, name, _ORDER, key)
+    ranked = sorted((_mean(found, key), row) for row, found in compared.items())
     if len(ranked) < 2:
         return ""
+    scans = report["rigs"][name]["size"]["test"] * len(next(iter(compared.values())))
     values = {row: value for value, row in ranked}
     wanted = [row for row in ("joint", "rand", "cd") if row in values]
     pairs = [(values[a], values[b]) for a, b in pairwise(wanted)]
-    verdict = "missed" if any(a > _LEVEL * b for a, b in pairs) else "kept" if all(_LEVEL * a < b for a, b in pairs) else "level"
+    if scans < _TELLING:
+        verdict = f"{scans} scans are too few to tell"
+    elif any(a > _LEVEL * b for a, b in pairs):
+        verdict = "missed"
+    else:
+        verdict = "kept" if all(_LEVEL * a < b for a, b in pairs) else "level"
     words = ranked[0][1] + f" {ranked[0][0]:.4f}"
     for (a, _), (b, row) in pairwise(ranked):
         words += f" {'<' if _LEVEL * a < b else '≈'} {row} {b:.4f}"
@@ -266,6 +300,8 @@ _MEASURES = (("recon", "Recon"), ("pose", "Pose"), ("corre", "Corre."), ("vertic
 _ORDER = ("joint", "pose-only", "rand", "cd")
 # What is nearer to each other than by this factor is level.
 _LEVEL = 1.03
+# Over fewer test scans than these, one of them decides the order.
+_TELLING = 20
 
 
 def _sizes(report):
@@ -293,11 +329,12 @@ def _protocol(report):
 
 def _provenance(report):
     e = report["environment"]
-    machine = f"Python {e['python']}, numpy {e['numpy']}, scipy {e['scipy']}, scikit-learn {e['scikit-learn']}, {e['cpus']} CPUs"
+    versions = f"Python {e['python']}, numpy {e['numpy']}, scipy {e['scipy']}, scikit-learn {e['scikit-learn']}"
+    machine = f"{e['cpus']} CPUs" + (f" ({e['processor']})" if e["processor"] else "")
     cells = [c for rig in report["rigs"].values() for rows in rig["seeds"].values() for c in rows.values()]
     commits = sorted({c["commit"][:12] for c in cells if c.get("commit")})
     commit = f", commit{'s' if len(commits) > 1 else ''} {', '.join(commits)}" if commits else ""
-    return f"---\n\nlbsfit_np {e['lbsfit_np']}{commit}; {machine}. `results.json` beside this page has every figure."
+    return f"---\n\nlbsfit_np {e['lbsfit_np']}{commit}; {versions}; {machine}. `results.json` beside this page has every figure."
 
 
 # ---- cells ----
@@ -347,5 +384,5 @@ def _rounds(cells):
 
 
 def kept_round(cell):
-    """The round whose segmenter was kept, by its accuracy; of several alike the first."""
-    return 1 + int(np.argmin(np.abs(np.array(cell["accuracy"][1:]) - cell["kept_accuracy"])))
+    """The round whose segmenter was kept."""
+    return next(entry["round"] for entry in cell["history"] if entry["kept"])

@@ -14,6 +14,9 @@ from .oracle import OracleFit
 
 __all__ = ["ROWS", "Context", "Found", "Row"]
 
+# Test scans that the figure of the steps of skinning chooses from.
+_STAGES = 60
+
 
 @dataclass(frozen=True)
 class Row:
@@ -58,6 +61,8 @@ class Found:
         Of the subjects' templates, and of the test scans', ``measures.template_gap``.
     history : list of dict
         Of the loop.
+    stages : dict of str to (k, m, 3) arrays
+        Of the first fits of joint, for a figure: "template" U^d, "posed" V = M(Θ, U).
     failures : dict of int to str
         Why, by the number of the test scan that could not be fitted.
     """
@@ -70,6 +75,7 @@ class Found:
     kept_accuracy: float | None = None
     gap: dict = field(default_factory=dict)
     history: list = field(default_factory=list)
+    stages: dict = field(default_factory=dict)
     failures: dict = field(default_factory=dict)
 
 
@@ -160,7 +166,15 @@ def _learned(c, variant):
     train = _of_results(rig, fitter.results_) if variant == "joint" else None
     said = _said(fitter.segmenter_, given.test) if labels else None
     kept = c.right(said) if labels else None
-    return Found(_of_results(rig, results), train, said, _labels(results), accuracy, kept, gap, fitter.history_, failures)
+    stages = _stages(rig, results[:_STAGES]) if variant == "joint" else {}
+    return Found(_of_results(rig, results), train, said, _labels(results), accuracy, kept, gap, fitter.history_, stages, failures)
+
+
+def _stages(rig, results):
+    nothing = np.full(rig.vertices.shape, np.nan)
+    template = [nothing if r is None else rig.vertices + r.offsets for r in results]
+    posed = [nothing if r is None else rig.pose(r.pose, r.translation, r.scale) for r in results]
+    return {"template": np.array(template), "posed": np.array(posed)}
 
 
 # ---- oracles ----

@@ -162,6 +162,7 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
 def _arrays(found):
     """What pictures need, small."""
     out = {"vertices": found.test.vertices.astype(np.float32), "joints": found.test.joints.astype(np.float32)}
+    out |= {name: array.astype(np.float32) for name, array in found.stages.items()}
     if found.labels is not None:
         out["labels"] = np.concatenate(found.labels).astype(np.int16)
     return out
