@@ -27,6 +27,10 @@ def test_rig_card(made, tmp_path, run):
     assert run("rig", "card", made / "tube.npz", "-o", card, "--existing", "replace")[0] == 0 and "[limits]" in card.read_text()
     rig = tmp_path / "tube.npz"
     rig.write_bytes((made / "tube.npz").read_bytes())
+    for name, words in (("tube.card.toml", f"it is used with {rig} by itself"), ("a.toml", f"pass it with --card {tmp_path}")):
+        code, text, _ = run("rig", "card", rig, "-o", tmp_path / name)
+        assert code == 0 and words in text
+    assert "tube.card.toml beside the file was used" in run("rig", "show", rig)[1]
     code, _, err = run("rig", "card", rig, "-o", rig, "--existing", "replace")
     assert code == 2 and "which is the rig itself" in one_line(err) and rig.read_bytes() == (made / "tube.npz").read_bytes()
     code, _, err = run("rig", "card", rig, "-o", tmp_path)

@@ -1,5 +1,6 @@
 """Rig cards: reading, writing, and an error for everything that a person can mistype."""
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -219,6 +220,22 @@ def test_written_card_survives_odd_names(tmp_path):
     assert settings(build_rig(bare, tmp_path / "c.toml")) == settings(rig)
 
 
+def test_limits_that_nobody_has_given_are_written_as_comments(tmp_path, card_file):
+    """As the user's own they would silence the note."""
+    bare = replace(make_tube_data(), lower=None, upper=None)
+    path = tmp_path / "c.toml"
+    write_card(build_rig(bare), path)
+    assert read_card(path).limits == () and '# "elbow" = [[-0.8, -0.8, -0.8], [0.8, 0.8, 0.8]]' in path.read_text()
+    again = build_rig(bare, path)
+    assert settings(again) == settings(build_rig(bare))
+    assert any("neither file nor card has limits for 4 of 4 moving joints" in note for note in again.notes)
+
+    path.write_text(re.sub(r'^# (".*" = \[\[)', r"\1", path.read_text(), flags=re.MULTILINE))
+    assert not any("neither file nor card" in note for note in build_rig(bare, path).notes)
+    write_card(build_rig(bare, card_file('[limits]\n"elbow" = [[0, 0, 0], [1, 0, 0]]')), path)  # some are the user's own
+    assert len(read_card(path).limits) == 4
+
+
 def test_card_of_loose_joints_guesses_a_hierarchy(tmp_path):
     data = replace(
         make_tube_data(),
@@ -229,7 +246,7 @@ def test_card_of_loose_joints_guesses_a_hierarchy(tmp_path):
     )
     data.partitions = {}
     text = card_text(data)
-    assert "4 joints without a parent" in text and "GUESS" in text
+    assert "4 joints without a parent" in text and "GUESS" in text and '# "thumb" = [[-0.8' in text
     (tmp_path / "c.toml").write_text(text)
     np.testing.assert_array_equal(build_rig(data, tmp_path / "c.toml").parents, [-1, 0, 1, 0])
 

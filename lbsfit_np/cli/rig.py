@@ -1,9 +1,11 @@
 """``lbsfit rig``: look at a rig, write a card for it, list the rigs that come with the package."""
 
+from pathlib import Path
+
 from ..errors import InputError
 from .fit import RIG_OPTIONS, load_rig_with
 from .models import about_model, model_in_words
-from .outputs import check_file
+from .outputs import check_file, same_file
 from .parsing import Option, add_options, formatter, settings
 
 __all__ = ["add_parser"]
@@ -74,7 +76,7 @@ def _show(arguments):
 
 
 def _card(arguments):
-    from ..io.rigs import rig_for_card
+    from ..io.rigs import CARD_SUFFIX, rig_for_card
     from ..rig.card import write_card
 
     values = settings(arguments, _CARD_OPTIONS)
@@ -83,7 +85,9 @@ def _card(arguments):
         raise InputError("-o/--output", "nothing", "the card to write", "Add -o CARD.")
     check_file(path, inputs=[(arguments.file, "the rig itself")], existing=values["existing"])
     write_card(rig_for_card(arguments.file, shape=values["shape"], skin=values["skin"]), path)
-    print(f"{path} written; edit it, and pass it with --card {path}")
+    rig = Path(arguments.file)
+    by_itself = rig.is_file() and same_file(path, rig.with_name(rig.stem + CARD_SUFFIX))
+    print(f"{path} written; edit it; " + (f"it is used with {rig} by itself" if by_itself else f"pass it with --card {path}"))
     return 0
 
 

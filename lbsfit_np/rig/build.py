@@ -22,7 +22,7 @@ from .checks import (
     check_weights,
 )
 from .frames import bone_frames, child_directions
-from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, derived_limits
+from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, derived_limits
 from .regressor import exact_regressor, regressor_from_weights
 from .rig import Rig
 from .shapes import check_shapes
@@ -341,7 +341,7 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
         if derived[root]:
             ways.append(f"±{DEFAULT_ROOT_LIMIT} rad for sampling the root")
         notes.append(
-            f"neither file nor card has limits for {np.count_nonzero(derived)} of {np.count_nonzero(moving)} moving joints; "
+            f"{NO_LIMITS} {np.count_nonzero(derived)} of {np.count_nonzero(moving)} moving joints; "
             f"they were derived: {'; '.join(ways)} (a card's [limits] can say better)"
         )
     return lower, upper

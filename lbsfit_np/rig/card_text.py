@@ -6,7 +6,7 @@ import numpy as np
 
 from .card import UNITS
 from .data import RigData
-from .limits import derived_limits
+from .limits import all_derived, derived_limits
 
 __all__ = ["card_text", "guessed_chains"]
 
@@ -129,24 +129,30 @@ def _chains(parents, root):
 
 
 def _limits_table(rig, names, parents, still):
-    lower, upper = rig.lower, rig.upper
+    lower, upper, derived = rig.lower, rig.upper, rig.lower is None or all_derived(rig.notes)
     lines = [
         "[limits]",
         "# How far each joint turns about the x, y, z of its rest frame: [lower], [upper]. Globs, such as *-finger-*, stand for",
         "# several joints; later lines override earlier ones. The root's serve for sampling only: a fit leaves the root free.",
     ]
     if lower is None:
-        lines.append("# The file has none: these are derived from its animations, or defaults.")
         root = int(np.flatnonzero(parents < 0)[0]) if (parents < 0).any() else 0
         if (parents < 0).sum() > 1:
             root = names.index(
                 guessed_chains([names[j] for j in np.flatnonzero(parents < 0)], np.asarray(rig.joints)[parents < 0])[0]
             )
-        lower, upper = np.round(derived_limits(root, len(names), rig.animated)[:2], 3)
+        lower, upper = derived_limits(root, len(names), rig.animated)[:2]
+    if derived:  # as lines of the card they would pass for what somebody has thought about
+        lower, upper = np.round(lower, 3), np.round(upper, 3)
+        lines += [
+            "# The file has none: these are derived from its animations, or defaults, and so they are as long as the # stands",
+            "# before them. Correct them, and remove the #.",
+        ]
     lines.append('unit = "rad"')
     for j, name in enumerate(names):
         if not still[j]:
-            lines.append(f"{_quote(_pattern(name))} = [{_numbers(lower[j])}, {_numbers(upper[j])}]")
+            text = f"{_quote(_pattern(name))} = [{_numbers(lower[j])}, {_numbers(upper[j])}]"
+            lines.append("# " + text if derived else text)
     return [*lines, ""]
 
 

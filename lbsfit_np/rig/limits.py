@@ -1,8 +1,13 @@
 """Joint limits for rigs whose files have none: from what their animations do, else a plain default."""
 
+import re
+
 import numpy as np
 
-__all__ = ["DEFAULT_LIMIT", "DEFAULT_ROOT_LIMIT", "derived_limits"]
+__all__ = ["DEFAULT_LIMIT", "DEFAULT_ROOT_LIMIT", "NO_LIMITS", "all_derived", "derived_limits"]
+
+# How the note begins that says so; numbers follow.
+NO_LIMITS = "neither file nor card has limits for"
 
 # ±0.8 rad (46°) about each axis of every moving joint. Elbows and knees bend further; but the limits are also what uniform
 # poses are drawn from, and chains of joints that all turn by more than this leave few poses without the mesh cutting itself.
@@ -14,6 +19,11 @@ DEFAULT_ROOT_LIMIT = 0.6
 _MARGIN = 0.25  # of the range seen, on each side
 _LEAST_MARGIN = 0.1  # rad: an axis that an animation never uses may still give a little
 _STILL = 1e-3  # rad: less than this over all frames is a joint that never turns
+
+
+def all_derived(notes):
+    """Whether a rig's notes say that the limits of all joints that move were derived."""
+    return any(re.match(rf"{NO_LIMITS} (\d+) of \1 moving joints", note) for note in notes)
 
 
 def derived_limits(root, n_joints, animated=None):
