@@ -9,6 +9,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.learning import pretraining
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.variants import VARIANTS, as_variant
+from lbsfit_np.losses.objective import PRESETS
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
@@ -27,6 +28,17 @@ def test_variants_are_the_papers():
 def test_other_variants_are_refused(name):
     with pytest.raises(InputError, match="variant: got .*'joint' or 'pose-only' or 'rand' or 'cd' or 'free-form'"):
         as_variant(name)
+
+
+def test_free_vertices_come_nearer_to_the_scan_than_stiff_ones(tube_rig, make_learner, few_scans):
+    """Their Laplacian has another weight by default than that of offsets, and the one that is asked for counts."""
+    points = few_scans[0].points
+    loose, stiff, asked = (
+        make_learner(variant="free-form", **more).fit_scan(points)
+        for more in ({}, {"weights": PRESETS["default"]}, {"weights": PRESETS["default"].replace(lam_lap=0.01)})
+    )
+    assert loose.terms["recon"] < 0.7 * stiff.terms["recon"]
+    np.testing.assert_array_equal(asked.vertices, loose.vertices)
 
 
 @pytest.mark.parametrize("variant", ["pose-only", "rand", "cd", "free-form"])

@@ -8,8 +8,6 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from ..errors import InputError, LbsfitError, brief
-from ..fitting.scan_fit import FitSettings
-from ..losses.objective import as_weights
 from ..optimize.model import Model
 from ..seeds import integer_seed
 from ..starts.turns import facing_of
@@ -17,7 +15,7 @@ from .archive import model_digest, read_fitter, write_fitter
 from .collection import as_scans, as_subjects, read_collection
 from .finish import fit_free_form, fit_new, results_of, scan_fit
 from .loop import Loop, LoopSettings
-from .parameters import check_parameters, check_scan
+from .parameters import check_parameters, check_scan, fit_settings
 from .pretraining import pretrain_library, pretrain_segmenter
 from .training import training_settings
 from .variants import as_variant
@@ -393,8 +391,7 @@ class LBSFitter(BaseEstimator):
             self.segmenter_.check_rig(self.rig)
 
     def _fit_settings(self):
-        given = {name: getattr(self, name) for name in ("scale", "effort", "max_points")}
-        return FitSettings(weights=as_weights(self.weights), partial=bool(self.partial), **given)
+        return fit_settings(self)
 
     def _synthesis(self):
         return training_settings(self.training, one_sided=bool(self.partial))

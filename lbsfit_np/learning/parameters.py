@@ -5,6 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..errors import InputError, brief, check_array
+from ..fitting.scan_fit import FitSettings
 from ..fitting.scout import EFFORTS
 from ..losses.objective import as_weights
 from ..rig.frames import AXES
@@ -14,9 +15,10 @@ from ..segmentation.segmenter import jobs_of
 from ..skinning import JOINT_MODES
 from ..starts.turns import ORIENTATIONS
 from ..synthesis import Synthesis
+from .finish import LOOSE
 from .variants import as_variant
 
-__all__ = ["check_parameters", "check_scan"]
+__all__ = ["check_parameters", "check_scan", "fit_settings"]
 
 # Eight turns.
 _MOST_TURN = 50.0
@@ -57,6 +59,13 @@ def check_parameters(fitter):
             raise InputError(name, brief(value), "a positive integer")
     if fitter.max_points < len(fitter.rig.parts):
         raise InputError("max_points", str(fitter.max_points), f"at least {len(fitter.rig.parts)}, as many as the rig has parts")
+
+
+def fit_settings(fitter):
+    """The FitSettings of a fitter."""
+    free = isinstance(fitter.weights, str) and fitter.weights == "default" and not as_variant(fitter.variant).skinning
+    given = {name: getattr(fitter, name) for name in ("scale", "effort", "max_points")}
+    return FitSettings(weights=LOOSE if free else as_weights(fitter.weights), partial=bool(fitter.partial), **given)
 
 
 def check_scan(rig, points, theta0, labels, point_weights):

@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...fitting.scan_fit import FitSettings
-from ...learning.finish import free_form
-from ...losses.objective import PRESETS
+from ...learning.finish import LOOSE, free_form
 from ...optimize.frame import Frame
 from ...optimize.model import Model
 from ...optimize.problem import Problem
@@ -22,9 +21,6 @@ from ...threads import one_thread
 
 __all__ = ["Augmented", "FromTemplate", "Supervised", "best_free_form", "taught"]
 
-# Vertices that have all of a pose to make are rougher than offsets: of λ_lap from 0.3 (the fits' own) to 0.003 this one leaves
-# the least joint and vertex errors, on the tuning seed 5.
-_SETTINGS = FitSettings(full_iterations=200, full_tolerance=1e-4, weights=PRESETS["default"].replace(lam_lap=0.01))
 # Synthetic scans that the augmented baseline starts from.
 _STARTS = 3
 _COMPONENTS, _HIDDEN, _EPOCHS = 64, (256, 128), 300
@@ -59,7 +55,7 @@ def _fitted(rig, points, start):
     frame = Frame(points.mean(axis=0), model.half)
     with one_thread():
         problem = Problem(frame.inside(points))
-        return free_form(model, _SETTINGS, problem, points, np.arange(len(points)), frame, time.perf_counter())
+        return free_form(model, FitSettings(weights=LOOSE), problem, points, np.arange(len(points)), frame, time.perf_counter())
 
 
 @dataclass(frozen=True)
