@@ -166,7 +166,8 @@ class Workers:
         """End the work, in the middle of a task if need be; returns answers that had been given by then."""
         workers, self._workers = self._workers, []
         if _SPARE is not None:
-            idle = [w for w in workers if w.task is None]
+            # One that has not said yet that it is ready would say so to the next.
+            idle = [w for w in workers if w.task is None and w.ready]
             for w in idle:
                 w.give(None)
             _SPARE.extend(idle)

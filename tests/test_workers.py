@@ -1,9 +1,11 @@
 """The same work on many tasks, in this process or in others."""
 
 import os
+import pickle
 import signal
 import subprocess
 import sys
+import time
 from multiprocessing import active_children
 from pathlib import Path
 
@@ -11,7 +13,7 @@ import numpy as np
 import pytest
 
 from lbsfit_np.errors import InputError
-from lbsfit_np.workers import each, kept_processes
+from lbsfit_np.workers import Workers, each, kept_processes
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -60,6 +62,27 @@ def test_a_process_that_dies_while_it_is_kept_is_replaced():
         assert each(_squared, [2, 3], jobs=2) == [4, 9]
 
 
+def test_a_process_that_is_still_at_work_is_not_kept():
+    with kept_processes():
+        with pytest.raises(ZeroDivisionError):
+            each(_inverse_later, [0.8, 0.0, 0.8], jobs=2)
+        assert each(_squared, [2, 3], jobs=2) == [4, 9]
+
+
+def test_a_process_that_never_got_its_task_is_not_kept():
+    """What it says when it is ready would be taken for the next one's word."""
+    with kept_processes():
+        with Workers(_squared, 2) as workers, pytest.raises((AttributeError, pickle.PicklingError)):
+            workers.give(lambda: 0)
+        assert each(_squared, [2, 3], jobs=2) == [4, 9]
+
+
+def test_processes_end_by_themselves_when_there_is_nothing_to_do(monkeypatch):
+    killed = []
+    monkeypatch.setattr("multiprocessing.process.BaseProcess.kill", killed.append)
+    assert each(_squared, [2, 3], jobs=2) == [4, 9] and not killed
+
+
 def test_libraries_that_a_task_loads_have_one_thread_too(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     assert each(_threads, range(3), jobs=2) == [{1}] * 3
@@ -94,6 +117,11 @@ def _not_3(n):
     if n == 3:
         raise InputError("n", "3", "not 3")
     return n
+
+
+def _inverse_later(x):
+    time.sleep(x)
+    return 1.0 / x
 
 
 def _inverse(x):

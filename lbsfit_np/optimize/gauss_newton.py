@@ -26,7 +26,8 @@ _FACING = 0.35
 
 # The damping at the start; it falls by _EASE after a step that helped and grows by _STIFFEN after one that did not.
 _DAMPING, _EASE, _STIFFEN, _STIFFEST = 1e-3, 4.0, 10.0, 1e4
-# No angle turns further in one step, radians: residuals know nothing of what lies behind the next turn.
+# No angle turns further in one step, radians: residuals know nothing of what lies behind the next turn. No translation is further
+# either, in half sizes, and no scale changes by a larger power of e.
 _LONGEST_TURN = 0.3
 
 
