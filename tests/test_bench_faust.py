@@ -210,7 +210,7 @@ def test_a_scan_without_a_fit_is_missing_everywhere(made, truth, tmp_path, run, 
     fits_are_given(monkeypatch, truth | {name: ValueError("bad") for name in ("tr_scan_001", "test_scan_019")})
     code, out, _ = run(*_command(made, tmp_path, "--no-learn", "--markdown"))
     assert code == 1 and "failed: tr_scan_001: ValueError: bad" in out and "failed: test_scan_019" in out
-    assert "1 files in challenge-intra, 1 pairs missing" in out and "| method | scans |" in out
+    assert "1 file in challenge-intra, 1 pair missing" in out and "| method | scans |" in out
     report = json.loads((tmp_path / "results.json").read_text())
     assert (report["figures"]["intra"]["pairs"], report["figures"]["intra"]["missing"]) == (4, 4)
     assert not (tmp_path / "challenge-intra.zip").exists() and (tmp_path / "challenge-inter.zip").exists()
@@ -222,7 +222,7 @@ def test_a_challenge_of_which_scans_are_left_out_has_no_archive(made, truth, tmp
     (tmp_path / "challenge-intra" / "mine.txt").write_text("keep")
     assert run(*_command(made, tmp_path, "--no-learn"))[0] == 0 and (tmp_path / "challenge-intra.zip").exists()
     code, out, _ = run(*_command(made, tmp_path, "--no-learn", "--scans", 2))
-    assert code == 0 and "1 files in challenge-intra; no archive" in out and "to submit: challenge-inter.zip" in out
+    assert code == 0 and "1 file in challenge-intra; no archive" in out and "to submit: challenge-inter.zip" in out
     assert not (tmp_path / "challenge-intra.zip").exists() and "1 of 2 intra-subject pairs" in out
     assert sorted(p.name for p in (tmp_path / "challenge-intra").iterdir()) == ["000_001.txt", "mine.txt"]
 

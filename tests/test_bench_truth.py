@@ -75,6 +75,14 @@ def test_registrations(folder, tube_rig, meshes):
     np.testing.assert_allclose(true, middle[1], atol=1e-9)
 
 
+def test_what_the_table_uses_is_not_said_to_be_left_out(folder, tube_rig, meshes):
+    """The table itself and registrations, where they lie among the scans; the scan that it does not name is."""
+    write_meshes(folder, tube_rig, meshes[:2] + 0.01, "r{}.ply")
+    (folder / "truth.csv").write_text("scan,subject,registration\ns0,a,r0.ply\ns1,a,r1.ply\n", encoding="utf-8")
+    _, _, notes = read_truth(folder / "truth.csv", folder)
+    assert notes == [f"1 of 3 scan files in {folder} are not in truth.csv and are left out"]
+
+
 def test_only_reliable_points_are_asked_for(tube_rig, meshes):
     flags = np.zeros(242, dtype=bool)
     flags[[3, 9]] = True

@@ -77,8 +77,9 @@ def read_truth(path, folder, *, subject_column="subject", output=None):
     notes = []
     if not with_subject:
         notes.append(f"{path.name} has no column {subject_column}: all scans are taken to be of one subject")
-    ours = set() if output is None else {p.resolve() for p in made_files(Path(output))}
-    others = sum(p not in at and p.resolve() not in ours for p in files)
+    known = set() if output is None else {p.resolve() for p in made_files(Path(output))}
+    known |= {path.resolve()} | {_registration(path, row).resolve() for rows in entries for _, row in rows if row.get("registration")}
+    others = sum(p not in at and p.resolve() not in known for p in files)
     if others:
         notes.append(f"{others} of {others + len(scans)} scan files in {folder} are not in {path.name} and are left out")
     return scans, truth, notes
@@ -241,12 +242,16 @@ def _xyz(path, line, row):
     return place
 
 
+def _registration(path, row):
+    return path.parent / row["registration"]
+
+
 def _registrations(path, scans, entries):
     files = []
     for ((line, row),) in entries:
         if not row["registration"]:
             raise FileError(str(path), f"no registration in line {line}", "a mesh for each scan")
-        files.append(path.parent / row["registration"])
+        files.append(_registration(path, row))
     return Registrations(*read_registrations(files))
 
 

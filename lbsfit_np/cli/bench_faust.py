@@ -74,7 +74,8 @@ def _run(folder, values):
 
 
 def _written(kind, written):
-    words = f"{kind}-subject challenge: {written['written']} files in challenge-{kind}"
-    if written["missing"]:
-        words += f", {written['missing']} pairs missing, as a scan has no fit"
+    n, missing = written["written"], written["missing"]
+    words = f"{kind}-subject challenge: {n} file{'' if n == 1 else 's'} in challenge-{kind}"
+    if missing:
+        words += f", {missing} pair{'' if missing == 1 else 's'} missing, as a scan has no fit"
     return words + (f"; to submit: {written['archive']}" if written["archive"] else "; no archive, as it would not be complete")
