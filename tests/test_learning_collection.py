@@ -73,7 +73,11 @@ def test_units_that_extents_hide_are_told_by_first_fits(scales, words):
     members = [SimpleNamespace(name=str(k)) for k in range(len(scales))]
     loop = SimpleNamespace(collection=SimpleNamespace(of=lambda s: members))
     if words is None:
-        return Loop._check_scales(loop, {"a": scales})
+        Loop._check_scales(loop, {"a": scales})
+        doubted = {k: m.doubt for k, m in enumerate(members) if hasattr(m, "doubt")}
+        odd = {3: "; its first fit had 2 times the scale of the others: another unit?"} if max(scales) == 2 else {}
+        assert doubted == odd
+        return
     with pytest.raises(InputError, match=words):
         Loop._check_scales(loop, {"a": scales})
 

@@ -43,6 +43,8 @@ class Member:
         Left out of learning, to tell when to stop.
     prior : ((J, 3) array, float) or None
         In a smoothed sequence, the angles that the pose is drawn to, and how much.
+    doubt : str
+        What its result says besides.
     """
 
     index: int
@@ -58,6 +60,7 @@ class Member:
     state: object = None
     loss: float = np.inf
     prior: tuple = None
+    doubt: str = ""
 
     def use_frame(self, unit, half, turn=None):
         """Put the scan into a normalised frame.

@@ -65,7 +65,7 @@ class _Finish:
 
     def __call__(self, m):
         unit = unit_note(m.state.scale * m.frame.unit / self.models[m.subject].half, self.rig, self.settings.scale)
-        note = f"{LEFT_OUT if m.held_out else 'learned from'}; {unit}"
+        note = f"{LEFT_OUT if m.held_out else 'learned from'}; {unit}{m.doubt}"
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         return self._fit(m.subject).finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
 

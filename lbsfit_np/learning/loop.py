@@ -20,6 +20,7 @@ from ..errors import InputError
 from ..fitting.refit import Refit
 from ..fitting.scout import Scout
 from ..fitting.template import TemplateSettings, shared_template
+from ..losses.objective import LossWeights
 from ..optimize.frame import turned_root
 from ..optimize.model import Model
 from ..segmentation.segmenter import train_segmenter
@@ -221,11 +222,12 @@ class Loop:
     def _check_scales(self, scales):
         """Refuse a subject whose scans are in two units: extents hide a small factor between them, first fits show it."""
         for subject, found in scales.items():
-            odd = odd_ones(np.array(found), _ONE_SCALE)
+            odd, members = odd_ones(np.array(found), _ONE_SCALE), self.collection.of(subject)
+            others = np.median(np.delete(found, odd))
+            for i in odd:
+                members[i].doubt = f"; its first fit had {found[i] / others:.3g} times the scale of the others: another unit?"
             if len(odd) > max(1, 0.2 * len(found)):  # a few may just be wrong
-                members = self.collection.of(subject)
                 at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
-                others = np.median(np.delete(found, odd))
                 raise mixed_units(f"of subject {subject!r}, scan {at} have {found[odd[0]] / others:.3g} times the others' scale")
 
     def _templates(self):
@@ -445,6 +447,4 @@ def _alike(theta, other, root):
 
 
 def _plain():
-    from ..losses.objective import LossWeights
-
     return LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
