@@ -4,7 +4,7 @@ import pytest
 from cli_runs import help_alone
 
 from lbsfit_np.cli import fit
-from lbsfit_np.cli.progress import Progress
+from lbsfit_np.cli.progress import SILENCE, Progress
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -30,6 +30,19 @@ def test_help_is_quick():
     assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr
 
 
+def test_training_says_a_line_a_minute(capsys):
+    """As learning does."""
+    now = [0.0]
+    progress = Progress(1, terminal=False, clock=lambda: now[0])
+    for share in (0.0, 0.2, 0.25, 0.6, 1.0):
+        progress.training(share)
+        now[0] += 0.6 * SILENCE
+    progress.close()
+    first, *lines = capsys.readouterr().out.splitlines()
+    assert first == "training the segmenter on synthetic scans of the rig; it is kept for the next time"
+    assert lines == [f"{first}: 25%, about 4 min left of this step"]  # 72 s for a quarter
+
+
 def test_a_bar_on_a_terminal(capsys):
     progress = Progress(2, terminal=True)
     for share in (0.3, 1.0):
@@ -38,4 +51,5 @@ def test_a_bar_on_a_terminal(capsys):
     progress.scan({"name": "two", "status": "failed", "message": "no points"})
     progress.close()
     out, err = capsys.readouterr()
-    assert out == "" and "training:" in err and "2/2" in err and "two: failed: no points" in err and "one: fitted" not in err
+    assert out == "" and "training the segmenter" in err
+    assert "2/2" in err and "two: failed: no points" in err and "one: fitted" not in err

@@ -41,6 +41,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "new/t0.fit.npz", "--results", "new"), ["t0.fit.npz", "a file of --results"]),
         (("tube.npz", "t0.ply", "sub/t0.ply", "-o", "m.npz", "--results", "new"), ["both be called", "learn without --results"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--rounds", "0"), ["--rounds", "at least 1"]),
+        (("tube.npz", "t0.ply", "-o", "new/m.npz", "--max-points", "3"), ["--max-points: got 3", "at least 4"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--held-out", "1"), ["--held-out", "'1'", "from 0 to 0.9"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--held-out", "nan"), ["--held-out", "from 0 to 0.9"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "-1"), ["--smooth", "at least 0"]),

@@ -91,6 +91,15 @@ def test_a_stage_that_is_done_again_starts_anew(capsys, drawn_at_once):
     assert "about 20 s left of this step" in capsys.readouterr().err
 
 
+def test_a_scan_that_cannot_be_used_has_no_line_said_again(capsys):
+    shown = LearningProgress(1, terminal=False)
+    shown("reading scans", 0.2)
+    shown.failed("two", "no points")
+    shown("reading scans", 0.6)
+    told = capsys.readouterr()
+    assert (told.out, told.err) == ("reading scans\n", "two: failed: no points\n")
+
+
 def test_rounds_that_hold_nothing_out(capsys):
     progress = LearningProgress(1, terminal=False)
     progress("round", 1.0, _figures(0) | {"recon_held_out": None})

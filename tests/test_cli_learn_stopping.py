@@ -29,8 +29,24 @@ def test_ctrl_c_leaves_no_model(jobs, sent, code, tubes, tube_model, cli_cache, 
     time.sleep(0.5)
     text, err = stopped(process, sent)
     assert (process.returncode, err) == (code, ""), err
-    assert text.endswith("stopped before the model was learned\n")
-    assert [p.name for p in tmp_path.rglob("*")] == ["fits"]
+    assert text.endswith(
+        "stopped before the model was learned; what was trained first is kept, and the rounds begin anew with the same command\n"
+    )
+    assert not list(tmp_path.iterdir())  # nor an empty folder of results
+
+
+@pytest.mark.parametrize("variant", ["joint", "free-form"])
+def test_stopped_before_anything_was_trained_nothing_is_said_to_be_kept(variant, tubes, tmp_path, run, monkeypatch):
+    def interrupted(*given, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lbsfit_np.learning.fitter.pretrain_library", interrupted)
+    monkeypatch.setattr("lbsfit_np.learning.fitter.fit_free_form", interrupted)
+    (tmp_path / "mine").mkdir()
+    outputs = ("-o", tmp_path / "new" / "deep" / "m.npz", "--results", tmp_path / "mine")
+    code, text, _ = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, "--variant", variant)
+    assert code == 130 and text.endswith("stopped before the model was learned; the same command begins anew\n")
+    assert [p.name for p in tmp_path.iterdir()] == ["mine"]  # which was there
 
 
 def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypatch):

@@ -81,6 +81,13 @@ def test_what_a_model_has_settled_cannot_be_changed(options, tube_model, tubes, 
     assert "lbsfit learn has these options" in line and not (tmp_path / "out").exists()
 
 
+def test_wrong_options_are_said_before_results_that_are_in_the_way(tube_model, tubes, tmp_path, run):
+    for out in (tube_model[1], tmp_path / "new"):
+        code, _, err = run("fit", tube_model[0], tubes / "t0.ply", "-o", out, "--max-points", "3")
+        assert code == 2 and one_line(err).startswith("lbsfit: error: --max-points: got 3; expected at least 4")
+    assert not (tmp_path / "new").exists()
+
+
 def test_settled_options_in_a_configuration_file(tube_model, tubes, tmp_path, run):
     (tmp_path / "fit.toml").write_text("training-scans = 40\ntraining = { turn = 1 }\n")
     code, _, err = run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path / "out", "--config", tmp_path / "fit.toml")

@@ -12,7 +12,7 @@ from .progress import Progress, say
 from .stopping import exit_code, terminable
 from .summary import counts_of, doubts_of, say_doubtful, write_summary, written_of
 
-__all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "fit_files", "load_rig_with", "scan_options"]
+__all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "fit_files", "load_rig_with", "read_scan", "scan_options"]
 
 RIG_OPTIONS = (
     Option(
@@ -154,6 +154,19 @@ def scan_options(values):
     return {"n_samples": values["samples"], "random_state": values["seed"], "drop_invalid": values["drop_invalid"]}
 
 
+def read_scan(path, least, options):
+    """The scan at ``path``; FileError, which names it, also where it has fewer points than ``least``."""
+    from ..io.scans import load_scan
+    from ..scan import check_points
+
+    scan = load_scan(path, **options)
+    try:
+        check_points(scan, minimum=least)
+    except InputError as error:
+        raise FileError(str(path), error.got, error.expected, error.remedy) from None
+    return scan
+
+
 def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     """Fit scans from files and write the results.
 
@@ -174,13 +187,16 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     int
         Exit code.
     """
+    from ..learning.parameters import check_parameters
+
     started = time.perf_counter()
     out = Path(values["output"])
     read = [rig_path, values["segmenter"], values["card"] if values["card"] != "none" else None, *inputs]
     names = {"existing": values["existing"], "pictures": values["pictures"], "ways": _WAYS}
     outputs.check_sources(scans)
     values = dict(values)  # a model changes some
-    fitter, model = _fitter(rig_path, values, given)  # what options got wrong is said before what is in their way
+    fitter, model = _fitter(rig_path, values, given)
+    check_parameters(fitter)  # what options got wrong is said before what is in their way, and before a folder is made
     files = outputs.plan(scans, out, inputs=[p for p in read if p], **names)
     if values["existing"] == "skip":
         files, notes = outputs.without_pictures_of_others(files)
@@ -269,13 +285,12 @@ def _fitter(rig_path, values, given):
 
 
 def _fit(fitter, todo, values, on_result, progress):
-    from ..io.scans import load_scan
     from ..learning.batch import fit_scans
 
     segmenter = getattr(fitter, "segmenter_", None)
     fit_scans(
         fitter,
-        [functools.partial(load_scan, f.source, **scan_options(values)) for f in todo],
+        [functools.partial(read_scan, f.source, len(fitter.rig.parts), scan_options(values)) for f in todo],
         subject=None if values["subject"] is None else next(iter(fitter.template_)),  # the only one that is left
         jobs=values["jobs"],
         finish=outputs.Writer(fitter.rig, todo),

@@ -13,7 +13,7 @@ from ..errors import FileError, InputError, LbsfitError
 from ..learning.variants import VARIANTS
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
-from .fit import RIG_OPTIONS, load_rig_with, scan_options
+from .fit import RIG_OPTIONS, load_rig_with, read_scan, scan_options
 from .models import about_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, say, span
@@ -124,15 +124,18 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     int
         Exit code.
     """
+    from ..learning.parameters import check_parameters
+
     started = time.perf_counter()
     model = Path(values["output"])
     files = _checked(rig_path, scans, values, inputs)
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
     rig = load_rig_with(rig_path, values)
     fitter = _fitter(rig, values)
-    outputs.make_folder(model.parent)
+    check_parameters(fitter)  # before a folder is made
+    folders = outputs.make_folder(model.parent)
     if files:
-        outputs.make_folder(values["results"])
+        folders = outputs.make_folder(values["results"]) + folders
     progress = LearningProgress(values["rounds"])
     reading = _Reading(scans, scan_options(values), len(rig.parts), progress, keep=bool(files))
     entries, written = {}, False
@@ -151,10 +154,11 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     except KeyboardInterrupt as stop:
         progress.close()
         results = f", {written_of(entries)} of {len(scans)} results are in {values['results']}" if files else ""
-        say(f"stopped: {model} is complete{results}" if written else "stopped before the model was learned")
+        say(f"stopped: {model} is complete{results}" if written else _stopped_early(fitter))
         return exit_code(stop)
     finally:
         progress.close()
+        outputs.remove_empty(folders)
     return 1 if counts_of(entries)["failed"] else 0
 
 
@@ -225,12 +229,8 @@ class _Reading:
         return stems[i] if stems.count(stems[i]) == 1 else self.paths[i]
 
     def read(self, i):
-        from ..io.scans import load_scan
-        from ..scan import check_points
-
         try:
-            scan = load_scan(self.paths[i], **self.options)
-            check_points(scan, minimum=self.least)
+            scan = read_scan(self.paths[i], self.least, self.options)
         except LbsfitError as error:
             self.fail(i, str(error))
             raise
@@ -274,6 +274,14 @@ def _learned(fitter, reading, model, seconds):
         f"learned from {n - len(reading.failures) - held} of {n} scans of {who} subject{'' if who == 1 else 's'}{apart} "
         f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; {model} written after {span(seconds)}"
     )
+
+
+def _stopped_early(fitter):
+    """What of the work is kept where there is no model."""
+    if getattr(fitter, "regressor_", None) is None:  # training is over only when all of it is
+        return "stopped before the model was learned; the same command begins anew"
+    kept = "what was trained first is kept, and the rounds begin anew with the same command"
+    return f"stopped before the model was learned; {kept}"
 
 
 def _units(fitter):

@@ -2,6 +2,7 @@
 
 import os
 import unicodedata
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -20,6 +21,7 @@ __all__ = [
     "make_folder",
     "plan",
     "remove",
+    "remove_empty",
     "same_file",
     "unfitted_entry",
     "without_pictures_of_others",
@@ -150,8 +152,9 @@ def check_file(path, *, inputs, existing):
 
 
 def make_folder(out):
-    """Create the folder to write to, and see that it can be written to."""
+    """Create the folder to write to, and see that it can be written to; the folders that were not there, the innermost first."""
     out = Path(out)
+    made = [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]
     try:
         out.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:  # ValueError: NUL in the name
@@ -159,6 +162,14 @@ def make_folder(out):
         raise FileError(str(out), f"a folder that cannot be made ({why})", "a folder to write to") from None
     if not os.access(out, os.W_OK | os.X_OK):
         raise FileError(str(out), "a folder that cannot be written to", "a folder to write to")
+    return made
+
+
+def remove_empty(folders):
+    """Remove folders that are empty."""
+    for folder in folders:
+        with suppress(OSError):  # there is something in it
+            folder.rmdir()
 
 
 def same_file(a, b):

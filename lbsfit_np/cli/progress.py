@@ -31,25 +31,21 @@ class Progress:
         Scans to fit.
     terminal : bool, optional
         Whether to draw bars; default: whether standard error is a terminal.
+    clock : callable, optional
+        Seconds, for tests.
     """
 
-    def __init__(self, total, terminal=None):
+    def __init__(self, total, terminal=None, clock=time.monotonic):
         self.total, self.done = total, 0
         self.terminal = sys.stderr.isatty() if terminal is None else terminal
         self._bar = None
-        self._training = False
+        self._stages = LearningProgress(0, self.terminal, clock)
 
     def training(self, share):
-        """The segmenter is trained to this share, in [0, 1]."""
-        if not self._training:
-            self._training = True
-            self.line("training the segmenter on synthetic scans of the rig; it is kept for the next time")
-            if self.terminal:
-                self._bar = _bar(total=100, leave=False, bar_format="training: {percentage:3.0f}%|{bar}| {elapsed}")
-        if self._bar is not None:
-            self._bar.update(100 * share - self._bar.n)
-            if share >= 1:
-                self.close()
+        """The segmenter is trained to this share, in [0, 1]; shown as ``lbsfit learn`` shows it."""
+        self._stages("pretraining", share)
+        if share >= 1 and self.terminal:
+            self._stages.close()
 
     def scan(self, entry):
         """One more scan is done: ``entry`` of the summary."""
@@ -84,6 +80,7 @@ class Progress:
 
     def close(self):
         """Leave the terminal in order."""
+        self._stages.close()
         if self._bar is not None:
             self._bar.close()
             self._bar = None
@@ -96,10 +93,8 @@ class LearningProgress:
     ----------
     rounds : int
         At most.
-    terminal : bool, optional
+    terminal, clock
         As for :class:`Progress`.
-    clock : callable, optional
-        Seconds, for tests.
     """
 
     def __init__(self, rounds, terminal=None, clock=time.monotonic):
@@ -128,7 +123,8 @@ class LearningProgress:
 
     def failed(self, name, message):
         """A scan that cannot be used."""
-        self.close()
+        if self.terminal:  # a line of a stage need not be said again
+            self.close()
         print(f"{name}: failed: {message}", file=sys.stderr, flush=True)
 
     def close(self):

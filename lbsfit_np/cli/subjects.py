@@ -19,6 +19,7 @@ or is TOML (NAME.toml): "anna_01.ply" = "anna", at the top or in a table [subjec
 told apart by their paths as given on the command line. Each scan has one id; a name that is no scan given is an error."""
 
 _HEADINGS = {"scan", "scans", "file", "filename", "file name", "name", "path"}
+_SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}
 _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
 
 
@@ -105,7 +106,7 @@ def _table_rows(path, text):
     """Triples (line, name, id)."""
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
     first = lines[0][1] if lines else ""
-    delimiter = next((d for d in "\t;," if d in first), None)
+    delimiter = next((d for d in _SEPARATORS if d is not None and d in first), None)
     rows = []
     for k, line in lines:
         cells = line.rsplit(None, 1) if delimiter is None else _cells(path, k, line, delimiter)
@@ -113,7 +114,8 @@ def _table_rows(path, text):
         while len(cells) > 2 and not cells[-1]:  # spreadsheets export empty columns
             cells.pop()
         if len(cells) != 2:
-            raise FileError(str(path), f"{brief(line)} in line {k}, {_number(len(cells))}", _EXPECTED)
+            separated = f"as in line {lines[0][0]}, {_SEPARATORS[delimiter]} separate them"
+            raise FileError(str(path), f"{brief(line)} in line {k}, {_number(len(cells))} ({separated})", _EXPECTED)
         rows.append((k, *cells))
     return rows
 

@@ -39,11 +39,12 @@ def read_table(path):
     Raises
     ------
     FileError
-        Binary content, a header without x, y, z, rows that are not numbers or of different lengths.
+        Binary content, no rows, a header without x, y, z, rows that are not numbers or of different lengths.
     """
     skip, names, cells, delimiter = _read_head(path)
     if cells is None:
-        return CloudData(np.empty((0, 3)))
+        below = "" if names is None else f" below the first, {_row(names)!r}, which was taken for a heading"
+        raise FileError(str(path), f"no line of numbers{below}", "one point per line")
     decimal_comma = delimiter == ";" and any("," in cell for cell in cells)
     numeric = [_is_number(cell.replace(",", ".") if decimal_comma else cell) or not cell for cell in cells]
     notes = []
