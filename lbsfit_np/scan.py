@@ -122,7 +122,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
     """
     if isinstance(points, (str, bytes, os.PathLike)):
         expected, remedy = "numbers of shape (n, 3)", "Read a file with load_scan(path)."
-        raise InputError(argument, f"the path {brief(str(points))}", expected, remedy)
+        raise InputError(argument, f"the path {brief(os.fsdecode(points))}", expected, remedy)
     try:
         given = np.asarray(getattr(points, "points", points))
         if given.dtype.kind == "O":

@@ -141,6 +141,6 @@ def test_points_given_many_times_do_not_make_the_others_clutter(tube_scan):
 
 
 def test_a_path_where_points_belong_is_told_how_to_be_read(quick_fitter):
-    for path in ("a.ply", Path("a.ply")):
+    for path in ("a.ply", b"a.ply", Path("a.ply")):
         with pytest.raises(InputError, match=r"points: got the path 'a.ply'.*Read a file with load_scan"):
             quick_fitter.fit_scan(path)

@@ -81,6 +81,34 @@ def test_limits_hold_and_the_root_has_none(tube):
     assert found.theta[0, 1] == pytest.approx(beyond.theta[0, 1], abs=0.05)
 
 
+def test_an_angle_at_its_limit_leaves_the_step_to_the_others(tube_rig, tube):
+    """They go where they go when the angle cannot move at all, be it at its upper or its lower limit."""
+    for limit in ("upper", "lower"):
+        bound = getattr(tube_rig, limit)[2, 0]
+        start = tube.rest().replace(theta=np.zeros((4, 3)))
+        start.theta[2, 0], start.theta[0, 1] = bound, 0.2
+        beyond = start.replace(theta=start.theta.copy())
+        beyond.theta[2, 0], beyond.theta[0, 1] = bound + 0.3 * np.sign(bound), 0.3
+        problem, _ = sampled(tube, beyond)
+        held = {name: getattr(tube_rig, name).copy() for name in ("lower", "upper")}
+        for limits in held.values():
+            limits[2, 0] = bound
+        free = GaussNewton(tube).pose(problem, start, iterations=1)[0]
+        without = GaussNewton(Model(replace(tube_rig, **held))).pose(problem, start, iterations=1)[0]
+        np.testing.assert_allclose(free.theta, without.theta, atol=1e-9)
+        assert np.abs(free.theta - start.theta).max() > 0.01
+
+
+def test_one_step_of_the_scale_goes_all_the_way_from_any_scale(tube):
+    """Where only the scale is wrong, its distance falls to a fraction: the step knows how points go with the scale's logarithm."""
+    for scale in (0.6, 1.8):
+        truth = state_within(tube, 3, 0.3).replace(scale=scale)
+        problem, labels = sampled(tube, truth, n=3000)
+        start = truth.replace(scale=1.02 * scale)
+        found = GaussNewton(tube).pose(problem, start, free=("scale",), labels=labels, iterations=1)[0]
+        assert abs(found.scale - scale) < 0.3 * abs(start.scale - scale)
+
+
 def test_a_prior_draws_angles_to_where_they_are_wanted(tube):
     truth = state_within(tube, 5, 0.5)
     problem, _ = sampled(tube, truth)

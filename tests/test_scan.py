@@ -50,7 +50,7 @@ def test_check_points_counts_after_dropping():
     np.testing.assert_array_equal(check_points(points, minimum=4, drop_invalid=True), POINTS)
     with pytest.raises(InputError, match="got 4 points after 1 with.*at least 5"):
         check_points(points, minimum=5, drop_invalid=True)
-    with pytest.raises(InputError, match="got 4 points; expected at least 9"):
+    with pytest.raises(InputError, match="got 4 points; expected at least 9 points. A denser scan"):
         check_points(POINTS, minimum=9)
     with pytest.raises(InputError, match="0 points after 2"):
         check_points(np.full((2, 3), np.nan), drop_invalid=True)

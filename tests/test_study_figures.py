@@ -247,8 +247,11 @@ def test_the_accuracy_of_every_seed_is_drawn_and_their_mean(viz, drawn, tmp_path
         for row, both in told.items()
     }
     seeds = {str(k): {row: cells[row][k] for row in told} for k in (0, 1)}
-    charts.accuracy({"rigs": {"hand": {"seeds": seeds}}}, tmp_path / "accuracy.png")
-    (axes,) = drawn.axes
+    caption = charts.accuracy({"rigs": {"hand": {"seeds": seeds}}}, tmp_path / "accuracy.png")
+    assert caption.endswith(" Thin lines are seeds.")
+    single = charts.accuracy({"rigs": {"hand": {"seeds": {"0": seeds["0"]}}}}, tmp_path / "single.png")
+    assert single and "Thin lines" not in single
+    axes, _ = drawn.axes
     lines = {(line.get_color(), line.get_linewidth() > 1): [] for line in axes.lines}
     for line in axes.lines:
         lines[line.get_color(), line.get_linewidth() > 1].append(pytest.approx(list(line.get_ydata())))

@@ -158,6 +158,12 @@ def test_gaps_of_templates_are_after_over_before():
         assert f"‖U − U^gt‖ {a}, ‖U^d − U^gt‖ {b}" in line and f"up to a shift of all vertices {c} and {d}." in line
 
 
+def test_shares_of_gaps_are_means_over_the_seeds():
+    other = TESTED | {"before": 0.6, "after": 0.3}
+    seeds = [{"gap": {"subjects": GAP, "test scans": gap}} for gap in (TESTED, other)]
+    assert "of the test scans 0.350 (one" in page(_report(joint=seeds), {})  # not 0.18 ÷ 0.45
+
+
 def test_a_gap_that_grew_misses_its_goal():
     grown = GAP | {"before": 0.05, "after": 0.2}
     assert "learned from ÷ before 4.000 (goal ≤ 0.5, missed)" in console_table(_report(joint={"gap": {"subjects": grown}}))
