@@ -100,7 +100,7 @@ def test_an_angle_at_its_limit_leaves_the_step_to_the_others(tube_rig, tube):
 
 
 def test_one_step_of_the_scale_goes_all_the_way_from_any_scale(tube):
-    """Where only the scale is wrong, its distance falls to a fraction: the step knows how points go with the scale's logarithm."""
+    """Where only the scale is wrong, its distance falls to a fraction: steps know how points go with the scale's logarithm."""
     for scale in (0.6, 1.8):
         truth = state_within(tube, 3, 0.3).replace(scale=scale)
         problem, labels = sampled(tube, truth, n=3000)
