@@ -112,6 +112,13 @@ def test_results_keep_joints_that_do_not_move(tube_rig, tube_scan):
     assert r.pose.shape == (4, 3) and (r.pose[3] == 0).all() and r.joints.shape == (4, 3)
 
 
+def test_repr_is_a_line(tube_result):
+    m = len(tube_result.vertices)
+    short = replace(tube_result, probability=0.98765, message="all is well")
+    assert repr(short) == f"<FitResult: ok, probability 0.99, {m} vertices, 4 joints: all is well>"
+    assert repr(replace(short, message="no " * 100)).endswith(f"{('no ' * 100)[:80]}…>")
+
+
 # ---- saving ----
 
 
@@ -122,6 +129,14 @@ def test_saved_and_loaded(tube_result, tmp_path):
     for f in fields(FitResult):
         assert type(getattr(again, f.name)) is type(getattr(tube_result, f.name)), f.name
     assert not again.vertices.flags.writeable
+
+
+@pytest.mark.parametrize("name, words", [("noext", "a name without an ending"), ("a.fit", "the ending '.fit'")])
+def test_a_name_without_the_ending_is_refused(name, words, tube_result, tmp_path):
+    """As by rigs and fitters."""
+    with pytest.raises(FileError, match=f"{words}; expected a name that ends in .npz"):
+        tube_result.save(str(tmp_path / name))
+    assert not list(tmp_path.iterdir())
 
 
 def test_the_file_is_plain_arrays_under_documented_keys(tube_result, tmp_path):

@@ -10,11 +10,12 @@ from ..errors import FileError
 __all__ = ["FitResult"]
 
 _FORMAT = 3
+_SHORT = 80  # letters of the message in repr
 _ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "labels", "confidence")
 _SCALARS = ("scale", "converged", "status", "message", "evaluations", "probability", "seconds", "rig_digest", "model_digest")
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class FitResult:
     """The fit of one scan. ``vertices = scale · M(Θ, U + offsets) + translation``.
 
@@ -88,16 +89,22 @@ class FitResult:
         for name in _ARRAYS:
             getattr(self, name).flags.writeable = False
 
+    def __repr__(self):
+        message = self.message if len(self.message) <= _SHORT else f"{self.message[:_SHORT]}…"
+        size = f"{len(self.vertices)} vertices, {len(self.joints)} joints"
+        return f"<FitResult: {self.status}, probability {self.probability:.2f}, {size}: {message}>"
+
     def save(self, path):
-        """Write as NPZ, atomically.
+        """Write as NPZ, atomically; the name must end in ``.npz``.
 
         Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``rest_joints``, ``vertices``, ``joints``,
         ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``probability``, ``evaluations``,
         ``seconds``, ``rig_digest``, ``model_digest`` as 0-d arrays; ``parts`` as text; ``terms`` and ``evidence`` as JSON text;
         ``lbsfit_np_result``, the format's number.
         """
-        from ..io.write import write_npz
+        from ..io.write import check_npz_name, write_npz
 
+        check_npz_name(path)
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         scalars = {name: np.array(getattr(self, name)) for name in _SCALARS}
         write_npz(

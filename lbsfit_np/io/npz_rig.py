@@ -57,7 +57,7 @@ from ..rig.data import RigData
 from ..rig.frames import bone_frames, child_directions
 from ..rig.shapes import ShapeSpace, from_counts, to_counts
 from .npz import read_npz
-from .write import write_npz
+from .write import check_npz_name, write_npz
 
 __all__ = ["BODY_KEYS", "OWN_KEY", "read_body_npz", "read_rig_npz", "rig_arrays", "save_rig"]
 
@@ -85,9 +85,7 @@ def save_rig(rig, path):
     path : path-like
         Should end in ``.npz``, by which ``load_rig`` knows it.
     """
-    path = Path(path)
-    if path.suffix.lower() != ".npz":
-        raise FileError(str(path), f"the ending {path.suffix!r}", "a name that ends in .npz")
+    check_npz_name(path)
     write_npz(path, **rig_arrays(rig))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import FileError, InputError
 
-__all__ = ["atomic_path", "write_json", "write_mesh_ply", "write_npz", "write_points_ply"]
+__all__ = ["atomic_path", "check_npz_name", "write_json", "write_mesh_ply", "write_npz", "write_points_ply"]
 
 
 @contextmanager
@@ -125,6 +125,13 @@ def write_json(path, obj):
     text = json.dumps(_plain(obj), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
+
+
+def check_npz_name(path):
+    """FileError unless a name ends in ``.npz``, by which such files are known again."""
+    suffix = Path(path).suffix if isinstance(path, (str, os.PathLike)) else ".npz"  # what is no path is for others to refuse
+    if suffix.lower() != ".npz":
+        raise FileError(str(path), f"the ending {suffix!r}" if suffix else "a name without an ending", "a name that ends in .npz")
 
 
 def write_npz(path, /, **arrays):
