@@ -6,7 +6,6 @@ its normals: a fit can come near such a template, and never has it in its family
 """
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from ..rig.chains import bones, chains
 
@@ -83,6 +82,8 @@ def _directions(rig, chain, weights):
 
 def _outwards(vertices, faces, radius):
     """(m, 3): the skin's normals, each the mean over several times the way that the skin goes, so that lips do not cross."""
+    from scipy.spatial import cKDTree
+
     tree, normals = cKDTree(vertices), _normals(vertices, faces)
     near = tree.query_ball_point(vertices, _SMOOTH * np.abs(radius), return_sorted=True)
     total = np.array([normals[rows].sum(axis=0) for rows in near])
