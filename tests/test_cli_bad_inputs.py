@@ -113,6 +113,11 @@ def test_bad_rigs(name, made, tmp_path, run):
     assert not (tmp_path / "out").exists() and not (tmp_path / "ran").exists()
 
 
+def test_missing_scans_are_said_before_a_missing_rig(tmp_path, run):
+    code, _, err = run("fit", tmp_path / "no.npz", tmp_path / "no.ply", "-o", tmp_path / "out", *QUICK)
+    assert code == 2 and one_line(err).startswith("lbsfit: error: SCAN: got a file that does not exist") and "no.ply" in err
+
+
 def test_a_rig_is_no_scan(made, tmp_path, run):
     code, _, err = run("fit", made / "tube.npz", made / "tube.npz", "-o", tmp_path / "out", *QUICK)
     assert code == 1 and "a rig, or a model that was learned" in err and "expected a scan" in err

@@ -30,6 +30,13 @@ def test_missing_scans_are_found_before_any_work(made, tmp_path, run):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("option, value", [("--training", "n_points=0"), ("--max-points", "3")])
+def test_wrong_options_are_said_before_what_is_in_their_way(option, value, made, tmp_path, run):
+    (tmp_path / "one.fit.npz").write_bytes(b"of an earlier run")
+    code, _, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, *QUICK, option, value)
+    assert code == 2 and one_line(err).startswith(f"lbsfit: error: {option}: got ")
+
+
 @pytest.mark.parametrize("other", ["one.xyz", "ONE.xyz", "sub/one.ply", "one.ply"])
 def test_clashing_names_are_found_before_any_work(other, made, tmp_path, run):
     (tmp_path / "sub").mkdir()
@@ -124,6 +131,21 @@ def test_no_fit_is_lost_for_a_picture(fitted, made, tmp_path, run, monkeypatch):
     assert lbs.FitResult.load(tmp_path / "one.fit.npz").status == "ok" and not (tmp_path / "one.png").exists()
     code, text, _ = run(*arguments, "--existing", "skip")
     assert code == 0 and "one: no picture: forward" in text
+
+
+def test_a_picture_is_drawn_once_the_fit_is_there(fitted, made, tube_rig, tmp_path, monkeypatch):
+    files, there = _files(tmp_path), []
+    for path in files.paths.values():
+        path.unlink()
+
+    def fit_picture(*given):
+        there.extend(path.name for path in tmp_path.iterdir())
+        return PIXELS
+
+    monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", fit_picture)
+    result = lbs.FitResult.load(fitted[0] / "one.fit.npz")
+    outputs.Writer(tube_rig, (files,))(0, lbs.load_scan(made / "one.ply"), result)
+    assert sorted(there) == ["one.fit.npz", "one.labels.ply", "one.mesh.ply"] and files.picture.is_file()
 
 
 def test_pictures_of_kept_fits_show_what_was_fitted(fitted, made, tmp_path, run, monkeypatch):
@@ -284,11 +306,14 @@ def test_what_could_not_be_fitted_is_told_from_what_was_fitted_wrongly(statuses,
     assert counts_of({"one": {"status": "ok"}})["unfitted"] == 0  # learned from, with no files asked for
 
 
-@pytest.mark.parametrize("existing", ["replace", "skip"])
-def test_stopped_while_replacing_it_is_said_that_other_fits_are_older(existing, fitted, made, tmp_path, run, monkeypatch):
+@pytest.mark.parametrize("existing, done", [("replace", 0), ("replace", 1), ("skip", 0)])
+def test_stopped_while_replacing_it_is_said_that_other_fits_are_older(existing, done, fitted, made, tmp_path, run, monkeypatch):
     """--existing skip would take them for this run's."""
+    fit_all = fit._fit
 
-    def interrupted(*given):
+    def interrupted(fitter, todo, *more):
+        if done:
+            fit_all(fitter, todo[:done], *more)
         raise KeyboardInterrupt
 
     for path in [*fitted[0].glob("one.*"), *fitted[0].glob("two.fit.npz")]:
@@ -296,7 +321,8 @@ def test_stopped_while_replacing_it_is_said_that_other_fits_are_older(existing, 
     monkeypatch.setattr(fit, "_fit", interrupted)
     scans = [made / name for name in ("one.ply", "two.xyz", "three.npy")]
     code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", existing, *QUICK)
-    told = "stopped before a scan was fitted; 2 of the others have fits of an earlier run, which --existing skip would keep\n"
+    told = "stopped before a scan was fitted" if not done else f"stopped: 1 of 3 scans are fitted and kept in {tmp_path}"
+    told += f"; {2 - done} of the others have fits of an earlier run, which --existing skip would keep\n"
     if existing == "skip":
         told = f"stopped: 1 of 3 scans are fitted and kept in {tmp_path}; the same command with --existing skip does the rest\n"
     assert code == 130 and text.endswith(told)

@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,8 @@ import pytest
 from cli_runs import QUICK, one_line, started, stopped
 
 import lbsfit_np as lbs
+from lbsfit_np.cli import outputs
+from lbsfit_np.errors import FileError
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -50,8 +53,6 @@ def test_stopped_before_anything_was_trained_nothing_is_said_to_be_kept(variant,
 
 
 def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypatch):
-    from lbsfit_np.cli import outputs
-
     write = outputs.Writer.__call__
 
     def interrupted(self, index, scan, result):
@@ -81,6 +82,31 @@ def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path,
     assert run(*arguments, *more)[0] == 1
     kept = {"t9.fit.npz", "summary.json", *(f"t0.{kind}" for kind in ("fit.npz", "mesh.ply", "labels.ply"))}
     assert {path.name for path in results.iterdir()} == kept
+
+
+def test_a_result_that_is_not_written_leaves_none_of_an_earlier_run(tubes, tmp_path, run, monkeypatch):
+    """One that is not finite, and one whose files cannot be written."""
+    fit, write = lbs.LBSFitter.fit, outputs.Writer.__call__
+
+    def odd(self, *given, **options):
+        fit(self, *given, **options)
+        self.results_[0] = replace(self.results_[0], vertices=np.full_like(self.results_[0].vertices, np.nan))
+
+    def full(self, index, scan, result):
+        if index == 1:
+            raise FileError("t1.fit.npz", "a full disk", "room")
+        return write(self, index, scan, result)
+
+    monkeypatch.setattr(lbs.LBSFitter, "fit", odd)
+    monkeypatch.setattr(outputs.Writer, "__call__", full)
+    results = tmp_path / "fits"
+    results.mkdir()
+    for name in ("t0", "t1"):
+        for kind in ("fit.npz", "mesh.ply", "labels.ply"):
+            (results / f"{name}.{kind}").write_text("of an earlier run")
+    arguments = ("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz", "--results", results)
+    assert run(*arguments, "--existing", "replace", "--variant", "free-form")[0] == 1
+    assert {path.name.split(".")[0] for path in results.iterdir()} == {"t2", "t3", "summary"}
 
 
 def test_a_full_disk_leaves_no_half_model(tubes, tmp_path, run, monkeypatch):

@@ -110,6 +110,11 @@ def test_usage_errors(arguments, words, made, run, monkeypatch):
     assert not (made / "out").exists()
 
 
+def test_what_a_command_does_not_know_is_the_commands(run):
+    code, _, err = run("fit", "r", "s", "--nonsense")
+    assert code == 2 and one_line(err) == "lbsfit: error: unrecognized arguments: --nonsense (see: lbsfit fit --help)"
+
+
 def test_a_nul_in_a_configured_path_is_one_clear_error(made, tmp_path, run):
     (tmp_path / "fit.toml").write_text('output = "a\\u0000b"\n')
     code, _, err = run("fit", made / "tube.npz", made / "one.ply", "--config", tmp_path / "fit.toml")

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from cli_runs import one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.io.write import write_points_ply
@@ -98,6 +99,12 @@ def test_a_models_orientation_holds_unless_another_is_given(turned, tube_rig, tu
     assert (settings["orientation"], settings["effort"]) == ("any", "thorough")
     r = lbs.FitResult.load(tmp_path / "any.fit.npz")
     assert _error(tube_rig, r, truth["any"], "any") < 0.1 and r.scale == pytest.approx(MILLIMETRES, rel=0.15)
+
+
+def test_an_up_axis_is_refused_with_any_orientation_of_a_model_too(turned, tube_model, tmp_path, run):
+    options = ("--orientation", "any", "--up=-x")
+    code, _, err = run("fit", tube_model[0], turned[0] / "any.ply", "-o", tmp_path / "out", *options)
+    assert code == 2 and one_line(err).startswith("lbsfit: error: --up: got") and not (tmp_path / "out").exists()
 
 
 def test_options_that_a_model_was_learned_with_are_its_own(turned, tubes, tmp_path, run):
