@@ -241,6 +241,16 @@ def test_three_go_to_the_end(followed):
     assert [n for _, n in steps] == [6, *[2] * 5, *[4] * 5] and len(ended) == 3
 
 
+def test_eight_go_the_second_steps(rig, model, monkeypatch):
+    bends, steps = Bends(model, FREE, lambda problem, state: (state, 9.0)), []
+    monkeypatch.setattr(bends, "_moved", lambda problem, state, n: steps.append(n) or (state, 0.9))
+    theta = np.zeros(rig.joints.shape)
+    theta[[_joint(rig, f"{finger}2") for finger in ("index", "middle", "ring", "pinky")], 0] = 1.2
+    bends(Problem(np.zeros((9, 3))), model.rest().replace(theta=theta), 1.0)
+    moves = len(other_bends(rig, theta))
+    assert moves > 9 and steps == [6, *[2] * moves, *[4] * 8]
+
+
 def test_proportions_that_are_far_from_the_templates_cost(model, short_fingers):
     """As they do in what chose the pose."""
     problem, true = short_fingers

@@ -129,6 +129,21 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     assert told["value"] == {"ann": ann, "bob": bob}[better][0]
 
 
+@pytest.mark.parametrize("given", [False, True])
+def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, people, given, monkeypatch):
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
+    fitter.segmenter_, fitter.regressor_ = None, object()
+    for look in ("_scouted", "_given"):
+        monkeypatch.setattr(finish, look, lambda *known: _seen(tube_rig, scan))
+    monkeypatch.setattr(finish, "stands_words", lambda *known: "the scan stands along +z")
+    fit = SimpleNamespace(model=Model(tube_rig), finish=lambda problem, state, note, **place: note)
+    monkeypatch.setattr(finish, "_template_fit", lambda *made_of: fit)
+    note = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
+    assert "on the template of subject 'ann'" in note and ("stands along" in note) != given
+
+
 @pytest.mark.parametrize("factor, known", [(1.3, True), (1 / 1.3, True), (1.4, False), (1 / 1.4, False), (50.0, False)])
 def test_the_subjects_unit_is_a_scans_where_its_size_allows_that(factor, known):
     learned = 1000.0

@@ -58,6 +58,7 @@ def test_more_effort_is_more_of_everything():
         ("balanced", 0.9, ["balanced"]),
         ("balanced", 0.7, ["balanced", "thorough"]),
         ("fast", 0.0, ["fast"]),
+        ("thorough", 0.9, ["thorough"]),
         ("thorough", 0.0, ["thorough", "thorough"]),  # the second under other up axes
     ],
 )
@@ -107,7 +108,7 @@ def test_a_second_look_tries_any_side_where_no_axis_was_told(tube_rig, effort, o
     scout(np.zeros((9, 3)))
     assert seen[0] is facing and scout.facing is facing
     if effort == "fast" or (orientation, up) != ("upright", None):
-        assert all(f is facing for f in seen)
+        assert all(f is facing for f in seen) and len(seen) == (2 if effort == "balanced" else 1)
         return
     assert len(seen) == 2
     np.testing.assert_array_equal(seen[1].turns[: len(facing.turns)], facing.turns)

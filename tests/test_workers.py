@@ -8,11 +8,15 @@ import sys
 import time
 from multiprocessing import active_children
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from lbsfit_np import workers
+from lbsfit_np.bench.study import run as study_run
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.loop import Loop
 from lbsfit_np.workers import Workers, each, kept_processes
 
 
@@ -59,7 +63,26 @@ def test_a_process_that_dies_while_it_is_kept_is_replaced():
         for pid in set(each(_process, range(2), jobs=2)):
             os.kill(pid, signal.SIGKILL)
             _wait_for_end(pid)
+        dead = list(workers._SPARE)
         assert each(_squared, [2, 3], jobs=2) == [4, 9]
+        assert len(dead) == 2 and all(worker.connection.closed for worker in dead)
+
+
+@pytest.mark.parametrize("whose", ["learning", "study"])
+def test_all_steps_share_their_processes(whose, tube_rig, monkeypatch):
+    used = []
+
+    def steps(*given):
+        used.extend(set(each(_process, range(2), jobs=2)) for _ in range(2))
+        raise InterruptedError
+
+    monkeypatch.setattr(study_run, "_begun", steps)
+    with pytest.raises(InterruptedError):
+        if whose == "learning":
+            Loop.run(SimpleNamespace(_first_fits=steps))
+        else:
+            study_run.study({"tube": tube_rig}, jobs=2)
+    assert len(used) == 2 and used[0] == used[1]
 
 
 def test_a_process_that_is_still_at_work_is_not_kept():
