@@ -322,7 +322,8 @@ def test_stopped_while_replacing_it_is_said_that_other_fits_are_older(existing, 
     scans = [made / name for name in ("one.ply", "two.xyz", "three.npy")]
     code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", existing, *QUICK)
     told = "stopped before a scan was fitted" if not done else f"stopped: 1 of 3 scans are fitted and kept in {tmp_path}"
-    told += f"; {2 - done} of the others have fits of an earlier run, which --existing skip would keep\n"
+    have = "has a fit" if done else "have fits"
+    told += f"; {2 - done} of the others {have} of an earlier run, which --existing skip would keep\n"
     if existing == "skip":
         told = f"stopped: 1 of 3 scans are fitted and kept in {tmp_path}; the same command with --existing skip does the rest\n"
     assert code == 130 and text.endswith(told)

@@ -367,7 +367,8 @@ def _farewell(counts, n, out, stopped, older):
     if stopped is not None:
         rest = "; the same command with --existing skip does the rest" if done else ""
         if older:  # which would be skipped
-            rest = f"; {older} of the others have fits of an earlier run, which --existing skip would keep"
+            have = "has a fit" if older == 1 else "have fits"
+            rest = f"; {older} of the others {have} of an earlier run, which --existing skip would keep"
         say((f"stopped: {done} of {n} scans are fitted and kept in {out}" if done else "stopped before a scan was fitted") + rest)
         return exit_code(stopped)
     skipped = f", {counts['kept']} of them skipped as fitted before" if counts["kept"] else ""
