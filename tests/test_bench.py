@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 from cli_runs import content_with_few_starts
+from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.bench import baseline as baseline_module
@@ -17,12 +18,13 @@ from lbsfit_np.bench.measure import joint_error, label_accuracy, recon, vertex_e
 from lbsfit_np.bench.pictures import shown
 from lbsfit_np.bench.retarget import bvh_thetas
 from lbsfit_np.bench.run import BENCHES, MEASURES, ROWS, run_bench
-from lbsfit_np.bench.subjects import subject
+from lbsfit_np.bench.subjects import _directions, people_digest, subject
 from lbsfit_np.bench.table import table
 from lbsfit_np.cli import main
 from lbsfit_np.cli.bench import ROW_NAMES
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.io.bvh import read_bvh
+from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.chains import chains
 from lbsfit_np.synthesis import Synthesis, synthesize_nth, training_poses
 
@@ -98,6 +100,42 @@ def test_the_skin_of_subjects_is_neither_torn_nor_folded(name):
         stretch = np.linalg.norm(U[a] - U[b], axis=1) / rest
         assert 0.5 < stretch.min() and stretch.max() < 1.7  # 12 % by lengths, 12 % by thickness, and bends where chains meet
         assert np.einsum("fa,fa->f", before, normals(U, rig.faces)).min() > 0.5
+
+
+def test_thickness_moves_the_skin_out_or_in_with_its_sign(tube_rig):
+    """The same lengths with and without: what differs goes out or in on each chain, and no further than asked."""
+    with_it, without = (subject(tube_rig, np.random.default_rng(4), thickness=t)[0] for t in (0.12, 0.0))
+    rng = np.random.default_rng(4)
+    n = chains(tube_rig).max() + 1
+    rng.uniform(-1, 1, n)
+    thick = 0.12 * rng.uniform(-1, 1, n)
+    own = np.asarray(tube_rig.weights.toarray())
+    middle = own[:, 1] > 0.999  # all of one bone, away from the caps
+    along = tube_rig.joints[2] - tube_rig.joints[1]
+    out = without - (tube_rig.joints[1] + np.outer((without - tube_rig.joints[1]) @ along / (along @ along), along))
+    moved = np.einsum("va,va->v", with_it - without, out)[middle]
+    assert middle.sum() > 10 and (np.sign(moved) == np.sign(thick[chains(tube_rig)[1]])).all()
+    assert (np.abs(moved) <= 0.12 * np.einsum("va,va->v", out, out)[middle] + 1e-12).all()
+
+
+def test_joints_in_one_place_do_not_tear_the_skin():
+    """A joint that stands where the one before it does goes with the bone that leads on."""
+    data = make_tube_data()
+    rig = build_rig(data)
+    along = _directions(rig, chains(rig), rig.weights.toarray())
+    np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
+    doubled = rig.joints.copy()
+    doubled[np.flatnonzero(rig.parents == 1)[0]] = doubled[1]
+    along = _directions(replace(rig, joints=doubled), chains(rig), rig.weights.toarray())
+    np.testing.assert_allclose(np.linalg.norm(along, axis=1), 1.0)
+
+
+def test_other_people_are_not_put_with_those_there_are(monkeypatch):
+    rig = lbs.load_rig("hand-coarse")
+    assert people_digest(rig) == people_digest(rig)
+    before = people_digest(rig)
+    monkeypatch.setattr("lbsfit_np.bench.subjects._outwards", lambda vertices, faces, radius: np.zeros_like(vertices))
+    assert people_digest(rig) != before
 
 
 def normals(vertices, faces):

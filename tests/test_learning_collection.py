@@ -66,6 +66,7 @@ def test_the_odd_ones_are_all_but_the_largest_group():
         ([1.0, 0.9, 2.54, 2.5], "of subject 'a', scan 2, 3 have"),
         ([100.0, 39.4, 101.0, 39.0, 100.0], "of subject 'a', scan 1, 3 have 0.394 times the others' scale"),
         ([1.0, 1.1, 0.95, 2.0], None),  # one of them may be a wrong fit
+        ([1.0, 2.0], None),
         ([0.9, 1.0, 1.1, 1.2], None),
     ],
 )
@@ -75,7 +76,8 @@ def test_units_that_extents_hide_are_told_by_first_fits(scales, words):
     if words is None:
         Loop._check_scales(loop, {"a": scales})
         doubted = {k: m.doubt for k, m in enumerate(members) if hasattr(m, "doubt")}
-        odd = {3: "; its first fit had 2 times the scale of the others: another unit?"} if max(scales) == 2 else {}
+        said = "; its first fit had {} times the scale of the others: another unit?".format
+        odd = {4: {3: said(2)}, 2: {0: said(0.5), 1: said(2)}}[len(scales)] if max(scales) == 2 else {}
         assert doubted == odd
         return
     with pytest.raises(InputError, match=words):

@@ -236,6 +236,20 @@ def test_limits_that_nobody_has_given_are_written_as_comments(tmp_path, card_fil
     assert len(read_card(path).limits) == 4
 
 
+def test_a_card_for_a_saved_rig_takes_back_what_its_notes_say_of_limits(tmp_path, card_file):
+    """The saved rig says that nobody gave any; the card gives some, or all."""
+    bare = replace(make_tube_data(), lower=None, upper=None)
+    lbsfit_np.rig.build.build_rig(bare).save(tmp_path / "a.npz")
+    saved = lbsfit_np.load_rig(tmp_path / "a.npz")
+    assert any("limits for 4 of 4" in note for note in saved.notes)
+    for pattern, left in (("*", []), (saved.joint_names[1], ["neither file nor card has limits for some of the moving joints"])):
+        card = card_file(f'[limits]\n"{pattern}" = [[-1.0, -0.5, -0.1], [1.0, 0.5, 0.1]]\n')
+        rig = lbsfit_np.load_rig(tmp_path / "a.npz", card=card)
+        told = [note for note in rig.notes if note.startswith("neither file nor card")]
+        assert [note.partition(";")[0] for note in told] == left
+        assert not re.search(r'^# ".*" = \[\[', card_text(rig), flags=re.MULTILINE)
+
+
 def test_card_of_loose_joints_guesses_a_hierarchy(tmp_path):
     data = replace(
         make_tube_data(),

@@ -249,6 +249,13 @@ def test_the_size_has_to_be_the_same(rig, quick, monkeypatch):
         study({"h": rig}, rows=("joint",), seeds=[1], before=report)
 
 
+def test_results_of_other_people_are_not_gone_on_with(rig, quick):
+    report = study({"h": rig}, rows=("joint",), seeds=[1])
+    report["rigs"]["h"]["people"] = "others"
+    with pytest.raises(InputError, match="results of other test people than 'h' now has.*--existing replace"):
+        study({"h": rig}, rows=("joint",), seeds=[1], before=report)
+
+
 def test_the_page_says_what_is_missed(rig, quick):
     report = study({"hand": rig}, rows=("joint", "rand"), seeds=[1, 2])
     for seed, pose in (("1", 0.03), ("2", 0.05)):

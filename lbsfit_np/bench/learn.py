@@ -20,7 +20,7 @@ from .environment import environment
 from .measure import joint_error, label_accuracy, vertex_error
 from .resume import REMEDY, begun
 from .run import TRAINING_SEED
-from .subjects import subject
+from .subjects import people_digest, subject
 
 __all__ = ["COLLECTIONS", "MEASURES", "VARIANT_ROWS", "collection", "learn_bench", "learn_table", "touching_pose"]
 
@@ -188,7 +188,7 @@ def learn_bench(
     if not variants or not set(variants) <= set(VARIANT_ROWS):
         raise InputError("variants", repr(variants), f"some of {', '.join(VARIANT_ROWS)}")
     rig = collection(name, data, 3, seed=seeds[0])[0]
-    read = {"rig": rig.digest, "poses": _poses_digest(name, data)}
+    read = {"rig": rig.digest, "poses": _poses_digest(name, data), "people": people_digest(rig)}
     empty = {
         "benchmark": f"learn {name}",
         "unit": "half size" if name == "hand" else "cm",
@@ -198,10 +198,10 @@ def learn_bench(
         "rows": {},
     }
     report = begun(before, empty, same=("settings", "test_scans")) | {"complete": False, "environment": environment()}
-    other = [key for key, digest in read.items() if report[key] != digest]
+    other = [key for key, digest in read.items() if report.get(key) != digest]
     if other:
-        got = f"results with other {' and other '.join(other)} than --data has"
-        raise InputError("before", got, "results of the same data", REMEDY)
+        got = f"results with other {' and other '.join(other)} than there are now"
+        raise InputError("before", got, "results of the same data and test people", REMEDY)
     # All scans face the rig's way.
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
     fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress(None, None, "pretraining", p))

@@ -5,11 +5,13 @@ joints (a finger, an arm) and one for what they hang on (a palm, a trunk), and a
 its normals: a fit can come near such a template, and never has it in its family.
 """
 
+import hashlib
+
 import numpy as np
 
 from ..rig.chains import bones, chains
 
-__all__ = ["subject"]
+__all__ = ["people_digest", "subject"]
 
 # Normals are means over balls of this many times the way that the skin goes along them.
 _SMOOTH = 4.0
@@ -29,7 +31,7 @@ def subject(rig, rng, *, amount=0.12, thickness=0.12):
         Largest relative change of each length, uniform.
     thickness : float
         Largest relative change of each chain's thickness, uniform; the skin moves along its normals by that share of its
-        distance to the bone.
+        distance to the bone, at most 0.3 of the rig's size, and less where normals around it point elsewhere.
 
     Returns
     -------
@@ -58,8 +60,15 @@ def subject(rig, rng, *, amount=0.12, thickness=0.12):
     return U + radius[:, None] * _outwards(U, rig.faces, radius), J
 
 
+def people_digest(rig):
+    """Hex digest of the people that a rig has: results of others are not to be put with theirs."""
+    vertices, joints = subject(rig, np.random.default_rng(0))
+    found = np.concatenate([vertices, joints]) / rig.size
+    return hashlib.sha256((found.round(6) + 0.0).tobytes()).hexdigest()
+
+
 def _directions(rig, chain, weights):
-    """(J, 3): unit vectors that the skin of each joint stretches along.
+    """(J, 3): unit vectors that the skin of each joint stretches along; 0 where nothing tells.
 
     Towards the chain's next joint; of its last one on from the joint before. Of what chains hang on, towards its skin's middle.
     """
@@ -67,16 +76,19 @@ def _directions(rig, chain, weights):
     inside = [c for c in np.flatnonzero(rig.moving) if c != rig.root and chain[c] == chain[rig.parents[c]]]
     following = {bone[rig.parents[c]]: c for c in inside}
     for j in np.concatenate([[rig.root], *(level for level, _ in rig.levels)]):
-        p, rows = rig.parents[j], np.flatnonzero(weights[:, j])
-        if j in following:
-            way = rig.joints[following[j]] - rig.joints[j]
-        elif p >= 0 and chain[p] == chain[j]:
-            way = rig.joints[j] - rig.joints[p]
+        p, rows, ways, after = rig.parents[j], np.flatnonzero(weights[:, j]), [], j
+        while after in following:  # joints in one place have no bone between them
+            after = following[after]
+            ways.append(rig.joints[after] - rig.joints[j])
+        if p >= 0 and chain[p] == chain[j]:
+            ways += [rig.joints[j] - rig.joints[p], along[p]]
         elif len(rows):
-            way = rig.vertices[rows].mean(axis=0) - rig.joints[j]
-        else:
-            way = along[p] if p >= 0 else np.zeros(3)
-        along[j] = way / max(np.linalg.norm(way), 1e-12 * rig.size)
+            ways.append(rig.vertices[rows].mean(axis=0) - rig.joints[j])
+        if p >= 0:
+            ways.append(along[p])
+        long = [way for way in ways if np.linalg.norm(way) > 1e-6 * rig.size]
+        if long:
+            along[j] = long[0] / np.linalg.norm(long[0])
     return along
 
 

@@ -34,13 +34,10 @@ def write_fitter(fitter, path):
     path : path-like
         Should end in ``.npz``.
     """
-    from pathlib import Path
-
     from ..io.npz_rig import rig_arrays
-    from ..io.write import write_npz
+    from ..io.write import check_npz_name, write_npz
 
-    if Path(path).suffix.lower() != ".npz":
-        raise FileError(str(path), f"the ending {Path(path).suffix!r}", "a name that ends in .npz")
+    check_npz_name(path)
     subjects = list(fitter.template_)
     parameters = {k: v for k, v in fitter.get_params(deep=False).items() if k not in ("rig", "n_jobs")}
     if isinstance(parameters["weights"], LossWeights):

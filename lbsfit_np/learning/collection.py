@@ -16,7 +16,7 @@ from ..starts.clean import clean_rows
 from ..starts.scale import extent, reference_scale
 from ..workers import each
 
-__all__ = ["Collection", "Member", "as_scans", "as_subjects", "mixed_units", "odd_ones", "read_collection"]
+__all__ = ["Collection", "Member", "as_scans", "as_subjects", "mixed_units", "odd_ones", "odd_scale", "read_collection"]
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
 _ONE_UNIT = 6.0
@@ -270,6 +270,11 @@ def odd_ones(sizes, most):
     groups = np.split(order, np.flatnonzero(gaps >= gaps.max() / 2) + 1)
     largest = max(range(len(groups)), key=lambda k: len(groups[k]))
     return np.sort(np.concatenate([g for k, g in enumerate(groups) if k != largest]))
+
+
+def odd_scale(ratio):
+    """What the result of a scan says besides whose first fit has another scale than its subject's others."""
+    return f"; its first fit had {ratio:.3g} times the scale of the others: another unit?"
 
 
 def mixed_units(got):

@@ -28,7 +28,7 @@ from ..segmentation.stage import Training
 from ..starts.library import build_library
 from ..threads import one_thread
 from ..workers import each, kept_processes
-from .collection import mixed_units, odd_ones
+from .collection import mixed_units, odd_ones, odd_scale
 from .mixture import Mixture
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
@@ -122,8 +122,7 @@ class Loop:
     random_state : int
     progress : callable (stage, share, figures) or None
         ``figures`` is a round's entry of the history when it ends, else None.
-    on_round : callable (k, segmenter) or None
-        After each round.
+    on_round : callable (k, segmenter) or None, after each round
     """
 
     def __init__(
@@ -223,12 +222,12 @@ class Loop:
         """Refuse a subject whose scans are in two units: extents hide a small factor between them, first fits show it."""
         for subject, found in scales.items():
             odd, members = odd_ones(np.array(found), _ONE_SCALE), self.collection.of(subject)
-            others = np.median(np.delete(found, odd))
-            for i in odd:
-                members[i].doubt = f"; its first fit had {found[i] / others:.3g} times the scale of the others: another unit?"
+            for i in range(2) if len(odd) and len(found) == 2 else odd:  # of two, either may be the odd one
+                members[i].doubt = odd_scale(found[i] / np.median(np.delete(found, i)))
             if len(odd) > max(1, 0.2 * len(found)):  # a few may just be wrong
+                ratio = found[odd[0]] / np.median(np.delete(found, odd))
                 at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
-                raise mixed_units(f"of subject {subject!r}, scan {at} have {found[odd[0]] / others:.3g} times the others' scale")
+                raise mixed_units(f"of subject {subject!r}, scan {at} have {ratio:.3g} times the others' scale")
 
     def _templates(self):
         """Each subject's template from its scans' poses, those left out not counted."""

@@ -323,10 +323,17 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
         low, high = check_limits(report, data.lower, data.upper, names)
         derived = changed & moving  # a box about other axes says nothing about these
         lower[~derived], upper[~derived] = low[~derived], high[~derived]
+    of_card = np.zeros(J, dtype=bool)
     for pattern, low, high in card.limits:
         rows = matching(pattern, names, f"{card.where}, [limits]")
         lower[rows], upper[rows] = low, high
-        derived[rows] = False
+        of_card[rows] = True
+    derived &= ~of_card
+    if of_card.any():  # a saved rig may say so of what the card now gives
+        stale = [note for note in notes if note.startswith(NO_LIMITS)]
+        notes[:] = [note for note in notes if note not in stale]
+        if stale and not of_card[moving].all():
+            notes.append(f"{NO_LIMITS} some of the moving joints; they were derived (a card's [limits] can say better)")
     lower, upper = check_limits(report, lower, upper, names)
     lower[~moving] = upper[~moving] = 0.0
     derived &= moving

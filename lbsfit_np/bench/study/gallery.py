@@ -23,21 +23,22 @@ def triplet(shown, path):
     fits = shown.cells.get("joint", {})
     if "template" in fits:
         ranked = [i for i in shown.from_worst_to_best("joint", len(scans)) if i < len(fits["template"])]
-        stages = [fits[key] for key in ("posed", "template", "vertices")]
     else:
         ranked = list(range(len(scans)))
-        stages = [[rig.pose(s.pose, s.translation, s.scale), s.template, s.vertices] for s in scans]
-        stages = list(zip(*stages, strict=True))
     if not ranked:
         return None
-    changed = {i: np.linalg.norm(scans[i].template - rig.vertices, axis=1).mean() / half for i in ranked}
-    i = max(ranked[len(ranked) // 2 :], key=lambda k: round(changed[k], 6))
-    posed, template, vertices = (stage[i] for stage in stages)
-    rest, frame = np.concatenate([rig.vertices, template]), np.concatenate([posed, vertices, scans[i].points])
+    changed = {i: np.linalg.norm(scans[i].template - rig.vertices, axis=1).mean() / half for i in ranked[len(ranked) // 2 :]}
+    i = max(changed, key=lambda k: round(changed[k], 6))
+    scan = scans[i]
+    if "template" in fits:
+        posed, template, vertices = (fits[key][i] for key in ("posed", "template", "vertices"))
+    else:
+        posed, template, vertices = rig.pose(scan.pose, scan.translation, scan.scale), scan.template, scan.vertices
+    rest, frame = np.concatenate([rig.vertices, template]), np.concatenate([posed, vertices, scan.points])
     row = [
         *(_mesh(rig, U, size=_LARGE, view="oblique", frame=rest) for U in (rig.vertices, template)),
         *(_mesh(rig, V, size=_LARGE, view="oblique", frame=frame) for V in (posed, vertices)),
-        _points(rig, scans[i].points, None, size=_LARGE, view="oblique", frame=frame),
+        _points(rig, scan.points, None, size=_LARGE, view="oblique", frame=frame),
     ]
     titles = ["template $U$", "deformed, $U^d$", "posed, $V$", "posed and deformed, $V^d$", "scan $X$"]
     tiles(path, [row], titles=titles)

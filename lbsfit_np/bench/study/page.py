@@ -87,7 +87,7 @@ _PROTOCOL = """\
 - Seeds are of the scans; what is trained has one seed, so that ranges over seeds say nothing of training.
 - Labels: the paper's segmenter learns from uniform poses of U, and the gaps between its rows are what that leaves open. Here, in
   all rows, half of the uniform poses are correlated, so that fists occur, and bones of U are lengthened and thickened at random,
-  as training ships: part of both gaps is closed before anything is learned.
+  as the shipped training does: part of both gaps is closed before anything is learned.
 - Rounds: poses are found by Levenberg–Marquardt steps on distances to the surface, from labels, from the library and from f;
   the whole objective (Chamfer, structured Chamfer, Laplacian) ends each fit after the last round. Templates of a round are made
   before its segmenter learns, so that rows that keep the first round have the same templates.

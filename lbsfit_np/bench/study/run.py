@@ -11,6 +11,7 @@ from ...workers import kept_processes
 from ..environment import environment
 from ..resume import REMEDY, begun
 from ..run import TRAINING_SEED
+from ..subjects import people_digest
 from .data import SCAN, kind_of, part_groups, sized, study_set
 from .local_optimum import along_path
 from .measures import Truth, measured
@@ -113,13 +114,16 @@ def _begun(before, size, rigs):
                 raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", REMEDY)
             if any(entry.get(key) != now[key] for key in ("digest", "poses")):
                 raise InputError("before", f"results of another rig than {name!r} now is", "results of the same rigs", REMEDY)
+            if entry.get("people") != now["people"]:
+                raise InputError("before", f"results of other test people than {name!r} now has", "results of the same", REMEDY)
     return report
 
 
 def _described(rig, size):
     """A rig's entry of the report, without results."""
     poses = hashlib.sha256(repr([(name, pose.tolist()) for name, pose in sorted(rig.poses.items())]).encode()).hexdigest()
-    return {"kind": kind_of(rig), "digest": rig.digest, "poses": poses, "size": asdict(size), "seeds": {}}
+    known = {"digest": rig.digest, "poses": poses, "people": people_digest(rig)}
+    return {"kind": kind_of(rig), **known, "size": asdict(size), "seeds": {}}
 
 
 def _cells(name, rig, size, seed, rows, jobs, progress):
