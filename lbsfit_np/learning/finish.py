@@ -285,10 +285,10 @@ def free_form(model, settings, problem, points, rows, frame, started):
         lambda s: problem.evaluate(model, s, weights),
         place_only.state,
         model.rig,
-        ("translation", "residual"),  # vertices that move freely would leave any scale to chance
+        (*place, "residual"),
         **_LOOSE_STEPS,
     )
-    unit = unit_note(frame.unit / model.half, model.source, settings.scale)
+    unit = unit_note(frame.unit / model.half, model.source, settings.scale)  # the scale found says no more: offsets share in it
     # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
     return assemble(
         model.source,
