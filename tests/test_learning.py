@@ -121,7 +121,7 @@ def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans)
     assert fitter.template_[0].size == pytest.approx(tube_rig.subject(3, amount=1.5).size, rel=0.05)
     free = make_learner(variant="free-form").fit([250 * s.points for s in few_scans[:3]])
     assert all(r.message.endswith(note) for r in free.results_)
-    assert free.unit_[0] == 250.0  # the result's scale is shared with its offsets; what both make is as large as the scan
+    assert free.unit_[0] == 250.0 and free.results_[0].scale == pytest.approx(250, rel=0.5)
     for r, s in zip(free.results_, few_scans):
         assert np.ptp(r.vertices, axis=0).max() == pytest.approx(250 * np.ptp(s.points, axis=0).max(), rel=0.15)
 

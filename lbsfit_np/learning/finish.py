@@ -288,7 +288,12 @@ def free_form(model, settings, problem, points, rows, frame, started):
         (*place, "residual"),
         **_LOOSE_STEPS,
     )
-    unit = unit_note(frame.unit / model.half, model.source, settings.scale)  # the scale found says no more: offsets share in it
+    evaluation = problem.evaluate(model, outcome.state, weights)
+    if model.follow:  # free vertices leave the scale to chance: the placed template's tells the unit, offsets take up the rest
+        grown = outcome.state.scale / place_only.state.scale * (model.rig.vertices + outcome.state.residual)
+        state = outcome.state.replace(scale=place_only.state.scale, residual=grown - model.rig.vertices)
+        outcome = replace(outcome, state=state)
+    unit = unit_note(frame.unit / model.half, model.source, settings.scale)
     # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
     return assemble(
         model.source,
@@ -299,7 +304,7 @@ def free_form(model, settings, problem, points, rows, frame, started):
         rows=rows,
         frame=frame,
         sigma=settings.refinements[-1],
-        evaluation=problem.evaluate(model, outcome.state, weights),
+        evaluation=evaluation,
         evaluations=place_only.evaluations + outcome.evaluations,
         note=f"free-form, no skinning; {unit}",
         started=started,
