@@ -178,7 +178,6 @@ def quick(monkeypatch):
     quick_rows = {name: replace(row, find=counted) for name, row in ROWS.items()}
     monkeypatch.setattr("lbsfit_np.bench.study.run.ROWS", quick_rows)
     monkeypatch.setitem(SIZES, "small", TINY)
-    monkeypatch.setattr("lbsfit_np.bench.study.page._TELLING", 1)
     return made
 
 
@@ -262,7 +261,7 @@ def test_the_page_says_what_is_missed(rig, quick):
         report["rigs"]["hand"]["seeds"][seed]["joint"]["pose"] = pose
     text = page(report, {"a.png": "A picture."})
     assert f"Pose 0.040 (goal ≤ {GOALS['pose']:g}, missed)" in text and "0.0400 (0.0300–0.0500) [0.035]" in text
-    assert "rand 0.0000 < joint 0.0400 (the paper's order, joint before rand: missed)" in text
+    assert "rand 0.0000 < joint 0.0400 (the paper's order, joint before rand: missed, of 6 scans, which are few)" in text
     assert "labels of the segmenter alone 0.900 (goal ≥ 0.95, missed)" in text and "![a](a.png)\n\nA picture." in text
     assert "Recon ÷ its value at the truth 1.000 (goal ≤ 1.05)" in text
     assert console_table(report).count("joint") >= 2
@@ -279,7 +278,7 @@ def test_rows_are_compared_over_the_seeds_that_all_of_them_have(rig, quick):
     assert "Joint ÷ oracle fit: Recon 1.00, Pose 10.00" in page(report, {})
     del seeds["1"]["cd"], seeds["1"]["oracle-fit"]
     text = page(report, {})
-    assert "joint 0.0100 < cd 0.0200 (the paper's order, joint before cd: kept)" in text
+    assert "joint 0.0100 < cd 0.0200 (the paper's order, joint before cd: kept, of 3 scans, which are few)" in text
     assert "Joint ÷ oracle fit: Recon 1.00, Pose 2.00" in text
     again = study({"h": rig}, rows=("joint",), seeds=[1], before=report)
     assert not again["complete"] and study({"h": rig}, rows=("cd", "oracle-fit"), seeds=[1], before=again)["complete"]

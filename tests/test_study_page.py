@@ -218,11 +218,11 @@ def test_the_order_of_the_ablations_is_from_the_least_error(rand, verdict):
     assert ("≈" in line) == (verdict == "level")
 
 
-def test_few_scans_tell_no_order():
+def test_an_order_of_few_scans_is_said_to_be_one():
     report = _report(joint={"pose": 0.01}, rand={"pose": 0.02})
     assert "joint before rand: kept)" in console_table(report)
     report["rigs"]["hand"]["size"]["test"] = 19
-    assert "joint before rand: 19 scans are too few to tell)" in console_table(report)
+    assert "joint before rand: kept, of 19 scans, which are few)" in console_table(report)
     both = _report(joint=[{"pose": 0.01}] * 2, rand=[{"pose": 0.02}] * 2)
     both["rigs"]["hand"]["size"]["test"] = 10
     assert "joint before rand: kept)" in console_table(both)

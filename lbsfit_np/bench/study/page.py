@@ -274,12 +274,12 @@ def _order(report, name, key, what):
     values = {row: value for value, row in ranked}
     wanted = [row for row in ("joint", "rand", "cd") if row in values]
     pairs = [(values[a], values[b]) for a, b in pairwise(wanted)]
-    if scans < _TELLING:
-        verdict = f"{scans} scans are too few to tell"
-    elif any(a > _LEVEL * b for a, b in pairs):
+    if any(a > _LEVEL * b for a, b in pairs):
         verdict = "missed"
     else:
         verdict = "kept" if all(_LEVEL * a < b for a, b in pairs) else "level"
+    if scans < _TELLING:
+        verdict += f", of {scans} scans, which are few"
     words = ranked[0][1] + f" {ranked[0][0]:.4f}"
     for (a, _), (b, row) in pairwise(ranked):
         words += f" {'<' if _LEVEL * a < b else '≈'} {row} {b:.4f}"
