@@ -32,29 +32,30 @@ def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
     rows = []
     options = {"n_scans": 6, "seeds": (3,), "variants": ("cd", "free-form"), "training_scans": 40}
     report = learn_bench("hand", shared_rigs, on_row=lambda report, variant, seed: rows.append((variant, seed)), **options)
-    assert rows == [("cd", 3), ("free-form", 3)] and report["complete"]
+    assert rows == [("one by one", 3), ("cd", 3), ("free-form", 3)] and report["complete"]
     entry = report["rows"]["cd"]["3"]
     assert entry["unfitted"] == 0 and entry["rounds"] >= 1 and len(entry["joints"]) == 6
     assert entry["joint_error"] == pytest.approx(np.mean(entry["joints"])) and 0 < entry["vertex_error"] < 0.5
-    assert 0 < report["rows"]["before"]["3"]["label_error"] < 1 and "label_error" not in entry
+    single = report["rows"]["one by one"]["3"]
+    assert 0 < single["label_error"] < 1 and "label_error" not in entry and entry["label_error_of_rounds"] == []
+    assert len(single["joints"]) == 6 and single["unfitted"] == 0 and single["template_gap"] > 0
     assert report["rows"]["free-form"]["3"]["rounds"] == 0
     # The same once more has nothing to do, and more does the rest.
-    monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"rounds": 7})
+    monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"unfitted": 7})
     again = learn_bench("hand", shared_rigs, before=report, **options)
-    assert again["rows"] == report["rows"] and rows == [("cd", 3), ("free-form", 3)]
+    assert again["rows"] == report["rows"] and len(rows) == 3
     more = learn_bench("hand", shared_rigs, before=report, **options | {"variants": ("free-form", "cd"), "seeds": (3, 4)})
-    assert more["rows"]["cd"]["3"] == entry and [more["rows"][v]["4"]["rounds"] for v in ("cd", "free-form")] == [7, 7]
+    assert more["rows"]["cd"]["3"] == entry and [more["rows"][v]["4"]["unfitted"] for v in ("cd", "free-form")] == [7, 7]
     with pytest.raises(InputError, match="before: got results with n_scans 6; expected n_scans 9"):
         learn_bench("hand", shared_rigs, before=report, **options | {"n_scans": 9})
 
 
 def test_scans_that_could_not_be_fitted_are_counted(shared_rigs):
-    rig, scans, subjects, others = collection("hand", shared_rigs, 3, seed=3)
+    rig, scans, subjects, _ = collection("hand", shared_rigs, 3, seed=3)
     right = SimpleNamespace(joints=scans[0].joints, vertices=scans[0].vertices)
     templates = {k: SimpleNamespace(vertices=s.template) for k, s in enumerate(scans)}
-    fitter = SimpleNamespace(results_=[right, None, None], history_=[{}, {}], template_=templates, segmenter_=None)
-    entry = _measured(rig, fitter, scans, subjects, others, rig.size / 2)
-    assert (entry["unfitted"], entry["rounds"]) == (2, 1)
+    entry = _measured(rig, [right, None, None], templates, scans, subjects, rig.size / 2)
+    assert entry["unfitted"] == 2
     assert entry["joints"] == [0.0] and entry["vertex_error"] == 0.0 and entry["template_gap"] < 1e-12
 
 
@@ -63,10 +64,10 @@ def test_the_table_has_a_row_a_variant():
     report = {
         "unit": "half size",
         "settings": {"n_scans": 6, "subjects": 3},
-        "rows": {"before": {"1": {"template_gap": 0.05, "label_error": 0.2}}, "cd": {"1": entry}},
+        "rows": {"one by one": {"1": {"template_gap": 0.05, "label_error": 0.2}}, "cd": {"1": entry}},
     }
     text = learn_table(report)
-    assert "before" in text and "0.0500" in text
+    assert "one by one" in text and "0.0500" in text
     assert "cd" in text and "0.0200" in text and "–" in text
 
 
@@ -74,7 +75,7 @@ def _rows(**rows):
     """A report whose rows have, by seed, their joint error, or None."""
     first = {str(seed): {"template_gap": 0.05} for seed in sorted({s for of in rows.values() for s in of})}
     rows = {v: {str(s): {"joint_error": e, "seconds": 10.0 * s} for s, e in of.items()} for v, of in rows.items()}
-    return {"unit": "half size", "settings": {"n_scans": 6, "subjects": 3}, "rows": {"before": first} | rows}
+    return {"unit": "half size", "settings": {"n_scans": 6, "subjects": 3}, "rows": {"one by one": first} | rows}
 
 
 def _cell(text, row, column):
@@ -102,12 +103,11 @@ def test_a_seed_in_which_nothing_was_fitted_counts_for_no_row_of_that_column(not
 
 
 def test_where_nothing_could_be_fitted_there_is_no_error(shared_rigs):
-    rig, scans, subjects, others = collection("hand", shared_rigs, 3, seed=3)
+    rig, scans, subjects, _ = collection("hand", shared_rigs, 3, seed=3)
     templates = {k: SimpleNamespace(vertices=s.template) for k, s in enumerate(scans)}
-    fitter = SimpleNamespace(results_=[None] * 3, history_=[{}], template_=templates, segmenter_=None)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        entry = _measured(rig, fitter, scans, subjects, others, rig.size / 2)
+        entry = _measured(rig, [None] * 3, templates, scans, subjects, rig.size / 2)
     assert entry["unfitted"] == 3 and all(np.isnan(entry[key]) for key in ("joint_error", "joint_error_median", "vertex_error"))
 
 
@@ -115,9 +115,11 @@ def test_where_nothing_could_be_fitted_there_is_no_error(shared_rigs):
 def quick(monkeypatch):
     """Learning that takes no time: a fitter that has fitted nothing."""
     monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda self, **o: vars(self).update(segmenter_=None, _pretrained=None))
-    monkeypatch.setattr("lbsfit_np.LBSFitter.fit", lambda self, *a, **o: vars(self).update(history_=[]))
+    learned = {"history_": [], "results_": [], "template_": {}, "segmenter_": None}
+    monkeypatch.setattr("lbsfit_np.LBSFitter.fit", lambda self, *a, **o: vars(self).update(learned))
     monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"joint_error": 0.1})
     monkeypatch.setattr("lbsfit_np.bench.learn._wrong", lambda *a: 0.2)
+    monkeypatch.setattr("lbsfit_np.learning.batch.fit_scans", lambda *a, **o: [])
 
 
 def test_complete_is_a_report_whose_seeds_have_the_same_variants(shared_rigs, quick):

@@ -27,6 +27,8 @@ __all__ = ["COLLECTIONS", "MEASURES", "VARIANT_ROWS", "collection", "learn_bench
 COLLECTIONS = ("hand", "body")
 N_SUBJECTS = 3
 VARIANT_ROWS = ("joint", "pose-only", "rand", "cd", "free-form")
+# The row without learning: what is pretrained, and the rig's own template with proportions of each scan's own.
+_BEFORE = "one by one"
 MEASURES = {
     "joint_error": "joints",
     "joint_error_median": "median",
@@ -165,7 +167,7 @@ def learn_bench(
     progress : callable (variant, seed, stage, share, figures), optional
         As for ``LBSFitter.fit``; variant and seed are None while what all share is trained.
     on_row : callable (report, variant, seed), optional
-        After each variant of each seed, with the report so far.
+        After each variant of each seed, with the report so far; of each seed first "one by one".
 
     Returns
     -------
@@ -180,7 +182,9 @@ def learn_bench(
     """
     from sklearn.base import clone
 
+    from ..learning.batch import fit_scans
     from ..learning.fitter import LBSFitter
+    from ..learning.variants import as_variant
 
     seeds = [int(s) for s in seeds]
     if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
@@ -212,20 +216,37 @@ def learn_bench(
         if not todo:
             continue
         _, scans, subjects, others = collection(name, data, n_scans, seed=seed)
-        same = dict.fromkeys(subjects, rig)
-        untaught = {"template_gap": _gap(same, scans, subjects) / unit, "label_error": _wrong(first, others)}
-        report["rows"].setdefault("before", {})[str(seed)] = untaught
+        points = [scan.points for scan in scans]
+        before_it = report["rows"].setdefault(_BEFORE, {})
+        if str(seed) not in before_it:
+            done = iter(range(1, len(points) + 1))
+            say = None
+            if progress is not None:
+                say = lambda _, s=seed, done=done: progress(_BEFORE, s, "fits", next(done) / n_scans)  # noqa: E731
+            started = time.perf_counter()
+            results = [outcome.result for outcome in fit_scans(fitter, points, jobs=jobs, on_result=say)]
+            entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "commit": environment()["commit"]}
+            entry |= _measured(rig, results, dict.fromkeys(subjects, rig), scans, subjects, unit)
+            before_it[str(seed)] = entry | {"label_error": _wrong(first, others)}
+            if on_row is not None:
+                on_row(report, _BEFORE, seed)
         for variant in todo:
             one = clone(fitter).set_params(variant=variant)
             one._pretrained = pretrained
             say = None
             if progress is not None:
                 say = lambda stage, share, figures=None, v=variant, s=seed: progress(v, s, stage, share, figures)  # noqa: E731
+            wrong = []
+            watch = None
+            if as_variant(variant).labels:
+                watch = lambda k, segmenter, of=others, to=wrong: to.append(_wrong(segmenter, of))  # noqa: E731
             started = time.perf_counter()
-            one.fit([scan.points for scan in scans], subjects, progress=say)
-            seconds = time.perf_counter() - started
-            entry = _measured(rig, one, scans, subjects, others, unit) | {"seconds": seconds, "jobs": jobs}
-            entry |= {"history": one.history_, "commit": environment()["commit"]}
+            one.fit(points, subjects, progress=say, on_round=watch)
+            entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "commit": environment()["commit"]}
+            entry |= _measured(rig, one.results_, one.template_, scans, subjects, unit)
+            entry |= {"rounds": max(0, len(one.history_) - 1), "history": one.history_, "label_error_of_rounds": wrong}
+            if one.segmenter_ is not None:
+                entry["label_error"] = _wrong(one.segmenter_, others)
             report["rows"].setdefault(variant, {})[str(seed)] = entry
             if on_row is not None:
                 on_row(report, variant, seed)
@@ -243,23 +264,19 @@ def _poses_digest(name, data):
     return digest.hexdigest()
 
 
-def _measured(rig, fitter, scans, subjects, others, unit):
-    fitted = [(r, s) for r, s in zip(fitter.results_, scans, strict=True) if r is not None]
+def _measured(rig, results, templates, scans, subjects, unit):
+    fitted = [(r, s) for r, s in zip(results, scans, strict=True) if r is not None]
     joints = [joint_error(r.joints, s.joints, rig.moving) / unit for r, s in fitted]
     vertices = [vertex_error(r.vertices, s.vertices) / unit for r, s in fitted]
-    out = {
+    return {
         "unfitted": len(scans) - len(fitted),
-        "rounds": max(0, len(fitter.history_) - 1),
         "joint_error": float(np.mean(joints)) if fitted else np.nan,
         "joint_error_median": float(np.median(joints)) if fitted else np.nan,
         "vertex_error": float(np.mean(vertices)) if fitted else np.nan,
         "joints": joints,
         "vertices": vertices,
-        "template_gap": _gap(fitter.template_, scans, subjects) / unit,
+        "template_gap": _gap(templates, scans, subjects) / unit,
     }
-    if fitter.segmenter_ is not None:
-        out["label_error"] = _wrong(fitter.segmenter_, others)
-    return out
 
 
 def _gap(templates, scans, subjects):

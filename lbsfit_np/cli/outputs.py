@@ -204,8 +204,9 @@ class Writer:
 
         files, rig = self.files[index], self.rig
         colors = part_colors(len(rig.parts))
-        # All three get their names only once all three are complete; the fit last, as it stands for the whole.
-        with atomic_path(files.fit) as fit, atomic_path(files.mesh) as mesh, atomic_path(files.labels) as labels:
+        # All three get their names only once all three are complete. The fit first (the last that is opened): of what a stop in
+        # between leaves, --existing skip then knows whose it is, and makes it anew.
+        with atomic_path(files.labels) as labels, atomic_path(files.mesh) as mesh, atomic_path(files.fit) as fit:
             result.save(fit)
             write_mesh_ply(
                 mesh,

@@ -84,6 +84,8 @@ def fit_scans(fitter, scans, *, subject=None, jobs=1, finish=None, on_result=Non
         raise InputError("jobs", repr(jobs), "a positive whole number of worker processes")
     if hasattr(fitter, "_check"):
         fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
+        if subject is not None:
+            fitter._check_subject(subject)
     scans = as_scans(scans)
     outcomes = {}
 

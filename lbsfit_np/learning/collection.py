@@ -3,6 +3,7 @@
 import itertools
 import os
 import warnings
+from collections.abc import Mapping, Set
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,7 +17,17 @@ from ..starts.clean import clean_rows
 from ..starts.scale import extent, reference_scale
 from ..workers import each
 
-__all__ = ["Collection", "Member", "as_scans", "as_subjects", "mixed_units", "odd_ones", "odd_scale", "read_collection"]
+__all__ = [
+    "Collection",
+    "Member",
+    "as_scans",
+    "as_subjects",
+    "in_words",
+    "mixed_units",
+    "odd_ones",
+    "odd_scale",
+    "read_collection",
+]
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
 _ONE_UNIT = 6.0
@@ -135,7 +146,7 @@ class Collection:
         errors = [error for _, error in found if error is not None]
         if errors and len(errors) == len(found):
             raise errors[0]
-        self.failures |= {m.index: _in_words(e) for m, (_, e) in zip(self.members, found, strict=True) if e is not None}
+        self.failures |= {m.index: in_words(e) for m, (_, e) in zip(self.members, found, strict=True) if e is not None}
         self.members = [m for m, (_, error) in zip(self.members, found, strict=True) if error is None]
         return [answer for answer, error in found if error is None]
 
@@ -161,12 +172,15 @@ class _Tried:
             return None, error
 
 
-def _in_words(error):
+def in_words(error):
+    """What went wrong, without a traceback."""
     return str(error) if isinstance(error, LbsfitError) else f"{type(error).__name__}: {error}"
 
 
 def as_scans(scans):
     """A sequence of scans as a list, or InputError."""
+    if isinstance(scans, Mapping):
+        raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", "Pass list(scans.values()).")
     if isinstance(scans, (str, bytes, Scan)) or not hasattr(scans, "__iter__"):
         remedy = "Put a single scan in a list, too." if isinstance(scans, Scan) else "Make a list of load_scan(path), one each."
         raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
@@ -183,6 +197,9 @@ def as_scans(scans):
 
 def as_subjects(subjects, n):
     """Ids of ``n`` scans as a list, or InputError."""
+    if isinstance(subjects, (Mapping, Set)):
+        remedy = "Make a list, in the order of the scans."
+        raise InputError("subjects", f"a {type(subjects).__name__}", "a sequence with one id for each scan", remedy)
     if isinstance(subjects, (str, bytes)) or not hasattr(subjects, "__len__") or not hasattr(subjects, "__iter__"):
         raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
     subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
@@ -235,7 +252,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             rows, _ = clean_rows(points, rows, up=up)
             reference = reference_scale(points[rows], rig, scale)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
-            collection.failures[i] = _in_words(error)
+            collection.failures[i] = in_words(error)
             continue
         path = getattr(scan, "path", None)
         name = f"{i}" if path is None else f"{i} ({path})"

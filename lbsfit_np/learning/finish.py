@@ -288,11 +288,10 @@ def free_form(model, settings, problem, points, rows, frame, started):
         (*place, "residual"),
         **_LOOSE_STEPS,
     )
+    # Chamfer shrinks a resting template onto a posed scan: its scale says nothing of the unit, so the offsets take it up.
+    grown = outcome.state.scale * (model.rig.vertices + outcome.state.residual)
+    outcome = replace(outcome, state=outcome.state.replace(scale=1.0, residual=grown - model.rig.vertices))
     evaluation = problem.evaluate(model, outcome.state, weights)
-    if model.follow:  # free vertices leave the scale to chance: the placed template's tells the unit, offsets take up the rest
-        grown = outcome.state.scale / place_only.state.scale * (model.rig.vertices + outcome.state.residual)
-        state = outcome.state.replace(scale=place_only.state.scale, residual=grown - model.rig.vertices)
-        outcome = replace(outcome, state=state)
     unit = unit_note(frame.unit / model.half, model.source, settings.scale)
     # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
     return assemble(

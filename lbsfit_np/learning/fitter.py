@@ -7,15 +7,16 @@ from dataclasses import replace
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from ..errors import InputError, LbsfitError, brief
+from ..errors import InputError, brief
 from ..optimize.model import Model
 from ..seeds import integer_seed
+from ..segmentation.segmenter import jobs_of
 from ..starts.turns import facing_of
 from .archive import model_digest, read_fitter, write_fitter
-from .collection import as_scans, as_subjects, read_collection
+from .collection import as_scans, as_subjects, in_words, read_collection
 from .finish import fit_free_form, fit_new, results_of, scan_fit
 from .loop import Loop, LoopSettings
-from .parameters import check_parameters, check_scan, fit_settings
+from .parameters import check_callables, check_parameters, check_same, check_scan, check_segmenter, fit_settings, learned_with
 from .pretraining import pretrain_library, pretrain_segmenter
 from .training import training_settings
 from .variants import as_variant
@@ -151,10 +152,10 @@ class LBSFitter(BaseEstimator):
         self
         """
         self._check()
+        check_callables(progress=progress)
         progress = progress or (lambda share: None)
         labels = as_variant(self.variant).labels
-        if segmenter is not None:
-            segmenter.check_rig(self.rig)
+        check_segmenter(segmenter, self.rig)
         segmenter = segmenter if labels else None
         train = labels and segmenter is None
         share = _LIBRARY_TIME if train else 1.0
@@ -180,7 +181,7 @@ class LBSFitter(BaseEstimator):
         cache : bool, default False
             As in :meth:`pretrain`.
         progress : callable (stage, share, figures), optional
-            Called with the name of what is done, the share done in [0, 1], and, at the end of a round, its entry of ``history_``.
+            Called with the name of what is done, the share done in [0, 1], and, after a round, its entry of ``history_`` so far.
         on_round : callable (k, segmenter), optional
             Called after round k with s as it then is, such as for its errors on scans of which more is known.
 
@@ -195,6 +196,7 @@ class LBSFitter(BaseEstimator):
             any out. A single scan that cannot be used is left out, with a warning and its reason in ``failures_``.
         """
         self._check()
+        check_callables(progress=progress, on_round=on_round)
         variant, seed, facing = as_variant(self.variant), self._seed(), facing_of(self.rig, self.orientation, self.up)
         collection = read_collection(
             self.rig,
@@ -213,7 +215,7 @@ class LBSFitter(BaseEstimator):
             self.segmenter_ = self.regressor_ = None
             self.template_ = dict.fromkeys(collection.subjects, self.rig)
             self.unit_ = {s: collection.of(s)[0].unit for s in collection.subjects}
-            self.history_, self._learned_with = [], self.rig.digest
+            self.history_, self._learned_with = [], learned_with(self)
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress)
             return self._finished(collection, results)
         segmenter, library = getattr(self, "_pretrained", None) or (None, None)
@@ -243,7 +245,7 @@ class LBSFitter(BaseEstimator):
         learned = loop.run()
         self.segmenter_, self.regressor_ = learned.segmenter, learned.library
         self.template_ = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
-        self.unit_, self.history_, self._learned_with = learned.units, learned.history, self.rig.digest
+        self.unit_, self.history_, self._learned_with = learned.units, learned.history, learned_with(self)
         results = results_of(self.rig, self.template_, self.joints, collection, settings, jobs=jobs, progress=progress)
         return self._finished(collection, results)
 
@@ -275,7 +277,9 @@ class LBSFitter(BaseEstimator):
         return np.array([np.full(shape, np.nan) if r is None else r.vertices for r in results]).reshape(-1, *shape)
 
     def score(self, scans, subjects=None):
-        """Minus the mean of √L_c over scans fitted with what was learned, in half sizes of the rig: higher is better."""
+        """Minus the mean of √L_c over scans fitted with what was learned, in half sizes of the rig: higher is better; or NaN."""
+        if not (scans := as_scans(scans)):
+            raise InputError("scans", "none", "one or more scans")
         results = [r for r in self._fit_all(scans, subjects) if r is not None]
         return -float(np.mean([r.terms["recon"] for r in results])) if results else float("nan")
 
@@ -297,7 +301,7 @@ class LBSFitter(BaseEstimator):
             fitter = cls(rig, **parameters)
             for name, value in fields.items():
                 setattr(fitter, name, value)
-            fitter._learned_with = rig.digest
+            fitter._learned_with = learned_with(fitter)
             fitter._check()
             return fitter
 
@@ -369,8 +373,8 @@ class LBSFitter(BaseEstimator):
             try:
                 points = scan() if callable(scan) else scan
                 results.append(self.fit_scan(points, subject=None if subjects is None else subjects[i]))
-            except LbsfitError as error:
-                warnings.warn(f"scan {i} cannot be fitted: {error}", stacklevel=3)
+            except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
+                warnings.warn(f"scan {i} cannot be fitted: {in_words(error)}", stacklevel=3)
                 results.append(None)
         return results
 
@@ -385,8 +389,7 @@ class LBSFitter(BaseEstimator):
         templates = getattr(self, "template_", None)
         if templates is None:
             raise InputError("fitter", "one that has learned nothing", "one that has learned", "Call fit(scans) first.")
-        if self._learned_with != self.rig.digest:
-            raise InputError("rig", f"{self.rig.name!r}", "the rig that the fitter learned with", "Learn again with this one.")
+        check_same(self, self._learned_with)
         if self.segmenter_ is not None:
             self.segmenter_.check_rig(self.rig)
 
@@ -407,8 +410,6 @@ class LBSFitter(BaseEstimator):
         return integer_seed(self.random_state, "fitter")
 
     def _jobs(self):
-        from ..segmentation.segmenter import jobs_of
-
         return jobs_of(self.n_jobs, self._seed())
 
     def _model(self):

@@ -56,7 +56,7 @@ class LoopSettings:
     neighbours : int
         Poses of the library that a scan starts from.
     improvement : float
-        Relative fall of the loss on scans left out below which rounds end.
+        Relative fall of the loss on scans left out below which rounds end; by less than that two rounds are level.
     training : Training
         Of s in a round.
     """
@@ -175,8 +175,9 @@ class Loop:
             templates = {s: templates[s] for s in units}  # but for subjects whose scans have all failed
             learned_now = Learned(templates, units, self.segmenter, self.library, self.history)
             fallen = value < best * (1 - self.settings.improvement)
-            if value < best or learned is None:
-                best, learned, kept = value, learned_now, k
+            # Of rounds that are level the later, whose s has learned more.
+            if value < best * (1 + self.settings.improvement) or learned is None:
+                best, learned, kept = min(best, value), learned_now, k
                 best_members = {m.index: (m.state, m.loss, m.proba) for m in self.collection.members}
             if not fallen:
                 break

@@ -11,14 +11,22 @@ from ..losses.objective import as_weights
 from ..rig.frames import AXES
 from ..rig.rig import Rig
 from ..scan import check_points
-from ..segmentation.segmenter import jobs_of
+from ..segmentation.segmenter import Segmenter, jobs_of
 from ..skinning import JOINT_MODES
 from ..starts.turns import ORIENTATIONS
 from ..synthesis import Synthesis
 from .finish import LOOSE
 from .variants import as_variant
 
-__all__ = ["check_parameters", "check_scan", "fit_settings"]
+__all__ = [
+    "check_callables",
+    "check_parameters",
+    "check_same",
+    "check_scan",
+    "check_segmenter",
+    "fit_settings",
+    "learned_with",
+]
 
 # Eight turns.
 _MOST_TURN = 50.0
@@ -59,6 +67,35 @@ def check_parameters(fitter):
             raise InputError(name, brief(value), "a positive integer")
     if fitter.max_points < len(fitter.rig.parts):
         raise InputError("max_points", str(fitter.max_points), f"at least {len(fitter.rig.parts)}, as many as the rig has parts")
+
+
+def check_callables(**given):
+    """Raise InputError unless each is None or can be called: they are called late, when much would be lost."""
+    for name, value in given.items():
+        if value is not None and not callable(value):
+            raise InputError(name, brief(value), "a function, or None")
+
+
+def check_segmenter(segmenter, rig):
+    """Raise InputError unless it is None or a Segmenter of the rig."""
+    if segmenter is None:
+        return
+    if not isinstance(segmenter, Segmenter):
+        raise InputError("segmenter", f"a {type(segmenter).__name__}", "a Segmenter", "Read one with Segmenter.load.")
+    segmenter.check_rig(rig)
+
+
+def learned_with(fitter):
+    """What a fitter's learned state belongs to, by the names of its parameters."""
+    return {"rig": fitter.rig.digest, "variant": fitter.variant, "joints": fitter.joints}
+
+
+def check_same(fitter, learned):
+    """Raise InputError where one of these parameters has changed since the fitter has learned."""
+    for name, now in learned_with(fitter).items():
+        if now != learned[name]:
+            got, expected = (fitter.rig.name, "the rig") if name == "rig" else (now, repr(learned[name]))
+            raise InputError(name, repr(got), f"{expected} that the fitter learned with", "Learn again with this one.")
 
 
 def fit_settings(fitter):
