@@ -171,6 +171,9 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
             raise InputError("poses", f"shape {shape}", f"shape (k, {len(rig.parents)}, 3) with k ≥ 1")
         poses = check_array("poses", poses, shape)
     if templates is not None:
+        if not isinstance(templates, (list, tuple)):
+            remedy = "Of a rig's subject it is [(subject.vertices, subject.joints)]."
+            raise InputError("templates", f"a {type(templates).__name__}", "a list of pairs (vertices, joints), or None", remedy)
         templates = [_checked_template(rig, k, template) for k, template in enumerate(templates)]
         if not templates:
             raise InputError("templates", "none", "one or more pairs (vertices, joints), or None for random proportions")

@@ -243,3 +243,7 @@ def test_another_rig_is_refused_after_learning(learned_people, tube_rig, people_
         other = copy.copy(learned_people).set_params(rig=rig)
         with pytest.raises(InputError, match="rig: got .*the rig that the fitter learned with"):
             other.fit_scan(people_scans[0].points)
+    other = copy.copy(learned_people).set_params(variant="free-form")
+    for use in (lambda: other.fit_scan(people_scans[0].points), lambda: other.save("model.npz")):
+        with pytest.raises(InputError, match="variant: got 'free-form'; expected one with skinning, as the fitter learned with"):
+            use()

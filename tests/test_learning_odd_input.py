@@ -177,6 +177,42 @@ def test_ids_that_are_no_sequence(ids, learned, clouds):
             call(clouds, ids)
 
 
+@pytest.mark.parametrize("ids", [{0: 1, 1: 1, 2: 2, 3: 2}, {"a", "b", "c", "d"}])
+def test_ids_without_the_order_of_the_scans(ids, learned, clouds):
+    """A dict's keys would be taken for ids, a set has them in any order."""
+    with pytest.raises(InputError, match="subjects: got a (dict|set); .* Make a list, in the order of the scans"):
+        learned.transform(clouds, ids)
+    with pytest.raises(InputError, match=r"scans: got a dict; expected a sequence of scans. Pass list\(scans.values"):
+        learned.transform(dict(enumerate(clouds)))
+
+
+def test_a_callable_that_raises_costs_its_scan_alone(learned, clouds):
+    def broken():
+        raise ZeroDivisionError("of the user")
+
+    with pytest.warns(UserWarning, match="scan 1 cannot be fitted: ZeroDivisionError: of the user"):
+        vertices = learned.transform([clouds[0], broken, lambda: clouds[1]])
+    assert np.isnan(vertices[1]).all() and np.isfinite(vertices[[0, 2]]).all()
+    with pytest.raises(InputError, match="scans: got none"):
+        learned.score([])
+
+
+def test_what_is_called_late_is_looked_at_before_any_work(learned, clouds):
+    for name in ("progress", "on_round"):
+        with pytest.raises(InputError, match=f"{name}: got 'x'; expected a function, or None"):
+            learned.fit(clouds, **{name: "x"})
+    with pytest.raises(InputError, match="progress: got 3; expected a function, or None"):
+        learned.pretrain(progress=3)
+    with pytest.raises(InputError, match="segmenter: got a str; expected a Segmenter. Read one with Segmenter.load"):
+        learned.pretrain(segmenter="s.npz")
+
+
+def test_an_unknown_subject_is_said_once_before_any_work(tube_rig, learned, clouds):
+    for fitter in (learned, lbs.LBSFitter(tube_rig)):
+        with pytest.raises(InputError, match="subject: got 'nobody'; expected (one of|no subject, as)"):
+            fit_scans(fitter, clouds, subject="nobody")
+
+
 def test_ids_of_numpy_are_those_of_python(learned, clouds):
     ours = learned.transform(clouds[:2], np.array([0, 0]))
     np.testing.assert_array_equal(ours, learned.transform(clouds[:2], [0, 0]))

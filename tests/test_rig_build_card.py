@@ -74,6 +74,13 @@ def test_locked_joints_keep_their_skin_and_never_turn():
     assert both.locked.tolist() == [False, False, True, False] and both.merged.tolist() == [False, False, False, True]
 
 
+def test_limits_of_a_joint_that_stays_still_are_noted():
+    card = Card(lock=("long",), limits=(("*", (-1, -1, -1), (1, 1, 1)), ("long", (-1, 0, 0), (1, 0, 0))), path="a.toml")
+    notes = [note for note in build_rig(make_tube_data(), card).notes if "no effect" in note]
+    assert notes == ["card a.toml, [limits]: those of 'long' have no effect, as that joint is locked or merged"]
+    assert not any("no effect" in note for note in build_rig(make_tube_data(), replace(card, lock=())).notes)
+
+
 @pytest.mark.parametrize("field", ["merge", "lock"])
 def test_root_cannot_be_merged_or_locked(field):
     with pytest.raises(InputError, match="root joint 'root'"):

@@ -8,7 +8,7 @@ import pytest
 
 from lbsfit_np.bench.run import TRAINING_SEED
 from lbsfit_np.bench.study import data
-from lbsfit_np.bench.study.data import SCAN, Size, study_set
+from lbsfit_np.bench.study.data import SCAN, Size, kind_of, study_set
 from lbsfit_np.bench.study.measures import Registrations
 from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import study
@@ -103,3 +103,16 @@ def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypat
     again = study_set(rig, size, 2)
     for a, b in zip([*contexts[1].given.train, *contexts[1].given.test], [*again.train, *again.test], strict=True):
         assert np.array_equal(a.points, b.points)
+
+
+@pytest.mark.parametrize(
+    ("names", "kind"),
+    [
+        (("pelvis", "left_knee", "left_thumb1"), "body"),
+        (("wrist", "Thumb_1", "index_1"), "hand"),
+        (("Hips", "LeftUpLeg", "LeftHandThumb1"), "other"),  # a body with other names than the bundled ones
+        (("root", "tail"), "other"),
+    ],
+)
+def test_a_body_with_thumbs_is_no_hand(names, kind):
+    assert kind_of(SimpleNamespace(joint_names=names)) == kind

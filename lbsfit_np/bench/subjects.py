@@ -15,6 +15,8 @@ __all__ = ["people_digest", "subject"]
 
 # Normals are means over balls of this many times the way that the skin goes along them.
 _SMOOTH = 4.0
+# Vertices whose neighbours are looked up at once.
+_BLOCK = 1000
 
 
 def subject(rig, rng, *, amount=0.12, thickness=0.12):
@@ -96,10 +98,14 @@ def _outwards(vertices, faces, radius):
     """(m, 3): the skin's normals, each the mean over several times the way that the skin goes, so that lips do not cross."""
     from scipy.spatial import cKDTree
 
-    tree, normals = cKDTree(vertices), _normals(vertices, faces)
-    near = tree.query_ball_point(vertices, _SMOOTH * np.abs(radius), return_sorted=True)
-    total = np.array([normals[rows].sum(axis=0) for rows in near])
-    return total / np.array([np.linalg.norm(normals[rows], axis=1).sum() for rows in near])[:, None].clip(1e-300)
+    tree, normals, reach = cKDTree(vertices), _normals(vertices, faces), _SMOOTH * np.abs(radius)
+    out = np.empty_like(vertices)
+    for begin in range(0, len(vertices), _BLOCK):  # neighbours of all vertices of a large mesh fill the memory
+        block = slice(begin, begin + _BLOCK)
+        near = tree.query_ball_point(vertices[block], reach[block], return_sorted=True)
+        total = np.array([normals[rows].sum(axis=0) for rows in near])
+        out[block] = total / np.array([np.linalg.norm(normals[rows], axis=1).sum() for rows in near])[:, None].clip(1e-300)
+    return out
 
 
 def _normals(vertices, faces):

@@ -207,7 +207,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"{len(kept)} of {len(files)} scans are fitted already and kept")
-    outputs.make_folder(out)
+    folders = outputs.make_folder(out)
     entries = dict(kept)
     progress = Progress(len(todo))
 
@@ -233,6 +233,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     if entries:
         facts = {"started": started, "stopped": stopped is not None, "model": model}
         write_summary(out, rig_path, rig, files, entries, values, **facts)
+    outputs.remove_empty(folders)
     if stopped is not None and not isinstance(stopped, KeyboardInterrupt):
         raise stopped
     say_doubtful([entries[f.name] for f in files if f.name in entries])

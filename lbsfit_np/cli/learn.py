@@ -135,7 +135,11 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     check_parameters(fitter)  # before a folder is made
     folders = outputs.make_folder(model.parent)
     if files:
-        folders = outputs.make_folder(values["results"]) + folders
+        try:
+            folders = outputs.make_folder(values["results"]) + folders
+        except FileError:
+            outputs.remove_empty(folders)
+            raise
     progress = LearningProgress(values["rounds"])
     reading = _Reading(scans, scan_options(values), len(rig.parts), progress, keep=bool(files))
     entries, written = {}, False

@@ -1,5 +1,6 @@
 """Reading NPZ and NPY files from anywhere: every way in which one can be broken becomes one clear error."""
 
+import os
 import struct
 import tokenize
 import zipfile
@@ -7,7 +8,7 @@ import zlib
 
 import numpy as np
 
-from ..errors import FileError
+from ..errors import FileError, InputError
 
 __all__ = ["npz_keys", "read_npy", "read_npz"]
 
@@ -92,6 +93,8 @@ def read_npy(path):
 
 
 def _opened(path):
+    if not isinstance(path, (str, os.PathLike)):
+        raise InputError("path", f"a {type(path).__name__}", "the path of an NPZ file")
     try:
         archive = np.load(path, allow_pickle=False)
     except FileNotFoundError:

@@ -142,6 +142,8 @@ def _found(path_or_name):
     """The path of a file, or of the bundled rig of that name."""
     if not isinstance(path_or_name, (str, os.PathLike)):
         raise InputError("path_or_name", type(path_or_name).__name__, "the path of a rig file, or the name of a bundled rig")
+    if not str(path_or_name):
+        raise InputError("path_or_name", "an empty text", "the path of a rig file, or the name of a bundled rig")
     path = Path(path_or_name)
     bundled = _bundled()
     if str(path_or_name) in bundled and not os.path.isfile(path):

@@ -278,6 +278,7 @@ class LBSFitter(BaseEstimator):
 
     def score(self, scans, subjects=None):
         """Minus the mean of √L_c over scans fitted with what was learned, in half sizes of the rig: higher is better; or NaN."""
+        self._check_learned()
         if not (scans := as_scans(scans)):
             raise InputError("scans", "none", "one or more scans")
         results = [r for r in self._fit_all(scans, subjects) if r is not None]

@@ -86,16 +86,18 @@ def check_segmenter(segmenter, rig):
 
 
 def learned_with(fitter):
-    """What a fitter's learned state belongs to, by the names of its parameters."""
-    return {"rig": fitter.rig.digest, "variant": fitter.variant, "joints": fitter.joints}
+    """What a fitter's learned state belongs to: the rig's digest, and whether there is skinning."""
+    return fitter.rig.digest, as_variant(fitter.variant).skinning
 
 
 def check_same(fitter, learned):
-    """Raise InputError where one of these parameters has changed since the fitter has learned."""
-    for name, now in learned_with(fitter).items():
-        if now != learned[name]:
-            got, expected = (fitter.rig.name, "the rig") if name == "rig" else (now, repr(learned[name]))
-            raise InputError(name, repr(got), f"{expected} that the fitter learned with", "Learn again with this one.")
+    """Raise InputError where one of these is another than when the fitter has learned."""
+    rig, skinning = learned_with(fitter)
+    if rig != learned[0]:
+        raise InputError("rig", f"{fitter.rig.name!r}", "the rig that the fitter learned with", "Learn again with this one.")
+    if skinning != learned[1]:
+        expected = f"one {'with' if learned[1] else 'without'} skinning, as the fitter learned with"
+        raise InputError("variant", repr(fitter.variant), expected, "Learn again with this one.")
 
 
 def fit_settings(fitter):

@@ -326,6 +326,8 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
     of_card = np.zeros(J, dtype=bool)
     for pattern, low, high in card.limits:
         rows = matching(pattern, names, f"{card.where}, [limits]")
+        if pattern in names and not moving[rows].any():
+            notes.append(f"{card.where}, [limits]: those of {pattern!r} have no effect, as that joint is locked or merged")
         lower[rows], upper[rows] = low, high
         of_card[rows] = True
     derived &= ~of_card

@@ -34,7 +34,7 @@ def card_text(rig):
         f"into_parent = {_list(n for n, on in zip(names, merged) if on)}",
         "",
         "[lock]",
-        "# Joints that keep their skin but never turn.",
+        "# Joints that keep their skin but never turn: limits below have no effect on them until they are taken out here.",
         f"joints = {_list(n for n, on in zip(names, locked) if on)}",
         "",
         "# [frames]",
@@ -145,8 +145,8 @@ def _limits_table(rig, names, parents, still):
     if derived:  # as lines of the card they would pass for what somebody has thought about
         lower, upper = np.round(lower, 3), np.round(upper, 3)
         lines += [
-            "# The file has none: these are derived from its animations, or defaults, and so they are as long as the # stands",
-            "# before them. Correct them, and remove the #.",
+            "# The file has none. These, derived from its animations or defaults, are in use until you give others: correct a",
+            "# line, and remove its #.",
         ]
     lines.append('unit = "rad"')
     for j, name in enumerate(names):

@@ -25,6 +25,8 @@ _TEST_EVERY = 4
 _ALIKE = 0.3
 # What the names of mirror images end with; they go with their originals.
 _MIRROR = " (mirrored)"
+# What joints are called that no hand has: bodies have thumbs, too.
+_OF_LEGS = ("hip", "thigh", "leg", "knee", "foot", "pelvis")
 
 
 @dataclass(frozen=True)
@@ -200,4 +202,6 @@ def kind_of(rig):
     """What a rig is of, by its joints' names: "body", "hand" or "other"; the last is treated as hands are."""
     if {"pelvis", "left_knee"} <= set(rig.joint_names):
         return "body"
-    return "hand" if any("thumb" in name.lower() for name in rig.joint_names) else "other"
+    names = [name.lower() for name in rig.joint_names]
+    legs = any(part in name for name in names for part in _OF_LEGS)
+    return "hand" if any("thumb" in name for name in names) and not legs else "other"

@@ -22,8 +22,8 @@ _OF_RIGS = {
     "partitions": (gallery.partitions, ()),
     "mixture": (charts.mixture, ()),
     "local-optimum": (charts.local_optimum, ()),
-    "ablation": (gallery.ablation, ("cd", "pose-only", "joint")),
-    "gallery": (gallery.gallery, ("free-form", "cd", "joint")),
+    "ablation": (gallery.ablation, ("cd", "rand", "pose-only", "joint")),
+    "gallery": (gallery.gallery, ("free-form-augmented", "cd", "joint")),
     "correspondence": (gallery.correspondence, ("joint",)),
 }
 # Training scans are made again only for their poses.

@@ -108,6 +108,8 @@ def _begun(before, size, rigs):
     """The report to go on with."""
     report = begun(before, {"benchmark": "study", "size": size, "scan": asdict(SCAN), "rigs": {}}, same=("size", "scan"))
     for name, entry in report["rigs"].items():
+        if "people" not in entry or any("jobs" not in cell for rows in entry["seeds"].values() for cell in rows.values()):
+            raise InputError("before", f"results of {name!r} by an earlier version", "results of this version", REMEDY)
         if name in rigs:
             now = _described(rigs[name], sized(rigs[name], size))
             if entry.get("size") != now["size"]:
@@ -150,7 +152,7 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
         started = time.perf_counter()
         found = ROWS[row].find(context)
         seconds = round(time.perf_counter() - started, 1)
-        entry = measured(truth, found.test) | {"seconds": seconds, "accuracy": found.accuracy, "gap": found.gap}
+        entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "accuracy": found.accuracy, "gap": found.gap}
         entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history, "commit": environment()["commit"]}
         if found.fitted_labels is not None:
             entry["fitted_labels"] = right(found.fitted_labels)
