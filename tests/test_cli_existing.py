@@ -403,3 +403,20 @@ def test_files_of_a_scan_appear_together_or_not_at_all(made, tmp_path, run, monk
     code, _, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, *QUICK)
     assert code == 1 and "one: failed: " in err and "No space left" in err
     assert [p.name for p in tmp_path.iterdir()] == ["summary.json"]
+
+
+@pytest.mark.parametrize("last", ["one.fit.npz", "one.mesh.ply"])
+def test_what_a_stop_leaves_while_files_get_their_names_is_made_anew(last, made, tmp_path, run, monkeypatch):
+    move = os.replace
+
+    def stopped(source, target):
+        move(source, target)
+        if Path(target).name == last:
+            raise KeyboardInterrupt
+
+    command = ["fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", *QUICK]
+    monkeypatch.setattr(os, "replace", stopped)
+    assert run(*command)[0] == 130
+    monkeypatch.setattr(os, "replace", move)
+    assert run(*command, "--existing", "skip")[0] == 0
+    assert sorted(path.name for path in (tmp_path / "out").glob("one.*")) == ["one.fit.npz", "one.labels.ply", "one.mesh.ply"]

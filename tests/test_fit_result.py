@@ -116,6 +116,7 @@ def test_repr_is_a_line(tube_result):
     m = len(tube_result.vertices)
     short = replace(tube_result, probability=0.98765, message="all is well")
     assert repr(short) == f"<FitResult: ok, probability 0.99, {m} vertices, 4 joints: all is well>"
+    assert repr(replace(short, message="a" * 80)).endswith(f": {'a' * 80}>")
     assert repr(replace(short, message="no " * 100)).endswith(f"{('no ' * 100)[:80]}…>")
 
 

@@ -1,11 +1,14 @@
 """Learning from a collection: fits of many scans together beat fits of each by itself."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from learning_runs import GIVEN, IDS, WHOLE, collected, loop_over, mean_gap
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.result import FitResult
+from lbsfit_np.learning.collection import odd_scale
 from lbsfit_np.learning.loop import Loop
 from lbsfit_np.losses import cotangent_matrix
 from lbsfit_np.rotations import matrix_from_rotvec
@@ -128,6 +131,24 @@ def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans)
         K = cotangent_matrix(tube_rig.vertices, tube_rig.faces)
         assert r.terms["laplacian"] == pytest.approx(np.sum((K @ (r.offsets / (tube_rig.size / 2))) ** 2))
         assert np.ptp(r.vertices, axis=0).max() == pytest.approx(250 * np.ptp(s.points, axis=0).max(), rel=0.15)
+
+
+def test_a_doubt_about_a_scan_stands_in_its_message(make_learner, few_scans, monkeypatch):
+    def doubt(self, scales):
+        self.collection.members[1].doubt = odd_scale(2.5)
+
+    monkeypatch.setattr(Loop, "_check_scales", doubt)
+    fitter = make_learner(variant="cd").fit([s.points for s in few_scans[:3]])
+    assert ["its first fit had 2.5 times the scale of the others" in r.message for r in fitter.results_] == [False, True, False]
+
+
+def test_figures_of_a_round_are_means_of_roots():
+    """Of √L_c, as the study's Recon is; not the root of a mean."""
+    losses = ((0.01, False), (0.09, False), (0.04, True), (0.16, True))
+    members = [SimpleNamespace(loss=loss, held_out=held) for loss, held in losses]
+    loop = SimpleNamespace(collection=SimpleNamespace(members=members), history=[], progress=lambda *a: None)
+    assert Loop._note(loop, 1, 0.0, {}) == pytest.approx(0.3)
+    assert (loop.history[0]["recon"], loop.history[0]["recon_held_out"]) == (pytest.approx(0.2), pytest.approx(0.3))
 
 
 def test_rounds_end_when_the_loss_on_scans_left_out_ends_falling(make_learner, few_scans, monkeypatch):

@@ -7,6 +7,7 @@ import pytest
 
 from lbsfit_np.bench.measure import recon
 from lbsfit_np.bench.study import rows as rows_module
+from lbsfit_np.bench.study import run as run_module
 from lbsfit_np.bench.study.data import SCAN, SIZES, Size, part_groups, sized, study_set
 from lbsfit_np.bench.study.free_form import FromTemplate, taught
 from lbsfit_np.bench.study.measures import Registrations, Truth, measured, template_gap
@@ -374,6 +375,17 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     assert {row for row, cell in cells.items() if cell["gap"]} == {"joint", "pose-only", "rand", "cd"}
     assert len({cells[row]["accuracy"][0] for row in ("joint", "pose-only", "rand")}) == 1  # the same pretraining
     assert len({cells[row]["accuracy"][1] for row in ("joint", "pose-only", "rand")}) == 3  # and different learning
+
+
+def test_the_steps_of_skinning_are_those_of_the_fits(tube_rig, tube_result):
+    """U^d with the offsets, V = M(Θ, U) without; nothing where there is no fit."""
+    r = tube_result
+    stages = rows_module._stages(tube_rig, [None, r])
+    assert np.isnan(stages["template"][0]).all() and np.isnan(stages["posed"][0]).all() and np.abs(r.offsets).max() > 1e-4
+    np.testing.assert_array_equal(stages["template"][1], tube_rig.vertices + r.offsets)
+    np.testing.assert_array_equal(stages["posed"][1], tube_rig.pose(r.pose, r.translation, r.scale))
+    found = Found(Registrations(np.zeros((2, 3, 3)), np.zeros((2, 1, 3))), stages=stages)
+    assert set(run_module._arrays(found)) == {"vertices", "joints", "template", "posed"}
 
 
 def test_rows_that_need_no_pretraining_do_none(tube_rig, monkeypatch):

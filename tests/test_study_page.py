@@ -248,6 +248,14 @@ def test_labels_have_an_order_too():
     assert f"{line} (the paper's order, joint before rand: missed)" in text
 
 
+def test_the_foot_names_machine_and_time():
+    report = _report(joint={"seconds": 90.0}, cd={"seconds": 30.0})
+    report["environment"] |= {"cpus": 2, "processor": "A Processor"}
+    assert "; 2 CPUs (A Processor); 2.0 min for all rows, with 2 processes. `results.json`" in page(report, {})
+    report["environment"]["processor"] = None
+    assert "; 2 CPUs; 2.0 min" in page(report, {})
+
+
 def test_pictures_stand_in_reading_order_whatever_order_they_come_in():
     captions = {name: f"Of {name}." for name in ("accuracy.png", "diagram.png", "triplet-hand.png", "triplet-body.png", "a.png")}
     found = re.findall(r"!\[(.*?)\]", page(_report(joint={}), captions))

@@ -37,13 +37,13 @@ def run_study(values):
         raise InputError("-o/--output", f"{folder}, which has another {_PAGE}", "a folder of the study's own", remedy)
     results = made_results(values)
     out, cells = results.parent, results.parent / _CELLS
-    make_folder(cells)
     resumed = values["existing"] == "resume" and results.exists()
     if values["figures"] and find_spec("matplotlib") is None:
         say(f"note: {MissingExtraError('matplotlib', 'viz', 'drawing the figures')}; without it, all but these is done")
     progress = _StudyProgress()
 
     def on_cell(report, name, seed, row, arrays):
+        make_folder(cells)
         write_npz(cells / f"{cell_name(name, seed, row)}.npz", **arrays)
         write_json(results, report)
         progress.cell(name, seed, row, report["rigs"][name]["seeds"][str(seed)][row])

@@ -79,7 +79,9 @@ _PROTOCOL = """\
   uniform within the limits.
 - People: changed shapes of the bundled rigs, a length and a thickness of ±12 % for each chain of joints (`bench/subjects.py`).
   Training changes each bone by itself, Gaussian by 8 %; a fit's proportions can lengthen bones as these people's are, but move no
-  skin along its normals, as thickness does. The people of the test are others than those learned from.
+  skin along its normals, as thickness does. The people of the test are others than those learned from, so that each of their
+  scans is fitted as somebody else's, on U with proportions of its own: templates that were learned show in the figures of the
+  training scans and in `lbsfit bench learn`, not in the tables.
 - Scans: {n_points} points, one or two missing areas, uneven density, noise of {noise:g}; they face the rig's way up to
   what the root joint may turn. Lengths are in half sizes of the rig, so that the template fills [−1, 1]³; the paper
   scales every shape to it.
@@ -95,7 +97,8 @@ _PROTOCOL = """\
 - The free-form rows play 3D-CODED's part: the template's vertices move under Chamfer and Laplacian, from the template,
   from the best of several synthetic scans that look alike ("augmented"), or from what a regressor says that was taught
   with true vertices ("supervised"). Taught by few scans, it knows these alone: compare its row with its figures on the
-  training scans.
+  training scans. 3D-CODED is a network that has seen thousands of shapes and so knows what bodies look like; here the first two
+  deform a resting template scan by scan, without any such knowledge, and do worse where limbs are far from rest.
 - Recon is compared with its value at the true mesh on the same scan, as √CD is not 0 there. Corre. carries points of
   scan A by their closest surface point on A's registration to B's, {points} points of each; "snapped" goes on to the
   nearest point of scan B, as the paper does.
