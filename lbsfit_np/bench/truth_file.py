@@ -78,7 +78,6 @@ def read_truth(path, folder, *, subject_column="subject", output=None):
     if not with_subject:
         notes.append(f"{path.name} has no column {subject_column}: all scans are taken to be of one subject")
     known = set() if output is None else {p.resolve() for p in made_files(Path(output))}
-    known.add(path.resolve())
     known |= {_registration(path, row).resolve() for rows in entries for _, row in rows if row.get("registration")}
     others = sum(p not in at and p.resolve() not in known for p in files)
     if others:

@@ -64,7 +64,7 @@ class Progress:
             return
         if entry["status"] in ("failed", "suspect"):
             self.line(text)
-            if self._bar is None:  # before the training: the bar starts after it
+            if self._bar is None:  # before the training, whose bar comes first
                 return
         if self._bar is None:
             self._bar = _bar(total=self.total, initial=self.done - 1, desc="scans", unit="scan")
