@@ -6,6 +6,7 @@ from lbsfit_np import synthesize
 from lbsfit_np.bench.pair_fits import Fits
 from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.io.write import write_mesh_ply
+from lbsfit_np.learning.parameters import learned_with
 
 WHO = ("ann", "ann", "bob", "bob")  # whose the scans of ``pair_scans`` are
 
@@ -102,7 +103,7 @@ def learning_is_given(patch, registrations):
         known = [s for s, vertices in zip(subjects, found) if vertices is not None]
         self.template_, self.unit_ = dict.fromkeys(known, self.rig), dict.fromkeys(known, 1.0)
         self.segmenter_ = self.regressor_ = None
-        self.history_, self._learned_with = [{"round": 0}], self.rig.digest
+        self.history_, self._learned_with = [{"round": 0}], learned_with(self)
         results = [v if v is None else result_of(self.rig, v, len(s.points)) for s, v in zip(scans, found)]
         self.results_ = self._signed(results)
         return self

@@ -164,7 +164,7 @@ def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
 
 def _as_learned(fitter, template, monkeypatch):
     """The fitter, as if it had learned one person's template."""
-    learned = {"template_": {"ann": template}, "unit_": {"ann": 1.0}, "history_": [], "_learned_with": template.digest}
+    learned = {"template_": {"ann": template}, "unit_": {"ann": 1.0}, "history_": [], "_learned_with": (template.digest, True)}
     for name, value in {**learned, "segmenter_": None, "regressor_": SimpleNamespace(digest="")}.items():
         setattr(fitter, name, value)
     monkeypatch.setattr("lbsfit_np.learning.fitter.model_digest", lambda *given, **named: "")
