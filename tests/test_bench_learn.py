@@ -1,6 +1,8 @@
 """The benchmark of learning: its scans, and its table."""
 
+import json
 import warnings
+from contextlib import suppress
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,6 +11,7 @@ from cli_runs import content_with_few_starts
 
 from lbsfit_np.bench.hand import hand_rig, natural_poses
 from lbsfit_np.bench.learn import _measured, _poses_digest, collection, learn_bench, learn_table, touching_pose
+from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
 
 
@@ -69,6 +72,8 @@ def test_the_table_has_a_row_a_variant():
     text = learn_table(report)
     assert "one by one" in text and "0.0500" in text
     assert "cd" in text and "0.0200" in text and "–" in text
+    swapped = report | {"rows": dict(reversed(report["rows"].items()))}  # as files have them: in the order of the alphabet
+    assert learn_table(swapped) == text
 
 
 def _rows(**rows):
@@ -142,10 +147,47 @@ def test_results_of_another_rig_or_other_poses_are_not_gone_on_with(shared_rigs,
         older = {key: value for key, value in report.items() if key != lacking}
         with pytest.raises(InputError, match=f"results of learn hand without '{lacking}'.*--existing replace"):
             learn_bench("hand", shared_rigs, before=older, **options)
+    with pytest.raises(InputError, match="results by an earlier version.*--existing replace"):
+        learn_bench("hand", shared_rigs, before=report | {"rows": {"before": {}}}, **options)
     with pytest.raises(InputError, match="without 'rows'"):
         learn_bench("hand", shared_rigs, before=report | {"rows": None}, **options)
     with pytest.raises(InputError, match="results of starts; expected results of learn hand"):
         learn_bench("hand", shared_rigs, before={"benchmark": "starts"}, **options)
+
+
+def test_the_command_keeps_each_row_and_goes_on(shared_rigs, quick, monkeypatch, tmp_path, capsys):
+    measured = {"joint_error": 0.1, "vertex_error": 0.2, "joint_error_median": 0.1, "template_gap": 0.05}
+    monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: measured)
+    command = ["bench", "learn", "hand", "--data", str(shared_rigs), "-o", str(tmp_path), "--scans", "3", "--jobs", "2"]
+
+    def rows():
+        return json.loads((tmp_path / "results.json").read_text())["rows"]
+
+    assert run([*command, "--seeds", "3", "--variants", "cd"]) == 0
+    assert "seed 3, cd: joints 0.1000, vertices 0.2000 half size" in capsys.readouterr().out
+    assert set(rows()) == {"one by one", "cd"} and rows()["cd"]["3"]["jobs"] == 2
+    seen = []
+
+    def stopped(self, *arguments, **options):
+        seen.append(rows())  # what is done is there already
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lbsfit_np.LBSFitter.fit", stopped)
+    with suppress(KeyboardInterrupt):
+        assert run([*command, "--seeds", "3,4", "--variants", "cd"]) == 130
+    assert set(seen[0]["one by one"]) == {"3", "4"} and set(seen[0]["cd"]) == {"3"} == set(rows()["cd"])
+
+
+def test_label_errors_are_noted_after_each_round(shared_rigs, quick, monkeypatch):
+    def fit(self, scans, subjects, on_round, **options):
+        for k, segmenter in ((1, None if self.variant == "cd" else "s"), (2, None if self.variant == "cd" else "s")):
+            on_round(k, segmenter)
+        vars(self).update({"history_": [{}, {}, {}], "results_": [], "template_": {}, "segmenter_": None})
+
+    monkeypatch.setattr("lbsfit_np.LBSFitter.fit", fit)
+    rows = learn_bench("hand", shared_rigs, n_scans=3, seeds=(3,), variants=("joint", "cd"))["rows"]
+    assert rows["joint"]["3"]["label_error_of_rounds"] == [0.2, 0.2] and rows["joint"]["3"]["rounds"] == 2
+    assert rows["cd"]["3"]["label_error_of_rounds"] == []
 
 
 def test_poses_are_others_when_any_of_their_files_is(tmp_path):

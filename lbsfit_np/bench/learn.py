@@ -7,6 +7,8 @@ segmenter's labels are judged.
 import hashlib
 import time
 from dataclasses import asdict
+from functools import partial
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -182,9 +184,7 @@ def learn_bench(
     """
     from sklearn.base import clone
 
-    from ..learning.batch import fit_scans
     from ..learning.fitter import LBSFitter
-    from ..learning.variants import as_variant
 
     seeds = [int(s) for s in seeds]
     if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
@@ -206,6 +206,8 @@ def learn_bench(
     if other:
         got = f"results with other {' and other '.join(other)} than there are now"
         raise InputError("before", got, "results of the same data and test people", REMEDY)
+    if not set(report["rows"]) <= {_BEFORE, *VARIANT_ROWS}:
+        raise InputError("before", "results by an earlier version", "results of this version", REMEDY)
     # All scans face the rig's way.
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
     fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress(None, None, "pretraining", p))
@@ -219,12 +221,8 @@ def learn_bench(
         points = [scan.points for scan in scans]
         before_it = report["rows"].setdefault(_BEFORE, {})
         if str(seed) not in before_it:
-            done = iter(range(1, len(points) + 1))
-            say = None
-            if progress is not None:
-                say = lambda _, s=seed, done=done: progress(_BEFORE, s, "fits", next(done) / n_scans)  # noqa: E731
             started = time.perf_counter()
-            results = [outcome.result for outcome in fit_scans(fitter, points, jobs=jobs, on_result=say)]
+            results = _one_by_one(fitter, points, jobs, None if progress is None else partial(progress, _BEFORE, seed))
             entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "commit": environment()["commit"]}
             entry |= _measured(rig, results, dict.fromkeys(subjects, rig), scans, subjects, unit)
             before_it[str(seed)] = entry | {"label_error": _wrong(first, others)}
@@ -233,15 +231,10 @@ def learn_bench(
         for variant in todo:
             one = clone(fitter).set_params(variant=variant)
             one._pretrained = pretrained
-            say = None
-            if progress is not None:
-                say = lambda stage, share, figures=None, v=variant, s=seed: progress(v, s, stage, share, figures)  # noqa: E731
+            say = None if progress is None else partial(progress, variant, seed)
             wrong = []
-            watch = None
-            if as_variant(variant).labels:
-                watch = lambda k, segmenter, of=others, to=wrong: to.append(_wrong(segmenter, of))  # noqa: E731
             started = time.perf_counter()
-            one.fit(points, subjects, progress=say, on_round=watch)
+            one.fit(points, subjects, progress=say, on_round=partial(_note_wrong, wrong, others))
             entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "commit": environment()["commit"]}
             entry |= _measured(rig, one.results_, one.template_, scans, subjects, unit)
             entry |= {"rounds": max(0, len(one.history_) - 1), "history": one.history_, "label_error_of_rounds": wrong}
@@ -253,6 +246,15 @@ def learn_bench(
     ran = {s for row in report["rows"].values() for s in row}
     report["complete"] = all(set(row) == ran for row in report["rows"].values())
     return report
+
+
+def _one_by_one(fitter, points, jobs, progress):
+    """The results of scans that are fitted by themselves; None where one cannot be."""
+    from ..learning.batch import fit_scans
+
+    done = count(1)
+    tell = None if progress is None else lambda outcome: progress("fits", next(done) / len(points))
+    return [outcome.result for outcome in fit_scans(fitter, points, jobs=jobs, on_result=tell)]
 
 
 def _poses_digest(name, data):
@@ -291,6 +293,12 @@ def _gap(templates, scans, subjects):
     return float(np.mean(away))
 
 
+def _note_wrong(errors, scans, k, segmenter):
+    """Add the label errors after round k to the list; variants without labels have none."""
+    if segmenter is not None:
+        errors.append(_wrong(segmenter, scans))
+
+
 def _wrong(segmenter, scans):
     """Share of the points with a wrong label."""
     return float(np.mean([1.0 - label_accuracy(segmenter.predict(scan.points), scan.labels) for scan in scans]))
@@ -303,7 +311,7 @@ def learn_table(report, *, markdown=False):
     """
     from .table import layout
 
-    rows = report["rows"]
+    rows = {row: report["rows"][row] for row in (_BEFORE, *VARIANT_ROWS) if row in report["rows"]}
     every = list(dict.fromkeys(seed for seeds in rows.values() for seed in seeds))
     seeds = [seed for seed in every if all(seed in of for of in rows.values())]
     lines, columns, few = [("", *MEASURES.values())], [], {}
