@@ -1,5 +1,6 @@
 """The paper's study: its scans, its measures, rows that are cheap, its page, and that a run goes on where it stopped."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -344,6 +345,28 @@ def test_the_command_says_what_is_missing_and_what_goes_on(quick, tmp_path, monk
     assert run(["bench", "study", "--rig", "hand-coarse", "--rows", "joint", "-o", str(tmp_path)]) == 130
     text = capsys.readouterr().out
     assert "'lbsfit_np[viz]'" in text and "h, seed 300, joint: 50%" in text and "the same command goes on" in text
+
+
+def test_the_command_keeps_each_row_as_soon_as_it_is_there(rig, quick, monkeypatch, tmp_path):
+    """Seeds and processes are as asked; what is done when it stops is there, and is not done again."""
+    asked = []
+    cells = run_module._cells
+
+    def stopping(name, rig, size, seed, rows, jobs, progress):
+        asked.append((seed, rows, jobs))
+        for made in cells(name, rig, size, seed, rows, jobs, progress):
+            yield made
+            if len(asked) == 1:
+                raise KeyboardInterrupt
+
+    monkeypatch.setattr(run_module, "_cells", stopping)
+    command = ["bench", "study", "--rig", "hand-coarse", "--rows", "cd,joint", "--seeds", "5,6", "--jobs", "2", "--no-figures"]
+    assert run([*command, "-o", str(tmp_path)]) == 130
+    kept = json.loads((tmp_path / "results.json").read_text())["rigs"]["hand-coarse"]["seeds"]
+    assert {seed: set(rows) for seed, rows in kept.items()} == {"5": {"cd"}} and kept["5"]["cd"]["jobs"] == 2
+    assert [path.name for path in (tmp_path / "cells").iterdir()] == ["hand-coarse-5-cd.npz"]
+    assert run([*command, "-o", str(tmp_path)]) in (0, 1)
+    assert asked == [(5, ["cd", "joint"], 2), (5, ["joint"], 2), (6, ["cd", "joint"], 2)]
 
 
 def test_one_fit_has_no_correspondences(rig, quick, monkeypatch, tmp_path):
