@@ -3,13 +3,14 @@
 import json
 import warnings
 from contextlib import suppress
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cli_runs import content_with_few_starts
 
-from lbsfit_np.bench.hand import hand_rig, natural_poses
+from lbsfit_np.bench.hand import SCAN, hand_rig, natural_poses
 from lbsfit_np.bench.learn import _measured, _poses_digest, collection, learn_bench, learn_table, touching_pose
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
@@ -30,8 +31,14 @@ def test_touching_poses_bring_two_fingertips_together(shared_rigs):
     assert np.all(theta >= rig.lower - 1e-12) and np.all(theta <= rig.upper + 1e-12)
 
 
+def _nothing_learned(fitter, *a, **k):
+    fitter.results_ = fitter.template_ = fitter.segmenter_ = None
+    fitter.history_ = []
+
+
 def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
     content_with_few_starts(monkeypatch)
+    monkeypatch.setattr("lbsfit_np.bench.hand.SCAN", replace(SCAN, n_points=800))
     rows = []
     options = {"n_scans": 6, "seeds": (3,), "variants": ("cd", "free-form"), "training_scans": 40}
     report = learn_bench("hand", shared_rigs, on_row=lambda report, variant, seed: rows.append((variant, seed)), **options)
@@ -45,6 +52,8 @@ def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
     assert report["rows"]["free-form"]["3"]["rounds"] == 0
     # The same once more has nothing to do, and more does the rest.
     monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"unfitted": 7})
+    monkeypatch.setattr("lbsfit_np.bench.learn._one_by_one", lambda *a: None)
+    monkeypatch.setattr("lbsfit_np.learning.fitter.LBSFitter.fit", _nothing_learned)
     again = learn_bench("hand", shared_rigs, before=report, **options)
     assert again["rows"] == report["rows"] and len(rows) == 3
     more = learn_bench("hand", shared_rigs, before=report, **options | {"variants": ("free-form", "cd"), "seeds": (3, 4)})
