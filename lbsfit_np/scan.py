@@ -156,7 +156,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         array = array[~bad]
         dropped = f" after {count} with a coordinate that is NaN or infinite were left out"
     if len(array) < max(minimum, 1):
-        expected = f"at least {max(minimum, 1)} points"
+        expected = f"at least {max(minimum, 1)} point{'' if minimum <= 1 else 's'}"
         raise InputError(argument, f"{len(array)} points{dropped}", expected, "A denser scan is needed.")
     if len(array) > 1 and (array == array[0]).all():
         raise InputError(

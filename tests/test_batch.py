@@ -112,6 +112,13 @@ def test_jobs_that_cannot_be(quick_fitter, clouds, jobs):
         fit_scans(quick_fitter, clouds, jobs=jobs)
 
 
+@pytest.mark.parametrize("name", ["finish", "on_result", "pretrain"])
+def test_what_is_called_late_has_to_be_a_function(quick_fitter, clouds, name, monkeypatch):
+    monkeypatch.setattr(type(quick_fitter), "fit_scan", None)  # before any work
+    with pytest.raises(InputError, match=f"{name}: got 'x'; expected a function, or None"):
+        fit_scans(quick_fitter, clouds, **{name: "x"})
+
+
 @pytest.mark.parametrize("parameters", [{"weights": "foo"}, {"scale": "big"}, {"max_points": 0}])
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_parameters_of_the_fitter_that_cannot_be(quick_fitter, clouds, parameters, jobs):

@@ -58,6 +58,9 @@ def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
     assert again["rows"] == report["rows"] and len(rows) == 3
     more = learn_bench("hand", shared_rigs, before=report, **options | {"variants": ("free-form", "cd"), "seeds": (3, 4)})
     assert more["rows"]["cd"]["3"] == entry and [more["rows"][v]["4"]["unfitted"] for v in ("cd", "free-form")] == [7, 7]
+    monkeypatch.setattr("lbsfit_np.bench.learn._one_by_one", None)  # that of seed 3 is there
+    wider = learn_bench("hand", shared_rigs, before=report, **options | {"variants": ("rand",)})
+    assert wider["rows"]["one by one"]["3"] == single and wider["rows"]["rand"]["3"]["unfitted"] == 7
     with pytest.raises(InputError, match="before: got results with n_scans 6; expected n_scans 9"):
         learn_bench("hand", shared_rigs, before=report, **options | {"n_scans": 9})
 
@@ -114,6 +117,21 @@ def test_a_seed_in_which_nothing_was_fitted_counts_for_no_row_of_that_column(not
     assert "joints: without seed 101, of which a row has no value." in text
     text = learn_table(_rows(joint={100: 0.03}, cd={100: nothing}), markdown=True)
     assert [_cell(text, row, "joints") for row in ("joint", "cd")] == ["0.0300", "–"] and "without" not in text
+
+
+def test_label_errors_are_compared_after_as_many_rounds():
+    report = _rows(joint={100: 0.03, 101: 0.03}, rand={100: 0.03, 101: 0.03}, cd={100: 0.03, 101: 0.03})
+    for row, errors in {"joint": ([0.2, 0.1], [0.4, 0.3, 0.2]), "rand": ([0.3, 0.2], [0.5, 0.4]), "cd": ([], [])}.items():
+        for seed, of in zip(("100", "101"), errors):
+            history = [{"round": k, "kept": k == len(of) - 1} for k in range(len(of) + 1)]
+            report["rows"][row][seed] |= {"label_error_of_rounds": of, "history": history}
+    lines = learn_table(report).splitlines()
+    assert lines[-4:] == [
+        "Label errors after round 1 of all: joint 0.3000, rand 0.4000.",
+        "Label errors after round 2 of all: joint 0.2000, rand 0.3000.",
+        "Rounds kept by joint: 1, 2.",
+        "Rounds kept by rand: 1, 1.",
+    ]
 
 
 def test_where_nothing_could_be_fitted_there_is_no_error(shared_rigs):

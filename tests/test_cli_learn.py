@@ -45,7 +45,8 @@ def test_templates_are_the_subjects_own(learned_hands):
 def test_what_it_says_meanwhile(learned_hands):
     _, _, text, err, _ = learned_hands
     assert len(err.splitlines()) == 1 and err.startswith("broken: failed: ") and "expected" in err
-    assert re.search(r"each scan by itself: recon 0\.\d+ on the scans learned from, 0\.\d+ on those held out; took \d+ s", text)
+    said = r"each scan by itself, with proportions of its own: recon 0\.\d+ on the scans learned from, 0\.\d+ on those held out; "
+    assert re.search(said + r"took \d+ s", text)
     line = r"round 1 of at most 1: recon 0\.\d+ on the scans .* held out; a new start won for \d scans?; took \d+ s\n"
     assert re.search(line, text)
     for stage in ("training the segmenter", "fitting each scan by itself", "round 1 of at most 1: poses of scans", "results"):
@@ -125,6 +126,17 @@ def test_the_unit_of_the_scans_is_told(unit, options, words, tubes, tmp_path, ru
     scans = sorted(tmp_path.glob("*.npy"))
     _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form", *options)
     assert re.search(words, text)
+
+
+def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, run):
+    scans, out = sorted(tubes.glob("*.ply")), tmp_path / "m.npz"
+    options = ("--variant", "free-form", "--rounds", 3, "--orientation", "any", "--seed", 5)
+    _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", out, *options)
+    assert "in the variant free-form --orientation, --rounds mean nothing; scans have to face the rig's way" in text
+    _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "n.npz", "--variant", "free-form", "--held-out", 0)
+    assert "in the variant free-form --held-out means nothing" in text
+    _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "o.npz", "--variant", "free-form")
+    assert "mean nothing" not in text and "means nothing" not in text
 
 
 def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):

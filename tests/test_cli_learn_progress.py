@@ -38,7 +38,8 @@ def test_rounds_with_the_time_left(terminal, capsys):
     out, err = capsys.readouterr()
     shown = err if terminal else out
     assert ("no points" in out, "one: failed: no points" in err) == (False, True)
-    assert "each scan by itself: recon 0.0200 on the scans learned from, 0.0300 on those held out; took 60 s\n" in shown
+    alone = "each scan by itself, with proportions of its own"
+    assert f"{alone}: recon 0.0200 on the scans learned from, 0.0300 on those held out; took 60 s\n" in shown
     assert "; a new start won for 1 scan; took 60 s; at most about 3 min left\n" in shown  # three rounds like the first
     assert "; a new start won for 2 scans; took 3 min; at most about 4 min left\n" in shown  # two of 120 s
     if terminal:

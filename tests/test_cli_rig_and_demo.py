@@ -30,6 +30,7 @@ def test_rig_card(made, tmp_path, run):
     for name, words in (("tube.card.toml", f"it is used with {rig} by itself"), ("a.toml", f"pass it with --card {tmp_path}")):
         code, text, _ = run("rig", "card", rig, "-o", tmp_path / name)
         assert code == 0 and words in text
+        assert ("note: it says what tube.npz is without tube.card.toml, which was not read" in text) == (name == "a.toml")
     assert "tube.card.toml beside the file was used" in run("rig", "show", rig)[1]
     code, _, err = run("rig", "card", rig, "-o", rig, "--existing", "replace")
     assert code == 2 and "which is the rig itself" in one_line(err) and rig.read_bytes() == (made / "tube.npz").read_bytes()

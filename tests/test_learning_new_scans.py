@@ -11,8 +11,10 @@ from learning_runs import NAN, SMALL, mean_gap
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.confidence import SOMEBODY_ELSE
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Found
+from lbsfit_np.fitting.template_fit import TemplateFit
 from lbsfit_np.learning import finish
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
@@ -43,8 +45,19 @@ def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_p
     found = [learned_people.fit_scan(s.points) for s in scans]
     assert all("somebody else than the people learned from" in r.message for r in found)
     named = [learned_people.fit_scan(s.points, subject="ann") for s in scans]
-    assert not any("somebody" in r.message for r in named)
+    assert all("of somebody else than this template?" in r.message and r.status != "ok" for r in named)
     assert mean_gap(tube_rig, found, scans, "vertices") < 0.8 * mean_gap(tube_rig, named, scans, "vertices")
+
+
+def test_several_people_that_pass_for_one_are_noticed(tube_rig, make_learner, learned_people, people_scans):
+    """Their joints are worse than with subjects; the results say that they are doubtful, and a warning says what to do."""
+    scans = [s.points for s in people_scans[:10]]
+    with pytest.warns(UserWarning, match=r"of 10 scans are explained much better by .* of several people\? Say whose"):
+        mixed = make_learner().fit(scans)
+    odd = [r.evidence["proportions"] > SOMEBODY_ELSE for r in mixed.results_]
+    assert sum(odd) > 1
+    assert all(r.probability <= 0.25 and "of somebody else" in r.message for r, is_odd in zip(mixed.results_, odd) if is_odd)
+    assert not any(r.evidence["proportions"] > SOMEBODY_ELSE for r in learned_people.results_ if r is not None)
 
 
 def _seen(rig, scan):
@@ -59,8 +72,8 @@ def test_somebody_else_is_told_by_proportions(tube_rig, whose, somebody_else):
     slimmer = tube_rig.vertices * [0.7, 1.0, 0.7], tube_rig.joints
     templates = [(tube_rig.vertices, tube_rig.joints) if whose == "own" else slimmer]
     for scan in lbs.synthesize(tube_rig, 2, templates=templates, random_state=3, n_points=400):
-        model, found = Model(tube_rig), _seen(tube_rig, scan)
-        assert finish._is_somebody_else(model, found, FitSettings()) == somebody_else
+        fit, found = TemplateFit(tube_rig, Model(tube_rig), FitSettings()), _seen(tube_rig, scan)
+        assert (fit.proportions(found.problem, found.state) > SOMEBODY_ELSE) == somebody_else
 
 
 @dataclass(frozen=True)
@@ -88,7 +101,7 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
     by_itself = SimpleNamespace(scout=look, fit=lambda points, found, **given: _Alone("by itself", found))
     monkeypatch.setattr(finish, "scan_fit", lambda *made_of: by_itself)
     monkeypatch.setattr(finish, "_scouted", lambda fitter, subject, x, a, settings: look(x, a))
-    monkeypatch.setattr(finish, "_is_somebody_else", lambda *known: somebody_else)
+    monkeypatch.setattr(TemplateFit, "proportions", lambda *known: 0.21 if somebody_else else 0.19)
     r = finish.fit_new(fitter, scan.points, list(people), None, None, None)
     assert len(looks) == 1
     if somebody_else:  # what was seen is not looked for again
@@ -123,7 +136,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
 
     monkeypatch.setattr(finish, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a: seen))
     monkeypatch.setattr(finish, "_on_template", on_template)
-    monkeypatch.setattr(finish, "_template_fit", lambda *made_of: SimpleNamespace(model=Model(tube_rig), finish=finish_fit))
+    monkeypatch.setattr(finish, "_template_fit", lambda *made_of: SimpleNamespace(proportions=lambda *of: 0.0, finish=finish_fit))
     assert finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False) == "the result"
     assert f"on the template of subject {better!r}" in told["note"]
     assert told["value"] == {"ann": ann, "bob": bob}[better][0]
@@ -138,7 +151,7 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     for look in ("_scouted", "_given"):
         monkeypatch.setattr(finish, look, lambda *known: _seen(tube_rig, scan))
     monkeypatch.setattr(finish, "stands_words", lambda *known: "the scan stands along +z")
-    fit = SimpleNamespace(model=Model(tube_rig), finish=lambda problem, state, note, **place: note)
+    fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=lambda problem, state, note, **place: note)
     monkeypatch.setattr(finish, "_template_fit", lambda *made_of: fit)
     note = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
     assert "on the template of subject 'ann'" in note and ("stands along" in note) != given

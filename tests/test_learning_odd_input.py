@@ -184,6 +184,8 @@ def test_ids_without_the_order_of_the_scans(ids, learned, clouds):
         learned.transform(clouds, ids)
     with pytest.raises(InputError, match=r"scans: got a dict; expected a sequence of scans. Pass list\(scans.values"):
         learned.transform(dict(enumerate(clouds)))
+    with pytest.raises(InputError, match="scans: got a set; .* a set has no order"):
+        learned.transform({lambda: clouds[0], lambda: clouds[1]})
 
 
 def test_a_callable_that_raises_costs_its_scan_alone(learned, clouds):

@@ -8,6 +8,7 @@ import pytest
 import lbsfit_np
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.io import rigs
+from lbsfit_np.io.npz import read_npz
 from lbsfit_np.io.rigs import bundled_rigs, load_rig, read_rig_data, rig_for_card
 from lbsfit_np.rig.card import write_card
 from lbsfit_np.rig.data import RigData
@@ -60,6 +61,13 @@ def test_wrong_kinds_of_files(tmp_path):
         load_rig(tmp_path)
     with pytest.raises(InputError, match="path_or_name: got int"):
         load_rig(3)
+    with pytest.raises(InputError, match="path_or_name: got an empty text"):
+        load_rig("")
+    (tmp_path / "scan.ply").write_text("x")
+    with pytest.raises(FileError, match=r"'\.ply'.*glTF.*If this is a scan: the rig comes before the scans"):
+        load_rig(tmp_path / "scan.ply")
+    with pytest.raises(InputError, match="path: got a int; expected the path of an NPZ file"):
+        read_npz(3)
     np.savez(tmp_path / "cloud.npz", points=np.zeros((4, 3)))
     with pytest.raises(FileError, match="an NPZ with points; expected a rig.*lbsfit_np_rig.*v_template.*verts"):
         load_rig(tmp_path / "cloud.npz")

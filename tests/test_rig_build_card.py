@@ -79,6 +79,8 @@ def test_limits_of_a_joint_that_stays_still_are_noted():
     notes = [note for note in build_rig(make_tube_data(), card).notes if "no effect" in note]
     assert notes == ["card a.toml, [limits]: those of 'long' have no effect, as that joint is locked or merged"]
     assert not any("no effect" in note for note in build_rig(make_tube_data(), replace(card, lock=())).notes)
+    globs = replace(card, limits=(("lon*", (-1, 0, 0), (1, 0, 0)),))  # which mean no joint in particular
+    assert not any("no effect" in note for note in build_rig(make_tube_data(), globs).notes)
 
 
 @pytest.mark.parametrize("field", ["merge", "lock"])

@@ -251,9 +251,11 @@ def test_the_size_has_to_be_the_same(rig, quick, monkeypatch):
         study({"h": rig}, rows=("joint",), seeds=[1], before=report)
 
 
-def test_results_of_an_earlier_version_are_refused_whichever_rigs_are_run(rig, quick):
+@pytest.mark.parametrize("lacking", ["people", "jobs"])
+def test_results_of_an_earlier_version_are_refused_whichever_rigs_are_run(rig, quick, lacking):
     report = study({"h": rig, "other": rig}, rows=("joint",), seeds=[1])
-    del report["rigs"]["other"]["people"]
+    entry = report["rigs"]["other"]
+    del (entry if lacking == "people" else entry["seeds"]["1"]["joint"])[lacking]
     with pytest.raises(InputError, match="results of 'other' by an earlier version.*--existing replace"):
         study({"h": rig}, rows=("joint",), seeds=[1], before=report)
 
@@ -368,6 +370,13 @@ def test_the_command_keeps_each_row_as_soon_as_it_is_there(rig, quick, monkeypat
     assert [path.name for path in (tmp_path / "cells").iterdir()] == ["hand-coarse-5-cd.npz"]
     assert run([*command, "-o", str(tmp_path)]) in (0, 1)
     assert asked == [(5, ["cd", "joint"], 2), (5, ["joint"], 2), (6, ["cd", "joint"], 2)]
+
+
+def test_a_folder_that_cannot_be_made_is_told_before_any_work(quick, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("lbsfit_np.bench.study.run.study", None)
+    (tmp_path / "cells").write_text("not a folder")
+    assert run(["bench", "study", "--rig", "hand-coarse", "--rows", "joint", "-o", str(tmp_path)]) == 2
+    assert "cells: got a folder that cannot be made" in capsys.readouterr().err
 
 
 def test_one_fit_has_no_correspondences(rig, quick, monkeypatch, tmp_path):

@@ -110,7 +110,7 @@ def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypat
     [
         (("pelvis", "left_knee", "left_thumb1"), "body"),
         (("wrist", "Thumb_1", "index_1"), "hand"),
-        (("Hips", "LeftUpLeg", "LeftHandThumb1"), "other"),  # a body with other names than the bundled ones
+        *(((leg, "LeftHandThumb1"), "other") for leg in ("Hips", "LeftUpLeg", "thigh.L", "KneeLeft", "R_Foot", "Pelvis")),
         (("root", "tail"), "other"),
     ],
 )

@@ -115,6 +115,11 @@ def test_figures_whose_rows_are_missing_are_left_out(viz, rig, report, cells, tm
     partly = {"rigs": {NAME: report["rigs"][NAME] | {"seeds": {str(SEED): {"joint": rows["joint"]}}}}}
     captions = draw(partly, cells.get, tmp_path / "joint", rigs={NAME: rig})
     assert list(captions) == [*ALWAYS, f"correspondence-{NAME}.png"]
+    for lacking, kept in (("free-form-augmented", "ablation"), ("rand", "gallery")):
+        seeds = {str(SEED): {row: cell for row, cell in rows.items() if row != lacking}}
+        partly = {"rigs": {NAME: report["rigs"][NAME] | {"seeds": seeds}}}
+        captions = draw(partly, cells.get, tmp_path / lacking, rigs={NAME: rig})
+        assert [name for name in captions if name.startswith(("ablation", "gallery"))] == [f"{kept}-{NAME}.png"]
     assert list(draw(report, cells.get, tmp_path / "no rig", rigs={})) == ["diagram.png", "accuracy.png"]
     begun = {"rigs": {NAME: report["rigs"][NAME] | {"seeds": {}}}}
     assert list(draw(begun, cells.get, tmp_path / "begun", rigs={NAME: rig})) == ["diagram.png"]

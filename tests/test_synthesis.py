@@ -366,6 +366,7 @@ def test_samples_are_uniform_by_area_and_on_their_triangles(tube_rig):
         ({"poses": np.zeros((4, 3))}, ["poses: got shape (4, 3)", "(k, 4, 3)"]),
         ({"poses": np.zeros((0, 4, 3))}, ["poses: got shape (0, 4, 3)", "k ≥ 1"]),
         ({"poses": np.full((1, 4, 3), np.nan)}, ["poses", "12 values", "NaN"]),
+        ({"templates": np.zeros((1, 2, 242, 3))}, ["templates: got a ndarray", "a list of pairs"]),
         ({"templates": []}, ["templates: got none", "one or more pairs"]),
         ({"templates": [np.zeros((242, 3))]}, ["templates[0]: got ndarray", "pair"]),
         ({"templates": [(np.zeros((242, 3)), np.zeros((5, 3)))]}, ["templates[0][1]: got shape (5, 3)", "(4, 3)"]),

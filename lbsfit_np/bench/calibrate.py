@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
-from ..fitting.confidence import EVIDENCE, logarithms
+from ..fitting.confidence import REGRESSED, logarithms
 from ..fitting.scout import EFFORTS, Effort
 from ..io.rigs import load_rig
 from ..rig.rig import Rig
@@ -46,7 +46,7 @@ def calibrate(names=RIGS, *, n_scans=12, seed=7, training_scans=4000, on_case=No
     -------
     intercept : float
     weights : tuple of float
-        One for each of ``fitting.confidence.EVIDENCE``.
+        One for each of ``fitting.confidence.REGRESSED``.
     """
     rigs = [load_rig(name) for name in names]
     entries = []
@@ -180,7 +180,7 @@ def regression(evidence, right):
     """
     from scipy.optimize import minimize
 
-    X = np.array([logarithms(e) for e in evidence]).reshape(-1, len(EVIDENCE))
+    X = np.array([logarithms(e) for e in evidence]).reshape(-1, len(REGRESSED))
     y = np.array(right, dtype=float)
     if not 0 < y.sum() < len(y):
         raise InputError("right", f"{len(y)} fits, {int(y.sum())} of them right", "right and wrong fits")
@@ -192,6 +192,6 @@ def regression(evidence, right):
         gradient = np.r_[slope.mean(), X.T @ slope / len(y) + 2 * _RIDGE * w[1:]]
         return value / len(y) + _RIDGE * w[1:] @ w[1:], gradient
 
-    bounds = [(None, None)] + [(None, 0.0)] * len(EVIDENCE)
-    w = minimize(loss, np.zeros(len(EVIDENCE) + 1), jac=True, method="L-BFGS-B", bounds=bounds).x
+    bounds = [(None, None)] + [(None, 0.0)] * len(REGRESSED)
+    w = minimize(loss, np.zeros(len(REGRESSED) + 1), jac=True, method="L-BFGS-B", bounds=bounds).x
     return float(w[0]), tuple(map(float, w[1:]))

@@ -30,7 +30,7 @@ COLLECTIONS = ("hand", "body")
 N_SUBJECTS = 3
 VARIANT_ROWS = ("joint", "pose-only", "rand", "cd", "free-form")
 # The row without learning: what is pretrained, and the rig's own template with proportions of each scan's own.
-_BEFORE = "one by one"
+_ONE_BY_ONE = "one by one"
 MEASURES = {
     "joint_error": "joints",
     "joint_error_median": "median",
@@ -206,7 +206,7 @@ def learn_bench(
     if other:
         got = f"results with other {' and other '.join(other)} than there are now"
         raise InputError("before", got, "results of the same data and test people", REMEDY)
-    if not set(report["rows"]) <= {_BEFORE, *VARIANT_ROWS}:
+    if not set(report["rows"]) <= {_ONE_BY_ONE, *VARIANT_ROWS}:
         raise InputError("before", "results by an earlier version", "results of this version", REMEDY)
     # All scans face the rig's way.
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
@@ -219,15 +219,15 @@ def learn_bench(
             continue
         _, scans, subjects, others = collection(name, data, n_scans, seed=seed)
         points = [scan.points for scan in scans]
-        before_it = report["rows"].setdefault(_BEFORE, {})
-        if str(seed) not in before_it:
+        singles = report["rows"].setdefault(_ONE_BY_ONE, {})
+        if str(seed) not in singles:
             started = time.perf_counter()
-            results = _one_by_one(fitter, points, jobs, None if progress is None else partial(progress, _BEFORE, seed))
+            results = _one_by_one(fitter, points, jobs, None if progress is None else partial(progress, _ONE_BY_ONE, seed))
             entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "commit": environment()["commit"]}
             entry |= _measured(rig, results, dict.fromkeys(subjects, rig), scans, subjects, unit)
-            before_it[str(seed)] = entry | {"label_error": _wrong(first, others)}
+            singles[str(seed)] = entry | {"label_error": _wrong(first, others)}
             if on_row is not None:
-                on_row(report, _BEFORE, seed)
+                on_row(report, _ONE_BY_ONE, seed)
         for variant in todo:
             one = clone(fitter).set_params(variant=variant)
             one._pretrained = pretrained
@@ -311,7 +311,7 @@ def learn_table(report, *, markdown=False):
     """
     from .table import layout
 
-    rows = {row: report["rows"][row] for row in (_BEFORE, *VARIANT_ROWS) if row in report["rows"]}
+    rows = {row: report["rows"][row] for row in (_ONE_BY_ONE, *VARIANT_ROWS) if row in report["rows"]}
     every = list(dict.fromkeys(seed for seeds in rows.values() for seed in seeds))
     seeds = [seed for seed in every if all(seed in of for of in rows.values())]
     lines, columns, few = [("", *MEASURES.values())], [], {}
@@ -337,7 +337,21 @@ def learn_table(report, *, markdown=False):
             legend += f"\nSeed {seed} is left out: there is no {', no '.join(lacking)} of it."
     for without, heads in few.items():
         legend += f"\n{', '.join(heads)}: {without}, of which a row has no value."
-    return f"{layout(lines, markdown=markdown)}\n\n{legend}"
+    return f"{layout(lines, markdown=markdown)}\n\n{legend}{_of_rounds(rows, seeds)}"
+
+
+def _of_rounds(rows, seeds):
+    """Label errors after as many rounds, and so as many training scans, for all; and which round each seed kept."""
+    told = {row: [of[s].get("label_error_of_rounds") or [] for s in seeds] for row, of in rows.items()}
+    told = {row: errors for row, errors in told.items() if errors and all(errors)}
+    lines = []
+    for k in range(min((len(e) for errors in told.values() for e in errors), default=0)):
+        means = ", ".join(f"{row} {np.mean([e[k] for e in errors]):.4f}" for row, errors in told.items())
+        lines.append(f"Label errors after round {k + 1} of all: {means}.")
+    for row in told:
+        kept = [entry["round"] for s in seeds for entry in rows[row][s].get("history", ()) if entry.get("kept")]
+        lines += [f"Rounds kept by {row}: {', '.join(map(str, kept))}."] if kept else []
+    return "".join(f"\n{line}" for line in lines)
 
 
 def _is_known(value):

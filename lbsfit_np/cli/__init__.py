@@ -22,7 +22,7 @@ examples:
   lbsfit learn hand scans/*.ply -o m.npz     learn from a collection of scans, for better fits
   lbsfit rig show hand.glb                   what is in a rig
 
-exit codes: 0 all done, 1 some scans failed, 2 usage or unreadable rig, 130 stopped by Ctrl-C
+exit codes: 0 all done, 1 some scans failed, 2 usage or unreadable rig, 130 stopped by Ctrl-C, 143 by SIGTERM
 """
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from ..errors import InputError, MissingExtraError
 from .bench_runs import RESULTS, failures_code, made_results, numbers, read_results
 from .models import say_model_as_rig
-from .outputs import make_folder
+from .outputs import make_folder, remove_empty
 from .progress import SILENCE, Progress, percentage_bar, say, span
 from .stopping import terminable
 
@@ -41,9 +41,9 @@ def run_study(values):
     if values["figures"] and find_spec("matplotlib") is None:
         say(f"note: {MissingExtraError('matplotlib', 'viz', 'drawing the figures')}; without it, all but these is done")
     progress = _StudyProgress()
+    made = make_folder(cells)  # before any work, as it may be impossible
 
     def on_cell(report, name, seed, row, arrays):
-        make_folder(cells)
         write_npz(cells / f"{cell_name(name, seed, row)}.npz", **arrays)
         write_json(results, report)
         progress.cell(name, seed, row, report["rigs"][name]["seeds"][str(seed)][row])
@@ -67,6 +67,7 @@ def run_study(values):
         raise
     finally:
         progress.close()
+        remove_empty(made)
     write_json(results, report)
     report = read_results(results)  # the page is of what is written, in its order
     written = _write_page(report, rigs, out, pictures=values["figures"])

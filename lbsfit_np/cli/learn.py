@@ -29,6 +29,9 @@ _SHARED = (
     *("training-scans", "training", "seed", "jobs"),
 )
 
+# What means nothing without skinning.
+_OF_SKINNING = "orientation partial effort joints training-scans training rounds held-out sequence smooth".split()
+
 OPTIONS = (
     Option("output", "the model to write, NAME.npz; its folder is made if need be", metavar="MODEL", flag="-o", is_path=True),
     Option("results", "a folder for the fits of the scans, too, as lbsfit fit writes them", metavar="OUT", is_path=True),
@@ -131,6 +134,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     files = _checked(rig_path, scans, values, inputs)
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
     rig = load_rig_with(rig_path, values)
+    _say_unused(values)
     fitter = _fitter(rig, values)
     check_parameters(fitter)  # before a folder is made
     folders = outputs.make_folder(model.parent)
@@ -186,6 +190,16 @@ def _checked(rig_path, scans, values, inputs):
         if outputs.same_file(path, model):
             raise InputError("-o/--output", f"{model}, which is a file of --results", "another name")
     return files
+
+
+def _say_unused(values):
+    """Name the options that were given and mean nothing without skinning."""
+    if VARIANTS[values["variant"]].skinning:
+        return
+    given = [f"--{o.name}" for o in OPTIONS if o.name in _OF_SKINNING and values[o.key] != o.default]
+    if given:
+        mean = "means" if len(given) == 1 else "mean"
+        say(f"note: in the variant free-form {', '.join(given)} {mean} nothing; scans have to face the rig's way")
 
 
 def _check_twice(scans):

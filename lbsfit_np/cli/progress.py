@@ -164,7 +164,7 @@ class LearningProgress:
         words.append(f"took {span(figures['seconds'])}")
         if k < self.rounds and self._took:
             words.append(self._left_in_words())
-        name = f"round {k} of at most {self.rounds}" if k else "each scan by itself"
+        name = f"round {k} of at most {self.rounds}" if k else "each scan by itself, with proportions of its own"
         print(f"{name}: {'; '.join(words)}", file=sys.stderr if self.terminal else sys.stdout, flush=True)
 
     def _tell(self):

@@ -35,6 +35,7 @@ def assemble(
     value=None,
     rivals=(),
     partial=False,
+    proportions=0.0,
     judged=True,
 ):
     """The fit in the scan's frame and on the rig's original vertices, with a label for every point.
@@ -71,6 +72,8 @@ def assemble(
     rivals : sequence of float
         What the pose, and others that are not it, left unexplained, as in ``confidence.evidence_of``.
     partial : bool
+    proportions : float
+        As for ``confidence.evidence_of``.
     judged : bool, default True
         False where the vertices say nothing of the pose: then there is no evidence, the probability is 0, and what is finite is
         "ok".
@@ -116,6 +119,7 @@ def assemble(
             partial=partial,
             areas=model.areas,
             x_weights=problem.x_weights,
+            proportions=proportions,
         )
         probability = probability_of(evidence)
         status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})

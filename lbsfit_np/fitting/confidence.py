@@ -12,13 +12,18 @@ from ..optimize.gauss_newton import shown
 from ..optimize.problem import Problem
 from ..optimize.surface import closest_on_mesh, faces_around, vertex_normals
 
-__all__ = ["EVIDENCE", "evidence_of", "logarithms", "probability_of", "shown_problem", "verdict_of"]
+__all__ = ["EVIDENCE", "REGRESSED", "SOMEBODY_ELSE", "evidence_of", "logarithms", "probability_of", "shown_problem", "verdict_of"]
 
-# What a fit is judged by; docs/fitting.md has the same list.
+# What a fit is judged by; docs/fitting.md has the same list. The regression is on all but the last, which only fits on learned
+# templates have.
 EVIDENCE = (
     *("distance", "unexplained", "unreached", "part_unexplained", "part_unreached"),
-    *("disagreement", "rival", "at_limits", "sparse"),
+    *("disagreement", "rival", "at_limits", "sparse", "proportions"),
 )
+REGRESSED = EVIDENCE[:-1]
+# Where other proportions than a template's leave less unexplained by more than this share, the scan is of somebody else. Of 30
+# scans on their subject's template the share was 0.15 at most; on a template of three people it was above this for 27 of 30.
+SOMEBODY_ELSE = 0.2
 # s of ρ(d²) = d² / (d² + s²): distances of about this count half, in half sizes of the rig.
 _SCALE = 0.05
 # Of noise, distances up to so many medians are no fault of the pose; of sparse points, surface that is nearer than their spacing
@@ -42,7 +47,19 @@ _FLOOR = 1e-3
 
 
 def evidence_of(
-    rig, vertices, labels, X, *, proba=None, rivals=(), value=None, theta=None, partial=False, areas=None, x_weights=None
+    rig,
+    vertices,
+    labels,
+    X,
+    *,
+    proba=None,
+    rivals=(),
+    value=None,
+    theta=None,
+    partial=False,
+    areas=None,
+    x_weights=None,
+    proportions=0.0,
 ):
     """Measure a fit.
 
@@ -69,6 +86,8 @@ def evidence_of(
         Shares of the surface.
     x_weights : (n,) array, optional
         How much each point counts.
+    proportions : float, default 0
+        Share by which other proportions leave less unexplained than the template's.
 
     Returns
     -------
@@ -77,8 +96,8 @@ def evidence_of(
         beyond 2.5 times their median, which is taken for noise up to 0.015; "unreached": the same over the surface's from the
         points; "part_unexplained" and "part_unreached": the largest of each over single parts; "disagreement": 1 − mean
         probability that the segmenter gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals';
-        "at_limits": share of the angles that are at a limit; "sparse": angles ÷ points. All in [0, 1]; what is not known is
-        0. Points far from all others, and unexplained ones far from all others of these, count for nothing.
+        "at_limits": share of the angles that are at a limit; "sparse": angles ÷ points; "proportions" as given. All in [0, 1];
+        what is not known is 0. Points far from all others, and unexplained ones far from all others of these, count for nothing.
     worst : dict of str to int
         The parts of "part_unexplained" and "part_unreached"; −1 where nothing is.
     """
@@ -119,6 +138,7 @@ def evidence_of(
         "rival": float(min(1.0, value / min(rivals))) if len(rivals) and value is not None and min(rivals) > 0 else 0.0,
         "at_limits": 0.0 if theta is None else _at_limits(rig, theta),
         "sparse": float(min(1.0, _bending(rig).sum() * (w**2).sum())),  # 1 ÷ Σw² points that weigh the same are as good
+        "proportions": float(np.clip(proportions, 0.0, 1.0)),
     }
     return out, {"part_unexplained": of_points[1], "part_unreached": of_surface[1]}
 
@@ -206,12 +226,12 @@ def _at_limits(rig, theta):
 
 # ---- from evidence to a probability ----
 
-# Logistic regression on log10(evidence + floor): intercept, then one weight for each of EVIDENCE. Found by ``bench.calibrate`` on
-# the tuning seed: both bundled rigs, all conditions and worse, careful fits and careless ones.
+# Logistic regression on log10(evidence + floor): intercept, then one weight for each of REGRESSED. Found by ``bench.calibrate``
+# on the tuning seed: both bundled rigs, all conditions and worse, careful fits and careless ones.
 _INTERCEPT = -16.46
 _WEIGHTS = (0.0, -2.63, -1.31, -1.77, -0.56, -1.04, -0.41, -0.62, -1.89)
 # Noise of 2 % of the size gives a "distance" of 0.54. What lies further off is not the rig, and no scan of the calibration was
-# like it: such a fit is not believed more than this.
+# like it: such a fit is not believed more than this. Nor is one on somebody else's template, of which 4 of 27 were right.
 _NOT_THE_RIG, _MOST_THEN = 0.6, 0.25
 # Below the first a fit has failed, below the second it is suspect.
 _FAILED, _SUSPECT = 0.05, 0.5
@@ -220,12 +240,13 @@ _FAILED, _SUSPECT = 0.05, 0.5
 def probability_of(evidence):
     """The probability that the mean joint error is below 1.5 % of the rig's size."""
     p = float(1.0 / (1.0 + np.exp(-(_INTERCEPT + np.dot(_WEIGHTS, logarithms(evidence))))))
-    return p if evidence["distance"] <= _NOT_THE_RIG else min(p, _MOST_THEN)
+    doubtful = evidence["distance"] > _NOT_THE_RIG or evidence["proportions"] > SOMEBODY_ELSE
+    return min(p, _MOST_THEN) if doubtful else p
 
 
 def logarithms(evidence):
     """(9,) decimal logarithms of the pieces of evidence, what the probability is linear in before the logistic function."""
-    return np.log10(np.array([evidence[name] for name in EVIDENCE]) + _FLOOR)
+    return np.log10(np.array([evidence[name] for name in REGRESSED]) + _FLOOR)
 
 
 def verdict_of(evidence, probability, worst=None):
@@ -267,4 +288,5 @@ _WORDS = {
     "rival": (0.6, "another pose explains the scan nearly as well"),
     "at_limits": (0.25, "{value:.0%} of the angles are at their limits"),
     "sparse": (0.1, "it has few points"),
+    "proportions": (SOMEBODY_ELSE, "other proportions explain it much better: of somebody else than this template?"),
 }

@@ -2,9 +2,11 @@
 
 import time
 from dataclasses import replace
+from functools import cached_property
 
 import numpy as np
 
+from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import Outcome
 from .assemble import assemble
 from .confidence import shown_problem
@@ -30,6 +32,32 @@ class TemplateFit:
         self.rig, self.model, self.settings = rig, model, settings
         self.refit = Refit(model, partial=settings.partial)
 
+    @cached_property
+    def _steps(self):
+        settings = self.settings
+        return GaussNewton(self.model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
+
+    def proportions(self, problem, state):
+        """Share by which proportions of its own leave less of a scan unexplained than those of the template; 0 without faces.
+
+        Parameters
+        ----------
+        problem : Problem
+        state : State
+            Of this template.
+
+        Returns
+        -------
+        float
+        """
+        if not len(self.model.rig.faces):
+            return 0.0
+        steps, place = self._steps, () if self.settings.scale == "fixed" else ("scale",)
+        options = {"free": ("pose", "translation", *place), "iterations": self.settings.polish}
+        _, same = steps.pose(problem, state, **options)
+        (other,), (value,) = steps.shared([problem], [state], **options)
+        return 1.0 - (value + steps.ridge * float(other.coefficients @ other.coefficients)) / max(same, np.finfo(float).tiny)
+
     def finish(
         self,
         problem,
@@ -43,6 +71,7 @@ class TemplateFit:
         prior=None,
         value=None,
         rivals=(),
+        proportions=0.0,
         note="",
         started=None,
     ):
@@ -64,7 +93,7 @@ class TemplateFit:
         labels_known : (n,) int array, optional
         prior : ((J, 3) array, float), optional
             As in ``GaussNewton.pose``.
-        value, rivals
+        value, rivals, proportions
             As for :func:`~lbsfit_np.fitting.assemble.assemble`.
         note : str
         started : float, optional
@@ -104,5 +133,6 @@ class TemplateFit:
             started=started,
             value=value,
             rivals=rivals,
+            proportions=proportions,
             partial=settings.partial,
         )

@@ -11,6 +11,7 @@ from ..errors import FileError, InputError
 from ..rig.build import build_rig
 from ..rig.card import nearest
 from ..rig.mirror import mirrored
+from .scans import SCAN_EXTENSIONS
 
 __all__ = ["CARD_SUFFIX", "about_bundled", "bundled_rigs", "load_rig", "read_rig_data", "rig_for_card"]
 
@@ -86,11 +87,11 @@ def read_rig_data(path_or_name, *, shape=None, skin=None):
     ending = path.suffix.lower()
     if ending not in _ENDINGS:
         got = f"the ending {path.suffix!r}" if path.suffix else "a file without an ending"
-        remedy = (
-            "Export the rig as glTF 2.0 (.glb), which keeps its skin."
-            if ending in (".fbx", ".blend", ".dae", ".obj", ".ply")
-            else None
-        )
+        remedy = None
+        if ending in (".fbx", ".blend", ".dae", ".obj", ".ply"):
+            remedy = "Export the rig as glTF 2.0 (.glb), which keeps its skin."
+        if ending in SCAN_EXTENSIONS:
+            remedy = " ".join(filter(None, [remedy, "If this is a scan: the rig comes before the scans."]))
         raise FileError(str(path), got, f"a rig file: {', '.join(_ENDINGS)}", remedy)
     reader = _npz_reader(path) if ending == ".npz" else {".pkl": "smpl"}.get(ending, "gltf")
     if shape is not None and reader != "body":

@@ -12,6 +12,7 @@ from ..errors import InputError, LbsfitError
 from ..scan import check_points
 from ..workers import Workers
 from .collection import as_scans
+from .parameters import check_callables
 from .variants import as_variant
 
 __all__ = ["ScanOutcome", "fit_scans"]
@@ -76,12 +77,13 @@ def fit_scans(fitter, scans, *, subject=None, jobs=1, finish=None, on_result=Non
     Raises
     ------
     InputError
-        ``jobs``, or parameters of the fitter, cannot be used.
+        ``jobs``, ``subject``, what is no function, or parameters of the fitter, cannot be used.
     KeyboardInterrupt
         On Ctrl-C, once workers have ended and ``on_result`` has had all that was finished.
     """
     if isinstance(jobs, bool) or not isinstance(jobs, (int, np.integer)) or jobs < 1:
         raise InputError("jobs", repr(jobs), "a positive whole number of worker processes")
+    check_callables(finish=finish, on_result=on_result, pretrain=pretrain)
     if hasattr(fitter, "_check"):
         fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
         if subject is not None:

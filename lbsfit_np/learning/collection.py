@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..errors import InputError, LbsfitError, brief
+from ..fitting.confidence import SOMEBODY_ELSE
 from ..optimize.frame import Frame
 from ..optimize.problem import Problem
 from ..scan import Scan, check_points
@@ -31,6 +32,8 @@ __all__ = [
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
 _ONE_UNIT = 6.0
+# Where more than this share of the scans, and more than one, are of somebody else than their subject, subjects are wrong.
+_STRANGERS = 0.1
 
 
 @dataclass
@@ -49,7 +52,7 @@ class Member:
     subject : object
         Its subject's id.
     name : str
-        What errors call it: the index, and the file where it came from one.
+        What errors call it: the file where it came from one, else the index.
     held_out : bool
         Left out of learning, to tell when to stop.
     prior : ((J, 3) array, float) or None
@@ -150,12 +153,17 @@ class Collection:
         self.members = [m for m, (_, error) in zip(self.members, found, strict=True) if error is None]
         return [answer for answer, error in found if error is None]
 
-    def warn(self, stacklevel):
-        """Warn of the failures that nobody was warned of yet."""
+    def warn(self, stacklevel, results=()):
+        """Warn of the failures that nobody was warned of yet, and where results say that subjects are of several people."""
         new = sorted(set(self.failures) - self.warned)
         self.warned.update(new)
         if new:
             words = f"{len(new)} of {self.n} scans cannot be used; scan {new[0]}: {self.failures[new[0]]}"
+            warnings.warn(words, stacklevel=stacklevel + 1)
+        odd = [r.evidence.get("proportions", 0.0) > SOMEBODY_ELSE for r in results if r is not None]
+        if sum(odd) > max(1, _STRANGERS * len(odd)):
+            words = f"{sum(odd)} of {len(odd)} scans are explained much better by other proportions than their subject's"
+            words += "; of several people? Say whose each scan is: subjects (--subjects)"
             warnings.warn(words, stacklevel=stacklevel + 1)
 
 
@@ -179,8 +187,9 @@ def in_words(error):
 
 def as_scans(scans):
     """A sequence of scans as a list, or InputError."""
-    if isinstance(scans, Mapping):
-        raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", "Pass list(scans.values()).")
+    if isinstance(scans, (Mapping, Set)):
+        remedy = "Pass list(scans.values())." if isinstance(scans, Mapping) else "Make a list: a set has no order."
+        raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
     if isinstance(scans, (str, bytes, Scan)) or not hasattr(scans, "__iter__"):
         remedy = "Put a single scan in a list, too." if isinstance(scans, Scan) else "Make a list of load_scan(path), one each."
         raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
@@ -255,7 +264,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             collection.failures[i] = in_words(error)
             continue
         path = getattr(scan, "path", None)
-        name = f"{i}" if path is None else f"{i} ({path})"
+        name = f"{i}" if path is None else f"{path}"
         frame = Frame(points[rows].mean(axis=0), reference.scale * rig.size / 2)
         member = Member(i, points, rows, frame, subject, reference.scale, name=name)
         collection.members.append(member)

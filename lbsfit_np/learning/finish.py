@@ -8,12 +8,12 @@ import numpy as np
 
 from ..errors import InputError
 from ..fitting.assemble import assemble
+from ..fitting.confidence import SOMEBODY_ELSE
 from ..fitting.scan_fit import FitSettings, ScanFit, stands_words
 from ..fitting.scout import Found, Scout
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
-from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
@@ -34,8 +34,6 @@ LEFT_OUT = "left out of learning"
 # the least joint and vertex errors on the study's tuning seed 5, in so many steps.
 LOOSE = PRESETS["default"].replace(lam_lap=0.01)
 _LOOSE_STEPS = {"max_iterations": 200, "tolerance": 1e-4}
-# A scan of which other proportions leave less than this share unexplained of what a subject's own leave is of somebody else.
-_SOMEBODY = 0.8
 
 
 def results_of(rig, templates, joints, collection, settings, *, jobs, progress):
@@ -67,7 +65,9 @@ class _Finish:
         unit = unit_note(m.state.scale * m.frame.unit / self.models[m.subject].half, self.rig, self.settings.scale)
         note = f"{LEFT_OUT if m.held_out else 'learned from'}; {unit}{m.doubt}"
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
-        return self._fit(m.subject).finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
+        fit = self._fit(m.subject)
+        place["proportions"] = fit.proportions(m.problem, m.state)
+        return fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):
@@ -121,7 +121,8 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     subject, best = min(found, key=lambda f: f[1].value * f[1].frame.unit**2)  # values go by the square of the frame's unit
     note = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
-    if anyone and len(fit.model.rig.faces) and _is_somebody_else(fit.model, best, settings):
+    proportions = fit.proportions(best.problem, best.state)
+    if anyone and proportions > SOMEBODY_ELSE:
         # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
         given = {"theta0": theta0, "labels": labels, "point_weights": point_weights, "random_state": seed}
         alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **given, found=seen)
@@ -131,16 +132,8 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     note = "; ".join(filter(None, [note, unit, stands, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
+    place["proportions"] = proportions
     return fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
-
-
-def _is_somebody_else(model, found, settings):
-    """Whether other proportions than those of a subject's template explain a scan much better."""
-    free = ("pose", "translation") if settings.scale == "fixed" else ("pose", "translation", "scale")
-    steps = GaussNewton(model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
-    _, same = steps.pose(found.problem, found.state, free=free, iterations=settings.polish)
-    (state,), (value,) = steps.shared([found.problem], [found.state], free=free, iterations=settings.polish)
-    return value + steps.ridge * float(state.coefficients @ state.coefficients) < _SOMEBODY * same
 
 
 def _scouted(fitter, subject, x, a, settings):
@@ -292,7 +285,7 @@ def free_form(model, settings, problem, points, rows, frame, started):
     grown = outcome.state.scale * (model.rig.vertices + outcome.state.residual)
     outcome = replace(outcome, state=outcome.state.replace(scale=1.0, residual=grown - model.rig.vertices))
     evaluation = problem.evaluate(model, outcome.state, weights)
-    unit = unit_note(frame.unit / model.half, model.source, settings.scale)
+    unit = unit_note(frame.unit / model.half, model.source, settings.scale, guessed=True)
     # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
     return assemble(
         model.source,

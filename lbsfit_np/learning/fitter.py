@@ -180,8 +180,8 @@ class LBSFitter(BaseEstimator):
             Who was scanned, one id for each scan; one subject by default. The scans of a subject share a template.
         cache : bool, default False
             As in :meth:`pretrain`.
-        progress : callable (stage, share, figures), optional
-            Called with the name of what is done, the share done in [0, 1], and, after a round, its entry of ``history_`` so far.
+        progress : callable (stage, share, figures=None), optional
+            Called with the name of what is done and the share done in [0, 1]; after a round also with its entry of ``history_``.
         on_round : callable (k, segmenter), optional
             Called after round k with s as it then is, such as for its errors on scans of which more is known.
 
@@ -251,7 +251,7 @@ class LBSFitter(BaseEstimator):
 
     def _finished(self, collection, results):
         self.results_, self.failures_ = self._signed(results), dict(collection.failures)
-        collection.warn(stacklevel=3)
+        collection.warn(stacklevel=3, results=results)
         return self
 
     def _signed(self, results, *, named=False):
@@ -277,7 +277,7 @@ class LBSFitter(BaseEstimator):
         return np.array([np.full(shape, np.nan) if r is None else r.vertices for r in results]).reshape(-1, *shape)
 
     def score(self, scans, subjects=None):
-        """Minus the mean of √L_c over scans fitted with what was learned, in half sizes of the rig: higher is better; or NaN."""
+        """Minus the mean of √L_c over scans fitted with what was learned, in half sizes of the rig; NaN where none can be."""
         self._check_learned()
         if not (scans := as_scans(scans)):
             raise InputError("scans", "none", "one or more scans")

@@ -174,10 +174,10 @@ class Loop:
             units = self._units()
             templates = {s: templates[s] for s in units}  # but for subjects whose scans have all failed
             learned_now = Learned(templates, units, self.segmenter, self.library, self.history)
-            fallen = value < best * (1 - self.settings.improvement)
+            fallen = value is None or value < best * (1 - self.settings.improvement)
             # Of rounds that are level the later, whose s has learned more.
-            if value < best * (1 + self.settings.improvement) or learned is None:
-                best, learned, kept = min(best, value), learned_now, k
+            if fallen or value < best * (1 + self.settings.improvement) or learned is None:
+                best, learned, kept = value, learned_now, k  # one that has not fallen is the last
                 best_members = {m.index: (m.state, m.loss, m.proba) for m in self.collection.members}
             if not fallen:
                 break
@@ -338,7 +338,7 @@ class Loop:
         return {s: self.collection.of(s)[0].unit for s in self.collection.subjects}
 
     def _note(self, k, began, more):
-        """One more entry of the history; the value that decides when to stop."""
+        """One more entry of the history; the value that decides when to stop, None where no scan is left out to tell."""
         held = [np.sqrt(m.loss) for m in self.collection.members if m.held_out]
         learning = [np.sqrt(m.loss) for m in self.collection.members if not m.held_out]
         entry = {
@@ -350,7 +350,7 @@ class Loop:
         }
         self.history.append(entry)
         self.progress("round", 1.0, entry)
-        return entry["recon_held_out"] if held else -float(k)
+        return entry["recon_held_out"]
 
 
 # ---- what is done for one task, here or in another process ----

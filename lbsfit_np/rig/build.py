@@ -266,7 +266,7 @@ def _states(report, data, weights, parents, root, names, card, notes):
         if rootlike.any():
             notes.append(
                 f"{np.count_nonzero(rootlike)} joints locked, as they turn the whole mesh like the root: "
-                f"{_named(names, rootlike)} (limits in a card would free them)"
+                f"{_named(names, rootlike)} (limits in a card, by name, would free them)"
             )
         locked |= idle | rootlike
     return _States(merged, merged & ~before, locked)

@@ -70,11 +70,15 @@ def reference_scale(points, rig, mode):
     if fitting:
         name, unit = min(fitting.items(), key=lambda item: abs(np.log(ratio / item[1] / 0.9)))
         return ReferenceScale(unit, f"the scan seems to be in {name}: one rig unit is {unit:.6g} scan units")
-    return ReferenceScale(ratio, f"the scale is a guess from the extents: one rig unit taken as {ratio:.4g} scan units")
+    return ReferenceScale(ratio, _guess(ratio))
 
 
-def unit_note(scale, rig, mode):
-    """In words, what a scale that was found says of the scan's unit.
+def _guess(ratio):
+    return f"the scale is a guess from the extents: one rig unit taken as {ratio:.4g} scan units"
+
+
+def unit_note(scale, rig, mode, *, guessed=False):
+    """In words, what a scale that was found, or guessed from extents, says of the scan's unit.
 
     Parameters
     ----------
@@ -82,6 +86,7 @@ def unit_note(scale, rig, mode):
         Scan units in a rig unit.
     rig : Rig
     mode : {"estimate", "fixed"}
+    guessed : bool, default False
     """
     if mode == "fixed":
         return "scale fixed at 1"
@@ -90,6 +95,8 @@ def unit_note(scale, rig, mode):
     name = unit_name(scale, rig)
     if name is not None:
         return f"the scan seems to be in {name}: one rig unit is {scale:.4g} scan units"
+    if guessed:
+        return _guess(scale)
     return f"the scan is in another unit or of another size: one rig unit is {scale:.4g} scan units"
 
 

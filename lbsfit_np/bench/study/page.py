@@ -277,22 +277,25 @@ def _order(report, name, key, what):
     scans = report["rigs"][name]["size"]["test"] * len(next(iter(compared.values())))
     values = {row: value for value, row in ranked}
     wanted = [row for row in ("joint", "rand", "cd") if row in values]
-    pairs = [(values[a], values[b]) for a, b in pairwise(wanted)]
-    if any(a > _LEVEL * b for a, b in pairs):
-        verdict = "missed"
-    else:
-        verdict = "kept" if all(_LEVEL * a < b for a, b in pairs) else "level"
+    verdict = _verdict([values[row] for row in wanted])
     medians = _MEDIANS.get(key)
-    if verdict == "kept" and medians and all(_value(c, medians) is not None for row in wanted for c in compared[row]):
-        middle = [_mean(compared[row], medians) for row in wanted]
-        verdict += "" if all(_LEVEL * a < b for a, b in pairwise(middle)) else " by the means, not by the medians"
+    if medians and all(_value(c, medians) is not None for row in wanted for c in compared[row]):
+        middle = _verdict([_mean(compared[row], medians) for row in wanted])
+        verdict += f" by the means, {middle} by the medians" if middle != verdict else ""
     if scans < _TELLING:
         verdict += f", of {scans} scans, which are few"
     words = ranked[0][1] + f" {ranked[0][0]:.4f}"
     for (a, _), (b, row) in pairwise(ranked):
         words += f" {'<' if _LEVEL * a < b else '≈'} {row} {b:.4f}"
-    more = f" (the paper's order, {' before '.join(wanted)}: {verdict})" if pairs else ""
+    more = f" (the paper's order, {' before '.join(wanted)}: {verdict})" if len(wanted) > 1 else ""
     return f"{what}, from the best of the ablations to the worst: {words}{more}."
+
+
+def _verdict(values):
+    """Whether values in the paper's order rise: "kept", "missed", or "level" where some are too near to each other to tell."""
+    if any(a > _LEVEL * b for a, b in pairwise(values)):
+        return "missed"
+    return "kept" if all(_LEVEL * a < b for a, b in pairwise(values)) else "level"
 
 
 def _mean(cells, key):
