@@ -101,6 +101,8 @@ def test_errors_are_in_half_sizes_and_of_the_right_pairs(rig, given):
     # Carried to the shifted one: off by the shift. From it, to the others: its points find other places of the surface.
     assert 0.1 / 3 < found["corre"]["mean"] < 0.1
     lost = measured(truth, Registrations(np.where(np.arange(3)[:, None, None] == 2, np.nan, vertices), joints))
+    assert lost["of_scans"] == {name: [*of[:2], None] for name, of in found["of_scans"].items()}
+    assert all(found[name] == pytest.approx(np.mean(of)) for name, of in found["of_scans"].items())
     assert lost["unfitted"] == 1 and lost["corre"]["mean"] < 1e-12
     assert measured(truth, Registrations(np.full_like(vertices, np.nan), joints)) == {"unfitted": 3}
 

@@ -77,7 +77,7 @@ def measured(truth, registrations):
         Lengths in half sizes of the rig. "recon" √L_c beside "recon_truth", that of the true mesh on the same scans; "pose"
         beside "pose_truth", that of the true template and angles with the joint regressor's joints; "vertices"; "corre" and
         "corre_snapped", each with "mean", "p50", "p90" and "p95" over all points of all pairs; "unfitted", the scans that all
-        these leave out.
+        these leave out. "of_scans" has "recon", "pose" and "vertices" of each, None of these.
     """
     rig, half, fitted = truth.rig, truth.half, np.flatnonzero(registrations.fitted)
     out = {"unfitted": len(truth.scans) - len(fitted)}
@@ -90,6 +90,8 @@ def measured(truth, registrations):
         errors["pose"].append(joint_error(registrations.joints[i], s.joints, rig.moving) / half)
         errors["vertices"].append(vertex_error(V, s.vertices) / half)
     out |= {name: float(np.mean(values)) for name, values in errors.items()}
+    of_scans = {name: dict(zip(fitted.tolist(), values)) for name, values in errors.items()}
+    out["of_scans"] = {name: [of.get(i) for i in range(len(truth.scans))] for name, of in of_scans.items()}
     out["pose_median"] = float(np.median(errors["pose"]))
     out["recon_truth"], out["pose_truth"] = float(truth.recon[fitted].mean()), float(truth.pose[fitted].mean())
     out["corre"], out["corre_snapped"] = _correspondences(truth, registrations, set(fitted.tolist()))
