@@ -164,6 +164,21 @@ def test_what_is_proposed_is_a_pose_of_the_library(hand):
     assert np.abs(hand.poses[:, finger] - first[finger]).max(axis=(1, 2)).min() == 0
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_looked_at_closer_a_limb_finds_a_pose_that_no_library_has(body, seed):
+    poses = uniform_poses(body.rig, 2, np.random.default_rng(seed))
+    (arm,) = [limb.hangs for limb in body.limbs._limbs if limb.hangs[body.row["left_elbow"]] and limb.ends]
+    theta, wrong = (np.where(arm[:, None], pose, 0.0) for pose in poses)
+    truth, problem = body.seen(theta)
+    state = truth.replace(theta=wrong)
+    first = body.limbs.proposals(problem, state, 1, closer=True)[0]
+    known = [*body.limbs.proposals(problem, state, 1), wrong][0]
+    assert body.error(first, truth) < min(0.02, 0.7 * body.error(known, truth))
+    assert (first[arm] >= body.rig.lower[arm]).all() and (first[arm] <= body.rig.upper[arm]).all()
+    assert np.array_equal(first[~arm], wrong[~arm])
+    assert np.array_equal(body.limbs.proposals(problem, state, 1, closer=True)[0], first)
+
+
 def _exchanged(hand, one, two, seed=0):
     """(truth, problem, Θ): a finger is bent and another is not, and in Θ the other way round."""
     theta = np.zeros_like(hand.rig.lower)
@@ -203,11 +218,11 @@ def test_two_limbs_that_cost_next_to_nothing_are_where_they_should_be(tube, cost
     fingers = [limb for limb in tube.limbs._limbs if limb.hangs.sum() == 1]
     monkeypatch.setattr(tube.limbs, "_limbs", fingers)
 
-    def tried(limb, grid, few, posed, state):
+    def tried(limb, angles, grid, few, posed, state):
         place = np.stack([np.zeros((len(limb.rows), 3)), np.ones((len(limb.rows), 3))])
         return _Tried(place, np.array([0.5, 1.0]) * cost, np.zeros((2, len(few))), np.zeros((2, 1, 3)))
 
-    monkeypatch.setattr(tube.limbs, "_tried", tried)
+    monkeypatch.setattr(limbs_module, "_tried", tried)
     assert len(fingers) == 2 and len(tube.limbs.proposals(problem, state, 2)) == pairs
 
 

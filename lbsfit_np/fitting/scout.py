@@ -56,6 +56,8 @@ class Effort:
         Of how many survivors.
     proposals : int
         Poses tried for each limb, at most.
+    closer : bool
+        Whether they may be others than the library's.
     bends : bool
         Whether other bends of joints are tried in the end.
     again : str or None
@@ -70,14 +72,15 @@ class Effort:
     generations: int
     parents: int
     proposals: int
+    closer: bool
     bends: bool
     again: str | None = None
 
 
 EFFORTS = {
-    "fast": Effort(6, 2, 2, 1, 1, 1, 1, bends=False),
-    "balanced": Effort(16, 4, 4, 2, 3, 1, 2, bends=True, again="thorough"),
-    "thorough": Effort(48, 8, 8, 3, 8, 4, 3, bends=True, again="thorough"),
+    "fast": Effort(6, 2, 2, 1, 1, 1, 1, closer=False, bends=False),
+    "balanced": Effort(16, 4, 4, 2, 3, 1, 2, closer=False, bends=True, again="thorough"),
+    "thorough": Effort(48, 8, 8, 3, 8, 4, 3, closer=True, bends=True, again="thorough"),
 }
 
 
@@ -237,7 +240,7 @@ class Scout:
             best = runners[0].value
             tried = []
             for r in runners[: self.effort.parents]:
-                proposals = self._limbs.proposals(r.problem, r.state, self.effort.proposals)
+                proposals = self._limbs.proposals(r.problem, r.state, self.effort.proposals, closer=self.effort.closer)
                 tried += [replace(r, state=r.state.replace(theta=theta)) for theta in proposals]
             if not tried:
                 break

@@ -8,6 +8,9 @@ limb is put in the place of its own, all at once, and is judged by what it would
 each distance d less the spacing of what stands for the surface, so that a fit without fault costs next to nothing.
 Steps towards the surface cannot find such a pose, as it lies behind poses that are worse. Two limbs are tried together as well:
 where each has taken the other's place, neither can go home alone.
+
+A library of some thousand poses has none that is near for every arm. Looked at closer, a limb is tried in poses made of the best
+ones as well: the upper joints of one, the lower ones of another, with random changes, over some generations.
 """
 
 from dataclasses import dataclass
@@ -32,6 +35,10 @@ _POSES, _BLOCK, _BEST = 800, 200, 40
 _BETTER, _BETTER_PAIR, _UNLIKE, _FINE = 0.85, 3.0, 0.08, 1e-4
 
 
+# Closer: from so many poses, no two nearer than this, come so many others with changes of these sizes, radians.
+_PARENTS, _SAME, _CHILDREN, _SIGMAS = 24, 0.03, 400, (0.4, 0.2, 0.1, 0.05)
+
+
 @dataclass(frozen=True)
 class _Limb:
     hangs: np.ndarray  # (J,) bool, the joints
@@ -40,6 +47,7 @@ class _Limb:
     area: float  # share of the surface that one of these stands for
     spacing: float  # no vertex is further from all of these
     angles: np.ndarray  # (N, j, 3) the poses to try
+    ends: bool  # no other limb hangs on it
 
 
 @dataclass(frozen=True)
@@ -83,12 +91,13 @@ class LimbPoses:
             if len(rows):
                 area = model.areas[skin].sum() / len(rows)
                 spacing = _spacing(rig.vertices[skin], rig.vertices[rows])
-                self._limbs.append(_Limb(hangs, skin, rows, area, spacing, np.ascontiguousarray(poses[:, hangs])))
+                angles, ends = np.ascontiguousarray(poses[:, hangs]), bool((chain[hangs & rig.moving] == c).all())
+                self._limbs.append(_Limb(hangs, skin, rows, area, spacing, angles, ends))
         some = np.arange(len(rig.vertices))
         self._all = some if len(some) <= _ALL_VERTICES else farthest_points(rig.vertices, _ALL_VERTICES)
         self._spacing = _spacing(rig.vertices, rig.vertices[self._all])
 
-    def proposals(self, problem, state, n):
+    def proposals(self, problem, state, n, *, closer=False):
         """Poses in which one or two limbs are others.
 
         Parameters
@@ -97,6 +106,8 @@ class LimbPoses:
         state : State
         n : int
             How many a limb, or a pair of limbs, at most.
+        closer : bool, default False
+            Whether single limbs are tried in poses between and near the best ones of the library as well.
 
         Returns
         -------
@@ -108,10 +119,16 @@ class LimbPoses:
         few = X[np.linspace(0, len(X) - 1, min(len(X), _POINTS)).astype(int)].astype(np.float32)
         grid = VoxelGrid(X, _VOXEL)
         away = _squared(posed.vertices[self._all].astype(np.float32), few)  # (all, x)
-        tried = [self._tried(limb, grid, few, posed, state) for limb in self._limbs]
+
+        def try_out(limb, angles):
+            return _tried(limb, angles, grid, few, posed, state)
+
+        tried = [try_out(limb, limb.angles) for limb in self._limbs]
         found = []
         for limb, t in zip(self._limbs, tried):
             rest = self._rest(away, ~limb.skin)
+            if closer and limb.ends:
+                t = self._nearer(limb, t, rest, try_out)
             cost = t.away + np.minimum(t.reach, rest).mean(axis=1)
             order = np.argsort(cost, kind="stable")
             changes = [(cost[k] - cost[0], cost[k], ((limb, t, k),)) for k in order[:_BEST]]
@@ -137,6 +154,30 @@ class LimbPoses:
             found += self._unlike(state, changes, now, n, _BETTER_PAIR)
         return [theta for _, theta in sorted(found, key=lambda f: f[0])]
 
+    def _nearer(self, limb, tried, rest, try_out):
+        """Poses of a limb that come of the best ones tried: parts of two of them, and small random changes, ever smaller."""
+        rig, rng = self.model.rig, np.random.default_rng(0)  # the same for each scan: fits hang on the scan alone
+        lower, upper = rig.lower[limb.hangs], rig.upper[limb.hangs]
+        for sigma in _SIGMAS:
+            best = self._apart(tried, tried.away + np.minimum(tried.reach, rest).mean(axis=1))
+            parents = tried.angles[best]
+            one, other = parents[rng.integers(len(best), size=(2, _CHILDREN))]
+            cut = rng.integers(1, lower.shape[0] + 1, size=_CHILDREN)[:, None, None]
+            mixed = np.where(np.arange(lower.shape[0])[:, None] < cut, one, other)
+            angles = np.clip(mixed + sigma * rng.standard_normal(mixed.shape), lower, upper)
+            tried = try_out(limb, np.concatenate([parents, np.where(upper > lower, angles, one)]))
+        return tried
+
+    def _apart(self, tried, cost):
+        """Rows of the best poses that are not all but the same, the own one left out."""
+        out = []
+        for k in np.argsort(cost[1:], kind="stable") + 1:
+            if len(out) == _PARENTS:
+                break
+            if all(np.linalg.norm(tried.place[k] - tried.place[o], axis=1).mean() > _SAME for o in out):
+                out.append(k)
+        return np.array(out)
+
     def _rest(self, away, skin):
         """(x,): squared distance from the points to what is held, at most s²."""
         nearest = away[skin[self._all]].min(axis=0, initial=np.inf)
@@ -158,20 +199,22 @@ class LimbPoses:
                 out.append((gain, theta))
         return out
 
-    def _tried(self, limb, grid, few, posed, state):
-        angles = np.concatenate([state.theta[limb.hangs][None], limb.angles])
-        n = len(angles)
-        place = np.empty((n, len(limb.rows), 3), dtype=np.float32)
-        away, reach = np.empty(n), np.empty((n, len(few)), dtype=np.float32)
-        for start in range(0, n, _BLOCK):
-            part = slice(start, start + _BLOCK)
-            place[part] = _posed_limb(posed, state, limb, angles[part])
-            V = place[part]
-            at = grid.distance(V - grid.centre.astype(np.float32))
-            away[part] = np.minimum(np.maximum(at - _VOXEL / 2, 0.0) ** 2, _REACH**2).sum(axis=1) * limb.area
-            nearest = [_squared(v, few).min(axis=0) for v in V]
-            reach[part] = _less(np.array(nearest), limb.spacing)
-        return _Tried(place, away, reach, angles)
+
+def _tried(limb, angles, grid, few, posed, state):
+    """The limb's own pose and others, (N, j, 3), in place of it."""
+    angles = np.concatenate([state.theta[limb.hangs][None], angles])
+    n = len(angles)
+    place = np.empty((n, len(limb.rows), 3), dtype=np.float32)
+    away, reach = np.empty(n), np.empty((n, len(few)), dtype=np.float32)
+    for start in range(0, n, _BLOCK):
+        part = slice(start, start + _BLOCK)
+        place[part] = _posed_limb(posed, state, limb, angles[part])
+        V = place[part]
+        at = grid.distance(V - grid.centre.astype(np.float32))
+        away[part] = np.minimum(np.maximum(at - _VOXEL / 2, 0.0) ** 2, _REACH**2).sum(axis=1) * limb.area
+        nearest = [_squared(v, few).min(axis=0) for v in V]
+        reach[part] = _less(np.array(nearest), limb.spacing)
+    return _Tried(place, away, reach, angles)
 
 
 def _spacing(vertices, some):
