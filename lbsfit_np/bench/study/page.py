@@ -262,7 +262,8 @@ def _reached(report, name):
         words.append(f"{what} {value:.3f} (goal {sign} {goal:g}{'' if met else ', missed'})")
     others = [c["gap"]["test scans"] for c in cells if "test scans" in c["gap"]]
     if others:
-        words.append(f"of the test scans {np.mean([g['after'] / g['before'] for g in others]):.3f} (one scan each; the goal is for people learned from)")
+        share = np.mean([g["after"] / g["before"] for g in others])
+        words.append(f"of the test scans {share:.3f} (one scan each; the goal is for people learned from)")
     trained = report["rigs"][name]["size"]["training_scans"]
     told = f"The segmenters had {trained:,} synthetic scans before learning, and as many in each round."
     return f"Joint: {'; '.join(words)}. {told}\n\n{orders}"
