@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import signal
 import time
 from dataclasses import replace
@@ -20,22 +21,39 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
 @pytest.mark.parametrize("jobs, sent, code", [(1, signal.SIGINT, 130), (2, signal.SIGINT, 130), (1, signal.SIGTERM, 143)])
-def test_ctrl_c_leaves_no_model(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
-    process = started(
-        *("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz", "--results", tmp_path / "fits"),
-        *(*QUICK, "--rounds", 1000, "--held-out", 0, "--jobs", jobs),
-        cache=cli_cache,
-    )
-    for line in process.stdout:
-        if line.startswith("round 1"):
-            break
-    time.sleep(0.5)
-    text, err = stopped(process, sent)
-    assert (process.returncode, err) == (code, ""), err
+def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
+    text, err, returned = _stopped_after("round 1 of", jobs, sent, tubes, cli_cache, tmp_path)
+    assert (returned, err) == (code, ""), err
+    round_kept = re.search(r"stopped: .*m\.npz has what round (\d+) learned; there are no results of the scans\n$", text)[1]
+    assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]  # no empty folder of results
+    learned = lbs.LBSFitter.load(tmp_path / "m.npz")
+    assert [entry["round"] for entry in learned.history_ if entry["kept"]] == [int(round_kept)]
+    assert learned.fit_scan(lbs.load_scan(sorted(tubes.glob("*.ply"))[0])).vertices.shape == learned.rig.vertices.shape
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
+def test_ctrl_c_before_the_first_round_ends_leaves_no_model(tubes, tube_model, cli_cache, tmp_path):
+    text, err, returned = _stopped_after("each scan by itself, with", 1, signal.SIGINT, tubes, cli_cache, tmp_path, wait=0.0)
+    assert (returned, err) == (130, ""), err
     assert text.endswith(
         "stopped before the model was learned; what was trained first is kept, and the rounds begin anew with the same command\n"
     )
-    assert not list(tmp_path.iterdir())  # nor an empty folder of results
+    assert not list(tmp_path.iterdir())
+
+
+def _stopped_after(words, jobs, sent, tubes, cache, folder, wait=0.5):
+    """What is said after a line that begins so, and the exit code, of a process that gets a signal then."""
+    process = started(
+        *("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", folder / "m.npz", "--results", folder / "fits"),
+        *(*QUICK, "--rounds", 1000, "--held-out", 0, "--jobs", jobs),
+        cache=cache,
+    )
+    for line in process.stdout:
+        if line.startswith(words) and "recon" in line:
+            break
+    time.sleep(wait)
+    text, err = stopped(process, sent)
+    return text, err, process.returncode
 
 
 @pytest.mark.parametrize("variant", ["joint", "free-form"])

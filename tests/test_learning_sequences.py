@@ -5,7 +5,7 @@ import pytest
 from learning_runs import collected, loop_over, mean_gap
 
 import lbsfit_np as lbs
-from lbsfit_np.learning.loop import _alike
+from lbsfit_np.optimize.frame import nearest_root
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
@@ -60,15 +60,15 @@ def test_turns_that_are_written_otherwise_are_neighbours_all_the_same():
     axis = np.array([0.6, 0.0, 0.8])
     own, beside = np.zeros((3, 3)), np.ones((3, 3))
     own[1], beside[1] = 3.0 * axis, -3.2 * axis
-    alike = _alike(beside, own, 1)
+    alike = nearest_root(beside, own, 1)
     np.testing.assert_allclose(alike[1], (2 * np.pi - 3.2) * axis)
     np.testing.assert_allclose(matrix_from_rotvec(alike), matrix_from_rotvec(beside), atol=1e-12)
     np.testing.assert_array_equal(alike[[0, 2]], 1.0)
     np.testing.assert_array_equal(beside[1], -3.2 * axis)
     still = np.zeros((3, 3))
-    np.testing.assert_array_equal(_alike(still, own, 1), still)
+    np.testing.assert_array_equal(nearest_root(still, own, 1), still)
     own[1], beside[1] = -7.0 * axis, 2.0 * axis
-    np.testing.assert_allclose(_alike(beside, own, 1)[1], (2.0 - 4 * np.pi + 2 * np.pi) * axis)
+    np.testing.assert_allclose(nearest_root(beside, own, 1)[1], (2.0 - 4 * np.pi + 2 * np.pi) * axis)
 
 
 def test_smoothing_looks_at_turns_as_the_scan_itself_writes_them(tube_rig, few_scans, monkeypatch):

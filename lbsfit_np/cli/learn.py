@@ -81,9 +81,10 @@ examples:
       subjects = "who.csv"
       held-out = 0.2
 
-A scan that cannot be used is named with the reason and left out. The model appears when it is complete; an input is never
-overwritten. The segmenter's first training is kept in $LBSFIT_CACHE, else in the user's cache folder. At the end stand the
-unit of the scans, how many fits are ok, suspect or failed, and a table of those that are not ok, see lbsfit fit --help.
+A scan that cannot be used is named with the reason and left out. The model appears when it is complete, or, after Ctrl-C,
+with what the rounds until then have learned; an input is never overwritten. The segmenter's first training is kept in
+$LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans, how many fits are ok, suspect or
+failed, and a table of those that are not ok, see lbsfit fit --help.
 Exit code: 0 learned from all scans, 1 some scans were left out, or their fits failed, 2 usage, unreadable rig, or no model
 could be learned, 130 stopped by Ctrl-C.
 """
@@ -162,7 +163,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     except KeyboardInterrupt as stop:
         progress.close()
         results = f", {written_of(entries)} of {len(scans)} results are in {values['results']}" if files else ""
-        say(f"stopped: {model} is complete{results}" if written else _stopped_early(fitter))
+        say(f"stopped: {model} is complete{results}" if written else _stopped_early(fitter, model))
         return exit_code(stop)
     finally:
         progress.close()
@@ -294,8 +295,12 @@ def _learned(fitter, reading, model, seconds):
     )
 
 
-def _stopped_early(fitter):
-    """What of the work is kept where there is no model."""
+def _stopped_early(fitter, model):
+    """What of the work is kept, in words; the model, where a round has learned one."""
+    if getattr(fitter, "history_", None):  # a round has been kept
+        fitter.save(model)
+        kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
+        return f"stopped: {model} has what round {kept} learned; there are no results of the scans"
     if getattr(fitter, "regressor_", None) is None:  # training is over only when all of it is
         return "stopped before the model was learned; the same command begins anew"
     kept = "what was trained first is kept, and the rounds begin anew with the same command"

@@ -17,14 +17,11 @@ from .collection import as_scans, as_subjects, in_words, read_collection
 from .finish import fit_free_form, fit_new, results_of, scan_fit
 from .loop import Loop, LoopSettings
 from .parameters import check_callables, check_parameters, check_same, check_scan, check_segmenter, fit_settings, learned_with
-from .pretraining import pretrain_library, pretrain_segmenter
+from .pretraining import LIBRARY_TIME, pretrain_library, pretrain_segmenter
 from .training import training_settings
 from .variants import as_variant
 
 __all__ = ["LBSFitter", "fit_scan"]
-
-# Share of the time of pretraining that the library takes, for the progress bar.
-_LIBRARY_TIME = 0.25
 
 
 class LBSFitter(BaseEstimator):
@@ -158,7 +155,7 @@ class LBSFitter(BaseEstimator):
         check_segmenter(segmenter, self.rig)
         segmenter = segmenter if labels else None
         train = labels and segmenter is None
-        share = _LIBRARY_TIME if train else 1.0
+        share = LIBRARY_TIME if train else 1.0
         made_of = self.rig, self._synthesis(), self.training_scans
         options = {"random_state": self._seed(), "cache": cache and self._repeatable()}
         library = pretrain_library(*made_of, progress=lambda p: progress(share * p), jobs=self._jobs(), **options)
@@ -194,6 +191,8 @@ class LBSFitter(BaseEstimator):
         InputError
             Before any work: parameters, ids of the wrong number, different units, no scan that can be used, or too few to leave
             any out. A single scan that cannot be used is left out, with a warning and its reason in ``failures_``.
+        KeyboardInterrupt
+            On Ctrl-C; what a finished round has learned is there then, ``results_`` are None each.
         """
         self._check()
         check_callables(progress=progress, on_round=on_round)
@@ -225,11 +224,7 @@ class LBSFitter(BaseEstimator):
         if segmenter is not None:
             segmenter.check_rig(self.rig)
         loop = Loop(
-            self.rig,
-            collection,
-            variant,
-            segmenter,
-            library,
+            *(self.rig, collection, variant, segmenter, library),
             facing=facing,
             fit_settings=settings,
             settings=LoopSettings.for_training(self.training_scans, rounds=int(self.rounds)),
@@ -241,13 +236,18 @@ class LBSFitter(BaseEstimator):
             random_state=seed,
             progress=progress,
             on_round=on_round,
+            on_kept=lambda learned: self._take(learned, collection),
         )
-        learned = loop.run()
+        self._take(loop.run(), collection)
+        results = results_of(self.rig, self.template_, self.joints, collection, settings, jobs=jobs, progress=progress)
+        return self._finished(collection, results)
+
+    def _take(self, learned, collection):
+        """Have what was learned, as yet without results: what a round has learned stays where a later one is stopped."""
         self.segmenter_, self.regressor_ = learned.segmenter, learned.library
         self.template_ = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
         self.unit_, self.history_, self._learned_with = learned.units, learned.history, learned_with(self)
-        results = results_of(self.rig, self.template_, self.joints, collection, settings, jobs=jobs, progress=progress)
-        return self._finished(collection, results)
+        self.results_, self.failures_ = [None] * collection.n, dict(collection.failures)
 
     def _finished(self, collection, results):
         self.results_, self.failures_ = self._signed(results), dict(collection.failures)

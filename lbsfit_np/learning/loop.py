@@ -21,7 +21,7 @@ from ..fitting.refit import Refit
 from ..fitting.scout import Scout
 from ..fitting.template import TemplateSettings, shared_template
 from ..losses.objective import LossWeights
-from ..optimize.frame import turned_root
+from ..optimize.frame import nearest_root, turned_root
 from ..optimize.model import Model
 from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
@@ -123,6 +123,7 @@ class Loop:
     progress : callable (stage, share, figures) or None
         ``figures`` is a round's entry of the history when it ends, else None.
     on_round : callable (k, segmenter) or None, after each round
+    on_kept : callable (Learned) or None, after each round that is to be kept unless a later one is
     """
 
     def __init__(
@@ -144,12 +145,13 @@ class Loop:
         random_state,
         progress,
         on_round=None,
+        on_kept=None,
     ):
         self.rig, self.collection, self.variant, self.segmenter = rig, collection, variant, segmenter
         self.fit_settings, self.settings, self.synthesis, self.joints = fit_settings, settings, synthesis, joints
         self.sequence, self.smooth, self.jobs, self.seed = sequence, smooth, jobs, random_state
         self.progress = progress or (lambda stage, share, figures=None: None)
-        self.on_round = on_round or (lambda k, segmenter: None)
+        self.on_round, self.on_kept = on_round or (lambda k, segmenter: None), on_kept or (lambda learned: None)
         self.model = Model(rig, joints)
         self.shifting = Model(rig, joints, shifts=TemplateSettings().shifts if joints == "follow" else 0.0)
         self.library, self.facing = library, facing
@@ -163,7 +165,7 @@ class Loop:
         started = time.perf_counter()
         self._first_fits()
         self._note(0, started, {})
-        best, best_members, learned, kept = np.inf, {}, None, 0
+        best, best_members, learned = np.inf, {}, None
         for k in range(1, self.settings.rounds + 1):
             began = time.perf_counter()
             templates = self._templates()
@@ -171,13 +173,11 @@ class Loop:
             won = self._refit(templates)
             value = self._note(k, began, {"new_starts_won": won})
             self.on_round(k, self.segmenter)
-            units = self._units()
-            templates = {s: templates[s] for s in units}  # but for subjects whose scans have all failed
-            learned_now = Learned(templates, units, self.segmenter, self.library, self.history)
             fallen = value is None or value < best * (1 - self.settings.improvement)
             # Of rounds that are level the later, whose s has learned more.
             if fallen or value < best * (1 + self.settings.improvement) or learned is None:
-                best, learned, kept = value, learned_now, k  # one that has not fallen is the last
+                best, learned = value, self._learned(k, templates)  # one that has not fallen is the last
+                self.on_kept(learned)
                 best_members = {m.index: (m.state, m.loss, m.proba) for m in self.collection.members}
             if not fallen:
                 break
@@ -185,7 +185,7 @@ class Loop:
             member.state, member.loss, member.proba = best_members[member.index]
         if self.sequence and self.smooth:
             self._smooth(learned.templates)
-        return replace(learned, history=[entry | {"kept": entry["round"] == kept} for entry in self.history])
+        return replace(learned, history=self._history(learned.history[-1]["round"]))
 
     # ---- the steps ----
 
@@ -310,7 +310,7 @@ class Loop:
         for _ in range(_SWEEPS):
             members = [m for m in self.collection.members if self._beside(m)]
             for m in members:
-                beside = [_alike(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
+                beside = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
                 m.prior = np.mean([m.state.theta, *beside], axis=0), self.smooth  # without its own, neighbours would swap places
             tasks = [(m.subject, m.problem, m.state, m.prior) for m in members]
             work = _Drawn(models, self.fit_settings.partial)
@@ -334,8 +334,13 @@ class Loop:
         turned = [(member.frame.turn.T @ m.frame.turn, m.state.theta) for m in row[max(at - 1, 0) : at] + row[at + 1 : at + 2]]
         return [turned_root(self.rig, theta, turn) for turn, theta in turned]
 
-    def _units(self):
-        return {s: self.collection.of(s)[0].unit for s in self.collection.subjects}
+    def _learned(self, k, templates):
+        """What is learned if round k is kept; without the subjects whose scans have all failed."""
+        units = {s: self.collection.of(s)[0].unit for s in self.collection.subjects}
+        return Learned({s: templates[s] for s in units}, units, self.segmenter, self.library, self._history(k))
+
+    def _history(self, kept):
+        return [entry | {"kept": entry["round"] == kept} for entry in self.history]
 
     def _note(self, k, began, more):
         """One more entry of the history; the value that decides when to stop, None where no scan is left out to tell."""
@@ -433,17 +438,6 @@ def _finite(loss):
     if not np.isfinite(loss):
         raise InputError("points", "a fit that is not finite", "points without wild ones")
     return loss
-
-
-def _alike(theta, other, root):
-    """The same pose, the root's turn written (it may have whole turns more or fewer) as near as can be to another pose's."""
-    angle = np.linalg.norm(theta[root])
-    if not angle:
-        return theta
-    ways = [theta[root] * (1.0 + 2 * np.pi * k / angle) for k in (0, -1, 1, -2, 2)]
-    theta = theta.copy()
-    theta[root] = min(ways, key=lambda way: np.linalg.norm(way - other[root]))
-    return theta
 
 
 def _plain():

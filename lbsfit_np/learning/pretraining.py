@@ -9,7 +9,10 @@ from ..segmentation.stage import Training
 from ..starts.library import PoseLibrary, build_library
 from ..synthesis import StartScans, TrainingScans
 
-__all__ = ["pretrain_library", "pretrain_segmenter"]
+__all__ = ["LIBRARY_TIME", "pretrain_library", "pretrain_segmenter"]
+
+# Share of the time of pretraining that the library takes, for the progress bar.
+LIBRARY_TIME = 0.25
 
 # Enough for a look.
 _LIBRARY_POINTS = 1000

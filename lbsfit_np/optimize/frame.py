@@ -6,7 +6,7 @@ import numpy as np
 
 from ..rotations import matrix_from_rotvec, rotvec_from_matrix
 
-__all__ = ["Frame", "root_turn", "turned_root"]
+__all__ = ["Frame", "nearest_root", "root_turn", "turned_root"]
 
 
 @dataclass(frozen=True)
@@ -46,4 +46,15 @@ def turned_root(rig, theta, turn):
     F = rig.frames[rig.root]
     theta = np.array(theta, dtype=float)
     theta[rig.root] = rotvec_from_matrix(F.T @ turn @ F @ matrix_from_rotvec(theta[rig.root]))
+    return theta
+
+
+def nearest_root(theta, other, root):
+    """(J, 3) Θ of the same pose, the root's turn (it may have whole turns more or fewer) as near as can be to another pose's."""
+    angle = np.linalg.norm(theta[root])
+    if not angle:
+        return theta
+    ways = [theta[root] * (1.0 + 2 * np.pi * k / angle) for k in (0, -1, 1, -2, 2)]
+    theta = theta.copy()
+    theta[root] = min(ways, key=lambda way: np.linalg.norm(way - other[root]))
     return theta
