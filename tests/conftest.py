@@ -318,7 +318,7 @@ def tubes(tube_rig, tmp_path_factory):
 
     folder = tmp_path_factory.mktemp("tubes")
     tube_rig.save(folder / "tube.npz")
-    for i, s in enumerate(synthesize(tube_rig, 4, random_state=5, n_points=400)):
+    for i, s in enumerate(synthesize(tube_rig, 4, random_state=5, n_points=400, shape=0.0)):  # one person
         write_points_ply(folder / f"t{i}.ply", s.points)
     return folder
 

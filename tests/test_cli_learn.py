@@ -132,7 +132,7 @@ def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, r
     scans, out = sorted(tubes.glob("*.ply")), tmp_path / "m.npz"
     options = ("--variant", "free-form", "--rounds", 3, "--orientation", "any", "--seed", 5)
     _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", out, *options)
-    assert "in the variant free-form --orientation, --rounds mean nothing; scans have to face the rig's way" in text
+    assert "in the variant free-form --rounds, --orientation mean nothing; scans have to face the rig's way" in text
     _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "n.npz", "--variant", "free-form", "--held-out", 0)
     assert "in the variant free-form --held-out means nothing" in text
     _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "o.npz", "--variant", "free-form")
