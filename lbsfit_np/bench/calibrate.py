@@ -23,7 +23,7 @@ from .starts import PROBABLE, RIGS, counted_joints
 __all__ = ["Case", "calibrate", "cases_of", "judged", "regression"]
 
 # With as few starts as this many fits go wrong, which is what is to be learned from.
-_CARELESS = Effort(starts=2, facings=1, survivors=1, finals=1, generations=0, parents=0, proposals=0, bends=False)
+_CARELESS = Effort(starts=2, facings=1, survivors=1, finals=1, generations=0, parents=0, proposals=0, closer=False, bends=False)
 _RIDGE = 1e-3
 
 
