@@ -38,7 +38,7 @@ def _nothing_learned(fitter, *a, **k):
 
 def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
     content_with_few_starts(monkeypatch)
-    monkeypatch.setattr("lbsfit_np.bench.hand.SCAN", replace(SCAN, n_points=800))
+    monkeypatch.setattr("lbsfit_np.bench.hand.SCAN", replace(SCAN, n_points=400))
     rows = []
     options = {"n_scans": 6, "seeds": (3,), "variants": ("cd", "free-form"), "training_scans": 40}
     report = learn_bench("hand", shared_rigs, on_row=lambda report, variant, seed: rows.append((variant, seed)), **options)

@@ -397,7 +397,7 @@ def test_other_rigs_have_no_goals(rig, quick):
 
 def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     """All of them, as the command runs them, on few scans."""
-    few = Size(train=4, test=3, train_subjects=2, test_subjects=2, pairs=4, training_scans=60, rounds=1, seeds=1)
+    few = Size(train=4, test=2, train_subjects=2, test_subjects=2, pairs=2, training_scans=60, rounds=1, seeds=1)
     monkeypatch.setitem(SIZES, "small", few)
     monkeypatch.setattr("lbsfit_np.bench.study.data.SCAN", replace(SCAN, n_points=300))
     monkeypatch.setitem(EFFORTS, "balanced", EFFORTS["fast"])
