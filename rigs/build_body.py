@@ -135,7 +135,7 @@ def _edge_length(bones, *, trunk, limbs, head, face, nose, palm, fingers, tips, 
 
 def _ramp(x, start, end):
     """From 0 at ``start`` to 1 at ``end``."""
-    return np.clip((x - start) / (end - start), 0, 1)
+    return np.minimum(np.maximum((x - start) / (end - start), 0), 1)  # np.clip is slow for single points
 
 
 # ---- symmetry ----

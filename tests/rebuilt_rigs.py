@@ -1,4 +1,6 @@
-"""Whether a rig that was built again is the shipped one."""
+"""What builds the bundled rigs, and whether one that was built again is the shipped one."""
+
+import importlib
 
 import numpy as np
 
@@ -9,6 +11,16 @@ from lbsfit_np.io.rigs import load_rig
 # What is of the remeshed surface; all else comes from tables, and does not hang on how a processor rounds.
 OF_THE_SURFACE = {"vertices", "faces", "shapes_vertices"}
 OF_THE_SURFACE |= {f"{matrix}_{part}" for matrix in ("weights", "regressor") for part in ("data", "indices", "indptr")}
+
+
+def rig_module(name):
+    """A module of rigs/, which is lbsfit_np.rigs once installed and rigs in a checkout."""
+    try:
+        return importlib.import_module(f"lbsfit_np.rigs.{name}")
+    except ModuleNotFoundError as error:
+        if error.name not in ("lbsfit_np.rigs", f"lbsfit_np.rigs.{name}"):
+            raise
+        return importlib.import_module(f"rigs.{name}")
 
 
 def assert_rebuilt(made, shipped):

@@ -1,25 +1,13 @@
 """The body's pose library: natural poses within the limits, mirrored where that is another pose, hands that rest on the skin."""
 
-import importlib
-
 import numpy as np
 import pytest
+from rebuilt_rigs import rig_module
 from scipy.spatial import cKDTree
 
 from lbsfit_np.io.rigs import load_rig
 
-
-def _module(name):
-    """A module of rigs/, which is lbsfit_np.rigs once installed and rigs in a checkout."""
-    try:
-        return importlib.import_module(f"lbsfit_np.rigs.{name}")
-    except ModuleNotFoundError as error:
-        if error.name not in ("lbsfit_np.rigs", f"lbsfit_np.rigs.{name}"):
-            raise
-        return importlib.import_module(f"rigs.{name}")
-
-
-body_poses, body_skeleton = _module("body_poses"), _module("body_skeleton")
+body_poses, body_skeleton = map(rig_module, ("body_poses", "body_skeleton"))
 JOINTS = body_skeleton.JOINT_NAMES
 SIDES = (("left", "right"), ("right", "left"))
 TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head")

@@ -1,28 +1,14 @@
 """The bundled body: a well-made symmetric skin, anatomical axes, measured proportions, weights, people that hold together."""
 
-import importlib
-
 import numpy as np
 import pytest
+from rebuilt_rigs import rig_module
 
 from lbsfit_np.io.npz import read_npz
 from lbsfit_np.io.rigs import load_rig, read_rig_data
 
-
-def _module(name):
-    """A module of rigs/, which is lbsfit_np.rigs once installed and rigs in a checkout."""
-    try:
-        return importlib.import_module(f"lbsfit_np.rigs.{name}")
-    except ModuleNotFoundError as error:
-        if error.name not in ("lbsfit_np.rigs", f"lbsfit_np.rigs.{name}"):
-            raise
-        return importlib.import_module(f"rigs.{name}")
-
-
-checks, implicit, remesh = (_module(name) for name in ("checks", "implicit", "remesh"))
-body_shape, body_skeleton, body_poses, build_body = (
-    _module(name) for name in ("body_shape", "body_skeleton", "body_poses", "build_body")
-)
+checks, implicit = map(rig_module, ("checks", "implicit"))
+body_shape, body_skeleton, body_poses, build_body = map(rig_module, ("body_shape", "body_skeleton", "body_poses", "build_body"))
 
 LEVELS = ("body", "body-coarse")
 S = np.diag([-1.0, 1.0, 1.0])
@@ -389,68 +375,3 @@ def test_the_file_is_what_its_sources_say(rig):
     names, theta = body_poses.pose_library(rig.joint_names)
     assert names == tuple(rig.poses)
     assert np.stack(list(rig.poses.values())) == pytest.approx(theta, abs=1e-12)
-
-
-def _builds(name):
-    """The path of a shipped rig that the libraries installed here have built."""
-    pytest.importorskip("skimage", reason="building rigs needs the extra 'build'")
-    path = read_rig_data(name).path
-    built_with = str(read_npz(path)["built_with"])
-    if built_with != _module("rig_file").library_versions():
-        pytest.skip(f"the shipped file was built with {built_with}")
-    return path
-
-
-@pytest.mark.parametrize("name", LEVELS)
-def test_the_shipped_file_is_what_its_surface_gives(name, tmp_path, monkeypatch):
-    """Weights, regressor and shapes of the shipped surface, whose edges are as long as asked for.
-
-    Making the surface again takes minutes; the hand's tests do that with the same tools.
-    """
-    path = _builds(name)
-    shipped = read_npz(path)
-    right = shipped["vertices"][:, 0] >= 0
-    half = shipped["vertices"][right], (np.cumsum(right) - 1)[shipped["faces"][right[shipped["faces"]].all(axis=1)]]
-    asked = []
-    monkeypatch.setattr(build_body, "polygonise", lambda *a, **k: (None, None))
-    monkeypatch.setattr(build_body, "remesh", lambda skin, points, faces, edge_length, rounds: asked.append(edge_length) or half)
-    build_body.build(name, tmp_path)
-    made = read_npz(tmp_path / f"{name}.npz")
-    assert list(made) == list(shipped)
-    for key, array in shipped.items():
-        assert made[key].dtype == array.dtype and made[key].shape == array.shape, key
-        if array.dtype.kind == "f":  # other processors round otherwise
-            assert made[key] == pytest.approx(array, abs=1e-9), key
-        else:
-            assert np.array_equal(made[key], array), key
-    p = half[0][half[1]]
-    q = np.roll(p, 1, axis=1)
-    ratio = np.linalg.norm(p - q, axis=2) / asked[0](((p + q) / 2).reshape(-1, 3)).reshape(-1, 3)
-    assert 0.9 < np.median(ratio) < 1.1 and np.quantile(ratio, 0.99) < 1.4
-
-
-# ---- the tools ----
-
-
-def _ball(points):
-    return np.linalg.norm(points - [0, 0.01, 0.02], axis=1) - 0.05
-
-
-def test_polygonising_by_blocks_gives_the_same_surface():
-    pytest.importorskip("skimage", reason="building rigs needs the extra 'build'")
-    box = np.array([-0.06, -0.05, -0.04]), np.array([0.06, 0.07, 0.08])
-    plain, blocks = (implicit.polygonise(_ball, *box, 0.004, blocks=b) for b in (1, 4))
-    assert plain[0] == pytest.approx(blocks[0], abs=1e-12) and np.array_equal(plain[1], blocks[1])
-
-
-def test_half_a_ball_is_remeshed_up_to_its_mirror():
-    pytest.importorskip("skimage", reason="building rigs needs the extra 'build'")
-    half = implicit.polygonise(_ball, np.array([0.0, -0.05, -0.04]), np.array([0.06, 0.07, 0.08]), 0.004)
-    vertices, faces = remesh.remesh(_ball, *half, lambda p: np.full(len(p), 0.012))
-    assert (vertices[:, 0] >= 0).all() and np.count_nonzero(vertices[:, 0] == 0) > 15
-    whole, triangles = build_body.mirrored(vertices, faces)
-    assert checks.edge_uses(triangles) == (1, True) and checks.euler_characteristic(triangles) == 2
-    assert np.abs(_ball(whole)).max() < 1e-9
-    p = whole[triangles]
-    edges = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=2)
-    assert edges.max() < 2.2 * edges.min()

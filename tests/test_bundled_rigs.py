@@ -1,28 +1,15 @@
 """The rigs that ship: well-made skins, anatomical axes, honest weights, poses within limits, and builds that repeat."""
 
-import importlib
-
 import numpy as np
 import pytest
-from rebuilt_rigs import assert_rebuilt
+from rebuilt_rigs import assert_rebuilt, rig_module
 
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.npz import read_npz
 from lbsfit_np.io.rigs import about_bundled, bundled_rigs, load_rig, read_rig_data
 
-
-def _module(name):
-    """A module of rigs/, which is lbsfit_np.rigs once installed and rigs in a checkout."""
-    try:
-        return importlib.import_module(f"lbsfit_np.rigs.{name}")
-    except ModuleNotFoundError as error:
-        if error.name not in ("lbsfit_np.rigs", f"lbsfit_np.rigs.{name}"):
-            raise
-        return importlib.import_module(f"rigs.{name}")
-
-
-checks, heat, implicit, remesh = (_module(name) for name in ("checks", "heat", "implicit", "remesh"))
-hand_shape, hand_poses = _module("hand_shape"), _module("hand_poses")
+checks, heat, implicit, remesh = map(rig_module, ("checks", "heat", "implicit", "remesh"))
+hand_shape, hand_poses = rig_module("hand_shape"), rig_module("hand_poses")
 
 LONG = ("index", "middle", "ring", "pinky")
 
@@ -348,10 +335,10 @@ def test_the_file_is_what_its_sources_say(hand, hand_file):
 @pytest.mark.parametrize("name", ["hand", "hand-coarse"])
 def test_rebuilding_gives_the_shipped_file(name, tmp_path):
     pytest.importorskip("skimage", reason="building rigs needs the extra 'build'")
-    build_hand = _module("build_hand")
+    build_hand = rig_module("build_hand")
     path = read_rig_data(name).path
     built_with = str(read_npz(path)["built_with"])
-    if built_with != _module("rig_file").library_versions():
+    if built_with != rig_module("rig_file").library_versions():
         pytest.skip(f"the shipped file was built with {built_with}")
     made = tmp_path / f"{name}.npz"
     build_hand.build(name, tmp_path)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -397,13 +398,18 @@ def test_other_rigs_have_no_goals(rig, quick):
 
 def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     """All of them, as the command runs them, on few scans."""
-    few = Size(train=4, test=2, train_subjects=2, test_subjects=2, pairs=2, training_scans=60, rounds=1, seeds=1)
+    few = Size(train=4, test=3, train_subjects=2, test_subjects=2, pairs=4, training_scans=60, rounds=1, seeds=1)
     monkeypatch.setitem(SIZES, "small", few)
     monkeypatch.setattr("lbsfit_np.bench.study.data.SCAN", replace(SCAN, n_points=300))
     monkeypatch.setitem(EFFORTS, "balanced", EFFORTS["fast"])
     learned, fit = [], LBSFitter.fit
     monkeypatch.setattr(LBSFitter, "fit", lambda self, *a, **k: learned.append(self.variant) or fit(self, *a, **k))
-    cells = study({"tube": tube_rig}, seeds=[5])["rigs"]["tube"]["seeds"]["5"]
+    labels = {}
+
+    def on_cell(report, name, seed, row, arrays):
+        labels[row] = arrays.get("labels")
+
+    cells = study({"tube": tube_rig}, seeds=[5], on_cell=on_cell)["rigs"]["tube"]["seeds"]["5"]
     assert list(cells) == list(ROWS) and not any(cell["unfitted"] for cell in cells.values())
     assert min(cells, key=lambda row: cells[row]["pose"]) == "oracle-fit"
     assert cells["joint"]["pose"] < 0.5 * cells["free-form"]["pose"]
@@ -411,7 +417,8 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     assert told == dict.fromkeys(ROWS, 0) | {"joint": 2, "pose-only": 2, "rand": 2}
     assert {row for row, cell in cells.items() if cell["gap"]} == {"joint", "pose-only", "rand", "cd"}
     assert len({cells[row]["accuracy"][0] for row in ("joint", "pose-only", "rand")}) == 1  # the same pretraining
-    assert learned == [row for row in ROWS if row in ("joint", "pose-only", "rand", "cd")]  # and different learning
+    assert learned == [row for row in ROWS if row in ("joint", "pose-only", "rand", "cd")]  # and different learning,
+    assert not any(np.array_equal(labels[a], labels[b]) for a, b in combinations(("joint", "pose-only", "rand"), 2))
 
 
 def test_the_steps_of_skinning_are_those_of_the_fits(tube_rig, tube_result):
