@@ -6,6 +6,8 @@ vertices of the rim, so that the mesh and its mirror image together are a closed
 order, so the result is a function of the input alone. Build time only.
 """
 
+from math import dist, hypot
+
 import numpy as np
 
 from .implicit import gradient, project
@@ -44,10 +46,13 @@ def remesh(shape, vertices, faces, edge_length, *, rounds=8):
 
 
 class _Mesh:
-    """Triangles by number and the triangles around each vertex; rows are never reused, dead ones are None."""
+    """Triangles by number and the triangles around each vertex; rows are never reused, dead ones are None.
+
+    Points are tuples of floats: most work is on single ones, where arrays would take ten times as long.
+    """
 
     def __init__(self, vertices, faces):
-        self.points = [np.array(p) for p in np.asarray(vertices, dtype=float)]
+        self.points = [tuple(p) for p in np.asarray(vertices, dtype=float).tolist()]
         self.faces = []
         self.around = [set() for _ in self.points]
         for f in np.asarray(faces).tolist():
@@ -80,9 +85,14 @@ class _Mesh:
     def neighbours(self, v):
         return {w for t in self.around[v] for w in self.faces[t]} - {v}
 
+    def middle(self, a, b):
+        return tuple((p + q) / 2 for p, q in zip(self.points[a], self.points[b]))
+
     def normal(self, face, moved=None, to=None):
-        p = [to if v == moved else self.points[v] for v in face]
-        return _cross(p[1] - p[0], p[2] - p[0])
+        (px, py, pz), (qx, qy, qz), (rx, ry, rz) = (to if v == moved else self.points[v] for v in face)
+        ax, ay, az = qx - px, qy - py, qz - pz
+        bx, by, bz = rx - px, ry - py, rz - pz
+        return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
 
     def arrays(self):
         used = sorted({v for f in self.faces if f is not None for v in f})
@@ -96,20 +106,17 @@ def _sides_of(faces):
     return np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
 
 
-def _cross(a, b):
-    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
-
-
 def _measured(mesh, edge_length):
-    """Edges with their lengths relative to what is wanted at their midpoints."""
+    """Edges, their lengths relative to what is wanted at their midpoints, and that."""
     edges = mesh.edges()
     points = np.array(mesh.points)
     a, b = points[edges[:, 0]], points[edges[:, 1]]
-    return edges, np.linalg.norm(a - b, axis=1) / edge_length((a + b) / 2)
+    wanted = edge_length((a + b) / 2)
+    return edges, np.linalg.norm(a - b, axis=1) / wanted, wanted
 
 
 def _split(mesh, edge_length, limit):
-    edges, ratio = _measured(mesh, edge_length)
+    edges, ratio, _ = _measured(mesh, edge_length)
     ratio[[mesh.chord(a, b) for a, b in edges.tolist()]] += 1000  # have to go in any case
     for e in np.argsort(-ratio, kind="stable"):
         if ratio[e] <= limit:
@@ -118,7 +125,7 @@ def _split(mesh, edge_length, limit):
         sides = mesh.sides(a, b)
         if len(sides) != 2 and not (len(sides) == 1 and mesh.rim):
             continue
-        mesh.points.append((mesh.points[a] + mesh.points[b]) / 2)
+        mesh.points.append(mesh.middle(a, b))
         mesh.around.append(set())
         m = len(mesh.points) - 1
         if len(sides) == 1:
@@ -131,8 +138,9 @@ def _split(mesh, edge_length, limit):
 
 
 def _collapse(mesh, edge_length, limit):
-    edges, ratio = _measured(mesh, edge_length)
-    for e in np.argsort(ratio, kind="stable"):
+    edges, ratio, wanted = _measured(mesh, edge_length)
+    moved = set()
+    for e in np.argsort(ratio, kind="stable").tolist():
         if ratio[e] >= limit:
             return
         a, b = edges[e].tolist()
@@ -142,15 +150,15 @@ def _collapse(mesh, edge_length, limit):
         common = mesh.neighbours(a) & mesh.neighbours(b)
         if len(sides) != (1 if a in mesh.rim and b in mesh.rim else 2) or len(common) != len(sides):
             continue
-        middle = (mesh.points[a] + mesh.points[b]) / 2
+        middle, longest = mesh.middle(a, b), wanted[e]
         if len(sides) == 2 and (a in mesh.rim or b in mesh.rim):
             a, b = (a, b) if a in mesh.rim else (b, a)
             if (mesh.neighbours(b) & mesh.rim) - common - {a}:
                 continue
-            middle = mesh.points[a].copy()
-        ring = np.array([mesh.points[v] for v in sorted(mesh.neighbours(a) | mesh.neighbours(b))])
-        wanted = edge_length(middle[None])[0]
-        if np.linalg.norm(ring - middle, axis=1).max() > 4 / 3 * wanted:
+            middle = mesh.points[a]
+        if a in moved or b in moved or middle == mesh.points[a]:
+            longest = edge_length(np.array([middle]))[0]
+        if max(dist(mesh.points[v], middle) for v in mesh.neighbours(a) | mesh.neighbours(b)) > 4 / 3 * longest:
             continue
         kept = [(t, v) for v in (a, b) for t in sorted(mesh.around[v]) if t not in sides]
         if any(not _same_way(mesh.normal(mesh.faces[t]), mesh.normal(mesh.faces[t], v, middle)) for t, v in kept):
@@ -162,6 +170,7 @@ def _collapse(mesh, edge_length, limit):
             mesh.remove(t)
             mesh.add([a if v == b else v for v in face])
         mesh.points[a] = middle
+        moved.add(a)
 
 
 def _flip(mesh):
@@ -178,12 +187,12 @@ def _flip(mesh):
         if mesh.around[c] & mesh.around[d] or c == d or (c in mesh.rim and d in mesh.rim):
             continue
         # A vertex of the rim has as many triangles again on the other side of the mirror.
-        both = np.array([1 + (v in mesh.rim) for v in (a, b, c, d)])
-        valence = both * [len(mesh.around[v]) for v in (a, b, c, d)]
-        less = valence + both * [-1, -1, 1, 1]
-        if np.sum((less - 6) ** 2) >= np.sum((valence - 6) ** 2) or less[:2].min() < 3:
+        both = [1 + (v in mesh.rim) for v in (a, b, c, d)]
+        valence = [k * len(mesh.around[v]) for k, v in zip(both, (a, b, c, d))]
+        less = [n + k * by for n, k, by in zip(valence, both, (-1, -1, 1, 1))]
+        if sum((n - 6) ** 2 for n in less) >= sum((n - 6) ** 2 for n in valence) or min(less[:2]) < 3:
             continue
-        old = mesh.normal(first) + mesh.normal(second)
+        old = tuple(map(sum, zip(mesh.normal(first), mesh.normal(second))))
         new = [mesh.normal((c, a, d)), mesh.normal((d, b, c))]
         if not all(_same_way(old, n, 0.7) for n in new):
             continue
@@ -194,8 +203,8 @@ def _flip(mesh):
 
 
 def _same_way(old, new, least=0.5):
-    size = np.sqrt((old @ old) * (new @ new))
-    return size > 0 and old @ new > least * size
+    size = hypot(*old) * hypot(*new)
+    return size > 0 and sum(p * q for p, q in zip(old, new)) > least * size
 
 
 def _relax(mesh, shape):
@@ -217,5 +226,5 @@ def _relax(mesh, shape):
     move -= (move * normal).sum(axis=1, keepdims=True) * normal
     moved = project(shape, points[used] + 0.8 * move)
     moved[rim, 0] = 0.0
-    for v, q in zip(used.tolist(), moved):
-        mesh.points[v] = q
+    for v, q in zip(used.tolist(), moved.tolist()):
+        mesh.points[v] = tuple(q)
