@@ -293,8 +293,8 @@ def test_a_picture_as_old_as_its_fit_is_of_it(later, newer, tmp_path):
     "statuses, doubts",
     [
         (["ok", "ok"], ""),
-        (["ok", "suspect", "failed", "failed", "none"], " (1 suspect, 2 failed, 1 could not be)"),
-        (["none", "none"], " (2 could not be)"),
+        (["ok", "suspect", "failed", "failed", "none"], ", 1 could not be (1 suspect, 2 failed)"),
+        (["none", "none"], ", 2 could not be"),
     ],
 )
 def test_what_could_not_be_fitted_is_told_from_what_was_fitted_wrongly(statuses, doubts):
@@ -369,7 +369,7 @@ def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
         doubtful.save(tmp_path / "two.fit.npz")
         found, text, _ = run(*arguments)
         assert found == code
-        assert f"2 of 2 scans fitted (1 {status}), 2 of them skipped as fitted before; results in" in text
+        assert f"2 of 2 scans fitted, 2 of them skipped as fitted before (1 {status}); results in" in text
         assert f"two   {status.ljust(len('status'))}  {probability:.2f}" in text and text.rstrip().count("odd") == 1
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert [(s["name"], s["status"], s["kept"]) for s in summary["scans"]] == [("two", status, True), ("one", "ok", True)]

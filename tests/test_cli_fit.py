@@ -63,7 +63,7 @@ def test_failed_scans_are_named_and_the_others_written(made, tmp_path, run):
     (tmp_path / "empty.ply").write_bytes(b"")
     code, text, err = run("fit", made / "tube.npz", tmp_path / "empty.ply", made / "one.ply", "-o", tmp_path / "out", *QUICK)
     assert code == 1
-    assert "empty: failed: " in err and "an empty file (0 bytes)" in err and "1 of 2 scans fitted (1 could not be)" in text
+    assert "empty: failed: " in err and "an empty file (0 bytes)" in err and "1 of 2 scans fitted, 1 could not be;" in text
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "one.fit.npz",
         "one.labels.ply",

@@ -51,7 +51,8 @@ def test_what_it_says_meanwhile(learned_hands):
     assert re.search(line, text)
     for stage in ("training the segmenter", "fitting each scan by itself", "round 1 of at most 1: poses of scans", "results"):
         assert stage in text
-    assert "learned from 6 of 8 scans of 2 subjects, 1 more held out, in 1 round; " in text and "7 of 8 results in" in text
+    assert "learned from 6 of 8 scans of 2 subjects, 1 more held out, 1 could not be used, in 1 round; " in text
+    assert "7 of 8 results in" in text
     assert "warning" not in text + err and "\r" not in text
 
 
@@ -124,19 +125,28 @@ def test_the_unit_of_the_scans_is_told(unit, options, words, tubes, tmp_path, ru
     for path in sorted(tubes.glob("*.ply")):
         np.save(tmp_path / f"{path.stem}.npy", unit * lbs.load_scan(path).points)
     scans = sorted(tmp_path.glob("*.npy"))
-    _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form", *options)
+    arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--results", tmp_path / "fits")
+    _, text, _ = run(*arguments, "--variant", "free-form", *options)
     assert re.search(words, text)
+    guessed = ["a guess from the extents" in lbs.FitResult.load(f).message for f in (tmp_path / "fits").glob("*.fit.npz")]
+    assert guessed == [unit == 60.0] * len(scans)
 
 
 def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, run):
     scans, out = sorted(tubes.glob("*.ply")), tmp_path / "m.npz"
-    options = ("--variant", "free-form", "--rounds", 3, "--orientation", "any", "--seed", 5)
-    _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", out, *options)
-    assert "in the variant free-form --rounds, --orientation mean nothing; scans have to face the rig's way" in text
+    turned = "note: in the variant free-form scans have to face the rig's way"
+    options = ("--variant", "free-form", "--rounds", 3, "--orientation", "any", "--up=+z", "--seed", 5)
+    code, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", out, *options)
+    assert code == 0 and f"{turned}; --rounds, --orientation, --up mean nothing\n" in text
+    assert "fitted 4 of 4 scans, each by itself; " in text and "round" not in text.split("mean nothing")[1]
+    assert lbs.LBSFitter.load(out).orientation == "upright"
+    _, text, _ = run("fit", out, scans[0], "-o", tmp_path / "fits", "--orientation", "any", "--partial")
+    assert "for a model without skinning --orientation, --partial mean nothing" in text
+    assert "m.npz is a learned model: 1 subject, variant 'free-form'" in text
     _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "n.npz", "--variant", "free-form", "--held-out", 0)
-    assert "in the variant free-form --held-out means nothing" in text
+    assert f"{turned}; --held-out means nothing\n" in text
     _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "o.npz", "--variant", "free-form")
-    assert "mean nothing" not in text and "means nothing" not in text
+    assert f"{turned}\n" in text and "mean nothing" not in text and "means nothing" not in text
 
 
 def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):

@@ -24,7 +24,8 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
     text, err, returned = _stopped_after("round 1 of", jobs, sent, tubes, cli_cache, tmp_path)
     assert (returned, err) == (code, ""), err
-    round_kept = re.search(r"stopped: .*m\.npz has what round (\d+) learned; there are no results of the scans\n$", text)[1]
+    how = r"to fit scans with it: lbsfit fit .*m\.npz SCAN\.\.\. -o .*fits"
+    round_kept = re.search(rf"stopped: .*m\.npz has what round (\d+) learned, without results; {how}\n$", text)[1]
     assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]  # no empty folder of results
     learned = lbs.LBSFitter.load(tmp_path / "m.npz")
     assert [entry["round"] for entry in learned.history_ if entry["kept"]] == [int(round_kept)]

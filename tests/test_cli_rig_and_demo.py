@@ -27,7 +27,8 @@ def test_rig_card(made, tmp_path, run):
     assert run("rig", "card", made / "tube.npz", "-o", card, "--existing", "replace")[0] == 0 and "[limits]" in card.read_text()
     rig = tmp_path / "tube.npz"
     rig.write_bytes((made / "tube.npz").read_bytes())
-    for name, words in (("tube.card.toml", f"it is used with {rig} by itself"), ("a.toml", f"pass it with --card {tmp_path}")):
+    elsewhere = f"pass it with --card {tmp_path}"
+    for name, words in (("b.toml", elsewhere), ("tube.card.toml", f"it is used with {rig} by itself"), ("a.toml", elsewhere)):
         code, text, _ = run("rig", "card", rig, "-o", tmp_path / name)
         assert code == 0 and words in text
         assert ("note: it says what tube.npz is without tube.card.toml, which was not read" in text) == (name == "a.toml")

@@ -48,7 +48,8 @@ def test_scans_of_one_name_are_told_apart_by_path(tmp_path):
 @pytest.mark.parametrize(
     "name, content, words",
     [
-        ("who.csv", "a1,anna\na3.ply,anna\nb 1,ben\n", ["'a3.ply' in line 2", "none of the scans", "Did you mean 'a"]),
+        ("who.csv", "a1,anna\na3.ply,anna\nb 1,ben\n", ["'a3.ply' in line 2", "none of the scans", "Did you mean 'a2"]),
+        ("who.csv", "a1,anna\na2,anna\na3,anna\nb 1,ben\n", ["'a3' in line 3", "none of the scans", "Leave out scans"]),
         ("who.csv", "a1,anna\nzzzz,anna\n", ["'zzzz' in line 2", "Leave out scans"]),
         ("who.csv", "a1,anna\n", ["no id for 2 of 3 scans: in/a2.ply, in/b 1.xyz", "Add them"]),
         ("who.csv", "", ["no id for 3 of 3 scans"]),

@@ -140,6 +140,12 @@ def test_a_name_without_the_ending_is_refused(name, words, tube_result, tmp_path
     assert not list(tmp_path.iterdir())
 
 
+def test_a_result_is_no_scan(tube_result, tmp_path):
+    tube_result.save(tmp_path / "a.fit.npz")
+    with pytest.raises(FileError, match=r"got the result of a fit; expected a scan.*FitResult\.load"):
+        lbs.load_scan(tmp_path / "a.fit.npz")
+
+
 def test_the_file_is_plain_arrays_under_documented_keys(tube_result, tmp_path):
     tube_result.save(tmp_path / "a.fit.npz")
     with np.load(tmp_path / "a.fit.npz", allow_pickle=False) as z:

@@ -139,7 +139,9 @@ def test_a_doubt_about_a_scan_stands_in_its_message(make_learner, few_scans, mon
 
     monkeypatch.setattr(Loop, "_check_scales", doubt)
     fitter = make_learner(variant="cd").fit([s.points for s in few_scans[:3]])
-    assert ["its first fit had 2.5 times the scale of the others" in r.message for r in fitter.results_] == [False, True, False]
+    first = "its first fit had 2.5 times the scale of its subject's others: in another unit? Convert it and learn again; "
+    assert [r.message.startswith(first) for r in fitter.results_] == [False, True, False]
+    assert ["scan and rig are in one unit" in r.message for r in fitter.results_] == [True, False, True]
 
 
 def test_figures_of_a_round_are_means_of_roots():

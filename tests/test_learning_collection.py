@@ -76,7 +76,7 @@ def test_units_that_extents_hide_are_told_by_first_fits(scales, words):
     if words is None:
         Loop._check_scales(loop, {"a": scales})
         doubted = {k: m.doubt for k, m in enumerate(members) if hasattr(m, "doubt")}
-        said = "; its first fit had {} times the scale of the others: another unit?".format
+        said = "its first fit had {} times the scale of its subject's others: in another unit? Convert it and learn again".format
         odd = {4: {3: said(2)}, 2: {0: said(0.5), 1: said(2)}}[len(scales)] if max(scales) == 2 else {}
         assert doubted == odd
         return

@@ -52,7 +52,7 @@ def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_p
 def test_several_people_that_pass_for_one_are_noticed(tube_rig, make_learner, learned_people, people_scans):
     """Their joints are worse than with subjects; the results say that they are doubtful, and a warning says what to do."""
     scans = [s.points for s in people_scans[:6]]
-    with pytest.warns(UserWarning, match=r"of 6 scans are explained much better by .* of several people\? Say whose"):
+    with pytest.warns(UserWarning, match=r"of 6 scans do not suit their subject's template; are they of several people\? Say "):
         mixed = make_learner().fit(scans)
     odd = [r.evidence["proportions"] > SOMEBODY_ELSE for r in mixed.results_]
     assert sum(odd) > 1
@@ -74,6 +74,30 @@ def test_somebody_else_is_told_by_proportions(tube_rig, whose, somebody_else):
     for scan in lbs.synthesize(tube_rig, 2, templates=templates, random_state=3, n_points=400):
         fit, found = TemplateFit(tube_rig, Model(tube_rig), FitSettings()), _seen(tube_rig, scan)
         assert (fit.proportions(found.problem, found.state) > SOMEBODY_ELSE) == somebody_else
+
+
+@pytest.mark.parametrize("scale, free", [("estimate", {"pose", "translation", "scale"}), ("fixed", {"pose", "translation"})])
+def test_proportions_cost_what_they_deviate(tube_rig, scale, free, monkeypatch):
+    """The share is of what is left unexplained and of ridge ‖c‖² together; where the scale may change, it does in both."""
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=400)
+    fit, found = TemplateFit(tube_rig, Model(tube_rig), FitSettings(scale=scale)), _seen(tube_rig, scan)
+    told = {}
+
+    def shared(problems, states, **options):
+        told["shared"] = set(options["free"])
+        c = np.zeros(found.state.coefficients.shape)
+        c.flat[:2] = 3.0, 4.0
+        return [found.state.replace(coefficients=c)], [1.0]
+
+    def pose(problem, state, **options):
+        told["pose"] = set(options["free"])
+        return state, 100.0
+
+    monkeypatch.setattr(fit._steps, "shared", shared)
+    monkeypatch.setattr(fit._steps, "pose", pose)
+    monkeypatch.setattr(fit._steps, "ridge", 2.0)
+    assert fit.proportions(found.problem, found.state) == pytest.approx(1 - (1.0 + 2.0 * 25.0) / 100.0)
+    assert told == {"shared": free, "pose": free}
 
 
 @dataclass(frozen=True)

@@ -179,6 +179,24 @@ def test_looked_at_closer_a_limb_finds_a_pose_that_no_library_has(body, seed):
     assert np.array_equal(body.limbs.proposals(problem, state, 1, closer=True)[0], first)
 
 
+def test_only_limbs_that_end_somewhere_are_looked_at_closer(body, monkeypatch):
+    seen = []
+    monkeypatch.setattr(body.limbs, "_nearer", lambda limb, tried, rest, try_out: seen.append(limb) or tried)
+    state, problem = body.seen(np.zeros_like(body.rig.lower))
+    body.limbs.proposals(problem, state, 1)
+    assert not seen
+    body.limbs.proposals(problem, state, 1, closer=True)
+    assert seen == [limb for limb in body.limbs._limbs if limb.ends] and len(seen) < len(body.limbs._limbs)
+
+
+def test_parents_are_the_best_poses_that_are_not_all_but_the_same(body):
+    """Of the own pose, in the first row, none come; of two that place the limb alike, the better one."""
+    place = np.zeros((6, 4, 3))
+    place[:, :, 0] = np.array([0.0, 0.2, 0.22, 0.5, 0.21, 0.9])[:, None]
+    tried = _Tried(place, np.zeros(6), np.zeros((6, 5)), np.zeros((6, 2, 3)))
+    assert list(body.limbs._apart(tried, np.array([0.0, 0.3, 0.2, 0.4, 0.5, 0.1]))) == [5, 2, 3]
+
+
 def _exchanged(hand, one, two, seed=0):
     """(truth, problem, Θ): a finger is bent and another is not, and in Θ the other way round."""
     theta = np.zeros_like(hand.rig.lower)

@@ -46,6 +46,14 @@ def test_effort_is_the_number_of_starts(tube_rig, make_scout, clean_scans, effor
     assert error_of(tube_rig, found, clean_scans[0], turn) < 0.03
 
 
+@pytest.mark.parametrize("effort", EFFORTS)
+def test_only_a_thorough_look_looks_at_limbs_closer(make_scout, clean_scans, effort, monkeypatch):
+    scout, told = make_scout(settings=FitSettings(effort=effort)), []
+    monkeypatch.setattr(scout._limbs, "proposals", lambda problem, state, n, *, closer: told.append((n, closer)) or [])
+    scout._look(clean_scans[0].points, None)
+    assert set(told) == {(EFFORTS[effort].proposals, effort == "thorough")}
+
+
 def test_more_effort_is_more_of_everything():
     assert list(EFFORTS) == ["fast", "balanced", "thorough"]
     fields = [[getattr(e, name) for name in e.__dataclass_fields__ if name != "again"] for e in EFFORTS.values()]

@@ -30,7 +30,7 @@ _SHARED = (
 )
 
 # What means nothing without skinning.
-_OF_SKINNING = "orientation partial effort joints training-scans training rounds held-out sequence smooth".split()
+_OF_SKINNING = "orientation up partial effort joints training-scans training rounds held-out sequence smooth".split()
 
 OPTIONS = (
     Option("output", "the model to write, NAME.npz; its folder is made if need be", metavar="MODEL", flag="-o", is_path=True),
@@ -86,7 +86,7 @@ with what the rounds until then have learned; an input is never overwritten. The
 $LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans, how many fits are ok, suspect or
 failed, and a table of those that are not ok, see lbsfit fit --help.
 Exit code: 0 learned from all scans, 1 some scans were left out, or their fits failed, 2 usage, unreadable rig, or no model
-could be learned, 130 stopped by Ctrl-C.
+could be learned, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
 
@@ -135,7 +135,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     files = _checked(rig_path, scans, values, inputs)
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
     rig = load_rig_with(rig_path, values)
-    _say_unused(values)
+    values = _without_unused(values)
     fitter = _fitter(rig, values)
     check_parameters(fitter)  # before a folder is made
     folders = outputs.make_folder(model.parent)
@@ -163,7 +163,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     except KeyboardInterrupt as stop:
         progress.close()
         results = f", {written_of(entries)} of {len(scans)} results are in {values['results']}" if files else ""
-        say(f"stopped: {model} is complete{results}" if written else _stopped_early(fitter, model))
+        say(f"stopped: {model} is complete{results}" if written else _stopped_early(fitter, model, values["results"]))
         return exit_code(stop)
     finally:
         progress.close()
@@ -193,14 +193,16 @@ def _checked(rig_path, scans, values, inputs):
     return files
 
 
-def _say_unused(values):
-    """Name the options that were given and mean nothing without skinning."""
+def _without_unused(values):
+    """Without skinning, the options that mean nothing then are named and back at their defaults."""
     if VARIANTS[values["variant"]].skinning:
-        return
-    given = [f"--{o.name}" for o in OPTIONS if o.name in _OF_SKINNING and values[o.key] != o.default]
+        return values
+    given = [o for o in OPTIONS if o.name in _OF_SKINNING and values[o.key] != o.default]
+    words = "note: in the variant free-form scans have to face the rig's way"
     if given:
-        mean = "means" if len(given) == 1 else "mean"
-        say(f"note: in the variant free-form {', '.join(given)} {mean} nothing; scans have to face the rig's way")
+        words += f"; {', '.join(f'--{o.name}' for o in given)} {'means' if len(given) == 1 else 'mean'} nothing"
+    say(words)
+    return values | {o.key: o.default for o in given}
 
 
 def _check_twice(scans):
@@ -272,10 +274,12 @@ class _Reading:
 def _learn(fitter, reading, subjects, progress):
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".* scans cannot be used; ")  # each has been named already
-        fitter.fit(reading.sources, subjects, cache=True, progress=progress)
-    progress.close()
-    for i, message in fitter.failures_.items():
-        reading.fail(i, message)
+        try:
+            fitter.fit(reading.sources, subjects, cache=True, progress=progress)
+        finally:  # those that were stopped may leave a model, too
+            progress.close()
+            for i, message in getattr(fitter, "failures_", {}).items():
+                reading.fail(i, message)
 
 
 def _learned(fitter, reading, model, seconds):
@@ -285,22 +289,28 @@ def _learned(fitter, reading, model, seconds):
     n, who = len(reading.paths), len(fitter.template_)
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
     held = sum(r is not None and LEFT_OUT in r.message for r in fitter.results_)
-    apart = f", {held} more held out," if held else ""
+    failed = len(reading.failures)
+    apart = [f"{held} more held out"] * (held > 0) + [f"{failed} could not be used"] * (failed > 0)
+    apart = f", {', '.join(apart)}," if apart else ""
     early = ", until those held out were explained no better" if 0 < rounds < fitter.rounds else ""
     kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
     which = f", round {kept} kept" if kept < rounds else ""
+    if not VARIANTS[fitter.variant].skinning:
+        return f"fitted {n - failed} of {n} scans, each by itself; {model}, with their unit, written after {span(seconds)}"
     return (
-        f"learned from {n - len(reading.failures) - held} of {n} scans of {who} subject{'' if who == 1 else 's'}{apart} "
+        f"learned from {n - failed - held} of {n} scans of {who} subject{'' if who == 1 else 's'}{apart} "
         f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; {model} written after {span(seconds)}"
     )
 
 
-def _stopped_early(fitter, model):
-    """What of the work is kept, in words; the model, where a round has learned one."""
+def _stopped_early(fitter, model, results):
+    """What of the work is kept, and how to go on, in words; the model, where a round has learned one."""
     if getattr(fitter, "history_", None):  # a round has been kept
-        fitter.save(model)
+        with terminable():
+            fitter.save(model)
         kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
-        return f"stopped: {model} has what round {kept} learned; there are no results of the scans"
+        to_fit = f"lbsfit fit {model} SCAN... -o {results or 'OUT'}"
+        return f"stopped: {model} has what round {kept} learned, without results; to fit scans with it: {to_fit}"
     if getattr(fitter, "regressor_", None) is None:  # training is over only when all of it is
         return "stopped before the model was learned; the same command begins anew"
     kept = "what was trained first is kept, and the rounds begin anew with the same command"

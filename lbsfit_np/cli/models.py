@@ -5,6 +5,7 @@ import os
 from dataclasses import asdict, is_dataclass
 
 from ..errors import FileError, InputError, brief, listed
+from ..learning.variants import VARIANTS
 from .progress import say
 
 __all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig"]
@@ -13,6 +14,8 @@ __all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model
 _SETTLED = ("card", "shape", "skin", "normalize-weights", "parts", "joints", "segmenter", "training-scans", "training")
 # Options that a model has settled, too, but that may be changed for another scan.
 _FREE = ("scale", "orientation", "up", "partial", "effort", "weights", "max_points")
+# Those of them that mean nothing to a model without skinning.
+_OF_SKINNING = ("orientation", "up", "partial", "effort")
 
 
 def is_model(path):
@@ -58,10 +61,13 @@ def load_model(path, values, given):
             "Leave it out, or learn again with it: lbsfit learn has these options.",
         )
     fitter = LBSFitter.load(path)
+    unused = [] if VARIANTS[fitter.variant].skinning else [key for key in _OF_SKINNING if key in given]
+    if unused:
+        say(f"note: for a model without skinning {', '.join(f'--{key}' for key in unused)} {_mean(unused)} nothing")
     for key in _FREE:
-        if key in given:
+        if key in given and key not in unused:
             setattr(fitter, key, values[key])
-    if values["orientation"] == "any" and "orientation" in given and "up" not in given:
+    if fitter.orientation == "any" and "orientation" in given and "up" not in given:
         fitter.up = None  # no axis is known then, and the model's cannot be unsaid otherwise
     if "seed" in given or type(fitter.random_state) is not int:
         fitter.random_state = values["seed"]
@@ -96,14 +102,18 @@ def model_in_words(about):
     """``about_model`` in a line."""
     names = [str(s) for s in about["subjects"]]
     who = f"{len(names)} subject{'' if len(names) == 1 else 's'}" + (f" ({listed(names)})" if names != ["0"] else "")
-    rounds = f"{about['rounds']} round{'' if about['rounds'] == 1 else 's'}"
-    return f"a learned model: {who}, {rounds}, variant {about['variant']!r}"
+    rounds = f"{about['rounds']} round{'' if about['rounds'] == 1 else 's'}, " if about["rounds"] else ""
+    return f"a learned model: {who}, {rounds}variant {about['variant']!r}"
 
 
 def say_model_as_rig(path):
     """Say that of a model only the rig is used, where ``path`` is one."""
     if is_model(path):
         say(f"{path} is {model_in_words(about_model(path))}: its rig is used, what it has learned is not")
+
+
+def _mean(what):
+    return "means" if len(what) == 1 else "mean"
 
 
 def _is_none(name, values):
@@ -113,6 +123,9 @@ def _is_none(name, values):
 def _keep_only(fitter, wanted):
     """Leave one subject's template; ids on the command line are text, in a model they may be numbers."""
     known = {str(s): s for s in fitter.template_}
+    if wanted not in known and list(fitter.template_) == [0]:
+        got = f"{brief(wanted)} for a model that was learned without --subjects"
+        raise InputError("--subject", got, "no subject: it has one template", "Leave it out, or learn with --subjects.")
     if wanted not in known:
         raise InputError("--subject", brief(wanted), f"a subject of the model: {listed([repr(s) for s in known])}")
     subject = known[wanted]

@@ -86,8 +86,8 @@ def _card(arguments):
     check_file(path, inputs=[(arguments.file, "the rig itself")], existing=values["existing"])
     write_card(rig_for_card(arguments.file, shape=values["shape"], skin=values["skin"]), path)
     rig = Path(arguments.file)
-    by_itself = rig.is_file() and same_file(path, rig.with_name(rig.stem + CARD_SUFFIX))
     beside = rig.with_name(rig.stem + CARD_SUFFIX)
+    by_itself = rig.is_file() and same_file(path, beside)
     if rig.is_file() and not by_itself and beside.is_file():
         print(f"note: it says what {rig.name} is without {beside.name}, which was not read")
     print(f"{path} written; edit it; " + (f"it is used with {rig} by itself" if by_itself else f"pass it with --card {path}"))

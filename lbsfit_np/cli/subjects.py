@@ -51,7 +51,8 @@ def read_subjects(path, scans):
     for line, name, subject in rows:
         found = names.of(name)
         if not found:
-            close = get_close_matches(name, names.known, n=1)
+            named = {i for _, other, _ in rows for i in names.of(other)}
+            close = get_close_matches(name, names.without(named), n=1)
             remedy = f"Did you mean {close[0]!r}?" if close else "Leave out scans that are not given to this command."
             raise FileError(str(path), f"{brief(name)} in line {line}, which is none of the scans given", _EXPECTED, remedy)
         if len(found) > 1:
@@ -79,7 +80,6 @@ class _Names:
         for i, scan in enumerate(scans):
             for table, key in zip(self.tables, (scan, Path(scan).name, Path(scan).stem), strict=True):
                 table.setdefault(key, []).append(i)
-        self.known = [name for table in self.tables for name in table]
 
     def of(self, name):
         for table in self.tables:
@@ -88,6 +88,10 @@ class _Names:
         if Path(name).name != name:  # another way to write a path
             return [i for i, scan in enumerate(self.scans) if same_file(scan, name)]
         return []
+
+    def without(self, scans):
+        """Names that mean other scans, too."""
+        return [name for table in self.tables for name, found in table.items() if set(found) - scans]
 
 
 def _text(path):

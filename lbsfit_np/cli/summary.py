@@ -20,10 +20,11 @@ def counts_of(entries):
 
 
 def doubts_of(counts):
-    """How many fits are suspect or have failed, and how many scans have none, in brackets; nothing where all are well."""
-    known = {"suspect": counts["suspect"], "failed": counts["failed"] - counts["unfitted"], "could not be": counts["unfitted"]}
+    """How many scans have no fit, and in brackets how many fits are suspect or have failed; nothing where all are well."""
+    known = {"suspect": counts["suspect"], "failed": counts["failed"] - counts["unfitted"]}
     doubts = [f"{n} {what}" for what, n in known.items() if n]
-    return f" ({', '.join(doubts)})" if doubts else ""
+    unfitted = f", {counts['unfitted']} could not be" if counts["unfitted"] else ""
+    return unfitted + (f" ({', '.join(doubts)})" if doubts else "")
 
 
 def written_of(entries):

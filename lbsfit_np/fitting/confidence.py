@@ -105,11 +105,10 @@ def evidence_of(
     w = np.full(len(X), 1.0 / len(X)) if x_weights is None else x_weights / x_weights.sum()
     on = PointIndex(vertices).nearest(X)
     away = ((X - vertices[on]) ** 2).sum(axis=1)
-    around = faces_around(rig.faces, len(vertices)) if len(rig.faces) else None
-    if around is not None:
-        with_face = np.flatnonzero(around[on, 0] >= 0)
-        there = closest_on_mesh(X[with_face], on[with_face], vertices, rig.faces, around)
-        away[with_face] = np.minimum(away[with_face], ((X[with_face] - there.points) ** 2).sum(axis=1))
+    around = faces_around(rig.faces, len(vertices))
+    with_face = np.flatnonzero(around[on, 0] >= 0)
+    there = closest_on_mesh(X[with_face], on[with_face], vertices, rig.faces, around)
+    away[with_face] = np.minimum(away[with_face], ((X[with_face] - there.points) ** 2).sum(axis=1))
     index = PointIndex(X)
     to_X = index.nearest(vertices)
     # Between points there is nothing to reach.
@@ -118,7 +117,7 @@ def evidence_of(
     spacing = 2.0 * float(np.median(third))  # how far apart points are where they are sparse
     back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing, _SPARSEST), 0.0) ** 2
     seen = np.ones(len(vertices), dtype=bool)
-    if partial and around is not None:
+    if partial:
         normals = vertex_normals(vertices, rig.faces)
         seen = shown(normals, normals[on], to_X)
     typical = float(np.sqrt(_median(away, w)))
@@ -164,7 +163,7 @@ def shown_problem(model, problem, state, partial):
     away, back = np.linalg.norm(problem.X - V[on], axis=1), np.linalg.norm(V - problem.X[to_X], axis=1)
     x_kept = away < max(_PARTNER, 4 * np.median(away))
     v_kept = back < max(_PARTNER, 4 * np.median(back))
-    if partial and len(model.rig.faces):
+    if partial:
         normals = vertex_normals(V, model.rig.faces)
         v_kept &= shown(normals, normals[on], to_X)
     if (x_kept.all() and v_kept.all()) or v_kept.mean() < _LEAST_SEEN:

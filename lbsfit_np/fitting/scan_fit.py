@@ -140,7 +140,7 @@ class ScanFit:
             frame, problem, proba, search = self._given(points, rows, a, guess, theta0, labels)
             rivals = {}
         last = search.outcome
-        if settings.polish and len(model.rig.faces):
+        if settings.polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface.
             known = None if labels is None else labels[rows]
             last = replace(last, state=self._refit.polish(problem, last.state, labels=known))

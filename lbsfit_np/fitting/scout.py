@@ -142,7 +142,7 @@ class Scout:
         self._flips = [up] if facing.up is not None else [up, *np.eye(3)[up == 0]]
         self._limbs = LimbPoses(model, library.poses)
         self._shape = self._bends = None
-        if proportions and settings.polish and len(model.rig.faces):
+        if proportions and settings.polish:
             steps = {"ridge": settings.polish_ridge, "tangential": 0.02, "partial": settings.partial}
             self._shape, self._bends = GaussNewton(model, **steps), Bends(model, self._free, self._to_the_end, **steps)
 

@@ -94,7 +94,7 @@ class Search:
 
     def _polished(self, state):
         """Levenberg–Marquardt on pose and proportions: exact where L-BFGS on the Chamfer distance creeps."""
-        if not self.settings.polish or not len(self.model.rig.faces):
+        if not self.settings.polish:
             return state
         steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02, partial=self.settings.partial)
         labels = [self.labels] if self.labels_known else None

@@ -38,7 +38,7 @@ class TemplateFit:
         return GaussNewton(self.model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
 
     def proportions(self, problem, state):
-        """Share by which proportions of its own leave less of a scan unexplained than those of the template; 0 without faces.
+        """Share by which proportions of its own leave less of a scan unexplained than those of the template.
 
         Parameters
         ----------
@@ -50,8 +50,6 @@ class TemplateFit:
         -------
         float
         """
-        if not len(self.model.rig.faces):
-            return 0.0
         steps, place = self._steps, () if self.settings.scale == "fixed" else ("scale",)
         options = {"free": ("pose", "translation", *place), "iterations": self.settings.polish}
         _, same = steps.pose(problem, state, **options)

@@ -58,7 +58,7 @@ class Member:
     prior : ((J, 3) array, float) or None
         In a smoothed sequence, the angles that the pose is drawn to, and how much.
     doubt : str
-        What its result says besides.
+        What its result says first.
     """
 
     index: int
@@ -162,8 +162,8 @@ class Collection:
             warnings.warn(words, stacklevel=stacklevel + 1)
         odd = [r.evidence.get("proportions", 0.0) > SOMEBODY_ELSE for r in results if r is not None]
         if sum(odd) > max(1, _STRANGERS * len(odd)):
-            words = f"{sum(odd)} of {len(odd)} scans are explained much better by other proportions than their subject's"
-            words += "; of several people? Say whose each scan is: subjects (--subjects)"
+            words = f"{sum(odd)} of {len(odd)} scans do not suit their subject's template; are they of several people? "
+            words += "Say whose each scan is: subjects (--subjects)"
             warnings.warn(words, stacklevel=stacklevel + 1)
 
 
@@ -299,8 +299,8 @@ def odd_ones(sizes, most):
 
 
 def odd_scale(ratio):
-    """What the result of a scan says besides whose first fit has another scale than its subject's others."""
-    return f"; its first fit had {ratio:.3g} times the scale of the others: another unit?"
+    """What the result of a scan says first whose first fit has another scale than its subject's others."""
+    return f"its first fit had {ratio:.3g} times the scale of its subject's others: in another unit? Convert it and learn again"
 
 
 def mixed_units(got):

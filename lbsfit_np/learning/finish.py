@@ -63,11 +63,12 @@ class _Finish:
 
     def __call__(self, m):
         unit = unit_note(m.state.scale * m.frame.unit / self.models[m.subject].half, self.rig, self.settings.scale)
-        note = f"{LEFT_OUT if m.held_out else 'learned from'}; {unit}{m.doubt}"
+        note = "; ".join([LEFT_OUT if m.held_out else "learned from", *([] if m.doubt else [unit])])
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         fit = self._fit(m.subject)
         place["proportions"] = fit.proportions(m.problem, m.state)
-        return fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
+        result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
+        return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):

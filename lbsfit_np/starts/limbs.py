@@ -33,8 +33,6 @@ _POSES, _BLOCK, _BEST = 800, 200, 40
 # distance of the limb's vertices. Two limbs that are exchanged have pulled what they hang on with them, so that even the right
 # poses may seem worse; but two that cost less than the last number are where they should be.
 _BETTER, _BETTER_PAIR, _UNLIKE, _FINE = 0.85, 3.0, 0.08, 1e-4
-
-
 # Closer: from so many poses, no two nearer than this, come so many others with changes of these sizes, radians.
 _PARENTS, _SAME, _CHILDREN, _SIGMAS = 24, 0.03, 400, (0.4, 0.2, 0.1, 0.05)
 
@@ -165,7 +163,7 @@ class LimbPoses:
             cut = rng.integers(1, lower.shape[0] + 1, size=_CHILDREN)[:, None, None]
             mixed = np.where(np.arange(lower.shape[0])[:, None] < cut, one, other)
             angles = np.clip(mixed + sigma * rng.standard_normal(mixed.shape), lower, upper)
-            tried = try_out(limb, np.concatenate([parents, np.where(upper > lower, angles, one)]))
+            tried = try_out(limb, np.concatenate([parents, angles]))
         return tried
 
     def _apart(self, tried, cost):

@@ -67,9 +67,6 @@ def study(
     InputError
         Names that are not known; a report of other settings.
     """
-    for name, rig in rigs.items():
-        if not len(rig.faces):
-            raise InputError("rigs", f"{name!r}, which has no faces", "rigs with a surface to scan")
     known = [row for row in rows if row in ROWS]
     if not rows or len(known) < len(rows):
         raise InputError("rows", repr(rows), f"some of {', '.join(ROWS)}")
