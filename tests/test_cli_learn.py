@@ -69,7 +69,7 @@ def test_the_summary_of_learning(learned_hands):
     scans = {s["name"]: s for s in summary["scans"]}
     assert set(scans) == {*truth, "broken"}
     assert scans["broken"]["status"] == "failed" and "broken.ply" in scans["broken"]["message"]
-    assert sum("left out of learning" in s["message"] for s in scans.values()) == 1
+    assert sum("held out of learning" in s["message"] for s in scans.values()) == 1
 
 
 def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model, tube_rig, tmp_path, run):

@@ -34,7 +34,7 @@ def test_results_stand_in_the_order_of_the_scans(tube_rig, learned_people, peopl
         assert np.linalg.norm(r.vertices.mean(axis=0) - s.vertices.mean(axis=0)) < 0.05 * tube_rig.size
         assert r.rig_digest == tube_rig.digest and r.parts == tube_rig.parts
     notes = [learned_people.results_[k].message for k in WHOLE]
-    assert sum("left out of learning" in n for n in notes) == 1 and sum("learned from" in n for n in notes) == 9
+    assert sum("held out of learning" in n for n in notes) == 1 and sum("learned from" in n for n in notes) == 9
 
 
 def test_templates_come_near_the_subjects_own(tube_rig, learned_people, people):

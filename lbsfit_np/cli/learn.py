@@ -40,7 +40,7 @@ OPTIONS = (
     Option("variant", "what to learn from", default="joint", choices=tuple(VARIANTS)),
     Option(
         "held-out",
-        "share of the scans, one at least, that are left out of learning to tell when to stop; 0 leaves none out and does "
+        "share of the scans, one at least, that are held out of learning to tell when to stop; 0 leaves none out and does "
         "every round",
         share,
         0.1,
@@ -85,7 +85,7 @@ A scan that cannot be used is named with the reason and left out. The model appe
 with what the rounds until then have learned; an input is never overwritten. The segmenter's first training is kept in
 $LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans, how many fits are ok, suspect or
 failed, and a table of those that are not ok, see lbsfit fit --help.
-Exit code: 0 learned from all scans, 1 some scans were left out, or their fits failed, 2 usage, unreadable rig, or no model
+Exit code: 0 learned from all scans, 1 some scans could not be used, or their fits failed, 2 usage, unreadable rig, or no model
 could be learned, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
@@ -284,11 +284,11 @@ def _learn(fitter, reading, subjects, progress):
 
 def _learned(fitter, reading, model, seconds):
     """What was learned, in a line."""
-    from ..learning.finish import LEFT_OUT
+    from ..learning.finish import HELD_OUT
 
     n, who = len(reading.paths), len(fitter.template_)
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
-    held = sum(r is not None and LEFT_OUT in r.message for r in fitter.results_)
+    held = sum(r is not None and HELD_OUT in r.message for r in fitter.results_)
     failed = len(reading.failures)
     apart = [f"{held} more held out"] * (held > 0) + [f"{failed} could not be used"] * (failed > 0)
     apart = f", {', '.join(apart)}," if apart else ""

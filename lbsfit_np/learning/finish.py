@@ -24,12 +24,12 @@ from ..starts.turns import facing_of, some_turns
 from ..threads import one_thread
 from .variants import as_variant
 
-__all__ = ["LEFT_OUT", "LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
+__all__ = ["HELD_OUT", "LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
 
 # A scan whose unit differs from its subject's by more than this factor has a unit of its own.
 _SAME_UNIT = 1.35
 # What the message of a scan says that only tells when to stop.
-LEFT_OUT = "left out of learning"
+HELD_OUT = "held out of learning"
 # Free vertices have all of a pose to make, and are rougher than offsets. Of λ_lap from 0.3, the fits' own, to 0.003 this one left
 # the least joint and vertex errors on the study's tuning seed 5, in so many steps.
 LOOSE = PRESETS["default"].replace(lam_lap=0.01)
@@ -63,7 +63,7 @@ class _Finish:
 
     def __call__(self, m):
         unit = unit_note(m.state.scale * m.frame.unit / self.models[m.subject].half, self.rig, self.settings.scale)
-        note = "; ".join([LEFT_OUT if m.held_out else "learned from", *([] if m.doubt else [unit])])
+        note = "; ".join([HELD_OUT if m.held_out else "learned from", *([] if m.doubt else [unit])])
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         fit = self._fit(m.subject)
         place["proportions"] = fit.proportions(m.problem, m.state)
