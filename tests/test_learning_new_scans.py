@@ -1,6 +1,7 @@
 """A fitter that has learned, and scans that are new to it: whose they are, their starts, labels, unit and turn."""
 
 import copy
+import re
 import warnings
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
@@ -43,7 +44,7 @@ def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_p
     changed[0][upper, 1] += 0.3 * (changed[0][upper, 1] - 0.5 * tube_rig.vertices[:, 1].max())
     scans = lbs.synthesize(tube_rig, 3, templates=[changed], poses="uniform", random_state=8, n_points=400)
     found = [learned_people.fit_scan(s.points) for s in scans]
-    assert all("somebody else than the people learned from" in r.message for r in found)
+    assert all(re.search(r"much better than that of '(ann|bob)', the nearest one: somebody else\?", r.message) for r in found)
     named = [learned_people.fit_scan(s.points, subject="ann") for s in scans]
     assert all("of somebody else than this template?" in r.message and r.status != "ok" for r in named)
     assert mean_gap(tube_rig, found, scans, "vertices") < 0.8 * mean_gap(tube_rig, named, scans, "vertices")
@@ -107,6 +108,7 @@ class _Alone:
     message: str
     found: object
     seconds: float = 0.0
+    status: str = "ok"
 
 
 @pytest.mark.parametrize("whose, somebody_else", [("ann", False), ("bob", False), ("bob", True)])
@@ -129,7 +131,7 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
     r = finish.fit_new(fitter, scan.points, list(people), None, None, None)
     assert len(looks) == 1
     if somebody_else:  # what was seen is not looked for again
-        assert r.found is seen and "by itself; somebody else" in r.message
+        assert r.found is seen and f"better than that of {whose!r}, the nearest one: somebody else?" in r.message
     else:
         assert f"on the template of subject {whose!r}" in r.message
 
@@ -148,7 +150,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     fitter = lbs.LBSFitter(tube_rig, random_state=0)
     fitter.template_, fitter.unit_ = people, {"ann": ann[1], "bob": bob[1]}
     fitter.segmenter_, fitter.regressor_ = None, object()
-    seen, told = _seen(tube_rig, scan), {}
+    seen, told, status = _seen(tube_rig, scan), {}, "ok"
 
     def on_template(fitter, subject, seen, settings):
         value, unit = {"ann": ann, "bob": bob}[subject]
@@ -156,14 +158,19 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
 
     def finish_fit(problem, state, **place):
         told.update(place)
-        return "the result"
+        return _Alone("seen", seen, status=status)
 
     monkeypatch.setattr(finish, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a: seen))
     monkeypatch.setattr(finish, "_on_template", on_template)
     monkeypatch.setattr(finish, "_template_fit", lambda *made_of: SimpleNamespace(proportions=lambda *of: 0.0, finish=finish_fit))
-    assert finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False) == "the result"
+    assert finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message == "seen"
     assert f"on the template of subject {better!r}" in told["note"]
     assert told["value"] == {"ann": ann, "bob": bob}[better][0]
+    status = "suspect"  # who knows the subject may help
+    asks = finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message
+    assert asks == "seen; if you know who it is, name the subject (--subject)"
+    monkeypatch.setattr(finish, "_scouted", lambda *known: seen)
+    assert finish.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message == "seen"
 
 
 @pytest.mark.parametrize("given", [False, True])

@@ -127,14 +127,18 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
         # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
         given = {"theta0": theta0, "labels": labels, "point_weights": point_weights, "random_state": seed}
         alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **given, found=seen)
-        message = f"{alone.message}; somebody else than the people learned from"
+        nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
+        message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
         return replace(alone, message=message, seconds=time.perf_counter() - started)
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     note = "; ".join(filter(None, [note, unit, stands, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     place["proportions"] = proportions
-    return fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
+    result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
+    if len(subjects) == 1 or result.status != "suspect":
+        return result
+    return replace(result, message=f"{result.message}; if you know who it is, name the subject (--subject)")
 
 
 def _scouted(fitter, subject, x, a, settings):
