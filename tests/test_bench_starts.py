@@ -376,7 +376,7 @@ def run(run):
 
 def test_command(run, tmp_path):
     out = tmp_path / "out"
-    arguments = ("hand-coarse", "--rows", "0.3,turned", "--scans", "2", "--training-scans", "60", "--effort", "fast", "-o", out)
+    arguments = ("hand-coarse", "--rows", "0.3,turned", "--scans", "2", "--training-scans", "40", "--effort", "fast", "-o", out)
     code, text, err = run(*arguments, "--fits", "own,plain,oracle")
     assert (code, err) == (0, ""), text
     report = json.loads((out / "results.json").read_text(encoding="utf-8"))
@@ -393,7 +393,7 @@ def test_command(run, tmp_path):
     code, _, err = run(*arguments, "--seed", "5")
     assert code == 2 and "seed 200" in err and "--existing replace" in err and err.count("\n") == 1
     # Two processes find the same, scan by scan.
-    again = starts_bench(["hand-coarse"], rows=["0.3"], n_scans=2, training_scans=60, effort="fast", jobs=2)
+    again = starts_bench(["hand-coarse"], rows=["0.3"], n_scans=2, training_scans=40, effort="fast", jobs=2)
     for a, b in zip(again["rigs"]["hand-coarse"]["rows"]["0.3"]["fits"]["own"]["scans"], own, strict=True):
         assert {k: v for k, v in a.items() if k != "seconds"} == {k: v for k, v in b.items() if k != "seconds"}
 

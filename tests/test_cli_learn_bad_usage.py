@@ -127,7 +127,7 @@ def test_whatever_is_wrong_with_one_scan_is_its_failure_alone(tubes, tmp_path, r
     monkeypatch.setattr(lbsfit_np.io.scans, "load_scan", careless)
     scans = sorted(tubes.glob("*.ply"))
     code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
-    assert code == 1 and "learned from 3 of 4 scans" in text and (tmp_path / "m.npz").exists()
+    assert code == 1 and "fitted 3 of 4 scans" in text and (tmp_path / "m.npz").exists()
     assert len(err.splitlines()) == 1 and err.startswith("t1: failed: ") and "ZeroDivisionError: nobody foresaw this" in err
 
 
@@ -145,7 +145,7 @@ def test_a_scan_that_fails_on_the_way_is_named_and_left_out(tubes, tmp_path, run
     options = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--variant", "free-form")
     code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *options)
     assert code == 1 and err.startswith("t1: failed: ZeroDivisionError: nobody foresaw this\n")
-    assert "learned from 3 of 4 scans" in text and "3 of 4 results" in text
+    assert "fitted 3 of 4 scans" in text and "3 of 4 results" in text
     entries = json.loads((tmp_path / "fits" / "summary.json").read_text())["scans"]
     (failed,) = (e for e in entries if e["status"] == "failed")
     assert len(entries) == 4 and failed["name"] == "t1" and "ZeroDivisionError" in failed["message"]

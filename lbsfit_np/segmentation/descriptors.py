@@ -107,17 +107,14 @@ class VoxelGrid:
         self._low = points.min(axis=0) - (_MARGIN + 0.5) * voxel  # half a voxel: on a border, rounding would choose the side
         self._shape = np.ceil((np.ptp(points, axis=0)) / voxel).astype(int) + 2 * _MARGIN + 2
         cells = np.ravel_multi_index(((points - self._low) / voxel).astype(int).T, self._shape)
-        n = int(self._shape.prod())
-        count = np.bincount(cells, minlength=n)
-        total = np.stack([np.bincount(cells, points[:, k], minlength=n) for k in range(3)], axis=1)
-        mean = total / np.maximum(count, 1)[:, None]
-        occupied = mean[count > 0]
-        self.centre = occupied.mean(axis=0)
-        self.covariance = np.cov(occupied.T) if len(occupied) > 1 else np.zeros((3, 3))
-        nearest = distance_transform_edt(
-            (count == 0).reshape(self._shape), return_distances=False, return_indices=True
-        ).reshape(3, -1)
-        self._mean = (mean[np.ravel_multi_index(nearest, self._shape)] - self.centre).astype(np.float32)
+        occupied, cells, count = np.unique(cells, return_inverse=True, return_counts=True)
+        mean = np.stack([np.bincount(cells, points[:, k]) for k in range(3)], axis=1) / count[:, None]
+        self.centre = mean.mean(axis=0)
+        self.covariance = np.cov(mean.T) if len(mean) > 1 else np.zeros((3, 3))
+        which = np.full(self._shape, -1, dtype=np.int32)
+        which.reshape(-1)[occupied] = np.arange(len(occupied))
+        nearest = distance_transform_edt(which < 0, return_distances=False, return_indices=True)
+        self._mean = (mean - self.centre).astype(np.float32)[which[tuple(nearest)].reshape(-1)]
         self._low = (self._low - self.centre).astype(np.float32)
 
     def distance(self, queries):
