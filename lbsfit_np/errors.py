@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["FileError", "InputError", "LbsfitError", "MissingExtraError", "brief", "check_array", "listed"]
+__all__ = ["FileError", "InputError", "LbsfitError", "MissingExtraError", "brief", "check_array", "in_words", "listed"]
 
 
 class LbsfitError(Exception):
@@ -78,6 +78,13 @@ def check_array(argument, value, shape):
 def listed(names, most=8):
     """Names in one line for a message, cut after ``most``."""
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def in_words(error):
+    """What went wrong, without a traceback: our own errors say it, others by their kind, too."""
+    if isinstance(error, LbsfitError):
+        return str(error)
+    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
 
 
 def brief(value, most=100):

@@ -25,6 +25,13 @@ def test_help_shows_defaults(run):
             assert f"{option.help} (default: {shown})" in text, option.name
 
 
+def test_names_in_help_are_not_broken(run):
+    text = run("bench", "study", "--help")[1]
+    for row in ("free-form-augmented", "free-form-supervised-3x", "oracle-labels", "pose-only"):
+        assert row in text, row
+    assert "oracle-labels,oracle-fit" in "".join(text.split())
+
+
 def test_help_is_quick():
     done = help_alone("fit")
     assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lbsfit_np.errors import InputError, brief, check_array, listed
+from lbsfit_np.errors import InputError, brief, check_array, in_words, listed
 
 
 def test_names_are_listed_up_to_a_number():
@@ -20,6 +20,18 @@ def test_names_are_listed_up_to_a_number():
 )
 def test_values_are_shown_in_brief(value, words):
     assert brief(value) == words
+
+
+@pytest.mark.parametrize(
+    ("error", "words"),
+    [
+        (InputError("rounds", "0", "1 or more"), "rounds: got 0; expected 1 or more"),
+        (ValueError("nobody foresaw this"), "ValueError: nobody foresaw this"),
+        (KeyError(), "KeyError"),
+    ],
+)
+def test_errors_in_words(error, words):
+    assert in_words(error).rstrip(".") == words
 
 
 @pytest.mark.parametrize(

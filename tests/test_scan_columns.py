@@ -17,6 +17,17 @@ def test_columns_without_names(tmp_path):
     assert colours.normals is None and "3 further columns" in colours.notes[0]
 
 
+def test_a_column_that_counts_the_rows_is_no_x(tmp_path):
+    for first in (0, 1):
+        scan = load_scan(write(tmp_path, "p.csv", rows(np.arange(first, first + 4), POINTS, NORMALS, sep=",")))
+        np.testing.assert_array_equal(scan.points, POINTS)
+        np.testing.assert_array_equal(scan.normals, NORMALS)
+        assert scan.notes[0] == "The first column, which counts the rows, was left out."
+    for column in ([0, 1, 3, 4], [5, 6, 7, 8]):
+        scan = load_scan(write(tmp_path, "p.csv", rows(column, POINTS, sep=",")))
+        np.testing.assert_array_equal(scan.points[:, 0], column)
+
+
 @pytest.mark.parametrize("text", [",0,1,2\n0,1.5,2,3\n1,4,5,6.5\n", "0,1,2\n1.5,2,3\n4,5,6.5\n", "x;y;z\n1,5;2;3\n4;5;6,5\n"])
 def test_data_frame_headers_and_decimal_commas(tmp_path, text):
     np.testing.assert_array_equal(load_scan(write(tmp_path, "p.csv", text)).points, [[1.5, 2, 3], [4, 5, 6.5]])

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, in_words
 from ..io.rigs import load_rig
 from .baseline import PlainChamfer
 from .conditions import CONDITIONS, SEEN, conditions_of, starts_scan
@@ -175,8 +175,7 @@ class _OneScan:
         try:
             result = self._fitted(scan)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
-            words = f"{type(error).__name__}: {error}"
-            return {"scan": i, "failed": words, "seconds": time.perf_counter() - started}
+            return {"scan": i, "failed": in_words(error), "seconds": time.perf_counter() - started}
         counted = counted_joints(self.rig, CONDITIONS[self.row], scan)
         return {
             "scan": i,

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, LbsfitError
+from ..errors import FileError, InputError, LbsfitError, in_words
 from ..learning.variants import VARIANTS
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
@@ -256,7 +256,7 @@ class _Reading:
             self.fail(i, str(error))
             raise
         except Exception as error:  # whatever is wrong with one scan is that scan's failure
-            got = f"content that cannot be read ({type(error).__name__}: {error})"
+            got = f"content that cannot be read ({in_words(error)})"
             foreseen = FileError(self.paths[i], got, "a scan")
             self.fail(i, str(foreseen))
             raise foreseen from error

@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from ..errors import FileError, InputError, LbsfitError, listed
+from ..errors import FileError, InputError, in_words, listed
 
 __all__ = [
     "SUMMARY",
@@ -254,8 +254,7 @@ def draw(files, rig, points, result):
     try:
         write_png(files.picture, fit_picture(rig, points, result))
     except Exception as error:  # noqa: BLE001 (whatever is wrong with a picture, the fit is right)
-        words = str(error) if isinstance(error, LbsfitError) else f"{type(error).__name__}: {error}"
-        return [f"no picture: {words}", *remove([files.picture])]
+        return [f"no picture: {in_words(error)}", *remove([files.picture])]
     return []
 
 

@@ -2,6 +2,8 @@
 
 import argparse
 import math
+import re
+import textwrap
 import tomllib
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -34,9 +36,16 @@ class Parser(argparse.ArgumentParser):
         self.exit(2, f"lbsfit: error: {message} (see: {self.prog} --help)\n")
 
 
+class _Help(argparse.RawDescriptionHelpFormatter):
+    def _split_lines(self, text, width):
+        """Lines that end at blanks, or after the commas of lists, not at the hyphens of names."""
+        lines = textwrap.wrap(re.sub(r",(?=\S)", ",\0 ", " ".join(text.split())), width, break_on_hyphens=False)
+        return [line.replace("\0 ", "").replace("\0", "") for line in lines]
+
+
 def formatter(prog):
     """Help with line breaks of descriptions and examples kept."""
-    return argparse.RawDescriptionHelpFormatter(prog, max_help_position=32, width=110)
+    return _Help(prog, max_help_position=32, width=110)
 
 
 def positive(text):

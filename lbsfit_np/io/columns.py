@@ -25,8 +25,8 @@ def read_table(path):
     """Read rows of numbers, separated by commas, semicolons, tabs or blanks.
 
     Columns are found by the names in a header line; without one, the first three are x, y, z, and the next three are the
-    normal if they have unit length. An empty cell of a row is NaN. Lines that start with # are comments, but for a
-    last one that names the columns.
+    normal if they have unit length; a column before them that counts the rows is left out. An empty cell of a row is NaN.
+    Lines that start with # are comments, but for a last one that names the columns.
 
     Parameters
     ----------
@@ -179,7 +179,15 @@ def _load(path, skip, delimiter, usecols, decimal_comma):
 
 
 def _unnamed(table):
-    """A cloud from columns without names: x, y, z, and the normal where the next three columns have unit length."""
+    """A cloud from columns without names: x, y, z, and the normal where the next three columns have unit length.
+
+    Before them may stand the numbers of the rows, as data frames write them.
+    """
+    counted = table.shape[1] > 3 and len(table) > 3 and np.array_equal(np.diff(table[:, 0]), np.ones(len(table) - 1))
+    if counted and table[0, 0] in (0, 1):
+        cloud = _unnamed(table[:, 1:])
+        cloud.notes.insert(0, "The first column, which counts the rows, was left out.")
+        return cloud
     cloud = CloudData(table[:, :3])
     used = 3
     if table.shape[1] >= 6:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import InputError, LbsfitError
+from ..errors import InputError, LbsfitError, in_words
 from ..scan import check_points
 from ..workers import Workers
 from .collection import as_scans
@@ -146,10 +146,8 @@ def _fit_one(fitter, subject, finish, index, source):
 
 def _failure(index, error, started):
     seconds = time.perf_counter() - started
-    if isinstance(error, LbsfitError):
-        return ScanOutcome(index, error=str(error), seconds=seconds)
-    words = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return ScanOutcome(index, error=words, details=traceback.format_exc(), seconds=seconds)
+    details = {} if isinstance(error, LbsfitError) else {"details": traceback.format_exc()}
+    return ScanOutcome(index, error=in_words(error), seconds=seconds, **details)
 
 
 @dataclass

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import InputError, LbsfitError, brief
+from ..errors import InputError, brief, in_words
 from ..fitting.confidence import SOMEBODY_ELSE
 from ..optimize.frame import Frame
 from ..optimize.problem import Problem
@@ -23,7 +23,6 @@ __all__ = [
     "Member",
     "as_scans",
     "as_subjects",
-    "in_words",
     "mixed_units",
     "odd_ones",
     "odd_scale",
@@ -178,11 +177,6 @@ class _Tried:
             return self.work(task), None
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             return None, error
-
-
-def in_words(error):
-    """What went wrong, without a traceback."""
-    return str(error) if isinstance(error, LbsfitError) else f"{type(error).__name__}: {error}"
 
 
 def as_scans(scans):
