@@ -207,7 +207,7 @@ def test_figures_are_shares_of_the_size_times_the_scale(known):
     for figures in (strict, starred):
         assert [e.get("joint_error") for e in figures["scans"]] == pytest.approx([0.001, 0.02, 0.2, None])
         assert figures["median"] == pytest.approx(0.02) and figures["failed"] == 1
-        assert "InputError: points: got nothing" in figures["scans"][3]["failed"]
+        assert "points: got nothing" in figures["scans"][3]["failed"]
         assert all(e["scale_error"] == 0 and e["joints"] == 16 for e in figures["scans"][:3])
     assert strict["success"] == 0.25 and starred["success"] == 0.5
     assert report["complete"] and report["settings"]["seed"] == 3 and report["benchmark"] == "starts"
@@ -401,7 +401,7 @@ def test_command(run, tmp_path):
 def test_failures_are_named_and_do_not_end_the_run(run, known, tmp_path):
     code, text, err = run("hand-coarse", "--rows", "0.3", "--scans", "4", "--seed", "3")
     assert (code, err) == (1, "")
-    assert "failed: hand-coarse, 0.3, own, scan 3: InputError: points: got nothing" in text
+    assert "failed: hand-coarse, 0.3, own, scan 3: points: got nothing" in text
     code, _, err = run("hand-coarse", "--rows", "0.3", "--scans", "4", "-o", tmp_path)
     (tmp_path / "results.json").write_text("{")
     code, _, err = run("hand-coarse", "--rows", "0.3", "--scans", "4", "-o", tmp_path)
