@@ -33,9 +33,10 @@ def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
-def test_ctrl_c_before_the_first_round_ends_leaves_no_model(tubes, tube_model, cli_cache, tmp_path):
-    text, err, returned = _stopped_after("each scan by itself, with", 1, signal.SIGINT, tubes, cli_cache, tmp_path, wait=0.0)
-    assert (returned, err) == (130, ""), err
+@pytest.mark.parametrize("jobs, sent, code", [(1, signal.SIGINT, 130), (2, signal.SIGTERM, 143)])
+def test_ctrl_c_before_the_first_round_ends_leaves_no_model(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
+    text, err, returned = _stopped_after("each scan by itself, with", jobs, sent, tubes, cli_cache, tmp_path, wait=0.0)
+    assert (returned, err) == (code, ""), err
     assert text.endswith(
         "stopped before the model was learned; what was trained first is kept, and the rounds begin anew with the same command\n"
     )
