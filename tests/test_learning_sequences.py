@@ -68,7 +68,9 @@ def test_turns_that_are_written_otherwise_are_neighbours_all_the_same():
     still = np.zeros((3, 3))
     np.testing.assert_array_equal(nearest_root(still, own, 1), still)
     own[1], beside[1] = -7.0 * axis, 2.0 * axis
-    np.testing.assert_allclose(nearest_root(beside, own, 1)[1], (2.0 - 4 * np.pi + 2 * np.pi) * axis)
+    np.testing.assert_allclose(nearest_root(beside, own, 1)[1], (2.0 - 2 * np.pi) * axis)
+    own[1], beside[1] = 7.0 * axis, -5.5 * axis  # two whole turns apart
+    np.testing.assert_allclose(nearest_root(beside, own, 1)[1], (-5.5 + 4 * np.pi) * axis)
 
 
 def test_smoothing_looks_at_turns_as_the_scan_itself_writes_them(tube_rig, few_scans, monkeypatch):
