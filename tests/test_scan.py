@@ -52,7 +52,7 @@ def test_check_points_counts_after_dropping():
         check_points(points, minimum=5, drop_invalid=True)
     with pytest.raises(InputError, match="got 4 points; expected at least 9 points. A denser scan"):
         check_points(POINTS, minimum=9)
-    with pytest.raises(InputError, match="0 points after 2"):
+    with pytest.raises(InputError, match="0 points after 2 .*at least 1 point(?!s)"):
         check_points(np.full((2, 3), np.nan), drop_invalid=True)
 
 
