@@ -2,7 +2,6 @@
 
 import argparse
 import math
-import re
 import textwrap
 import tomllib
 from dataclasses import dataclass
@@ -38,8 +37,9 @@ class Parser(argparse.ArgumentParser):
 
 class _Help(argparse.RawDescriptionHelpFormatter):
     def _split_lines(self, text, width):
-        """Lines that end at blanks, or after the commas of lists, not at the hyphens of names."""
-        lines = textwrap.wrap(re.sub(r",(?=\S)", ",\0 ", " ".join(text.split())), width, break_on_hyphens=False)
+        """Lines that end at blanks, not at the hyphens of names; lists that are longer than a line, after their commas."""
+        words = [word if len(word) <= width else word.replace(",", ",\0 ") for word in text.split()]
+        lines = textwrap.wrap(" ".join(words), width, break_on_hyphens=False)
         return [line.replace("\0 ", "").replace("\0", "") for line in lines]
 
 
