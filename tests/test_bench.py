@@ -30,7 +30,7 @@ from lbsfit_np.synthesis import Synthesis, synthesize_nth, training_poses
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
-QUICK = ("--scans", "2", "--seeds", "7", "--training-scans", "40")
+QUICK = ("--scans", "2", "--seeds", "7", "--training-scans", "60")
 
 
 @pytest.fixture
@@ -247,7 +247,7 @@ def test_a_run_writes_every_figure(ran):
     assert report["complete"] and report["benchmark"] == "hand" and report["seeds"] == [7] and report["scans_a_seed"] == 2
     assert set(report["rows"]) == set(ROWS)
     assert {"numpy", "scipy", "scikit-learn", "lbsfit_np", "python", "cpus", "commit"} <= set(report["environment"])
-    assert report["settings"]["fitter"]["training_scans"] == 40 and report["settings"]["fitter"]["random_state"] == 0
+    assert report["settings"]["fitter"]["training_scans"] == 60 and report["settings"]["fitter"]["random_state"] == 0
     assert report["settings"]["test_scans"]["n_points"] == 2500
     for row, content in report["rows"].items():
         seed = content["seeds"]["7"]
@@ -279,7 +279,7 @@ def test_lengths_are_in_half_sizes_and_true_labels_help(ran, hand):
 def test_another_run_gives_the_same_figures_whatever_the_jobs(ran, shared_rigs, monkeypatch):
     report = ran[2]
     content_with_few_starts(monkeypatch)
-    again, fits = run_bench(BENCHES["hand"], shared_rigs, seeds=[7], n_scans=2, training_scans=40, jobs=2, rows=("own",))
+    again, fits = run_bench(BENCHES["hand"], shared_rigs, seeds=[7], n_scans=2, training_scans=60, jobs=2, rows=("own",))
     for a, b in zip(again["rows"]["own"]["seeds"]["7"]["scans"], report["rows"]["own"]["seeds"]["7"]["scans"], strict=True):
         assert {k: v for k, v in a.items() if k != "seconds"} == {k: v for k, v in b.items() if k != "seconds"}
     assert len(fits[7]) == 2 and fits[7][0][1].vertices.shape == fits[7][0][0].vertices.shape
