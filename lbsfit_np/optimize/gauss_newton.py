@@ -9,14 +9,14 @@ unknown, and what lies further away than some s hardly counts. Near the optimum 
 Chamfer distance takes hundreds, and is more exact, as points are compared with triangles. Far from it L-BFGS is the better guide.
 """
 
-from functools import cache, cached_property
+from functools import cached_property
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from .jacobian import vertex_jacobian
+from .jacobian import vertex_motion
 from .state import Layout
-from .surface import closest_on_mesh, faces_around, vertex_normals
+from .surface import closest_on_mesh, faces_around, faces_at, summed_normals
 
 __all__ = ["GaussNewton", "shown"]
 
@@ -64,6 +64,7 @@ class GaussNewton:
         pulls = np.zeros(len(rig.vertices), dtype=bool)
         pulls[self._pulling] = True
         self._pulling_faces = rig.faces[pulls[rig.faces].any(axis=1)]
+        self._pulling_at = faces_at(self._pulling_faces, self._pulling)
         areas = model.areas[self._pulling]
         self._pull_weights = areas / max(areas.sum(), np.finfo(float).tiny)
 
@@ -149,30 +150,29 @@ class GaussNewton:
 
     def _normal_equations(self, problem, state, labels, layout, shared):
         model, rig = self.model, self.model.rig
-        posed, _ = model.pose(state)
+        posed = model.deformed(state)
         V, X = posed.vertices, problem.X
         a = np.full(len(X), 1.0 / len(X)) if problem.x_weights is None else problem.x_weights
-        blocks = layout.blocks + (("proportions",) if shared else ())
         nearest, known = self._nearest(X, V, labels)
         X, a = X[known], a[known]
         on = closest_on_mesh(X, nearest, V, rig.faces, self._around)
-        rows, inverse = np.unique(on.corners.ravel(), return_inverse=True)
+        r, normals, weights, pulling = X - on.points, on.normals, a, self._pulling[:0]
         if labels is None:
-            rows = np.union1d(rows, self._pulling)
-            inverse = np.searchsorted(rows, on.corners)
-        inverse = inverse.reshape(on.corners.shape)
-        dV = cache(lambda: vertex_jacobian(model, state, posed, rows, blocks, layout.turning))
-        out = _Normal(self.tangential, self.reach)
-        out.add(X - on.points, on.normals, a, lambda: _blended(on.barycentric, inverse, dV()))
-        if labels is None:
-            v = self._pulling
-            to_X = problem.x_index.nearest(V[v])
-            normals, pull = vertex_normals(V, self._pulling_faces)[v], self._pull_weights
+            pulling = self._pulling
+            to_X = problem.x_index.nearest(V[pulling])
+            facing, pull = summed_normals(V, self._pulling_faces, self._pulling_at), self._pull_weights
             if self.partial:
-                pull = np.where(shown(normals, on.normals, to_X), pull, 0.0)
+                pull = np.where(shown(facing, on.normals, to_X), pull, 0.0)
                 pull = pull / max(pull.sum(), np.finfo(float).tiny)
-            out.add(problem.X[to_X] - V[v], normals, pull, lambda: dV()[np.searchsorted(rows, v)])
-        return out
+            r, weights = np.vstack([r, problem.X[to_X] - V[pulling]]), np.concatenate([weights, pull])
+            normals = np.vstack([normals, facing])
+
+        def motion():
+            blocks = layout.blocks + (("proportions",) if shared else ())
+            rows, places = _places(on, pulling, len(V))
+            return vertex_motion(model, state, posed, rows, blocks, layout.turning).at(places)
+
+        return _Normal(r, normals, weights, self.tangential, self.reach, motion)
 
     def _nearest(self, X, V, labels):
         """(nearest vertex of the points that have one, which points these are)."""
@@ -236,27 +236,38 @@ def shown(normals, at_points, to_X):
     return (normals @ camera > _FACING) & (np.einsum("va,va->v", normals, at_points[to_X]) > _FACING)
 
 
-def _blended(barycentric, corners, dV):
-    """(n, 3, p): how points of the mesh move, Σ_k b_nk dV[corners_nk]."""
-    n, start = len(corners), np.arange(0, corners.size + 1, 3)
-    blend = csr_array((barycentric.ravel(), corners.ravel(), start), shape=(n, len(dV)))
-    return (blend @ dV.reshape(len(dV), 3 * dV.shape[2])).reshape(n, *dV.shape[1:])
+def _places(on, pulling, m):
+    """Vertices that points of the mesh, and vertices besides, hang on, and how: (r,) rows, and (k, r) sparse weights."""
+    n, v = len(on.corners), len(pulling)
+    vertex = np.concatenate([on.corners.ravel(), pulling])
+    used = np.zeros(m, dtype=bool)
+    used[vertex] = True
+    place = np.cumsum(used) - 1
+    start = np.concatenate([np.arange(0, 3 * n, 3), np.arange(3 * n, 3 * n + v + 1)])
+    share = np.concatenate([on.barycentric.ravel(), np.ones(v)])
+    return np.flatnonzero(used), csr_array((share, place[vertex], start), shape=(n + v, int(used.sum())))
 
 
 class _Normal:
-    """Residuals at one state: their value at once, their normal equations H = Jᵀ W J, g = Jᵀ W r when a step is to be taken."""
+    """Residuals at one state: their value at once, their normal equations H = Jᵀ W J, g = Jᵀ W r when a step is to be taken.
 
-    def __init__(self, tangential, reach):
-        self.value, self._tangential, self._reach = 0.0, tangential, reach
-        self._added, self._held = [], []
+    Parameters
+    ----------
+    r, normals : (n, 3) arrays
+        Residual vectors.
+    weights : (n,) array
+    tangential, reach : float
+    motion : callable () → VertexMotion
+        Of what the residuals are measured from.
+    """
 
-    def add(self, r, normal, weight, jacobian):
-        """Residual vectors r (n, 3), to be made smaller by moving what ``jacobian()`` (n, 3, p) moves."""
-        along = np.einsum("na,na->n", r, normal)
-        e2 = along**2 + self._tangential * np.einsum("na,na->n", r, r)
-        near = 1.0 / (1.0 + e2 / self._reach**2)
-        self.value += float(weight @ (e2 * near))
-        self._added.append((r, normal, along, weight * near**2, jacobian))  # dρ/de² = near²
+    def __init__(self, r, normals, weights, tangential, reach, motion):
+        along = np.einsum("na,na->n", r, normals)
+        e2 = along**2 + tangential * np.einsum("na,na->n", r, r)
+        near = 1.0 / (1.0 + e2 / reach**2)
+        self.value = float(weights @ (e2 * near))
+        self._made_of = motion, (r, normals, weights * near**2, tangential)  # dρ/de² = near²
+        self._held = []
 
     def hold(self, away, weight, turning):
         """Angles that are ``away`` (J, 3) from where they are wanted; the pose's columns come first."""
@@ -275,16 +286,8 @@ class _Normal:
 
     @cached_property
     def _equations(self):
-        H, g, t = 0.0, 0.0, self._tangential
-        for r, normal, along, weight, jacobian in self._added:
-            J = jacobian()
-            # S = √t I + (√(1 + t) − √t) n nᵀ is a square root of n nᵀ + t I, the metric of e².
-            w, steep = np.sqrt(weight), np.sqrt(1.0 + t) - np.sqrt(t)
-            across = (normal[:, None, :] @ J) * (w * steep)[:, None, None]
-            rows = (J * (np.sqrt(t) * w)[:, None, None] + normal[:, :, None] * across).reshape(-1, J.shape[2])
-            right = (r * (np.sqrt(t) * w)[:, None] + normal * (w * steep * along)[:, None]).ravel()
-            H, g = H + rows.T @ rows, g + rows.T @ right
-        self._added.clear()  # the Jacobians are large
+        motion, residuals = self._made_of
+        H, g = motion().normal_equations(*residuals)
         for away, weight in self._held:
             n = len(away)
             H[np.arange(n), np.arange(n)] += weight

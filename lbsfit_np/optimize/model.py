@@ -109,12 +109,15 @@ class Model:
 
     def pose(self, state):
         """(V^d, V): the posed deformed and undeformed templates, as Posed; one object where there are no offsets."""
-        offsets = self.offsets(state)
-        place = {"translation": state.translation, "scale": state.scale}
-        V = skin(self.rig, state.theta, **place)
+        V = skin(self.rig, state.theta, translation=state.translation, scale=state.scale)
+        return V if self.offsets(state) is None else self.deformed(state), V
+
+    def deformed(self, state):
+        """V^d alone: the posed deformed template, as Posed."""
+        offsets, place = self.offsets(state), {"translation": state.translation, "scale": state.scale}
         if offsets is None:
-            return V, V
-        return skin(self.rig, state.theta, **place, offsets=offsets, joint_offsets=self.joint_offsets(state)), V
+            return skin(self.rig, state.theta, **place)
+        return skin(self.rig, state.theta, **place, offsets=offsets, joint_offsets=self.joint_offsets(state))
 
     def joint_offsets(self, state):
         """(J, 3): how far the rest joints of a state's template lie from the rig's."""

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.sparse import csr_array
 
-__all__ = ["Closest", "closest_on_mesh", "faces_around", "vertex_normals"]
+__all__ = ["Closest", "closest_on_mesh", "faces_around", "faces_at", "summed_normals", "vertex_normals"]
 
 
 @dataclass(frozen=True)
@@ -61,10 +62,14 @@ def closest_on_mesh(queries, nearest, vertices, faces, around):
     -------
     Closest
     """
-    corners = faces[around[nearest]]  # (n, d, 3)
-    p = vertices[corners]
-    a, e1, e2 = p[:, :, 0], p[:, :, 1] - p[:, :, 0], p[:, :, 2] - p[:, :, 0]
-    d = queries[:, None] - a
+    table = around[nearest]  # (n, d)
+    other = np.ones(table.shape, dtype=bool)  # each face once
+    other[:, 1:] = table[:, 1:] != table[:, :-1]
+    point = np.nonzero(other)[0]
+    # From here one row of pairs of a query and a face for each coordinate: sums over short last axes are slow.
+    corners, vertices = np.take(faces.T, table[other], axis=1), np.ascontiguousarray(vertices.T)
+    a, b, c = (np.take(vertices, k, axis=1) for k in corners)
+    e1, e2, d = b - a, c - a, np.take(queries.T, point, axis=1) - a
     d11, d12, d22 = _dot(e1, e1), _dot(e1, e2), _dot(e2, e2)
     q1, q2 = _dot(d, e1), _dot(d, e2)
     tiny = np.finfo(float).tiny
@@ -77,36 +82,51 @@ def closest_on_mesh(queries, nearest, vertices, faces, around):
     t1, t2 = np.clip(q1 / np.maximum(d11, tiny), 0, 1), np.clip(q2 / np.maximum(d22, tiny), 0, 1)
     d33 = d11 - 2 * d12 + d22
     t3 = np.clip((q2 - q1 + d11 - d12) / np.maximum(d33, tiny), 0, 1)
-    zero = np.zeros_like(u)
-    U, V = np.stack([u, t1, zero, 1 - t3]), np.stack([v, zero, t2, t3])
-    # |d − u e1 − v e2|² without its constant |d|².
-    away = U * U * d11 + V * V * d22 + 2 * (U * V * d12 - U * q1 - V * q2) + _dot(d, d)
-    away[0, ~inside] = np.inf
-    n, k = len(queries), around.shape[1]
-    best = away.transpose(1, 0, 2).reshape(n, 4 * k).argmin(axis=1)
-    kind, which = best // k, best % k
-    row = np.arange(n)
-    bu, bv = U[kind, row, which], V[kind, row, which]
-    corners, p = corners[row, which], p[row, which]
+    s3 = 1 - t3
+    # |d − u e1 − v e2|² without its constant |d|²: where (u, v) are inside, and on each edge.
+    away = np.empty((4, len(point)))
+    away[0] = np.where(inside, -(u * q1 + v * q2), np.inf)  # the foot of the perpendicular
+    away[1], away[2] = t1 * (t1 * d11 - 2 * q1), t2 * (t2 * d22 - 2 * q2)
+    away[3] = s3 * (s3 * d11 - 2 * q1) + t3 * (t3 * d22 - 2 * q2) + 2 * s3 * t3 * d12
+    least, place = np.full(table.shape, np.inf), np.zeros(table.shape, dtype=int)
+    least[other], place[other] = away.min(axis=0) + _dot(d, d), np.arange(len(point))
+    best = place[np.arange(len(queries)), least.argmin(axis=1)]
+    kind, zero = away[:, best].argmin(axis=0), np.zeros(len(best))
+    bu = np.choose(kind, [u[best], t1[best], zero, s3[best]])
+    bv = np.choose(kind, [v[best], zero, t2[best], t3[best]])
+    foot = a[:, best] + bu * e1[:, best] + bv * e2[:, best]
+    normal = _cross(e1[:, best], e2[:, best])
+    normal /= np.maximum(np.sqrt(_dot(normal, normal)), tiny)
     barycentric = np.column_stack([1 - bu - bv, bu, bv])
-    normals = _unit(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]))
-    return Closest(corners, barycentric, np.einsum("nk,nka->na", barycentric, p), normals)
+    return Closest(corners[:, best].T, barycentric, foot.T, normal.T)
 
 
 def vertex_normals(vertices, faces):
     """(m, 3) unit normals, faces weighted by area; 0 at vertices without faces."""
-    p = vertices[faces]
-    face = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    out = np.zeros_like(vertices)
-    for axis in range(3):
-        for k in range(3):
-            out[:, axis] += np.bincount(faces[:, k], face[:, axis], minlength=len(vertices))
-    return _unit(out)
+    return summed_normals(vertices, faces, faces_at(faces, np.arange(len(vertices))))
+
+
+def faces_at(faces, rows):
+    """(r, F) sparse: how often each face has each of some vertices as a corner, for :func:`summed_normals`."""
+    row = np.full(max(faces.max(initial=-1), rows.max(initial=-1)) + 1, -1)
+    row[rows] = np.arange(len(rows))
+    at, face = row[faces.ravel()], np.repeat(np.arange(len(faces)), 3)
+    some = at >= 0
+    return csr_array((np.ones(some.sum()), (at[some], face[some])), shape=(len(rows), len(faces)))
+
+
+def summed_normals(vertices, faces, at):
+    """(r, 3) unit normals of the vertices that ``at`` is of: :func:`faces_at`; the faces may be those at these vertices alone."""
+    a, b, c = (np.take(vertices.T, corner, axis=1) for corner in faces.T)
+    normals = (at @ _cross(b - a, c - a).T).T
+    return (normals / np.maximum(np.sqrt(_dot(normals, normals)), np.finfo(float).tiny)).T
 
 
 def _dot(a, b):
-    return np.einsum("...a,...a->...", a, b)
+    """(k,) of (3, k) arrays."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _unit(v):
-    return v / np.maximum(np.linalg.norm(v, axis=1, keepdims=True), np.finfo(float).tiny)
+def _cross(a, b):
+    """(3, k) of (3, k) arrays."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
