@@ -154,9 +154,10 @@ def _shifts(rig, size):
 def farthest_points(points, n):
     """(n,) rows of points spread evenly: each next one is the farthest from those before. Starts at row 0."""
     rows = np.zeros(n, dtype=int)
+    x, y, z = np.ascontiguousarray(points.T)
     d2 = np.full(len(points), np.inf)
     for k in range(1, n):
-        away = points - points[rows[k - 1]]
-        np.minimum(d2, np.einsum("ij,ij->i", away, away), out=d2)
+        at = rows[k - 1]
+        np.minimum(d2, (x - x[at]) ** 2 + (y - y[at]) ** 2 + (z - z[at]) ** 2, out=d2)
         rows[k] = d2.argmax()
     return np.sort(rows)

@@ -27,8 +27,9 @@ __all__ = ["LimbPoses"]
 
 # Vertices and points that are looked at; s and the edge of a voxel in half sizes of the rig.
 _LIMB_VERTICES, _ALL_VERTICES, _POINTS, _REACH, _VOXEL = 32, 900, 250, 0.2, 0.04
-# Poses that are tried for each limb, in blocks, to bound memory; of two limbs each with each of the best few.
-_POSES, _BLOCK, _BEST = 800, 200, 40
+# Poses that are tried for each limb, in blocks, to bound memory, a few of which fit a cache; of two limbs each with each of the
+# best few.
+_POSES, _BLOCK, _AT_ONCE, _BEST = 800, 200, 8, 40
 # A pose is worth a try where it costs less than this much of the limb's own, and is unlike that and those tried already: mean
 # distance of the limb's vertices. Two limbs that are exchanged have pulled what they hang on with them, so that even the right
 # poses may seem worse; but two that cost less than the last number are where they should be.
@@ -116,7 +117,7 @@ class LimbPoses:
         X = problem.X
         few = X[np.linspace(0, len(X) - 1, min(len(X), _POINTS)).astype(int)].astype(np.float32)
         grid = VoxelGrid(X, _VOXEL)
-        away = _squared(posed.vertices[self._all].astype(np.float32), few)  # (all, x)
+        away = _squared(posed.vertices[self._all].astype(np.float32)[None], few)[0]  # (all, x)
 
         def try_out(limb, angles):
             return _tried(limb, angles, grid, few, posed, state)
@@ -172,7 +173,7 @@ class LimbPoses:
         for k in np.argsort(cost[1:], kind="stable") + 1:
             if len(out) == _PARENTS:
                 break
-            if all(np.linalg.norm(tried.place[k] - tried.place[o], axis=1).mean() > _SAME for o in out):
+            if np.all(np.linalg.norm(tried.place[k] - tried.place[out], axis=2).mean(axis=1) > _SAME):
                 out.append(k)
         return np.array(out)
 
@@ -210,8 +211,8 @@ def _tried(limb, angles, grid, few, posed, state):
         V = place[part]
         at = grid.distance(V - grid.centre.astype(np.float32))
         away[part] = np.minimum(np.maximum(at - _VOXEL / 2, 0.0) ** 2, _REACH**2).sum(axis=1) * limb.area
-        nearest = [_squared(v, few).min(axis=0) for v in V]
-        reach[part] = _less(np.array(nearest), limb.spacing)
+        nearest = [_squared(V[k : k + _AT_ONCE], few).min(axis=1) for k in range(0, len(V), _AT_ONCE)]
+        reach[part] = _less(np.concatenate(nearest), limb.spacing)
     return _Tried(place, away, reach, angles)
 
 
@@ -224,8 +225,9 @@ def _spacing(vertices, some):
 
 
 def _squared(V, x):
-    """(v, x): squared distances."""
-    return (V**2).sum(axis=1)[:, None] - 2 * V @ x.T + (x**2).sum(axis=1)
+    """(k, v, x): squared distances from (k, v, 3) to (x, 3), in one product: |v|² · 1 − 2 v · x + 1 · |x|²."""
+    left = np.concatenate([(V**2).sum(axis=2, keepdims=True), -2 * V, np.ones_like(V[:, :, :1])], axis=2)
+    return left @ np.stack([np.ones_like(x[:, 0]), *x.T, (x**2).sum(axis=1)])
 
 
 def _less(d2, spacing):
