@@ -93,7 +93,7 @@ def assemble(
     scale = float(state.scale * frame.unit / model.half)
     pose = turned_root(rig, state.theta, frame.turn)
     place = pose, translation, scale, offsets
-    V = model.pose(state)[0].vertices
+    V = model.deformed(state).vertices
     if labels is None:
         known = {} if proba is None else {"proba": proba, "proba_points": points[rows]}
         labels, confidence = labels_from_mesh(

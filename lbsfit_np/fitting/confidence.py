@@ -158,7 +158,7 @@ def shown_problem(model, problem, state, partial):
     Problem
         With weights of 0 for these; the same one where there are none, or where hardly any surface would be left.
     """
-    V = model.pose(state)[0].vertices
+    V = model.deformed(state).vertices
     on, to_X = PointIndex(V).nearest(problem.X), problem.x_index.nearest(V)
     away, back = np.linalg.norm(problem.X - V[on], axis=1), np.linalg.norm(V - problem.X[to_X], axis=1)
     x_kept = away < max(_PARTNER, 4 * np.median(away))

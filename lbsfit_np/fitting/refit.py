@@ -154,7 +154,7 @@ class Refit:
     def placed(self, problem, theta, scale=1.0):
         """The State of a pose Θ of some scale put where the scan is."""
         state = self.model.rest().replace(theta=np.array(theta, dtype=float), scale=scale)
-        return state.replace(translation=_centroid(problem) - self.model.areas @ self.model.pose(state)[0].vertices)
+        return state.replace(translation=_centroid(problem) - self.model.areas @ self.model.deformed(state).vertices)
 
     def from_parts(self, problem, proba, labels_known=False):
         """The State from inverse kinematics on the parts' centroids, then by the labels, ever closer."""
@@ -171,7 +171,7 @@ class Refit:
 
         state = go(state, _STRUCTURED, labels, 30)
         for sigma in () if labels_known else _SIGMAS:
-            V = model.pose(state)[0].vertices
+            V = model.deformed(state).vertices
             state = go(state, _BOTH, refined_labels(X, proba, V, model.labels, sigma, doubt=_DOUBT), 30)
         return state
 

@@ -197,7 +197,7 @@ class Scout:
         model, state = self.model, found.state
         known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
         known |= {"partial": self.settings.partial, "areas": model.areas, "x_weights": found.problem.x_weights}
-        V = model.pose(state)[0].vertices
+        V = model.deformed(state).vertices
         return probability_of(evidence_of(model.rig, V, model.labels, found.problem.X, **known)[0])
 
     def _runners(self, points, x_weights):
@@ -295,4 +295,4 @@ class Scout:
         return state, value + self._shape.ridge * float(state.coefficients @ state.coefficients)
 
     def _joints(self, runner):
-        return runner.name.outside(self.model.pose(runner.state)[0].joints)
+        return runner.name.outside(self.model.deformed(runner.state).joints)

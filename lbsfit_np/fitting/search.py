@@ -51,7 +51,7 @@ class Search:
             given = given.replace(theta=np.array(theta0, dtype=float))
         if self.proba is None:
             centre = X.mean(axis=0) if a is None else a @ X
-            given = given.replace(translation=centre - self.model.areas @ self.model.pose(given)[0].vertices)
+            given = given.replace(translation=centre - self.model.areas @ self.model.deformed(given).vertices)
             self.outcome = self._minimise(given, _PLAIN, ("pose", "translation"), model)
             return self
         if theta0 is None:
@@ -106,7 +106,7 @@ class Search:
         """Labels by the segmenter's word and the distance to the parts as they stand."""
         if self.proba is not None and not self.labels_known:
             model = self.model.coarse
-            V = model.pose(state)[0].vertices
+            V = model.deformed(state).vertices
             self.labels = refined_labels(self.problem.X, self.proba, V, model.labels, sigma, doubt=self.settings.doubt)
 
     def _minimise(self, state, weights, free, model, *, max_iterations=None, tolerance=3e-3):

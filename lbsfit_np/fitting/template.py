@@ -93,7 +93,7 @@ def shared_template(model, problems, states, losses, *, proba=None, settings=Non
     if proba is not None:
         for sigma in settings.sigmas:
             labels = [
-                refined_labels(p.X, proba[i], model.pose(s)[0].vertices, model.labels, sigma, doubt=0.8)
+                refined_labels(p.X, proba[i], model.deformed(s).vertices, model.labels, sigma, doubt=0.8)
                 for i, p, s in zip(keep, problems, states)
             ]
             states, _ = steps.shared(problems, states, labels=labels, iterations=settings.labelled_steps)

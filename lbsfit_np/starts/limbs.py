@@ -113,7 +113,7 @@ class LimbPoses:
         list of (J, 3) array
             The most promising first; empty where no limb would be better off.
         """
-        posed = self.model.pose(state)[0]
+        posed = self.model.deformed(state)
         X = problem.X
         few = X[np.linspace(0, len(X) - 1, min(len(X), _POINTS)).astype(int)].astype(np.float32)
         grid = VoxelGrid(X, _VOXEL)
