@@ -132,21 +132,69 @@ def test_the_unit_of_the_scans_is_told(unit, options, words, tubes, tmp_path, ru
     assert guessed == [unit == 60.0] * len(scans)
 
 
+FREE_FORM = "note: in the variant free-form scans have to face the rig's way"
+# Options that mean nothing without skinning, in the order of the help, and their defaults.
+UNUSED = {
+    ("--rounds", 3): 4, ("--held-out", 0): 0.1, ("--sequence",): False, ("--smooth", 1e-5): 0, ("--partial",): False,
+    ("--effort", "fast"): "balanced", ("--training-scans", 9): 4000, ("--training", "turn=1"): {},
+}  # fmt: skip
+
+
 def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, run):
-    scans, out = sorted(tubes.glob("*.ply")), tmp_path / "m.npz"
-    turned = "note: in the variant free-form scans have to face the rig's way"
-    options = ("--variant", "free-form", "--rounds", 3, "--orientation", "any", "--up=+z", "--seed", 5)
-    code, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", out, *options)
-    assert code == 0 and f"{turned}; --rounds, --orientation, --up mean nothing\n" in text
-    assert "fitted 4 of 4 scans, each by itself; " in text and "round" not in text.split("mean nothing")[1]
-    assert lbs.LBSFitter.load(out).orientation == "upright"
-    _, text, _ = run("fit", out, scans[0], "-o", tmp_path / "fits", "--orientation", "any", "--partial")
-    assert "for a model without skinning --orientation, --partial mean nothing" in text
-    assert "m.npz is a learned model: 1 subject, variant 'free-form'" in text
-    _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "n.npz", "--variant", "free-form", "--held-out", 0)
-    assert f"{turned}; --held-out means nothing\n" in text
-    _, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "o.npz", "--variant", "free-form")
-    assert f"{turned}\n" in text and "mean nothing" not in text and "means nothing" not in text
+    def learn(*options):
+        out = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--existing", "replace", "--variant", "free-form")
+        code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *out, *options)
+        assert (code, err) == (0, "") and "fitted 4 of 4 scans, each by itself; " in text
+        return text, json.loads((tmp_path / "fits" / "summary.json").read_text())["settings"]
+
+    text, settings = learn(*(word for option in UNUSED for word in option), "--joints", "fixed", "--seed", 5)
+    assert f"{FREE_FORM}; {', '.join(flag for flag, *_ in UNUSED)} mean nothing\n" in text
+    assert {flag: settings[flag[2:].replace("-", "_")] for flag, *_ in UNUSED} == {f: v for (f, *_), v in UNUSED.items()}
+    assert (settings["joints"], settings["seed"]) == ("fixed", 5) and lbs.LBSFitter.load(tmp_path / "m.npz").joints == "fixed"
+    assert f"{FREE_FORM}; --smooth means nothing\n" in learn("--smooth", 1e-5)[0]  # without --sequence: no error
+    assert f"{FREE_FORM}\n" in learn()[0]
+    assert f"{FREE_FORM}; --orientation, --up only tell where a floor may be\n" in learn("--orientation", "aligned", "--up=+y")[0]
+
+    options = ("--orientation", "any", "--partial", "--effort", "fast", "--max-points", 300)
+    code, text, _ = run("fit", tmp_path / "m.npz", tubes / "t0.ply", "-o", tmp_path / "new", *options)
+    assert code == 0 and "m.npz is a learned model: 1 subject, variant 'free-form'" in text
+    assert f"{FREE_FORM}; --orientation only tells where a floor may be; --partial, --effort mean nothing\n" in text
+    settings = json.loads((tmp_path / "new" / "summary.json").read_text())["settings"]
+    found = [settings[key] for key in ("orientation", "up", "partial", "effort", "max_points")]
+    assert found == ["any", None, False, "balanced", 300]
+
+
+def test_a_wall_is_left_out_without_skinning(tube_rig, tubes, tmp_path, run):
+    """Where scans may lie in any way; upright ones stand on floors."""
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=5, n_points=400, shape=0.0)
+    wall = scan.points.mean(axis=0) + 2 * np.ptp(scan.points, axis=0).max() * (np.random.default_rng(0).random((500, 3)) - 0.5)
+    wall[:, 2] = scan.points[:, 2].min() - 0.02
+    np.save(tmp_path / "s.npy", np.vstack([scan.points, wall]))
+    options = ("--existing", "replace", "--orientation")
+
+    def off(folder):
+        return np.linalg.norm(lbs.FitResult.load(folder / "s.fit.npz").vertices - scan.vertices, axis=1).mean()
+
+    learned, fitted = [], []
+    for orientation in ("upright", "any"):
+        outputs = ("-o", tmp_path / f"{orientation}.npz", "--results", tmp_path / "fits", "--variant", "free-form")
+        assert run("learn", tubes / "tube.npz", tmp_path / "s.npy", *outputs, *options, orientation)[0] == 0
+        learned.append(off(tmp_path / "fits"))
+    for orientation in ("upright", "any"):
+        assert run("fit", tmp_path / "upright.npz", tmp_path / "s.npy", "-o", tmp_path / "new", *options, orientation)[0] == 0
+        fitted.append(off(tmp_path / "new"))
+    assert learned[1] < 0.5 * learned[0] and fitted[1] < 0.5 * fitted[0], (learned, fitted)
+
+
+def test_what_was_noted_about_a_scan_is_said_once(tubes, tmp_path, run):
+    points = lbs.load_scan(tubes / "t0.ply").points
+    np.savetxt(tmp_path / "rows.csv", np.column_stack([np.arange(len(points)), points]), delimiter=",")
+    note = "note: rows: The first column, which counts the rows, was left out.\n"
+    outputs = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--variant", "free-form")
+    _, learned, _ = run("learn", tubes / "tube.npz", tmp_path / "rows.csv", tubes / "t1.ply", *outputs)
+    _, fitted, _ = run("fit", tmp_path / "m.npz", tmp_path / "rows.csv", tubes / "t1.ply", "-o", tmp_path / "new")
+    for text in (learned, fitted):
+        assert text.count(note) == 1 and text.count("note: rows") == 1 and "note: t1" not in text
 
 
 def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):

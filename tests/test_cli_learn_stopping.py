@@ -72,6 +72,57 @@ def test_stopped_before_anything_was_trained_nothing_is_said_to_be_kept(variant,
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]  # which was there
 
 
+@pytest.fixture
+def stop_after_a_round(tube_model, monkeypatch):
+    """(ids) → learning stops once a round has learned these subjects' templates, and a scan has failed."""
+
+    def made(*subjects):
+        def fit(self, *given, **options):
+            learned = lbs.LBSFitter.load(tube_model[0])
+            self.template_, self.unit_ = (dict.fromkeys(subjects, getattr(learned, name)[0]) for name in ("template_", "unit_"))
+            self.segmenter_, self.regressor_, self.history_ = learned.segmenter_, learned.regressor_, learned.history_
+            self.failures_, self._learned_with = {1: "nobody foresaw this"}, learned._learned_with
+            raise KeyboardInterrupt
+
+        monkeypatch.setattr(lbs.LBSFitter, "fit", fit)
+
+    return made
+
+
+@pytest.mark.parametrize(
+    "subjects, results, options, words",
+    [
+        ((0,), None, (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o OUT\n"),
+        ((0,), "of all", (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o '{}/of all'\n"),
+        ((0,), "fits", ("--existing", "replace"), "with it: lbsfit fit '{}/m n.npz' SCAN... -o {}/fits --existing replace\n"),
+        (("a", "b"), None, (), "with it (add --subject ID where you know whose they are): lbsfit fit '{}/m n.npz' SCAN..."),
+    ],
+)
+def test_how_to_go_on_after_a_round(subjects, results, options, words, tubes, tmp_path, run, stop_after_a_round):
+    stop_after_a_round(*subjects)
+    outputs = ("-o", tmp_path / "m n.npz", *(() if results is None else ("--results", tmp_path / results)))
+    code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, *options)
+    assert (code, err) == (130, "t1: failed: nobody foresaw this\n")
+    assert "without results; to fit scans " + words.replace("{}", str(tmp_path)) in text
+    assert list(lbs.LBSFitter.load(tmp_path / "m n.npz").template_) == list(subjects)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGTERM is a POSIX signal")
+def test_sigterm_while_the_model_of_a_stopped_run_is_written(tubes, tmp_path, run, stop_after_a_round, monkeypatch):
+    def slow(entry, array, **_):
+        entry.write(b"half")
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    stop_after_a_round(0)
+    monkeypatch.setattr(np.lib.format, "write_array", slow)
+    before = signal.signal(signal.SIGTERM, lambda *_: pytest.fail("it would have ended the process"))
+    try:
+        code = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz")[0]
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert code == 143 and not list(tmp_path.iterdir())
+
+
 def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypatch):
     write = outputs.Writer.__call__
 

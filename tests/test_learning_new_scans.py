@@ -111,6 +111,9 @@ class _Alone:
     status: str = "ok"
 
 
+ASKS = "; if you know who it is, name the subject (--subject)"
+
+
 @pytest.mark.parametrize("whose, somebody_else", [("ann", False), ("bob", False), ("bob", True)])
 def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, people, whose, somebody_else, monkeypatch):
     template = people[whose].vertices, people[whose].joints
@@ -118,22 +121,28 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
     fitter = lbs.LBSFitter(tube_rig, random_state=0)
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
     fitter.segmenter_, fitter.regressor_ = None, object()
-    seen, looks = _seen(tube_rig, scan), []
+    seen, looks, alone = _seen(tube_rig, scan), [], {"status": "ok"}
 
     def look(points, x_weights):
         looks.append(points)
         return seen
 
-    by_itself = SimpleNamespace(scout=look, fit=lambda points, found, **given: _Alone("by itself", found))
+    by_itself = SimpleNamespace(scout=look, fit=lambda points, found, **given: _Alone("by itself", found, **alone))
     monkeypatch.setattr(finish, "scan_fit", lambda *made_of: by_itself)
     monkeypatch.setattr(finish, "_scouted", lambda fitter, subject, x, a, settings: look(x, a))
     monkeypatch.setattr(TemplateFit, "proportions", lambda *known: 0.21 if somebody_else else 0.19)
     r = finish.fit_new(fitter, scan.points, list(people), None, None, None)
     assert len(looks) == 1
-    if somebody_else:  # what was seen is not looked for again
-        assert r.found is seen and f"better than that of {whose!r}, the nearest one: somebody else?" in r.message
-    else:
+    if not somebody_else:
         assert f"on the template of subject {whose!r}" in r.message
+        return
+    words = "by itself; proportions of its own explain it much better than {}: somebody else?"
+    several = words.format(f"that of {whose!r}, the nearest one")
+    assert r.found is seen and r.message == several  # what was seen is not looked for again
+    for alone["status"] in ("suspect", "failed"):
+        assert finish.fit_new(fitter, scan.points, list(people), None, None, None).message == several + ASKS
+    fitter.template_ = {"ann": people["ann"]}
+    assert finish.fit_new(fitter, scan.points, ["ann"], None, None, None).message == words.format("the learned one")
 
 
 @pytest.mark.parametrize(
@@ -150,7 +159,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     fitter = lbs.LBSFitter(tube_rig, random_state=0)
     fitter.template_, fitter.unit_ = people, {"ann": ann[1], "bob": bob[1]}
     fitter.segmenter_, fitter.regressor_ = None, object()
-    seen, told, status = _seen(tube_rig, scan), {}, "ok"
+    seen, told, alone = _seen(tube_rig, scan), {}, {"status": "ok"}
 
     def on_template(fitter, subject, seen, settings):
         value, unit = {"ann": ann, "bob": bob}[subject]
@@ -158,7 +167,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
 
     def finish_fit(problem, state, **place):
         told.update(place)
-        return _Alone("seen", seen, status=status)
+        return _Alone("seen", seen, **alone)
 
     monkeypatch.setattr(finish, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a: seen))
     monkeypatch.setattr(finish, "_on_template", on_template)
@@ -166,9 +175,9 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     assert finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message == "seen"
     assert f"on the template of subject {better!r}" in told["note"]
     assert told["value"] == {"ann": ann, "bob": bob}[better][0]
-    status = "suspect"  # who knows the subject may help
-    asks = finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message
-    assert asks == "seen; if you know who it is, name the subject (--subject)"
+    for alone["status"] in ("suspect", "failed"):  # who knows the subject may help
+        asks = finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message
+        assert asks == "seen" + ASKS
     monkeypatch.setattr(finish, "_scouted", lambda *known: seen)
     assert finish.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message == "seen"
 

@@ -73,7 +73,7 @@ _EPILOG = """\
 example:
   lbsfit bench {example}
 
-Exit code: 0 {done}, 2 usage or {unusable}, 130 stopped by Ctrl-C.
+Exit code: 0 {done}, 2 usage or {unusable}, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 _SOME_FAIL = "all fitted, 1 some scans failed (named with reasons)"
 

@@ -106,7 +106,7 @@ Each fit has a status: ok; suspect, where something speaks against it; failed, w
 files are written all the same). The summary and the table at the end have these first, with what speaks against them. Fits
 that --existing skip keeps have the status of their files, and "kept": true in the summary.
 Exit code: 0 all fitted, suspect or not, 1 some scans failed (named with reasons; the others are written), kept fits that had
-failed counted, 2 usage or unreadable rig, 130 stopped by Ctrl-C.
+failed counted, 2 usage or unreadable rig, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
 
@@ -219,6 +219,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
             entries[f.name] = outputs.unfitted_entry(f, outcome.error, seconds=round(outcome.seconds, 3))
             if outcome.details:
                 entries[f.name]["details"] = outcome.details
+        progress.notes(f.name, entries[f.name].get("notes", ()))
         progress.scan(entries[f.name])
 
     stopped = None

@@ -2,6 +2,7 @@
 
 import functools
 import os
+import shlex
 import time
 import warnings
 from dataclasses import dataclass, field
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import FileError, InputError, LbsfitError, in_words
-from ..learning.variants import VARIANTS
+from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, load_rig_with, read_scan, scan_options
@@ -28,9 +29,6 @@ _SHARED = (
     *("scale", "orientation", "up", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
     *("training-scans", "training", "seed", "jobs"),
 )
-
-# What means nothing without skinning.
-_OF_SKINNING = "orientation up partial effort joints training-scans training rounds held-out sequence smooth".split()
 
 OPTIONS = (
     Option("output", "the model to write, NAME.npz; its folder is made if need be", metavar="MODEL", flag="-o", is_path=True),
@@ -163,7 +161,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     except KeyboardInterrupt as stop:
         progress.close()
         results = f", {written_of(entries)} of {len(scans)} results are in {values['results']}" if files else ""
-        say(f"stopped: {model} is complete{results}" if written else _stopped_early(fitter, model, values["results"]))
+        say(f"stopped: {model} is complete{results}" if written else _stopped_early(fitter, model, values))
         return exit_code(stop)
     finally:
         progress.close()
@@ -177,7 +175,7 @@ def _checked(rig_path, scans, values, inputs):
     if model.suffix.lower() != ".npz":
         got = f"{model}, which ends in {model.suffix!r}" if model.suffix else f"{model}, which has no ending"
         raise InputError("-o/--output", got, "a name that ends in .npz", f"Call it {model}.npz.")
-    if values["smooth"] and not values["sequence"]:
+    if values["smooth"] and not values["sequence"] and VARIANTS[values["variant"]].skinning:
         raise InputError("--smooth", f"{values['smooth']:g} without --sequence", "a sequence", "Add --sequence, or leave it out.")
     card = values["card"] if values["card"] != "none" else None
     others = [p for p in (rig_path, card, values["subjects"], *inputs) if p]
@@ -194,15 +192,12 @@ def _checked(rig_path, scans, values, inputs):
 
 
 def _without_unused(values):
-    """Without skinning, the options that mean nothing then are named and back at their defaults."""
-    if VARIANTS[values["variant"]].skinning:
-        return values
-    given = [o for o in OPTIONS if o.name in _OF_SKINNING and values[o.key] != o.default]
-    words = "note: in the variant free-form scans have to face the rig's way"
-    if given:
-        words += f"; {', '.join(f'--{o.name}' for o in given)} {'means' if len(given) == 1 else 'mean'} nothing"
-    say(words)
-    return values | {o.key: o.default for o in given}
+    """Options that mean nothing in the variant are named and back at their defaults."""
+    defaults = {o.key: o.default for o in OPTIONS}
+    given = [key for key, default in defaults.items() if values[key] != default]
+    if note := note_on(values["variant"], given):
+        say(f"note: {note}")
+    return values | {key: defaults[key] for key in unused(values["variant"], given)}
 
 
 def _check_twice(scans):
@@ -263,6 +258,7 @@ class _Reading:
         if self.keep:
             self.scans[i] = scan
         self.progress("reading scans", (i + 1) / len(self.paths))
+        self.progress.notes(self.name(i), scan.notes)
         return scan
 
     def fail(self, i, message):
@@ -303,14 +299,17 @@ def _learned(fitter, reading, model, seconds):
     )
 
 
-def _stopped_early(fitter, model, results):
+def _stopped_early(fitter, model, values):
     """What of the work is kept, and how to go on, in words; the model, where a round has learned one."""
     if getattr(fitter, "history_", None):  # a round has been kept
         with terminable():
             fitter.save(model)
         kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
-        to_fit = f"lbsfit fit {model} SCAN... -o {results or 'OUT'}"
-        return f"stopped: {model} has what round {kept} learned, without results; to fit scans with it: {to_fit}"
+        to_fit = f"lbsfit fit {shlex.quote(str(model))} SCAN... -o {shlex.quote(values['results'] or 'OUT')}"
+        if values["results"] and values["existing"] == "replace":  # where results of an earlier run may be
+            to_fit += " --existing replace"
+        who = " (add --subject ID where you know whose they are)" if len(fitter.template_) > 1 else ""
+        return f"stopped: {model} has what round {kept} learned, without results; to fit scans with it{who}: {to_fit}"
     if getattr(fitter, "regressor_", None) is None:  # training is over only when all of it is
         return "stopped before the model was learned; the same command begins anew"
     kept = "what was trained first is kept, and the rounds begin anew with the same command"

@@ -5,7 +5,7 @@ import os
 from dataclasses import asdict, is_dataclass
 
 from ..errors import FileError, InputError, brief, listed
-from ..learning.variants import VARIANTS
+from ..learning.variants import note_on, unused
 from .progress import say
 
 __all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig"]
@@ -14,8 +14,6 @@ __all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model
 _SETTLED = ("card", "shape", "skin", "normalize-weights", "parts", "joints", "segmenter", "training-scans", "training")
 # Options that a model has settled, too, but that may be changed for another scan.
 _FREE = ("scale", "orientation", "up", "partial", "effort", "weights", "max_points")
-# Those of them that mean nothing to a model without skinning.
-_OF_SKINNING = ("orientation", "up", "partial", "effort")
 
 
 def is_model(path):
@@ -61,11 +59,12 @@ def load_model(path, values, given):
             "Leave it out, or learn again with it: lbsfit learn has these options.",
         )
     fitter = LBSFitter.load(path)
-    unused = [] if VARIANTS[fitter.variant].skinning else [key for key in _OF_SKINNING if key in given]
-    if unused:
-        say(f"note: for a model without skinning {', '.join(f'--{key}' for key in unused)} {_mean(unused)} nothing")
-    for key in _FREE:
-        if key in given and key not in unused:
+    wanted = [key for key in _FREE if key in given]
+    if note := note_on(fitter.variant, wanted):
+        say(f"note: {note}")
+    idle = unused(fitter.variant, wanted)
+    for key in wanted:
+        if key not in idle:
             setattr(fitter, key, values[key])
     if fitter.orientation == "any" and "orientation" in given and "up" not in given:
         fitter.up = None  # no axis is known then, and the model's cannot be unsaid otherwise
@@ -110,10 +109,6 @@ def say_model_as_rig(path):
     """Say that of a model only the rig is used, where ``path`` is one."""
     if is_model(path):
         say(f"{path} is {model_in_words(about_model(path))}: its rig is used, what it has learned is not")
-
-
-def _mean(what):
-    return "means" if len(what) == 1 else "mean"
 
 
 def _is_none(name, values):

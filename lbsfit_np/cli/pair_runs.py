@@ -31,7 +31,7 @@ _OF_LEARNING = ("rounds", "held-out")
 
 _EXIT_CODES = """\
 Exit code: 0 all fitted, 1 some scans could not be fitted (their pairs are missing) or their fits say that they failed (their
-pairs count), 2 usage or unreadable data, 130 stopped by Ctrl-C.
+pairs count), 2 usage or unreadable data, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
 

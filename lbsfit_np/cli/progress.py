@@ -71,6 +71,11 @@ class Progress:
         self._bar.set_postfix_str(entry["name"], refresh=False)
         self._bar.update()
 
+    def notes(self, name, notes):
+        """What was noted about a scan, each a line that stays."""
+        for note in notes:
+            self.line(f"note: {name}: {note}")
+
     def line(self, text):
         """A line that stays."""
         if self._bar is not None:
@@ -126,6 +131,13 @@ class LearningProgress:
         if self.terminal:  # a line of a stage need not be said again
             self.close()
         print(f"{name}: failed: {message}", file=sys.stderr, flush=True)
+
+    def notes(self, name, notes):
+        """What was noted about a scan."""
+        if notes and self.terminal:
+            self.close()
+        for note in notes:
+            print(f"note: {name}: {note}", file=sys.stderr if self.terminal else sys.stdout, flush=True)
 
     def close(self):
         """Leave the terminal in order."""

@@ -129,14 +129,19 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
         alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **given, found=seen)
         nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
-        return replace(alone, message=message, seconds=time.perf_counter() - started)
+        return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     note = "; ".join(filter(None, [note, unit, stands, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     place["proportions"] = proportions
     result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
-    if len(subjects) == 1 or result.status != "suspect":
+    return _asking(result, subjects)
+
+
+def _asking(result, subjects):
+    """A result in doubt asks for the subject where there are several."""
+    if len(subjects) == 1 or result.status == "ok":
         return result
     return replace(result, message=f"{result.message}; if you know who it is, name the subject (--subject)")
 

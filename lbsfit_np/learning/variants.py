@@ -4,7 +4,12 @@ from dataclasses import dataclass
 
 from ..errors import InputError, brief
 
-__all__ = ["VARIANTS", "Variant", "as_variant"]
+__all__ = ["VARIANTS", "Variant", "as_variant", "note_on", "unused"]
+
+# What means nothing without skinning, as there is no pose to look for and nothing to train.
+_OF_SKINNING = ("partial", "effort", "training_scans", "training", "rounds", "held_out", "sequence", "smooth")
+# What then tells nothing but where a floor, a table or a wall may be.
+_OF_FLOORS = ("orientation", "up")
 
 
 @dataclass(frozen=True)
@@ -51,3 +56,24 @@ def as_variant(name):
     if name not in VARIANTS:
         raise InputError("variant", brief(name), " or ".join(map(repr, VARIANTS)))
     return VARIANTS[name]
+
+
+def unused(name, given):
+    """Those of the parameters ``given``, by their names, that mean nothing in a variant."""
+    return [] if as_variant(name).skinning else [key for key in given if key in _OF_SKINNING]
+
+
+def note_on(name, given):
+    """What is to be known of a variant without skinning and of the options ``given``, in a line; nothing of others."""
+    if as_variant(name).skinning:
+        return ""
+    words = [f"in the variant {name} scans have to face the rig's way"]
+    of_floors = [key for key in given if key in _OF_FLOORS]
+    for keys, one, several in (
+        (of_floors, "only tells where a floor may be", "only tell where a floor may be"),
+        (unused(name, given), "means nothing", "mean nothing"),
+    ):
+        if keys:
+            flags = ", ".join(f"--{key.replace('_', '-')}" for key in keys)
+            words.append(f"{flags} {one if len(keys) == 1 else several}")
+    return "; ".join(words)
