@@ -1,9 +1,11 @@
 """The help of the commands, and the progress of ``lbsfit fit``."""
 
+import argparse
+
 import pytest
 from cli_runs import help_alone
 
-from lbsfit_np.cli import fit
+from lbsfit_np.cli import _parser, fit
 from lbsfit_np.cli.progress import SILENCE, Progress
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -30,6 +32,17 @@ def test_names_in_help_are_not_broken(run):
     for row in ("free-form-augmented", "free-form-supervised-3x", "oracle-labels", "pose-only"):
         assert row in text, row
     assert "oracle-labels,oracle-fit" in "".join(text.split())
+    texts = list(_helps(_parser()))
+    assert len(texts) > 12 and not any("\0" in text for text in texts)
+
+
+def _helps(parser):
+    """The help of a parser and of all its commands."""
+    yield parser.format_help()
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield from _helps(command)
 
 
 def test_help_is_quick():

@@ -104,6 +104,14 @@ def test_unknown_subjects(learned_hands, hands, tube_model, tubes, tmp_path, run
     assert not (tmp_path / "out").exists()
 
 
+def test_an_unknown_subject_of_a_model_of_one_that_has_a_name(tube_model, tubes, tmp_path, run):
+    fitter = lbs.LBSFitter.load(tube_model[0])
+    fitter.template_, fitter.unit_ = {"anna": fitter.template_[0]}, {"anna": fitter.unit_[0]}
+    fitter.save(tmp_path / "anna.npz")
+    code, _, err = run("fit", tmp_path / "anna.npz", tubes / "t0.ply", "-o", tmp_path / "out", "--subject", "carl")
+    assert code == 2 and "--subject: got 'carl'; expected a subject of the model: 'anna'" in one_line(err)
+
+
 def test_skip_does_not_take_fits_of_another_rig(learned_hands, hands, tube_model, tubes, tmp_path, run):
     (tmp_path / "anna0.ply").write_bytes((tubes / "t0.ply").read_bytes())
     for path in learned_hands[1].glob("anna0.*"):

@@ -43,6 +43,9 @@ def test_scans_of_one_name_are_told_apart_by_path(tmp_path):
     (tmp_path / "who.csv").write_text("1.ply,ben\na/1.ply,anna\n")
     with pytest.raises(FileError, match=r"'1.ply' in line 1, which 2 scans are called.*Write its path, such as a/1.ply"):
         read_subjects(tmp_path / "who.csv", scans)
+    (tmp_path / "who.csv").write_text("b/1.ply,ben\n1.plx,anna\n")  # of whose names one is still free
+    with pytest.raises(FileError, match=r"'1.plx' in line 2, which is none of the scans given.*Did you mean '1.ply'\?"):
+        read_subjects(tmp_path / "who.csv", scans)
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,7 @@
 """The collection that is learned from: what is read of it, set aside, held out and refused."""
 
 import functools
+import warnings
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,7 +10,7 @@ from learning_runs import NAN, SMALL, collected
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
-from lbsfit_np.learning.collection import odd_ones
+from lbsfit_np.learning.collection import Collection, odd_ones
 from lbsfit_np.learning.loop import Loop
 
 
@@ -50,6 +51,16 @@ def test_bad_collections_are_named_before_any_training(tube_rig, clouds, monkeyp
         scans, ids = given(clouds)
         with pytest.raises(InputError, match=words[0].split("(")[0]):
             lbs.LBSFitter(tube_rig, **SMALL).fit(scans, ids)
+
+
+@pytest.mark.parametrize("odd, n, warns", [(1, 3, False), (2, 3, True), (2, 20, False), (3, 20, True), (2, 30, False)])
+def test_more_than_one_and_more_than_a_tenth_of_the_scans_are_somebody_elses(odd, n, warns):
+    results = [SimpleNamespace(evidence={"proportions": 0.21 if k < odd else 0.19}) for k in range(n)]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        Collection(n).warn(1, [*results, None])
+    words = f"{odd} of {n} scans do not suit their subject's template; are they of several people? Say whose each scan is: "
+    assert [str(w.message) for w in told] == [words + "subjects (--subjects)"] * warns
 
 
 def test_the_odd_ones_are_all_but_the_largest_group():

@@ -28,6 +28,13 @@ def test_a_column_that_counts_the_rows_is_no_x(tmp_path):
         np.testing.assert_array_equal(scan.points[:, 0], column)
 
 
+def test_three_columns_are_the_points_even_where_x_counts(tmp_path):
+    points = np.column_stack([np.arange(4.0), POINTS[:, 1:]])
+    scan = load_scan(write(tmp_path, "p.csv", rows(points, sep=",")))
+    np.testing.assert_array_equal(scan.points, points)
+    assert scan.notes == ()
+
+
 @pytest.mark.parametrize("text", [",0,1,2\n0,1.5,2,3\n1,4,5,6.5\n", "0,1,2\n1.5,2,3\n4,5,6.5\n", "x;y;z\n1,5;2;3\n4;5;6,5\n"])
 def test_data_frame_headers_and_decimal_commas(tmp_path, text):
     np.testing.assert_array_equal(load_scan(write(tmp_path, "p.csv", text)).points, [[1.5, 2, 3], [4, 5, 6.5]])
