@@ -187,7 +187,7 @@ def test_a_picture_of_others_is_not_drawn_over_where_a_scan_is_still_to_be_fitte
     assert code == 2 and "one.png exists already, which lbsfit has not drawn" in one_line(err)
     assert "leaves what others have drawn as it is" in err and "keeps finished fits" not in err
     code, out, _ = run(*arguments, "--existing", "skip")
-    assert code == 0 and out.count("one.png is none that lbsfit has drawn, and stays\n") == 1 and "1 of 1 scans fitted" in out
+    assert code == 0 and out.count("one.png is none that lbsfit has drawn, and stays\n") == 1 and "1 of 1 scan fitted" in out
     assert texture.read_bytes() == b"\x89PNG of others" and (tmp_path / "one.fit.npz").is_file()
     (scan,) = json.loads((tmp_path / "summary.json").read_text())["scans"]
     assert sorted(scan["files"]) == ["fit", "labels", "mesh"]

@@ -1,6 +1,7 @@
 """What ``lbsfit learn`` cannot learn from: one clear line, before any work where that is possible."""
 
 import json
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 from cli_runs import QUICK_LEARNING, one_line
 
 import lbsfit_np as lbs
+from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_points_ply
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -149,6 +151,29 @@ def test_a_scan_that_fails_on_the_way_is_named_and_left_out(tubes, tmp_path, run
     entries = json.loads((tmp_path / "fits" / "summary.json").read_text())["scans"]
     (failed,) = (e for e in entries if e["status"] == "failed")
     assert len(entries) == 4 and failed["name"] == "t1" and "ZeroDivisionError" in failed["message"]
+
+
+def test_what_was_learned_from_is_counted_as_such_without_a_result(tubes, tube_model, tmp_path, run, monkeypatch):
+    """One scan is read as a broken one, one teaches and one is held out, but there is no result of either."""
+    scans = sorted(tubes.glob("*.ply"))
+    failures = {1: "learned from, but there is no result of it: it", 2: "held out of learning, but there is no result of it: it"}
+
+    def fit(self, sources, *given, **options):
+        learned = lbs.LBSFitter.load(tube_model[0])
+        for name in ("template_", "unit_", "segmenter_", "regressor_", "history_", "_learned_with"):
+            setattr(self, name, getattr(learned, name))
+        for source in sources:
+            with suppress(FileError):
+                source()
+        result = lbs.FitResult.load(tube_model[1] / "t0.fit.npz")
+        self.results_ = [replace(result, message="learned from; well"), None, None, None]
+        self.failures_ = failures | {3: "unread"}
+
+    monkeypatch.setattr(lbs.LBSFitter, "fit", fit)
+    (tmp_path / "learned from.ply").write_bytes(b"")
+    code, text, err = run("learn", tubes / "tube.npz", *scans[:3], tmp_path / "learned from.ply", "-o", tmp_path / "m.npz")
+    assert code == 1 and all(f"t{i}: failed: {words}\n" in err for i, words in failures.items())
+    assert "learned from 2 of 4 scans of 1 subject, 1 more held out, 1 could not be used, in " in text
 
 
 def test_a_result_that_is_not_finite_is_a_failure(tubes, tmp_path, run, monkeypatch):

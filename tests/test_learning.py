@@ -153,7 +153,7 @@ def test_figures_of_a_round_are_means_of_roots():
     assert (loop.history[0]["recon"], loop.history[0]["recon_held_out"]) == (pytest.approx(0.2), pytest.approx(0.3))
 
 
-def test_rounds_end_when_the_loss_on_scans_left_out_ends_falling(make_learner, few_scans, monkeypatch):
+def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, few_scans, monkeypatch):
     """The best round's state is what counts; of rounds that are level the later."""
     values = iter([0.5, 0.4, 0.399, 0.3])
     noted, poses = Loop._note, {}

@@ -52,9 +52,12 @@ def _failing(monkeypatch, module, name, bad):
 def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube_rig, clouds, monkeypatch):
     _failing(monkeypatch, module, name, 399)
     given = [clouds[0], clouds[1][:399], *clouds[2:]]
-    with pytest.warns(UserWarning, match="1 of 4 scans cannot be used; scan 1: ZeroDivisionError: nobody foresaw this"):
+    words = "ZeroDivisionError: nobody foresaw this"
+    if module is finish:  # by then the scan has had its part in learning
+        words = f"held out of learning, but there is no result of it: {words}"
+    with pytest.warns(UserWarning, match=f"1 of 4 scans cannot be used; scan 1: {words}"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(given)
-    assert fitter.failures_ == {1: "ZeroDivisionError: nobody foresaw this"}
+    assert fitter.failures_ == {1: words}
     assert [r is None for r in fitter.results_] == [False, True, False, False]
     assert fitter.fit_scan(clouds[0]).status != "failed"
 
@@ -146,7 +149,7 @@ def test_labels_of_points_near_and_far():
 @pytest.mark.parametrize("share, enough, left_out", [(0.01, 3, 1), (0.1, 3, 1), (0.5, 4, 2), (0.75, 6, 4), (0.9, 16, 14)])
 def test_how_many_scans_are_enough_is_said(share, enough, left_out, tube_rig, clouds):
     options = {"max_points": 100, "held_out": share, "scale": "estimate", "random_state": 0}
-    with pytest.raises(InputError, match=f"at least {enough}, so that {left_out} can be left out"):
+    with pytest.raises(InputError, match=f"at least {enough}, so that {left_out} can be held out"):
         read_collection(tube_rig, clouds[:2], None, **options)
     given = [clouds[0]] * enough
     assert sum(m.held_out for m in read_collection(tube_rig, given, None, **options).members) == left_out

@@ -374,7 +374,7 @@ def _farewell(counts, n, out, stopped, older):
         say((f"stopped: {done} of {n} scans are fitted and kept in {out}" if done else "stopped before a scan was fitted") + rest)
         return exit_code(stopped)
     skipped = f", {counts['kept']} of them skipped as fitted before" if counts["kept"] else ""
-    say(f"{done} of {n} scans fitted{skipped}{doubts_of(counts)}; results in {out}")
+    say(f"{done} of {n} scan{'' if n == 1 else 's'} fitted{skipped}{doubts_of(counts)}; results in {out}")
     return 1 if counts["failed"] else 0
 
 

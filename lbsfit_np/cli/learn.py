@@ -38,7 +38,7 @@ OPTIONS = (
     Option("variant", "what to learn from", default="joint", choices=tuple(VARIANTS)),
     Option(
         "held-out",
-        "share of the scans, one at least, that are held out of learning to tell when to stop; 0 leaves none out and does "
+        "share of the scans, one at least, that are held out of learning to tell when to stop; 0 holds none out and does "
         "every round",
         share,
         0.1,
@@ -280,21 +280,26 @@ def _learn(fitter, reading, subjects, progress):
 
 def _learned(fitter, reading, model, seconds):
     """What was learned, in a line."""
-    from ..learning.finish import HELD_OUT
+    from ..learning.finish import HELD_OUT, LEARNED_FROM
 
     n, who = len(reading.paths), len(fitter.template_)
+    of_all = f"of {n} scan{'' if n == 1 else 's'}"
+    if not VARIANTS[fitter.variant].skinning:
+        fitted = n - len(reading.failures)
+        return f"fitted {fitted} {of_all}, each by itself; {model}, with their unit, written after {span(seconds)}"
+    results = enumerate(fitter.results_)
+    told = [(r.message, True) if r is not None else (reading.failures[i], False) for i, r in results]
+    held = sum(HELD_OUT in message for message, _ in told)
+    # Of those without a result some were learned from all the same.
+    failed = sum(not fitted and not message.startswith((HELD_OUT, LEARNED_FROM)) for message, fitted in told)
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
-    held = sum(r is not None and HELD_OUT in r.message for r in fitter.results_)
-    failed = len(reading.failures)
     apart = [f"{held} more held out"] * (held > 0) + [f"{failed} could not be used"] * (failed > 0)
     apart = f", {', '.join(apart)}," if apart else ""
     early = ", until those held out were explained no better" if 0 < rounds < fitter.rounds else ""
     kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
     which = f", round {kept} kept" if kept < rounds else ""
-    if not VARIANTS[fitter.variant].skinning:
-        return f"fitted {n - failed} of {n} scans, each by itself; {model}, with their unit, written after {span(seconds)}"
     return (
-        f"learned from {n - failed - held} of {n} scans of {who} subject{'' if who == 1 else 's'}{apart} "
+        f"learned from {n - failed - held} {of_all} of {who} subject{'' if who == 1 else 's'}{apart} "
         f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; {model} written after {span(seconds)}"
     )
 

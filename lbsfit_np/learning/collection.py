@@ -53,7 +53,7 @@ class Member:
     name : str
         What errors call it: the file where it came from one, else the index.
     held_out : bool
-        Left out of learning, to tell when to stop.
+        Held out of learning, to tell when to stop.
     prior : ((J, 3) array, float) or None
         In a smoothed sequence, the angles that the pose is drawn to, and how much.
     doubt : str
@@ -222,7 +222,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     subjects : sequence or None
     max_points : int
     held_out : float
-        Share of the scans to leave out, at least one where positive.
+        Share of the scans to hold out, at least one where positive.
     scale : {"estimate", "fixed"}
     up : (3,) array, optional
         As for ``starts.clean.clean_rows``.
@@ -235,7 +235,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     Raises
     ------
     InputError
-        Subjects of the wrong number, no scan that can be used, different units, too few scans to leave any out.
+        Subjects of the wrong number, no scan that can be used, different units, too few scans to hold any out.
     """
     scans = as_scans(scans)
     if not scans:
@@ -319,7 +319,7 @@ def _check_units(collection, scale):
 
 
 def _count(share, n):
-    """How many of n scans are left out."""
+    """How many of n scans are held out."""
     return max(1, round(share * n))
 
 
@@ -333,7 +333,7 @@ def _hold_out(collection, share, random_state):
         raise InputError(
             "scans",
             f"{len(members)} that can be used",
-            f"at least {enough}, so that {_count(share, enough)} can be left out to tell when to stop",
+            f"at least {enough}, so that {_count(share, enough)} can be held out to tell when to stop",
             "Give more scans, or pass held_out=0 (--held-out 0) to learn from all for a fixed number of rounds.",
         )
     order = generator(random_state, "held out").permutation(len(members))

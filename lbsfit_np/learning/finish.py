@@ -24,12 +24,13 @@ from ..starts.turns import facing_of, some_turns
 from ..threads import one_thread
 from .variants import as_variant
 
-__all__ = ["HELD_OUT", "LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
+__all__ = ["HELD_OUT", "LEARNED_FROM", "LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
 
 # A scan whose unit differs from its subject's by more than this factor has a unit of its own.
 _SAME_UNIT = 1.35
-# What the message of a scan says that only tells when to stop.
+# What the message of a scan says that only tells when to stop, and of one that teaches.
 HELD_OUT = "held out of learning"
+LEARNED_FROM = "learned from"
 # Free vertices have all of a pose to make, and are rougher than offsets. Of λ_lap from 0.3, the fits' own, to 0.003 this one left
 # the least joint and vertex errors on the study's tuning seed 5, in so many steps.
 LOOSE = PRESETS["default"].replace(lam_lap=0.01)
@@ -46,9 +47,16 @@ def results_of(rig, templates, joints, collection, settings, *, jobs, progress):
     """
     half = rig.size / 2
     models = {s: Model(t, joints, half=half) for s, t in templates.items()}
-    work = _Finish(rig, models, settings)
-    answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("results", p))
+    work, members = _Finish(rig, models, settings), collection.members
+    answers = collection.work(work, members, jobs=jobs, done=lambda p: progress("results", p))
+    for m in members:  # those that have failed only now
+        if m.index in collection.failures:
+            collection.failures[m.index] = f"{_role(m)}, but there is no result of it: {collection.failures[m.index]}"
     return collection.in_order(answers)
+
+
+def _role(member):
+    return HELD_OUT if member.held_out else LEARNED_FROM
 
 
 @dataclass(frozen=True)
@@ -63,7 +71,7 @@ class _Finish:
 
     def __call__(self, m):
         unit = unit_note(m.state.scale * m.frame.unit / self.models[m.subject].half, self.rig, self.settings.scale)
-        note = "; ".join([HELD_OUT if m.held_out else "learned from", *([] if m.doubt else [unit])])
+        note = "; ".join([_role(m), *([] if m.doubt else [unit])])
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         fit = self._fit(m.subject)
         place["proportions"] = fit.proportions(m.problem, m.state)

@@ -56,7 +56,7 @@ class LBSFitter(BaseEstimator):
     rounds : int, default 4
         Rounds of :meth:`fit`, at most.
     held_out : float, default 0.1
-        Share of the scans that :meth:`fit` leaves out of learning to tell when to stop; 0 takes all and does every round.
+        Share of the scans that :meth:`fit` holds out of learning to tell when to stop; 0 takes all and does every round.
     sequence : bool, default False
         Whether the scans of each subject are in order of time: each then starts from its neighbours, too.
     smooth : float, default 0
@@ -84,7 +84,7 @@ class LBSFitter(BaseEstimator):
         Why, by the number of the scan.
     history_ : list of dict
         One entry a round, round 0 the fits of the scans by themselves: "recon" and "recon_held_out" (mean √L_c of the scans
-        that teach and of those left out, half sizes of the rig), "new_starts_won", "seconds", "kept" (of one round).
+        that teach and of those held out, half sizes of the rig), "new_starts_won", "seconds", "kept" (of one round).
     """
 
     def __init__(
@@ -189,7 +189,7 @@ class LBSFitter(BaseEstimator):
         Raises
         ------
         InputError
-            Before any work: parameters, ids of the wrong number, different units, no scan that can be used, or too few to leave
+            Before any work: parameters, ids of the wrong number, different units, no scan that can be used, or too few to hold
             any out. A single scan that cannot be used is left out, with a warning and its reason in ``failures_``.
         KeyboardInterrupt
             On Ctrl-C; what a finished round has learned is there then, ``results_`` are None each.

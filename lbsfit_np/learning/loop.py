@@ -5,7 +5,7 @@ After pretraining and a first fit of each scan by itself, a round does this:
 1. each subject's template from the poses of its scans (``fitting.template``), scans that are explained badly left out;
 2. training scans from the mixture Θ' on these templates (``mixture``); s is trained on, f and the library of starts anew;
 3. the labels of all scans; every pose again, from its last one, from labels, from f and from the library (``fitting.refit``);
-4. the loss on the scans left out: rounds end when it no longer falls.
+4. the loss on the scans held out: rounds end when it no longer falls.
 
 At the end the full objective gives each scan its residual on its subject's template.
 """
@@ -56,7 +56,7 @@ class LoopSettings:
     neighbours : int
         Poses of the library that a scan starts from.
     improvement : float
-        Relative fall of the loss on scans left out below which rounds end; by less than that two rounds are level.
+        Relative fall of the loss on scans held out below which rounds end; by less than that two rounds are level.
     training : Training
         Of s in a round.
     """
@@ -231,7 +231,7 @@ class Loop:
                 raise mixed_units(f"of subject {subject!r}, scan {at} have {ratio:.3g} times the others' scale")
 
     def _templates(self):
-        """Each subject's template from its scans' poses, those left out not counted."""
+        """Each subject's template from its scans' poses, those held out not counted."""
         tasks, subjects = [], self.collection.subjects
         for subject in subjects:
             learning = [m for m in self.collection.of(subject) if not m.held_out] or self.collection.of(subject)
@@ -343,7 +343,7 @@ class Loop:
         return [entry | {"kept": entry["round"] == kept} for entry in self.history]
 
     def _note(self, k, began, more):
-        """One more entry of the history; the value that decides when to stop, None where no scan is left out to tell."""
+        """One more entry of the history; the value that decides when to stop, None where no scan is held out to tell."""
         held = [np.sqrt(m.loss) for m in self.collection.members if m.held_out]
         learning = [np.sqrt(m.loss) for m in self.collection.members if not m.held_out]
         entry = {

@@ -156,7 +156,8 @@ def accuracy(report, path):
     return (
         "Segmentation accuracy of the segmenter alone on held-out shapes, before the first round and after each: the one that "
         "learns from uniform poses only (rand, the paper's Random) and the one that learns from inferred poses and templates, "
-        "too (joint). Rings: the round that was kept, by the fits' loss on scans left out." + " Thin lines are seeds." * several
+        "too (joint). Rings: the round that was kept, by the fits' loss on scans held "
+        "out of learning." + " Thin lines are seeds." * several
     )
 
 
