@@ -190,11 +190,15 @@ def test_what_was_noted_about_a_scan_is_said_once(tubes, tmp_path, run):
     points = lbs.load_scan(tubes / "t0.ply").points
     np.savetxt(tmp_path / "rows.csv", np.column_stack([np.arange(len(points)), points]), delimiter=",")
     note = "note: rows: The first column, which counts the rows, was left out.\n"
+    np.savetxt(tmp_path / "too.csv", np.column_stack([np.arange(len(points)), points]), delimiter=",")
+    scans = tmp_path / "rows.csv", tmp_path / "too.csv", tubes / "t1.ply"
     outputs = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--variant", "free-form")
-    _, learned, _ = run("learn", tubes / "tube.npz", tmp_path / "rows.csv", tubes / "t1.ply", *outputs)
-    _, fitted, _ = run("fit", tmp_path / "m.npz", tmp_path / "rows.csv", tubes / "t1.ply", "-o", tmp_path / "new")
-    for text in (learned, fitted):
-        assert text.count(note) == 1 and text.count("note: rows") == 1 and "note: t1" not in text
+    _, learned, _ = run("learn", tubes / "tube.npz", *scans, *outputs)
+    _, fitted, _ = run("fit", tmp_path / "m.npz", *scans, "-o", tmp_path / "new")
+    for text, folder in ((learned, "fits"), (fitted, "new")):
+        assert text.count(note) == text.count("which counts the rows") == 1 and "note: t1" not in text
+        noted = json.loads((tmp_path / folder / "summary.json").read_text())["scans"]
+        assert [bool(entry["notes"]) for entry in noted] == [True, True, False]
 
 
 def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):

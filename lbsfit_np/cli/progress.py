@@ -1,5 +1,6 @@
 """Progress for people: a bar on a terminal, plain lines elsewhere."""
 
+import re
 import sys
 import time
 
@@ -22,6 +23,17 @@ def say(text):
     print(text, flush=True)
 
 
+def _unsaid(notes, said):
+    """Notes of a kind that was not said yet, of which ``said`` keeps note: hundreds of scans have the same to say."""
+    out = []
+    for note in notes:
+        kind = re.sub(r"[0-9]+", "0", note)
+        if kind not in said:
+            said.add(kind)
+            out.append(note)
+    return out
+
+
 class Progress:
     """Shows how a run goes on.
 
@@ -38,7 +50,7 @@ class Progress:
     def __init__(self, total, terminal=None, clock=time.monotonic):
         self.total, self.done = total, 0
         self.terminal = sys.stderr.isatty() if terminal is None else terminal
-        self._bar = None
+        self._bar, self._said = None, set()
         self._stages = LearningProgress(0, self.terminal, clock)
 
     def training(self, share):
@@ -72,8 +84,8 @@ class Progress:
         self._bar.update()
 
     def notes(self, name, notes):
-        """What was noted about a scan, each a line that stays."""
-        for note in notes:
+        """What was noted about a scan, each a line that stays; of each kind, numbers aside, the first one."""
+        for note in _unsaid(notes, self._said):
             self.line(f"note: {name}: {note}")
 
     def line(self, text):
@@ -106,7 +118,7 @@ class LearningProgress:
         self.rounds, self.round = rounds, 0
         self.terminal = sys.stderr.isatty() if terminal is None else terminal
         self._clock = clock
-        self._stage, self._bar = None, None
+        self._stage, self._bar, self._said = None, None, set()
         self._began, self._took = None, []
         self._share, self._stage_began, self._told = 0.0, None, None
 
@@ -133,7 +145,8 @@ class LearningProgress:
         print(f"{name}: failed: {message}", file=sys.stderr, flush=True)
 
     def notes(self, name, notes):
-        """What was noted about a scan."""
+        """What was noted about a scan; of each kind, numbers aside, the first one."""
+        notes = _unsaid(notes, self._said)
         if notes and self.terminal:
             self.close()
         for note in notes:

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import csr_array
 
 __all__ = ["Closest", "closest_on_mesh", "faces_around", "faces_at", "summed_normals", "vertex_normals"]
 
@@ -108,6 +107,8 @@ def vertex_normals(vertices, faces):
 
 def faces_at(faces, rows):
     """(r, F) sparse: how often each face has each of some vertices as a corner, for :func:`summed_normals`."""
+    from scipy.sparse import csr_array
+
     row = np.full(max(faces.max(initial=-1), rows.max(initial=-1)) + 1, -1)
     row[rows] = np.arange(len(rows))
     at, face = row[faces.ravel()], np.repeat(np.arange(len(faces)), 3)
