@@ -24,7 +24,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
     text, err, returned = _stopped_after("round 1 of", jobs, sent, tubes, cli_cache, tmp_path)
     assert (returned, err) == (code, ""), err
-    how = r"to fit scans with it: lbsfit fit .*m\.npz SCAN\.\.\. -o .*fits"
+    how = r"the same command with --existing replace begins anew; to fit scans with it: lbsfit fit .*m\.npz SCAN\.\.\. -o .*fits"
     round_kept = re.search(rf"stopped: .*m\.npz has what round (\d+) learned, without results; {how}\n$", text)[1]
     assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]  # no empty folder of results
     learned = lbs.LBSFitter.load(tmp_path / "m.npz")
@@ -95,7 +95,7 @@ def stop_after_a_round(tube_model, monkeypatch):
         ((0,), None, (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o OUT\n"),
         ((0,), "of all", (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o '{}/of all'\n"),
         ((0,), "fits", ("--existing", "replace"), "with it: lbsfit fit '{}/m n.npz' SCAN... -o {}/fits --existing replace\n"),
-        (("a", "b"), None, (), "with it (add --subject ID where you know whose they are): lbsfit fit '{}/m n.npz' SCAN..."),
+        (("a", "b"), None, (), "with it, of each subject by themselves and with --subject ID: lbsfit fit '{}/m n.npz' SCAN..."),
     ],
 )
 def test_how_to_go_on_after_a_round(subjects, results, options, words, tubes, tmp_path, run, stop_after_a_round):
@@ -103,7 +103,7 @@ def test_how_to_go_on_after_a_round(subjects, results, options, words, tubes, tm
     outputs = ("-o", tmp_path / "m n.npz", *(() if results is None else ("--results", tmp_path / results)))
     code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, *options)
     assert (code, err) == (130, "t1: failed: nobody foresaw this\n")
-    assert "without results; to fit scans " + words.replace("{}", str(tmp_path)) in text
+    assert "results; the same command with --existing replace begins anew; to fit scans " + words.replace("{}", str(tmp_path)) in text
     assert list(lbs.LBSFitter.load(tmp_path / "m n.npz").template_) == list(subjects)
 
 

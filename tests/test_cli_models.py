@@ -108,8 +108,9 @@ def test_an_unknown_subject_of_a_model_of_one_that_has_a_name(tube_model, tubes,
     fitter = lbs.LBSFitter.load(tube_model[0])
     fitter.template_, fitter.unit_ = {"anna": fitter.template_[0]}, {"anna": fitter.unit_[0]}
     fitter.save(tmp_path / "anna.npz")
-    code, _, err = run("fit", tmp_path / "anna.npz", tubes / "t0.ply", "-o", tmp_path / "out", "--subject", "carl")
-    assert code == 2 and "--subject: got 'carl'; expected a subject of the model: 'anna'" in one_line(err)
+    for got, more in (("carl", "."), ("ana", ". Did you mean 'anna'?")):
+        code, _, err = run("fit", tmp_path / "anna.npz", tubes / "t0.ply", "-o", tmp_path / "out", "--subject", got)
+        assert code == 2 and one_line(err).endswith(f"--subject: got {got!r}; expected a subject of the model: 'anna'{more}")
 
 
 def test_skip_does_not_take_fits_of_another_rig(learned_hands, hands, tube_model, tubes, tmp_path, run):

@@ -62,7 +62,7 @@ def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, v
         assert all((r.pose[1:] == np.clip(0.0, tube_rig.lower, tube_rig.upper)[1:]).all() for r in fitter.results_)
         assert 0.1 < error < 0.5  # the rest pose, put where the scan is
         for r in (new, *fitter.results_):  # of which nothing is said that goes by parts or joints
-            assert r.message == "free-form, no skinning; scan and rig are in one unit"
+            assert r.message == "free-form, no skinning: joints stay at rest; scan and rig are in one unit"
     else:
         assert error < 0.05 and mean_gap(tube_rig, [new], [people_scans[12]]) < 0.06
         assert (fitter.segmenter_ is None) == (variant == "cd") and len(fitter.history_) == 2

@@ -313,8 +313,9 @@ def _stopped_early(fitter, model, values):
         to_fit = f"lbsfit fit {shlex.quote(str(model))} SCAN... -o {shlex.quote(values['results'] or 'OUT')}"
         if values["results"] and values["existing"] == "replace":  # where results of an earlier run may be
             to_fit += " --existing replace"
-        who = " (add --subject ID where you know whose they are)" if len(fitter.template_) > 1 else ""
-        return f"stopped: {model} has what round {kept} learned, without results; to fit scans with it{who}: {to_fit}"
+        who = ", of each subject by themselves and with --subject ID" if len(fitter.template_) > 1 else ""
+        anew = "the same command with --existing replace begins anew"
+        return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit scans with it{who}: {to_fit}"
     if getattr(fitter, "regressor_", None) is None:  # training is over only when all of it is
         return "stopped before the model was learned; the same command begins anew"
     kept = "what was trained first is kept, and the rounds begin anew with the same command"

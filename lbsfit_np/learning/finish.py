@@ -76,7 +76,8 @@ class _Finish:
         fit = self._fit(m.subject)
         place["proportions"] = fit.proportions(m.problem, m.state)
         result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
-        return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
+        # A unit that is wrong explains all else that speaks against the fit.
+        return replace(result, message=f"{m.doubt}; {_role(m)}") if m.doubt else result
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):
@@ -316,7 +317,7 @@ def free_form(model, settings, problem, points, rows, frame, started):
         sigma=settings.refinements[-1],
         evaluation=evaluation,
         evaluations=place_only.evaluations + outcome.evaluations,
-        note=f"free-form, no skinning; {unit}",
+        note=f"free-form, no skinning: joints stay at rest; {unit}",
         started=started,
         judged=False,
     )

@@ -75,7 +75,8 @@ def stands_note(turn, up):
     axis = int(np.abs(along).argmax())
     if along[axis] * up[axis] > 0:
         return ""
-    return f"the scan stands along its {'-' if along[axis] < 0 else '+'}{'xyz'[axis]} axis, which is not the rig's up axis"
+    name = f"{'-' if along[axis] < 0 else '+'}{'xyz'[axis]}"
+    return f"the scan stands along its {name} axis, which is not the rig's up axis (up={name!r}, --up={name}, spares the search)"
 
 
 def _turn_from(a, b):
