@@ -103,7 +103,8 @@ def test_how_to_go_on_after_a_round(subjects, results, options, words, tubes, tm
     outputs = ("-o", tmp_path / "m n.npz", *(() if results is None else ("--results", tmp_path / results)))
     code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, *options)
     assert (code, err) == (130, "t1: failed: nobody foresaw this\n")
-    assert "results; the same command with --existing replace begins anew; to fit scans " + words.replace("{}", str(tmp_path)) in text
+    anew = "results; the same command with --existing replace begins anew; to fit scans "
+    assert anew + words.replace("{}", str(tmp_path)) in text
     assert list(lbs.LBSFitter.load(tmp_path / "m n.npz").template_) == list(subjects)
 
 
