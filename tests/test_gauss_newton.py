@@ -13,6 +13,7 @@ from lbsfit_np.optimize.gauss_newton import GaussNewton, _Normal
 from lbsfit_np.optimize.jacobian import VertexMotion
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.state import Layout
 from lbsfit_np.rig.build import build_rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -240,3 +241,20 @@ def test_normal_equations_have_the_slope_of_the_value():
     slope = [(value(h * e) - value(-h * e)) / (2 * h) for e in np.eye(4)]
     np.testing.assert_allclose(found.g, -0.5 * np.array(slope), rtol=1e-6)
     assert found.H.shape == (4, 4) and np.linalg.eigvalsh(found.H).min() > 0
+
+
+@pytest.mark.parametrize("partial", [False, True])
+def test_vertices_pull_as_the_value_falls(tube, partial):
+    """g = −½ ∂E/∂t of a translation t, which leaves normals as they are, where points lie on the surface and do not pull."""
+    truth = state_within(tube, 3)
+    problem, _ = sampled(tube, truth)
+    steps, layout = GaussNewton(tube, partial=partial), Layout(tube.rig, ("translation",), tube.n_coefficients)
+
+    def made(t):
+        state = truth.replace(translation=truth.translation + t)
+        return steps._normal_equations(problem, state, None, layout, False)
+
+    h, g = 1e-7, made(np.zeros(3)).g
+    slope = [(made(h * e).value - made(-h * e).value) / (2 * h) for e in np.eye(3)]
+    np.testing.assert_allclose(g, -0.5 * np.array(slope), atol=1e-3 * np.abs(g).max())
+    assert np.abs(g).max() > 1e-5
