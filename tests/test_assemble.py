@@ -92,6 +92,13 @@ def test_the_rig_posed_as_the_result_says_is_the_mesh(rigs, name, turn, joints, 
     assert r.message.endswith("a note")
 
 
+def test_a_changed_template_is_what_labels_and_distances_are_measured_from(rigs):
+    """The points are its vertices, so that none is away from it, and each has its own label."""
+    r, _, _ = _assembled(rigs["tube"], Model(rigs["tube"]), TURNS["any"], changed=True)
+    assert r.terms["recon"] < 1e-9 and r.evidence["distance"] < 1e-6
+    assert (r.labels == rigs["tube"].vertex_labels).mean() > 0.97
+
+
 @pytest.mark.parametrize("turn", TURNS)
 def test_templates_of_subjects_turn_about_their_own_root(rigs, turn):
     rig = rigs["hand"]

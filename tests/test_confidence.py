@@ -183,6 +183,16 @@ def test_clutter_has_no_partner_and_takes_no_part(model, right):
     assert shown_problem(model, same, far, False) is same  # nothing fits: that is no reason to look away
 
 
+def test_partners_are_looked_for_on_the_template_as_it_has_become(tube_rig):
+    """Of a scan with a bump that the template has as well nothing is left out."""
+    tube = Model(tube_rig)
+    bump = np.zeros_like(tube.rig.vertices)
+    bump[:20] = [0.0, 0.0, 0.5]
+    state = tube.rest().replace(residual=bump)
+    same = Problem(tube.deformed(state).vertices)
+    assert shown_problem(tube, same, state, False) is same
+
+
 @pytest.mark.parametrize("of", ["points", "surface"])
 def test_what_is_usual_in_a_scan_has_a_partner_however_far_that_is(model, of):
     """Nearly all is 0.05 away, so that 0.15 is little and 0.25 is not."""

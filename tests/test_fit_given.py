@@ -3,9 +3,14 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from fit_checks import assert_same, mean_error
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.search import Search
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
 
 
 def test_a_known_start_is_used(tube_rig, tube_fitter, tube_scan):
@@ -13,6 +18,17 @@ def test_a_known_start_is_used(tube_rig, tube_fitter, tube_scan):
     assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.1
     again = tube_fitter.fit_scan(tube_scan.points, theta0=r.pose)
     assert mean_error(tube_rig, again.joints, r.joints) < 0.05
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_without_labels_a_known_start_is_put_where_the_scan_is(tube_rig, tube_scan, weighted, monkeypatch):
+    model, theta, X = Model(tube_rig), tube_scan.pose, tube_scan.points + [3.0, -2.0, 7.0]
+    weights = np.arange(len(X)) / np.arange(len(X)).sum() if weighted else None
+    monkeypatch.setattr(Search, "_minimise", lambda self, state, *stage: state)
+    start = Search(model, Problem(X, weights), None, False, FitSettings()).start(theta).outcome
+    np.testing.assert_array_equal(start.theta, theta)
+    centre = np.average(X, axis=0, weights=weights)
+    np.testing.assert_allclose(model.areas @ model.deformed(start).vertices, centre, atol=1e-12)
 
 
 def test_a_start_outside_the_limits_is_moved_inside(shared_rigs, tube_rig, fitter, tube_scan):

@@ -14,6 +14,7 @@ from lbsfit_np.optimize.jacobian import VertexMotion
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import Layout
+from lbsfit_np.optimize.surface import summed_normals, vertex_normals
 from lbsfit_np.rig.build import build_rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -258,3 +259,12 @@ def test_vertices_pull_as_the_value_falls(tube, partial):
     slope = [(made(h * e).value - made(-h * e).value) / (2 * h) for e in np.eye(3)]
     np.testing.assert_allclose(g, -0.5 * np.array(slope), atol=1e-3 * np.abs(g).max())
     assert np.abs(g).max() > 1e-5
+
+
+def test_few_vertices_that_pull_have_the_normals_of_the_whole_mesh(hand):
+    """Of all triangles at them, be the other corners of these among the few or not."""
+    model = Model(hand)
+    steps, V = GaussNewton(model, vertices=100), model.deformed(state_within(model, 0)).vertices
+    assert len(steps._pulling) == 100
+    normals = summed_normals(V, steps._pulling_faces, steps._pulling_at)
+    np.testing.assert_allclose(normals, vertex_normals(V, model.rig.faces)[steps._pulling], atol=1e-12)

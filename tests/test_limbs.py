@@ -127,6 +127,12 @@ def test_a_right_fit_gets_no_proposals(hand, body, name):
     assert case.limbs.proposals(problem, state, 2) == []
 
 
+@pytest.mark.parametrize("name", ["flat", "fist", "peace"])
+def test_a_right_fit_of_other_proportions_gets_no_proposals(hand, name):
+    state, problem = hand.seen(hand.rig.poses[name], coefficients=np.full(hand.model.n_coefficients, -0.2))
+    assert hand.limbs.proposals(problem, state, 2) == []
+
+
 @pytest.mark.parametrize("finger", ["index", "middle", "ring", "pinky"])
 @pytest.mark.parametrize("bent", [False, True])
 def test_a_finger_that_is_away_from_its_place_is_put_there_first(hand, finger, bent):

@@ -9,9 +9,9 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
-from lbsfit_np.losses import PRESETS, LossWeights
+from lbsfit_np.losses import PRESETS, LossWeights, objective
 from lbsfit_np.optimize.lbfgs import minimise
-from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.model import Model, farthest_points
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import Layout, State
 from lbsfit_np.starts.parts import start_from_parts
@@ -105,6 +105,21 @@ def test_gradient_to_the_optimisers_vector(tube_rig, joints, weights, residual):
         rows = np.arange(layout.size)[span]
         found = np.array([(value(x + h * e_k) - value(x - h * e_k)) / (2 * h) for e_k in np.eye(layout.size)[rows]])
         np.testing.assert_allclose(found, gradient[rows], rtol=0, atol=2e-6 * np.abs(gradient[rows]).max())
+
+
+def test_the_undeformed_template_counts_without_the_laplacian_as_well(tube_rig):
+    model, weights = Model(tube_rig), LossWeights(lam=0.5, lam_s=0.0, lam_lap=0.0)
+    state = _state(model, residual=False)
+    problem = Problem(model.pose(_state(model, 2))[0].vertices[::3])
+    Vd, V = model.pose(state)
+    expected = objective(problem.X, Vd.vertices, V.vertices, weights=weights).value
+    assert problem.evaluate(model, state, weights).value == pytest.approx(expected, rel=1e-12)
+
+
+@pytest.mark.parametrize("axis", range(3))
+def test_farthest_points_are_far_along_each_axis(axis):
+    points = np.arange(9.0)[:, None] * np.eye(3)[axis]
+    np.testing.assert_array_equal(farthest_points(points, 3), [0, 4, 8])  # both ends, then the middle
 
 
 def test_a_large_rig_is_thinned_for_its_poses(body):

@@ -10,7 +10,7 @@ from turned_scans import CLEAN, any_turn, error_of, upright
 import lbsfit_np as lbs
 from lbsfit_np.fitting.refit import Runner
 from lbsfit_np.fitting.scan_fit import FitSettings
-from lbsfit_np.fitting.scout import EFFORTS, Scout
+from lbsfit_np.fitting.scout import EFFORTS, Found, Scout
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
@@ -130,6 +130,34 @@ def test_a_wrong_pose_is_in_doubt(make_scout, clean_scans):
     assert scout._probability(found) > 0.8
     wrong = found.state.replace(theta=found.state.theta * 0.0, translation=found.state.translation + 0.2)
     assert scout._probability(replace(found, state=wrong)) < 0.05
+
+
+def _of_other_proportions(model):
+    c = np.random.default_rng(0).uniform(-0.3, 0.3, model.n_coefficients)
+    return model.rest().replace(theta=0.5 * model.rig.upper, coefficients=c)
+
+
+def test_the_mesh_that_was_found_is_judged_with_its_proportions(tube_rig, monkeypatch):
+    scout, seen = _untrained(tube_rig), []
+    state = _of_other_proportions(scout.model)
+    V = scout.model.deformed(state).vertices
+
+    def evidence_of(rig, vertices, *scan, **known):
+        seen.append(vertices)
+        return None, {}
+
+    monkeypatch.setattr("lbsfit_np.fitting.scout.evidence_of", evidence_of)
+    monkeypatch.setattr("lbsfit_np.fitting.scout.probability_of", lambda evidence: 0.5)
+    assert scout._probability(Found(Frame(np.zeros(3), 1.0), Problem(V), state, None, 0.0, ())) == 0.5
+    np.testing.assert_allclose(seen, [V], atol=1e-12)
+
+
+def test_poses_are_told_apart_by_where_their_own_joints_are(tube_rig):
+    """In the scan's frame, under the proportions that were found."""
+    scout, frame = _untrained(tube_rig), Frame(np.array([1.0, 2.0, 3.0]), 5.0, any_turn(7))
+    state = _of_other_proportions(scout.model)
+    joints = scout._joints(Runner(None, state, frame))
+    np.testing.assert_allclose(joints, frame.outside(scout.model.deformed(state).joints), atol=1e-12)
 
 
 def test_without_the_librarys_poses_starts_are_rest_and_f_under_its_turns(make_scout, clean_scans):

@@ -78,6 +78,22 @@ def test_a_subjects_template_comes_back(tube_case, hand_case, which, labelled):
         assert case.gap(J, case.J) < 0.4 * case.gap(rig.joints, case.J)
 
 
+def test_labels_are_refined_by_the_subjects_own_mesh(tube_case, monkeypatch):
+    """By the template so far, in each scan's pose."""
+    case, seen = tube_case, []
+    c = np.random.default_rng(0).uniform(-0.3, 0.3, case.model.n_coefficients)
+    states = [s.replace(coefficients=c) for s in case.states[:2]]
+
+    def refined(X, proba, V, *more, **options):
+        seen.append(V)
+        return proba.argmax(axis=1)
+
+    monkeypatch.setattr("lbsfit_np.fitting.template.refined_labels", refined)
+    settings = TemplateSettings(sigmas=(0.05,), labelled_steps=0, steps=0, rounds=0)
+    shared_template(case.model, case.problems[:2], states, np.ones(2), proba=case.proba, settings=settings)
+    np.testing.assert_allclose(seen, [case.model.deformed(s).vertices for s in states], atol=1e-12)
+
+
 def test_a_subject_that_the_family_does_not_hold(hand_case):
     """Lengths and thicknesses by another rule than the fit's own."""
     rig = hand_case.rig
