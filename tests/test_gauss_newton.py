@@ -9,6 +9,7 @@ from scipy import sparse
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
+from lbsfit_np.optimize import gauss_newton
 from lbsfit_np.optimize.gauss_newton import GaussNewton, _Normal
 from lbsfit_np.optimize.jacobian import VertexMotion
 from lbsfit_np.optimize.model import Model
@@ -39,7 +40,7 @@ def test_known_poses_come_back_from_near(tube, hand, which, labelled):
         truth = state_within(model, seed, 0.8)
         start = near(model, truth, seed)
         problem, labels = sampled(model, truth)
-        found, value = steps.pose(problem, start, labels=labels if labelled else None, iterations=60)
+        found, value = steps.pose(problem, start, labels=labels if labelled else None, iterations=30)
         assert joint_error(model, start, truth) > 0.02
         # Without labels vertices pull on their nearest samples, too, which are never quite where they are.
         assert joint_error(model, found, truth) < (0.001 if labelled else 0.006)
@@ -56,6 +57,52 @@ def test_the_value_falls_and_the_start_is_left_alone(tube):
     assert (np.diff(values) < 0).all()
     np.testing.assert_array_equal(start.theta, kept[0])
     np.testing.assert_array_equal(start.translation, kept[1])
+
+
+@pytest.fixture
+def steps_taken(monkeypatch):
+    """(damping, stretch) of each step, as they are taken."""
+    taken, step = [], GaussNewton._step
+
+    def noted(self, *args):
+        taken.append(args[-2:])
+        return step(self, *args)
+
+    monkeypatch.setattr(GaussNewton, "_step", noted)
+    return taken
+
+
+def test_slow_steps_become_longer_until_one_does_not_help(tube, steps_taken, monkeypatch):
+    starts, values = [], {}
+    for seed in range(8):
+        truth = state_within(tube, seed, 0.8)
+        starts.append((sampled(tube, truth), near(tube, truth, seed)))
+    for furthest in (1.0, gauss_newton._FURTHEST):
+        monkeypatch.setattr(gauss_newton, "_FURTHEST", furthest)
+        steps_taken.clear()
+        values[furthest] = np.mean([np.log(GaussNewton(tube).pose(p, s, iterations=20)[1]) for (p, _), s in starts])
+    assert values[gauss_newton._FURTHEST] < values[1.0] - 0.1
+    stretches = np.array([stretch for _, stretch in steps_taken])
+    assert stretches.min() == 1.0 and stretches.max() == gauss_newton._FURTHEST
+    assert (stretches[1:][np.diff(stretches) < 0] == 1.0).all()  # back to the plain step at once
+    assert (np.diff(stretches)[np.diff(stretches) > 0] <= stretches[:-1][np.diff(stretches) > 0] * 0.5 + 1e-12).all()
+    steps_taken.clear()
+    for (problem, labels), start in starts:
+        GaussNewton(tube).pose(problem, start, labels=labels)
+    assert {stretch for _, stretch in steps_taken} == {1.0}
+
+
+def test_damping_never_falls_where_it_would_have_to_grow_in_vain(tube, steps_taken):
+    """A pose that is found ends the steps soon, however many went well before."""
+    truth = state_within(tube, 2, 0.8)
+    problem, _ = sampled(tube, truth)
+    steps = GaussNewton(tube, tolerance=0.0)
+    steps.pose(problem, near(tube, truth, 2), iterations=100)
+    dampings = np.array([damping for damping, _ in steps_taken])
+    assert dampings.min() == gauss_newton._SOFTEST
+    failed = np.flatnonzero(np.diff(dampings) > 0)
+    assert len(steps_taken) < 100 and len(failed) >= 10  # it has ended as no damping helped
+    np.testing.assert_allclose(dampings[failed + 1] / dampings[failed], 10.0)
 
 
 def test_what_is_not_free_stays(tube):
@@ -172,8 +219,11 @@ def test_weights_of_points_count(tube):
     heavy = steps.pose(Problem(X), start, iterations=30)[0]
     assert joint_error(tube, light, truth) < 0.5 * joint_error(tube, heavy, truth)
     order = rng.permutation(900)
-    again = steps.pose(Problem(X[order], (weights / weights.sum())[order]), start, iterations=30)[0]
-    np.testing.assert_allclose(again.theta, light.theta, atol=2e-3)
+    # One step: which of two faces is the closest at their edge is a matter of rounding, and more steps go different ways.
+    same = steps.pose(Problem(X, weights / weights.sum()), start, iterations=1)[0]
+    again = steps.pose(Problem(X[order], (weights / weights.sum())[order]), start, iterations=1)[0]
+    assert np.abs(same.theta - start.theta).max() > 0.01
+    np.testing.assert_allclose(again.theta, same.theta, atol=1e-9)
 
 
 def test_vertices_without_faces_do_not_pull(tube_rig):

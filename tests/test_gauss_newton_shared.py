@@ -53,7 +53,7 @@ def test_many_poses_find_their_template_where_one_cannot(shifting, subject):
 
 
 def test_eliminated_unknowns_are_those_of_the_whole_system(shifting, subject):
-    """One step against the solution of all unknowns at once: poses of three scans, and their one template."""
+    """One step, and a longer one, against the solution of all unknowns at once: poses of three scans, and their one template."""
     c, truths, problems, _ = subject
     steps = GaussNewton(shifting, ridge=1e-4)
     layout = Layout(shifting.rig, ("pose", "translation"), len(c))
@@ -71,10 +71,11 @@ def test_eliminated_unknowns_are_those_of_the_whole_system(shifting, subject):
     H[3 * n :, 3 * n :] += np.diag(damping * np.diag(reduced)) + 1e-4 * np.eye(len(c))
     g[3 * n :] -= 1e-4 * states[0].coefficients
     x = np.linalg.solve(H, g)
-    found = steps._step(states, made, np.arange(3), weights, layout, True, damping)
-    np.testing.assert_allclose(found[0].coefficients - states[0].coefficients, x[3 * n :], atol=1e-9)
-    for k, (before, after) in enumerate(zip(states, found)):
-        np.testing.assert_allclose(layout.pack(after) - layout.pack(before), x[k * n : (k + 1) * n], atol=1e-8)
+    for stretch in (1.0, 1.5):
+        found = steps._step(states, made, np.arange(3), weights, layout, True, damping, stretch)
+        np.testing.assert_allclose(found[0].coefficients - states[0].coefficients, stretch * x[3 * n :], atol=1e-9)
+        for k, (before, after) in enumerate(zip(states, found)):
+            np.testing.assert_allclose(layout.pack(after) - layout.pack(before), stretch * x[k * n : (k + 1) * n], atol=1e-8)
 
 
 def test_a_scan_of_weight_0_stays_and_does_not_count(shifting, subject):

@@ -7,6 +7,10 @@ Each scan point x pulls on the closest point p of the posed mesh, and some verti
 r the residual vector, n the surface normal, τ small: points slide along the surface almost freely, as their true partners are
 unknown, and what lies further away than some s hardly counts. Near the optimum this takes some ten steps where L-BFGS on the
 Chamfer distance takes hundreds, and is more exact, as points are compared with triangles. Far from it L-BFGS is the better guide.
+
+Closest points move with the mesh, which no derivative here knows of, so that steps fall short where points slide along the
+surface: there they go further than the equations say, each a little more than the last, until one of them does not help
+(over-relaxation).
 """
 
 from functools import cached_property
@@ -24,8 +28,12 @@ __all__ = ["GaussNewton", "shown"]
 # on a side that the scan does not show, or on the rim, where points are few and not its own.
 _FACING = 0.35
 
-# The damping at the start; it falls by _EASE after a step that helped and grows by _STIFFEN after one that did not.
-_DAMPING, _EASE, _STIFFEN, _STIFFEST = 1e-3, 4.0, 10.0, 1e4
+# The damping at the start; it falls by _EASE after a step that helped and grows by _STIFFEN after one that did not. Below
+# _SOFTEST it would change no step, and would have to grow in vain, an evaluation each time, before it does again.
+_DAMPING, _EASE, _STIFFEN, _SOFTEST, _STIFFEST = 1e-3, 4.0, 10.0, 1e-6, 1e4
+# After a step that lowered E by less than the share _SLOW, the next is _FURTHER times as long as it was, up to _FURTHEST times.
+# Labelled points slide less: steps as they are found the same poses, and no fewer of them.
+_SLOW, _FURTHER, _FURTHEST = 0.3, 1.5, 3.0
 # No angle turns further in one step, radians: residuals know nothing of what lies behind the next turn. No translation is further
 # either, in half sizes, and no scale changes by a larger power of e.
 _LONGEST_TURN = 0.3
@@ -131,15 +139,19 @@ class GaussNewton:
             return made, total
 
         made, total = measure(states)
-        damping = _DAMPING
+        damping, stretch = _DAMPING, 1.0
+        unlabelled = all(each is None for each in labels)
         for _ in range(iterations):
-            trial = self._step(states, made, used, weights, layout, shared, damping)
+            trial = self._step(states, made, used, weights, layout, shared, damping, stretch)
             trial_made, trial_total = measure(trial)
             if trial_total < total:
                 gain, states, made, total = 1.0 - trial_total / total, trial, trial_made, trial_total
-                damping = damping / _EASE
+                damping = max(damping / _EASE, _SOFTEST)
+                stretch = min(_FURTHER * stretch, _FURTHEST) if gain < _SLOW and unlabelled else 1.0
                 if gain < self.tolerance:
                     break
+            elif stretch > 1.0:
+                stretch = 1.0
             else:
                 damping *= _STIFFEN
                 if damping > _STIFFEST:
@@ -185,8 +197,11 @@ class GaussNewton:
         known = np.flatnonzero(nearest >= 0)
         return s[nearest[known]], known
 
-    def _step(self, states, made, used, weights, layout, shared, damping):
-        """All states after one damped step: the scans' own unknowns are eliminated, the shared ones solved for, then put back."""
+    def _step(self, states, made, used, weights, layout, shared, damping, stretch):
+        """All states after one step, ``stretch`` times as long as the damped equations say.
+
+        The scans' own unknowns are eliminated, the shared ones solved for, then put back.
+        """
         n = layout.size
         k = self.model.n_coefficients if shared else 0
         Hc, gc, own = np.zeros((k, k)), np.zeros(k), []
@@ -208,12 +223,12 @@ class GaussNewton:
         dc, c = np.zeros(k), states[0].coefficients
         if shared:
             Hc[np.diag_indices_from(Hc)] += damping * Hc.diagonal() + self.ridge
-            dc = np.linalg.solve(Hc, gc - self.ridge * c)
+            dc = stretch * np.linalg.solve(Hc, gc - self.ridge * c)
             c = np.clip(c + dc, -0.5, 0.5)
             out = [s.replace(coefficients=c) for s in out]
         for i, x, free, solved in own:
             step = np.zeros(n)
-            step[free] = solved[:, -1] - solved[:, :-1] @ dc
+            step[free] = stretch * solved[:, -1] - solved[:, :-1] @ dc
             x = np.clip(x + np.clip(step, -_LONGEST_TURN, _LONGEST_TURN), *layout.bounds())
             out[i] = layout.unpack(x, out[i])
         return out
