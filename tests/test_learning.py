@@ -1,5 +1,6 @@
 """Learning from a collection: fits of many scans together beat fits of each by itself."""
 
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,7 +9,7 @@ from learning_runs import GIVEN, IDS, WHOLE, collected, loop_over, mean_gap
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.result import FitResult
-from lbsfit_np.learning.collection import odd_scale
+from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection
 from lbsfit_np.learning.loop import Loop
 from lbsfit_np.losses import cotangent_matrix
 from lbsfit_np.rotations import matrix_from_rotvec
@@ -133,22 +134,27 @@ def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans)
         assert np.ptp(r.vertices, axis=0).max() == pytest.approx(250 * np.ptp(s.points, axis=0).max(), rel=0.15)
 
 
-def test_a_doubt_about_a_scan_stands_in_its_message(make_learner, few_scans, monkeypatch):
-    def doubt(self, scales):
-        self.collection.members[1].doubt = odd_scale(2.5)
-
-    monkeypatch.setattr(Loop, "_check_scales", doubt)
-    fitter = make_learner(variant="cd").fit([s.points for s in few_scans[:3]])
-    first = "its first fit had 2.5 times the scale of its subject's others: in another unit? Convert it and learn again; "
-    assert [r.message.startswith(first) for r in fitter.results_] == [False, True, False]
-    assert ["scan and rig are in one unit" in r.message for r in fitter.results_] == [True, False, True]
+@pytest.mark.parametrize("variant", ["joint", "cd"])
+def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans, variant):
+    points = [s.points for s in few_scans]
+    without = make_learner(variant=variant, held_out=0).fit(points[:1] + points[2:])
+    points[1] = 2.54 * points[1]
+    odd = r"its first fit had 2\.\d+ times the scale of its subject's others: in another unit\? Convert it and learn again; "
+    with pytest.warns(UserWarning, match=f"scan 1: {odd}not learned from"):
+        fitter = make_learner(variant=variant, held_out=0).fit(points)
+    assert re.match(odd + "not learned from; the scan is in another unit", fitter.results_[1].message)
+    assert [r.message.startswith("learned from; scan and rig are in one unit") for r in fitter.results_] == [1, 0, 1, 1, 1]
+    joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
+    assert joints < 0.03 * 2.54 * tube_rig.size / 2 and fitter.results_[1].scale == pytest.approx(2.54, rel=0.1)
+    # The others are explained as well as without it.
+    assert fitter.history_[-1]["recon"] == pytest.approx(without.history_[-1]["recon"], rel=0.2)
 
 
 def test_figures_of_a_round_are_means_of_roots():
     """Of √L_c, as the study's Recon is; not the root of a mean."""
     losses = ((0.01, False), (0.09, False), (0.04, True), (0.16, True))
-    members = [SimpleNamespace(loss=loss, held_out=held) for loss, held in losses]
-    loop = SimpleNamespace(collection=SimpleNamespace(members=members), history=[], progress=lambda *a: None)
+    members = [SimpleNamespace(loss=loss, role=HELD_OUT if held else LEARNED_FROM) for loss, held in losses]
+    loop = SimpleNamespace(collection=Collection(4, members), history=[], progress=lambda *a: None)
     assert Loop._note(loop, 1, 0.0, {}) == pytest.approx(0.3)
     assert (loop.history[0]["recon"], loop.history[0]["recon_held_out"]) == (pytest.approx(0.2), pytest.approx(0.3))
 

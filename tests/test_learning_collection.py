@@ -10,8 +10,7 @@ from learning_runs import NAN, SMALL, collected
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
-from lbsfit_np.learning.collection import Collection, odd_ones
-from lbsfit_np.learning.loop import Loop
+from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection, check_scales, odd_ones
 
 
 @pytest.fixture(scope="module")
@@ -82,17 +81,25 @@ def test_the_odd_ones_are_all_but_the_largest_group():
     ],
 )
 def test_units_that_extents_hide_are_told_by_first_fits(scales, words):
-    members = [SimpleNamespace(name=str(k)) for k in range(len(scales))]
-    loop = SimpleNamespace(collection=SimpleNamespace(of=lambda s: members))
+    members = [SimpleNamespace(name=str(k), subject="a", role=LEARNED_FROM) for k in range(len(scales))]
     if words is None:
-        Loop._check_scales(loop, {"a": scales})
+        check_scales(members, scales)
         doubted = {k: m.doubt for k, m in enumerate(members) if hasattr(m, "doubt")}
         said = "its first fit had {} times the scale of its subject's others: in another unit? Convert it and learn again".format
         odd = {4: {3: said(2)}, 2: {0: said(0.5), 1: said(2)}}[len(scales)] if max(scales) == 2 else {}
         assert doubted == odd
+        # Of two either may be the odd one: both are learned from.
+        assert [k for k, m in enumerate(members) if getattr(m, "apart", False)] == (list(odd) if len(scales) > 2 else [])
         return
     with pytest.raises(InputError, match=words):
-        Loop._check_scales(loop, {"a": scales})
+        check_scales(members, scales)
+
+
+def test_the_one_scan_that_a_subject_is_learned_from_is_not_set_apart():
+    members = [SimpleNamespace(name=str(k), subject="a", role=HELD_OUT) for k in range(4)]
+    members[3].role = LEARNED_FROM
+    check_scales(members, [1.0, 1.1, 0.95, 2.0])
+    assert "2.0" not in members[3].doubt and members[3].doubt and not members[3].apart
 
 
 def test_bad_scans_are_set_aside_with_their_reasons(tube_rig, clouds):

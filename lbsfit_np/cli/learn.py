@@ -270,6 +270,13 @@ class _Reading:
 def _learn(fitter, reading, subjects, progress):
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".* scans cannot be used; ")  # each has been named already
+        show = warnings.showwarning
+
+        def show_on_a_line(*args, **kwargs):
+            progress.close()
+            show(*args, **kwargs)
+
+        warnings.showwarning = show_on_a_line
         try:
             fitter.fit(reading.sources, subjects, cache=True, progress=progress)
         finally:  # those that were stopped may leave a model, too
@@ -280,7 +287,7 @@ def _learn(fitter, reading, subjects, progress):
 
 def _learned(fitter, reading, model, seconds):
     """What was learned, in a line."""
-    from ..learning.finish import HELD_OUT, LEARNED_FROM
+    from ..learning.collection import APART, HELD_OUT, LEARNED_FROM
 
     n, who = len(reading.paths), len(fitter.template_)
     of_all = f"of {n} scan{'' if n == 1 else 's'}"
@@ -289,17 +296,18 @@ def _learned(fitter, reading, model, seconds):
         return f"fitted {fitted} {of_all}, each by itself; {model}, with their unit, written after {span(seconds)}"
     results = enumerate(fitter.results_)
     told = [(r.message, True) if r is not None else (reading.failures[i], False) for i, r in results]
-    held = sum(HELD_OUT in message for message, _ in told)
+    held, set_apart = (sum(role in message for message, _ in told) for role in (HELD_OUT, APART))
     # Of those without a result some were learned from all the same.
-    failed = sum(not fitted and not message.startswith((HELD_OUT, LEARNED_FROM)) for message, fitted in told)
+    failed = sum(not fitted and not message.startswith((HELD_OUT, LEARNED_FROM, APART)) for message, fitted in told)
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
-    apart = [f"{held} more held out"] * (held > 0) + [f"{failed} could not be used"] * (failed > 0)
+    apart = [f"{held} more held out"] * (held > 0) + [f"{set_apart} more not learned from"] * (set_apart > 0)
+    apart += [f"{failed} could not be used"] * (failed > 0)
     apart = f", {', '.join(apart)}," if apart else ""
     early = ", until those held out were explained no better" if 0 < rounds < fitter.rounds else ""
     kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
     which = f", round {kept} kept" if kept < rounds else ""
     return (
-        f"learned from {n - failed - held} {of_all} of {who} subject{'' if who == 1 else 's'}{apart} "
+        f"learned from {n - failed - held - set_apart} {of_all} of {who} subject{'' if who == 1 else 's'}{apart} "
         f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; {model} written after {span(seconds)}"
     )
 

@@ -19,20 +19,26 @@ from ..starts.scale import extent, reference_scale
 from ..workers import each
 
 __all__ = [
+    "APART",
     "Collection",
+    "HELD_OUT",
+    "LEARNED_FROM",
     "Member",
     "as_scans",
     "as_subjects",
-    "mixed_units",
+    "check_scales",
     "odd_ones",
-    "odd_scale",
     "read_collection",
 ]
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
 _ONE_UNIT = 6.0
+# First fits' scales of one subject differ by less than this factor, unless scans are in two units.
+_ONE_SCALE = 1.6
 # Where more than this share of the scans, and more than one, are of somebody else than their subject, subjects are wrong.
 _STRANGERS = 0.1
+# What the message of a scan says that teaches, of one that only tells when to stop, and of one that does neither.
+LEARNED_FROM, HELD_OUT, APART = "learned from", "held out of learning", "not learned from"
 
 
 @dataclass
@@ -58,6 +64,10 @@ class Member:
         In a smoothed sequence, the angles that the pose is drawn to, and how much.
     doubt : str
         What its result says first.
+    apart : bool
+        Neither learned from nor asked when to stop: it is in another unit than its subject's others, or its first fit is wrong.
+    own : (float, (J, 3) array, (k, n_parts) array or None) or None
+        Where it is in doubt, the unit, angles and probabilities of the parts that its first fit found.
     """
 
     index: int
@@ -74,6 +84,13 @@ class Member:
     loss: float = np.inf
     prior: tuple = None
     doubt: str = ""
+    apart: bool = False
+    own: tuple = None
+
+    @property
+    def role(self):
+        """What it is to learning, in words."""
+        return APART if self.apart else HELD_OUT if self.held_out else LEARNED_FROM
 
     def use_frame(self, unit, half, turn=None):
         """Put the scan into a normalised frame.
@@ -123,7 +140,11 @@ class Collection:
         """The members of one subject."""
         return [m for m in self.members if m.subject == subject]
 
-    def work(self, work, tasks, *, jobs, done):
+    def with_role(self, role, subject=None):
+        """The members of that role, of all subjects or one."""
+        return [m for m in self.members if m.role == role and (subject is None or m.subject == subject)]
+
+    def work(self, work, tasks, *, jobs, done, taught=False):
         """Do a task for each member; one whose task fails is a member no more, with the reason in ``failures``.
 
         Parameters
@@ -133,6 +154,8 @@ class Collection:
             One for each member.
         jobs, done
             As in ``workers.each``.
+        taught : bool, default False
+            Whether learning is over, which failures then say.
 
         Returns
         -------
@@ -148,7 +171,10 @@ class Collection:
         errors = [error for _, error in found if error is not None]
         if errors and len(errors) == len(found):
             raise errors[0]
-        self.failures |= {m.index: in_words(e) for m, (_, e) in zip(self.members, found, strict=True) if e is not None}
+        for m, (_, error) in zip(self.members, found, strict=True):
+            if error is not None:
+                before = f"{m.role}, but there is no result of it: " if taught else ""
+                self.failures[m.index] = before + in_words(error)
         self.members = [m for m, (_, error) in zip(self.members, found, strict=True) if error is None]
         return [answer for answer, error in found if error is None]
 
@@ -292,12 +318,36 @@ def odd_ones(sizes, most):
     return np.sort(np.concatenate([g for k, g in enumerate(groups) if k != largest]))
 
 
-def odd_scale(ratio):
-    """What the result of a scan says first whose first fit has another scale than its subject's others."""
-    return f"its first fit had {ratio:.3g} times the scale of its subject's others: in another unit? Convert it and learn again"
+def check_scales(members, scales):
+    """Set scans apart whose first fits have another scale than their subject's others: extents hide a small factor between units.
+
+    Parameters
+    ----------
+    members : list of Member
+        Of one subject; those apart get their ``doubt``, too. Of two either may be the odd one, and both are learned from.
+    scales : (n,) array
+        Scan units in a rig unit that the first fits found.
+
+    Raises
+    ------
+    InputError
+        Too many for single wrong fits: the scans are in two units.
+    """
+    odd, scales = odd_ones(np.asarray(scales), _ONE_SCALE), np.asarray(scales)
+    two = len(odd) > 0 and len(scales) == 2
+    others = any(m.role == LEARNED_FROM for i, m in enumerate(members) if i not in odd)
+    for i in range(2) if two else odd:
+        ratio = scales[i] / np.median(np.delete(scales, i))
+        members[i].doubt = f"its first fit had {ratio:.3g} times the scale of its subject's others: in another unit? "
+        members[i].doubt += "Convert it and learn again"
+        members[i].apart = others and not two
+    if len(odd) > max(1, 0.2 * len(scales)):  # a few may just be wrong
+        ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
+        at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
+        raise _mixed_units(f"of subject {members[0].subject!r}, scan {at} have {ratio:.3g} times the others' scale")
 
 
-def mixed_units(got):
+def _mixed_units(got):
     """The InputError of a collection whose scans are in different units."""
     remedy = "Convert them, or learn from each kind by itself."
     return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
@@ -310,7 +360,7 @@ def _check_units(collection, scale):
     if len(odd):
         at = ", ".join(collection.members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
         others = np.median(np.delete(extents, odd))
-        raise mixed_units(
+        raise _mixed_units(
             f"scan {at} {'has' if len(odd) == 1 else 'have'} an extent of {extents[odd[0]]:.3g}, the others of about {others:.3g}"
         )
     unit = float(np.median([m.unit for m in collection.members]))

@@ -24,13 +24,10 @@ from ..starts.turns import facing_of, some_turns
 from ..threads import one_thread
 from .variants import as_variant
 
-__all__ = ["HELD_OUT", "LEARNED_FROM", "LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
+__all__ = ["LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
 
 # A scan whose unit differs from its subject's by more than this factor has a unit of its own.
 _SAME_UNIT = 1.35
-# What the message of a scan says that only tells when to stop, and of one that teaches.
-HELD_OUT = "held out of learning"
-LEARNED_FROM = "learned from"
 # Free vertices have all of a pose to make, and are rougher than offsets. Of λ_lap from 0.3, the fits' own, to 0.003 this one left
 # the least joint and vertex errors on the study's tuning seed 5, in so many steps.
 LOOSE = PRESETS["default"].replace(lam_lap=0.01)
@@ -48,15 +45,7 @@ def results_of(rig, templates, joints, collection, settings, *, jobs, progress):
     half = rig.size / 2
     models = {s: Model(t, joints, half=half) for s, t in templates.items()}
     work, members = _Finish(rig, models, settings), collection.members
-    answers = collection.work(work, members, jobs=jobs, done=lambda p: progress("results", p))
-    for m in members:  # those that have failed only now
-        if m.index in collection.failures:
-            collection.failures[m.index] = f"{_role(m)}, but there is no result of it: {collection.failures[m.index]}"
-    return collection.in_order(answers)
-
-
-def _role(member):
-    return HELD_OUT if member.held_out else LEARNED_FROM
+    return collection.in_order(collection.work(work, members, jobs=jobs, done=lambda p: progress("results", p), taught=True))
 
 
 @dataclass(frozen=True)
@@ -70,14 +59,25 @@ class _Finish:
         return cache(lambda subject: TemplateFit(self.rig, self.models[subject], self.settings))  # once in each process
 
     def __call__(self, m):
-        unit = unit_note(m.state.scale * m.frame.unit / self.models[m.subject].half, self.rig, self.settings.scale)
-        note = "; ".join([_role(m), *([] if m.doubt else [unit])])
-        place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         fit = self._fit(m.subject)
+        if m.own is not None:
+            m = _in_its_unit(m, fit)
+        note = f"{m.role}; {unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)}"
+        place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         place["proportions"] = fit.proportions(m.problem, m.state)
         result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
-        # A unit that is wrong explains all else that speaks against the fit.
-        return replace(result, message=f"{m.doubt}; {_role(m)}") if m.doubt else result
+        return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
+
+
+def _in_its_unit(m, fit):
+    """A scan in doubt as it is, in its subject's unit, or from its first fit, in the unit found by that."""
+    unit, theta, proba = m.own
+    own = replace(m, proba=proba)
+    own.use_frame(unit, fit.model.half)
+    anew = fit.refit.freeing(("pose", "translation", "scale"))
+    found = [(m, *fit.refit(m.problem, [m.state], proba=m.proba)), (own, *anew(own.problem, poses=[theta], proba=proba))]
+    best, state, _, _ = min(found, key=lambda f: f[2] * f[0].frame.unit**2)  # values go by the square of the frame's unit
+    return replace(best, state=state)
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):

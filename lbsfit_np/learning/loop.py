@@ -11,6 +11,7 @@ At the end the full objective gives each scan its residual on its subject's temp
 """
 
 import time
+import warnings
 from dataclasses import dataclass, field, replace
 from functools import cache, cached_property
 
@@ -28,15 +29,13 @@ from ..segmentation.stage import Training
 from ..starts.library import build_library
 from ..threads import one_thread
 from ..workers import each, kept_processes
-from .collection import mixed_units, odd_ones, odd_scale
+from .collection import HELD_OUT, LEARNED_FROM, check_scales
 from .mixture import Mixture
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
 # Scales nearer to 1 than this factor are a matter of people's size, others of units.
 _SIZE = 1.3
-# First fits of one subject's scans do not differ in scale by more than this factor, unless they are wrong.
-_ONE_SCALE = 1.6
 # Of the smoothing of a sequence.
 _SWEEPS = 3
 
@@ -202,8 +201,8 @@ class Loop:
             m.use_frame(frame.unit / half, half, frame.turn)
             scales.setdefault(m.subject, []).append(state.scale * m.unit)
             m.state = state
-        if self.fit_settings.scale == "estimate":
-            self._check_scales(scales)
+        for subject, found in scales.items() if self.fit_settings.scale == "estimate" else ():
+            check_scales(self.collection.of(subject), found)
         # The scans of a subject have one scale. Where it is near 1, people differ in size: the template takes it up, all bones
         # longer and thicker by that share. Otherwise it is the unit.
         for subject in self.collection.subjects:
@@ -213,28 +212,20 @@ class Loop:
             c[: self.model.n_coefficients] = size - 1.0
             self.coefficients[subject] = c
             for m in self.collection.of(subject):
+                if m.doubt:
+                    m.own = m.state.scale * m.unit / size, m.state.theta, m.proba
+                    warnings.warn(f"scan {m.name}: {m.doubt}; {m.role}", stacklevel=2)
                 ratio = unit / m.unit
                 m.use_frame(unit, half)
                 # Templates grow about the root joint, scales about the origin: the root joint stays where it was found.
                 moved = (m.state.scale / ratio - 1.0) * self.model.rig.joints[self.rig.root]
                 m.state = m.state.replace(scale=1.0, translation=m.state.translation / ratio + moved, residual=None)
 
-    def _check_scales(self, scales):
-        """Refuse a subject whose scans are in two units: extents hide a small factor between them, first fits show it."""
-        for subject, found in scales.items():
-            odd, members = odd_ones(np.array(found), _ONE_SCALE), self.collection.of(subject)
-            for i in range(2) if len(odd) and len(found) == 2 else odd:  # of two, either may be the odd one
-                members[i].doubt = odd_scale(found[i] / np.median(np.delete(found, i)))
-            if len(odd) > max(1, 0.2 * len(found)):  # a few may just be wrong
-                ratio = found[odd[0]] / np.median(np.delete(found, odd))
-                at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
-                raise mixed_units(f"of subject {subject!r}, scan {at} have {ratio:.3g} times the others' scale")
-
     def _templates(self):
-        """Each subject's template from its scans' poses, those held out not counted."""
+        """Each subject's template from the poses of its scans that are learned from."""
         tasks, subjects = [], self.collection.subjects
         for subject in subjects:
-            learning = [m for m in self.collection.of(subject) if not m.held_out] or self.collection.of(subject)
+            learning = self.collection.with_role(LEARNED_FROM, subject) or self.collection.of(subject)
             c = self.coefficients[subject]
             tasks.append(
                 (
@@ -253,7 +244,7 @@ class Loop:
 
     def _mixture(self, k, templates):
         v, rig = self.variant, self.rig.welded
-        learning = [m for m in self.collection.members if not m.held_out]
+        learning = self.collection.with_role(LEARNED_FROM)
         poses = np.array([m.state.theta for m in learning]) if v.inferred_poses and k else np.empty((0, *rig.lower.shape))
         rows = np.unique(self.rig.weld, return_index=True)[1]
         made = tuple((U[rows], J) for U, J in templates.values()) if v.deformed and k else ()
@@ -344,8 +335,7 @@ class Loop:
 
     def _note(self, k, began, more):
         """One more entry of the history; the value that decides when to stop, None where no scan is held out to tell."""
-        held = [np.sqrt(m.loss) for m in self.collection.members if m.held_out]
-        learning = [np.sqrt(m.loss) for m in self.collection.members if not m.held_out]
+        held, learning = ([np.sqrt(m.loss) for m in self.collection.with_role(r)] for r in (HELD_OUT, LEARNED_FROM))
         entry = {
             "round": k,
             "recon": float(np.mean(learning)),
