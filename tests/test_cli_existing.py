@@ -82,7 +82,7 @@ def test_existing_results(fitted, made, tmp_path, run):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == old
 
     code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", "skip", *QUICK)
-    assert code == 0 and "1 of 2 scans are fitted already" in text and "[1/1] two: fitted" in text
+    assert code == 0 and "1 of 2 scans is fitted already" in text and "[1/1] two: fitted" in text
     assert (tmp_path / "one.fit.npz").stat().st_mtime_ns == old[tmp_path / "one.fit.npz"]
     assert (tmp_path / "two.labels.ply").is_file()
     summary = json.loads((tmp_path / "summary.json").read_text())
@@ -321,12 +321,26 @@ def test_stopped_while_replacing_it_is_said_that_other_fits_are_older(existing, 
     monkeypatch.setattr(fit, "_fit", interrupted)
     scans = [made / name for name in ("one.ply", "two.xyz", "three.npy")]
     code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", existing, *QUICK)
-    told = "stopped before a scan was fitted" if not done else f"stopped: 1 of 3 scans are fitted and kept in {tmp_path}"
+    told = "stopped before a scan was fitted" if not done else f"stopped: 1 of 3 scans is fitted and kept in {tmp_path}"
     have = "has a fit" if done else "have fits"
     told += f"; {2 - done} of the others {have} of an earlier run, which --existing skip would keep\n"
     if existing == "skip":
-        told = f"stopped: 1 of 3 scans are fitted and kept in {tmp_path}; the same command with --existing skip does the rest\n"
+        told = f"stopped: 1 of 3 scans is fitted and kept in {tmp_path}; the same command with --existing skip does the rest\n"
     assert code == 130 and text.endswith(told)
+
+
+def test_one_scan_alone_is_told_as_one(fitted, made, tmp_path, run, monkeypatch):
+    for path in fitted[0].glob("one.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
+    _, text, _ = run(*arguments)
+    assert "1 of 1 scan is fitted already and kept\n" in text and "1 of 1 scan fitted, 1 of them skipped" in text
+    monkeypatch.setattr(fit, "_fit", _interrupted)
+    assert f"stopped: 1 of 1 scan is fitted and kept in {tmp_path}; the same" in run(*arguments)[1]
+
+
+def _interrupted(*given):
+    raise KeyboardInterrupt
 
 
 def test_a_summary_alone_is_in_nobodys_way(fitted, made, tmp_path, run):

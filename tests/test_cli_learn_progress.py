@@ -4,7 +4,7 @@ import pytest
 from cli_runs import help_alone
 
 from lbsfit_np.cli import learn, progress
-from lbsfit_np.cli.progress import LearningProgress, span
+from lbsfit_np.cli.progress import LearningProgress, Progress, span
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -99,6 +99,32 @@ def test_a_scan_that_cannot_be_used_has_no_line_said_again(capsys):
     shown("reading scans", 0.6)
     told = capsys.readouterr()
     assert (told.out, told.err) == ("reading scans\n", "two: failed: no points\n")
+
+
+@pytest.mark.parametrize("made", [Progress, LearningProgress])
+def test_notes_of_one_kind_are_said_of_the_first_scan_with_it(made, capsys):
+    shown = made(2, terminal=False)
+    shown.notes("a", ["3 of 10 points left out."])
+    shown.notes("b", ["4 of 120 points left out.", "Labels left out."])
+    assert capsys.readouterr() == ("note: a: 3 of 10 points left out.\nnote: b: Labels left out.\n", "")
+    columns = [f"Column {name} does not hold numbers: left out." for name in ("'n1'", "'n2'", "'3'", "'4'")]
+    counts = ["2 columns left out.", "3 columns left out."]  # two of one kind in one scan
+    shown.notes("c", [*columns, *counts])
+    shown.notes("d", [*columns, *counts])
+    assert capsys.readouterr().out == "".join(f"note: c: {note}\n" for note in (*columns, *counts))
+
+
+def test_a_note_closes_the_bar_and_is_said_once(capsys, monkeypatch):
+    shown, closed = LearningProgress(1, terminal=True), []
+    shown("reading scans", 0.2)
+    capsys.readouterr()
+    monkeypatch.setattr(shown, "close", lambda: closed.append(capsys.readouterr().err))
+    for name in ("one", "two"):
+        shown.notes(name, ["3 points left out."])
+    monkeypatch.undo()
+    told = capsys.readouterr()
+    shown.close()
+    assert (told.out, told.err, len(closed)) == ("", "note: one: 3 points left out.\n", 1) and "note" not in closed[0]
 
 
 def test_rounds_that_hold_nothing_out(capsys):

@@ -136,7 +136,7 @@ def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypa
     scans = sorted(tubes.glob("*.ply"))
     arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--results", tmp_path / "fits")
     code, text, err = run(*arguments, "--variant", "free-form")
-    assert (code, err) == (130, "") and "m.npz is complete, 2 of 4 results are in" in text
+    assert (code, err) == (130, "") and "m.npz is complete, 2 of 4 results in" in text
     assert len(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == 1
     summary = json.loads((tmp_path / "fits" / "summary.json").read_text())
     assert summary["stopped"] and summary["not_done"] == ["t2", "t3"]

@@ -132,7 +132,7 @@ def test_skip_keeps_fits_of_the_same_model(tube_model, tubes, tmp_path, run):
     arguments = ("fit", model, tubes / "t0.ply", tubes / "t1.ply", "-o", tmp_path, "--existing", "skip")
     for kept in (1, 2):
         code, text, _ = run(*arguments)
-        assert code == 0 and f"{kept} of 2 scans are fitted already" in text
+        assert code == 0 and f"{kept} of 2 scans {'is' if kept == 1 else 'are'} fitted already" in text
     assert (tmp_path / "t0.fit.npz").read_bytes() == (results / "t0.fit.npz").read_bytes()
     assert run(*arguments, "--max-points", 99)[0] == 0  # settings do not count
     code, _, err = run(*arguments, "--subject", "0")  # its only one; but without, a scan may be somebody else's

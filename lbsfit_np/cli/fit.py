@@ -10,7 +10,7 @@ from .models import about_model, is_model, load_model, model_in_words, say_model
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, say
 from .stopping import exit_code, terminable
-from .summary import counts_of, doubts_of, say_doubtful, write_summary, written_of
+from .summary import counts_of, doubts_of, of_all, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "fit_files", "load_rig_with", "read_scan", "scan_options"]
 
@@ -206,7 +206,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     kept = _kept(files, fitter, values) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
-        say(f"{len(kept)} of {len(files)} scans are fitted already and kept")
+        say(f"{of_all(len(kept), len(files))} {_are(len(kept))} fitted already and kept")
     folders = outputs.make_folder(out)
     entries = dict(kept)
     progress = Progress(len(todo))
@@ -371,11 +371,16 @@ def _farewell(counts, n, out, stopped, older):
         if older:  # which would be skipped
             have = "has a fit" if older == 1 else "have fits"
             rest = f"; {older} of the others {have} of an earlier run, which --existing skip would keep"
-        say((f"stopped: {done} of {n} scans are fitted and kept in {out}" if done else "stopped before a scan was fitted") + rest)
+        kept = f"stopped: {of_all(done, n)} {_are(done)} fitted and kept in {out}"
+        say((kept if done else "stopped before a scan was fitted") + rest)
         return exit_code(stopped)
     skipped = f", {counts['kept']} of them skipped as fitted before" if counts["kept"] else ""
-    say(f"{done} of {n} scan{'' if n == 1 else 's'} fitted{skipped}{doubts_of(counts)}; results in {out}")
+    say(f"{of_all(done, n)} fitted{skipped}{doubts_of(counts)}; results in {out}")
     return 1 if counts["failed"] else 0
+
+
+def _are(n):
+    return "is" if n == 1 else "are"
 
 
 def _say_notes(rig):

@@ -20,7 +20,7 @@ from .parsing import Option, add_options, amount, formatter, positive, settings,
 from .progress import LearningProgress, Progress, say, span
 from .stopping import exit_code, terminable
 from .subjects import SUBJECT_FILES, read_subjects
-from .summary import counts_of, say_doubtful, write_summary, written_of
+from .summary import counts_of, of_all, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "add_parser", "learn_files"]
 
@@ -160,7 +160,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
             _say_statuses(entries, len(scans), values["results"])
     except KeyboardInterrupt as stop:
         progress.close()
-        results = f", {written_of(entries)} of {len(scans)} results are in {values['results']}" if files else ""
+        results = f", {of_all(written_of(entries), len(scans), 'result')} in {values['results']}" if files else ""
         say(f"stopped: {model} is complete{results}" if written else _stopped_early(fitter, model, values))
         return exit_code(stop)
     finally:
@@ -363,7 +363,7 @@ def _say_statuses(entries, n, results):
     say_doubtful(list(entries.values()))
     counts = counts_of(entries)
     words = ", ".join(f"{counts[status]} {status}" for status in ("ok", "suspect", "failed"))
-    written = "" if results is None else f"; {written_of(entries)} of {n} results in {results}"
+    written = "" if results is None else f"; {of_all(written_of(entries), n, 'result')} in {results}"
     say(f"fits of {n} scan{'' if n == 1 else 's'}: {words}{written}")
 
 

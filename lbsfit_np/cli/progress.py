@@ -24,13 +24,11 @@ def say(text):
 
 
 def _unsaid(notes, said):
-    """Notes of a kind that was not said yet, of which ``said`` keeps note: hundreds of scans have the same to say."""
-    out = []
-    for note in notes:
-        kind = re.sub(r"[0-9]+", "0", note)
-        if kind not in said:
-            said.add(kind)
-            out.append(note)
+    """One scan's notes of kinds that no scan had before, of which ``said`` keeps note: hundreds have the same to say."""
+    # Counts do not tell kinds apart; digits in names, such as those of columns, do.
+    kinds = [re.sub(r"(?<![\w'])\d+", "0", note) for note in notes]
+    out = [note for note, kind in zip(notes, kinds) if kind not in said]
+    said.update(kinds)
     return out
 
 
@@ -84,7 +82,7 @@ class Progress:
         self._bar.update()
 
     def notes(self, name, notes):
-        """What was noted about a scan, each a line that stays; of each kind, numbers aside, the first one."""
+        """What was noted about a scan, each a line that stays; of each kind, counts aside, those of the first scan."""
         for note in _unsaid(notes, self._said):
             self.line(f"note: {name}: {note}")
 
@@ -145,7 +143,7 @@ class LearningProgress:
         print(f"{name}: failed: {message}", file=sys.stderr, flush=True)
 
     def notes(self, name, notes):
-        """What was noted about a scan; of each kind, numbers aside, the first one."""
+        """What was noted about a scan; of each kind, counts aside, those of the first scan."""
         notes = _unsaid(notes, self._said)
         if notes and self.terminal:
             self.close()
