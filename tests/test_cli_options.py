@@ -7,6 +7,7 @@ import pytest
 from cli_runs import one_line
 
 import lbsfit_np as lbs
+from lbsfit_np import cli
 from lbsfit_np.cli import fit
 from lbsfit_np.fitting.scout import EFFORTS
 from lbsfit_np.rig.frames import AXES
@@ -40,6 +41,7 @@ def test_configuration_files(made, tmp_path, run):
         ('weights = "papre"', ["weights", "'default' or 'paper'"]),
         ("card = 3", ["card", "text in quotes"]),
         ('orientation = "up"', ["orientation", "'upright' or 'aligned' or 'any'"]),
+        ('up = "z"', ["up = 'z'", "Did you mean '+z'?"]),
         ('effort = "most"', ["effort", "'fast' or 'balanced' or 'thorough'"]),
         ('partial = "yes"', ["partial", "true or false"]),
         ("training = 3", ["training", "a table of numbers"]),
@@ -64,7 +66,8 @@ def test_bad_configuration_files(text, words, made, tmp_path, run):
     "arguments, words",
     [
         ((), ["COMMAND"]),
-        (("fti",), ["'fti'", "fit"]),
+        (("fitt",), ["'fitt'", "(choose from 'fit', 'learn', 'demo', 'rig', 'bench'). Did you mean 'fit'?"]),
+        (("rig", "shw", "tube.npz"), ["'shw'", "Did you mean 'show'?"]),
         (("fit", "tube.npz"), ["SCAN"]),
         (("fit", "tube.npz", "one.ply"), ["-o/--output", "Add -o OUT"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--jobs", "0"), ["--jobs", "'0'", "at least 1"]),
@@ -74,7 +77,7 @@ def test_bad_configuration_files(text, words, made, tmp_path, run):
         (("fit", "tube.npz", "one.ply", "-o", "out", "--orientation", "up"), ["--orientation", "'upright', 'aligned', 'any'"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--effort", "most"), ["--effort", "'fast', 'balanced', 'thorough'"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--training", "turn"), ["--training", "NAME=NUMBER"]),
-        (("fit", "tube.npz", "one.ply", "-o", "out", "--training", "trun=1"), ["trun", "turn"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--training", "trun=1"), ["trun", "Did you mean 'turn'?"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--config", "none.toml"), ["none.toml", "no such file"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--segmenter", "none.npz"), ["none.npz", "no such file"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--parts", "toes"), ["'toes'", "arm and fingers"]),
@@ -99,6 +102,9 @@ def test_bad_configuration_files(text, words, made, tmp_path, run):
         (("fit", "tube.npz", "one.ply", "-o", "out", "--max-points", "3"), ["error: --max-points: got 3", "at least 4"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--up=+z", "--orientation", "any"), ["error: --up: got", "Leave it out"]),
         (("fit", "tube.npz", "one.ply", "-o", "out", "--up", "up"), ["--up", "'+z'"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--up", "z"), ["'z'", "'-z'). Did you mean '+z'?"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--up=-Z"), ["'-Z'", "Did you mean '-z'?"]),
+        (("fit", "tube.npz", "one.ply", "-o", "out", "--effort", "thoruogh"), ["Did you mean 'thorough'?"]),
         (("bench", "starts", "--rows", "0.3", "--fits", "own", "--scans", "1", "--effort", "none"), ["--effort"]),
     ],
 )
@@ -113,6 +119,23 @@ def test_usage_errors(arguments, words, made, run, monkeypatch):
 def test_what_a_command_does_not_know_is_the_commands(run):
     code, _, err = run("fit", "r", "s", "--nonsense")
     assert code == 2 and one_line(err) == "lbsfit: error: unrecognized arguments: --nonsense (see: lbsfit fit --help)"
+
+
+@pytest.mark.parametrize(
+    "command, word, meant",
+    [("fit", "--picture", "--pictures"), ("learn", "--subject", "--subjects"), ("learn", "--result=fits", "--results")],
+)
+def test_a_misspelt_option_is_told_its_like(command, word, meant, run):
+    code, _, err = run(command, "r", "s", "-o", "o", word)
+    told = f"lbsfit: error: unrecognized arguments: {word}. Did you mean {meant!r}? (see: lbsfit {command} --help)"
+    assert code == 2 and one_line(err) == told
+
+
+@pytest.mark.parametrize("given", [("--up", "-z"), ("--up=-z",)])
+def test_an_axis_may_begin_with_a_hyphen(given):
+    arguments = ["fit", "r", "--jobs", "2", *given, "-o", "o", "--", "s", "--up", "-x"]  # what follows -- are names
+    found = cli._parser().parse_args(arguments)
+    assert (found.up, found.jobs, found.scans) == ("-z", 2, ["s", "--up", "-x"])
 
 
 def test_a_nul_in_a_configured_path_is_one_clear_error(made, tmp_path, run):

@@ -7,12 +7,12 @@ from pathlib import Path
 from ..errors import FileError, InputError, brief
 from . import outputs
 from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig
-from .parsing import Option, add_options, chosen, formatter, natural, positive
+from .parsing import Option, add_options, chosen, did_you_mean, formatter, natural, positive
 from .progress import Progress, say
 from .stopping import exit_code, terminable
 from .summary import counts_of, doubts_of, of_all, say_doubtful, write_summary, written_of
 
-__all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "fit_files", "load_rig_with", "read_scan", "scan_options"]
+__all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "check_training", "fit_files", "load_rig_with", "read_scan", "scan_options"]
 
 RIG_OPTIONS = (
     Option(
@@ -149,6 +149,19 @@ def load_rig_with(path, values, *, quiet=False):
     return rig
 
 
+def check_training(given):
+    """Raise InputError where ``--training`` has a name that is no field of Synthesis, or a value out of its range."""
+    from ..learning.training import training_settings
+    from ..synthesis import Synthesis
+
+    known = Synthesis.__dataclass_fields__
+    for name in given:
+        if name not in known:
+            expected = f"one of {', '.join(known)}"
+            raise InputError("--training", f"{name}: a setting that is not known", expected, did_you_mean(name, known))
+    training_settings(given)
+
+
 def scan_options(values):
     """How ``load_scan`` reads scans, by the options of this command."""
     return {"n_samples": values["samples"], "random_state": values["seed"], "drop_invalid": values["drop_invalid"]}
@@ -251,7 +264,6 @@ def _fitter(rig_path, values, given):
         say(f"{rig_path} is {model_in_words(model)}")
         return fitter, model
     from ..learning.fitter import LBSFitter
-    from ..learning.training import training_settings
 
     rig = load_rig_with(rig_path, values)
     if values["subject"] is not None:
@@ -261,7 +273,7 @@ def _fitter(rig_path, values, given):
             "a model that lbsfit learn has written, which knows subjects",
             "Leave it out, or name a model.",
         )
-    training_settings(values["training"])
+    check_training(values["training"])
     fitter = LBSFitter(
         rig,
         weights=values["weights"],

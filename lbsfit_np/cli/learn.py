@@ -14,7 +14,7 @@ from ..errors import FileError, InputError, LbsfitError, in_words
 from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
-from .fit import RIG_OPTIONS, load_rig_with, read_scan, scan_options
+from .fit import RIG_OPTIONS, check_training, load_rig_with, read_scan, scan_options
 from .models import about_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, say, span
@@ -211,9 +211,8 @@ def _check_twice(scans):
 
 def _fitter(rig, values):
     from ..learning.fitter import LBSFitter
-    from ..learning.training import training_settings
 
-    training_settings(values["training"])
+    check_training(values["training"])
     names = ("weights", "joints", "scale", "orientation", "up", "partial", "effort", "max_points", "training_scans", "training")
     return LBSFitter(
         rig,

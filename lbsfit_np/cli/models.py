@@ -3,10 +3,10 @@
 import json
 import os
 from dataclasses import asdict, is_dataclass
-from difflib import get_close_matches
 
 from ..errors import FileError, InputError, brief, listed
 from ..learning.variants import note_on, unused
+from .parsing import did_you_mean
 from .progress import say
 
 __all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig"]
@@ -123,8 +123,7 @@ def _keep_only(fitter, wanted):
         got = f"{brief(wanted)} for a model that was learned without --subjects"
         raise InputError("--subject", got, "no subject: it has one template", "Leave it out, or learn with --subjects.")
     if wanted not in known:
-        close = get_close_matches(wanted, known, n=1)
-        remedy = f"Did you mean {close[0]!r}?" if close else None
+        remedy = did_you_mean(wanted, known)
         raise InputError("--subject", brief(wanted), f"a subject of the model: {listed([repr(s) for s in known])}", remedy)
     subject = known[wanted]
     fitter.template_ = {subject: fitter.template_[subject]}

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import sys
 import textwrap
 import tomllib
 from dataclasses import dataclass
@@ -10,7 +11,19 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, brief
 
-__all__ = ["Option", "Parser", "add_options", "amount", "chosen", "formatter", "natural", "positive", "settings", "share"]
+__all__ = [
+    "Option",
+    "Parser",
+    "add_options",
+    "amount",
+    "chosen",
+    "did_you_mean",
+    "formatter",
+    "natural",
+    "positive",
+    "settings",
+    "share",
+]
 
 _LARGEST = 2**63 - 1  # what arrays can count
 _LARGEST_SHARE = 0.9
@@ -21,18 +34,48 @@ class Parser(argparse.ArgumentParser):
 
     def __init__(self, **keywords):
         super().__init__(**{"allow_abbrev": False, **keywords})
-        self.set_defaults(prog=self.prog)  # of a command, its own
+        self.set_defaults(parser=self)  # of a command, its own
 
     def parse_args(self, args=None, namespace=None):
         """As argparse does it, but what a command does not know is said to be the command's."""
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:
-            self.exit(2, f"lbsfit: error: unrecognized arguments: {' '.join(unknown)} (see: {found.prog} --help)\n")
+            meant = (did_you_mean(word.partition("=")[0], found.parser._option_string_actions) for word in unknown)
+            hint = next((f". {words}" for words in meant if words), "")
+            found.parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return found
+
+    def parse_known_args(self, args=None, namespace=None):
+        """As argparse does it, but choices that begin with a hyphen are values as well, as in ``--up -z``."""
+        args = list(sys.argv[1:] if args is None else args)
+        end = args.index("--") if "--" in args else len(args)
+        for k in range(end - 1, 0, -1):
+            action = self._option_string_actions.get(args[k - 1])
+            if args[k].startswith("-") and action is not None and args[k] in (action.choices or ()):
+                args[k - 1 : k + 1] = [f"{args[k - 1]}={args[k]}"]
+        return super().parse_known_args(args, namespace)
+
+    def _check_value(self, action, value):
+        """As argparse does it, with a hint."""
+        try:
+            super()._check_value(action, value)
+        except argparse.ArgumentError as error:
+            if hint := did_you_mean(value, action.choices):
+                error.message += f". {hint}"
+            raise
 
     def error(self, message):
         """Print one line, and exit with code 2."""
         self.exit(2, f"lbsfit: error: {message} (see: {self.prog} --help)\n")
+
+
+def did_you_mean(given, names):
+    """The question whether one of some names was meant that is like what was given; None where there is none such."""
+    given, names = str(given), [str(name) for name in names]
+    bare = {name.lstrip("+-").casefold(): name for name in reversed(names)}  # signs and hyphens are no likeness
+    alike = [name for name in names if name.casefold() == given.casefold()]
+    alike += [bare[name] for name in get_close_matches(given.lstrip("+-").casefold(), bare, n=1)]
+    return f"Did you mean {alike[0]!r}?" if alike else None
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):
@@ -229,11 +272,8 @@ def _read_config(path, options):
     out = {}
     for key, value in content.items():
         if key not in known:
-            close = get_close_matches(key, known, n=1)
             names = ", ".join(o.name for o in options)
-            raise FileError(
-                str(path), f"the unknown option {key!r}", f"one of {names}", f"Did you mean {close[0]!r}?" if close else None
-            )
+            raise FileError(str(path), f"the unknown option {key!r}", f"one of {names}", did_you_mean(key, known))
         option = known[key]
         if option.key in out:
             raise FileError(str(path), f"the option {option.name!r} twice", "each option once")
@@ -254,7 +294,8 @@ def _checked(value, option, path):
     if option.choices:
         if value in option.choices:
             return value
-        raise FileError(str(path), f"{option.name} = {brief(value)}", " or ".join(map(repr, option.choices)))
+        expected, remedy = " or ".join(map(repr, option.choices)), did_you_mean(value, option.choices)
+        raise FileError(str(path), f"{option.name} = {brief(value)}", expected, remedy)
     if option.kind is str:
         if not isinstance(value, str) or not value:
             raise FileError(str(path), f"{option.name} = {brief(value)}", "text in quotes")

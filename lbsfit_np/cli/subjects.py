@@ -3,11 +3,11 @@
 import csv
 import re
 import tomllib
-from difflib import get_close_matches
 from pathlib import Path
 
 from ..errors import FileError, brief, listed
 from .outputs import same_file
+from .parsing import did_you_mean
 
 __all__ = ["SUBJECT_FILES", "read_subjects"]
 
@@ -52,8 +52,7 @@ def read_subjects(path, scans):
         found = names.of(name)
         if not found:
             named = {i for _, other, _ in rows for i in names.of(other)}
-            close = get_close_matches(name, names.without(named), n=1)
-            remedy = f"Did you mean {close[0]!r}?" if close else "Leave out scans that are not given to this command."
+            remedy = did_you_mean(name, names.without(named)) or "Leave out scans that are not given to this command."
             raise FileError(str(path), f"{brief(name)} in line {line}, which is none of the scans given", _EXPECTED, remedy)
         if len(found) > 1:
             got = f"{brief(name)} in line {line}, which {len(found)} scans are called"
