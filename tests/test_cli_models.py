@@ -41,6 +41,7 @@ def test_fit_with_one_subjects_template(subject, learned_hands, hands, tmp_path,
     theirs = lbs.LBSFitter.load(model).fit_scan(lbs.load_scan(scan), subject=subject)
     for field in ARRAYS:
         np.testing.assert_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
+    assert ours.message == theirs.message and f"on the template of subject {subject!r}" in ours.message
     assert json.loads((tmp_path / "summary.json").read_text())["model"]["subject"] == subject
 
 
@@ -162,6 +163,21 @@ def test_skip_does_not_take_fits_made_with_something_else(change, tube_model, tu
     line = one_line(err)
     assert code == 2 and f"--existing skip: got {tmp_path / 't0.fit.npz'}, a fit {words}" in line and "another folder" in line
     assert (tmp_path / "t0.fit.npz").read_bytes() == before
+
+
+def test_skip_goes_by_the_subjects_in_use(learned_hands, hands, tmp_path, run):
+    """A fit of one subject stays one where only another's template changes, and is none of the other."""
+    arguments = (hands[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip", "--subject")
+    assert run("fit", learned_hands[0], *arguments, "ben")[0] == 0
+    fitter = lbs.LBSFitter.load(learned_hands[0])
+    anna = fitter.template_["anna"]
+    fitter.template_["anna"] = anna.with_template(1.01 * anna.vertices, anna.joints)
+    fitter.save(tmp_path / "other.npz")
+    for model in (learned_hands[0], tmp_path / "other.npz"):
+        code, text, _ = run("fit", model, *arguments, "ben")
+        assert code == 0 and "1 of 1 scan is fitted already" in text
+    code, _, err = run("fit", learned_hands[0], *arguments, "anna")
+    assert code == 2 and "with another model, or with --subject told otherwise" in one_line(err)
 
 
 def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, hands, tmp_path, run):

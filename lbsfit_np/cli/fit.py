@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, brief
 from . import outputs
-from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig
+from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subject_of, with_subject
 from .parsing import Option, add_options, chosen, did_you_mean, formatter, natural, positive
 from .progress import Progress, say
 from .stopping import exit_code, terminable
@@ -301,24 +301,33 @@ def _fitter(rig_path, values, given):
 def _fit(fitter, todo, values, on_result, progress):
     from ..learning.batch import fit_scans
 
+    subject = subject_of(fitter, values["subject"])
+    writer = outputs.Writer(fitter.rig, todo, None if subject is None else _digest(fitter, values))
     segmenter = getattr(fitter, "segmenter_", None)
     fit_scans(
         fitter,
         [functools.partial(read_scan, f.source, len(fitter.rig.parts), scan_options(values)) for f in todo],
-        subject=None if values["subject"] is None else next(iter(fitter.template_)),  # the only one that is left
+        subject=subject,
         jobs=values["jobs"],
-        finish=outputs.Writer(fitter.rig, todo),
+        finish=writer,
         on_result=on_result,
         pretrain=lambda fitter: fitter.pretrain(segmenter=segmenter, cache=True, progress=progress.training),
     )
 
 
+def _digest(fitter, values):
+    """Of all that fits of this run depend on in a model; with --subject, of this one's template alone. "" of a rig."""
+    from ..learning.archive import model_digest
+
+    subject = subject_of(fitter, values["subject"])
+    return model_digest(fitter) if subject is None else model_digest(with_subject(fitter, subject), named=True)
+
+
 def _kept(files, fitter, values):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
     from ..fitting.result import FitResult
-    from ..learning.archive import model_digest
 
-    kept, rig, digest = {}, fitter.rig, model_digest(fitter, named=values["subject"] is not None)
+    kept, rig, digest = {}, fitter.rig, _digest(fitter, values)
     for f in files:
         if not all(path.is_file() for what, path in f.paths.items() if what != "picture"):
             continue

@@ -1,5 +1,6 @@
 """Models on the command line: the files that ``lbsfit learn`` writes, where another command takes a rig."""
 
+import copy
 import json
 import os
 from dataclasses import asdict, is_dataclass
@@ -9,7 +10,7 @@ from ..learning.variants import note_on, unused
 from .parsing import did_you_mean
 from .progress import say
 
-__all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig"]
+__all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig", "subject_of", "with_subject"]
 
 # Options of lbsfit fit that a model has settled: its rig's, and those of training.
 _SETTLED = ("card", "shape", "skin", "normalize-weights", "parts", "joints", "segmenter", "training-scans", "training")
@@ -72,7 +73,7 @@ def load_model(path, values, given):
     if "seed" in given or type(fitter.random_state) is not int:
         fitter.random_state = values["seed"]
     if values["subject"] is not None:
-        _keep_only(fitter, values["subject"])
+        subject_of(fitter, values["subject"])
     values |= {key: _plain(getattr(fitter, key)) for key in (*_FREE, "joints", "training_scans")}
     values |= {"training": _plain(fitter.training or {}), "seed": fitter.random_state}
     return fitter
@@ -116,8 +117,13 @@ def _is_none(name, values):
     return name == "card" and values["card"] == "none"
 
 
-def _keep_only(fitter, wanted):
-    """Leave one subject's template; ids on the command line are text, in a model they may be numbers."""
+def subject_of(fitter, wanted):
+    """A subject of a model, by its id as text: ids on the command line are text, in a model they may be numbers.
+
+    None where none is wanted; InputError where the model does not know it.
+    """
+    if wanted is None:
+        return None
     known = {str(s): s for s in fitter.template_}
     if wanted not in known and list(fitter.template_) == [0]:
         got = f"{brief(wanted)} for a model that was learned without --subjects"
@@ -125,9 +131,14 @@ def _keep_only(fitter, wanted):
     if wanted not in known:
         remedy = did_you_mean(wanted, known)
         raise InputError("--subject", brief(wanted), f"a subject of the model: {listed([repr(s) for s in known])}", remedy)
-    subject = known[wanted]
-    fitter.template_ = {subject: fitter.template_[subject]}
-    fitter.unit_ = {subject: fitter.unit_[subject]}
+    return known[wanted]
+
+
+def with_subject(fitter, subject):
+    """The same model with one subject's template alone, which its digest then is of: what others have does not count."""
+    one = copy.copy(fitter)
+    one.template_, one.unit_ = {subject: fitter.template_[subject]}, {subject: fitter.unit_[subject]}
+    return one
 
 
 def _plain(value):

@@ -193,16 +193,21 @@ class Writer:
     ----------
     rig : Rig
     files : tuple of ScanFiles
+    model_digest : str, optional
+        What the fits shall say that they depend on in a model; by default what they say themselves.
     """
 
     rig: object
     files: tuple
+    model_digest: str | None = None
 
     def __call__(self, index, scan, result):
         from ..io.write import atomic_path, write_mesh_ply, write_points_ply
         from ..report.colors import part_colors
 
         files, rig = self.files[index], self.rig
+        if self.model_digest is not None:
+            result = replace(result, model_digest=self.model_digest)
         colors = part_colors(len(rig.parts))
         # All three get their names only once all three are complete. The fit first (the last that is opened): of what a stop in
         # between leaves, --existing skip then knows whose it is, and makes it anew.
