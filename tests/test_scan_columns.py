@@ -26,6 +26,20 @@ def test_a_column_that_counts_the_rows_is_no_x(tmp_path):
     for column in ([0, 1, 3, 4], [5, 6, 7, 8]):
         scan = load_scan(write(tmp_path, "p.csv", rows(column, POINTS, sep=",")))
         np.testing.assert_array_equal(scan.points[:, 0], column)
+        first = ", ".join(map(str, column[:3]))
+        assert scan.notes[0] == (
+            f"Columns 1 to 3 were taken for x, y, z, but the first ({first}, …) looks like row numbers: leave it out, "
+            "or name the columns in a header line (row x y z)."
+        )
+        assert len(scan.notes) == 2 and scan.notes[1].startswith("One further column")
+        path = write(tmp_path, "p.csv", "row,x,y,z\n" + rows(column, POINTS, sep=","))
+        np.testing.assert_array_equal(load_scan(path).points, POINTS)
+
+
+@pytest.mark.parametrize("x", [[5, 6, 8, 8], [5, 6, 7.5, 8], [5, 8, 7, 9], [5, 6, 7]])
+def test_an_x_that_is_no_row_number_has_no_note(x, tmp_path):
+    scan = load_scan(write(tmp_path, "p.csv", rows(x, POINTS[: len(x)], sep=",")))
+    assert len(scan.notes) == 1 and scan.notes[0].startswith("One further column")
 
 
 def test_three_columns_are_the_points_even_where_x_counts(tmp_path):

@@ -189,6 +189,12 @@ def _unnamed(table):
         cloud.notes.insert(0, "The first column, which counts the rows, was left out.")
         return cloud
     cloud = CloudData(table[:, :3])
+    if table.shape[1] > 3 and _looks_like_row_numbers(table[:, 0]):
+        first = ", ".join(f"{number:.0f}" for number in table[:3, 0])
+        cloud.notes.append(
+            f"Columns 1 to 3 were taken for x, y, z, but the first ({first}, …) looks like row numbers: leave it out, "
+            "or name the columns in a header line (row x y z)."
+        )
     used = 3
     if table.shape[1] >= 6:
         length = np.linalg.norm(table[:, 3:6].astype(float), axis=1)
@@ -198,6 +204,11 @@ def _unnamed(table):
         columns = f"{table.shape[1] - used} further columns" if table.shape[1] - used > 1 else "One further column"
         cloud.notes.append(f"{columns} without a name left out: a header line (x y z nx ny nz label) would say what they are.")
     return cloud
+
+
+def _looks_like_row_numbers(column):
+    """Whether numbers are whole and rise from row to row, as those of a data frame do of which rows were left out."""
+    return len(column) > 3 and bool((column[1:] > column[:-1]).all() and (column == np.floor(column)).all())
 
 
 def _is_number(cell):
