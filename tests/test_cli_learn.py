@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_runs import ARRAYS, HAND, QUICK_LEARNING
+from cli_runs import ARRAYS, HAND, QUICK_LEARNING, one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit, learn
@@ -149,6 +149,7 @@ def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, r
 
     text, settings = learn(*(word for option in UNUSED for word in option), "--joints", "fixed", "--seed", 5)
     assert f"{FREE_FORM}; {', '.join(flag for flag, *_ in UNUSED)} mean nothing\n" in text
+    assert "round" not in text.split("mean nothing")[1]
     assert {flag: settings[flag[2:].replace("-", "_")] for flag, *_ in UNUSED} == {f: v for (f, *_), v in UNUSED.items()}
     assert (settings["joints"], settings["seed"]) == ("fixed", 5) and lbs.LBSFitter.load(tmp_path / "m.npz").joints == "fixed"
     assert f"{FREE_FORM}; --smooth means nothing\n" in learn("--smooth", 1e-5)[0]  # without --sequence: no error
@@ -180,6 +181,7 @@ def test_a_wall_is_left_out_without_skinning(tube_rig, tubes, tmp_path, run):
         outputs = ("-o", tmp_path / f"{orientation}.npz", "--results", tmp_path / "fits", "--variant", "free-form")
         assert run("learn", tubes / "tube.npz", tmp_path / "s.npy", *outputs, *options, orientation)[0] == 0
         learned.append(off(tmp_path / "fits"))
+        assert lbs.LBSFitter.load(tmp_path / f"{orientation}.npz").orientation == orientation
     for orientation in ("upright", "any"):
         assert run("fit", tmp_path / "upright.npz", tmp_path / "s.npy", "-o", tmp_path / "new", *options, orientation)[0] == 0
         fitted.append(off(tmp_path / "new"))
@@ -199,6 +201,37 @@ def test_what_was_noted_about_a_scan_is_said_once(tubes, tmp_path, run):
         assert text.count(note) == text.count("which counts the rows") == 1 and "note: t1" not in text
         noted = json.loads((tmp_path / folder / "summary.json").read_text())["scans"]
         assert [bool(entry["notes"]) for entry in noted] == [True, True, False]
+
+
+def test_pictures_of_results(tubes, tmp_path, run, monkeypatch):
+    from lbsfit_np.report import fit_picture
+
+    draw, folder = fit_picture.fit_picture, tmp_path / "fits"
+
+    def careless(rig, points, result):
+        if len(points) == 350:
+            raise ZeroDivisionError("nobody foresaw this")
+        return draw(rig, points, result)
+
+    monkeypatch.setattr(fit_picture, "fit_picture", careless)
+    points = lbs.load_scan(tubes / "t0.ply").points[:350]
+    np.savetxt(tmp_path / "odd.csv", np.column_stack([np.arange(350), points]), delimiter=",")
+    scans = (tubes / "t1.ply", tmp_path / "odd.csv")
+    options = ("-o", tmp_path / "m.npz", "--results", folder, "--variant", "free-form", "--pictures")
+    code, text, err = run("learn", tubes / "tube.npz", *scans, *options)
+    assert (code, err) == (0, "") and (folder / "t1.png").read_bytes().startswith(b"\x89PNG")
+    assert text.count("note: odd: no picture: ") == text.count("note: odd: The first column") == 1
+    files = {entry["name"]: entry["files"] for entry in json.loads((folder / "summary.json").read_text())["scans"]}
+    assert files["t1"]["picture"] == "t1.png" and "picture" not in files["odd"] and not (folder / "odd.png").exists()
+
+
+def test_a_picture_of_others_is_in_the_way_of_results(tubes, tmp_path, run):
+    (tmp_path / "t0.png").write_bytes(b"drawn by others")
+    arguments = ("learn", tubes / "tube.npz", tubes / "t0.ply", "-o", tmp_path / "m.npz", "--results", tmp_path, "--pictures")
+    code, _, err = run(*arguments)
+    line = one_line(err)
+    assert code == 2 and "--results: got" in line and "t0.png exists already, which lbsfit has not drawn" in line
+    assert line.endswith("Choose another folder, or --existing replace.")  # learn cannot skip
 
 
 def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):

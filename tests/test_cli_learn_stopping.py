@@ -95,6 +95,7 @@ def stop_after_a_round(tube_model, monkeypatch):
         ((0,), None, (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o OUT\n"),
         ((0,), "of all", (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o '{}/of all'\n"),
         ((0,), "fits", ("--existing", "replace"), "with it: lbsfit fit '{}/m n.npz' SCAN... -o {}/fits --existing replace\n"),
+        ((0,), "fits", ("--pictures",), "with it: lbsfit fit '{}/m n.npz' SCAN... -o {}/fits --pictures\n"),
         (("a", "b"), None, (), "with it, of each subject by themselves and with --subject ID: lbsfit fit '{}/m n.npz' SCAN..."),
     ],
 )
@@ -103,8 +104,12 @@ def test_how_to_go_on_after_a_round(subjects, results, options, words, tubes, tm
     outputs = ("-o", tmp_path / "m n.npz", *(() if results is None else ("--results", tmp_path / results)))
     code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, *options)
     assert (code, err) == (130, "t1: failed: nobody foresaw this\n")
-    anew = "results; the same command with --existing replace begins anew; to fit scans "
-    assert anew + words.replace("{}", str(tmp_path)) in text
+    with_it = "" if options[:1] == ("--existing",) else "with --existing replace "
+    anew = f"results; the same command {with_it}begins anew; to fit scans "
+    *_, heading, failed, last = text.splitlines()
+    assert heading.split() == ["scan", "status", "probability", "why"]  # of a scan that was named long before
+    assert failed.split(maxsplit=3) == ["t1", "failed", "–", "nobody foresaw this"]
+    assert anew + words.replace("{}", str(tmp_path)) in last + "\n"
     assert list(lbs.LBSFitter.load(tmp_path / "m n.npz").template_) == list(subjects)
 
 
@@ -133,13 +138,16 @@ def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypa
         return write(self, index, scan, result)
 
     monkeypatch.setattr(outputs.Writer, "__call__", interrupted)
-    scans = sorted(tubes.glob("*.ply"))
+    (tmp_path / "t4.ply").write_bytes(b"")
+    scans = (*sorted(tubes.glob("*.ply")), tmp_path / "t4.ply")
     arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--results", tmp_path / "fits")
     code, text, err = run(*arguments, "--variant", "free-form")
-    assert (code, err) == (130, "") and "m.npz is complete, 2 of 4 results in" in text
+    assert (code, len(err.splitlines())) == (130, 1) and err.startswith("t4: failed: ")
+    assert text.splitlines()[-1].startswith("stopped: ") and "m.npz is complete, 2 of 5 results in" in text
+    assert sum(line.startswith("t4 ") for line in text.splitlines()) == 1
     assert len(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == 1
     summary = json.loads((tmp_path / "fits" / "summary.json").read_text())
-    assert summary["stopped"] and summary["not_done"] == ["t2", "t3"]
+    assert summary["stopped"] and summary["not_done"] == ["t2", "t3", "t4"]
     assert summary["counts"]["ok"] + summary["counts"]["suspect"] == 2
 
 

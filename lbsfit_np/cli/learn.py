@@ -33,6 +33,7 @@ _SHARED = (
 OPTIONS = (
     Option("output", "the model to write, NAME.npz; its folder is made if need be", metavar="MODEL", flag="-o", is_path=True),
     Option("results", "a folder for the fits of the scans, too, as lbsfit fit writes them", metavar="OUT", is_path=True),
+    Option("pictures", "with --results, draw each fit, too, as NAME.png", bool, False),
     Option("subjects", "a file that says who was scanned; one subject by default", metavar="FILE", is_path=True),
     Option("rounds", "rounds at most", positive, 4, metavar="N"),
     Option("variant", "what to learn from", default="joint", choices=tuple(VARIANTS)),
@@ -161,7 +162,10 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     except KeyboardInterrupt as stop:
         progress.close()
         results = f", {of_all(written_of(entries), len(scans), 'result')} in {values['results']}" if files else ""
-        say(f"stopped: {model} is complete{results}" if written else _stopped_early(fitter, model, values))
+        end = f"stopped: {model} is complete{results}" if written else _stopped_early(fitter, model, values)
+        known = {e["input"] for e in entries.values()}  # the lines that named the others may be far above
+        say_doubtful([*entries.values(), *(e for e in reading.unused() if e["input"] not in known)])
+        say(end)
         return exit_code(stop)
     finally:
         progress.close()
@@ -171,10 +175,14 @@ def learn_files(rig_path, scans, values, *, inputs=()):
 
 def _checked(rig_path, scans, values, inputs):
     """The files of the results, none where they are not asked for, once no name can go wrong any more."""
+    from ..io.scans import SCAN_EXTENSIONS
+
     model, existing = Path(values["output"]), values["existing"]
     if model.suffix.lower() != ".npz":
         got = f"{model}, which ends in {model.suffix!r}" if model.suffix else f"{model}, which has no ending"
-        raise InputError("-o/--output", got, "a name that ends in .npz", f"Call it {model}.npz.")
+        other = model.suffix.lower() in (*SCAN_EXTENSIONS, ".pkl", ".json", ".toml")  # else a dot within the name
+        name = model.with_suffix(".npz") if other else f"{model}.npz"
+        raise InputError("-o/--output", got, "a name that ends in .npz", f"Call it {name}.")
     if values["smooth"] and not values["sequence"] and VARIANTS[values["variant"]].skinning:
         raise InputError("--smooth", f"{values['smooth']:g} without --sequence", "a sequence", "Add --sequence, or leave it out.")
     card = values["card"] if values["card"] != "none" else None
@@ -183,8 +191,11 @@ def _checked(rig_path, scans, values, inputs):
     _check_twice(scans)
     outputs.check_file(model, inputs=[(path, f"an input ({path})") for path in (*scans, *others)], existing=existing)
     if values["results"] is None:
+        if values["pictures"]:
+            raise InputError("--pictures", "no --results", "a folder for the fits, and their pictures", "Add --results OUT.")
         return ()
-    files = tuple(outputs.plan(scans, values["results"], inputs=others, existing=existing, argument="--results"))
+    names = {"existing": existing, "argument": "--results", "pictures": values["pictures"]}
+    files = tuple(outputs.plan(scans, values["results"], inputs=others, **names))
     for path in (p for f in files for p in f.paths.values()):
         if outputs.same_file(path, model):
             raise InputError("-o/--output", f"{model}, which is a file of --results", "another name")
@@ -260,6 +271,13 @@ class _Reading:
         self.progress.notes(self.name(i), scan.notes)
         return scan
 
+    def unused(self):
+        """Entries of the scans that have no fit."""
+        return [
+            {"name": self.name(i), "input": self.paths[i], "status": "failed", "message": message}
+            for i, message in sorted(self.failures.items())
+        ]
+
     def fail(self, i, message):
         if i not in self.failures:
             self.failures[i] = message
@@ -289,10 +307,10 @@ def _learned(fitter, reading, model, seconds):
     from ..learning.collection import APART, HELD_OUT, LEARNED_FROM
 
     n, who = len(reading.paths), len(fitter.template_)
-    of_all = f"of {n} scan{'' if n == 1 else 's'}"
+    scans = f"{n} scan{'' if n == 1 else 's'}"
     if not VARIANTS[fitter.variant].skinning:
         fitted = n - len(reading.failures)
-        return f"fitted {fitted} {of_all}, each by itself; {model}, with their unit, written after {span(seconds)}"
+        return f"fitted {fitted} of {scans}, each by itself; {model}, with their unit, written after {span(seconds)}"
     results = enumerate(fitter.results_)
     told = [(r.message, True) if r is not None else (reading.failures[i], False) for i, r in results]
     held, set_apart = (sum(role in message for message, _ in told) for role in (HELD_OUT, APART))
@@ -306,7 +324,7 @@ def _learned(fitter, reading, model, seconds):
     kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
     which = f", round {kept} kept" if kept < rounds else ""
     return (
-        f"learned from {n - failed - held - set_apart} {of_all} of {who} subject{'' if who == 1 else 's'}{apart} "
+        f"learned from {n - failed - held - set_apart} of {scans} of {who} subject{'' if who == 1 else 's'}{apart} "
         f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; {model} written after {span(seconds)}"
     )
 
@@ -318,10 +336,13 @@ def _stopped_early(fitter, model, values):
             fitter.save(model)
         kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
         to_fit = f"lbsfit fit {shlex.quote(str(model))} SCAN... -o {shlex.quote(values['results'] or 'OUT')}"
-        if values["results"] and values["existing"] == "replace":  # where results of an earlier run may be
-            to_fit += " --existing replace"
+        to_fit += " --pictures" * values["pictures"]
+        anew = "the same command begins anew"
+        if values["existing"] == "replace":
+            to_fit += " --existing replace" * bool(values["results"])  # where results of an earlier run may be
+        else:  # the model is in its way
+            anew = "the same command with --existing replace begins anew"
         who = ", of each subject by themselves and with --subject ID" if len(fitter.template_) > 1 else ""
-        anew = "the same command with --existing replace begins anew"
         return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit scans with it{who}: {to_fit}"
     if getattr(fitter, "regressor_", None) is None:  # training is over only when all of it is
         return "stopped before the model was learned; the same command begins anew"
@@ -380,6 +401,8 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
                 entries[f.name] = _written(writer, i, f, reading.scans[i], result)
             except LbsfitError as error:
                 entries[f.name] = outputs.unfitted_entry(f, str(error))
+            read = reading.scans[i].notes  # said when it was read
+            progress.notes(f.name, [note for note in entries[f.name].get("notes", ()) if note not in read])
             progress.scan(entries[f.name])
         stopped = False
     finally:

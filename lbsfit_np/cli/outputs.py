@@ -307,7 +307,7 @@ def _check_there(files, out, argument, ways):
     if others:
         which = "which" if others == there else f"of which {listed([path.name for path in others], 5)}"
         words += f", {which} lbsfit has not drawn"
-    if others == there:
+    if others == there and ways != _REPLACE:  # else there is no skipping
         ways = "--existing skip, which leaves what others have drawn as it is, or " + _REPLACE
     elif not any(os.path.lexists(f.fit) for f in files):  # nothing that could be kept
         words, ways = f"{words}, and no fit (NAME.fit.npz) with {'it' if len(there) == 1 else 'them'}", _REPLACE
