@@ -1,11 +1,15 @@
 """``lbsfit rig`` and ``lbsfit demo``."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from cli_runs import TRAINING, one_line
+from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import demo
+from lbsfit_np.rig.build import build_rig
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -15,6 +19,13 @@ def test_rig_show(made, tmp_path, run):
     code, text, err = run("rig", "show", made / "tube.npz", "--card", tmp_path / "c.toml", "--degrees")
     assert (code, err) == (0, "")
     assert "elbow" in text and "locked" in text and "degrees" in text
+
+
+def test_rig_show_of_derived_limits_in_degrees(tmp_path, run):
+    build_rig(replace(make_tube_data(), lower=None, upper=None)).save(tmp_path / "tube.npz")
+    noted = [run("rig", "show", tmp_path / "tube.npz", *more)[1].split("Noted:")[1] for more in ((), ("--degrees",))]
+    assert "±0.8 rad about each axis for 3" in noted[0] and "±0.6 rad for sampling" in noted[0]
+    assert noted[1] == noted[0].replace("±0.8 rad", "±46°").replace("±0.6 rad", "±34°")
 
 
 def test_rig_card(made, tmp_path, run):

@@ -1,5 +1,6 @@
 """build_rig with content that makes no rig: one clear error each."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -62,7 +63,7 @@ BAD = {
     "own parent": (broken(parents=np.array([-1, 1, 1, 1])), "cycle.*elbow → elbow"),
     "two roots": (
         broken(parents=np.array([-1, 0, 1, -1])),
-        r"2 root joints: root, short.*one root.*lbsfit rig card.*\[hierarchy\]",
+        r"2 root joints: root, short.*one root.*lbsfit rig card RIG -o CARD.*\[hierarchy\]",
     ),
     "joints that are NaN": (broken(joints=put((1, 1), np.nan)), "joints.*NaN"),
     "joints of a wrong shape": (broken(joints=np.zeros((3, 3))), r"joints.*\(3, 3\).*\(4, 3\)"),
@@ -92,6 +93,12 @@ def test_bad_input(case):
 def test_errors_name_the_file(tmp_path):
     data = replace(make_tube_data(), faces=np.array([[0, 1, 999]]), path=tmp_path / "arm.glb")
     with pytest.raises(FileError, match=r"arm\.glb: got faces: 1 faces out of range"):
+        build_rig(data)
+
+
+def test_several_roots_of_a_file_say_how_its_card_is_made(tmp_path):
+    data = replace(make_tube_data(), parents=np.array([-1, 0, 1, -1]), path=tmp_path / "my arm.glb")
+    with pytest.raises(FileError, match=re.escape(f"lbsfit rig card '{tmp_path / 'my arm.glb'}' -o CARD, fill in")):
         build_rig(data)
 
 

@@ -20,6 +20,7 @@ told apart by their paths as given on the command line. Each scan has one id; a 
 
 _HEADINGS = {"scan", "scans", "file", "filename", "file name", "name", "path"}
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}
+_ONE = {"\t": "a tab", ";": "a semicolon", ",": "a comma", None: "a comma in all lines, or a blank,"}
 _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
 
 
@@ -117,8 +118,12 @@ def _table_rows(path, text):
         while len(cells) > 2 and not cells[-1]:  # spreadsheets export empty columns
             cells.pop()
         if len(cells) != 2:
-            separated = f"as in line {lines[0][0]}, {_SEPARATORS[delimiter]} separate them"
-            raise FileError(str(path), f"{brief(line)} in line {k}, {_number(len(cells))} ({separated})", _EXPECTED)
+            first = lines[0][0]
+            separated = f" (as in line {first}, {_SEPARATORS[delimiter]} separate them)" if k != first else ""
+            remedy = "Leave out the other columns, and put names that hold a separator in quotes."
+            if len(cells) == 1:
+                remedy = f"Put {_ONE[delimiter]} between name and id."
+            raise FileError(str(path), f"{brief(line)} in line {k}, {_number(len(cells))}{separated}", _EXPECTED, remedy)
         rows.append((k, *cells))
     return rows
 

@@ -28,7 +28,7 @@ class Closest:
 
 
 def faces_around(faces, m):
-    """(m, d) int: the faces at each vertex, the first one repeated where there are fewer than d; −1 where there are none."""
+    """(m, d) int: the faces at each vertex, the last one repeated where there are fewer than d; −1 where there are none."""
     vertex = faces.ravel()
     face = np.repeat(np.arange(len(faces)), 3)
     order = np.argsort(vertex, kind="stable")

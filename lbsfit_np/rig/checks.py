@@ -1,5 +1,6 @@
 """Checks of a rig file's content: arrays of the right kinds, indices in range, weights that are weights, a proper tree."""
 
+import shlex
 from collections.abc import Mapping
 
 import numpy as np
@@ -206,10 +207,11 @@ def check_tree(report, parents, names, explained):
             report.fail("parents", f"a cycle in the hierarchy: {' → '.join(loop)} (each hangs on the next)", "a tree of joints")
     roots = [names[j] for j in np.flatnonzero(parents < 0)]
     if len(roots) > 1:
+        rig = "RIG" if report.path is None else shlex.quote(str(report.path))
         remedy = (
             "Name what these hang on in the card's [hierarchy], in chains or parents."
             if explained
-            else "Write a card with: lbsfit rig card RIG -o CARD, fill in its [hierarchy], and pass it with --card (card=...)."
+            else f"Write a card with: lbsfit rig card {rig} -o CARD, fill in its [hierarchy], and pass it with --card (card=...)."
         )
         report.fail("parents", f"{len(roots)} root joints: {listed(roots)}", "one root, on which all other joints hang", remedy)
     return int(np.flatnonzero(parents < 0)[0])
