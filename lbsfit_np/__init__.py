@@ -15,7 +15,7 @@ _HOMES = {
     "natural_poses": "synthesis",
     "synthesize": "synthesis",
     "LBSFitter": "learning.fitter",
-    "fit_scan": "learning.fitter",
+    "fit_scan": "learning.one_call",
     "FitResult": "fitting.result",
     "transfer": "correspondence",
     "LbsfitError": "errors",

@@ -1,8 +1,20 @@
 """The errors that users see: each says what was wrong, what came, what was expected, and what to do."""
 
+from difflib import get_close_matches
+
 import numpy as np
 
-__all__ = ["FileError", "InputError", "LbsfitError", "MissingExtraError", "brief", "check_array", "in_words", "listed"]
+__all__ = [
+    "FileError",
+    "InputError",
+    "LbsfitError",
+    "MissingExtraError",
+    "brief",
+    "check_array",
+    "did_you_mean",
+    "in_words",
+    "listed",
+]
 
 
 class LbsfitError(Exception):
@@ -94,3 +106,12 @@ def brief(value, most=100):
     except ValueError:
         return "a number of several thousand digits"
     return text if len(text) <= most else f"{text[:most]}…"
+
+
+def did_you_mean(given, names):
+    """The question whether one of some names was meant that is like what was given; None where there is none such."""
+    given, names = str(given), [str(name) for name in names]
+    bare = {name.lstrip("+-").casefold(): name for name in reversed(names)}  # signs and hyphens are no likeness
+    alike = [name for name in names if name.casefold() == given.casefold()]
+    alike += [bare[name] for name in get_close_matches(given.lstrip("+-").casefold(), bare, n=1)]
+    return f"Did you mean {alike[0]!r}?" if alike else None

@@ -4,6 +4,7 @@ import inspect
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -54,6 +55,19 @@ def test_what_it_says_meanwhile(learned_hands):
     assert "learned from 6 of 8 scans of 2 subjects, 1 more held out, 1 could not be used, in 1 round; " in text
     assert "7 of 8 results in" in text
     assert "warning" not in text + err and "\r" not in text
+
+
+def test_the_last_line_counts_scans_by_what_they_were_to_learning(learned_hands):
+    def made(message):
+        return None if message is None else SimpleNamespace(message=message)
+
+    given = ["learned from; x", "not learned from; x", "held out of learning; x", "odd; not learned from; x", None, None]
+    failures = {4: "learned from, but there is no result of it: x", 5: "empty"}
+    history = [{"round": 0, "kept": False}, {"round": 1, "kept": True}]
+    fitter = SimpleNamespace(results_=list(map(made, given)), history_=history, template_={0: 0}, variant="joint", rounds=1)
+    said = learn._learned(fitter, SimpleNamespace(paths=given, failures=failures), "m.npz", 3.0)
+    roles = "1 more held out, 2 more not learned from, 1 could not be used"
+    assert said.startswith(f"learned from 2 of 6 scans of 1 subject, {roles}, in 1 round; ")
 
 
 def test_the_summary_of_learning(learned_hands):

@@ -332,6 +332,9 @@ def test_the_verdict_names_reasons():
     assert "part left_arm does not fit" in reason and "part right_arm has no points" in reason
     assert verdict_of(NOTHING | {"unexplained": 0.9}, 0.01)[0] == "failed"
     assert verdict_of(NOTHING, 0.3)[1] == "several small things together"
+    some = {"unexplained": 0.02, "part_unexplained": 0.14, "disagreement": 0.3, "distance": 0.5}
+    together = "several small things together, above all part_unexplained 14% (left_arm) and unexplained 2%"
+    assert verdict_of(NOTHING | some, 0.3, PARTS)[1] == together
 
 
 def test_regression_finds_what_tells_and_gives_nothing_a_good_word():

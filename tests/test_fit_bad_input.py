@@ -125,6 +125,10 @@ def test_one_call_names_its_errors_before_training(tube_rig, tube_scan, monkeypa
         lbs.fit_scan(tube_rig, tube_scan.points, point_weights=np.zeros(1000))
     with pytest.raises(InputError, match="rig: got str"):
         lbs.fit_scan("left.glb", tube_scan.points)
+    with pytest.raises(InputError, match="efort: got an argument that is not known; expected one of .*Did you mean 'effort'"):
+        lbs.fit_scan(tube_rig, tube_scan.points, efort="fast")
+    with pytest.raises(InputError, match=r"subject: got an argument of a learned .*LBSFitter.load\(model\)"):
+        lbs.fit_scan(tube_rig, tube_scan.points, subject="ann")
 
 
 def test_weights_of_any_size_are_weights(tube_rig, tube_scan):

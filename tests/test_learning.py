@@ -134,6 +134,14 @@ def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans)
         assert np.ptp(r.vertices, axis=0).max() == pytest.approx(250 * np.ptp(s.points, axis=0).max(), rel=0.15)
 
 
+def test_a_free_form_scan_whose_extent_is_not_the_others_says_so(make_learner, few_scans):
+    points = [s.points for s in few_scans[:4]]
+    points[2] = 3.0 * points[2]
+    free = make_learner(variant="free-form").fit(points)
+    words = r"its extent is \d\.\d+ times the rig's in the scans' unit: in another unit\? Convert it and learn again; free-form"
+    assert [bool(re.match(words, r.message)) for r in free.results_] == [False, False, True, False]
+
+
 @pytest.mark.parametrize("variant", ["joint", "cd"])
 def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans, variant):
     points = [s.points for s in few_scans]

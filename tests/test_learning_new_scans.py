@@ -191,10 +191,11 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     for look in ("_scouted", "_given"):
         monkeypatch.setattr(finish, look, lambda *known: _seen(tube_rig, scan))
     monkeypatch.setattr(finish, "stands_words", lambda *known: "the scan stands along +z")
-    fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=lambda problem, state, note, **place: note)
+    fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=lambda problem, state, **place: place)
     monkeypatch.setattr(finish, "_template_fit", lambda *made_of: fit)
-    note = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
-    assert "on the template of subject 'ann'" in note and ("stands along" in note) != given
+    told = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
+    assert "on the template of subject 'ann'" in told["note"] and told["effort"] == (None if given else "balanced")
+    assert told["found"] == ("scan and rig are in one unit", "" if given else "the scan stands along +z")
 
 
 @pytest.mark.parametrize("factor, known", [(1.3, True), (1 / 1.3, True), (1.4, False), (1 / 1.4, False), (50.0, False)])

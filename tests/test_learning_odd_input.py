@@ -11,7 +11,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.learning import finish, loop
 from lbsfit_np.learning.batch import fit_scans
-from lbsfit_np.learning.collection import Collection, read_collection
+from lbsfit_np.learning.collection import Collection, Member, read_collection
 from lbsfit_np.learning.training import training_settings
 from lbsfit_np.synthesis import Synthesis
 
@@ -119,6 +119,16 @@ def test_members_answers_stand_in_the_order_of_the_members():
     assert collection.work(inverse, [1, 0, 4], jobs=1, done=None) == [1, 0.25]
     assert collection.members == [members[0], members[2]]
     assert collection.failures == {5: "ZeroDivisionError: division by zero"}
+
+
+@pytest.mark.parametrize("taught", [False, True])
+def test_failures_after_learning_say_what_the_scan_was_to_it(taught):
+    members = [Member(i, np.zeros((0, 3)), np.arange(0), None, "a", held_out=i == 1, apart=i == 2) for i in range(4)]
+    collection = Collection(4, members)
+    assert collection.work(lambda x: 1 / x, [0, 0, 0, 1], jobs=1, done=None, taught=taught) == [1]
+    error, after = "ZeroDivisionError: division by zero", "{}, but there is no result of it: ".format
+    said = [after(role) + error if taught else error for role in ("learned from", "held out of learning", "not learned from")]
+    assert collection.failures == dict(enumerate(said))
 
 
 # ---- wild points ----

@@ -127,6 +127,11 @@ def test_a_scan_that_stands_otherwise_is_told(side, words):
     assert words in note and bool(words) == bool(note)
 
 
+def test_the_option_that_spares_the_search_is_the_one_that_was_found():
+    note = stands_note(matrix_from_rotvec(np.array([-np.pi / 2, 0.0, 0.0])), np.array([0.0, 1.0, 0.0]))
+    assert "along its -z axis" in note and "(up='-z', --up=-z, spares the search)" in note
+
+
 @pytest.mark.parametrize("axis", [[1, 0, 1], [1, 0, -1], [-1, 0, 1]])
 @pytest.mark.parametrize("degrees, leans", [(0, True), (40, True), (50, True), (60, False), (130, False)])
 def test_a_scan_that_leans_stands_as_the_rig_does(axis, degrees, leans):
@@ -145,7 +150,10 @@ def test_a_scan_that_leans_stands_as_the_rig_does(axis, degrees, leans):
         (60, -30, None, False),  # 30° in all: found under another axis, it but leans
         (30, 30, None, False),
         (0, 0, None, False),
-        (90, 0, "+y", False),  # where the axis was told there is nothing to say
+        (90, 0, "+y", True),  # against what was said
+        (90, -50, "+y", False),
+        (90, 0, "+z", False),
+        (0, 90, "+z", False),
     ],
 )
 def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
@@ -160,6 +168,7 @@ def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
     r = fit.fit(frame.outside(X), found=seen)
     assert r.status == "ok"
     assert ("the scan stands along its +z axis" in r.message) == ("stands" in r.message) == told
+    assert ("though up says '+y'" in r.message) == (told and up is not None) == ("spares the search" not in r.message and told)
 
 
 def _as_learned(fitter, template, monkeypatch):
@@ -171,7 +180,7 @@ def _as_learned(fitter, template, monkeypatch):
     return fitter
 
 
-@pytest.mark.parametrize("found, root, up, told", [(90, 0, None, True), (60, -30, None, False), (90, 0, "+y", False)])
+@pytest.mark.parametrize("found, root, up, told", [(90, 0, None, True), (60, -30, None, False), (90, 0, "+y", True)])
 def test_a_fit_on_a_learned_template_tells_it_as_well(tube_rig, fitter, found, root, up, told, monkeypatch):
     model, turn = Model(tube_rig), matrix_from_rotvec(np.radians([found, 0.0, 0.0]))
     theta = np.zeros((4, 3))

@@ -2,10 +2,9 @@
 
 import csv
 import math
-from difflib import get_close_matches
 from pathlib import Path
 
-from ..errors import FileError, brief, listed
+from ..errors import FileError, brief, did_you_mean, listed
 from .pair_fits import made_files
 from .truth import Landmarks, PairScan, Registrations, VertexOrder, read_registrations
 
@@ -170,8 +169,7 @@ def _file_of(path, line, name, files, folder):
             raise FileError(str(path), f"{brief(name)} in line {line}, which may be {names}", "a name that says which file")
         if found:
             return found[0]
-    close = get_close_matches(wanted, [p.name for p in files] + [p.stem for p in files], n=1)
-    remedy = f"Did you mean {close[0]!r}?" if close else None
+    remedy = did_you_mean(wanted, [p.name for p in files] + [p.stem for p in files])
     raise FileError(str(path), f"{brief(name)} in line {line}, which is no scan file in {folder}", "names of scans", remedy)
 
 

@@ -4,10 +4,10 @@ import functools
 import time
 from pathlib import Path
 
-from ..errors import FileError, InputError, brief
+from ..errors import FileError, InputError, brief, did_you_mean
 from . import outputs
 from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subject_of, with_subject
-from .parsing import Option, add_options, chosen, did_you_mean, formatter, natural, positive
+from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, say
 from .stopping import exit_code, terminable
 from .summary import counts_of, doubts_of, of_all, say_doubtful, write_summary, written_of

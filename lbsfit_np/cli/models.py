@@ -5,9 +5,8 @@ import json
 import os
 from dataclasses import asdict, is_dataclass
 
-from ..errors import FileError, InputError, brief, listed
+from ..errors import FileError, InputError, brief, did_you_mean, listed
 from ..learning.variants import note_on, unused
-from .parsing import did_you_mean
 from .progress import say
 
 __all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig", "subject_of", "with_subject"]

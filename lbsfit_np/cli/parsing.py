@@ -6,10 +6,9 @@ import sys
 import textwrap
 import tomllib
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 
-from ..errors import FileError, InputError, brief
+from ..errors import FileError, InputError, brief, did_you_mean
 
 __all__ = [
     "Option",
@@ -17,7 +16,6 @@ __all__ = [
     "add_options",
     "amount",
     "chosen",
-    "did_you_mean",
     "formatter",
     "natural",
     "positive",
@@ -67,15 +65,6 @@ class Parser(argparse.ArgumentParser):
     def error(self, message):
         """Print one line, and exit with code 2."""
         self.exit(2, f"lbsfit: error: {message} (see: {self.prog} --help)\n")
-
-
-def did_you_mean(given, names):
-    """The question whether one of some names was meant that is like what was given; None where there is none such."""
-    given, names = str(given), [str(name) for name in names]
-    bare = {name.lstrip("+-").casefold(): name for name in reversed(names)}  # signs and hyphens are no likeness
-    alike = [name for name in names if name.casefold() == given.casefold()]
-    alike += [bare[name] for name in get_close_matches(given.lstrip("+-").casefold(), bare, n=1)]
-    return f"Did you mean {alike[0]!r}?" if alike else None
 
 
 class _Help(argparse.RawDescriptionHelpFormatter):

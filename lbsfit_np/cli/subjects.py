@@ -5,9 +5,8 @@ import re
 import tomllib
 from pathlib import Path
 
-from ..errors import FileError, brief, listed
+from ..errors import FileError, brief, did_you_mean, listed
 from .outputs import same_file
-from .parsing import did_you_mean
 
 __all__ = ["SUBJECT_FILES", "read_subjects"]
 

@@ -37,6 +37,8 @@ def assemble(
     partial=False,
     proportions=0.0,
     judged=True,
+    found=(),
+    effort=None,
 ):
     """The fit in the scan's frame and on the rig's original vertices, with a label for every point.
 
@@ -74,6 +76,10 @@ def assemble(
     partial : bool
     proportions : float
         As for ``confidence.evidence_of``.
+    found : sequence of str
+        What the fit says of the scan, such as its unit; of one that has failed, with that reserve.
+    effort : str, optional
+        The effort of the search, where there was one.
     judged : bool, default True
         False where the vertices say nothing of the pose: then there is no evidence, the probability is 0, and what is finite is
         "ok".
@@ -123,10 +129,14 @@ def assemble(
         )
         probability = probability_of(evidence)
         status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})
+        if status != "ok" and effort == "fast":
+            reason += "; effort 'balanced' (--effort balanced) looks further"
         if status == "failed":
             reason += "; is it the right rig, and does the scan stand as orientation and up say (--orientation, --up)?"
         if status != "ok" and not partial and evidence["unreached"] > _HARDLY_REACHED:
             reason += "; if the scan shows one side only, say so with partial (--partial)"
+    if status == "failed" and any(found):
+        found = [f"if it were right all the same: {'; '.join(filter(None, found))}"]
     return FitResult(
         pose=pose,
         translation=translation,
@@ -140,7 +150,7 @@ def assemble(
         terms=dict(evaluation.terms, total=evaluation.value, recon=recon),
         converged=last.converged,
         status=status,
-        message="; ".join(filter(None, [reason, note])),
+        message="; ".join(filter(None, [reason, note, *found])),
         probability=probability,
         evidence=evidence,
         evaluations=evaluations,

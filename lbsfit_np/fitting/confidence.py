@@ -272,8 +272,16 @@ def verdict_of(evidence, probability, worst=None):
         for name, (least, words) in _WORDS.items()
         if evidence[name] > least
     ]
-    reason = "; ".join(told) or "several small things together"
+    reason = "; ".join(told) or _together(evidence, worst or {})
     return "failed" if probability < _FAILED else "suspect", reason
+
+
+def _together(evidence, worst):
+    """Where nothing alone is worth a word: the two pieces of evidence that have cost the most probability."""
+    cost = dict(zip(REGRESSED, np.array(_WEIGHTS) * (np.log10(_FLOOR) - logarithms(evidence)), strict=True))
+    most = sorted((name for name, c in cost.items() if c > 0), key=cost.get, reverse=True)[:2]
+    named = [f"{name} {evidence[name]:.0%}" + (f" ({worst[name]})" if name in worst else "") for name in most]
+    return "several small things together" + (f", above all {' and '.join(named)}" if named else "")
 
 
 # From where on a piece of evidence is worth a word, and the word.

@@ -10,10 +10,11 @@ from ..errors import InputError
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
+from ..rig.frames import up_axis
 from ..seeds import generator
 from ..starts.clean import clean_rows
 from ..starts.scale import reference_scale, unit_note
-from ..starts.turns import Facing, some_turns, stands_note
+from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
 from ..threads import one_thread
 from .assemble import assemble
 from .confidence import shown_problem
@@ -145,7 +146,7 @@ class ScanFit:
             known = None if labels is None else labels[rows]
             last = replace(last, state=self._refit.polish(problem, last.state, labels=known))
         stands = stands_words(self.facing, model.source, frame, last.state.theta) if theta0 is None else ""
-        note = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
+        unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
         return assemble(
             model.source,
             model,
@@ -159,7 +160,9 @@ class ScanFit:
             proba=proba,
             labels=labels,
             evaluations=search.evaluations,
-            note="; ".join(filter(None, [note, stands, left_out])),
+            note=left_out,
+            found=(unit, stands),
+            effort=settings.effort if theta0 is None and labels is None else None,
             started=started,
             partial=settings.partial,
             **rivals,
@@ -194,7 +197,9 @@ class ScanFit:
 
 
 def stands_words(facing, rig, frame, theta):
-    """In words, which way a scan stands that was found to be fitted so, where it is another than the rig's and nobody said so."""
+    """In words, which way a scan stands that was found to be fitted so, where that is another than said, or than the rig's."""
+    if facing.told:
+        return contradicts_note(frame.turn @ root_turn(rig, theta) @ up_axis(rig), facing.up)
     if not facing.open_up or not stands_note(frame.turn, facing.up):
         return ""
     return stands_note(frame.turn @ root_turn(rig, theta), facing.up)  # what was found under another axis may but lean

@@ -71,6 +71,8 @@ class TemplateFit:
         rivals=(),
         proportions=0.0,
         note="",
+        found=(),
+        effort=None,
         started=None,
     ):
         """The full objective from a pose that was found, and the result.
@@ -91,7 +93,7 @@ class TemplateFit:
         labels_known : (n,) int array, optional
         prior : ((J, 3) array, float), optional
             As in ``GaussNewton.pose``.
-        value, rivals, proportions
+        value, rivals, proportions, found, effort
             As for :func:`~lbsfit_np.fitting.assemble.assemble`.
         note : str
         started : float, optional
@@ -128,6 +130,8 @@ class TemplateFit:
             labels=labels_known,
             evaluations=search.evaluations,
             note=note,
+            found=found,
+            effort=effort,
             started=started,
             value=value,
             rivals=rivals,

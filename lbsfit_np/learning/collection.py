@@ -38,7 +38,9 @@ _ONE_SCALE = 1.6
 # Where more than this share of the scans, and more than one, are of somebody else than their subject, subjects are wrong.
 _STRANGERS = 0.1
 # What the message of a scan says that teaches, of one that only tells when to stop, and of one that does neither.
-LEARNED_FROM, HELD_OUT, APART = "learned from", "held out of learning", "not learned from"
+LEARNED_FROM = "learned from"
+HELD_OUT = "held out of learning"
+APART = "not learned from"
 
 
 @dataclass

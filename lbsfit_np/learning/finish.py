@@ -19,7 +19,7 @@ from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.clean import clean_rows
-from ..starts.scale import reference_scale, unit_note
+from ..starts.scale import extent_doubt, reference_scale, unit_note
 from ..starts.turns import facing_of, some_turns
 from ..threads import one_thread
 from .variants import as_variant
@@ -62,10 +62,10 @@ class _Finish:
         fit = self._fit(m.subject)
         if m.own is not None:
             m = _in_its_unit(m, fit)
-        note = f"{m.role}; {unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)}"
+        unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         place["proportions"] = fit.proportions(m.problem, m.state)
-        result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, **place)
+        result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=m.role, found=(unit,), **place)
         return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
 
 
@@ -141,9 +141,10 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
-    note = "; ".join(filter(None, [note, unit, stands, left_out]))
+    note = "; ".join(filter(None, [note, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
-    place["proportions"] = proportions
+    place |= {"proportions": proportions, "found": (unit, stands)}
+    place["effort"] = settings.effort if theta0 is None and labels is None else None
     result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
     return _asking(result, subjects)
 
@@ -269,6 +270,8 @@ def fit_free_form(model, collection, settings, *, jobs, progress):
     """
     for m in collection.members:
         m.use_frame(m.unit, model.half)
+        if settings.scale != "fixed":
+            m.doubt = extent_doubt(m.points[m.rows], model.source, m.unit)
     work = _FreeForm(model, settings)
     answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p))
     return collection.in_order(answers)
@@ -280,7 +283,8 @@ class _FreeForm:
     settings: object
 
     def __call__(self, m):
-        return free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter())
+        result = free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter())
+        return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
 
 
 def free_form(model, settings, problem, points, rows, frame, started):

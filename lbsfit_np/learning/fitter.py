@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from ..errors import InputError, brief
+from ..errors import InputError, brief, did_you_mean
 from ..optimize.model import Model
 from ..seeds import integer_seed
 from ..segmentation.segmenter import jobs_of
@@ -21,7 +21,7 @@ from .pretraining import LIBRARY_TIME, pretrain_library, pretrain_segmenter
 from .training import training_settings
 from .variants import as_variant
 
-__all__ = ["LBSFitter", "fit_scan"]
+__all__ = ["LBSFitter"]
 
 
 class LBSFitter(BaseEstimator):
@@ -383,7 +383,7 @@ class LBSFitter(BaseEstimator):
         learned = getattr(self, "template_", None)
         if learned is None or not isinstance(subject, Hashable) or subject not in learned:
             known = "no subject, as nothing was learned yet" if learned is None else f"one of {', '.join(map(repr, learned))}"
-            raise InputError("subject", brief(subject), known)
+            raise InputError("subject", brief(subject), known, did_you_mean(subject, learned or ()))
 
     def _check_learned(self):
         self._check()
@@ -427,23 +427,3 @@ class LBSFitter(BaseEstimator):
     def __getstate__(self):
         """Pickles and copies are without what was made ready for fits: that is large, and soon made again."""
         return {k: v for k, v in super().__getstate__().items() if k not in ("_ready", "_prepared")}
-
-
-def fit_scan(rig, points, *, theta0=None, labels=None, point_weights=None, random_state=0, **parameters):
-    """Fit one scan in one call, with a segmenter that is trained once and kept in the user's cache folder.
-
-    Parameters
-    ----------
-    rig : Rig
-    points, theta0, labels, point_weights
-        As in :meth:`LBSFitter.fit_scan`.
-    random_state : int, default 0
-    **parameters
-        Of :class:`LBSFitter`.
-
-    Returns
-    -------
-    FitResult
-    """
-    fitter = LBSFitter(rig, random_state=random_state, **parameters)
-    return fitter._fit_scan(points, theta0, labels, point_weights, cache=True)

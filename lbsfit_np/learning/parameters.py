@@ -4,7 +4,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..errors import InputError, brief, check_array
+from ..errors import InputError, brief, check_array, did_you_mean
 from ..fitting.scan_fit import FitSettings
 from ..fitting.scout import EFFORTS
 from ..losses.objective import as_weights
@@ -20,6 +20,7 @@ from .variants import as_variant
 
 __all__ = [
     "check_callables",
+    "check_names",
     "check_parameters",
     "check_same",
     "check_scan",
@@ -30,6 +31,16 @@ __all__ = [
 
 # Eight turns.
 _MOST_TURN = 50.0
+
+
+def check_names(parameters, known):
+    """Raise InputError unless every name is one of a fitter's parameters."""
+    for name in parameters:
+        if name == "subject":
+            remedy = "LBSFitter.load(model).fit_scan(points, subject=...) fits a scan of a subject that was learned."
+            raise InputError(name, "an argument of a learned fitter's fit_scan", "a rig alone, which knows no subjects", remedy)
+        if name not in known:
+            raise InputError(name, "an argument that is not known", f"one of {', '.join(known)}", did_you_mean(name, known))
 
 
 def check_parameters(fitter):

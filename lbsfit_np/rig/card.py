@@ -43,7 +43,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, brief, listed
+from ..errors import FileError, InputError, brief, did_you_mean, listed
 from .frames import AXES
 
 __all__ = ["UNITS", "Card", "card_text", "matching", "read_card", "write_card"]
@@ -220,9 +220,7 @@ class _Parser:
     def known(self, table, keys, where, kind):
         for key in table:
             if key not in keys:
-                close = get_close_matches(key, keys, n=1)
-                hint = f"Did you mean {close[0]!r}?" if close else None
-                self.fail(f"an unknown {kind} {key!r} {where}", f"one of {', '.join(keys)}", hint)
+                self.fail(f"an unknown {kind} {key!r} {where}", f"one of {', '.join(keys)}", did_you_mean(key, keys))
 
     def text(self, table, key, where):
         value = table.get(key)

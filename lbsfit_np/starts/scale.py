@@ -6,7 +6,17 @@ import numpy as np
 
 from ..errors import InputError
 
-__all__ = ["ReferenceScale", "checked_extent", "extent", "near_rows", "reference_scale", "same_unit", "unit_name", "unit_note"]
+__all__ = [
+    "ReferenceScale",
+    "checked_extent",
+    "extent",
+    "extent_doubt",
+    "near_rows",
+    "reference_scale",
+    "same_unit",
+    "unit_name",
+    "unit_note",
+]
 
 # Extents from a scan's median point beyond which nothing of a body lies.
 _REACH = 1.5
@@ -98,6 +108,22 @@ def unit_note(scale, rig, mode, *, guessed=False):
     if guessed:
         return _guess(scale)
     return f"the scan is in another unit or of another size: one rig unit is {scale:.4g} scan units"
+
+
+def extent_doubt(points, rig, unit):
+    """In words, that a scan's extent cannot be the rig's in the unit of the scans around it; else empty.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    rig : Rig
+    unit : float
+        Scan units in a rig unit.
+    """
+    ratio = extent(points) / (extent(rig.vertices) * unit)
+    if _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
+        return ""
+    return f"its extent is {ratio:.3g} times the rig's in the scans' unit: in another unit? Convert it and learn again"
 
 
 def same_unit(scale):

@@ -7,12 +7,14 @@ import numpy as np
 from ..rig.frames import AXES, up_axis
 from ..rotations import matrix_from_rotvec
 
-__all__ = ["ORIENTATIONS", "Facing", "any_side_up", "facing_of", "some_turns", "stands_note"]
+__all__ = ["ORIENTATIONS", "Facing", "any_side_up", "contradicts_note", "facing_of", "some_turns", "stands_note"]
 
 ORIENTATIONS = ("aligned", "upright", "any")
 # Steps of 15° about the up axis; all rotations some 30° apart. Steps towards the surface turn the rest of the way.
 _UPRIGHT = 24
 _ANY = 600
+# What is less than 30° from a coordinate axis stands along it.
+_ALONG = np.cos(np.radians(30.0))
 
 
 @dataclass(frozen=True)
@@ -27,11 +29,14 @@ class Facing:
         The direction that is up in a scan; None where any may be.
     open_up : bool
         Whether that is but what is likely, and scans may stand along another coordinate axis after all.
+    told : bool
+        Whether the user has said which one it is.
     """
 
     turns: np.ndarray = field(default_factory=lambda: np.eye(3)[None])
     up: np.ndarray | None = None
     open_up: bool = False
+    told: bool = False
 
 
 def facing_of(rig, orientation, up=None):
@@ -60,7 +65,7 @@ def facing_of(rig, orientation, up=None):
         turns = matrix_from_rotvec(angles[:, None] * own)
     if up is None:
         return Facing(turns, own, open_up=orientation == "upright")
-    return Facing(_turn_from(own, np.array(AXES[up])) @ turns, np.array(AXES[up]))
+    return Facing(_turn_from(own, np.array(AXES[up])) @ turns, np.array(AXES[up]), told=True)
 
 
 def any_side_up(turns, up):
@@ -75,8 +80,20 @@ def stands_note(turn, up):
     axis = int(np.abs(along).argmax())
     if along[axis] * up[axis] > 0:
         return ""
-    name = f"{'-' if along[axis] < 0 else '+'}{'xyz'[axis]}"
+    name = _axis_name(along)
     return f"the scan stands along its {name} axis, which is not the rig's up axis (up={name!r}, --up={name}, spares the search)"
+
+
+def contradicts_note(along, up):
+    """In words, that a scan stands otherwise than said; ``along`` is the direction that the rig's up axis took; else empty."""
+    if np.abs(along).max() < _ALONG or along @ up >= _ALONG:
+        return ""
+    return f"the scan stands along its {_axis_name(along)} axis, though up says {_axis_name(up)!r}"
+
+
+def _axis_name(along):
+    axis = int(np.abs(along).argmax())
+    return f"{'-' if along[axis] < 0 else '+'}{'xyz'[axis]}"
 
 
 def _turn_from(a, b):
