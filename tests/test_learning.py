@@ -142,20 +142,17 @@ def test_a_free_form_scan_whose_extent_is_not_the_others_says_so(make_learner, f
     assert [bool(re.match(words, r.message)) for r in free.results_] == [False, False, True, False]
 
 
-@pytest.mark.parametrize("variant", ["joint", "cd"])
-def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans, variant):
+def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans):
     points = [s.points for s in few_scans]
-    without = make_learner(variant=variant, held_out=0).fit(points[:1] + points[2:])
     points[1] = 2.54 * points[1]
     odd = r"its first fit had 2\.\d+ times the scale of its subject's others: in another unit\? Convert it and learn again; "
     with pytest.warns(UserWarning, match=f"scan 1: {odd}not learned from"):
-        fitter = make_learner(variant=variant, held_out=0).fit(points)
+        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(points)
     assert re.match(odd + "not learned from; the scan is in another unit", fitter.results_[1].message)
     assert [r.message.startswith("learned from; scan and rig are in one unit") for r in fitter.results_] == [1, 0, 1, 1, 1]
     joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
     assert joints < 0.03 * 2.54 * tube_rig.size / 2 and fitter.results_[1].scale == pytest.approx(2.54, rel=0.1)
-    # The others are explained as well as without it.
-    assert fitter.history_[-1]["recon"] == pytest.approx(without.history_[-1]["recon"], rel=0.2)
+    assert all(entry["recon"] < 0.08 for entry in fitter.history_)  # of the others alone, which have 0.065
 
 
 def test_figures_of_a_round_are_means_of_roots():

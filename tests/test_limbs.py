@@ -222,17 +222,19 @@ def test_two_exchanged_fingers_are_proposed_together(hand, seed):
     assert hand.error(first, truth) < 0.25 * hand.error(wrong, truth)
 
 
-@pytest.mark.parametrize("pair", [("index", "middle"), ("ring", "pinky"), ("pinky", "ring")])
-def test_steps_from_what_is_proposed_bring_two_exchanged_fingers_home(hand, pair):
-    """At once or, as the hand that they have pulled along moves back, the next time. Without, they stay."""
-    truth, problem, wrong = _exchanged(hand, *pair)
-    refit = Refit(hand.model)
-    best = refit.last_steps([Runner(problem, truth.replace(theta=wrong))])[0]
-    assert hand.error(best.state.theta, truth) > 0.15
-    for _ in range(2):
-        proposals = hand.limbs.proposals(problem, best.state, 2)
-        best = refit.race([best, *(Runner(problem, best.state.replace(theta=theta)) for theta in proposals)], 4)[0]
-    assert hand.error(best.state.theta, truth) < 0.01
+def test_steps_from_what_is_proposed_bring_two_exchanged_fingers_home(hand):
+    """At once or, as the hand that they have pulled along moves back, the next time: most. Without, they stay: all."""
+    refit, home = Refit(hand.model), {}
+    for pair in (("index", "middle"), ("ring", "pinky"), ("pinky", "ring")):
+        for seed in range(5):
+            truth, problem, wrong = _exchanged(hand, *pair, seed)
+            best = refit.last_steps([Runner(problem, truth.replace(theta=wrong))])[0]
+            assert hand.error(best.state.theta, truth) > 0.15
+            for _ in range(2):
+                proposals = hand.limbs.proposals(problem, best.state, 2)
+                best = refit.race([best, *(Runner(problem, best.state.replace(theta=theta)) for theta in proposals)], 4)[0]
+            home[pair, seed] = hand.error(best.state.theta, truth) < 0.01
+    assert np.mean(list(home.values())) >= 0.75 and all(home[("index", "middle"), seed] for seed in range(5))
 
 
 @pytest.mark.parametrize("cost, pairs", [(0.9e-4, 0), (1.1e-4, 1)])
