@@ -113,22 +113,36 @@ def _edge_length(bones, *, trunk, limbs, head, face, nose, palm, fingers, tips, 
     along = (wrist - shoulder) / np.linalg.norm(wrist - shoulder)
     reach = (wrist - shoulder) @ along
 
+    # Coordinate, and where a ramp starts and ends along it. All at once, as the remesher asks for many single points.
+    ramps = {
+        "arm": ("a", 0.0, 0.10), "leg": ("y", 0.80, 0.65), "wrist": ("a", reach - 0.20, reach + 0.02),
+        "knuckles": ("a", reach + 0.04, reach + 0.08), "fingertips": ("a", reach + 0.11, reach + 0.15),
+        "ankle": ("y", 0.14, 0.08), "toes": ("z", 0.04, 0.09), "head": ("y", 1.44, 1.52),
+        "face forward": ("z", 0.035, 0.075), "chin": ("y", 1.495, 1.515), "forehead": ("y", 1.66, 1.635),
+        "ear outward": ("x", 0.066, 0.074), "ear lobe": ("y", 1.54, 1.56), "ear top": ("y", 1.65, 1.63),
+        "nose forward": ("z", 0.078, 0.090), "nose inward": ("x", 0.040, 0.025), "lip": ("y", 1.515, 1.525),
+        "brow": ("y", 1.625, 1.61),
+    }  # fmt: skip
+    along_which = np.array(["xyza".index(c) for c, _, _ in ramps.values()])
+    start, end = (np.array([r[k] for r in ramps.values()])[:, None] for k in (1, 2))
+
     def wanted(points):
         x, y, z = np.abs(points[:, 0]), points[:, 1], points[:, 2]
         arm = ((np.stack([x, y, z], axis=1) - shoulder) @ along) * ((x > 0.15) & (y > 0.8))
+        at = np.stack([x, y, z, arm])[along_which]
+        on = dict(zip(ramps, _ramp(at, start, end)))
         out = np.full(len(points), trunk)
-        out += (limbs - trunk) * np.maximum(_ramp(arm, 0.0, 0.10), _ramp(y, 0.80, 0.65))
-        out += (palm - limbs) * _ramp(arm, reach - 0.20, reach + 0.02)
-        out += (fingers - palm) * _ramp(arm, reach + 0.04, reach + 0.08)
-        out += (tips - fingers) * _ramp(arm, reach + 0.11, reach + 0.15)
-        out += (ankle - limbs) * _ramp(y, 0.14, 0.08)
-        out += (toes - ankle) * _ramp(z, 0.04, 0.09) * (y < 0.12)
-        out += (head - trunk) * _ramp(y, 1.44, 1.52)
-        facial = _ramp(z, 0.035, 0.075) * _ramp(y, 1.495, 1.515) * _ramp(y, 1.66, 1.635)
-        ear = _ramp(x, 0.066, 0.074) * _ramp(y, 1.54, 1.56) * _ramp(y, 1.65, 1.63) * (x < 0.12)
+        out += (limbs - trunk) * np.maximum(on["arm"], on["leg"])
+        out += (palm - limbs) * on["wrist"]
+        out += (fingers - palm) * on["knuckles"]
+        out += (tips - fingers) * on["fingertips"]
+        out += (ankle - limbs) * on["ankle"]
+        out += (toes - ankle) * on["toes"] * (y < 0.12)
+        out += (head - trunk) * on["head"]
+        facial = on["face forward"] * on["chin"] * on["forehead"]
+        ear = on["ear outward"] * on["ear lobe"] * on["ear top"] * (x < 0.12)
         out += (face - head) * np.maximum(facial, ear)
-        middle = _ramp(z, 0.078, 0.090) * _ramp(x, 0.040, 0.025) * _ramp(y, 1.515, 1.525) * _ramp(y, 1.625, 1.61)
-        return out + (nose - face) * middle
+        return out + (nose - face) * (on["nose forward"] * on["nose inward"] * on["lip"] * on["brow"])
 
     return wanted
 

@@ -57,14 +57,13 @@ class Loft:
         self.profile = PchipInterpolator(stations[:, 0], stations[:, 1:], axis=0)
         self.caps, self.exponent, self.far = caps, exponent, max(_FAR, 2 * reach)
         most = stations[:, 1:].max(axis=0) + reach
-        self.low = np.array([-most[1], -most[3], self.start - caps[0] - reach])
-        self.high = np.array([most[0], most[2], self.end + caps[1] + reach])
+        low = np.array([-most[1], -most[3], self.start - caps[0] - reach])
+        high = np.array([most[0], most[2], self.end + caps[1] + reach])
+        self.box = _Box(self.origin, self.frame, low, high)
 
     def __call__(self, points):
-        local = (points - self.origin) @ self.frame
         out = np.full(len(points), self.far)
-        near = np.flatnonzero(((local > self.low) & (local < self.high)).all(axis=1))
-        u, v, s = local[near].T
+        near, (u, v, s) = self.box.inside(points)
         inside = np.clip(s, self.start, self.end)
         right, left, dorsal, palmar = self.profile(inside).T
         a = np.where(u > 0, right, left)
@@ -74,8 +73,7 @@ class Loft:
         e = self.exponent
         section = (np.abs(u / a) ** e + np.abs(v / b) ** e) ** (1 / e)
         r = np.sqrt(section**2 + (over / c) ** 2)
-        length = np.sqrt(u * u + v * v + over * over)
-        size = np.where(r > 1e-9, length / np.maximum(r, 1e-9), np.minimum(a, b))
+        size = np.where(r > 1e-9, _length(u, v, over) / np.maximum(r, 1e-9), np.minimum(a, b))
         out[near] = (r - 1) * size
         return out
 
@@ -83,17 +81,41 @@ class Loft:
 def ellipsoid(centre, frame, radii, *, reach=_REACH):
     """An ellipsoid whose half-axes lie along the columns of ``frame``; distances are radial. ``reach`` as for a Loft."""
     centre, radii = np.asarray(centre, dtype=float), np.asarray(radii, dtype=float)
+    box = _Box(centre, frame, -radii - reach, radii + reach)
 
     def shape(points):
-        local = (points - centre) @ frame
         out = np.full(len(points), max(_FAR, 2 * reach))
-        near = np.flatnonzero((np.abs(local) < radii + reach).all(axis=1))
-        p = local[near]
-        r = np.sqrt(((p / radii) ** 2).sum(axis=1))
-        out[near] = (r - 1) * np.where(r > 1e-9, np.sqrt((p * p).sum(axis=1)) / np.maximum(r, 1e-9), radii.min())
+        near, p = box.inside(points)
+        r = _length(*(q / radius for q, radius in zip(p, radii)))
+        out[near] = (r - 1) * np.where(r > 1e-9, _length(*p) / np.maximum(r, 1e-9), radii.min())
         return out
 
     return shape
+
+
+class _Box:
+    """Which points are inside an oriented box, and where. Most of a shape's points are far from most of its primitives."""
+
+    def __init__(self, origin, frame, low, high):
+        self.origin, self.frame, self.low, self.high = origin, frame, low, high
+        middle, half = origin + frame @ ((low + high) / 2), np.abs(frame) @ ((high - low) / 2) + 1e-9
+        self.least, self.most = middle - half, middle + half  # along the world's axes, with reserve for rounding
+
+    def inside(self, points):
+        """Rows of ``points`` (n, 3), and the coordinates (3, k) of those in the box's frame."""
+        near = np.flatnonzero(_between(points.T, self.least, self.most))
+        local = ((points[near] - self.origin) @ self.frame).T
+        kept = _between(local, self.low, self.high)
+        return near[kept], local[:, kept]
+
+
+def _between(columns, low, high):
+    """One coordinate after the other: reductions over an axis of three take several times as long."""
+    return np.logical_and.reduce([(c > lo) & (c < hi) for c, lo, hi in zip(columns, low, high)])
+
+
+def _length(x, y, z):
+    return np.sqrt(x * x + y * y + z * z)
 
 
 def capsule(start, end, radii):
@@ -184,12 +206,9 @@ def _near_surface(shape, axes, step, blocks):
 
 def gradient(shape, points, step=1e-5):
     """Central differences of a shape, (n, 3)."""
-    out = np.empty_like(points)
-    for axis in range(3):
-        shift = np.zeros(3)
-        shift[axis] = step
-        out[:, axis] = (shape(points + shift) - shape(points - shift)) / (2 * step)
-    return out
+    shifts = step * np.eye(3)[:, None]
+    ahead, behind = shape(np.concatenate([points + shifts, points - shifts]).reshape(-1, 3)).reshape(2, 3, -1)
+    return ((ahead - behind) / (2 * step)).T
 
 
 def project(shape, points, *, rounds=4, longest=0.003):

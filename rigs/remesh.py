@@ -89,7 +89,7 @@ class _Mesh:
         return tuple((p + q) / 2 for p, q in zip(self.points[a], self.points[b]))
 
     def normal(self, face, moved=None, to=None):
-        (px, py, pz), (qx, qy, qz), (rx, ry, rz) = (to if v == moved else self.points[v] for v in face)
+        (px, py, pz), (qx, qy, qz), (rx, ry, rz) = [to if v == moved else self.points[v] for v in face]
         ax, ay, az = qx - px, qy - py, qz - pz
         bx, by, bz = rx - px, ry - py, rz - pz
         return ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -147,18 +147,19 @@ def _collapse(mesh, edge_length, limit):
         if not mesh.around[a] or not mesh.around[b]:
             continue
         sides = mesh.sides(a, b)
-        common = mesh.neighbours(a) & mesh.neighbours(b)
+        around = {v: mesh.neighbours(v) for v in (a, b)}
+        common = around[a] & around[b]
         if len(sides) != (1 if a in mesh.rim and b in mesh.rim else 2) or len(common) != len(sides):
             continue
         middle, longest = mesh.middle(a, b), wanted[e]
         if len(sides) == 2 and (a in mesh.rim or b in mesh.rim):
             a, b = (a, b) if a in mesh.rim else (b, a)
-            if (mesh.neighbours(b) & mesh.rim) - common - {a}:
+            if (around[b] & mesh.rim) - common - {a}:
                 continue
             middle = mesh.points[a]
         if a in moved or b in moved or middle == mesh.points[a]:
             longest = edge_length(np.array([middle]))[0]
-        if max(dist(mesh.points[v], middle) for v in mesh.neighbours(a) | mesh.neighbours(b)) > 4 / 3 * longest:
+        if max(dist(mesh.points[v], middle) for v in around[a] | around[b]) > 4 / 3 * longest:
             continue
         kept = [(t, v) for v in (a, b) for t in sorted(mesh.around[v]) if t not in sides]
         if any(not _same_way(mesh.normal(mesh.faces[t]), mesh.normal(mesh.faces[t], v, middle)) for t, v in kept):
@@ -204,7 +205,7 @@ def _flip(mesh):
 
 def _same_way(old, new, least=0.5):
     size = hypot(*old) * hypot(*new)
-    return size > 0 and sum(p * q for p, q in zip(old, new)) > least * size
+    return size > 0 and old[0] * new[0] + old[1] * new[1] + old[2] * new[2] > least * size
 
 
 def _relax(mesh, shape):
