@@ -146,6 +146,26 @@ def test_the_unit_of_the_scans_is_told(unit, options, words, tubes, tmp_path, ru
     assert guessed == [unit == 60.0] * len(scans)
 
 
+@pytest.mark.parametrize(
+    "units, words",
+    [
+        ({"anna": 1.0, "ben": 1.1}, "scans are in the rig's unit"),
+        ({"anna": 250.0, "ben": 240.0}, "scans are in millimetres (240 to 250 per rig unit)"),
+        (
+            {"anna": 1.0, "ben": 250.0, "carl": 0.9},
+            "scans of anna, carl are in the rig's unit; scans of ben are in millimetres (250 per rig unit)",
+        ),
+        (
+            {1: 60.0, 2: 1.0},
+            "scans of 1 are in another unit, or of another size (60 per rig unit); scans of 2 are in the rig's unit",
+        ),
+    ],
+)
+def test_units_are_told_by_subject_where_they_differ(units, words, tubes):
+    rig = lbs.load_rig(tubes / "tube.npz")
+    assert learn._units(SimpleNamespace(scale="estimate", unit_=units, rig=rig)) == words
+
+
 FREE_FORM = "note: in the variant free-form scans have to face the rig's way"
 # Options that mean nothing without skinning, in the order of the help, and their defaults.
 UNUSED = {

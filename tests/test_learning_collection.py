@@ -10,7 +10,7 @@ from learning_runs import NAN, SMALL, collected
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
-from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection, check_scales, odd_ones
+from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection, check_scales, odd_ones, units_apart
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +100,22 @@ def test_the_one_scan_that_a_subject_is_learned_from_is_not_set_apart():
     members[3].role = LEARNED_FROM
     check_scales(members, [1.0, 1.1, 0.95, 2.0])
     assert "2.0" not in members[3].doubt and members[3].doubt and not members[3].apart
+
+
+@pytest.mark.parametrize(
+    "scales, words",
+    [
+        ({"anna": [1.0, 0.95, 1.0], "ben": [0.39, 0.4]}, "scans of subject 'anna' have 2.53 times the scale of those of 'ben'"),
+        ({"ben": [0.39, 0.4], "anna": [1.0, 0.95, 1.0], "carl": [0.7]}, "'anna' have 2.53 times the scale of those of 'ben'"),
+        ({1: [1.0], 2: [1.62]}, "scans of subject 2 have 1.62 times the scale of those of 1: in another unit?"),
+        ({"anna": [1.0, 1.1], "child": [0.7]}, None),  # people differ as much
+        ({"anna": [1.0, 3.0, 1.0], "ben": [1.2]}, None),  # one wrong first fit
+        ({"anna": [25.4]}, None),
+    ],
+)
+def test_subjects_in_different_units_are_told(scales, words):
+    told = units_apart(scales)
+    assert words in told if words else told == ""
 
 
 def test_bad_scans_are_set_aside_with_their_reasons(tube_rig, clouds):

@@ -29,6 +29,20 @@ def clouds(scans):
     return [s.points for s in scans]
 
 
+# ---- subjects in different units ----
+
+
+@pytest.mark.parametrize("unit, scale", [(1.0, "estimate"), (2.54, "estimate"), (1.7, "fixed")])
+def test_subjects_in_different_units_are_warned_of(unit, scale, tube_rig, clouds):
+    given = [*clouds[:2], *(unit * c for c in clouds[2:])]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        fitter = lbs.LBSFitter(tube_rig, scale=scale, **QUICK).fit(given, subjects=["a", "a", "b", "b"])
+    apart = [str(w.message) for w in told if "times the scale of those of 'a': in another unit?" in str(w.message)]
+    assert len(apart) == (unit != 1.0 and scale == "estimate")
+    assert (fitter.unit_["b"] / fitter.unit_["a"] > 2) == (len(apart) == 1)
+
+
 # ---- a scan that fails on the way ----
 
 

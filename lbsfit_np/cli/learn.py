@@ -351,19 +351,22 @@ def _stopped_early(fitter, model, values):
 
 
 def _units(fitter):
-    """The unit of the scans, in a line."""
+    """The unit of the scans, or of each subject's where they differ, in a line."""
     from ..starts.scale import same_unit, unit_name
 
     if fitter.scale == "fixed":
         return "scans are taken to be in the rig's unit (scale fixed at 1)"
-    units = np.array(list(fitter.unit_.values()))
-    unit = float(np.median(units))
-    if same_unit(unit):
-        return "scans are in the rig's unit"
-    low, high = f"{units.min():.4g}", f"{units.max():.4g}"
-    name = unit_name(unit, fitter.rig)
-    words = "in another unit, or of another size" if name is None else f"in {name}"
-    return f"scans are {words} ({low if low == high else f'{low} to {high}'} per rig unit)"
+    told = {}
+    for subject, unit in fitter.unit_.items():
+        name = "the rig's unit" if same_unit(unit) else unit_name(unit, fitter.rig) or "another unit, or of another size"
+        told.setdefault(name, {})[subject] = unit
+    words = []
+    for name, units in told.items():
+        whose = f" of {', '.join(map(str, units))}" if len(told) > 1 else ""
+        low, high = f"{min(units.values()):.4g}", f"{max(units.values()):.4g}"
+        per = "" if name == "the rig's unit" else f" ({low if low == high else f'{low} to {high}'} per rig unit)"
+        words.append(f"scans{whose} are in {name}{per}")
+    return "; ".join(words)
 
 
 def _unwritten(fitter, reading):

@@ -29,6 +29,7 @@ __all__ = [
     "check_scales",
     "odd_ones",
     "read_collection",
+    "units_apart",
 ]
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
@@ -347,6 +348,27 @@ def check_scales(members, scales):
         ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
         at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
         raise _mixed_units(f"of subject {members[0].subject!r}, scan {at} have {ratio:.3g} times the others' scale")
+
+
+def units_apart(scales):
+    """What to say where subjects' scales differ by more than people do; "" where they do not.
+
+    Parameters
+    ----------
+    scales : dict of subject to (n,) array
+        Scan units in a rig unit that the first fits of its scans found.
+
+    Returns
+    -------
+    str
+    """
+    units = {subject: float(np.median(found)) for subject, found in scales.items()}
+    least, most = min(units, key=units.get), max(units, key=units.get)
+    if units[most] < _ONE_SCALE * units[least]:
+        return ""
+    ratio = units[most] / units[least]
+    words = f"scans of subject {most!r} have {ratio:.3g} times the scale of those of {least!r}: in another unit? "
+    return words + "Each subject's template is learned in its own; where they are of one unit, convert them and learn again"
 
 
 def _mixed_units(got):

@@ -29,7 +29,7 @@ from ..segmentation.stage import Training
 from ..starts.library import build_library
 from ..threads import one_thread
 from ..workers import each, kept_processes
-from .collection import HELD_OUT, LEARNED_FROM, check_scales
+from .collection import HELD_OUT, LEARNED_FROM, check_scales, units_apart
 from .mixture import Mixture
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
@@ -203,6 +203,8 @@ class Loop:
             m.state = state
         for subject, found in scales.items() if self.fit_settings.scale == "estimate" else ():
             check_scales(self.collection.of(subject), found)
+        if self.fit_settings.scale == "estimate" and (apart := units_apart(scales)):
+            warnings.warn(apart, stacklevel=2)
         # The scans of a subject have one scale. Where it is near 1, people differ in size: the template takes it up, all bones
         # longer and thicker by that share. Otherwise it is the unit.
         for subject in self.collection.subjects:
