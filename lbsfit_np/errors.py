@@ -110,7 +110,7 @@ def brief(value, most=100):
 
 def did_you_mean(given, names):
     """The question whether one of some names was meant that is like what was given; None where there is none such."""
-    given, names = str(given), [str(name) for name in names]
+    given, names = given if isinstance(given, str) else brief(given), [str(name) for name in names]
     bare = {name.lstrip("+-").casefold(): name for name in reversed(names)}  # signs and hyphens are no likeness
     alike = [name for name in names if name.casefold() == given.casefold()]
     alike += [bare[name] for name in get_close_matches(given.lstrip("+-").casefold(), bare, n=1)]

@@ -128,9 +128,9 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         if given.dtype.kind == "O":
             given = given.astype(float)
     except (ValueError, TypeError):
-        raise InputError(
-            argument, "rows of different lengths or entries that are not numbers", "numbers of shape (n, 3)"
-        ) from None
+        rows = isinstance(points, (list, tuple, np.ndarray)) or hasattr(points, "points")
+        got = "rows of different lengths or entries that are not numbers" if rows else f"a {type(points).__name__}"
+        raise InputError(argument, got, "numbers of shape (n, 3)") from None
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", "numbers of shape (n, 3)") from None
     if points is None or given.dtype.kind not in "iuf":

@@ -5,7 +5,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from .errors import InputError, brief, check_array
+from .errors import InputError, brief, check_array, did_you_mean
 from .rig.chains import chains
 from .rig.frames import up_axis
 from .rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -79,11 +79,15 @@ class Synthesis:
 # What settings may be: kind, least, most. Where nothing else says most, it is far beyond all that makes sense, and well within
 # what can be computed.
 _MOST = 1000
+# Settings in half sizes of the rig, which users may take to be in the rig's unit.
+_LENGTHS = ("noise", "hole_radius")
 _RANGES = {
     "n_points": (Integral, 1, 10**7),
     "holes": (Integral, 0, _MOST),
     "least_holes": (Integral, 0, _MOST),
     "least_hole": (Real, 0, 1),
+    "noise": (Real, 0, 1),
+    "hole_radius": (Real, 0, 10),
     "scale": (Real, 0, 0.9),
     "one_sided": (bool, False, True),
 }
@@ -228,7 +232,7 @@ def make_settings(settings):
     known = Synthesis.__dataclass_fields__
     for name, value in settings.items():
         if name not in known:
-            raise InputError(name, "a setting that is not known", f"one of {', '.join(known)}")
+            raise InputError(name, "a setting that is not known", f"one of {', '.join(known)}", did_you_mean(name, known))
         kind, least, most = _RANGES.get(name, (Real, 0, _MOST))
         if kind is bool:
             if not isinstance(value, (np.bool_, Integral)) or value not in (0, 1):
@@ -236,7 +240,8 @@ def make_settings(settings):
             settings = settings | {name: bool(value)}
         elif isinstance(value, bool) or not isinstance(value, kind) or not least <= value <= most:
             what = "an integer" if kind is Integral else "a number"
-            raise InputError(name, brief(value), f"{what} of at least {least} and at most {most}")
+            remedy = "It is in half sizes of the rig." if name in _LENGTHS else None
+            raise InputError(name, brief(value), f"{what} of at least {least} and at most {most}", remedy)
     made = Synthesis(**settings)
     if made.least_holes > made.holes:
         raise InputError("least_holes", str(made.least_holes), f"at most holes, {made.holes}", "Set holes, too.")

@@ -206,14 +206,16 @@ def test_another_rig_or_up_axis_is_a_matter_of_failed_fits(rigs, status, monkeyp
 
 
 @pytest.mark.parametrize("status", ["ok", "suspect", "failed"])
-@pytest.mark.parametrize("effort", ["fast", "balanced", None])
-def test_what_a_failed_fit_found_is_said_with_reserve_and_fast_ones_name_more_effort(rigs, status, effort, monkeypatch):
+@pytest.mark.parametrize("further", [("effort looks further",), ()])
+def test_what_a_failed_fit_found_is_said_with_reserve_and_what_would_look_further(rigs, status, further, monkeypatch):
     monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *known: (status, "" if status == "ok" else "odd"))
     model, found = Model(rigs["tube"]), ("in inches", "", "along +z")
-    r, *_ = _assembled(rigs["tube"], model, TURNS["none"], changed=False, found=found, effort=effort)
+    r, *_ = _assembled(rigs["tube"], model, TURNS["none"], changed=False, found=found, further=further)
     reserve = "if it were right all the same: " if status == "failed" else ""
     assert r.message.endswith(f"a note; {reserve}in inches; along +z")
-    assert ("effort 'balanced' (--effort balanced) looks further" in r.message) == (status != "ok" and effort == "fast")
+    assert ("; effort looks further" in r.message) == (status != "ok" and bool(further))
+    r, *_ = _assembled(rigs["tube"], model, TURNS["none"], changed=False, found=("", ""))
+    assert "if it were right" not in r.message
 
 
 def test_a_turn_that_was_found_is_in_the_root_alone(rigs):

@@ -333,8 +333,14 @@ def test_the_verdict_names_reasons():
     assert verdict_of(NOTHING | {"unexplained": 0.9}, 0.01)[0] == "failed"
     assert verdict_of(NOTHING, 0.3)[1] == "several small things together"
     some = {"unexplained": 0.02, "part_unexplained": 0.14, "disagreement": 0.3, "distance": 0.5}
-    together = "several small things together, above all part_unexplained 14% (left_arm) and unexplained 2%"
-    assert verdict_of(NOTHING | some, 0.3, PARTS)[1] == together
+    words = "several small things together, above all points near part left_arm that are not explained (14%) "
+    words += "and points that are not explained (2%)"
+    assert verdict_of(NOTHING | some, 0.3, PARTS)[1] == words
+    tiny = {"unexplained": 0.004, "at_limits": 0.004}
+    assert verdict_of(NOTHING | tiny, 0.3)[1] == "several small things together"
+    every = {name: 0.02 for name in EVIDENCE if name not in ("distance", "proportions")}
+    for name in every:
+        assert "above all " in verdict_of(NOTHING | {name: 0.02}, 0.3, PARTS)[1]
 
 
 def test_regression_finds_what_tells_and_gives_nothing_a_good_word():

@@ -1,6 +1,7 @@
 """Bad scans and bad parameters of a fit are named before any training."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -127,6 +128,10 @@ def test_one_call_names_its_errors_before_training(tube_rig, tube_scan, monkeypa
         lbs.fit_scan("left.glb", tube_scan.points)
     with pytest.raises(InputError, match="efort: got an argument that is not known; expected one of .*Did you mean 'effort'"):
         lbs.fit_scan(tube_rig, tube_scan.points, efort="fast")
+    with pytest.raises(InputError, match="point_weight: got .* of theta0, labels, point_weights, .*Did you mean 'point_weights'"):
+        lbs.fit_scan(tube_rig, tube_scan.points, point_weight=np.ones(1000))
+    with pytest.raises(InputError, match="points: got a SimpleNamespace; expected numbers"):
+        lbs.fit_scan(tube_rig, SimpleNamespace(vertices=tube_scan.points))
     with pytest.raises(InputError, match=r"subject: got an argument of a learned .*LBSFitter.load\(model\)"):
         lbs.fit_scan(tube_rig, tube_scan.points, subject="ann")
 

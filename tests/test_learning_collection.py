@@ -118,6 +118,27 @@ def test_subjects_in_different_units_are_told(scales, words):
     assert words in told if words else told == ""
 
 
+def test_another_scan_is_held_out_where_none_is_any_more(tube_rig, clouds):
+    found = collected(tube_rig, [clouds[k % 3] for k in range(7)], list("aabbbba"), held_out=0)
+
+    def held():
+        return [m.index for m in found.with_role(HELD_OUT)]
+
+    found.members[0].held_out = found.members[0].apart = True
+    found.keep_one_held_out()
+    assert held() == [5]  # of b, who has most to learn from
+    found.keep_one_held_out()
+    assert held() == [5]
+    found.members[5].apart = True
+    for k in (1, 2):
+        found.members[k].apart = True
+    found.keep_one_held_out()
+    assert held() == [4]
+    found.members[4].apart = True
+    found.keep_one_held_out()  # two are needed to learn from
+    assert held() == []
+
+
 def test_bad_scans_are_set_aside_with_their_reasons(tube_rig, clouds):
     given = [clouds[0], NAN, clouds[1], np.zeros((0, 3)), functools.partial(lbs.load_scan, "nowhere.ply"), lambda: clouds[2]]
     found = collected(tube_rig, given, list("abcdef"))

@@ -182,10 +182,34 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     assert finish.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message == "seen"
 
 
+FASTER = ("effort 'balanced' (--effort balanced) looks further",)
+
+
+@pytest.mark.parametrize("status, asks", [("ok", False), ("suspect", True), ("failed", True)])
+def test_a_scan_of_somebody_else_than_named_is_told_to_leave_the_name_out(status, asks, tube_rig, people, monkeypatch):
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
+    fitter = lbs.LBSFitter(tube_rig, random_state=0, effort="fast")
+    fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
+    fitter.segmenter_, fitter.regressor_ = None, object()
+    monkeypatch.setattr(finish, "_scouted", lambda *known: _seen(tube_rig, scan))
+    given = []
+
+    def finished(problem, state, **place):
+        given.append(place.get("further", ()))
+        return _Alone("odd", _seen(tube_rig, scan), status=status)
+
+    for proportions in (0.9, 0.0):
+        fit = SimpleNamespace(proportions=lambda *of, p=proportions: p, finish=finished)
+        monkeypatch.setattr(finish, "_template_fit", lambda *made_of, fit=fit: fit)
+        message = finish.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message
+        assert ("without subject (--subject) the template that suits it best is taken" in message) == (asks and proportions > 0.5)
+    assert given == [(), FASTER]
+
+
 @pytest.mark.parametrize("given", [False, True])
 def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, people, given, monkeypatch):
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
-    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter = lbs.LBSFitter(tube_rig, random_state=0, effort="fast")
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
     fitter.segmenter_, fitter.regressor_ = None, object()
     for look in ("_scouted", "_given"):
@@ -194,7 +218,7 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=lambda problem, state, **place: place)
     monkeypatch.setattr(finish, "_template_fit", lambda *made_of: fit)
     told = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
-    assert "on the template of subject 'ann'" in told["note"] and told["effort"] == (None if given else "balanced")
+    assert "on the template of subject 'ann'" in told["note"] and told.get("further", ()) == (() if given else FASTER)
     assert told["found"] == ("scan and rig are in one unit", "" if given else "the scan stands along +z")
 
 

@@ -85,3 +85,17 @@ def test_smoothing_looks_at_turns_as_the_scan_itself_writes_them(tube_rig, few_s
     assert asked
     for _, _, state, (wanted, weight) in asked:
         assert weight == 1e-3 and np.linalg.norm(wanted[0] - state.theta[0]) < 0.1
+
+
+def test_scans_that_are_not_learned_from_neither_smooth_nor_are_smoothed(tube_rig, few_scans, monkeypatch):
+    collection = collected(tube_rig, [s.points for s in few_scans], held_out=0)
+    for k, m in enumerate(collection.members):
+        m.state = lbs.LBSFitter(tube_rig)._model().rest()
+        m.state.theta[1:] = 0.1 * k
+    collection.members[1].apart = True
+    loop, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
+    monkeypatch.setattr("lbsfit_np.learning.loop.each", lambda work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
+    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)})
+    wanted = {round(state.theta[1, 0], 3): wanted[1, 0] for _, _, state, (wanted, _) in asked}
+    assert 0.1 not in wanted and collection.members[1].prior is None
+    assert wanted[0.0] == pytest.approx(0.1) and wanted[0.2] == pytest.approx((0.2 + 0.0 + 0.3) / 3)

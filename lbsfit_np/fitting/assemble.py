@@ -38,7 +38,7 @@ def assemble(
     proportions=0.0,
     judged=True,
     found=(),
-    effort=None,
+    further=(),
 ):
     """The fit in the scan's frame and on the rig's original vertices, with a label for every point.
 
@@ -78,8 +78,8 @@ def assemble(
         As for ``confidence.evidence_of``.
     found : sequence of str
         What the fit says of the scan, such as its unit; of one that has failed, with that reserve.
-    effort : str, optional
-        The effort of the search, where there was one.
+    further : sequence of str
+        What a fit in doubt says would look further.
     judged : bool, default True
         False where the vertices say nothing of the pose: then there is no evidence, the probability is 0, and what is finite is
         "ok".
@@ -129,13 +129,13 @@ def assemble(
         )
         probability = probability_of(evidence)
         status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})
-        if status != "ok" and effort == "fast":
-            reason += "; effort 'balanced' (--effort balanced) looks further"
+        if status != "ok":
+            reason = "; ".join([reason, *further])
         if status == "failed":
             reason += "; is it the right rig, and does the scan stand as orientation and up say (--orientation, --up)?"
         if status != "ok" and not partial and evidence["unreached"] > _HARDLY_REACHED:
             reason += "; if the scan shows one side only, say so with partial (--partial)"
-    if status == "failed" and any(found):
+    if finite and status == "failed" and any(found):
         found = [f"if it were right all the same: {'; '.join(filter(None, found))}"]
     return FitResult(
         pose=pose,

@@ -279,11 +279,23 @@ def verdict_of(evidence, probability, worst=None):
 def _together(evidence, worst):
     """Where nothing alone is worth a word: the two pieces of evidence that have cost the most probability."""
     cost = dict(zip(REGRESSED, np.array(_WEIGHTS) * (np.log10(_FLOOR) - logarithms(evidence)), strict=True))
-    most = sorted((name for name, c in cost.items() if c > 0), key=cost.get, reverse=True)[:2]
-    named = [f"{name} {evidence[name]:.0%}" + (f" ({worst[name]})" if name in worst else "") for name in most]
+    seen = (name for name, c in cost.items() if c > 0 and evidence[name] >= 0.005)  # what is not printed as 0 %
+    most = sorted(seen, key=cost.get, reverse=True)[:2]
+    named = [_ALSO[name].format(value=evidence[name], part=worst.get(name, "")) for name in most]
     return "several small things together" + (f", above all {' and '.join(named)}" if named else "")
 
 
+# What a piece of evidence is called that is not worth a word by itself.
+_ALSO = {
+    "unexplained": "points that are not explained ({value:.0%})",
+    "unreached": "surface that is not reached by points ({value:.0%})",
+    "part_unexplained": "points near part {part} that are not explained ({value:.0%})",
+    "part_unreached": "surface of part {part} that is not reached by points ({value:.0%})",
+    "disagreement": "labels and mesh that disagree ({value:.0%} of the points)",
+    "rival": "another pose that explains the scan (by {value:.0%} as well)",
+    "at_limits": "angles at their limits ({value:.0%})",
+    "sparse": "few points",
+}
 # From where on a piece of evidence is worth a word, and the word.
 _WORDS = {
     "distance": (_NOT_THE_RIG, "points lie far from the mesh"),

@@ -22,7 +22,7 @@ from .refit import Refit
 from .scout import Scout
 from .search import Search
 
-__all__ = ["FitSettings", "ScanFit", "stands_words"]
+__all__ = ["FitSettings", "ScanFit", "further_words", "stands_words"]
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class ScanFit:
             evaluations=search.evaluations,
             note=left_out,
             found=(unit, stands),
-            effort=settings.effort if theta0 is None and labels is None else None,
+            further=further_words(settings, self.facing) if theta0 is None and labels is None else (),
             started=started,
             partial=settings.partial,
             **rivals,
@@ -203,6 +203,15 @@ def stands_words(facing, rig, frame, theta):
     if not facing.open_up or not stands_note(frame.turn, facing.up):
         return ""
     return stands_note(frame.turn @ root_turn(rig, theta), facing.up)  # what was found under another axis may but lean
+
+
+def further_words(settings, facing):
+    """What would look further at a scan in doubt than a search with these settings, a tuple of strings for users."""
+    if settings.effort == "fast":
+        return ("effort 'balanced' (--effort balanced) looks further",)
+    if facing.told and len(facing.turns) > 1:
+        return ("without up (--up) other axes are tried, too",)
+    return ()
 
 
 def _thinned(n, point_weights, most, rng):

@@ -72,7 +72,7 @@ class TemplateFit:
         proportions=0.0,
         note="",
         found=(),
-        effort=None,
+        further=(),
         started=None,
     ):
         """The full objective from a pose that was found, and the result.
@@ -93,7 +93,7 @@ class TemplateFit:
         labels_known : (n,) int array, optional
         prior : ((J, 3) array, float), optional
             As in ``GaussNewton.pose``.
-        value, rivals, proportions, found, effort
+        value, rivals, proportions, found, further
             As for :func:`~lbsfit_np.fitting.assemble.assemble`.
         note : str
         started : float, optional
@@ -131,7 +131,7 @@ class TemplateFit:
             evaluations=search.evaluations,
             note=note,
             found=found,
-            effort=effort,
+            further=further,
             started=started,
             value=value,
             rivals=rivals,

@@ -147,6 +147,13 @@ class Collection:
         """The members of that role, of all subjects or one."""
         return [m for m in self.members if m.role == role and (subject is None or m.subject == subject)]
 
+    def keep_one_held_out(self):
+        """Hold another scan out where none is any more, of the subject whose template misses it least."""
+        if self.with_role(HELD_OUT) or len(self.with_role(LEARNED_FROM)) < 3:
+            return
+        most = max(self.subjects, key=lambda s: len(self.with_role(LEARNED_FROM, s)))
+        self.with_role(LEARNED_FROM, most)[-1].held_out = True
+
     def work(self, work, tasks, *, jobs, done, taught=False):
         """Do a task for each member; one whose task fails is a member no more, with the reason in ``failures``.
 

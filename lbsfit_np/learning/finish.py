@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..fitting.assemble import assemble
 from ..fitting.confidence import SOMEBODY_ELSE
-from ..fitting.scan_fit import FitSettings, ScanFit, stands_words
+from ..fitting.scan_fit import FitSettings, ScanFit, further_words, stands_words
 from ..fitting.scout import Found, Scout
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import PRESETS, LossWeights
@@ -34,7 +34,7 @@ LOOSE = PRESETS["default"].replace(lam_lap=0.01)
 _LOOSE_STEPS = {"max_iterations": 200, "tolerance": 1e-4}
 
 
-def results_of(rig, templates, joints, collection, settings, *, jobs, progress):
+def results_of(rig, templates, joints, collection, settings, facing, *, jobs, progress):
     """The results of the scans that the loop has left poses of.
 
     Returns
@@ -44,7 +44,7 @@ def results_of(rig, templates, joints, collection, settings, *, jobs, progress):
     """
     half = rig.size / 2
     models = {s: Model(t, joints, half=half) for s, t in templates.items()}
-    work, members = _Finish(rig, models, settings), collection.members
+    work, members = _Finish(rig, models, settings, further_words(settings, facing)), collection.members
     return collection.in_order(collection.work(work, members, jobs=jobs, done=lambda p: progress("results", p), taught=True))
 
 
@@ -53,6 +53,7 @@ class _Finish:
     rig: object
     models: dict
     settings: object
+    further: tuple
 
     @cached_property
     def _fit(self):
@@ -64,9 +65,13 @@ class _Finish:
             m = _in_its_unit(m, fit)
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
-        place["proportions"] = fit.proportions(m.problem, m.state)
+        place |= {"proportions": fit.proportions(m.problem, m.state), "further": self.further}
         result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=m.role, found=(unit,), **place)
-        return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
+        return _with_doubt(m, result)
+
+
+def _with_doubt(m, result):
+    return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
 
 
 def _in_its_unit(m, fit):
@@ -144,8 +149,12 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     note = "; ".join(filter(None, [note, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     place |= {"proportions": proportions, "found": (unit, stands)}
-    place["effort"] = settings.effort if theta0 is None and labels is None else None
+    another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
+    if theta0 is None and labels is None and not another:
+        place["further"] = further_words(settings, _facing(fitter))
     result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
+    if another and result.status != "ok":
+        return replace(result, message=f"{result.message}; without subject (--subject) the template that suits it best is taken")
     return _asking(result, subjects)
 
 
@@ -284,7 +293,7 @@ class _FreeForm:
 
     def __call__(self, m):
         result = free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter())
-        return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
+        return _with_doubt(m, result)
 
 
 def free_form(model, settings, problem, points, rows, frame, started):

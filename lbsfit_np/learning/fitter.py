@@ -239,7 +239,8 @@ class LBSFitter(BaseEstimator):
             on_kept=lambda learned: self._take(learned, collection),
         )
         self._take(loop.run(), collection)
-        results = results_of(self.rig, self.template_, self.joints, collection, settings, jobs=jobs, progress=progress)
+        made_of = self.rig, self.template_, self.joints, collection, settings, facing
+        results = results_of(*made_of, jobs=jobs, progress=progress)
         return self._finished(collection, results)
 
     def _take(self, learned, collection):

@@ -191,6 +191,7 @@ class Loop:
     def _first_fits(self):
         """Each scan by itself, on the rig's own template with proportions."""
         members, half = self.collection.members, self.model.half
+        hold_out = bool(self.collection.with_role(HELD_OUT))
         guess = members[0].unit  # one for all
         segmenter = self.segmenter if self.variant.labels else None
         work = _FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library)
@@ -203,6 +204,8 @@ class Loop:
             m.state = state
         for subject, found in scales.items() if self.fit_settings.scale == "estimate" else ():
             check_scales(self.collection.of(subject), found)
+        if hold_out:  # those that were may be in another unit, or have failed
+            self.collection.keep_one_held_out()
         if self.fit_settings.scale == "estimate" and (apart := units_apart(scales)):
             warnings.warn(apart, stacklevel=2)
         # The scans of a subject have one scale. Where it is near 1, people differ in size: the template takes it up, all bones
@@ -301,7 +304,7 @@ class Loop:
         """A few sweeps that draw each pose towards the mean of its neighbours' and its own, as the sweep before left them."""
         models = self._models(templates)
         for _ in range(_SWEEPS):
-            members = [m for m in self.collection.members if self._beside(m)]
+            members = [m for m in self.collection.members if not m.apart and self._beside(m)]
             for m in members:
                 beside = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
                 m.prior = np.mean([m.state.theta, *beside], axis=0), self.smooth  # without its own, neighbours would swap places
@@ -322,7 +325,7 @@ class Loop:
         """Poses of the scans before and after, in a sequence."""
         if not self.sequence:
             return []
-        row = self.collection.of(member.subject)
+        row = [m for m in self.collection.of(member.subject) if m is member or not m.apart]
         at = row.index(member)
         turned = [(member.frame.turn.T @ m.frame.turn, m.state.theta) for m in row[max(at - 1, 0) : at] + row[at + 1 : at + 2]]
         return [turned_root(self.rig, theta, turn) for turn, theta in turned]

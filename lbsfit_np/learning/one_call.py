@@ -22,5 +22,6 @@ def fit_scan(rig, points, *, theta0=None, labels=None, point_weights=None, rando
     -------
     FitResult
     """
-    check_names(parameters, LBSFitter._get_param_names())
+    own = ("theta0", "labels", "point_weights")
+    check_names(parameters, [*own, *(name for name in LBSFitter._get_param_names() if name != "rig")])
     return LBSFitter(rig, random_state=random_state, **parameters)._fit_scan(points, theta0, labels, point_weights, cache=True)
