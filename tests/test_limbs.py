@@ -234,7 +234,8 @@ def test_steps_from_what_is_proposed_bring_two_exchanged_fingers_home(hand):
                 proposals = hand.limbs.proposals(problem, best.state, 2)
                 best = refit.race([best, *(Runner(problem, best.state.replace(theta=theta)) for theta in proposals)], 4)[0]
             home[pair, seed] = hand.error(best.state.theta, truth) < 0.01
-    assert np.mean(list(home.values())) >= 0.75 and all(home[("index", "middle"), seed] for seed in range(5))
+    assert all(home[pair, 0] for pair, _ in home) and all(home[("index", "middle"), seed] for seed in range(5))
+    assert np.mean(list(home.values())) > 0.85
 
 
 @pytest.mark.parametrize("cost, pairs", [(0.9e-4, 0), (1.1e-4, 1)])
