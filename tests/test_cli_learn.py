@@ -58,16 +58,19 @@ def test_what_it_says_meanwhile(learned_hands):
 
 
 def test_the_last_line_counts_scans_by_what_they_were_to_learning(learned_hands):
-    def made(message):
-        return None if message is None else SimpleNamespace(message=message)
-
-    given = ["learned from; x", "not learned from; x", "held out of learning; x", "odd; not learned from; x", None, None]
-    failures = {4: "learned from, but there is no result of it: x", 5: "empty"}
+    roles = ["learned from", "not learned from", "held out of learning", "not learned from", "learned from", None]
     history = [{"round": 0, "kept": False}, {"round": 1, "kept": True}]
-    fitter = SimpleNamespace(results_=list(map(made, given)), history_=history, template_={0: 0}, variant="joint", rounds=1)
-    said = learn._learned(fitter, SimpleNamespace(paths=given, failures=failures), "m.npz", 3.0)
+    fitter = SimpleNamespace(roles_=roles, history_=history, template_={0: 0}, variant="joint", rounds=1)
+    said = learn._learned(fitter, SimpleNamespace(paths=list("abcdef"), failures={}), "m.npz", 3.0)
     roles = "1 more held out, 2 more not learned from, 1 could not be used"
     assert said.startswith(f"learned from 2 of 6 scans of 1 subject, {roles}, in 1 round; ")
+
+
+@pytest.mark.parametrize("failed, warns", [(0, False), (2, False), (3, True), (4, True)])
+def test_a_model_of_which_most_fits_have_failed_is_not_to_be_trusted(failed, warns, capsys):
+    entries = {k: {"name": f"s{k}", "status": "failed" if k < failed else "ok", "message": "odd"} for k in range(4)}
+    learn._say_statuses(entries, 4, None)
+    assert ("most fits have failed: do not trust what was learned" in capsys.readouterr().out) == warns
 
 
 def test_the_summary_of_learning(learned_hands):

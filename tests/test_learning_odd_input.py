@@ -73,6 +73,9 @@ def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(given)
     assert fitter.failures_ == {1: words}
     assert [r is None for r in fitter.results_] == [False, True, False, False]
+    assert fitter.roles_[1] == ("held out of learning" if module is finish else None)
+    others = [fitter.roles_[k] for k in (0, 2, 3)]  # another is held out where the one that was fails before the rounds
+    assert others.count("held out of learning") == (name == "_FirstFit") and None not in others
     assert fitter.fit_scan(clouds[0]).status != "failed"
 
 

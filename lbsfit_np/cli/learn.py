@@ -311,11 +311,7 @@ def _learned(fitter, reading, model, seconds):
     if not VARIANTS[fitter.variant].skinning:
         fitted = n - len(reading.failures)
         return f"fitted {fitted} of {scans}, each by itself; {model}, with their unit, written after {span(seconds)}"
-    results = enumerate(fitter.results_)
-    told = [(r.message, True) if r is not None else (reading.failures[i], False) for i, r in results]
-    held, set_apart = (sum(role in message for message, _ in told) for role in (HELD_OUT, APART))
-    # Of those without a result some were learned from all the same.
-    failed = sum(not fitted and not message.startswith((HELD_OUT, LEARNED_FROM, APART)) for message, fitted in told)
+    learned, held, set_apart, failed = map(fitter.roles_.count, (LEARNED_FROM, HELD_OUT, APART, None))
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
     apart = [f"{held} more held out"] * (held > 0) + [f"{set_apart} more not learned from"] * (set_apart > 0)
     apart += [f"{failed} could not be used"] * (failed > 0)
@@ -324,7 +320,7 @@ def _learned(fitter, reading, model, seconds):
     kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
     which = f", round {kept} kept" if kept < rounds else ""
     return (
-        f"learned from {n - failed - held - set_apart} of {scans} of {who} subject{'' if who == 1 else 's'}{apart} "
+        f"learned from {learned} of {scans} of {who} subject{'' if who == 1 else 's'}{apart} "
         f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; {model} written after {span(seconds)}"
     )
 
@@ -388,6 +384,8 @@ def _say_statuses(entries, n, results):
     words = ", ".join(f"{counts[status]} {status}" for status in ("ok", "suspect", "failed"))
     written = "" if results is None else f"; {of_all(written_of(entries), n, 'result')} in {results}"
     say(f"fits of {n} scan{'' if n == 1 else 's'}: {words}{written}")
+    if 2 * counts["failed"] > n:
+        say("most fits have failed: do not trust what was learned; fit single scans first (lbsfit fit) and see why")
 
 
 def _write_results(rig_path, fitter, reading, files, entries, values, started):

@@ -122,11 +122,14 @@ class Collection:
         Scans given.
     members : list of Member
     failures : dict of int to str
+    taught : dict of int to str
+        What those were to learning that only failed when it was over.
     """
 
     n: int
     members: list = field(default_factory=list)
     failures: dict = field(default_factory=dict)
+    taught: dict = field(default_factory=dict)
     warned: set = field(default_factory=set)
 
     @property
@@ -138,6 +141,12 @@ class Collection:
         """One entry for each scan given: the answer of its member, None where it could not be used."""
         found = {member.index: answer for member, answer in zip(self.members, answers, strict=True)}
         return [found.get(i) for i in range(self.n)]
+
+    @property
+    def roles(self):
+        """What each scan given is or was to learning; None where it could not be used."""
+        known = self.taught | {m.index: m.role for m in self.members}
+        return [known.get(i) for i in range(self.n)]
 
     def of(self, subject):
         """The members of one subject."""
@@ -183,8 +192,10 @@ class Collection:
             raise errors[0]
         for m, (_, error) in zip(self.members, found, strict=True):
             if error is not None:
-                before = f"{m.role}, but there is no result of it: " if taught else ""
-                self.failures[m.index] = before + in_words(error)
+                self.failures[m.index] = in_words(error)
+                if taught:
+                    self.taught[m.index] = m.role
+                    self.failures[m.index] = f"{m.role}, but there is no result of it: {in_words(error)}"
         self.members = [m for m, (_, error) in zip(self.members, found, strict=True) if error is None]
         return [answer for answer, error in found if error is None]
 

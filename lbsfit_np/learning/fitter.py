@@ -82,6 +82,8 @@ class LBSFitter(BaseEstimator):
         Of each scan; None where it could not be used.
     failures_ : dict of int to str
         Why, by the number of the scan.
+    roles_ : list of str or None
+        Of each scan: "learned from", "held out of learning" or "not learned from"; None where it could not be used.
     history_ : list of dict
         One entry a round, round 0 the fits of the scans by themselves: "recon" and "recon_held_out" (mean √L_c of the scans
         that teach and of those held out, half sizes of the rig), "new_starts_won", "seconds", "kept" (of one round).
@@ -248,12 +250,17 @@ class LBSFitter(BaseEstimator):
         self.segmenter_, self.regressor_ = learned.segmenter, learned.library
         self.template_ = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
         self.unit_, self.history_, self._learned_with = learned.units, learned.history, learned_with(self)
-        self.results_, self.failures_ = [None] * collection.n, dict(collection.failures)
+        self.results_ = [None] * collection.n
+        self._set_aside(collection)
 
     def _finished(self, collection, results):
-        self.results_, self.failures_ = self._signed(results), dict(collection.failures)
+        self.results_ = self._signed(results)
+        self._set_aside(collection)
         collection.warn(stacklevel=3, results=results)
         return self
+
+    def _set_aside(self, collection):
+        self.failures_, self.roles_ = dict(collection.failures), collection.roles
 
     def _signed(self, results, *, named=False):
         """The results with the digest of what they were made with."""
