@@ -1,6 +1,7 @@
 """Gauss–Newton steps on the pose of one scan: known poses come back."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -105,6 +106,53 @@ def test_damping_never_falls_where_it_would_have_to_grow_in_vain(tube, steps_tak
     np.testing.assert_allclose(dampings[failed + 1] / dampings[failed], 10.0)
 
 
+@pytest.fixture
+def dictated(tube, monkeypatch):
+    """(shares that steps lower E by, negative where they do not help; whether shared; labels) → (damping, stretch) of each."""
+
+    def made(gains, shared=False, labels=None):
+        values, E, taken = [1.0], 1.0, []
+        for gain in gains:
+            values.append(E * (1 - gain))
+            E = min(E, values[-1])
+        left, steps, rest = iter(values), GaussNewton(tube, tolerance=0.0), tube.rest()
+        monkeypatch.setattr(steps, "_normal_equations", lambda *given: SimpleNamespace(value=next(left)))
+        monkeypatch.setattr(steps, "_step", lambda states, *given: taken.append(given[-2:]) or states)
+        if shared:
+            steps.shared([None], [rest], labels=[labels], iterations=len(gains))
+        else:
+            steps.pose(None, rest, labels=labels, iterations=len(gains))
+        return np.array(taken)
+
+    return made
+
+
+@pytest.mark.parametrize("shared", [False, True])
+@pytest.mark.parametrize(
+    "gains, stretches",
+    [
+        ([0.2] * 5, [1, 1.5, 2.25, 3, 3]),
+        ([0.29, 0.31, 0.1, 0.1], [1, 1.5, 1, 1.5]),
+        ([0.01, 0.2, 0.9, 0.9], [1, 1.5, 2.25, 1]),
+        ([0.2, 0.2, -1.0, -1.0, 0.2, 0.2], [1, 1.5, 2.25, 1, 1, 1.5]),
+    ],
+)
+def test_a_step_after_a_slow_one_goes_further(dictated, gains, stretches, shared):
+    assert dictated(gains, shared)[:, 1].tolist() == stretches
+    assert dictated(gains, shared, labels=np.zeros(3, dtype=int))[:, 1].tolist() == [1] * len(gains)
+
+
+def test_a_step_that_went_too_far_does_not_stiffen_the_next(dictated):
+    dampings = dictated([0.2, 0.2, -1.0, -1.0, 0.2])[:, 0]
+    np.testing.assert_allclose(dampings, [1e-3, 2.5e-4, 6.25e-5, 6.25e-5, 6.25e-4])
+
+
+def test_eleven_steps_in_vain_end_the_softest_ones(dictated):
+    dampings, stretches = dictated([0.9] * 20 + [-1.0] * 20).T
+    assert dampings.min() == 1e-6 and stretches.max() == 1
+    assert len(dampings) == 20 + 11  # 1e-6, 1e-5 … 1e4
+
+
 def test_what_is_not_free_stays(tube):
     truth = state_within(tube, 2)
     start = near(tube, truth, 2).replace(scale=1.1)
@@ -206,9 +254,10 @@ def test_labels_keep_points_to_their_parts(tube):
     assert right < 1e-4 and wrong > 10 * right
 
 
-def test_weights_of_points_count(tube):
-    truth = state_within(tube, 7, 0.7)
-    start = near(tube, truth, 7)
+@pytest.mark.parametrize("seed", [7, 8, 9])
+def test_weights_of_points_count(tube, seed):
+    truth = state_within(tube, seed, 0.7)
+    start = near(tube, truth, seed)
     problem, _ = sampled(tube, truth, 600)
     rng = np.random.default_rng(0)
     off = problem.X[:300] + 0.04  # a third of the points lies beside the surface
@@ -221,9 +270,12 @@ def test_weights_of_points_count(tube):
     order = rng.permutation(900)
     # One step: which of two faces is the closest at their edge is a matter of rounding, and more steps go different ways.
     same = steps.pose(Problem(X, weights / weights.sum()), start, iterations=1)[0]
-    again = steps.pose(Problem(X[order], (weights / weights.sum())[order]), start, iterations=1)[0]
+    otherwise = Problem(X[order], (weights / weights.sum())[order])
+    again = steps.pose(otherwise, start, iterations=1)[0]
     assert np.abs(same.theta - start.theta).max() > 0.01
     np.testing.assert_allclose(again.theta, same.theta, atol=1e-9)
+    again = steps.pose(otherwise, start, iterations=30)[0]  # but they end near the same place
+    assert max(joint_error(tube, found, truth) for found in (light, again)) < 0.01
 
 
 def test_vertices_without_faces_do_not_pull(tube_rig):
