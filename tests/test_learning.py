@@ -1,6 +1,7 @@
 """Learning from a collection: fits of many scans together beat fits of each by itself."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,9 +10,12 @@ from learning_runs import GIVEN, IDS, WHOLE, collected, loop_over, mean_gap
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.result import FitResult
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.learning import finish
 from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection
 from lbsfit_np.learning.loop import Loop
 from lbsfit_np.losses import cotangent_matrix
+from lbsfit_np.optimize.model import Model
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
@@ -142,6 +146,16 @@ def test_a_free_form_scan_whose_extent_is_not_the_others_says_so(make_learner, f
     assert [bool(re.match(words, r.message)) for r in free.results_] == [False, False, True, False]
 
 
+@pytest.mark.parametrize("scale, doubted", [("estimate", [False, True]), ("fixed", [False, False])])
+def test_extents_raise_no_doubt_of_free_form_fits_whose_scale_is_fixed(scale, doubted, tube_rig, few_scans, monkeypatch):
+    monkeypatch.setattr(finish._FreeForm, "__call__", lambda self, m: bool(m.doubt))
+    collection = collected(tube_rig, [few_scans[0].points, 3.0 * few_scans[1].points], held_out=0)
+    for m in collection.members:
+        m.unit = 1.0
+    options = {"jobs": 1, "progress": lambda *told: None}
+    assert finish.fit_free_form(Model(tube_rig), collection, FitSettings(scale=scale), **options) == doubted
+
+
 def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans):
     points = [s.points for s in few_scans]
     points[1] = 2.54 * points[1]
@@ -153,6 +167,54 @@ def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig,
     joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
     assert joints < 0.03 * 2.54 * tube_rig.size / 2 and fitter.results_[1].scale == pytest.approx(2.54, rel=0.1)
     assert all(entry["recon"] < 0.08 for entry in fitter.history_)  # of the others alone, which have 0.065
+
+
+def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_size(tube_rig, few_scans, monkeypatch):
+    """Of somebody 1.2 times the rig's size, and one scan in another unit."""
+    scales = (1.2, 1.2, 1.2 * 2.54, 1.2)
+    collection = collected(tube_rig, [k * s.points for k, s in zip(scales, few_scans)], held_out=0)
+    loop = loop_over(tube_rig, collection, "cd", None)
+    rest = loop.model.rest()
+    frames = [replace(m.frame, unit=loop.model.half) for m in collection.members]
+    found = [(frame, rest.replace(scale=k), 0.01, None) for frame, k in zip(frames, scales)]
+    monkeypatch.setattr(loop, "_work", lambda *given: found)
+    with pytest.warns(UserWarning, match="scan 2: .*; not learned from"):
+        loop._first_fits()
+    assert [m.own is None for m in collection.members] == [True, True, False, True]
+    unit, theta, proba = collection.members[2].own
+    assert unit == pytest.approx(2.54) and theta is rest.theta and proba is None
+    assert collection.members[2].unit == 1.0  # its subject's, which it has for all that
+
+
+@pytest.mark.parametrize("value, wins", [(0.002, True), (0.01, False)])
+def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, tube_rig, few_scans):
+    """In its subject's unit from where it is, or in its own, scale free, from the angles and parts of its first fit."""
+    (m,) = collected(tube_rig, [few_scans[0].points], held_out=0).members
+    theta, proba, half = np.full((4, 3), 0.1), np.full((len(m.rows), 4), 0.25), tube_rig.size / 2
+    m.state, m.own, m.proba = "as it is", (2.54, theta, proba), np.zeros((len(m.rows), 4))
+    m.use_frame(1.0, half)
+    as_it_is, asked = m.problem, []
+
+    class Fake:
+        def __init__(self, free, *answer):
+            self.free, self.answer = free, answer
+
+        def __call__(self, problem, states=(), *, poses=(), proba=None):
+            asked.append((self.free, problem, list(states), list(poses), proba))
+            return (*self.answer, 0)
+
+        def freeing(self, free):
+            return Fake(free, "anew", value)
+
+    best = finish._in_its_unit(m, SimpleNamespace(model=SimpleNamespace(half=half), refit=Fake("own", "gone on", 0.02)))
+    (free, problem, states, poses, given), (freed, own, no_states, angles, parts) = asked
+    assert (free, states, poses) == ("own", ["as it is"], []) and problem is as_it_is and given is m.proba
+    assert set(freed) == {"pose", "translation", "scale"} and no_states == [] and angles[0] is theta and parts is proba
+    np.testing.assert_allclose(own.X, as_it_is.X / 2.54)
+    # 0.01 squared half sizes of its own unit are 0.0645 of the subject's.
+    assert (best.state, best.unit, best.frame.unit) == (("anew", 2.54, 2.54 * half) if wins else ("gone on", 1.0, half))
+    assert best.problem is (own if wins else as_it_is) and best.proba is (proba if wins else m.proba)
+    assert m.state == "as it is" and m.unit == 1.0
 
 
 def test_figures_of_a_round_are_means_of_roots():

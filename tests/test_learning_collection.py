@@ -10,7 +10,7 @@ from learning_runs import NAN, SMALL, collected
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
-from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection, check_scales, odd_ones, units_apart
+from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection, Member, check_scales, odd_ones, units_apart
 
 
 @pytest.fixture(scope="module")
@@ -100,6 +100,20 @@ def test_the_one_scan_that_a_subject_is_learned_from_is_not_set_apart():
     members[3].role = LEARNED_FROM
     check_scales(members, [1.0, 1.1, 0.95, 2.0])
     assert "2.0" not in members[3].doubt and members[3].doubt and not members[3].apart
+
+
+@pytest.mark.parametrize(
+    "held_out, apart, role",
+    [
+        (False, False, "learned from"),
+        (True, False, "held out of learning"),
+        (False, True, "not learned from"),
+        (True, True, "not learned from"),  # nor asked when to stop
+    ],
+)
+def test_what_a_scan_is_to_learning(held_out, apart, role):
+    member = Member(0, np.zeros((0, 3)), np.arange(0), None, "a", held_out=held_out, apart=apart)
+    assert member.role == role and Collection(1, [member]).with_role(role, "a") == [member]
 
 
 @pytest.mark.parametrize(
