@@ -151,6 +151,8 @@ def test_a_scan_that_leans_stands_as_the_rig_does(axis, degrees, leans):
         (30, 30, None, False),
         (0, 0, None, False),
         (90, 0, "+y", True),  # against what was said
+        (90, -25, "+y", True),
+        (90, -35, "+y", False),  # along no axis
         (90, -50, "+y", False),
         (90, 0, "+z", False),
         (0, 90, "+z", False),
