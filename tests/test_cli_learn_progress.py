@@ -1,5 +1,8 @@
 """The progress of ``lbsfit learn`` with the time left, and its help."""
 
+import warnings
+from types import SimpleNamespace
+
 import pytest
 from cli_runs import help_alone
 
@@ -114,6 +117,15 @@ def test_notes_of_one_kind_are_said_of_the_first_scan_with_it(made, capsys):
     assert capsys.readouterr().out == "".join(f"note: c: {note}\n" for note in (*columns, *counts))
 
 
+@pytest.mark.parametrize("made", [Progress, LearningProgress])
+def test_other_names_in_a_later_scan_are_said_as_well(made, capsys):
+    shown = made(2, terminal=False)
+    for scan, columns in {"a": ("'n1'", "'3'"), "b": ("'n2'", "'4'")}.items():
+        notes = [f"Column {name} does not hold numbers: left out." for name in columns]
+        shown.notes(scan, notes)
+        assert capsys.readouterr().out == "".join(f"note: {scan}: {note}\n" for note in notes)
+
+
 def test_a_note_closes_the_bar_and_is_said_once(capsys, monkeypatch):
     shown, closed = LearningProgress(1, terminal=True), []
     shown("reading scans", 0.2)
@@ -125,6 +137,19 @@ def test_a_note_closes_the_bar_and_is_said_once(capsys, monkeypatch):
     told = capsys.readouterr()
     shown.close()
     assert (told.out, told.err, len(closed)) == ("", "note: one: 3 points left out.\n", 1) and "note" not in closed[0]
+
+
+def test_a_warning_closes_the_bar(capsys, monkeypatch):
+    shown, told = LearningProgress(1, terminal=True), []
+
+    def fit(*given, progress, **options):
+        progress("first fits", 0.5)
+        assert shown._bar is not None
+        warnings.warn("odd", stacklevel=1)
+
+    monkeypatch.setattr(warnings, "showwarning", lambda message, *more: told.append((str(message), shown._bar is None)))
+    learn._learn(SimpleNamespace(fit=fit), SimpleNamespace(sources=[]), None, shown)
+    assert told == [("odd", True)]
 
 
 def test_rounds_that_hold_nothing_out(capsys):

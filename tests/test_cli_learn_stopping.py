@@ -13,7 +13,7 @@ import pytest
 from cli_runs import QUICK, one_line, started, stopped
 
 import lbsfit_np as lbs
-from lbsfit_np.cli import outputs
+from lbsfit_np.cli import learn, outputs
 from lbsfit_np.errors import FileError
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -149,6 +149,18 @@ def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypa
     summary = json.loads((tmp_path / "fits" / "summary.json").read_text())
     assert summary["stopped"] and summary["not_done"] == ["t2", "t3", "t4"]
     assert summary["counts"]["ok"] + summary["counts"]["suspect"] == 2
+
+
+def test_ctrl_c_after_the_results_names_a_scan_that_failed_once(tubes, tmp_path, run, monkeypatch):
+    def interrupted(*given):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(learn, "_say_statuses", interrupted)
+    (tmp_path / "broken.ply").write_text("ply")
+    arguments = ("learn", tubes / "tube.npz", tubes / "t0.ply", tmp_path / "broken.ply", "-o", tmp_path / "m.npz")
+    code, text, err = run(*arguments, "--variant", "free-form")
+    assert code == 130 and err.startswith("broken: failed: ") and text.splitlines()[-1].endswith("m.npz is complete")
+    assert sum(line.startswith("broken ") for line in text.splitlines()) == 1
 
 
 def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path, run):

@@ -1,5 +1,6 @@
 """Options on the command line and in configuration files: bad ones are named on one line."""
 
+import argparse
 import inspect
 import json
 
@@ -67,6 +68,7 @@ def test_bad_configuration_files(text, words, made, tmp_path, run):
     [
         ((), ["COMMAND"]),
         (("fitt",), ["'fitt'", "(choose from 'fit', 'learn', 'demo', 'rig', 'bench'). Did you mean 'fit'?"]),
+        (("fti",), ["'fti'", "Did you mean 'fit'?"]),
         (("rig", "shw", "tube.npz"), ["'shw'", "Did you mean 'show'?"]),
         (("fit", "tube.npz"), ["SCAN"]),
         (("fit", "tube.npz", "one.ply"), ["-o/--output", "Add -o OUT"]),
@@ -123,7 +125,11 @@ def test_what_a_command_does_not_know_is_the_commands(run):
 
 @pytest.mark.parametrize(
     "command, word, meant",
-    [("fit", "--picture", "--pictures"), ("learn", "--subject", "--subjects"), ("learn", "--result=fits", "--results")],
+    [
+        ("fit", "--picture", "--pictures"),
+        ("learn", "--subject", "--subjects"),
+        ("learn", "--result=a/long/path/of/fits", "--results"),  # what follows is no part of its name
+    ],
 )
 def test_a_misspelt_option_is_told_its_like(command, word, meant, run):
     code, _, err = run(command, "r", "s", "-o", "o", word)
@@ -136,6 +142,14 @@ def test_an_axis_may_begin_with_a_hyphen(given):
     arguments = ["fit", "r", "--jobs", "2", *given, "-o", "o", "--", "s", "--up", "-x"]  # what follows -- are names
     found = cli._parser().parse_args(arguments)
     assert (found.up, found.jobs, found.scans) == ("-z", 2, ["s", "--up", "-x"])
+
+
+def test_choices_that_begin_otherwise_are_left_as_they_are(monkeypatch):
+    given, parse = [], argparse.ArgumentParser.parse_known_args
+    monkeypatch.setattr(argparse.ArgumentParser, "parse_known_args", lambda self, a, n: given.append(a) or parse(self, a, n))
+    arguments = ["r", "--effort", "fast", "--up", "+z", "--up", "-z", "-o", "o", "s"]
+    assert cli._parser().parse_args(["fit", *arguments]).effort == "fast"
+    assert given[-1] == ["r", "--effort", "fast", "--up", "+z", "--up=-z", "-o", "o", "s"]  # the command's own
 
 
 def test_a_nul_in_a_configured_path_is_one_clear_error(made, tmp_path, run):
