@@ -138,12 +138,15 @@ def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans)
         assert np.ptp(r.vertices, axis=0).max() == pytest.approx(250 * np.ptp(s.points, axis=0).max(), rel=0.15)
 
 
-def test_a_free_form_scan_whose_extent_is_not_the_others_says_so(make_learner, few_scans):
+def test_a_free_form_scan_whose_extent_is_not_the_others_says_so_and_has_its_own_unit(make_learner, few_scans):
     points = [s.points for s in few_scans[:4]]
-    points[2] = 3.0 * points[2]
+    points[2] = 4.0 * points[2]  # in no usual unit
     free = make_learner(variant="free-form").fit(points)
     words = r"its extent is \d\.\d+ times the rig's in the scans' unit: in another unit\? Convert it and learn again; free-form"
     assert [bool(re.match(words, r.message)) for r in free.results_] == [False, False, True, False]
+    assert [r.scale == 1.0 for r in free.results_] == [True, True, False, True]
+    assert free.results_[2].scale == pytest.approx(4.0, rel=0.5) and "one rig unit taken as" in free.results_[2].message
+    assert free.results_[2].terms["recon"] < 1.5 * np.median([r.terms["recon"] for r in free.results_])
 
 
 @pytest.mark.parametrize("scale, doubted", [("estimate", [False, True]), ("fixed", [False, False])])

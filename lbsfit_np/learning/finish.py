@@ -278,9 +278,10 @@ def fit_free_form(model, collection, settings, *, jobs, progress):
     list of FitResult or None
     """
     for m in collection.members:
-        m.use_frame(m.unit, model.half)
         if settings.scale != "fixed":
             m.doubt = extent_doubt(m.points[m.rows], model.source, m.unit)
+        own = reference_scale(m.points[m.rows], model.source, settings.scale).scale if m.doubt else m.unit
+        m.use_frame(own, model.half)
     work = _FreeForm(model, settings)
     answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p))
     return collection.in_order(answers)

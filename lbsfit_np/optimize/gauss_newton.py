@@ -31,7 +31,8 @@ _FACING = 0.35
 # The damping at the start; it falls by _EASE after a step that helped and grows by _STIFFEN after one that did not. Below
 # _SOFTEST it would change hardly any step, and would have to grow in vain, an evaluation each time, before it does again.
 _DAMPING, _EASE, _STIFFEN, _SOFTEST, _STIFFEST = 1e-3, 4.0, 10.0, 1e-9, 1e4
-# After a step that lowered E by less than the share _SLOW, the next is _FURTHER times as long as it was, up to _FURTHEST times.
+# After a step that lowered E by less than the share _SLOW, the next goes further than the equations say: by _FURTHER times the
+# factor of the last, up to _FURTHEST.
 # Labelled points slide less: steps as they are found the same poses, and no fewer of them.
 _SLOW, _FURTHER, _FURTHEST = 0.3, 1.5, 3.0
 # No angle turns further in one step, radians: residuals know nothing of what lies behind the next turn. No translation is further
