@@ -24,8 +24,8 @@ def test_rig_show(made, tmp_path, run):
 def test_rig_show_of_derived_limits_in_degrees(tmp_path, run):
     build_rig(replace(make_tube_data(), lower=None, upper=None)).save(tmp_path / "tube.npz")
     noted = [run("rig", "show", tmp_path / "tube.npz", *more)[1].split("Noted:")[1] for more in ((), ("--degrees",))]
-    assert "±0.8 rad about each axis for 3" in noted[0] and "±0.6 rad for sampling" in noted[0]
-    assert noted[1] == noted[0].replace("±0.8 rad", "±46°").replace("±0.6 rad", "±34°")
+    assert "±0.8 rad about each axis (46°) for 3" in noted[0] and "±0.6 rad for sampling the root (34°)" in noted[0]
+    assert noted[1] == noted[0]  # which has both units
 
 
 def test_rig_card(made, tmp_path, run):
@@ -48,6 +48,16 @@ def test_rig_card(made, tmp_path, run):
     assert code == 2 and "which is the rig itself" in one_line(err) and rig.read_bytes() == (made / "tube.npz").read_bytes()
     code, _, err = run("rig", "card", rig, "-o", tmp_path)
     assert code == 2 and "a folder" in one_line(err)
+
+
+def test_a_card_of_several_roots_is_to_be_checked(made, tmp_path, run):
+    with np.load(made / "tube.npz") as z:
+        np.savez(tmp_path / "loose.npz", **{key: z[key] for key in z.files} | {"parents": np.full(4, -1)})
+    code, _, err = run("rig", "show", tmp_path / "loose.npz")
+    words = "check its [hierarchy], which is a guess"
+    assert code == 2 and f"-o CARD, {words}, and pass it with --card" in one_line(err)
+    code, text, _ = run("rig", "card", tmp_path / "loose.npz", "-o", tmp_path / "c.toml")
+    assert (code, text) == (0, f"{tmp_path / 'c.toml'} written; {words}; pass it with --card {tmp_path / 'c.toml'}\n")
 
 
 def test_rig_list(run):

@@ -84,13 +84,16 @@ def _card(arguments):
     if path is None:
         raise InputError("-o/--output", "nothing", "the card to write", "Add -o CARD.")
     check_file(path, inputs=[(arguments.file, "the rig itself")], existing=values["existing"])
-    write_card(rig_for_card(arguments.file, shape=values["shape"], skin=values["skin"]), path)
+    found = rig_for_card(arguments.file, shape=values["shape"], skin=values["skin"])
+    write_card(found, path)
     rig = Path(arguments.file)
     beside = rig.with_name(rig.stem + CARD_SUFFIX)
     by_itself = rig.is_file() and same_file(path, beside)
     if rig.is_file() and not by_itself and beside.is_file():
         print(f"note: it says what {rig.name} is without {beside.name}, which was not read")
-    print(f"{path} written; edit it; " + (f"it is used with {rig} by itself" if by_itself else f"pass it with --card {path}"))
+    several = sum(parent < 0 for parent in found.parents) > 1
+    edit = "check its [hierarchy], which is a guess" if several else "edit it"
+    print(f"{path} written; {edit}; " + (f"it is used with {rig} by itself" if by_itself else f"pass it with --card {path}"))
     return 0
 
 

@@ -346,9 +346,10 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
         plain = derived & ~from_animation
         plain[root] = False
         if plain.any():
-            ways.append(f"±{DEFAULT_LIMIT} rad about each axis for {np.count_nonzero(plain)} ({_named(names, plain, 4)})")
+            about = f"±{DEFAULT_LIMIT} rad about each axis ({np.degrees(DEFAULT_LIMIT):.0f}°)"
+            ways.append(f"{about} for {np.count_nonzero(plain)} ({_named(names, plain, 4)})")
         if derived[root]:
-            ways.append(f"±{DEFAULT_ROOT_LIMIT} rad for sampling the root")
+            ways.append(f"±{DEFAULT_ROOT_LIMIT} rad for sampling the root ({np.degrees(DEFAULT_ROOT_LIMIT):.0f}°)")
         notes.append(
             f"{NO_LIMITS} {np.count_nonzero(derived)} of {np.count_nonzero(moving)} moving joints; "
             f"they were derived: {'; '.join(ways)} (a card's [limits] can say better)"

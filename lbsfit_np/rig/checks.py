@@ -211,7 +211,8 @@ def check_tree(report, parents, names, explained):
         remedy = (
             "Name what these hang on in the card's [hierarchy], in chains or parents."
             if explained
-            else f"Write a card with: lbsfit rig card {rig} -o CARD, fill in its [hierarchy], and pass it with --card (card=...)."
+            else f"Write a card with: lbsfit rig card {rig} -o CARD, check its [hierarchy], which is a guess, "
+            "and pass it with --card (card=...)."
         )
         report.fail("parents", f"{len(roots)} root joints: {listed(roots)}", "one root, on which all other joints hang", remedy)
     return int(np.flatnonzero(parents < 0)[0])

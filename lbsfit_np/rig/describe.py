@@ -1,7 +1,5 @@
 """A rig in words: what ``lbsfit rig show`` prints."""
 
-import re
-
 import numpy as np
 
 from ..errors import listed
@@ -17,7 +15,7 @@ def describe(rig, *, degrees=False):
     ----------
     rig : Rig
     degrees : bool, default False
-        Limits in degrees instead of radians, in what was noted, too.
+        Limits in degrees instead of radians; what was noted has both.
 
     Returns
     -------
@@ -34,7 +32,7 @@ def describe(rig, *, degrees=False):
         lines.append("  ".join([*cells, row[4]]).rstrip())
     lines.append("")
     if rig.notes:
-        lines += ["Noted:", *(f"  - {_in_degrees(note) if degrees else note}" for note in rig.notes)]
+        lines += ["Noted:", *(f"  - {note}" for note in rig.notes)]
     else:
         lines.append("No anomalies.")
     return "\n".join(lines) + "\n"
@@ -92,10 +90,6 @@ def _joint_rows(rig, degrees):
             _limits(rig, j, degrees) if state in ("root", "moves") else "",
         )
         waiting += [(child, depth + 1) for child in np.flatnonzero(rig.parents == j)[::-1]]
-
-
-def _in_degrees(note):
-    return re.sub(r"±(\d+(?:\.\d+)?) rad\b", lambda found: f"±{np.degrees(float(found[1])):.0f}°", note)
 
 
 def _limits(rig, j, degrees):
