@@ -88,7 +88,7 @@ def test_existing_results(fitted, made, tmp_path, run):
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert [(s["status"], s["kept"]) for s in summary["scans"]] == [("ok", True), ("ok", False)]
     assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "unfitted": 0, "kept": 1}
-    assert f"2 of 2 scans fitted, 1 of them skipped as fitted before; results in {tmp_path}\n" in text
+    assert f"2 of 2 scans fitted, 1 of them kept from before; results in {tmp_path}\n" in text
     assert summary["scans"][0]["terms"] == lbs.FitResult.load(tmp_path / "one.fit.npz").terms
 
     (tmp_path / "one.fit.npz").write_bytes(b"broken")
@@ -321,12 +321,19 @@ def test_stopped_while_replacing_it_is_said_that_other_fits_are_older(existing, 
     monkeypatch.setattr(fit, "_fit", interrupted)
     scans = [made / name for name in ("one.ply", "two.xyz", "three.npy")]
     code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", existing, *QUICK)
-    told = "stopped before a scan was fitted" if not done else f"stopped: 1 of 3 scans is fitted and kept in {tmp_path}"
-    have = "has a fit" if done else "have fits"
-    told += f"; {2 - done} of the others {have} of an earlier run, which --existing skip would keep\n"
+    told = f"stopped: 1 of 3 scans is fitted and kept in {tmp_path}; 1 of the others has a fit"
+    if not done:
+        told = "stopped before a scan was fitted; the same command begins again; 2 scans have fits"
+    told += " of an earlier run, which --existing skip would keep\n"
     if existing == "skip":
         told = f"stopped: 1 of 3 scans is fitted and kept in {tmp_path}; the same command with --existing skip does the rest\n"
     assert code == 130 and text.endswith(told)
+
+
+def test_stopped_before_a_scan_was_fitted_the_same_command_begins_again(made, tmp_path, run, monkeypatch):
+    monkeypatch.setattr(fit, "_fit", _interrupted)
+    code, text, _ = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", *QUICK)
+    assert code == 130 and text.endswith("stopped before a scan was fitted; the same command begins again\n")
 
 
 def test_one_scan_alone_is_told_as_one(fitted, made, tmp_path, run, monkeypatch):
@@ -334,7 +341,7 @@ def test_one_scan_alone_is_told_as_one(fitted, made, tmp_path, run, monkeypatch)
         (tmp_path / path.name).write_bytes(path.read_bytes())
     arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
     _, text, _ = run(*arguments)
-    assert "1 of 1 scan is fitted already and kept\n" in text and "1 of 1 scan fitted, 1 of them skipped" in text
+    assert "1 of 1 scan is fitted already and kept\n" in text and "1 of 1 scan fitted, 1 of them kept from before" in text
     monkeypatch.setattr(fit, "_fit", _interrupted)
     assert f"stopped: 1 of 1 scan is fitted and kept in {tmp_path}; the same" in run(*arguments)[1]
 
@@ -383,7 +390,7 @@ def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
         doubtful.save(tmp_path / "two.fit.npz")
         found, text, _ = run(*arguments)
         assert found == code
-        assert f"2 of 2 scans fitted, 2 of them skipped as fitted before (1 {status}); results in" in text
+        assert f"2 of 2 scans fitted, 2 of them kept from before (1 {status}); results in" in text
         assert f"two   {status.ljust(len('status'))}  {probability:.2f}" in text and text.rstrip().count("odd") == 1
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert [(s["name"], s["status"], s["kept"]) for s in summary["scans"]] == [("two", status, True), ("one", "ok", True)]

@@ -26,6 +26,8 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "model"), ["model, which has no ending", ".npz", "Call it model.npz"]),
         (("tube.npz", "t0.ply", "-o", "model.pkl"), ["ends in '.pkl'", "Call it model.npz."]),
         (("tube.npz", "t0.ply", "-o", "sub/x.PLY"), ["ends in '.PLY'", "Call it sub/x.npz."]),
+        (("tube.npz", "t0.ply", "-o", "m.bvh"), ["ends in '.bvh'", "Call it m.npz."]),
+        (("tube.npz", "t0.ply", "-o", "m.v2.H5"), ["ends in '.H5'", "Call it m.v2.npz."]),
         (("tube.npz", "t0.ply", "-o", "anna.v2"), ["ends in '.v2'", "Call it anna.v2.npz."]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--pictures"), ["--pictures: got no --results", "Add --results OUT."]),
         (("tube.npz", "t0.ply", "-o", "tube.npz", "--existing", "replace"), ["which is an input", "never overwritten"]),
@@ -53,7 +55,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "inf", "--sequence"), ["--smooth", "at least 0"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "1e-5"), ["--smooth", "without --sequence"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--variant", "best"), ["--variant", "'best'", "pose-only"]),
-        (("tube.npz", "t0.ply", "-o", "m.npz", "--existing", "skip"), ["--existing", "'skip'"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--existing", "skip"), ["'skip'", "'replace'). Learning begins anew each time"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--jobs", "0"), ["--jobs", "at least 1"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--training", "trun=1"), ["trun", "Did you mean 'turn'?"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--training", f"n_points={10**30}"), ["--training: got n_points: 1", "at most"]),
@@ -63,6 +65,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "bad.toml"), ["bad.toml", "'round'", "Did you mean 'rounds'"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "share.toml"), ["held-out", "from 0 to 0.9"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "word.toml"), ["smooth = 'much'", "a number"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "skip.toml"), ["existing = 'skip'", "Learning begins anew each time"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "half.toml"), ["rounds = 1.5", "a whole number"]),
     ],
 )
@@ -74,7 +77,7 @@ def test_bad_usage_is_found_before_any_work(arguments, words, tubes, tmp_path, r
     np.savez(tmp_path / "cloud.npz", points=np.eye(3))
     contents = {"there.npz": "x", "old/t0.fit.npz": "x", "one.csv": "t0,a\nt1,b\n", "sub/t0.ply": "x"}
     contents |= {"bad.toml": "round = 3", "share.toml": "held-out = 2"}
-    contents |= {"word.toml": 'smooth = "much"', "half.toml": "rounds = 1.5"}
+    contents |= {"word.toml": 'smooth = "much"', "half.toml": "rounds = 1.5", "skip.toml": 'existing = "skip"'}
     for name, text in contents.items():
         (tmp_path / name).write_text(text)
     before = {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")}

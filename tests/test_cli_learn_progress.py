@@ -7,7 +7,8 @@ import pytest
 from cli_runs import help_alone
 
 from lbsfit_np.cli import learn, progress
-from lbsfit_np.cli.progress import LearningProgress, Progress, span
+from lbsfit_np.cli.progress import LearningProgress, Progress, counted, of_all, span
+from lbsfit_np.io.columns import ODD_X
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -126,6 +127,14 @@ def test_other_names_in_a_later_scan_are_said_as_well(made, capsys):
         assert capsys.readouterr().out == "".join(f"note: {scan}: {note}\n" for note in notes)
 
 
+@pytest.mark.parametrize("made", [Progress, LearningProgress])
+def test_a_note_that_spoils_each_fit_is_said_of_each_scan(made, capsys):
+    shown, note = made(2, terminal=False), f"{ODD_X} (0, 1, 3, …) looks like row numbers."
+    for name in ("a", "b"):
+        shown.notes(name, [note, "Labels left out."])
+    assert capsys.readouterr().out == f"note: a: {note}\nnote: a: Labels left out.\nnote: b: {note}\n"
+
+
 def test_a_note_closes_the_bar_and_is_said_once(capsys, monkeypatch):
     shown, closed = LearningProgress(1, terminal=True), []
     shown("reading scans", 0.2)
@@ -161,6 +170,11 @@ def test_rounds_that_hold_nothing_out(capsys):
 @pytest.mark.parametrize("seconds, words", [(0.2, "0 s"), (99, "99 s"), (150, "2 min"), (5990, "100 min"), (9000, "2.5 h")])
 def test_lengths_of_time(seconds, words):
     assert span(seconds) == words
+
+
+@pytest.mark.parametrize("n, words", [(0, "0 pairs"), (1, "1 pair"), (2, "2 pairs")])
+def test_one_of_a_kind_is_told_as_one(n, words):
+    assert counted(n, "pair") == words and of_all(1, n, "pair") == f"1 of {words}"
 
 
 def test_help(run):

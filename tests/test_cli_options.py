@@ -46,6 +46,8 @@ def test_configuration_files(made, tmp_path, run):
         ('effort = "most"', ["effort", "'fast' or 'balanced' or 'thorough'"]),
         ('partial = "yes"', ["partial", "true or false"]),
         ("training = 3", ["training", "a table of numbers"]),
+        ("training = { trun = 1 }", ["got training: trun: a setting that is not known", "Did you mean 'turn'?"]),
+        ("training = { n_points = 0 }", ["got training: n_points: 0", "at least"]),
         ("max-points = 9\nmax_points = 9", ["'max-points' twice"]),
         ("seed = ", ["no", "TOML"]),
         ("seed = " + "1" * 5000, ["that is not TOML", "digits"]),
@@ -135,6 +137,15 @@ def test_a_misspelt_option_is_told_its_like(command, word, meant, run):
     code, _, err = run(command, "r", "s", "-o", "o", word)
     told = f"lbsfit: error: unrecognized arguments: {word}. Did you mean {meant!r}? (see: lbsfit {command} --help)"
     assert code == 2 and one_line(err) == told
+
+
+def test_each_of_several_misspelt_options_is_told_its_like(run):
+    code, _, err = run("learn", "r", "s", "-o", "o", "--training-scan", "5", "--pictrues", "--pictrues")
+    told = "For --training-scan: did you mean '--training-scans'? For --pictrues: did you mean '--pictures'?"
+    given = "--training-scan 5 --pictrues --pictrues"
+    assert code == 2 and one_line(err).startswith(f"lbsfit: error: unrecognized arguments: {given}. {told} (see: ")
+    code, _, err = run("learn", "r", "s", "-o", "o", "--pictrues", "--zzz")
+    assert code == 2 and "--pictrues --zzz. For --pictrues: did you mean '--pictures'? (see: " in one_line(err)
 
 
 @pytest.mark.parametrize("given", [("--up", "-z"), ("--up=-z",)])

@@ -98,7 +98,7 @@ def test_errors_name_the_file(tmp_path):
 
 def test_several_roots_of_a_file_say_how_its_card_is_made(tmp_path):
     data = replace(make_tube_data(), parents=np.array([-1, 0, 1, -1]), path=tmp_path / "my arm.glb")
-    with pytest.raises(FileError, match=re.escape(f"lbsfit rig card '{tmp_path / 'my arm.glb'}' -o CARD, fill in")):
+    with pytest.raises(FileError, match=re.escape(f"lbsfit rig card '{tmp_path / 'my arm.glb'}' -o CARD, check its [hierarchy]")):
         build_rig(data)
 
 

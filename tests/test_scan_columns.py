@@ -23,7 +23,7 @@ def test_a_column_that_counts_the_rows_is_no_x(tmp_path):
         np.testing.assert_array_equal(scan.points, POINTS)
         np.testing.assert_array_equal(scan.normals, NORMALS)
         assert scan.notes[0] == "The first column, which counts the rows, was left out."
-    for column in ([0, 1, 3, 4], [5, 6, 7, 8]):
+    for column in ([0, 1, 3, 4], [5, 6, 7, 8], [2, 0, 3, 1]):
         scan = load_scan(write(tmp_path, "p.csv", rows(column, POINTS, sep=",")))
         np.testing.assert_array_equal(scan.points[:, 0], column)
         first = ", ".join(map(str, column[:3]))
@@ -36,7 +36,20 @@ def test_a_column_that_counts_the_rows_is_no_x(tmp_path):
         np.testing.assert_array_equal(load_scan(path).points, POINTS)
 
 
-@pytest.mark.parametrize("x", [[5, 6, 8, 8], [5, 6, 7.5, 8], [5, 8, 7, 9], [5, 6, 7]])
+def test_an_array_has_no_header_line_to_name_its_columns(tmp_path):
+    np.save(tmp_path / "p.npy", np.column_stack([[0, 1, 3, 4], POINTS]))
+    odd, further = load_scan(tmp_path / "p.npy").notes
+    assert odd.endswith("but the first (0, 1, 3, …) looks like row numbers: leave it out (array[:, 1:]).")
+    assert further.startswith("One further column") and "a structured array with fields (x, y, z, " in further
+
+
+def test_whole_numbers_in_any_order_are_an_x_beside_others(tmp_path):
+    points = np.round(4 * POINTS)  # in millimetres, say
+    scan = load_scan(write(tmp_path, "p.csv", rows([5, 8, 7, 9], points, sep=",")))
+    assert len(scan.notes) == 1 and scan.notes[0].startswith("One further column")
+
+
+@pytest.mark.parametrize("x", [[5, 6, 8, 8], [5, 6, 7.5, 8], [5, 8, 7, 8], [9, 6.5, 7, 8], [5, 6, 7]])
 def test_an_x_that_is_no_row_number_has_no_note(x, tmp_path):
     scan = load_scan(write(tmp_path, "p.csv", rows(x, POINTS[: len(x)], sep=",")))
     assert len(scan.notes) == 1 and scan.notes[0].startswith("One further column")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from . import pair_runs
 from .parsing import Option, positive
-from .progress import say
+from .progress import counted, say
 
 __all__ = ["add_parser"]
 
@@ -58,7 +58,8 @@ def _run(folder, values):
     more = [file for archive, files in challenge_files(Path(values["output"]), found).values() for file in (archive, *files)]
     out = pair_runs.made_output(values, scans, inputs=found.files, more=more)
     people = len({s.subject for s in found.training})
-    say(f"{len(found.training)} training scans of {people} subjects, {len(found.test)} test scans")
+    training, test = counted(len(found.training), "training scan"), counted(len(found.test), "test scan")
+    say(f"{training} of {counted(people, 'subject')}, {test}")
     for note in found.notes:
         say(f"note: {note}")
 
@@ -75,7 +76,7 @@ def _run(folder, values):
 
 def _written(kind, written):
     n, missing = written["written"], written["missing"]
-    words = f"{kind}-subject challenge: {n} file{'' if n == 1 else 's'} in challenge-{kind}"
+    words = f"{kind}-subject challenge: {counted(n, 'file')} in challenge-{kind}"
     if missing:
-        words += f", {missing} pair{'' if missing == 1 else 's'} missing, as a scan has no fit"
+        words += f", {counted(missing, 'pair')} missing, as a scan has no fit"
     return words + (f"; to submit: {written['archive']}" if written["archive"] else "; no archive, as it would not be complete")

@@ -8,9 +8,9 @@ from ..errors import FileError, InputError, brief, did_you_mean
 from . import outputs
 from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subject_of, with_subject
 from .parsing import Option, add_options, chosen, formatter, natural, positive
-from .progress import Progress, say
+from .progress import Progress, counted, of_all, say
 from .stopping import exit_code, terminable
-from .summary import counts_of, doubts_of, of_all, say_doubtful, write_summary, written_of
+from .summary import counts_of, doubts_of, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "check_training", "fit_files", "load_rig_with", "read_scan", "scan_options"]
 
@@ -64,6 +64,7 @@ OPTIONS = (
         default={},
         metavar="NAME=NUMBER",
         table=True,
+        check=lambda given: check_training(given),
     ),
     Option("seed", "seed of all that is random", natural, 0, metavar="N"),
     Option("jobs", "worker processes; the results do not depend on it", positive, 1, metavar="N"),
@@ -108,9 +109,6 @@ that --existing skip keeps have the status of their files, and "kept": true in t
 Exit code: 0 all fitted, suspect or not, 1 some scans failed (named with reasons; the others are written), kept fits that had
 failed counted, 2 usage or unreadable rig, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
-
-
-_WAYS = "--existing skip, which keeps finished fits, or --existing replace"
 
 
 def add_parser(commands):
@@ -205,7 +203,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     started = time.perf_counter()
     out = Path(values["output"])
     read = [rig_path, values["segmenter"], values["card"] if values["card"] != "none" else None, *inputs]
-    names = {"existing": values["existing"], "pictures": values["pictures"], "ways": _WAYS}
+    names = {"existing": values["existing"], "pictures": values["pictures"], "may_skip": True}
     outputs.check_sources(scans)
     values = dict(values)  # a model changes some
     fitter, model = _fitter(rig_path, values, given)
@@ -388,14 +386,18 @@ def _farewell(counts, n, out, stopped, older):
     """Say how it ended; ``older``: of the scans that were not dealt with, how many have fits of an earlier run."""
     done = counts["written"]
     if stopped is not None:
-        rest = "; the same command with --existing skip does the rest" if done else ""
+        kept, rest = f"stopped: {of_all(done, n)} {_are(done)} fitted and kept in {out}", ""
+        if not done:
+            kept = "stopped before a scan was fitted; the same command begins again"
+        elif not older:
+            rest = "; the same command with --existing skip does the rest"
         if older:  # which would be skipped
+            whose = f"{older} of the others" if done else counted(older, "scan")
             have = "has a fit" if older == 1 else "have fits"
-            rest = f"; {older} of the others {have} of an earlier run, which --existing skip would keep"
-        kept = f"stopped: {of_all(done, n)} {_are(done)} fitted and kept in {out}"
-        say((kept if done else "stopped before a scan was fitted") + rest)
+            rest = f"; {whose} {have} of an earlier run, which --existing skip would keep"
+        say(kept + rest)
         return exit_code(stopped)
-    skipped = f", {counts['kept']} of them skipped as fitted before" if counts["kept"] else ""
+    skipped = f", {counts['kept']} of them kept from before" if counts["kept"] else ""
     say(f"{of_all(done, n)} fitted{skipped}{doubts_of(counts)}; results in {out}")
     return 1 if counts["failed"] else 0
 

@@ -17,10 +17,10 @@ from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, check_training, load_rig_with, read_scan, scan_options
 from .models import about_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
-from .progress import LearningProgress, Progress, say, span
+from .progress import LearningProgress, Progress, of_all, say, span
 from .stopping import exit_code, terminable
 from .subjects import SUBJECT_FILES, read_subjects
-from .summary import counts_of, of_all, say_doubtful, write_summary, written_of
+from .summary import counts_of, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "add_parser", "learn_files"]
 
@@ -29,6 +29,9 @@ _SHARED = (
     *("scale", "orientation", "up", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
     *("training-scans", "training", "seed", "jobs"),
 )
+
+# Endings of files, beside those of scans and rigs, that a model may be called by mistake; others are dots within a name.
+_OTHER_ENDINGS = (".pkl", ".json", ".toml", ".h5", ".bvh", ".fbx")
 
 OPTIONS = (
     Option("output", "the model to write, NAME.npz; its folder is made if need be", metavar="MODEL", flag="-o", is_path=True),
@@ -50,7 +53,13 @@ OPTIONS = (
            metavar="W"),
     *RIG_OPTIONS,
     *(next(o for o in FIT_OPTIONS if o.name == name) for name in _SHARED),
-    Option("existing", "what to do where the model or results exist already", default="error", choices=("error", "replace")),
+    Option(
+        "existing",
+        "what to do where the model or results exist already",
+        default="error",
+        choices=("error", "replace"),
+        refusals={"skip": "Learning begins anew each time: only lbsfit fit can skip, with a model that is there."},
+    ),
 )  # fmt: skip
 
 _DESCRIPTION = f"""\
@@ -84,8 +93,8 @@ A scan that cannot be used is named with the reason and left out. The model appe
 with what the rounds until then have learned; an input is never overwritten. The segmenter's first training is kept in
 $LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans, how many fits are ok, suspect or
 failed, and a table of those that are not ok, see lbsfit fit --help.
-Exit code: 0 learned from all scans, 1 some scans could not be used, or their fits failed, 2 usage, unreadable rig, or no model
-could be learned, 130 stopped by Ctrl-C, 143 by SIGTERM.
+Exit code: 0 learned, and all scans could be used, also where some were held out or not learned from, 1 some could not be used, or
+their fits failed, 2 usage, unreadable rig, or no model could be learned, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
 
@@ -180,7 +189,7 @@ def _checked(rig_path, scans, values, inputs):
     model, existing = Path(values["output"]), values["existing"]
     if model.suffix.lower() != ".npz":
         got = f"{model}, which ends in {model.suffix!r}" if model.suffix else f"{model}, which has no ending"
-        other = model.suffix.lower() in (*SCAN_EXTENSIONS, ".pkl", ".json", ".toml")  # else a dot within the name
+        other = model.suffix.lower() in (*SCAN_EXTENSIONS, *_OTHER_ENDINGS)  # else a dot within the name
         name = model.with_suffix(".npz") if other else f"{model}.npz"
         raise InputError("-o/--output", got, "a name that ends in .npz", f"Call it {name}.")
     if values["smooth"] and not values["sequence"] and VARIANTS[values["variant"]].skinning:
@@ -244,6 +253,7 @@ class _Reading:
     keep: bool
     scans: dict = field(default_factory=dict)
     failures: dict = field(default_factory=dict)
+    notes: dict = field(default_factory=dict)
 
     @property
     def sources(self):
@@ -267,6 +277,7 @@ class _Reading:
             raise foreseen from error
         if self.keep:
             self.scans[i] = scan
+        self.notes[i] = scan.notes
         self.progress("reading scans", (i + 1) / len(self.paths))
         self.progress.notes(self.name(i), scan.notes)
         return scan
@@ -274,9 +285,13 @@ class _Reading:
     def unused(self):
         """Entries of the scans that have no fit."""
         return [
-            {"name": self.name(i), "input": self.paths[i], "status": "failed", "message": message}
-            for i, message in sorted(self.failures.items())
+            {"name": self.name(i), "input": self.paths[i], "status": "failed", "message": self.why(i)}
+            for i in sorted(self.failures)
         ]
+
+    def why(self, i, message=None):
+        """What became of scan i, by default of one without a fit, after what its file explains of that."""
+        return outputs.with_reasons(self.failures[i] if message is None else message, self.notes.get(i, ()))
 
     def fail(self, i, message):
         if i not in self.failures:
@@ -371,9 +386,10 @@ def _unwritten(fitter, reading):
     for i, (path, result) in enumerate(zip(reading.paths, fitter.results_, strict=True)):
         entry = {"name": reading.name(i), "input": path}
         if result is None:
-            entries[path] = entry | {"status": "failed", "message": reading.failures[i]}
+            entries[path] = entry | {"status": "failed", "message": reading.why(i)}
         else:
-            entries[path] = entry | {"status": result.status, "message": result.message, "probability": result.probability}
+            message = result.message if result.status == "ok" else reading.why(i, result.message)
+            entries[path] = entry | {"status": result.status, "message": message, "probability": result.probability}
     return entries
 
 
@@ -396,7 +412,7 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
     try:
         for i, (f, result) in enumerate(zip(files, fitter.results_, strict=True)):
             if result is None:
-                entries[f.name] = outputs.unfitted_entry(f, reading.failures[i])
+                entries[f.name] = outputs.unfitted_entry(f, reading.why(i))
                 continue
             try:
                 entries[f.name] = _written(writer, i, f, reading.scans[i], result)
@@ -415,5 +431,5 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
 def _written(writer, i, files, scan, result):
     """The entry of a result; one that is not finite is not written."""
     if not np.isfinite(result.vertices).all():
-        return outputs.unfitted_entry(files, result.message)
+        return outputs.unfitted_entry(files, outputs.with_reasons(result.message, scan.notes))
     return writer(i, scan, result)

@@ -7,7 +7,7 @@ from dataclasses import asdict, is_dataclass
 
 from ..errors import FileError, InputError, brief, did_you_mean, listed
 from ..learning.variants import note_on, unused
-from .progress import say
+from .progress import counted, say
 
 __all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig", "subject_of", "with_subject"]
 
@@ -101,8 +101,8 @@ def about_model(path):
 def model_in_words(about):
     """``about_model`` in a line."""
     names = [str(s) for s in about["subjects"]]
-    who = f"{len(names)} subject{'' if len(names) == 1 else 's'}" + (f" ({listed(names)})" if names != ["0"] else "")
-    rounds = f"{about['rounds']} round{'' if about['rounds'] == 1 else 's'}, " if about["rounds"] else ""
+    who = counted(len(names), "subject") + (f" ({listed(names)})" if names != ["0"] else "")
+    rounds = f"{counted(about['rounds'], 'round')}, " if about["rounds"] else ""
     return f"a learned model: {who}, {rounds}variant {about['variant']!r}"
 
 

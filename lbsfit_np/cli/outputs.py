@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import FileError, InputError, in_words, listed
+from ..io.columns import ODD_X
 
 __all__ = [
     "SUMMARY",
@@ -24,6 +25,7 @@ __all__ = [
     "remove_empty",
     "same_file",
     "unfitted_entry",
+    "with_reasons",
     "without_pictures_of_others",
 ]
 
@@ -64,7 +66,7 @@ class ScanFiles:
         return {what: path for what, path in paths.items() if path is not None}
 
 
-def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, ways=_REPLACE):
+def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, may_skip=False):
     """The files of every scan, after all that can go wrong with their names has been ruled out.
 
     Parameters
@@ -80,8 +82,8 @@ def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, ways=
         The option that gave ``out``.
     pictures : bool, default False
         Whether each scan gets a picture, too.
-    ways : str
-        What a message says may be done about fits that are there.
+    may_skip : bool, default False
+        Whether the command can keep fits that are there, which a message then offers.
 
     Returns
     -------
@@ -107,7 +109,7 @@ def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, ways=
     if existing == "skip":
         _check_strays(files, out)
     elif existing == "error":
-        _check_there(files, out, argument, ways)
+        _check_there(files, out, argument, may_skip)
     return files
 
 
@@ -208,6 +210,8 @@ class Writer:
         files, rig = self.files[index], self.rig
         if self.model_digest is not None:
             result = replace(result, model_digest=self.model_digest)
+        if result.status != "ok":  # in the fit's own file, too, for runs that keep it
+            result = replace(result, message=with_reasons(result.message, scan.notes))
         colors = part_colors(len(rig.parts))
         # All three get their names only once all three are complete. The fit first (the last that is opened): of what a stop in
         # between leaves, --existing skip then knows whose it is, and makes it anew.
@@ -232,6 +236,11 @@ class Writer:
             )
         undrawn = [] if files.picture is None else draw(files, rig, scan.points, result)
         return fitted_entry(files, result, notes=[*scan.notes, *undrawn])
+
+
+def with_reasons(message, notes):
+    """The message of a fit in doubt, after what was noted about its scan that spoils any fit."""
+    return "; ".join([*(note.rstrip(".") for note in notes if note.startswith(ODD_X)), message])
 
 
 def unfitted_entry(files, message, **facts):
@@ -297,7 +306,7 @@ def check_sources(sources):
         raise InputError("SCAN", f"a folder: {listed(folders, 5)}", "scan files", f"Name the files in it, such as {inside}")
 
 
-def _check_there(files, out, argument, ways):
+def _check_there(files, out, argument, may_skip):
     """Raise where results are there; what others have drawn is told from them."""
     there = [path for f in files for path in f.paths.values() if os.path.lexists(path)]
     if not there:
@@ -307,8 +316,9 @@ def _check_there(files, out, argument, ways):
     if others:
         which = "which" if others == there else f"of which {listed([path.name for path in others], 5)}"
         words += f", {which} lbsfit has not drawn"
-    if others == there and ways != _REPLACE:  # else there is no skipping
-        ways = "--existing skip, which leaves what others have drawn as it is, or " + _REPLACE
+    ways = f"--existing skip, which keeps finished fits, or {_REPLACE}" if may_skip else _REPLACE
+    if others == there and may_skip:
+        ways = f"--existing skip, which leaves what others have drawn as it is, or {_REPLACE}"
     elif not any(os.path.lexists(f.fit) for f in files):  # nothing that could be kept
         words, ways = f"{words}, and no fit (NAME.fit.npz) with {'it' if len(there) == 1 else 'them'}", _REPLACE
     raise InputError(argument, words, _FREE, f"Choose another folder, or {ways}.")

@@ -11,7 +11,7 @@ from .fit import RIG_OPTIONS, load_rig_with
 from .learn import OPTIONS as LEARN_OPTIONS
 from .outputs import check_outputs, make_folder
 from .parsing import Option, add_options, formatter, natural, positive, settings
-from .progress import SILENCE, LearningProgress, Progress, say
+from .progress import SILENCE, LearningProgress, Progress, counted, say
 from .stopping import exit_code, terminable
 
 __all__ = [
@@ -263,7 +263,7 @@ class PairsProgress(Progress):
         self._learning.close()
         if not self.terminal:
             if not done:
-                say(f"{doing}: {total} pair{'' if total == 1 else 's'}")
+                say(f"{doing}: {counted(total, 'pair')}")
                 self._told = self._clock()
             elif done < total and self._clock() - self._told >= SILENCE:
                 say(f"{doing}: {done} of {total} pairs")

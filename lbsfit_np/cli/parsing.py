@@ -5,7 +5,7 @@ import math
 import sys
 import textwrap
 import tomllib
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import FileError, InputError, brief, did_you_mean
@@ -38,8 +38,12 @@ class Parser(argparse.ArgumentParser):
         """As argparse does it, but what a command does not know is said to be the command's."""
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:
-            meant = (did_you_mean(word.partition("=")[0], found.parser._option_string_actions) for word in unknown)
-            hint = next((f". {words}" for words in meant if words), "")
+            known = found.parser._option_string_actions
+            bare = dict.fromkeys(word.partition("=")[0] for word in unknown)
+            hints = {word: hint for word in bare if (hint := did_you_mean(word, known))}
+            if sum(word.startswith("-") for word in bare) > 1:  # of which one is it said?
+                hints = {word: f"For {word}: {hint[0].lower()}{hint[1:]}" for word, hint in hints.items()}
+            hint = f". {' '.join(hints.values())}" if hints else ""
             found.parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")
         return found
 
@@ -58,8 +62,8 @@ class Parser(argparse.ArgumentParser):
         try:
             super()._check_value(action, value)
         except argparse.ArgumentError as error:
-            if hint := did_you_mean(value, action.choices):
-                error.message += f". {hint}"
+            if hint := getattr(action, "refusals", {}).get(value) or did_you_mean(value, action.choices):
+                error.message += f". {hint.rstrip('.')}"
             raise
 
     def error(self, message):
@@ -143,6 +147,10 @@ class Option:
         In a configuration file it is relative to the file's folder.
     table : bool
         NAME=NUMBER, as often as wanted; in a configuration file a table.
+    check : callable (value), optional
+        Raises InputError where a configuration file's value cannot be used, which is then said to be the file's.
+    refusals : dict
+        What to say of values that are no choices here, though somebody may well expect them.
     """
 
     name: str
@@ -154,6 +162,8 @@ class Option:
     flag: str | None = None
     is_path: bool = False
     table: bool = False
+    check: object = None
+    refusals: dict = field(default_factory=dict)
 
     @property
     def key(self):
@@ -179,7 +189,7 @@ def add_options(parser, options):
             keywords |= {"type": option.kind, "metavar": option.metavar}
         if option.table:
             keywords |= {"type": _pair, "action": "append"}
-        parser.add_argument(*names, **keywords)
+        parser.add_argument(*names, **keywords).refusals = option.refusals
 
 
 def settings(arguments, options, config=None):
@@ -278,12 +288,20 @@ def _checked(value, option, path):
         raise FileError(str(path), f"{option.name} = {brief(value)}", "true or false")
     if option.table:
         if isinstance(value, dict) and all(type(v) in (int, float) and _is_finite(v) for v in value.values()):
-            return {name.replace("-", "_"): v for name, v in value.items()}
+            table = {name.replace("-", "_"): v for name, v in value.items()}
+            if option.check is not None:
+                try:
+                    option.check(table)
+                except InputError as error:
+                    raise FileError(str(path), f"{option.name}: {error.got}", error.expected, error.remedy) from None
+            return table
         raise FileError(str(path), f"{option.name} = {brief(value)}", "a table of numbers, such as { turn = 3.14 }")
     if option.choices:
         if value in option.choices:
             return value
-        expected, remedy = " or ".join(map(repr, option.choices)), did_you_mean(value, option.choices)
+        expected = " or ".join(map(repr, option.choices))
+        refusal = option.refusals.get(value) if isinstance(value, str) else None
+        remedy = refusal or did_you_mean(value, option.choices)
         raise FileError(str(path), f"{option.name} = {brief(value)}", expected, remedy)
     if option.kind is str:
         if not isinstance(value, str) or not value:

@@ -4,7 +4,9 @@ import re
 import sys
 import time
 
-__all__ = ["SILENCE", "LearningProgress", "Progress", "percentage_bar", "say", "span"]
+from ..io.columns import ODD_X
+
+__all__ = ["SILENCE", "LearningProgress", "Progress", "counted", "of_all", "percentage_bar", "say", "span"]
 
 # What the stages of LBSFitter.fit do, in words; others are called by their names.
 _STAGES = {
@@ -24,10 +26,13 @@ def say(text):
 
 
 def _unsaid(notes, said):
-    """One scan's notes of kinds that no scan had before, of which ``said`` keeps note: hundreds have the same to say."""
+    """One scan's notes of kinds that no scan had before, of which ``said`` keeps note: hundreds have the same to say.
+
+    What spoils the fit of each scan that has it is always said.
+    """
     # Counts do not tell kinds apart; digits in names, such as those of columns, do.
     kinds = [re.sub(r"(?<![\w'])\d+", "0", note) for note in notes]
-    out = [note for note, kind in zip(notes, kinds) if kind not in said]
+    out = [note for note, kind in zip(notes, kinds) if kind not in said or note.startswith(ODD_X)]
     said.update(kinds)
     return out
 
@@ -183,7 +188,7 @@ class LearningProgress:
         words = [recon]
         if "new_starts_won" in figures:
             n = figures["new_starts_won"]
-            words.append(f"a new start won for {n} scan{'' if n == 1 else 's'}")
+            words.append(f"a new start won for {counted(n, 'scan')}")
         words.append(f"took {span(figures['seconds'])}")
         if k < self.rounds and self._took:
             words.append(self._left_in_words())
@@ -208,6 +213,16 @@ class LearningProgress:
         mean = sum(self._took) / len(self._took)
         left = (self.rounds - self.round + 1) * mean - (self._clock() - self._began)
         return f"at most about {span(max(left, 0))} left"
+
+
+def counted(n, what):
+    """So many of something: "1 scan", "2 scans"."""
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def of_all(k, n, what="scan"):
+    """So many of all: "1 of 1 scan", "1 of 2 scans"."""
+    return f"{k} of {counted(n, what)}"
 
 
 def span(seconds):

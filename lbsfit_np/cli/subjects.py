@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..errors import FileError, brief, did_you_mean, listed
 from .outputs import same_file
+from .progress import counted
 
 __all__ = ["SUBJECT_FILES", "read_subjects"]
 
@@ -122,7 +123,8 @@ def _table_rows(path, text):
             remedy = "Leave out the other columns, and put names that hold a separator in quotes."
             if len(cells) == 1:
                 remedy = f"Put {_ONE[delimiter]} between name and id."
-            raise FileError(str(path), f"{brief(line)} in line {k}, {_number(len(cells))}{separated}", _EXPECTED, remedy)
+            got = f"{brief(line)} in line {k}, which has {counted(len(cells), 'column')}{separated}"
+            raise FileError(str(path), got, _EXPECTED, remedy)
         rows.append((k, *cells))
     return rows
 
@@ -132,10 +134,6 @@ def _cells(path, k, line, delimiter):
         return next(csv.reader([line], delimiter=delimiter, skipinitialspace=True, strict=True))
     except (csv.Error, StopIteration) as error:
         raise FileError(str(path), f"{brief(line)} in line {k}, which cannot be read ({error})", _EXPECTED) from None
-
-
-def _number(n):
-    return f"which has {n} column{'' if n == 1 else 's'}"
 
 
 def _toml_rows(path, text):

@@ -6,7 +6,7 @@ import time
 from .outputs import SUMMARY
 from .progress import say
 
-__all__ = ["counts_of", "doubts_of", "of_all", "say_doubtful", "write_summary", "written_of"]
+__all__ = ["counts_of", "doubts_of", "say_doubtful", "write_summary", "written_of"]
 
 
 def counts_of(entries):
@@ -25,11 +25,6 @@ def doubts_of(counts):
     doubts = [f"{n} {what}" for what, n in known.items() if n]
     unfitted = f", {counts['unfitted']} could not be" if counts["unfitted"] else ""
     return unfitted + (f" ({', '.join(doubts)})" if doubts else "")
-
-
-def of_all(k, n, what="scan"):
-    """So many of all: "1 of 1 scan", "1 of 2 scans"."""
-    return f"{k} of {n} {what}{'' if n == 1 else 's'}"
 
 
 def written_of(entries):

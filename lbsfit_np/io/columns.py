@@ -9,7 +9,10 @@ from ..errors import FileError
 from . import npz
 from .cloud import CloudData, cloud_from_columns, column_role, set_labels
 
-__all__ = ["read_npy", "read_npz", "read_table"]
+__all__ = ["ODD_X", "read_npy", "read_npz", "read_table"]
+
+# How the note begins that x is hardly what was meant: of each scan that has it, the fit is all but certainly wrong.
+ODD_X = "Columns 1 to 3 were taken for x, y, z, but the first"
 
 _HEAD_LINES = 200  # comment lines before the first row; more than that is no table
 _NPZ_KEYS = {
@@ -67,7 +70,7 @@ def read_table(path):
             raise FileError(str(path), f"text in the columns x, y, z: {_row(cells)!r}", "numbers")
     table = _load(path, skip, delimiter, usecols, decimal_comma)
     if names is None:
-        cloud = _unnamed(table)
+        cloud = _unnamed(table, *_IN_TABLES)
     else:
         cloud = cloud_from_columns(path, "columns", [names[k] for k in usecols], lambda k: table[:, k])
     cloud.notes[:0] = notes
@@ -80,7 +83,7 @@ def read_npy(path):
     if array.dtype.names:
         return cloud_from_columns(path, "fields", array.dtype.names, lambda k: array.reshape(-1)[array.dtype.names[k]])
     if array.ndim == 2 and array.shape[1] > 3 and array.shape[0] != 3 and array.dtype.kind in "iuf":
-        return _unnamed(array)
+        return _unnamed(array, *_IN_ARRAYS)
     return CloudData(array)
 
 
@@ -178,23 +181,28 @@ def _load(path, skip, delimiter, usecols, decimal_comma):
         ) from None
 
 
-def _unnamed(table):
+# What notes on columns without names advise: on row numbers, and on further columns.
+_IN_TABLES = (
+    "leave it out, or name the columns in a header line (row x y z)",
+    "a header line (x y z nx ny nz label)",
+)
+_IN_ARRAYS = ("leave it out (array[:, 1:])", "a structured array with fields (x, y, z, nx, ny, nz, label)")
+
+
+def _unnamed(table, without_rows, with_names):
     """A cloud from columns without names: x, y, z, and the normal where the next three columns have unit length.
 
-    Before them may stand the numbers of the rows, as data frames write them.
+    Before them may stand the numbers of the rows, as data frames write them. The last two arguments are for notes.
     """
     counted = table.shape[1] > 3 and len(table) > 3 and np.array_equal(np.diff(table[:, 0]), np.ones(len(table) - 1))
     if counted and table[0, 0] in (0, 1):
-        cloud = _unnamed(table[:, 1:])
+        cloud = _unnamed(table[:, 1:], without_rows, with_names)
         cloud.notes.insert(0, "The first column, which counts the rows, was left out.")
         return cloud
     cloud = CloudData(table[:, :3])
-    if table.shape[1] > 3 and _looks_like_row_numbers(table[:, 0]):
+    if table.shape[1] > 3 and _looks_like_row_numbers(table):
         first = ", ".join(f"{number:.0f}" for number in table[:3, 0])
-        cloud.notes.append(
-            f"Columns 1 to 3 were taken for x, y, z, but the first ({first}, …) looks like row numbers: leave it out, "
-            "or name the columns in a header line (row x y z)."
-        )
+        cloud.notes.append(f"{ODD_X} ({first}, …) looks like row numbers: {without_rows}.")
     used = 3
     if table.shape[1] >= 6:
         length = np.linalg.norm(table[:, 3:6].astype(float), axis=1)
@@ -202,13 +210,20 @@ def _unnamed(table):
             cloud.normals, used = table[:, 3:6], 6
     if table.shape[1] > used:
         columns = f"{table.shape[1] - used} further columns" if table.shape[1] - used > 1 else "One further column"
-        cloud.notes.append(f"{columns} without a name left out: a header line (x y z nx ny nz label) would say what they are.")
+        cloud.notes.append(f"{columns} without a name left out: {with_names} would say what they are.")
     return cloud
 
 
-def _looks_like_row_numbers(column):
-    """Whether numbers are whole and rise from row to row, as those of a data frame do of which rows were left out."""
-    return len(column) > 3 and bool((column[1:] > column[:-1]).all() and (column == np.floor(column)).all())
+def _looks_like_row_numbers(table):
+    """Whether the first column is of whole numbers that rise from row to row, as in a data frame of which rows were left out.
+
+    Or of such in another order, as in one that was shuffled: all distinct, and beside columns 2 and 3 that are not whole.
+    """
+    first, *others = table[:, :3].T
+    if len(first) < 4 or not (first == np.floor(first)).all():
+        return False
+    shuffled = len(np.unique(first)) == len(first) and all((other > np.floor(other)).any() for other in others)
+    return bool((first[1:] > first[:-1]).all()) or shuffled
 
 
 def _is_number(cell):
