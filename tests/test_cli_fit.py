@@ -1,6 +1,7 @@
 """``lbsfit fit``: the files and the summary that it writes, and scans read in other ways."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -82,6 +83,24 @@ def test_drop_invalid_keeps_the_good_points(made, tmp_path, run):
     code, _, _ = run("fit", made / "tube.npz", tmp_path / "holes.npy", "-o", tmp_path / "out", "--drop-invalid", *QUICK)
     assert code == 0 and len(lbs.FitResult.load(tmp_path / "out" / "holes.fit.npz").labels) == 398
     assert "2 of 400" in json.loads((tmp_path / "out" / "summary.json").read_text())["scans"][0]["notes"][0]
+
+
+def test_row_numbers_taken_for_x_are_told_of_each_scan_and_why_its_fit_is_wrong(made, tmp_path, run):
+    points = lbs.load_scan(made / "one.ply").points
+    for name, rows in (("filtered.csv", np.arange(400) * 2), ("shuffled.csv", np.arange(400)[::-1])):
+        np.savetxt(tmp_path / name, np.column_stack([rows, points]), delimiter=",")
+    scans, out = sorted(tmp_path.glob("*.csv")), tmp_path / "out"
+    code, text, err = run("fit", made / "tube.npz", *scans, made / "one.ply", "-o", out, *QUICK)
+    assert code == 1 and err.count(": failed: Columns 1 to 3 were taken for x, y, z, but the first (") == 2
+    entries = {e["name"]: e for e in json.loads((out / "summary.json").read_text())["scans"]}
+    assert entries["one"]["status"] == "ok" and entries["one"]["message"] == lbs.FitResult.load(out / "one.fit.npz").message
+    for name, rows in (("filtered", "0, 2, 4"), ("shuffled", "399, 398, 397")):
+        note = f"Columns 1 to 3 were taken for x, y, z, but the first ({rows}, …) looks like row numbers"
+        why = f"{note}: leave it out, or name the columns in a header line (row x y z); "
+        assert text.count(f"note: {name}: {note}") == 1 and entries[name]["message"].startswith(why)
+        assert re.search(rf"^{name} +failed +0\.\d\d +{re.escape(why)}\w", text, flags=re.MULTILINE)
+    kept = run("fit", made / "tube.npz", *scans, "-o", out, "--existing", "skip", *QUICK)[1]
+    assert kept.count(" Columns 1 to 3 were taken for x") == 2  # in the table: nothing is read again
 
 
 def test_samples_of_a_mesh(made, tube_rig, tmp_path, run):

@@ -240,6 +240,40 @@ def test_what_was_noted_about_a_scan_is_said_once(tubes, tmp_path, run):
         assert [bool(entry["notes"]) for entry in noted] == [True, True, False]
 
 
+@pytest.mark.parametrize("written", [False, True])
+@pytest.mark.parametrize("status", ["ok", "suspect", "failed", "not finite", "none"])
+def test_row_numbers_taken_for_x_are_why_a_fit_is_in_doubt(status, written, tubes, tmp_path, run, monkeypatch):
+    fit_all = lbs.LBSFitter.fit
+
+    def fit(self, scans, subjects=None, **options):
+        fit_all(self, scans, subjects, **options)
+        r = replace(self.results_[1], status="failed" if status == "not finite" else status, message="said by the fit")
+        if status == "not finite":
+            r = replace(r, vertices=np.full_like(r.vertices, np.nan))
+        self.results_[1] = None if status == "none" else r
+        self.failures_ = {1: "said by the fit"} if status == "none" else {}
+        return self
+
+    monkeypatch.setattr(lbs.LBSFitter, "fit", fit)
+    well, rows = (400 * lbs.load_scan(tubes / f"t{i}.ply").points for i in (0, 1))
+    np.savetxt(tmp_path / "well.csv", well, delimiter=",")
+    np.savetxt(tmp_path / "rows.csv", np.column_stack([2 * np.arange(len(rows)), rows]), delimiter=",")
+    outputs = ("-o", tmp_path / "m.npz", *(("--results", tmp_path / "fits") if written else ()))
+    scans = tmp_path / "well.csv", tmp_path / "rows.csv"
+    code, text, _ = run("learn", tubes / "tube.npz", *scans, *outputs, "--variant", "free-form")
+    assert code == (0 if status in ("ok", "suspect") else 1)
+    why = "Columns 1 to 3 were taken for x, y, z, but the first (0, 2, 4, …) looks like row numbers: leave it out, "
+    assert text.count(f"note: rows: {why}") == 1
+    if status == "ok":
+        assert text.count(why) == 1
+    else:
+        told = rf"^rows +{'suspect' if status == 'suspect' else 'failed'} .*{re.escape(why)}.*; said by the fit$"
+        assert re.search(told, text, flags=re.MULTILINE)
+    if written:
+        (entry,) = (e for e in json.loads((tmp_path / "fits" / "summary.json").read_text())["scans"] if e["name"] == "rows")
+        assert entry["message"].startswith(why) == (status != "ok") and entry["message"].endswith("said by the fit")
+
+
 def test_pictures_of_results(tubes, tmp_path, run, monkeypatch):
     from lbsfit_np.report import fit_picture
 
