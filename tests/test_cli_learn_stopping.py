@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shlex
 import signal
 import time
 from dataclasses import replace
@@ -14,6 +15,7 @@ from cli_runs import QUICK, one_line, started, stopped
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import learn, outputs
+from lbsfit_np.cli.stopped_learning import results_so_far
 from lbsfit_np.errors import FileError
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -161,6 +163,89 @@ def test_ctrl_c_after_the_results_names_a_scan_that_failed_once(tubes, tmp_path,
     code, text, err = run(*arguments, "--variant", "free-form")
     assert code == 130 and err.startswith("broken: failed: ") and text.splitlines()[-1].endswith("m.npz is complete")
     assert sum(line.startswith("broken ") for line in text.splitlines()) == 1
+
+
+def _stopped_among_results(run, tubes, out, stop_at, monkeypatch, *options, stop_in=outputs.Writer, method="__call__"):
+    """The last line of a run that is stopped at some call of a function, and the scans."""
+    call, calls = getattr(stop_in, method), []
+
+    def interrupted(*given, **more):
+        calls.append(given)
+        if len(calls) > stop_at:
+            raise KeyboardInterrupt
+        return call(*given, **more)
+
+    scans = [str(path) for path in sorted(tubes.glob("t*.ply"))]
+    with monkeypatch.context() as patch:
+        patch.setattr(stop_in, method, interrupted)
+        arguments = ("learn", tubes / "tube.npz", *scans, "-o", out / "m n.npz", "--results", out / "fi ts", *options)
+        code, text, _ = run(*arguments, "--variant", "free-form")
+    assert code == 130
+    return text.splitlines()[-1], scans
+
+
+def _as_said(line, scans):
+    """The command that a line ends with, for these scans."""
+    words = shlex.split(line[line.index("lbsfit fit ") :])
+    k = words.index("SCAN...")
+    return [*words[1:k], *scans, *words[k + 1 :]]
+
+
+@pytest.mark.parametrize("where", ["results", "pictures", "before"])
+def test_the_rest_of_the_results_after_ctrl_c(where, tubes, tmp_path, run, monkeypatch):
+    """Of one whose picture was being drawn the fit is there, and only its picture is made."""
+    options, stop_in, method, stop_at = (), outputs.Writer, "__call__", 2 * (where == "results")
+    if where == "pictures":
+        options, stop_in, method, stop_at = ("--pictures", "--drop-invalid", "--samples", 300), outputs, "draw", 1
+    how = (tubes, tmp_path, stop_at, monkeypatch, *options)
+    line, scans = _stopped_among_results(run, *how, stop_in=stop_in, method=method)
+    written, model, fits = (0 if where == "before" else 2), tmp_path / "m n.npz", tmp_path / "fi ts"
+    more = " --samples 300 --drop-invalid --pictures" if options else ""
+    rest = f"; the rest: lbsfit fit '{model}' SCAN... -o '{fits}'{more} --existing skip"
+    assert line == f"stopped: {model} is complete, {written} of 4 results in {fits}{rest}"
+    before = {path: path.read_bytes() for path in fits.glob("*.fit.npz")}
+    code, text, err = run(*_as_said(line, scans))
+    assert (code, err) == (0, "") and ("2 of 4 scans are fitted already and kept" in text) == (written == 2)
+    assert len(before) == written and all(path.read_bytes() == content for path, content in before.items())
+    assert len(list(fits.iterdir())) == 4 * (3 + (where == "pictures")) + 1
+
+
+def test_the_rest_of_the_results_where_those_of_an_earlier_run_are(tubes, tmp_path, run, monkeypatch):
+    """--existing skip would take the model for another one."""
+    (tmp_path / "fi ts").mkdir()
+    run("fit", tubes / "tube.npz", *sorted(tubes.glob("t*.ply")), "-o", tmp_path / "fi ts", *QUICK)
+    line, scans = _stopped_among_results(run, tubes, tmp_path, 2, monkeypatch, "--existing", "replace")
+    end = f"; the rest alone, where files of an earlier run are: lbsfit fit '{tmp_path}/m n.npz' SCAN... -o '{tmp_path}/fi ts'"
+    assert "is complete, 2 of 4 results in" in line and line.endswith(end + " --existing replace")
+    code, text, err = run(*[word.replace("replace", "skip") for word in _as_said(line, scans)])
+    assert code == 2 and "t2.fit.npz, a fit without a model" in one_line(err)
+    code, text, err = run(*_as_said(line, scans[2:]))
+    assert (code, err) == (0, "") and "2 of 2 scans fitted" in text
+
+
+def _interrupted():
+    raise KeyboardInterrupt
+
+
+def test_all_results_are_there_at_ctrl_c(tubes, tmp_path, run, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.cli.learn._say_statuses", lambda *_: _interrupted())
+    line, _ = _stopped_among_results(run, tubes, tmp_path, 4, monkeypatch)
+    assert line.endswith(f"is complete, 4 of 4 results in {tmp_path / 'fi ts'}")
+
+
+def test_the_rest_of_the_results_of_several_people(learned_hands, hands, tmp_path, run):
+    """Those learned from are kept; the others are looked at on each template."""
+    scans = [str(hands[0] / f"{name}.ply") for name in ("anna0", "ben1")]
+    for path in learned_hands[1].glob("anna0.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    fitter = lbs.LBSFitter.load(learned_hands[0])
+    values = {"results": str(tmp_path), "samples": None, "drop_invalid": False, "pictures": False}
+    files = outputs.plan(scans, tmp_path, inputs=[], existing="replace")
+    words = results_so_far(fitter, learned_hands[0], files, {}, values)
+    rest = f"; the rest, each on the template that explains it best: lbsfit fit {learned_hands[0]} SCAN... -o {tmp_path} "
+    assert words == f", 1 of 2 results in {tmp_path}{rest}--existing skip"
+    code, text, _ = run(*_as_said(words, scans))
+    assert code == 0 and "1 of 2 scans is fitted already and kept" in text and "2 of 2 scans fitted" in text
 
 
 def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path, run):

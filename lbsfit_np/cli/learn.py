@@ -2,7 +2,6 @@
 
 import functools
 import os
-import shlex
 import time
 import warnings
 from dataclasses import dataclass, field
@@ -18,6 +17,7 @@ from .fit import RIG_OPTIONS, check_training, load_rig_with, read_scan, scan_opt
 from .models import about_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, of_all, say, span
+from .stopped_learning import results_so_far, stopped_early
 from .stopping import exit_code, terminable
 from .subjects import SUBJECT_FILES, read_subjects
 from .summary import counts_of, say_doubtful, write_summary, written_of
@@ -170,8 +170,8 @@ def learn_files(rig_path, scans, values, *, inputs=()):
             _say_statuses(entries, len(scans), values["results"])
     except KeyboardInterrupt as stop:
         progress.close()
-        results = f", {of_all(written_of(entries), len(scans), 'result')} in {values['results']}" if files else ""
-        end = f"stopped: {model} is complete{results}" if written else _stopped_early(fitter, model, values)
+        results = results_so_far(fitter, model, files, entries, values) if files and written else ""
+        end = f"stopped: {model} is complete{results}" if written else stopped_early(fitter, model, values)
         known = {e["input"] for e in entries.values()}  # the lines that named the others may be far above
         say_doubtful([*entries.values(), *(e for e in reading.unused() if e["input"] not in known)])
         say(end)
@@ -338,27 +338,6 @@ def _learned(fitter, reading, model, seconds):
         f"learned from {learned} of {scans} of {who} subject{'' if who == 1 else 's'}{apart} "
         f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; {model} written after {span(seconds)}"
     )
-
-
-def _stopped_early(fitter, model, values):
-    """What of the work is kept, and how to go on, in words; the model, where a round has learned one."""
-    if getattr(fitter, "history_", None):  # a round has been kept
-        with terminable():
-            fitter.save(model)
-        kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
-        to_fit = f"lbsfit fit {shlex.quote(str(model))} SCAN... -o {shlex.quote(values['results'] or 'OUT')}"
-        to_fit += " --pictures" * values["pictures"]
-        anew = "the same command begins anew"
-        if values["existing"] == "replace":
-            to_fit += " --existing replace" * bool(values["results"])  # where results of an earlier run may be
-        else:  # the model is in its way
-            anew = "the same command with --existing replace begins anew"
-        who = ", of each subject by themselves and with --subject ID" if len(fitter.template_) > 1 else ""
-        return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit scans with it{who}: {to_fit}"
-    if getattr(fitter, "regressor_", None) is None:  # training is over only when all of it is
-        return "stopped before the model was learned; the same command begins anew"
-    kept = "what was trained first is kept, and the rounds begin anew with the same command"
-    return f"stopped before the model was learned; {kept}"
 
 
 def _units(fitter):
