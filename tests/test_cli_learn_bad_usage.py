@@ -12,6 +12,7 @@ from cli_runs import QUICK_LEARNING, one_line
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_points_ply
+from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -174,6 +175,7 @@ def test_what_was_learned_from_is_counted_as_such_without_a_result(tubes, tube_m
         result = lbs.FitResult.load(tube_model[1] / "t0.fit.npz")
         self.results_ = [replace(result, message="learned from; well"), None, None, None]
         self.failures_ = failures | {3: "unread"}
+        self.roles_ = [LEARNED_FROM, LEARNED_FROM, HELD_OUT, None]
 
     monkeypatch.setattr(lbs.LBSFitter, "fit", fit)
     (tmp_path / "learned from.ply").write_bytes(b"")
