@@ -76,7 +76,7 @@ def fits_are_given(patch, registrations):
             raise given
         vertices, more = given if isinstance(given, tuple) else (given, {})
         result = result_of(self.rig, vertices, len(scan.points), **more)
-        return self._signed([result], named=options.get("subject") is not None)[0]
+        return self._signed([result], options.get("subject"))[0]
 
     def pretrain(self, **options):
         self.segmenter_ = self.regressor_ = "given"

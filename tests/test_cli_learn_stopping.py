@@ -98,15 +98,23 @@ def stop_after_a_round(tube_model, monkeypatch):
         ((0,), "of all", (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o '{}/of all'\n"),
         ((0,), "fits", ("--existing", "replace"), "with it: lbsfit fit '{}/m n.npz' SCAN... -o {}/fits --existing replace\n"),
         ((0,), "fits", ("--pictures",), "with it: lbsfit fit '{}/m n.npz' SCAN... -o {}/fits --pictures\n"),
-        (("a", "b"), None, (), "with it, of each subject by themselves and with --subject ID: lbsfit fit '{}/m n.npz' SCAN..."),
+        (("a", "b"), None, (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o OUT\n"),
+        (
+            ("a", "b"),
+            None,
+            ("--subjects", "{}/who is who.csv"),
+            "with it: lbsfit fit '{}/m n.npz' SCAN... -o OUT --subjects '{}/who is who.csv'\n",
+        ),
     ],
 )
 def test_how_to_go_on_after_a_round(subjects, results, options, words, tubes, tmp_path, run, stop_after_a_round):
     stop_after_a_round(*subjects)
+    (tmp_path / "who is who.csv").write_text("t0,a\nt1,b\nt2,a\nt3,b\n")
+    options = [word.replace("{}", str(tmp_path)) for word in options]
     outputs = ("-o", tmp_path / "m n.npz", *(() if results is None else ("--results", tmp_path / results)))
     code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, *options)
     assert (code, err) == (130, "t1: failed: nobody foresaw this\n")
-    with_it = "" if options[:1] == ("--existing",) else "with --existing replace "
+    with_it = "" if options[:1] == ["--existing"] else "with --existing replace "
     anew = f"results; the same command {with_it}begins anew; to fit scans "
     *_, heading, failed, last = text.splitlines()
     assert heading.split() == ["scan", "status", "probability", "why"]  # of a scan that was named long before

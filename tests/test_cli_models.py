@@ -45,6 +45,45 @@ def test_fit_with_one_subjects_template(subject, learned_hands, hands, tmp_path,
     assert json.loads((tmp_path / "summary.json").read_text())["model"]["subject"] == subject
 
 
+def test_fit_with_a_table_of_subjects(learned_hands, hands, tmp_path, run):
+    """The table of all that was learned from, of which some are fitted; then with one of another subject."""
+    model, names = learned_hands[0], ("anna1", "ben1")
+    scans = [hands[0] / f"{name}.ply" for name in names]
+    arguments = ("fit", model, *scans, "-o", tmp_path / "out", "--subjects")
+    code, _, err = run(*arguments, hands[0] / "who.csv", "--jobs", 2)
+    assert (code, err) == (0, "")
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [s["subject"] for s in summary["scans"]] == ["anna", "ben"]
+    fitter = lbs.LBSFitter.load(model)
+    for name, scan in zip(names, scans):
+        ours = lbs.FitResult.load(tmp_path / "out" / f"{name}.fit.npz")
+        theirs = fitter.fit_scan(lbs.load_scan(scan), subject=name[:-1])
+        for field in ARRAYS:
+            np.testing.assert_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
+        assert ours.subject == name[:-1] and ours.model_digest == theirs.model_digest
+    (tmp_path / "other.csv").write_text("anna1,anna\nben1,anna\n")
+    code, text, _ = run(*arguments, hands[0] / "who.csv", "--existing", "skip")
+    assert code == 0 and "2 of 2 scans are fitted already" in text
+    code, _, err = run(*arguments, tmp_path / "other.csv", "--existing", "skip")
+    assert code == 2 and "ben1.fit.npz, a fit with another model, or as another subject's" in one_line(err)
+
+
+def test_tables_of_subjects_that_cannot_be_used(learned_hands, hands, tubes, tmp_path, run):
+    def said(table, *options, model=learned_hands[0]):
+        (tmp_path / "who.csv").write_text(table)
+        scan = hands[0] / "ben1.ply"
+        code, _, err = run("fit", model, scan, "-o", tmp_path / "out", "--subjects", tmp_path / "who.csv", *options)
+        assert code == 2 and not (tmp_path / "out").exists()
+        return one_line(err)
+
+    unknown = "--subjects: got 'carl'; expected a subject of the model: 'anna', 'ben'. Fit scans of others without it."
+    assert said("ben1,carl").endswith(unknown)
+    assert said("ben1,bne").endswith("Did you mean 'ben'?")
+    assert "no id for 1 of 1 scans" in said("ben2,ben")
+    assert "who.csv beside --subject ben; expected one of the two" in said("ben1,ben", "--subject", "ben")
+    assert "--subjects: got" in (line := said("ben1,ben", model=HAND)) and "which is a rig" in line
+
+
 def test_a_number_as_the_subject(tube_model, tubes, tmp_path, run):
     assert run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path / "out", "--subject", "0")[0] == 0  # the id of one subject
 
@@ -109,7 +148,7 @@ def test_an_unknown_subject_of_a_model_of_one_that_has_a_name(tube_model, tubes,
     fitter = lbs.LBSFitter.load(tube_model[0])
     fitter.template_, fitter.unit_ = {"anna": fitter.template_[0]}, {"anna": fitter.unit_[0]}
     fitter.save(tmp_path / "anna.npz")
-    for got, more in (("carl", "."), ("ana", ". Did you mean 'anna'?")):
+    for got, more in (("carl", ". Fit scans of others without it."), ("ana", ". Did you mean 'anna'?")):
         code, _, err = run("fit", tmp_path / "anna.npz", tubes / "t0.ply", "-o", tmp_path / "out", "--subject", got)
         assert code == 2 and one_line(err).endswith(f"--subject: got {got!r}; expected a subject of the model: 'anna'{more}")
 
@@ -137,7 +176,7 @@ def test_skip_keeps_fits_of_the_same_model(tube_model, tubes, tmp_path, run):
     assert (tmp_path / "t0.fit.npz").read_bytes() == (results / "t0.fit.npz").read_bytes()
     assert run(*arguments, "--max-points", 99)[0] == 0  # settings do not count
     code, _, err = run(*arguments, "--subject", "0")  # its only one; but without, a scan may be somebody else's
-    assert code == 2 and "--subject told otherwise" in one_line(err)
+    assert code == 2 and "as another subject's" in one_line(err)
 
 
 @pytest.mark.parametrize("change", ["another model", "a rig", "a model"])
@@ -150,7 +189,7 @@ def test_skip_does_not_take_fits_made_with_something_else(change, tube_model, tu
         fitter.template_[0] = template.with_template(1.01 * template.vertices, template.joints)
         fitter.save(tmp_path / "other.npz")
         model = tmp_path / "other.npz"
-        words = "with another model, or with --subject told otherwise; expected fits with this model"
+        words = "with another model, or as another subject's; expected fits with this model"
         _copied(results, "t0.*", tmp_path)
     elif change == "a rig":
         model, words = tubes / "tube.npz", "with a learned model; expected fits with rig 'tube' alone"
@@ -177,7 +216,7 @@ def test_skip_goes_by_the_subjects_in_use(learned_hands, hands, tmp_path, run):
         code, text, _ = run("fit", model, *arguments, "ben")
         assert code == 0 and "1 of 1 scan is fitted already" in text
     code, _, err = run("fit", learned_hands[0], *arguments, "anna")
-    assert code == 2 and "with another model, or with --subject told otherwise" in one_line(err)
+    assert code == 2 and "with another model, or as another subject's" in one_line(err)
 
 
 def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, hands, tmp_path, run):
@@ -185,7 +224,7 @@ def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, h
     arguments = ("fit", learned_hands[0], hands[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip")
     assert run(*arguments)[0] == 0
     code, _, err = run(*arguments, "--subject", "ben")
-    assert code == 2 and "with another model, or with --subject told otherwise" in one_line(err)
+    assert code == 2 and "with another model, or as another subject's" in one_line(err)
 
 
 @pytest.mark.parametrize("variant", ["cd", "free-form"])

@@ -10,9 +10,11 @@ import pytest
 from sklearn.base import clone
 
 import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.learning import finish
 from lbsfit_np.learning.archive import model_digest
+from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.losses.objective import LossWeights
 
 QUICK = {"effort": "fast", "training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
@@ -158,12 +160,29 @@ def test_mappings_of_training_travel(own, tmp_path):
 # ---- the digest ----
 
 
+def test_results_say_whose_template_they_are_on(learned, tube_result, clouds, tmp_path):
+    assert [r.subject for r in learned.results_] == list("ababab") and tube_result.subject == ""
+    outcomes = fit_scans(learned, clouds[:3], subjects=["b", "a", None], jobs=2)
+    assert [o.result.subject for o in outcomes][:2] == ["b", "a"]
+    digests = [model_digest(learned, subject) for subject in ("b", "a", None)]
+    assert [o.result.model_digest for o in outcomes] == digests
+    outcomes[0].result.save(tmp_path / "r.npz")
+    assert lbs.FitResult.load(tmp_path / "r.npz").subject == "b"
+    numbers = lbs.LBSFitter(learned.rig, **QUICK).fit(clouds)
+    assert {r.subject for r in numbers.results_} == {"0"}
+    with pytest.raises(InputError, match="subject: got 'c'; expected one of 'a', 'b'"):
+        fit_scans(learned, clouds[:2], subjects=["a", "c"])
+    with pytest.raises(InputError, match="subjects: got 1 ids; expected 2, one for each scan"):
+        fit_scans(learned, clouds[:2], subjects=["a"])
+
+
 def test_results_say_which_model_they_were_made_with(learned, tube_fitter, tube_result, clouds, tmp_path):
     digest = model_digest(learned)
     assert len(digest) == 64 and model_digest(tube_fitter) == tube_result.model_digest == ""
     found = learned.fit_scan(clouds[0])
     assert {r.model_digest for r in (found, *learned.results_)} == {digest}
-    assert learned.fit_scan(clouds[0], subject="a").model_digest == model_digest(learned, named=True) != digest
+    assert learned.fit_scan(clouds[0], subject="a").model_digest == model_digest(learned, "a") != digest
+    assert model_digest(learned, "a") != model_digest(learned, "b")
     found.save(tmp_path / "r.npz")
     assert lbs.FitResult.load(tmp_path / "r.npz").model_digest == digest
     tube_result.save(tmp_path / "r.npz")

@@ -27,11 +27,11 @@ def test_new_scans_find_their_subject(tube_rig, learned_people, unlearned, peopl
     for k in (10, 11):
         own, other = ("ann", "bob") if k % 2 == 0 else ("bob", "ann")
         r = learned_people.fit_scan(people_scans[k].points)
-        assert f"on the template of subject {own!r}" in r.message
+        assert f"on the template of subject {own!r}" in r.message and r.subject == own
         named = learned_people.fit_scan(people_scans[k].points, subject=own)
         assert mean_gap(tube_rig, [r], [named], "vertices") < 0.005  # the same fit, but for where it began
         wrong = learned_people.fit_scan(people_scans[k].points, subject=other)
-        assert repr(other) in wrong.message and wrong.terms["recon"] > r.terms["recon"]
+        assert repr(other) in wrong.message and wrong.subject == other and wrong.terms["recon"] > r.terms["recon"]
     found = [learned_people.fit_scan(s.points) for s in people_scans[12:14]]
     single = [unlearned.fit_scan(s.points) for s in people_scans[12:14]]
     assert mean_gap(tube_rig, found, people_scans[12:14]) < 0.6 * mean_gap(tube_rig, single, people_scans[12:14])
@@ -45,6 +45,7 @@ def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_p
     scans = lbs.synthesize(tube_rig, 3, templates=[changed], poses="uniform", random_state=8, n_points=400)
     found = [learned_people.fit_scan(s.points) for s in scans]
     assert all(re.search(r"much better than that of '(ann|bob)', the nearest one: somebody else\?", r.message) for r in found)
+    assert [r.subject for r in found] == [""] * 3
     named = [learned_people.fit_scan(s.points, subject="ann") for s in scans]
     assert all("of somebody else than this template?" in r.message and r.status != "ok" for r in named)
     assert mean_gap(tube_rig, found, scans, "vertices") < 0.8 * mean_gap(tube_rig, named, scans, "vertices")
@@ -109,6 +110,7 @@ class _Alone:
     found: object
     seconds: float = 0.0
     status: str = "ok"
+    subject: str = ""
 
 
 ASKS = "; if you know who it is, name the subject (--subject)"
@@ -215,9 +217,11 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     for look in ("_scouted", "_given"):
         monkeypatch.setattr(finish, look, lambda *known: _seen(tube_rig, scan))
     monkeypatch.setattr(finish, "stands_words", lambda *known: "the scan stands along +z")
-    fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=lambda problem, state, **place: place)
+    fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=lambda problem, state, **place: _Alone("", place))
     monkeypatch.setattr(finish, "_template_fit", lambda *made_of: fit)
-    told = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
+    made = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
+    told = made.found
+    assert made.subject == "ann"
     assert "on the template of subject 'ann'" in told["note"] and told.get("further", ()) == (() if given else FASTER)
     assert told["found"] == ("scan and rig are in one unit", "" if given else "the scan stands along +z")
 

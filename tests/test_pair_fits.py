@@ -120,7 +120,7 @@ def test_what_was_learned_from_is_fitted_as_its_subjects(pair_scans, tube_rig, p
     assert [e["kept"] for e in fit().entries.values()] == [True] * 4 and asked == []
     assert list(json.loads((tmp_path / "fits.json").read_text())["learned_from"]) == ["s0", "s1", "s2"]
     # Fits of other models, and of s3 as its namesake's, are not what would be made now.
-    named = model_digest(lbs.LBSFitter.load(tmp_path / "model.npz"), named=True)
+    named = model_digest(lbs.LBSFitter.load(tmp_path / "model.npz"), "bob")
     for name, digest in (("s0", ""), ("s2", "another"), ("s3", named)):
         replace(result_of(tube_rig, pair_meshes[0], 242), model_digest=digest).save(tmp_path / "fits" / f"{name}.npz")
     fit()

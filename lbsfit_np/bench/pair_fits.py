@@ -165,25 +165,22 @@ def _fit_others(fitter, todo, learn_from, read, fits, jobs, reporter):
     """Fit scans one by one, those of a subject that was learned as this subject's."""
     from ..learning.batch import fit_scans
 
-    known, groups = _known_subjects(fitter, learn_from), {}
-    for scan in todo:
-        groups.setdefault(known.get(scan.name), []).append(scan.name)
-    for subject, names in groups.items():
+    known, names = _known_subjects(fitter, learn_from), [scan.name for scan in todo]
 
-        def on_result(outcome, names=names):
-            name = names[outcome.index]
-            fits.entries[name] = outcome.result if outcome.error is None else {"failed": outcome.error}
-            reporter.fitted(name, fits.entries[name] | {"seconds": round(outcome.seconds, 3)}, len(todo))
+    def on_result(outcome):
+        name = names[outcome.index]
+        fits.entries[name] = outcome.result if outcome.error is None else {"failed": outcome.error}
+        reporter.fitted(name, fits.entries[name] | {"seconds": round(outcome.seconds, 3)}, len(todo))
 
-        fit_scans(
-            fitter,
-            [read[name] for name in names],
-            subject=subject,
-            jobs=jobs,
-            finish=_Save(fits.folder, names),
-            on_result=on_result,
-            pretrain=lambda fitter: fitter.pretrain(cache=True, progress=reporter.training),
-        )
+    fit_scans(
+        fitter,
+        [read[name] for name in names],
+        subjects=[known.get(name) for name in names],
+        jobs=jobs,
+        finish=_Save(fits.folder, names),
+        on_result=on_result,
+        pretrain=lambda fitter: fitter.pretrain(cache=True, progress=reporter.training),
+    )
 
 
 def _known_subjects(fitter, learn_from):
@@ -225,14 +222,14 @@ def _kept(folder, names, fitter, learn_from):
     from ..learning.archive import model_digest
 
     known, kept = _known_subjects(fitter, learn_from), {}
-    learned, refitted = (model_digest(fitter, named=named) for named in (False, True))
+    learned, refitted = model_digest(fitter), {s: model_digest(fitter, s) for s in set(known.values())}
     for name in names:
         try:
             result = FitResult.load(_file(folder, name))
         except FileError:
             continue
         # Of a scan that was learned from, the fit that learning left, or a later one as its subject's.
-        digests = (learned, refitted) if name in known else (learned,)
+        digests = (learned, refitted[known[name]]) if name in known else (learned,)
         if result.rig_digest == fitter.rig.digest and result.model_digest in digests:
             kept[name] = _entry(result, kept=True)
     return kept

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, brief, did_you_mean
 from . import outputs
-from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subject_of, with_subject
+from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subjects_of
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, counted, of_all, say
 from .stopping import exit_code, terminable
@@ -31,6 +31,7 @@ OPTIONS = (
     Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o", is_path=True),
     *RIG_OPTIONS,
     Option("subject", "whose template a model shall use; by default the one that explains the scan best", metavar="ID"),
+    Option("subjects", "a file that says whose each scan is, as for lbsfit learn", metavar="FILE", is_path=True),
     Option("scale", "whether the scan's scale is found, or is the rig's", default="estimate", choices=("estimate", "fixed")),
     Option(
         "orientation",
@@ -202,19 +203,20 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
 
     started = time.perf_counter()
     out = Path(values["output"])
-    read = [rig_path, values["segmenter"], values["card"] if values["card"] != "none" else None, *inputs]
+    read = [rig_path, values["segmenter"], values["subjects"], values["card"] if values["card"] != "none" else None, *inputs]
     names = {"existing": values["existing"], "pictures": values["pictures"], "may_skip": True}
     outputs.check_sources(scans)
     values = dict(values)  # a model changes some
     fitter, model = _fitter(rig_path, values, given)
+    subjects = [None] * len(scans) if model is None else subjects_of(fitter, values, scans)
     check_parameters(fitter)  # what options got wrong is said before what is in their way, and before a folder is made
     files = outputs.plan(scans, out, inputs=[p for p in read if p], **names)
     if values["existing"] == "skip":
         files, notes = outputs.without_pictures_of_others(files)
         for note in notes:
             say(note)
-    rig = fitter.rig
-    kept = _kept(files, fitter, values) if values["existing"] == "skip" else {}
+    rig, subjects = fitter.rig, {f.name: subject for f, subject in zip(files, subjects, strict=True)}
+    kept = _kept(files, fitter, subjects) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"{of_all(len(kept), len(files))} {_are(len(kept))} fitted already and kept")
@@ -236,7 +238,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     stopped = None
     try:
         with terminable():
-            _fit(fitter, todo, values, on_result, progress)
+            _fit(fitter, todo, subjects, values, on_result, progress)
     except BaseException as reason:  # noqa: BLE001 (raised again below, once the summary is safe)
         stopped = reason
     finally:
@@ -264,13 +266,14 @@ def _fitter(rig_path, values, given):
     from ..learning.fitter import LBSFitter
 
     rig = load_rig_with(rig_path, values)
-    if values["subject"] is not None:
-        raise InputError(
-            "--subject",
-            f"{brief(values['subject'])} with {rig_path}, which is a rig",
-            "a model that lbsfit learn has written, which knows subjects",
-            "Leave it out, or name a model.",
-        )
+    for name in ("subject", "subjects"):
+        if values[name] is not None:
+            raise InputError(
+                f"--{name}",
+                f"{brief(values[name])} with {rig_path}, which is a rig",
+                "a model that lbsfit learn has written, which knows subjects",
+                "Leave it out, or name a model.",
+            )
     check_training(values["training"])
     fitter = LBSFitter(
         rig,
@@ -296,37 +299,30 @@ def _fitter(rig_path, values, given):
     return fitter, None
 
 
-def _fit(fitter, todo, values, on_result, progress):
+def _fit(fitter, todo, subjects, values, on_result, progress):
     from ..learning.batch import fit_scans
 
-    subject = subject_of(fitter, values["subject"])
-    writer = outputs.Writer(fitter.rig, todo, None if subject is None else _digest(fitter, values))
     segmenter = getattr(fitter, "segmenter_", None)
     fit_scans(
         fitter,
         [functools.partial(read_scan, f.source, len(fitter.rig.parts), scan_options(values)) for f in todo],
-        subject=subject,
+        subjects=[subjects[f.name] for f in todo],
         jobs=values["jobs"],
-        finish=writer,
+        finish=outputs.Writer(fitter.rig, todo),
         on_result=on_result,
         pretrain=lambda fitter: fitter.pretrain(segmenter=segmenter, cache=True, progress=progress.training),
     )
 
 
-def _digest(fitter, values):
-    """Of all that fits of this run depend on in a model; with --subject, of this one's template alone. "" of a rig."""
-    from ..learning.archive import model_digest
-
-    subject = subject_of(fitter, values["subject"])
-    return model_digest(fitter) if subject is None else model_digest(with_subject(fitter, subject), named=True)
-
-
-def _kept(files, fitter, values):
+def _kept(files, fitter, subjects):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
     from ..fitting.result import FitResult
+    from ..learning.archive import model_digest
 
-    kept, rig, digest = {}, fitter.rig, _digest(fitter, values)
+    kept, rig = {}, fitter.rig
+    digests = {subject: model_digest(fitter, subject) for subject in set(subjects.values())}
     for f in files:
+        digest = digests[subjects[f.name]]
         if not all(path.is_file() for what, path in f.paths.items() if what != "picture"):
             continue
         try:
@@ -379,7 +375,7 @@ def _is_newer(picture, fit):
 def _made_with(theirs, ours):
     if not theirs:
         return "without a model"
-    return "with another model, or with --subject told otherwise" if ours else "with a learned model"
+    return "with another model, or as another subject's" if ours else "with a learned model"
 
 
 def _farewell(counts, n, out, stopped, older):

@@ -1,6 +1,5 @@
 """Models on the command line: the files that ``lbsfit learn`` writes, where another command takes a rig."""
 
-import copy
 import json
 import os
 from dataclasses import asdict, is_dataclass
@@ -8,8 +7,9 @@ from dataclasses import asdict, is_dataclass
 from ..errors import FileError, InputError, brief, did_you_mean, listed
 from ..learning.variants import note_on, unused
 from .progress import counted, say
+from .subjects import read_subjects
 
-__all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig", "subject_of", "with_subject"]
+__all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig", "subjects_of"]
 
 # Options of lbsfit fit that a model has settled: its rig's, and those of training.
 _SETTLED = ("card", "shape", "skin", "normalize-weights", "parts", "joints", "segmenter", "training-scans", "training")
@@ -47,7 +47,7 @@ def load_model(path, values, given):
     FileError
         A broken model.
     InputError
-        Options that only concern rigs or learning; an unknown subject.
+        Options that only concern rigs or learning.
     """
     from ..learning.fitter import LBSFitter
 
@@ -71,8 +71,6 @@ def load_model(path, values, given):
         fitter.up = None  # no axis is known then, and the model's cannot be unsaid otherwise
     if "seed" in given or type(fitter.random_state) is not int:
         fitter.random_state = values["seed"]
-    if values["subject"] is not None:
-        subject_of(fitter, values["subject"])
     values |= {key: _plain(getattr(fitter, key)) for key in (*_FREE, "joints", "training_scans")}
     values |= {"training": _plain(fitter.training or {}), "seed": fitter.random_state}
     return fitter
@@ -116,28 +114,46 @@ def _is_none(name, values):
     return name == "card" and values["card"] == "none"
 
 
-def subject_of(fitter, wanted):
-    """A subject of a model, by its id as text: ids on the command line are text, in a model they may be numbers.
+def subjects_of(fitter, values, scans):
+    """Whose each scan is, by ``--subject`` or ``--subjects``, as ids of the model; None each where neither says.
 
-    None where none is wanted; InputError where the model does not know it.
+    Parameters
+    ----------
+    fitter : LBSFitter
+        That has learned.
+    values : dict
+        Of the options.
+    scans : list of str
+
+    Returns
+    -------
+    list of str, int or None
+
+    Raises
+    ------
+    FileError
+        A table that cannot be read, or lacks a scan.
+    InputError
+        Both options; an id that the model does not know.
     """
-    if wanted is None:
-        return None
+    one, table = values["subject"], values["subjects"]
+    if table is None:
+        return [None if one is None else _subject(fitter, one, "--subject")] * len(scans)
+    if one is not None:
+        raise InputError("--subjects", f"{table} beside --subject {one}", "one of the two", "Leave one out.")
+    return [_subject(fitter, wanted, "--subjects") for wanted in read_subjects(table, scans, others=True)]
+
+
+def _subject(fitter, wanted, option):
+    """A subject of a model, by its id as text: ids on the command line are text, in a model they may be numbers."""
     known = {str(s): s for s in fitter.template_}
     if wanted not in known and list(fitter.template_) == [0]:
         got = f"{brief(wanted)} for a model that was learned without --subjects"
-        raise InputError("--subject", got, "no subject: it has one template", "Leave it out, or learn with --subjects.")
+        raise InputError(option, got, "no subject: it has one template", "Leave it out, or learn with --subjects.")
     if wanted not in known:
-        remedy = did_you_mean(wanted, known)
-        raise InputError("--subject", brief(wanted), f"a subject of the model: {listed([repr(s) for s in known])}", remedy)
+        remedy = did_you_mean(wanted, known) or "Fit scans of others without it."
+        raise InputError(option, brief(wanted), f"a subject of the model: {listed([repr(s) for s in known])}", remedy)
     return known[wanted]
-
-
-def with_subject(fitter, subject):
-    """The same model with one subject's template alone, which its digest then is of: what others have does not count."""
-    one = copy.copy(fitter)
-    one.template_, one.unit_ = {subject: fitter.template_[subject]}, {subject: fitter.unit_[subject]}
-    return one
 
 
 def _plain(value):

@@ -195,21 +195,16 @@ class Writer:
     ----------
     rig : Rig
     files : tuple of ScanFiles
-    model_digest : str, optional
-        What the fits shall say that they depend on in a model; by default what they say themselves.
     """
 
     rig: object
     files: tuple
-    model_digest: str | None = None
 
     def __call__(self, index, scan, result):
         from ..io.write import atomic_path, write_mesh_ply, write_points_ply
         from ..report.colors import part_colors
 
         files, rig = self.files[index], self.rig
-        if self.model_digest is not None:
-            result = replace(result, model_digest=self.model_digest)
         if result.status != "ok":  # in the fit's own file, too, for runs that keep it
             result = replace(result, message=with_reasons(result.message, scan.notes))
         colors = part_colors(len(rig.parts))
@@ -286,6 +281,7 @@ def fitted_entry(files, result, *, kept=False, notes=()):
         evaluations=result.evaluations,
         seconds=round(result.seconds, 3),
         scale=result.scale,
+        subject=result.subject or None,
         points=len(result.labels),
         files={kind: path.name for kind, path in files.paths.items() if path.is_file()},
         notes=list(notes),

@@ -22,8 +22,8 @@ def stopped_early(fitter, model, values):
         # In the results' folder those of an earlier run may be.
         to_fit = _to_fit(model, values, "replace" if replace and values["results"] else None)
         anew = "the same command begins anew" if replace else "the same command with --existing replace begins anew"
-        who = ", of each subject by themselves and with --subject ID" if len(fitter.template_) > 1 else ""
-        return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit scans with it{who}: {to_fit}"
+        to_fit += f" --subjects {shlex.quote(values['subjects'])}" if values["subjects"] is not None else ""
+        return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit scans with it: {to_fit}"
     if getattr(fitter, "regressor_", None) is None:  # training is over only when all of it is
         return "stopped before the model was learned; the same command begins anew"
     kept = "what was trained first is kept, and the rounds begin anew with the same command"

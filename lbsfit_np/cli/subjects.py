@@ -24,7 +24,7 @@ _ONE = {"\t": "a tab", ";": "a semicolon", ",": "a comma", None: "a comma in all
 _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
 
 
-def read_subjects(path, scans):
+def read_subjects(path, scans, *, others=False):
     """The subject's id of every scan.
 
     Parameters
@@ -33,6 +33,8 @@ def read_subjects(path, scans):
         See ``SUBJECT_FILES``.
     scans : list of str
         Paths of the scans as given.
+    others : bool, default False
+        Whether the file may name scans besides, which are passed over.
 
     Returns
     -------
@@ -51,6 +53,8 @@ def read_subjects(path, scans):
     ids, lines = {}, {}
     for line, name, subject in rows:
         found = names.of(name)
+        if not found and others:
+            continue
         if not found:
             named = {i for _, other, _ in rows for i in names.of(other)}
             remedy = did_you_mean(name, names.without(named)) or "Leave out scans that are not given to this command."

@@ -9,10 +9,11 @@ from ..errors import FileError
 
 __all__ = ["FitResult"]
 
-_FORMAT = 3
+_FORMAT = 4
 _SHORT = 80  # letters of the message in repr
 _ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "labels", "confidence")
-_SCALARS = ("scale", "converged", "status", "message", "evaluations", "probability", "seconds", "rig_digest", "model_digest")
+_SCALARS = ("scale", "converged", "status", "message", "evaluations", "probability", "seconds")
+_SCALARS += ("rig_digest", "model_digest", "subject")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -62,6 +63,9 @@ class FitResult:
         ``Rig.digest`` of the rig.
     model_digest : str
         Of what was learned from a collection, where the fit was made with that (``learning.archive.model_digest``); else empty.
+    subject : str
+        Whose learned template it is on, the id as text, "0" for the one subject of a model that was learned without ids; empty
+        where it is on none, as of a single scan or of somebody else.
     """
 
     pose: np.ndarray
@@ -84,6 +88,7 @@ class FitResult:
     parts: tuple
     rig_digest: str
     model_digest: str = ""
+    subject: str = ""
 
     def __post_init__(self):
         for name in _ARRAYS:
@@ -99,7 +104,8 @@ class FitResult:
 
         Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``rest_joints``, ``vertices``, ``joints``,
         ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``probability``, ``evaluations``,
-        ``seconds``, ``rig_digest``, ``model_digest`` as 0-d arrays; ``parts`` as text; ``terms`` and ``evidence`` as JSON text;
+        ``seconds``, ``rig_digest``, ``model_digest``, ``subject`` as 0-d arrays; ``parts`` as text; ``terms`` and ``evidence`` as
+        JSON text;
         ``lbsfit_np_result``, the format's number.
         """
         from ..io.write import check_npz_name, write_npz
@@ -158,7 +164,7 @@ def _check(fields, terms, evidence):
         if fields[name].shape != shape or fields[name].dtype.kind not in ("iu" if name == "labels" else "f"):
             raise ValueError(f"{name} of type {fields[name].dtype} and shape {fields[name].shape}")
     kinds = {"scale": float, "converged": bool, "status": str, "message": str, "evaluations": int}
-    kinds |= {"probability": float, "seconds": float, "rig_digest": str, "model_digest": str}
+    kinds |= {"probability": float, "seconds": float, "rig_digest": str, "model_digest": str, "subject": str}
     for name, kind in kinds.items():
         if not isinstance(fields[name], kind):
             raise ValueError(f"{name} is {fields[name]!r}")

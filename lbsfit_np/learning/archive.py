@@ -69,28 +69,29 @@ def write_fitter(fitter, path):
         text = json.dumps(header, default=_plain)
     except TypeError as error:
         raise InputError("fitter", f"parameters that cannot be saved ({error})", "numbers, text and settings") from None
-    write_npz(path, **{MODEL_KEY: np.array(text)}, **rig_arrays(fitter.rig), **_learned_arrays(fitter))
+    write_npz(path, **{MODEL_KEY: np.array(text)}, **rig_arrays(fitter.rig), **_learned_arrays(fitter, fitter.template_.values()))
 
 
-def model_digest(fitter, *, named=False):
+def model_digest(fitter, subject=None):
     """Hex digest of all that a fit with a learned fitter depends on, but for the settings of the fit; "" before ``fit``.
 
-    The same before and after saving. Templates that were left out, as by ``lbsfit fit --subject``, do not count. ``named``:
-    whether the fit was told its subject; one that was not may find that the scan is of somebody else.
+    The same before and after saving. Of a fit that is told its ``subject`` this one's template alone counts; one that is not may
+    take any, and find that the scan is of somebody else.
     """
     if getattr(fitter, "template_", None) is None:
         return ""
     h = hashlib.sha256()
-    subjects = [(s, float(fitter.unit_[s])) for s in fitter.template_]
-    h.update(repr((fitter.rig.digest, fitter.variant, fitter.joints, subjects, bool(named))).encode())
-    for name, array in sorted(_learned_arrays(fitter).items()):
+    templates = fitter.template_ if subject is None else {subject: fitter.template_[subject]}
+    subjects = [(s, float(fitter.unit_[s])) for s in templates]
+    h.update(repr((fitter.rig.digest, fitter.variant, fitter.joints, subjects, subject is not None)).encode())
+    for name, array in sorted(_learned_arrays(fitter, templates.values()).items()):
         h.update(f"{name} {array.dtype.str} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return h.hexdigest()
 
 
-def _learned_arrays(fitter):
-    """Templates, segmenter and library as the named arrays of a model file."""
-    templates, segmenter, library = fitter.template_.values(), fitter.segmenter_, fitter.regressor_
+def _learned_arrays(fitter, templates):
+    """Templates, and the fitter's segmenter and library, as the named arrays of a model file."""
+    segmenter, library = fitter.segmenter_, fitter.regressor_
     arrays = {
         "model_vertices": np.array([t.vertices for t in templates]),
         "model_joints": np.array([t.joints for t in templates]),

@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InputError, LbsfitError, in_words
 from ..scan import check_points
 from ..workers import Workers
-from .collection import as_scans
+from .collection import as_scans, as_subjects
 from .parameters import check_callables
 from .variants import as_variant
 
@@ -43,7 +43,7 @@ class ScanOutcome:
     seconds: float = 0.0
 
 
-def fit_scans(fitter, scans, *, subject=None, jobs=1, finish=None, on_result=None, pretrain=None):
+def fit_scans(fitter, scans, *, subjects=None, jobs=1, finish=None, on_result=None, pretrain=None):
     """Fit many scans; one that fails does not stop the others.
 
     Parameters
@@ -55,8 +55,8 @@ def fit_scans(fitter, scans, *, subject=None, jobs=1, finish=None, on_result=Non
         Of each scan the (n, 3) points, the Scan, or a callable without arguments that returns one of these, such as
         ``functools.partial(load_scan, path)``. Callables are called where the scan is fitted; their errors are failures of
         their scan alone.
-    subject : str or int, optional
-        Whose scans they are, as for ``LBSFitter.fit_scan``; one of those that a fitter has learned from.
+    subjects : sequence of str, int or None, optional
+        Of a fitter that has learned: whose each scan is, as for ``LBSFitter.fit_scan``; None where that is not known.
     jobs : int, default 1
         Worker processes; with 1 all happens in this one. They are started afresh ("spawn"), so that a script must call this
         under ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``, results are the same to the last
@@ -77,18 +77,20 @@ def fit_scans(fitter, scans, *, subject=None, jobs=1, finish=None, on_result=Non
     Raises
     ------
     InputError
-        ``jobs``, ``subject``, what is no function, or parameters of the fitter, cannot be used.
+        ``jobs``, ``subjects``, what is no function, or parameters of the fitter, cannot be used.
     KeyboardInterrupt
         On Ctrl-C, once workers have ended and ``on_result`` has had all that was finished.
     """
     if isinstance(jobs, bool) or not isinstance(jobs, (int, np.integer)) or jobs < 1:
         raise InputError("jobs", repr(jobs), "a positive whole number of worker processes")
     check_callables(finish=finish, on_result=on_result, pretrain=pretrain)
+    scans = as_scans(scans)
+    subjects = [None] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
     if hasattr(fitter, "_check"):
         fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
-        if subject is not None:
-            fitter._check_subject(subject)
-    scans = as_scans(scans)
+        for subject in subjects:
+            if subject is not None:
+                fitter._check_subject(subject)
     outcomes = {}
 
     def report(outcome):
@@ -100,9 +102,9 @@ def fit_scans(fitter, scans, *, subject=None, jobs=1, finish=None, on_result=Non
     todo = [i for i in range(len(scans)) if i not in outcomes]
     if jobs == 1 or len(todo) < 2:
         for i in todo:
-            report(_fit_one(fitter, subject, finish, i, read.pop(i, scans[i])))
+            report(_fit_one(fitter, finish, i, read.pop(i, scans[i]), subjects[i]))
     else:
-        _fit_by_workers(_Work(fitter, subject, finish), scans, deque(todo), int(jobs), report)
+        _fit_by_workers(_Work(fitter, finish), scans, subjects, deque(todo), int(jobs), report)
     return [outcomes[i] for i in range(len(scans))]
 
 
@@ -130,7 +132,7 @@ def _pretrained(fitter, scans, report, pretrain):
     return {}
 
 
-def _fit_one(fitter, subject, finish, index, source):
+def _fit_one(fitter, finish, index, source, subject):
     started = time.perf_counter()
     try:
         scan = source() if callable(source) else source
@@ -152,21 +154,20 @@ def _failure(index, error, started):
 
 @dataclass
 class _Work:
-    """What every worker is given once: a task of its is (index, source)."""
+    """What every worker is given once: a task of its is (index, source, subject)."""
 
     fitter: object
-    subject: object
     finish: object
 
     def __call__(self, task):
-        return _fit_one(self.fitter, self.subject, self.finish, *task)
+        return _fit_one(self.fitter, self.finish, *task)
 
 
-def _fit_by_workers(work, scans, todo, jobs, report):
+def _fit_by_workers(work, scans, subjects, todo, jobs, report):
     with Workers(work, min(jobs, len(todo))) as workers:
 
         def take(answers):
-            for (index, _), outcome, death in answers:
+            for (index, *_), outcome, death in answers:
                 report(outcome if death is None else ScanOutcome(index, error=f"the process that fitted it ended: {death}"))
 
         try:
@@ -174,7 +175,7 @@ def _fit_by_workers(work, scans, todo, jobs, report):
                 while todo and workers.idle:
                     index = todo.popleft()
                     try:
-                        workers.give((index, scans[index]))
+                        workers.give((index, scans[index], subjects[index]))
                     except (pickle.PicklingError, AttributeError, TypeError) as error:
                         report(ScanOutcome(index, error=f"it cannot be sent to a worker process: {error}"))
                 if workers.busy:

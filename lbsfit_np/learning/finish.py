@@ -67,7 +67,7 @@ class _Finish:
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         place |= {"proportions": fit.proportions(m.problem, m.state), "further": self.further}
         result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=m.role, found=(unit,), **place)
-        return _with_doubt(m, result)
+        return _with_doubt(m, replace(result, subject=str(m.subject)))
 
 
 def _with_doubt(m, result):
@@ -153,6 +153,7 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     if theta0 is None and labels is None and not another:
         place["further"] = further_words(settings, _facing(fitter))
     result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
+    result = replace(result, subject=str(subject))
     if another and result.status != "ok":
         return replace(result, message=f"{result.message}; without subject (--subject) the template that suits it best is taken")
     return _asking(result, subjects)

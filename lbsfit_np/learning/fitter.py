@@ -262,9 +262,9 @@ class LBSFitter(BaseEstimator):
     def _set_aside(self, collection):
         self.failures_, self.roles_ = dict(collection.failures), collection.roles
 
-    def _signed(self, results, *, named=False):
+    def _signed(self, results, subject=None):
         """The results with the digest of what they were made with."""
-        digest = model_digest(self, named=named)
+        digest = model_digest(self, subject)
         return [r if r is None else replace(r, model_digest=digest) for r in results]
 
     def transform(self, scans, subjects=None):
@@ -353,7 +353,7 @@ class LBSFitter(BaseEstimator):
         if learned is not None or not as_variant(self.variant).skinning:
             subjects = None if learned is None else list(learned) if subject is None else [subject]
             found = fit_new(self, points, subjects, theta0, labels, point_weights, anyone=subject is None)
-            return self._signed([found], named=subject is not None)[0]
+            return self._signed([found], subject)[0]
         trained = {}
         if labels is None:
             if not self._is_pretrained():
