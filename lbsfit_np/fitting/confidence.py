@@ -292,7 +292,7 @@ _ALSO = {
     "part_unexplained": "points near part {part} that are not explained ({value:.0%})",
     "part_unreached": "surface of part {part} that is not reached by points ({value:.0%})",
     "disagreement": "labels and mesh that disagree ({value:.0%} of the points)",
-    "rival": "another pose that explains the scan (by {value:.0%} as well)",
+    "rival": "another pose that explains the scan nearly as well ({value:.0%})",
     "at_limits": "angles at their limits ({value:.0%})",
     "sparse": "few points",
 }
