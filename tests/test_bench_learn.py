@@ -72,6 +72,9 @@ def test_scans_that_could_not_be_fitted_are_counted(shared_rigs):
     entry = _measured(rig, [right, None, None], templates, scans, subjects, rig.size / 2)
     assert entry["unfitted"] == 2
     assert entry["joints"] == [0.0] and entry["vertex_error"] == 0.0 and entry["template_gap"] < 1e-12
+    moved = {k: SimpleNamespace(vertices=t.vertices + [0.0, 0.3, 0.4]) for k, t in templates.items()}
+    entry = _measured(rig, [right, None, None], moved, scans, subjects, 2.0)
+    assert entry["template_gap"] < 1e-12 and entry["template_gap_in_place"] == pytest.approx(0.25)
 
 
 def test_the_table_has_a_row_a_variant():

@@ -277,20 +277,20 @@ def _measured(rig, results, templates, scans, subjects, unit):
         "vertex_error": float(np.mean(vertices)) if fitted else np.nan,
         "joints": joints,
         "vertices": vertices,
-        "template_gap": _gap(templates, scans, subjects) / unit,
-    }
+    } | {name: gap / unit for name, gap in _gaps(templates, scans, subjects).items()}
 
 
-def _gap(templates, scans, subjects):
-    """Mean ‖U^d − U^gt‖ over vertices and subjects, in rig units, up to translation.
+def _gaps(templates, scans, subjects):
+    """Mean ‖U^d − U^gt‖ over vertices and subjects, in rig units, up to translation, and in place.
 
     Scans cannot show where a template stands: a shift of all its vertices and joints is a shift of each scan's translation.
     """
     away = []
     for s, scan in dict(zip(subjects, scans)).items():
         found, true = templates[s].vertices, scan.template
-        away.append(vertex_error(found - found.mean(axis=0), true - true.mean(axis=0)))
-    return float(np.mean(away))
+        shifted = vertex_error(found - found.mean(axis=0), true - true.mean(axis=0))
+        away.append((shifted, vertex_error(found, true)))
+    return dict(zip(("template_gap", "template_gap_in_place"), np.mean(away, axis=0).tolist(), strict=True))
 
 
 def _note_wrong(errors, scans, k, segmenter):
