@@ -166,7 +166,8 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
     _check_count("n_scans", n_scans)
     if isinstance(poses, str):
         if poses not in _POSES:
-            raise InputError("poses", repr(poses), f"{', '.join(map(repr, _POSES))}, or an array (k, J, 3)")
+            words = f"{', '.join(map(repr, _POSES))}, or an array (k, J, 3)"
+            raise InputError("poses", repr(poses), words, did_you_mean(poses, _POSES))
         if poses != "uniform":
             _check_library(rig, poses)
     elif poses is not None:

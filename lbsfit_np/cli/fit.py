@@ -94,6 +94,7 @@ examples:
   lbsfit fit body.glb scans/*.ply -o fits --card body.toml --jobs 4 --existing skip
   lbsfit fit body.glb scans/*.ply --config fit.toml
   lbsfit learn hand scans/*.ply -o model.npz && lbsfit fit model.npz new.ply -o fits
+  lbsfit fit model.npz new/*.ply -o fits --subjects who.csv
 
   fit.toml, with any of the options above by their long names; paths are relative to it:
       output = "fits"

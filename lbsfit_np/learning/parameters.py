@@ -54,10 +54,12 @@ def check_parameters(fitter):
     for name, known in words.items():
         value = getattr(fitter, name)
         if not isinstance(value, str) or value not in known:
-            raise InputError(name, brief(value), f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}")
+            words = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
+            raise InputError(name, brief(value), words, did_you_mean(value, known))
     if fitter.up is not None:
         if not isinstance(fitter.up, str) or fitter.up not in AXES:
-            raise InputError("up", brief(fitter.up), f"{', '.join(map(repr, AXES))} or None")
+            words = f"{', '.join(map(repr, AXES))} or None"
+            raise InputError("up", brief(fitter.up), words, did_you_mean(fitter.up, AXES))
         if fitter.orientation == "any":
             remedy = "Leave it out, or choose 'upright'."
             raise InputError("up", f"{fitter.up!r} with orientation 'any'", "an orientation that has an up axis", remedy)

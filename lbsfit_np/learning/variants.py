@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from ..errors import InputError, brief
+from ..errors import InputError, brief, did_you_mean
 
 __all__ = ["VARIANTS", "Variant", "as_variant", "note_on", "unused"]
 
@@ -54,7 +54,7 @@ VARIANTS = {
 def as_variant(name):
     """The Variant of that name."""
     if name not in VARIANTS:
-        raise InputError("variant", brief(name), " or ".join(map(repr, VARIANTS)))
+        raise InputError("variant", brief(name), " or ".join(map(repr, VARIANTS)), did_you_mean(name, VARIANTS))
     return VARIANTS[name]
 
 

@@ -9,7 +9,7 @@ from numbers import Real
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, brief, check_array
+from ..errors import InputError, brief, check_array, did_you_mean
 from .partition import parts_of_joints, vertex_parts
 from .proportions import proportions
 from .shapes import ShapeSpace
@@ -243,7 +243,7 @@ class Rig:
         """The same rig with another of its partitions in use."""
         known = ["joints", *(n for n in self.partitions if n != "joints")]
         if granularity not in known:
-            remedy = "Name further partitions in the rig's card."
+            remedy = did_you_mean(granularity, known) or "Name further partitions in the rig's card."
             raise InputError("parts", repr(granularity), f"one of {', '.join(known)}", remedy)
         return replace(self, granularity=granularity)
 
