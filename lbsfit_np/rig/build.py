@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, listed
+from ..errors import InputError, did_you_mean, listed
 from .anomalies import mesh_notes, size_notes, skin_notes
 from .card import Card, matching, read_card
 from .checks import (
@@ -93,7 +93,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
             argument,
             repr(granularity),
             f"one of {', '.join(known)}",
-            "Name further partitions in the rig's card, in [parts.NAME].",
+            did_you_mean(granularity, known) or "Name further partitions in the rig's card, in [parts.NAME].",
         )
 
     rig = Rig(
