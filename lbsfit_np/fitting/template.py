@@ -48,7 +48,7 @@ class TemplateSettings:
         Whether scans show one side only.
     """
 
-    shifts: float = 0.3
+    shifts: float = 0.1
     ridge: float = 1e-5
     sigmas: tuple = (0.05, 0.025)
     labelled_steps: int = 4
