@@ -354,10 +354,12 @@ def check_scales(members, scales):
     InputError
         Too many for single wrong fits: the scans are in two units.
     """
-    odd, scales = odd_ones(np.asarray(scales), _ONE_SCALE), np.asarray(scales)
+    scales = np.asarray(scales)
+    odd = odd_ones(scales, _ONE_SCALE)
     two = len(odd) > 0 and len(scales) == 2
+    doubted = np.arange(2) if two else odd
     others = any(m.role == LEARNED_FROM for i, m in enumerate(members) if i not in odd)
-    for i in range(2) if two else odd:
+    for i in doubted:
         ratio = scales[i] / np.median(np.delete(scales, i))
         members[i].doubt = f"its first fit had {ratio:.3g} times the scale of its subject's others: in another unit? "
         members[i].doubt += "Convert it and learn again"
