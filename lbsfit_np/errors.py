@@ -109,8 +109,13 @@ def brief(value, most=100):
 
 
 def did_you_mean(given, names):
-    """The question whether one of some names was meant that is like what was given; None where there is none such."""
+    """The question whether one of some names was meant that is like what was given; None where there is none such.
+
+    None, too, where what was given is written like one of them: then its spelling is not what was wrong.
+    """
     given, names = given if isinstance(given, str) else brief(given), [str(name) for name in names]
+    if given in names:
+        return None
     bare = {name.lstrip("+-").casefold(): name for name in reversed(names)}  # signs and hyphens are no likeness
     alike = [name for name in names if name.casefold() == given.casefold()]
     alike += [bare[name] for name in get_close_matches(given.lstrip("+-").casefold(), bare, n=1)]

@@ -128,7 +128,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         if given.dtype.kind == "O":
             given = given.astype(float)
     except (ValueError, TypeError):
-        rows = isinstance(points, (list, tuple, np.ndarray)) or hasattr(points, "points")
+        rows = isinstance(points, (list, tuple)) or hasattr(points, "points") or hasattr(points, "__array__")
         got = "rows of different lengths or entries that are not numbers" if rows else f"a {type(points).__name__}"
         raise InputError(argument, got, "numbers of shape (n, 3)") from None
     except OverflowError:

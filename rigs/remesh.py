@@ -72,7 +72,9 @@ class _Mesh:
 
     def edges(self):
         """All edges, each once, (E, 2), in ascending order."""
-        return np.unique(_sides_of(np.array([f for f in self.faces if f is not None])), axis=0)
+        a, b = _sides_of(np.array([f for f in self.faces if f is not None])).T
+        n = len(self.points)
+        return np.stack(np.divmod(np.unique(a * n + b), n), axis=1)  # many times as fast as by rows
 
     def sides(self, a, b):
         """Numbers of the triangles on the edge a–b."""

@@ -191,7 +191,9 @@ def learned_people(make_learner, people_scans):
 @pytest.fixture(scope="session")
 def cli_cache(tmp_path_factory):
     """A folder that all tests of the command line keep their segmenters in."""
-    return tmp_path_factory.mktemp("cache")
+    from shared_by_workers import made_once
+
+    return made_once(tmp_path_factory, "cache")
 
 
 @pytest.fixture
@@ -277,37 +279,47 @@ def hands(tmp_path_factory):
     """A folder of scans of two hands and their truth: anna0 … anna3, ben0 … ben2 (.ply), and who.csv."""
     import numpy as np
     from cli_runs import HAND
+    from shared_by_workers import made_once
 
     from lbsfit_np import load_rig, synthesize
     from lbsfit_np.io.write import write_points_ply
     from lbsfit_np.synthesis import with_random_proportions
 
-    folder = tmp_path_factory.mktemp("hands")
     rig, truth = load_rig(HAND), {}
     for k, (name, n) in enumerate((("anna", 4), ("ben", 3))):
         template = with_random_proportions(rig, 0.08, np.random.default_rng(k))
-        for i, s in enumerate(synthesize(rig, n, poses="natural", templates=[template], random_state=k, n_points=600)):
-            truth[f"{name}{i}"] = s
-            write_points_ply(folder / f"{name}{i}.ply", s.points)
-    lines = [f"{name}.ply,{name[:-1]}" for name in truth]
-    (folder / "who.csv").write_text("\n".join(["scan,subject", *lines, "broken.ply,ben"]) + "\n")
-    return folder, truth
+        scans = synthesize(rig, n, poses="natural", templates=[template], random_state=k, n_points=600)
+        truth |= {f"{name}{i}": s for i, s in enumerate(scans)}
+
+    def make(folder):
+        for name, s in truth.items():
+            write_points_ply(folder / f"{name}.ply", s.points)
+        lines = [f"{name}.ply,{name[:-1]}" for name in truth]
+        (folder / "who.csv").write_text("\n".join(["scan,subject", *lines, "broken.ply,ben"]) + "\n")
+        (folder / "broken.ply").write_text("ply\nformat ascii 1.0\nelement vertex 9\n")
+
+    return made_once(tmp_path_factory, "hands", make), truth
 
 
 @pytest.fixture(scope="session")
 def learned_hands(hands, cli_cache, tmp_path_factory):
     """A model of the hands, made by a program of its own: path, folder of results, output, errors, truth."""
     from cli_runs import HAND, program
+    from shared_by_workers import made_once
 
     folder, truth = hands
-    out = tmp_path_factory.mktemp("learned")
-    (folder / "broken.ply").write_text("ply\nformat ascii 1.0\nelement vertex 9\n")
-    scans = [*sorted(folder.glob("anna*.ply")), folder / "broken.ply", *sorted(folder.glob("ben*.ply"))]
-    options = ("--training-scans", 100, "--effort", "fast", "--rounds", 1, "--subjects", folder / "who.csv")
-    outputs = ("-o", out / "new" / "model.npz", "--results", out / "fits")
-    done = program("learn", HAND, *scans, *outputs, *options, cache=cli_cache)
-    assert done.returncode == 1, done.stderr
-    return out / "new" / "model.npz", out / "fits", done.stdout, done.stderr, truth
+
+    def make(out):
+        scans = [*sorted(folder.glob("anna*.ply")), folder / "broken.ply", *sorted(folder.glob("ben*.ply"))]
+        options = ("--training-scans", 100, "--effort", "fast", "--rounds", 1, "--subjects", folder / "who.csv")
+        outputs = ("-o", out / "new" / "model.npz", "--results", out / "fits")
+        done = program("learn", HAND, *scans, *outputs, *options, cache=cli_cache)
+        assert done.returncode == 1, done.stderr
+        (out / "output").write_text(done.stdout)
+        (out / "errors").write_text(done.stderr)
+
+    out = made_once(tmp_path_factory, "learned", make)
+    return out / "new" / "model.npz", out / "fits", (out / "output").read_text(), (out / "errors").read_text(), truth
 
 
 @pytest.fixture(scope="session")

@@ -164,7 +164,7 @@ def _at_rest(model, X, *, state=None, x_weights=None, proba=None, **options):
     state, problem = state or model.rest(), Problem(X, x_weights)
     given = {"sigma": 0.025, "evaluations": 1, "note": "", "started": 0.0, "rows": np.arange(len(X)), "points": X}
     given |= {"frame": Frame(np.zeros(3), 1.0), "evaluation": problem.evaluate(model, state, PRESETS["default"])}
-    return assemble(model.source, model, problem, Outcome(state, 0.0, True, "", 1), proba=proba, **given, **options)
+    return assemble(model.source, model, problem, Outcome(state, 0.0, True, "", 1), proba=proba, **(given | options))
 
 
 @pytest.mark.parametrize("without", ["proba", "rivals", "value", "theta", "partial", "areas", "x_weights"])
@@ -216,6 +216,16 @@ def test_what_a_failed_fit_found_is_said_with_reserve_and_what_would_look_furthe
     assert ("; effort looks further" in r.message) == (status != "ok" and bool(further))
     r, *_ = _assembled(rigs["tube"], model, TURNS["none"], changed=False, found=("", ""))
     assert "if it were right" not in r.message
+
+
+@pytest.mark.parametrize("judged", [True, False])
+def test_a_fit_that_is_not_finite_has_failed_and_found_nothing(rigs, judged):
+    model, further = Model(rigs["tube"]), ("effort looks further",)
+    X = model.pose(model.rest())[0].vertices
+    wild = replace(Problem(X).evaluate(model, model.rest(), PRESETS["default"]), value=np.nan)
+    r = _at_rest(model, X, evaluation=wild, note="a note", found=("in inches", ""), further=further, judged=judged)
+    assert (r.status, r.probability, r.evidence) == ("failed", 0.0, {})
+    assert r.message == "it is not finite; check the scan for wild points; a note"
 
 
 def test_a_turn_that_was_found_is_in_the_root_alone(rigs):

@@ -45,6 +45,7 @@ def test_the_summary_tells_all(fitted, made, tube_rig):
         assert (scan["name"], scan["status"], scan["message"]) == (name, "ok", result.message)
         assert scan["terms"] == result.terms and scan["evaluations"] == result.evaluations
         assert set(scan["files"].values()) <= {p.name for p in out.iterdir()}
+        assert scan["subject"] is None and result.subject == ""
     assert summary["scans"][0]["input"] == str(made / "one.ply")
 
 

@@ -66,10 +66,11 @@ def test_the_last_line_counts_scans_by_what_they_were_to_learning(learned_hands)
     assert said.startswith(f"learned from 2 of 6 scans of 1 subject, {roles}, in 1 round; ")
 
 
-@pytest.mark.parametrize("failed, warns", [(0, False), (2, False), (3, True), (4, True)])
-def test_a_model_of_which_most_fits_have_failed_is_not_to_be_trusted(failed, warns, capsys):
+@pytest.mark.parametrize("failed, unused, warns", [(0, 0, False), (2, 0, False), (3, 0, True), (4, 0, True), (3, 2, False)])
+def test_a_model_of_which_most_fits_have_failed_is_not_to_be_trusted(failed, unused, warns, capsys):
+    """Scans that could not be used say nothing of what was learned."""
     entries = {k: {"name": f"s{k}", "status": "failed" if k < failed else "ok", "message": "odd"} for k in range(4)}
-    learn._say_statuses(entries, 4, None)
+    learn._say_statuses(entries, [None] * unused + ["learned from"] * (4 - unused), None)
     assert ("most fits have failed: do not trust what was learned" in capsys.readouterr().out) == warns
 
 

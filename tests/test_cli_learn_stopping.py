@@ -103,7 +103,8 @@ def stop_after_a_round(tube_model, monkeypatch):
             ("a", "b"),
             None,
             ("--subjects", "{}/who is who.csv"),
-            "with it: lbsfit fit '{}/m n.npz' SCAN... -o OUT --subjects '{}/who is who.csv'\n",
+            "(others without --subjects, or with an empty id in it) with it: "
+            "lbsfit fit '{}/m n.npz' SCAN... -o OUT --subjects '{}/who is who.csv'\n",
         ),
     ],
 )
@@ -115,12 +116,27 @@ def test_how_to_go_on_after_a_round(subjects, results, options, words, tubes, tm
     code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, *options)
     assert (code, err) == (130, "t1: failed: nobody foresaw this\n")
     with_it = "" if options[:1] == ["--existing"] else "with --existing replace "
-    anew = f"results; the same command {with_it}begins anew; to fit scans "
+    anew = f"results; the same command {with_it}begins anew; to fit {'these ' if '--subjects' in options else ''}scans "
     *_, heading, failed, last = text.splitlines()
     assert heading.split() == ["scan", "status", "probability", "why"]  # of a scan that was named long before
     assert failed.split(maxsplit=3) == ["t1", "failed", "–", "nobody foresaw this"]
     assert anew + words.replace("{}", str(tmp_path)) in last + "\n"
     assert list(lbs.LBSFitter.load(tmp_path / "m n.npz").template_) == list(subjects)
+
+
+def test_subjects_of_whom_nothing_was_learned_are_named_after_a_stop(tubes, tmp_path, run, stop_after_a_round):
+    """With the table their scans are refused: the command is for the others."""
+    stop_after_a_round("a", "b")
+    (tmp_path / "who.csv").write_text("t0,a\nt1,carl\nt2,b\nt3,carl\n")
+    arguments = ("-o", tmp_path / "m.npz", "--subjects", tmp_path / "who.csv")
+    text = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *arguments)[1]
+    line = text.splitlines()[-1]
+    which = "to fit these scans, but for those of 'carl', of whom nothing was learned (others without --subjects, "
+    assert f"{which}or with an empty id in it) with it: lbsfit fit " in line
+    command = _as_said(line.replace("OUT", str(tmp_path / "out")), [str(tubes / "t0.ply"), str(tubes / "t2.ply")])
+    code, text, _ = run(*command)
+    assert code == 0 and "2 of 2 scans fitted" in text
+    assert run(*_as_said(line.replace("OUT", str(tmp_path / "out")), [str(tubes / "t1.ply")]))[0] == 2
 
 
 @pytest.mark.skipif(os.name != "posix", reason="SIGTERM is a POSIX signal")
@@ -157,8 +173,9 @@ def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypa
     assert sum(line.startswith("t4 ") for line in text.splitlines()) == 1
     assert len(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == 1
     summary = json.loads((tmp_path / "fits" / "summary.json").read_text())
-    assert summary["stopped"] and summary["not_done"] == ["t2", "t3", "t4"]
-    assert summary["counts"]["ok"] + summary["counts"]["suspect"] == 2
+    assert summary["stopped"] and summary["not_done"] == ["t2", "t3"]  # as the last lines have it
+    counts = summary["counts"]
+    assert counts["ok"] + counts["suspect"] == 2 and counts["failed"] == counts["unfitted"] == 1
 
 
 def test_ctrl_c_after_the_results_names_a_scan_that_failed_once(tubes, tmp_path, run, monkeypatch):
@@ -212,6 +229,11 @@ def test_the_rest_of_the_results_after_ctrl_c(where, tubes, tmp_path, run, monke
     rest = f"; the rest: lbsfit fit '{model}' SCAN... -o '{fits}'{more} --existing skip"
     assert line == f"stopped: {model} is complete, {written} of 4 results in {fits}{rest}"
     before = {path: path.read_bytes() for path in fits.glob("*.fit.npz")}
+    if where != "before":
+        summary = json.loads((fits / "summary.json").read_text())
+        assert summary["not_done"] == ["t2", "t3"] and summary["stopped"]
+        first = ["fit", "labels", "mesh", *["picture"] * bool(options)]
+        assert {s["name"]: sorted(s["files"]) for s in summary["scans"]} == {"t0": first, "t1": ["fit", "labels", "mesh"]}
     code, text, err = run(*_as_said(line, scans))
     assert (code, err) == (0, "") and ("2 of 4 scans are fitted already and kept" in text) == (written == 2)
     assert len(before) == written and all(path.read_bytes() == content for path, content in before.items())
@@ -247,13 +269,63 @@ def test_the_rest_of_the_results_of_several_people(learned_hands, hands, tmp_pat
     for path in learned_hands[1].glob("anna0.*"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     fitter = lbs.LBSFitter.load(learned_hands[0])
-    values = {"results": str(tmp_path), "samples": None, "drop_invalid": False, "pictures": False}
+    values = {"results": str(tmp_path), "samples": None, "drop_invalid": False, "pictures": False, "subjects": None}
     files = outputs.plan(scans, tmp_path, inputs=[], existing="replace")
-    words = results_so_far(fitter, learned_hands[0], files, {}, values)
+    words = results_so_far(fitter, learned_hands[0], files, {}, None, values)
     rest = f"; the rest, each on the template that explains it best: lbsfit fit {learned_hands[0]} SCAN... -o {tmp_path} "
     assert words == f", 1 of 2 results in {tmp_path}{rest}--existing skip"
     code, text, _ = run(*_as_said(words, scans))
     assert code == 0 and "1 of 2 scans is fitted already and kept" in text and "2 of 2 scans fitted" in text
+
+
+_AS_IT_IS = {"samples": None, "subjects": None, "drop_invalid": False, "pictures": False}
+
+
+@pytest.mark.parametrize(
+    "there, count, how",
+    [
+        (("fit", "mesh", "labels"), 1, "; the rest: "),
+        (("fit", "labels"), 0, "; the rest alone, where files of an earlier run are: "),  # no fit without its mesh
+        (("fit", "mesh"), 0, "; the rest alone, where files of an earlier run are: "),
+        (("mesh",), 0, "; the rest alone, where files of an earlier run are: "),
+        (("labels",), 0, "; the rest alone, where files of an earlier run are: "),
+        ((), 0, "; the rest: "),
+    ],
+)
+def test_what_is_there_of_the_scan_that_was_stopped_at(there, count, how, tube_model, tubes, tmp_path):
+    files = outputs.plan([str(tubes / f"t{i}.ply") for i in (0, 1)], tmp_path, inputs=[], existing="replace")
+    earlier = outputs.plan([str(tubes / "t0.ply")], tube_model[1], inputs=[], existing="replace")[0]
+    for what in there:
+        files[0].paths[what].write_bytes(earlier.paths[what].read_bytes())
+    fitter = lbs.LBSFitter.load(tube_model[0])
+    words = results_so_far(fitter, tube_model[0], files, {}, None, {"results": str(tmp_path), **_AS_IT_IS})
+    existing = "replace" if "earlier run" in how else "skip"
+    assert words.startswith(f", {count} of 2 results in {tmp_path}{how}lbsfit fit ") and words.endswith(f" --existing {existing}")
+
+
+@pytest.mark.parametrize("variant, each", [("joint", ", each on the template that explains it best"), ("free-form", "")])
+def test_free_form_models_have_no_template_to_choose(variant, each, tube_model, tubes, tmp_path):
+    """Of two people."""
+    fitter = lbs.LBSFitter.load(tube_model[0]).set_params(variant=variant)
+    fitter.template_ = {"ann": fitter.template_[0], "bob": fitter.template_[0]}
+    files = outputs.plan([str(tubes / "t0.ply")], tmp_path, inputs=[], existing="replace")
+    words = results_so_far(fitter, tube_model[0], files, {}, None, {"results": str(tmp_path), **_AS_IT_IS})
+    assert words.startswith(f", 0 of 1 result in {tmp_path}; the rest{each}: lbsfit fit ")
+
+
+def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, monkeypatch):
+    """Learning's own results are kept, as their subjects'; a subject of whom nothing was learned is named."""
+    (tmp_path / "who.csv").write_text("t0,a\nt1,b\nt2,a\nt3,b\n")
+    line, scans = _stopped_among_results(run, tubes, tmp_path, 2, monkeypatch, "--subjects", tmp_path / "who.csv")
+    assert f"; the rest: lbsfit fit '{tmp_path}/m n.npz'" in line
+    assert line.endswith(f" --subjects {tmp_path / 'who.csv'} --existing skip")
+    code, text, err = run(*_as_said(line, scans))
+    assert (code, err) == (0, "") and "2 of 4 scans are fitted already and kept" in text
+    fitter, values = lbs.LBSFitter.load(tmp_path / "m n.npz"), {"results": "new", "samples": None, "subjects": "who.csv"}
+    files = outputs.plan(scans, tmp_path / "new", inputs=[], existing="replace")
+    values |= {"drop_invalid": False, "pictures": False}
+    words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)
+    assert "; the rest, but for those of 'carl', 'dora', of whom nothing was learned: lbsfit fit m.npz" in words
 
 
 def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path, run):

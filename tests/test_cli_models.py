@@ -7,6 +7,7 @@ import pytest
 from cli_runs import ARRAYS, HAND, QUICK, QUICK_LEARNING, one_line
 
 import lbsfit_np as lbs
+from lbsfit_np.cli import fit
 from lbsfit_np.learning.archive import MODEL_KEY
 from lbsfit_np.learning.batch import fit_scans
 
@@ -76,16 +77,35 @@ def test_tables_of_subjects_that_cannot_be_used(learned_hands, hands, tubes, tmp
         assert code == 2 and not (tmp_path / "out").exists()
         return one_line(err)
 
-    unknown = "--subjects: got 'carl'; expected a subject of the model: 'anna', 'ben'. Fit scans of others without it."
-    assert said("ben1,carl").endswith(unknown)
-    assert said("ben1,bne").endswith("Did you mean 'ben'?")
-    assert "no id for 1 of 1 scans" in said("ben2,ben")
+    unknown = "got 'carl', the id of 'ben1' in line 2; expected a subject of the model: 'anna', 'ben'. Leave the ids of others' "
+    assert said("scan,subject\nben1,carl").endswith(f"who.csv: {unknown}scans empty.")
+    assert said("ben1.ply,bne").endswith("got 'bne', the id of 'ben1.ply' in line 1; expected a subject of the model: "
+                                         "'anna', 'ben'. Did you mean 'ben'?")  # fmt: skip
+    assert f"got a file that names none of these scans: '{hands[0] / 'ben1.ply'}'; expected" in said("ben2,ben")
     assert "who.csv beside --subject ben; expected one of the two" in said("ben1,ben", "--subject", "ben")
     assert "--subjects: got" in (line := said("ben1,ben", model=HAND)) and "which is a rig" in line
 
 
+def test_a_table_with_scans_of_whom_nobody_knows(learned_hands, hands, tmp_path, run):
+    """An empty id is none: what ``fit_scans`` makes of None."""
+    scans = [hands[0] / f"{name}.ply" for name in ("ben1", "anna1")]
+    (tmp_path / "who.csv").write_text("scan,subject\nben1,ben\nanna1,\n")
+    code, _, err = run("fit", learned_hands[0], *scans, "-o", tmp_path, "--subjects", tmp_path / "who.csv")
+    assert (code, err) == (0, "")
+    outcomes = fit_scans(lbs.LBSFitter.load(learned_hands[0]), [lbs.load_scan(s) for s in scans], subjects=["ben", None])
+    for scan, outcome in zip(scans, outcomes):
+        ours = lbs.FitResult.load(tmp_path / f"{scan.stem}.fit.npz")
+        np.testing.assert_array_equal(ours.vertices, outcome.result.vertices)
+        assert ours.model_digest == outcome.result.model_digest
+
+
 def test_a_number_as_the_subject(tube_model, tubes, tmp_path, run):
     assert run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path / "out", "--subject", "0")[0] == 0  # the id of one subject
+    (tmp_path / "who.csv").write_text("t0,1\n")
+    options = ("-o", tmp_path / "new", "--subjects", tmp_path / "who.csv")
+    code, _, err = run("fit", tube_model[0], tubes / "t0.ply", *options)
+    words = "got '1' for a model that was learned without --subjects, the id of 't0' in line 1; expected no subject: it has one"
+    assert code == 2 and one_line(err).endswith(f"{words} template. Leave --subjects out, or learn with --subjects.")
 
 
 def test_a_models_settings_hold_unless_others_are_given(tube_model, tubes, tmp_path, run):
@@ -219,12 +239,61 @@ def test_skip_goes_by_the_subjects_in_use(learned_hands, hands, tmp_path, run):
     assert code == 2 and "with another model, or as another subject's" in one_line(err)
 
 
+def test_skip_keeps_what_learning_left_with_and_without_the_subjects(learned_hands, hands, tmp_path, run):
+    for path in learned_hands[1].glob("*[01].*"):
+        _copied(path.parent, path.name, tmp_path)
+    names = ("anna0", "anna1", "ben0", "ben1")
+    scans = [hands[0] / f"{name}.ply" for name in names]
+    arguments = ("-o", tmp_path, "--existing", "skip")
+    for options in ((), ("--subjects", hands[0] / "who.csv")):
+        code, text, _ = run("fit", learned_hands[0], *scans, *arguments, *options)
+        assert code == 0 and "4 of 4 scans are fitted already" in text
+    code, _, err = run("fit", learned_hands[0], *scans, *arguments, "--subject", "ben")
+    assert code == 2 and "anna0.fit.npz, a fit with another model, or as another subject's" in one_line(err)
+    for name in (f"{name}.fit.npz" for name in names):
+        assert (tmp_path / name).read_bytes() == (learned_hands[1] / name).read_bytes()
+
+
 def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, hands, tmp_path, run):
-    _copied(learned_hands[1], "ben1.*", tmp_path)
     arguments = ("fit", learned_hands[0], hands[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip")
     assert run(*arguments)[0] == 0
     code, _, err = run(*arguments, "--subject", "ben")
-    assert code == 2 and "with another model, or as another subject's" in one_line(err)
+    line = one_line(err)
+    assert code == 2 and "with another model, or as another subject's" in line
+    assert "Give --subject or --subjects as in that run, or leave them out as there; without ben1.fit.npz, .mesh.ply and " in line
+    for path in tmp_path.glob("ben1.*"):
+        path.unlink()
+    code, text, _ = run(*arguments, "--subject", "ben")
+    assert code == 0 and "1 of 1 scan fitted" in text
+
+
+def test_skip_says_why_a_fit_cannot_be_read(tube_model, tubes, tmp_path, run, monkeypatch):
+    _copied(tube_model[1], "t0.*", tmp_path)
+    with np.load(tmp_path / "t0.fit.npz") as z:
+        arrays = {key: z[key] for key in z.files}
+    np.savez(tmp_path / "t0.fit.npz", **arrays | {"lbsfit_np_result": np.array(3)})
+    monkeypatch.setattr(fit, "_fit", lambda *_: None)
+    _, text, _ = run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path, "--existing", "skip")
+    why = f"(result format 3; expected format {int(arrays['lbsfit_np_result'])})"
+    assert f"t0: {tmp_path / 't0.fit.npz'} cannot be read {why}, so it is fitted again" in text
+
+
+@pytest.mark.parametrize(
+    "in_file, table, given", [("subjects = 'no.csv'", "", "--subject=0"), ("subject = '1'", "t0,0", "--subjects=")]
+)
+def test_subjects_on_the_command_line_win(in_file, table, given, tube_model, tubes, tmp_path, run, monkeypatch):
+    """Of the two options, one of which is in the configuration file."""
+    told = []
+    monkeypatch.setattr(fit, "_fit", lambda fitter, todo, subjects, *_: told.append(subjects))
+    (tmp_path / "fit.toml").write_text(in_file)
+    (tmp_path / "who.csv").write_text(table)
+    given += str(tmp_path / "who.csv") if table else ""
+    arguments = ("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path / "out", "--config", tmp_path / "fit.toml")
+    run(*arguments, given)
+    assert told == [{"t0": 0}]
+    (tmp_path / "fit.toml").write_text("subject = '0'\nsubjects = 'who.csv'")
+    code, _, err = run(*arguments)
+    assert code == 2 and "beside --subject 0; expected one of the two" in one_line(err)
 
 
 @pytest.mark.parametrize("variant", ["cd", "free-form"])
@@ -295,3 +364,15 @@ def test_learning_with_a_models_rig(tube_model, tubes, tmp_path, run, monkeypatc
     monkeypatch.setattr(lbs.LBSFitter, "fit", fit)
     code, text, _ = run("learn", tube_model[0], *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz")
     assert code == 130 and "its rig is used, what it has learned is not" in text
+
+
+def test_skip_leaves_each_scan_its_own_subject(learned_hands, hands, tmp_path, run):
+    """Where the first alone is kept, the second is still nobody else's."""
+    scans = [hands[0] / f"{name}.ply" for name in ("anna1", "ben1")]
+    arguments = ("-o", tmp_path, "--subjects", hands[0] / "who.csv")
+    assert run("fit", learned_hands[0], scans[0], *arguments)[0] == 0
+    code, text, _ = run("fit", learned_hands[0], *scans, *arguments, "--existing", "skip")
+    assert code == 0 and "1 of 2 scans is fitted already and kept" in text
+    entries = json.loads((tmp_path / "summary.json").read_text())["scans"]
+    assert [(e["subject"], e["kept"]) for e in entries] == [("anna", True), ("ben", False)]
+    assert lbs.FitResult.load(tmp_path / "ben1.fit.npz").subject == "ben"

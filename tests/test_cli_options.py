@@ -139,6 +139,24 @@ def test_a_misspelt_option_is_told_its_like(command, word, meant, run):
     assert code == 2 and one_line(err) == told
 
 
+@pytest.mark.parametrize(
+    "command, words, meant",
+    [
+        ("learn", "--result results", "--results"),
+        ("fit", "--pictrues o", "--pictures"),
+        ("fit", "--picture seeds", "--pictures"),
+        ("fit", "-O o", "-o"),
+    ],
+)
+def test_what_a_misspelt_option_is_given_has_no_like(command, words, meant, run):
+    code, _, err = run(command, "r", "s", *words.split())
+    told = f"lbsfit: error: unrecognized arguments: {words}. Did you mean {meant!r}? (see: lbsfit {command} --help)"
+    assert code == 2 and one_line(err) == told
+    given = words.split()[1]
+    code, _, err = run(command, "r", "s", "--seed", "3", given)  # alone
+    assert code == 2 and one_line(err) == f"lbsfit: error: unrecognized arguments: {given} (see: lbsfit {command} --help)"
+
+
 def test_each_of_several_misspelt_options_is_told_its_like(run):
     code, _, err = run("learn", "r", "s", "-o", "o", "--training-scan", "5", "--pictrues", "--pictrues")
     told = "For --training-scan: did you mean '--training-scans'? For --pictrues: did you mean '--pictures'?"

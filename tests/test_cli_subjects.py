@@ -49,6 +49,35 @@ def test_scans_of_one_name_are_told_apart_by_path(tmp_path):
 
 
 @pytest.mark.parametrize(
+    "name, text", [("who.csv", "a2,\nz,zoe\na1,anna\nb 1,\n"), ("who.toml", "a2 = ''\na1 = 'anna'\n'b 1' = ' '\n")]
+)
+def test_empty_ids_and_other_scans_where_both_may_be(name, text, tmp_path):
+    (tmp_path / name).write_text(text)
+    assert read_subjects(tmp_path / name, SCANS, others=True) == ["anna", None, None]
+    with pytest.raises(FileError, match="no id for 'a2' in line 1"):
+        read_subjects(tmp_path / name, SCANS)
+
+
+@pytest.mark.parametrize(
+    "content, got, remedy",
+    [
+        ("a1,anna\nb 1,\n", "no id for 1 of 3 scans: in/a2.ply", "Add them, with an empty id where nobody knows whose"),
+        ("a1,anna\nb 1,\naa2,anna\n", "no id for 1 of 3 scans: in/a2.ply", "Did you mean 'aa2'? Add them, with an empty id"),
+        ("a1,anna\nb 1,\nA02.ply,anna\n", "no id for 1 of 3 scans: in/a2.ply", "Did you mean 'A02.ply'? Add them"),
+        ("a1,anna\nb_1,ben\n", "no id for 2 of 3 scans: in/a2.ply, in/b 1.xyz", "For in/b 1.xyz: did you mean 'b_1'? Add them"),
+        ("a1,anna\nb 1,\na3,anna\n", "no id for 1 of 3 scans: in/a2.ply", "Add them"),  # another of the series
+        ("z,anna\n", "a file that names none of these scans: 'in/a1.ply', 'in/a2.ply', 'in/b 1.xyz'", "Add them"),
+        ("", "no id for 3 of 3 scans", "Add them"),
+    ],
+)
+def test_scans_that_a_table_with_others_lacks(content, got, remedy, tmp_path):
+    (tmp_path / "who.csv").write_text(content)
+    with pytest.raises(FileError) as error:
+        read_subjects(tmp_path / "who.csv", SCANS, others=True)
+    assert error.value.got.startswith(got) and error.value.remedy.startswith(remedy), str(error.value)
+
+
+@pytest.mark.parametrize(
     "name, content, words",
     [
         ("who.csv", "a1,anna\na3.ply,anna\nb 1,ben\n", ["'a3.ply' in line 2", "none of the scans", "Did you mean 'a2"]),

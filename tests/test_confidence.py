@@ -338,6 +338,9 @@ def test_the_verdict_names_reasons():
     assert verdict_of(NOTHING | some, 0.3, PARTS)[1] == words
     tiny = {"unexplained": 0.004, "at_limits": 0.004}
     assert verdict_of(NOTHING | tiny, 0.3)[1] == "several small things together"
+    assert "(1%)" in verdict_of(NOTHING | {"unexplained": 0.0051}, 0.3)[1]
+    for none in (0.005, 0.0049):  # percent of which none is left
+        assert "(0%)" not in verdict_of(NOTHING | {"unexplained": none}, 0.3)[1]
     every = {name: 0.02 for name in EVIDENCE if name not in ("distance", "proportions")}
     for name in every:
         assert "above all " in verdict_of(NOTHING | {name: 0.02}, 0.3, PARTS)[1]

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from lbsfit_np.errors import InputError, brief, check_array, in_words, listed
+from lbsfit_np.errors import InputError, brief, check_array, did_you_mean, in_words, listed
 
 
 def test_names_are_listed_up_to_a_number():
@@ -20,6 +20,11 @@ def test_names_are_listed_up_to_a_number():
 )
 def test_values_are_shown_in_brief(value, words):
     assert brief(value) == words
+
+
+@pytest.mark.parametrize("given", ["zzz", pytest.param(10**5000, id="long"), None])
+def test_what_is_like_no_name_is_no_question(given):
+    assert did_you_mean(given, ["fast", "balanced"]) is None
 
 
 @pytest.mark.parametrize(
@@ -51,3 +56,19 @@ def test_arrays_that_are_none(value, words):
 
 def test_whole_numbers_become_floats():
     assert check_array("pose", [[10**30, 0], [0, 1]], (2, 2)).tolist() == [[1e30, 0.0], [0.0, 1.0]]
+
+
+@pytest.mark.parametrize(
+    ("given", "names", "words"),
+    [
+        ("efort", ["effort", "rounds"], "Did you mean 'effort'?"),
+        ("Anna", ["anna", "ben"], "Did you mean 'anna'?"),
+        ("up", ["--up"], "Did you mean '--up'?"),
+        ("anna", ["ben"], None),
+        ("1", [1, 2], None),  # written the same: a question would offer what was given
+        (1, ["1", "10"], None),
+        ("ann", ["ann", "anna"], None),
+    ],
+)
+def test_what_was_meant_is_not_what_was_given(given, names, words):
+    assert did_you_mean(given, names) == words

@@ -13,7 +13,7 @@ import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.learning import finish
-from lbsfit_np.learning.archive import model_digest
+from lbsfit_np.learning.archive import learned_digests, model_digest
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.losses.objective import LossWeights
 
@@ -170,17 +170,40 @@ def test_results_say_whose_template_they_are_on(learned, tube_result, clouds, tm
     assert lbs.FitResult.load(tmp_path / "r.npz").subject == "b"
     numbers = lbs.LBSFitter(learned.rig, **QUICK).fit(clouds)
     assert {r.subject for r in numbers.results_} == {"0"}
-    with pytest.raises(InputError, match="subject: got 'c'; expected one of 'a', 'b'"):
+    with pytest.raises(InputError, match="subjects: got 'c' for scan 1; expected one of 'a', 'b'"):
         fit_scans(learned, clouds[:2], subjects=["a", "c"])
     with pytest.raises(InputError, match="subjects: got 1 ids; expected 2, one for each scan"):
         fit_scans(learned, clouds[:2], subjects=["a"])
+
+
+@pytest.mark.parametrize("ids, others", [((1, 2), ("1", "2")), (("1", "2"), (1, 2)), (("1", "2"), (np.int64(1), np.str_("2")))])
+def test_subjects_are_known_by_the_text_of_their_ids(ids, others, own, clouds):
+    """The ids of results are text, and so are those that the command line learns with."""
+    own.template_ = dict(zip(ids, own.template_.values()))
+    own.unit_ = dict(zip(ids, own.unit_.values()))
+    plain = [own.fit_scan(x, subject=s) for x, s in zip(clouds, ids)]
+    assert [r.subject for r in plain] == ["1", "2"]
+    found = [own.fit_scan(x, subject=s) for x, s in zip(clouds, others)]
+    found += [o.result for o in fit_scans(own, clouds[:2], subjects=others)]
+    for theirs, ours in zip(plain * 2, found, strict=True):
+        np.testing.assert_array_equal(theirs.vertices, ours.vertices)
+        assert (theirs.subject, theirs.model_digest) == (ours.subject, ours.model_digest)
+    np.testing.assert_array_equal(own.transform(clouds[:2], others), [r.vertices for r in plain])
+    listed = ", ".join(map(repr, ids))
+    for given in ("3", 3, 1.5, 10**5000, ["1"], (["1"],)):
+        with pytest.raises(InputError, match=f"subject: got .*; expected one of {listed}. Fit scans of others without it."):
+            own.fit_scan(clouds[0], subject=given)
 
 
 def test_results_say_which_model_they_were_made_with(learned, tube_fitter, tube_result, clouds, tmp_path):
     digest = model_digest(learned)
     assert len(digest) == 64 and model_digest(tube_fitter) == tube_result.model_digest == ""
     found = learned.fit_scan(clouds[0])
-    assert {r.model_digest for r in (found, *learned.results_)} == {digest}
+    assert found.model_digest == digest
+    of_learning = learned_digests(learned)  # its results stand for fits as their subject's as well as for fits as anybody's
+    assert [r.model_digest for r in learned.results_] == [of_learning[s] for s in "ababab"]
+    assert len({digest, *of_learning.values(), *(model_digest(learned, s) for s in "ab")}) == 5
+    assert learned_digests(tube_fitter) == {}
     assert learned.fit_scan(clouds[0], subject="a").model_digest == model_digest(learned, "a") != digest
     assert model_digest(learned, "a") != model_digest(learned, "b")
     found.save(tmp_path / "r.npz")
@@ -191,7 +214,8 @@ def test_results_say_which_model_they_were_made_with(learned, tube_fitter, tube_
 
 def test_the_digest_survives_saving(learned, tmp_path):
     learned.save(tmp_path / "m.npz")
-    assert model_digest(lbs.LBSFitter.load(tmp_path / "m.npz")) == model_digest(learned)
+    loaded = lbs.LBSFitter.load(tmp_path / "m.npz")
+    assert model_digest(loaded) == model_digest(learned) and learned_digests(loaded) == learned_digests(learned)
 
 
 def _moved(fitter):

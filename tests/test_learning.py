@@ -17,6 +17,7 @@ from lbsfit_np.learning.loop import Loop
 from lbsfit_np.losses import cotangent_matrix
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.rotations import matrix_from_rotvec
+from lbsfit_np.starts.turns import Facing
 
 
 def test_many_scans_together_beat_each_by_itself(tube_rig, learned_people, unlearned, people_scans):
@@ -140,12 +141,12 @@ def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans)
 
 def test_a_free_form_scan_whose_extent_is_not_the_others_says_so_and_has_its_own_unit(make_learner, few_scans):
     points = [s.points for s in few_scans[:4]]
-    points[2] = 4.0 * points[2]  # in no usual unit
+    points[2] = 3.0 * points[2]  # in no usual unit
     free = make_learner(variant="free-form").fit(points)
     words = r"its extent is \d\.\d+ times the rig's in the scans' unit: in another unit\? Convert it and learn again; free-form"
     assert [bool(re.match(words, r.message)) for r in free.results_] == [False, False, True, False]
     assert [r.scale == 1.0 for r in free.results_] == [True, True, False, True]
-    assert free.results_[2].scale == pytest.approx(4.0, rel=0.5) and "one rig unit taken as" in free.results_[2].message
+    assert free.results_[2].scale == pytest.approx(3.0, rel=0.5) and "one rig unit taken as" in free.results_[2].message
     assert free.results_[2].terms["recon"] < 1.5 * np.median([r.terms["recon"] for r in free.results_])
 
 
@@ -187,6 +188,32 @@ def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_s
     unit, theta, proba = collection.members[2].own
     assert unit == pytest.approx(2.54) and theta is rest.theta and proba is None
     assert collection.members[2].unit == 1.0  # its subject's, which it has for all that
+
+
+def test_another_scan_tells_when_to_stop_where_the_one_held_out_is_in_another_unit(tube_rig, few_scans, monkeypatch):
+    collection = collected(tube_rig, [s.points for s in few_scans])
+    loop = loop_over(tube_rig, collection, "cd", None)
+    (held,) = collection.with_role(HELD_OUT)
+    frames, rest = [replace(m.frame, unit=loop.model.half) for m in collection.members], loop.model.rest()
+    found = [(f, rest.replace(scale=2.54 if m is held else 1.0), 0.01, None) for f, m in zip(frames, collection.members)]
+    monkeypatch.setattr(loop, "_work", lambda *given: found)
+    with pytest.warns(UserWarning, match=f"scan {held.index}: .*; not learned from"):
+        loop._first_fits()
+    (other,) = collection.with_role(HELD_OUT)
+    assert other is not held and held.role == "not learned from" and len(collection.with_role(LEARNED_FROM)) == 3
+
+
+@pytest.mark.parametrize("effort", ["fast", "balanced"])
+def test_a_learned_fit_in_doubt_tells_what_would_look_further(effort, tube_rig, few_scans, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *known: ("suspect", "odd"))
+    collection = collected(tube_rig, [few_scans[0].points], held_out=0)
+    (m,) = collection.members
+    m.use_frame(1.0, tube_rig.size / 2)
+    m.state = Model(tube_rig).rest()
+    settings = FitSettings(effort=effort, full_iterations=1)
+    given = tube_rig, {0: tube_rig}, "follow", collection, settings, Facing()
+    (r,) = finish.results_of(*given, jobs=1, progress=lambda *told: None)
+    assert ("effort 'balanced' (--effort balanced) looks further" in r.message) == (effort == "fast")
 
 
 @pytest.mark.parametrize("value, wins", [(0.002, True), (0.01, False)])

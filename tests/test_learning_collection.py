@@ -2,6 +2,7 @@
 
 import functools
 import warnings
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,17 @@ from learning_runs import NAN, SMALL, collected
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
-from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection, Member, check_scales, odd_ones, units_apart
+from lbsfit_np.learning import fitter as learning_fitter
+from lbsfit_np.learning.collection import (
+    HELD_OUT,
+    LEARNED_FROM,
+    Collection,
+    Member,
+    check_scales,
+    most_failed,
+    odd_ones,
+    units_apart,
+)
 
 
 @pytest.fixture(scope="module")
@@ -27,6 +38,8 @@ BAD_COLLECTIONS = [
     (lambda c: (c[:4], 7), ["subjects: got 7", "a sequence"]),
     (lambda c: (c[:4], [1, 2, 3, 4.5]), ["subjects: got 4.5", "text or whole numbers"]),
     (lambda c: (c[:4], [1, 2, 3, None]), ["subjects: got None", "text or whole numbers"]),
+    (lambda c: (c[:4], ["b", 1, 2, "1"]), ["subjects: got 1 for scan 1 and '1' for scan 3", "differ as text", "in one way"]),
+    (lambda c: (c[:4], [10**5000, 1, 2, 10**5001]), ["subjects: got a number of several thousand digits for scan 0 and a"]),
     (lambda c: ([*c[:4], 1000 * c[4]], None), ["scans: got different units: scan 4 has", "in one unit", "Convert"]),
     (lambda c: ([0.001 * c[0], *c[1:4], 100 * c[4]], None), ["different units: scan 0, 4 have"]),
     (lambda c: ([*c[:3], *(10 * x for x in c[3:6])], None), ["different units: scan 3, 4, 5 have"]),
@@ -54,12 +67,49 @@ def test_bad_collections_are_named_before_any_training(tube_rig, clouds, monkeyp
 
 @pytest.mark.parametrize("odd, n, warns", [(1, 3, False), (2, 3, True), (2, 20, False), (3, 20, True), (2, 30, False)])
 def test_more_than_one_and_more_than_a_tenth_of_the_scans_are_somebody_elses(odd, n, warns):
-    results = [SimpleNamespace(evidence={"proportions": 0.21 if k < odd else 0.19}) for k in range(n)]
+    results = [SimpleNamespace(evidence={"proportions": 0.21 if k < odd else 0.19}, status="ok") for k in range(n)]
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        Collection(n).warn(1, [*results, None])
+        Collection(n + 1, taught=dict.fromkeys(range(n), LEARNED_FROM)).warn(1, [*results, None])
     words = f"{odd} of {n} scans do not suit their subject's template; are they of several people? Say whose each scan is: "
     assert [str(w.message) for w in told] == [words + "subjects (--subjects)"] * warns
+
+
+@pytest.mark.parametrize(
+    "failed, unused, n, warns",
+    [(0, 0, 4, False), (2, 0, 4, False), (1, 1, 4, False), (2, 1, 4, True), (0, 3, 4, False), (1, 3, 4, True)],
+)
+def test_most_fits_that_fail_are_warned_of(failed, unused, n, warns):
+    """Of the scans that could be used."""
+    results = [SimpleNamespace(evidence={}, status="failed" if k < failed else "suspect") for k in range(n - unused)]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        Collection(n, taught=dict.fromkeys(range(n - unused), LEARNED_FROM)).warn(1, results + [None] * unused)
+    assert [str(w.message)[:58] for w in told] == ["most fits have failed: do not trust what was learned; fit "] * warns
+
+
+def test_most_fits_that_fail_in_learning_are_warned_of(tube_rig, clouds, monkeypatch):
+    """By the estimator, where it was called."""
+    fit = learning_fitter.fit_free_form
+    monkeypatch.setattr(learning_fitter, "fit_free_form", lambda *a, **k: [replace(r, status="failed") for r in fit(*a, **k)])
+    with pytest.warns(UserWarning, match="most fits have failed: do not trust what was learned; fit single scans first") as told:
+        lbs.LBSFitter(tube_rig, **SMALL | {"variant": "free-form"}).fit([x[:60] for x in clouds[:3]])
+    assert [w.filename for w in told] == [__file__]
+
+
+def test_the_command_line_says_once_that_most_fits_failed(made, own_cache, tmp_path, run, monkeypatch):
+    fit = learning_fitter.fit_free_form
+    monkeypatch.setattr(learning_fitter, "fit_free_form", lambda *a, **k: [replace(r, status="failed") for r in fit(*a, **k)])
+    scans = [made / name for name in ("one.ply", "two.xyz", "three.npy")]
+    code, out, err = run("learn", made / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
+    assert code == 1 and (out + err).count("most fits have failed: do not trust what was learned") == 1
+    assert out.splitlines()[-1] == most_failed(["failed"], ["learned from"]) and "lbsfit fit" in out.splitlines()[-1]
+
+
+def test_ids_are_read_before_the_scans(tube_rig, clouds):
+    with pytest.raises(InputError, match="subjects: got 1 for scan 0 and '1' for scan 1"):
+        collected(tube_rig, [lambda: pytest.fail("read first")] * 4, [1, "1", 1, "1"])
+    assert collected(tube_rig, clouds[:4], [1, np.int64(1), "2", np.str_("2")]).subjects == [1, "2"]
 
 
 def test_the_odd_ones_are_all_but_the_largest_group():

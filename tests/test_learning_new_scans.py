@@ -113,7 +113,7 @@ class _Alone:
     subject: str = ""
 
 
-ASKS = "; if you know who it is, name the subject (--subject)"
+ASKS = "; if you know who it is, name the subject (--subject, --subjects)"
 
 
 @pytest.mark.parametrize("whose, somebody_else", [("ann", False), ("bob", False), ("bob", True)])
@@ -204,7 +204,8 @@ def test_a_scan_of_somebody_else_than_named_is_told_to_leave_the_name_out(status
         fit = SimpleNamespace(proportions=lambda *of, p=proportions: p, finish=finished)
         monkeypatch.setattr(finish, "_template_fit", lambda *made_of, fit=fit: fit)
         message = finish.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message
-        assert ("without subject (--subject) the template that suits it best is taken" in message) == (asks and proportions > 0.5)
+        words = "; without subject (--subject, or its line of --subjects, which may be wrong) the template that suits it best is "
+        assert (words in message) == (asks and proportions > 0.5)
     assert given == [(), FASTER]
 
 
@@ -278,8 +279,8 @@ def test_a_new_scan_that_is_turned(tube_rig, learned_people, people_scans, unit)
 def test_a_subject_that_nobody_knows(learned_people, tube_rig, people_scans, subject):
     with pytest.raises(InputError, match="subject: got .*expected one of 'ann', 'bob'"):
         learned_people.fit_scan(people_scans[0].points, subject=subject)
-    with pytest.raises(InputError, match="subject: got .*expected one of 'ann', 'bob'"):
-        learned_people.transform([people_scans[0].points], [subject])
+    with pytest.raises(InputError, match="subjects: got .* for scan 1; expected one of 'ann', 'bob'"):
+        learned_people.transform([people_scans[0].points] * 2, ["bob", subject])
     with pytest.raises(InputError, match="no subject, as nothing was learned yet"):
         lbs.LBSFitter(tube_rig, **SMALL).fit_scan(people_scans[0].points, subject=subject)
 

@@ -252,7 +252,7 @@ def test_what_is_called_late_is_looked_at_before_any_work(learned, clouds):
 
 def test_an_unknown_subject_is_said_once_before_any_work(tube_rig, learned, clouds):
     for fitter in (learned, lbs.LBSFitter(tube_rig)):
-        with pytest.raises(InputError, match="subject: got 'nobody'; expected (one of|no subject, as)"):
+        with pytest.raises(InputError, match="subjects: got 'nobody' for scan 0; expected (one of|no subject, as)"):
             fit_scans(fitter, clouds, subjects=["nobody"] * len(clouds))
 
 

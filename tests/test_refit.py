@@ -1,13 +1,21 @@
 """The pose of a scan whose template is known: of many starts, most of them bad, the right one wins."""
 
+from dataclasses import replace
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.refit import Refit, Runner, thinned
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.scout import EFFORTS
+from lbsfit_np.learning.loop import _Refit
 from lbsfit_np.losses import chamfer
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.starts.limbs import LimbPoses
+from lbsfit_np.synthesis import uniform_poses
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -65,6 +73,34 @@ def test_two_exchanged_fingers_stay_exchanged_without_other_starts(model, refit,
     """What the other tests mend."""
     state, _, which = refit(case.problem, [case.swap])
     assert case.error(model, state) > 0.15 and which == 0
+
+
+@pytest.fixture(scope="module")
+def poses(rig, case):
+    """A library's, in some of which these fingers are right."""
+    theta = uniform_poses(rig, 60, np.random.default_rng(5))
+    theta[::3] = case.theta + 0.1 * np.random.default_rng(6).uniform(-1, 1, theta[::3].shape) * (rig.upper > rig.lower)
+    return theta
+
+
+def test_limbs_in_other_poses_bring_two_exchanged_fingers_home(model, refit, case, poses):
+    limbs = {"limbs": LimbPoses(model, poses), "effort": EFFORTS["balanced"]}
+    state, _, which = refit(case.problem, [case.swap], **limbs)
+    assert case.error(model, state) < 0.008 and which == 0  # where it has come from
+    right, _, _ = refit(case.problem, [case.truth], **limbs)
+    np.testing.assert_array_equal(right.theta, refit(case.problem, [case.truth])[0].theta)  # nothing to mend
+    never = replace(EFFORTS["balanced"], generations=0)
+    np.testing.assert_array_equal(
+        refit(case.problem, [case.swap], **limbs | {"effort": never})[0].theta, refit(case.problem, [case.swap])[0].theta
+    )
+
+
+@pytest.mark.parametrize("library, home", [(True, True), (False, False)])
+def test_poses_of_a_round_have_other_limbs_where_variants_have_a_library(library, home, model, case, poses):
+    known = SimpleNamespace(poses=poses, regress=lambda X: case.bad[0])
+    work = _Refit({"ann": model}, FitSettings(), known, 0, library)
+    state, _, _ = work(("ann", case.problem, case.swap, [], None))
+    assert (case.error(model, state) < 0.008) == home
 
 
 def test_the_right_start_among_bad_ones_wins(model, refit, case):

@@ -88,6 +88,22 @@ def test_partitions(tube_rig):
         build_rig(make_tube_data(), parts="toes")
 
 
+@pytest.mark.parametrize("built", [True, False])
+@pytest.mark.parametrize(
+    "name, remedy",
+    [("jionts", "Did you mean 'joints'?"), ("toes", "Name further partitions in the rig's card, in [parts.NAME].")],
+)
+def test_a_partition_that_is_none_may_be_a_misspelled_one(built, name, remedy, tube_rig):
+    with pytest.raises(InputError) as caught:
+        build_rig(make_tube_data(), parts=name) if built else tube_rig.with_parts(name)
+    assert str(caught.value) == f"parts: got {name!r}; expected one of joints, arm and fingers. {remedy}"
+
+
+def test_the_rigs_own_partition_may_be_none():
+    with pytest.raises(InputError, match="parts of the file: got 'toes'"):
+        build_rig(replace(make_tube_data(), parts="toes"))
+
+
 def test_partition_needs_a_part_for_every_vertex():
     data = replace(make_tube_data(), partitions={"odd": {"finger": ("long",)}})
     with pytest.raises(InputError, match="odd.*root"):

@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -43,6 +44,36 @@ def test_check_points_refuses(points, words):
     with pytest.raises(InputError, match=words) as caught:
         check_points(points, argument="cloud")
     assert caught.value.argument == "cloud"
+
+
+class _Frame:
+    """An array in another dress, as data frames are."""
+
+    def __init__(self, values):
+        self.values = values
+
+    def __array__(self, dtype=None, copy=None):
+        return np.array(self.values, dtype=dtype)
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        SimpleNamespace(points=[[1, 2, 3], [4, 5]]),
+        SimpleNamespace(points=[[1, 2, "a"], [4, 5, None]]),
+        np.array([[1, 2, "a"]], dtype=object),
+        _Frame(np.array([["a", 1, 2], ["b", 3, 4]], dtype=object)),
+    ],
+)
+def test_what_holds_rows_is_told_by_them(points):
+    with pytest.raises(InputError, match="cloud: got rows of different lengths or entries that are not numbers"):
+        check_points(points, argument="cloud")
+    with pytest.raises(InputError, match="cloud: got a dict; expected numbers"):
+        check_points({"points": points}, argument="cloud")
+
+
+def test_arrays_in_another_dress_are_taken():
+    np.testing.assert_array_equal(check_points(_Frame(POINTS.tolist())), POINTS)
 
 
 def test_check_points_counts_after_dropping():

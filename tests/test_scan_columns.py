@@ -49,6 +49,14 @@ def test_whole_numbers_in_any_order_are_an_x_beside_others(tmp_path):
     assert len(scan.notes) == 1 and scan.notes[0].startswith("One further column")
 
 
+@pytest.mark.parametrize("whole", [1, 2])
+def test_whole_numbers_in_any_order_are_an_x_beside_one_other_column_of_such(whole, tmp_path):
+    points = POINTS + 0.5
+    points[:, whole] = np.floor(points[:, whole])
+    scan = load_scan(write(tmp_path, "p.csv", rows([5, 8, 7, 9], points[:, 1:], POINTS[:, :1], sep=",")))
+    assert len(scan.notes) == 1 and scan.notes[0].startswith("One further column")
+
+
 @pytest.mark.parametrize("x", [[5, 6, 8, 8], [5, 6, 7.5, 8], [5, 8, 7, 8], [9, 6.5, 7, 8], [5, 6, 7]])
 def test_an_x_that_is_no_row_number_has_no_note(x, tmp_path):
     scan = load_scan(write(tmp_path, "p.csv", rows(x, POINTS[: len(x)], sep=",")))

@@ -282,6 +282,14 @@ def test_one_seed_is_a_seed(n, words):
     assert any(word in text for word in words) and ("with their range" in text) == (n > 1)
 
 
+@pytest.mark.parametrize("size", SIZES)
+def test_the_papers_size_is_pointed_to_from_the_others(size):
+    text = page(_report(joint={}) | {"size": size}, {})
+    end = "." if size == "paper" else "; `--size paper` is\n  there for that, and has not been run."
+    words = f'- Size "{size}": the paper learns from 1,500 hands and 23,000 bodies and tests on 300 and 2,300{end}\n'
+    assert words in text and ("has not been run" in text) == (size != "paper")
+
+
 def test_all_columns_are_explained():
     text = page(_report(joint={}), {})
     told = text[text.index("Columns of the tables") : text.index("## Hand")]

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
+from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit, further_words
 from lbsfit_np.fitting.scout import Found
 from lbsfit_np.learning.finish import scan_fit
 from lbsfit_np.optimize.frame import Frame
@@ -171,6 +171,42 @@ def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
     assert r.status == "ok"
     assert ("the scan stands along its +z axis" in r.message) == ("stands" in r.message) == told
     assert ("though up says '+y'" in r.message) == (told and up is not None) == ("spares the search" not in r.message and told)
+
+
+FASTER, AXES_TOO = "effort 'balanced' (--effort balanced) looks further", "without up (--up) other axes are tried, too"
+
+
+@pytest.mark.parametrize(
+    "effort, orientation, up, words",
+    [
+        ("fast", "upright", None, (FASTER,)),
+        ("fast", "upright", "+z", (FASTER,)),
+        ("balanced", "upright", "+z", (AXES_TOO,)),
+        ("thorough", "upright", "+y", (AXES_TOO,)),
+        ("balanced", "upright", None, ()),  # they are tried already
+        ("balanced", "any", None, ()),
+        ("balanced", "aligned", "+z", ()),  # none are
+        ("thorough", "aligned", None, ()),
+    ],
+)
+def test_what_would_look_further(tube_rig, effort, orientation, up, words):
+    assert further_words(FitSettings(effort=effort), facing_of(tube_rig, orientation, up)) == words
+
+
+@pytest.mark.parametrize("effort, up, words", [("fast", None, FASTER), ("balanced", "+y", AXES_TOO), ("balanced", None, "")])
+@pytest.mark.parametrize("status", ["ok", "suspect"])
+def test_a_fit_in_doubt_tells_what_would_look_further(tube_rig, effort, up, words, status, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *known: (status, "" if status == "ok" else "odd"))
+    model = Model(tube_rig)
+    frame, state = Frame(np.zeros(3), model.half), model.rest()
+    X = model.pose(state)[0].vertices
+    settings = FitSettings(effort=effort, polish=0, full_iterations=3)
+    fit = ScanFit(model, settings, facing=facing_of(tube_rig, "upright", up))
+    r = fit.fit(frame.outside(X), found=Found(frame, Problem(X), state, None, 0.0, ()))
+    assert r.message.startswith("odd; " + words) == (status != "ok")
+    assert ("looks further" in r.message or "are tried" in r.message) == (status != "ok" and bool(words))
+    started = fit.fit(frame.outside(X), theta0=np.zeros((4, 3)))  # which is not searched for
+    assert "looks further" not in started.message and "are tried" not in started.message
 
 
 def _as_learned(fitter, template, monkeypatch):

@@ -219,17 +219,18 @@ def _entry(result, kept=False):
 
 def _kept(folder, names, fitter, learn_from):
     """Scan name → what is said of its fit, for those whose fits are there and were made with this fitter."""
-    from ..learning.archive import model_digest
+    from ..learning.archive import learned_digests, model_digest
 
     known, kept = _known_subjects(fitter, learn_from), {}
-    learned, refitted = model_digest(fitter), {s: model_digest(fitter, s) for s in set(known.values())}
+    anybody, learned = model_digest(fitter), learned_digests(fitter)
+    refitted = {s: model_digest(fitter, s) for s in set(known.values())}
     for name in names:
         try:
             result = FitResult.load(_file(folder, name))
         except FileError:
             continue
-        # Of a scan that was learned from, the fit that learning left, or a later one as its subject's.
-        digests = (learned, refitted[known[name]]) if name in known else (learned,)
+        # Of a scan that was learned from, the fit that learning left, too, or a later one as its subject's.
+        digests = (anybody, *((learned[known[name]], refitted[known[name]]) if name in known else ()))
         if result.rig_digest == fitter.rig.digest and result.model_digest in digests:
             kept[name] = _entry(result, kept=True)
     return kept

@@ -31,7 +31,13 @@ OPTIONS = (
     Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o", is_path=True),
     *RIG_OPTIONS,
     Option("subject", "whose template a model shall use; by default the one that explains the scan best", metavar="ID"),
-    Option("subjects", "a file that says whose each scan is, as for lbsfit learn", metavar="FILE", is_path=True),
+    Option(
+        "subjects",
+        "a file that says whose each scan is, as for lbsfit learn; here it may name other scans, too, and an empty id leaves a "
+        "scan to the template that explains it best",
+        metavar="FILE",
+        is_path=True,
+    ),
     Option("scale", "whether the scan's scale is found, or is the rig's", default="estimate", choices=("estimate", "fixed")),
     Option(
         "orientation",
@@ -130,6 +136,9 @@ def add_parser(commands):
 
 def _run(arguments):
     given = chosen(arguments, OPTIONS, arguments.config)
+    for name, other in (("subject", "subjects"), ("subjects", "subject")):
+        if hasattr(arguments, name) and not hasattr(arguments, other):
+            given.pop(other, None)  # the configuration file's: the command line wins
     values = {option.key: option.default for option in OPTIONS} | given
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder to write to", "Add -o OUT.")
@@ -318,18 +327,17 @@ def _fit(fitter, todo, subjects, values, on_result, progress):
 def _kept(files, fitter, subjects):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
     from ..fitting.result import FitResult
-    from ..learning.archive import model_digest
 
     kept, rig = {}, fitter.rig
-    digests = {subject: model_digest(fitter, subject) for subject in set(subjects.values())}
+    digests = {subject: _digests(fitter, subject) for subject in set(subjects.values())}
     for f in files:
-        digest = digests[subjects[f.name]]
+        ours = digests[subjects[f.name]]
         if not all(path.is_file() for what, path in f.paths.items() if what != "picture"):
             continue
         try:
             result = FitResult.load(f.fit)
-        except FileError:
-            say(f"{f.name}: {f.fit} cannot be read, so it is fitted again")
+        except FileError as error:
+            say(f"{f.name}: {f.fit} cannot be read ({error.got}; expected {error.expected}), so it is fitted again")
             continue
         if result.rig_digest != rig.digest:
             raise InputError(
@@ -338,17 +346,30 @@ def _kept(files, fitter, subjects):
                 f"fits of rig {rig.name!r}",
                 "Choose another folder, or --existing replace.",
             )
-        if result.model_digest != digest:
+        if result.model_digest not in ours:
+            alone, remedy = "" in ours, "Choose another folder, or --existing replace."
+            if result.model_digest and not alone:
+                files_of = f"{f.name}.fit.npz, .mesh.ply and .labels.ply"
+                remedy = f"Give --subject or --subjects as in that run, or leave them out as there; without {files_of} it is "
+                remedy += "fitted again; or choose another folder, or --existing replace."
             raise InputError(
                 "--existing skip",
-                f"{f.fit}, a fit {_made_with(result.model_digest, digest)}",
-                "fits with this model and subject" if digest else f"fits with rig {rig.name!r} alone",
-                "Choose another folder, or --existing replace.",
+                f"{f.fit}, a fit {_made_with(result.model_digest, alone)}",
+                f"fits with rig {rig.name!r} alone" if alone else "fits with this model and subject",
+                remedy,
             )
         if f.picture is not None and not _is_newer(f.picture, f.fit):
             _draw_kept(f, rig, result)
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)
     return kept
+
+
+def _digests(fitter, subject):
+    """Of fits that are what is wanted of a scan of this subject, None where nobody says whose it is; learning's own, too."""
+    from ..learning.archive import learned_digests, model_digest
+
+    learned = learned_digests(fitter)
+    return {model_digest(fitter, subject), *(learned.values() if subject is None else [learned[subject]])}
 
 
 def _draw_kept(files, rig, result):
@@ -373,10 +394,10 @@ def _is_newer(picture, fit):
     return picture.is_file() and picture.stat().st_mtime_ns >= fit.stat().st_mtime_ns
 
 
-def _made_with(theirs, ours):
+def _made_with(theirs, alone):
     if not theirs:
         return "without a model"
-    return "with another model, or as another subject's" if ours else "with a learned model"
+    return "with a learned model" if alone else "with another model, or as another subject's"
 
 
 def _farewell(counts, n, out, stopped, older):

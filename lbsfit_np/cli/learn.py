@@ -17,7 +17,7 @@ from .fit import RIG_OPTIONS, check_training, load_rig_with, read_scan, scan_opt
 from .models import about_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, of_all, say, span
-from .stopped_learning import results_so_far, stopped_early
+from .stopped_learning import is_result_of, results_so_far, stopped_early
 from .stopping import exit_code, terminable
 from .subjects import SUBJECT_FILES, read_subjects
 from .summary import counts_of, say_doubtful, write_summary, written_of
@@ -167,11 +167,11 @@ def learn_files(rig_path, scans, values, *, inputs=()):
                 _write_results(rig_path, fitter, reading, files, entries, values, started)
             else:
                 entries = _unwritten(fitter, reading)
-            _say_statuses(entries, len(scans), values["results"])
+            _say_statuses(entries, fitter.roles_, values["results"])
     except KeyboardInterrupt as stop:
         progress.close()
-        results = results_so_far(fitter, model, files, entries, values) if files and written else ""
-        end = f"stopped: {model} is complete{results}" if written else stopped_early(fitter, model, values)
+        results = results_so_far(fitter, model, files, entries, subjects, values) if files and written else ""
+        end = f"stopped: {model} is complete{results}" if written else stopped_early(fitter, model, subjects, values)
         known = {e["input"] for e in entries.values()}  # the lines that named the others may be far above
         say_doubtful([*entries.values(), *(e for e in reading.unused() if e["input"] not in known)])
         say(end)
@@ -302,6 +302,7 @@ class _Reading:
 def _learn(fitter, reading, subjects, progress):
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".* scans cannot be used; ")  # each has been named already
+        warnings.filterwarnings("ignore", message="most fits have failed: ")  # said at the end, with how many
         show = warnings.showwarning
 
         def show_on_a_line(*args, **kwargs):
@@ -372,15 +373,17 @@ def _unwritten(fitter, reading):
     return entries
 
 
-def _say_statuses(entries, n, results):
-    """The scans in doubt, and how many there are of each status."""
+def _say_statuses(entries, roles, results):
+    """The scans in doubt, and how many there are of each status; ``roles``: what each of them was to learning."""
+    from ..learning.collection import most_failed
+
     say_doubtful(list(entries.values()))
-    counts = counts_of(entries)
+    counts, n = counts_of(entries), len(entries)
     words = ", ".join(f"{counts[status]} {status}" for status in ("ok", "suspect", "failed"))
     written = "" if results is None else f"; {of_all(written_of(entries), n, 'result')} in {results}"
     say(f"fits of {n} scan{'' if n == 1 else 's'}: {words}{written}")
-    if 2 * counts["failed"] > n:
-        say("most fits have failed: do not trust what was learned; fit single scans first (lbsfit fit) and see why")
+    if words := most_failed([entry["status"] for entry in entries.values()], roles):
+        say(words)
 
 
 def _write_results(rig_path, fitter, reading, files, entries, values, started):
@@ -391,10 +394,10 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
     try:
         for i, (f, result) in enumerate(zip(files, fitter.results_, strict=True)):
             if result is None:
-                entries[f.name] = outputs.unfitted_entry(f, reading.why(i))
+                entries[f.name] = _without_fit(reading, i, f, result)
                 continue
             try:
-                entries[f.name] = _written(writer, i, f, reading.scans[i], result)
+                entries[f.name] = _without_fit(reading, i, f, result) or writer(i, reading.scans[i], result)
             except LbsfitError as error:
                 entries[f.name] = outputs.unfitted_entry(f, str(error))
             read = reading.scans[i].notes  # said when it was read
@@ -403,12 +406,26 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
         stopped = False
     finally:
         progress.close()
+        if stopped:
+            _settle_the_rest(fitter, reading, files, entries)
         facts = {"started": started, "stopped": stopped, "model": about_model(values["output"]), "history": fitter.history_}
         write_summary(Path(values["results"]), rig_path, fitter.rig, files, entries, values, **facts)
 
 
-def _written(writer, i, files, scan, result):
-    """The entry of a result; one that is not finite is not written."""
+def _without_fit(reading, i, files, result):
+    """The entry of a scan without a result, or with one that is not finite and so is not written; None for any other."""
+    if result is None:
+        return outputs.unfitted_entry(files, reading.why(i))
     if not np.isfinite(result.vertices).all():
-        return outputs.unfitted_entry(files, outputs.with_reasons(result.message, scan.notes))
-    return writer(i, scan, result)
+        return outputs.unfitted_entry(files, outputs.with_reasons(result.message, reading.scans[i].notes))
+    return None
+
+
+def _settle_the_rest(fitter, reading, files, entries):
+    """Entries, after a stop, of the scans left that have no fit, and of the first one where its files were written already."""
+    left = [(i, f, result) for i, (f, result) in enumerate(zip(files, fitter.results_, strict=True)) if f.name not in entries]
+    for i, f, result in left:
+        if entry := _without_fit(reading, i, f, result):
+            entries[f.name] = entry
+        elif (i, f) == left[0][:2] and is_result_of(fitter, f):
+            entries[f.name] = outputs.fitted_entry(f, result, notes=reading.scans[i].notes)

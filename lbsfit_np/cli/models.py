@@ -132,7 +132,7 @@ def subjects_of(fitter, values, scans):
     Raises
     ------
     FileError
-        A table that cannot be read, or lacks a scan.
+        A table that cannot be read, lacks a scan, or has an id that the model does not know.
     InputError
         Both options; an id that the model does not know.
     """
@@ -141,17 +141,21 @@ def subjects_of(fitter, values, scans):
         return [None if one is None else _subject(fitter, one, "--subject")] * len(scans)
     if one is not None:
         raise InputError("--subjects", f"{table} beside --subject {one}", "one of the two", "Leave one out.")
-    return [_subject(fitter, wanted, "--subjects") for wanted in read_subjects(table, scans, others=True)]
+    return read_subjects(table, scans, others=True, known=lambda wanted: _subject(fitter, wanted, "--subjects"))
 
 
 def _subject(fitter, wanted, option):
     """A subject of a model, by its id as text: ids on the command line are text, in a model they may be numbers."""
+    table = option == "--subjects"
     known = {str(s): s for s in fitter.template_}
     if wanted not in known and list(fitter.template_) == [0]:
         got = f"{brief(wanted)} for a model that was learned without --subjects"
-        raise InputError(option, got, "no subject: it has one template", "Leave it out, or learn with --subjects.")
+        remedy = f"Leave {option if table else 'it'} out, or learn with --subjects."
+        raise InputError(option, got, "no subject: it has one template", remedy)
     if wanted not in known:
-        remedy = did_you_mean(wanted, known) or "Fit scans of others without it."
+        remedy = did_you_mean(wanted, known) or (
+            "Leave the ids of others' scans empty." if table else "Fit scans of others without it."
+        )
         raise InputError(option, brief(wanted), f"a subject of the model: {listed([repr(s) for s in known])}", remedy)
     return known[wanted]
 

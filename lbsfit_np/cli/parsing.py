@@ -39,9 +39,10 @@ class Parser(argparse.ArgumentParser):
         found, unknown = self.parse_known_args(args, namespace)
         if unknown:
             known = found.parser._option_string_actions
-            bare = dict.fromkeys(word.partition("=")[0] for word in unknown)
-            hints = {word: hint for word in bare if (hint := did_you_mean(word, known))}
-            if sum(word.startswith("-") for word in bare) > 1:  # of which one is it said?
+            # Others are what options that are not known would have been given.
+            options = dict.fromkeys(word.partition("=")[0] for word in unknown if word.startswith("-"))
+            hints = {word: hint for word in options if (hint := did_you_mean(word, known))}
+            if len(options) > 1:  # of which one is it said?
                 hints = {word: f"For {word}: {hint[0].lower()}{hint[1:]}" for word, hint in hints.items()}
             hint = f". {' '.join(hints.values())}" if hints else ""
             found.parser.error(f"unrecognized arguments: {' '.join(unknown)}{hint}")

@@ -5,7 +5,7 @@ import re
 import tomllib
 from pathlib import Path
 
-from ..errors import FileError, brief, did_you_mean, listed
+from ..errors import FileError, InputError, brief, did_you_mean, listed
 from .outputs import same_file
 from .progress import counted
 
@@ -24,7 +24,7 @@ _ONE = {"\t": "a tab", ";": "a semicolon", ",": "a comma", None: "a comma in all
 _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
 
 
-def read_subjects(path, scans, *, others=False):
+def read_subjects(path, scans, *, others=False, known=None):
     """The subject's id of every scan.
 
     Parameters
@@ -34,11 +34,13 @@ def read_subjects(path, scans, *, others=False):
     scans : list of str
         Paths of the scans as given.
     others : bool, default False
-        Whether the file may name scans besides, which are passed over.
+        Whether the file may name scans besides, which are passed over, and leave ids empty: whose those scans are is not known.
+    known : callable (id as text) → id, optional
+        Raises InputError for one that cannot be used, which is then said to be the file's.
 
     Returns
     -------
-    list of str
+    list of str or what ``known`` returns; None where the id is empty
 
     Raises
     ------
@@ -50,10 +52,11 @@ def read_subjects(path, scans, *, others=False):
     names = _Names(scans)
     if rows and rows[0][1].casefold() in _HEADINGS and not names.of(rows[0][1]):
         del rows[0]
-    ids, lines = {}, {}
+    ids, lines, passed = {}, {}, []
     for line, name, subject in rows:
         found = names.of(name)
         if not found and others:
+            passed.append(name)
             continue
         if not found:
             named = {i for _, other, _ in rows for i in names.of(other)}
@@ -65,14 +68,39 @@ def read_subjects(path, scans, *, others=False):
         i = found[0]
         if i in ids:
             raise FileError(str(path), f"the scan {brief(name)} twice, in lines {lines[i]} and {line}", _EXPECTED)
-        if not subject:
+        if not subject and not others:
             raise FileError(str(path), f"no id for {brief(name)} in line {line}", _EXPECTED)
-        ids[i], lines[i] = subject, line
+        if subject and known is not None:
+            try:
+                subject = known(subject)
+            except InputError as error:
+                got = f"{error.got}, the id of {brief(name)} in line {line}"
+                raise FileError(str(path), got, error.expected, error.remedy) from None
+        ids[i], lines[i] = None if subject == "" else subject, line
     missing = [s for i, s in enumerate(scans) if i not in ids]
     if missing:
         got = f"no id for {len(missing)} of {len(scans)} scans: {listed(missing, 5)}"
-        raise FileError(str(path), got, _EXPECTED, "Add them, or leave these scans out.")
+        if passed and not ids:
+            got = f"a file that names none of these scans: {listed([brief(s) for s in missing], 5)}"
+        unknown = ", with an empty id where nobody knows whose a scan is" if others else ""
+        remedy = " ".join([*_likeness(missing, passed), f"Add them{unknown}, or leave these scans out."])
+        raise FileError(str(path), got, _EXPECTED, remedy)
     return [ids[i] for i in range(len(scans))]
+
+
+def _likeness(missing, passed):
+    """The question whether a name that is no scan means one that is missing: the first such one, in a list; else none."""
+    for scan in missing:
+        # Scans of a series differ in their numbers alone, and none of them stands for another.
+        alike = [name for name in passed if _numbers(name) == _numbers(scan)]
+        hints = [did_you_mean(given, alike) for given in (Path(scan).stem, Path(scan).name, scan)]
+        for hint in filter(None, hints):
+            return [hint if len(missing) == 1 else f"For {scan}: {hint[0].lower()}{hint[1:]}"]
+    return []
+
+
+def _numbers(name):
+    return [int(digits) for digits in re.findall("[0-9]+", Path(name).stem)]
 
 
 class _Names:

@@ -77,7 +77,8 @@ def assemble(
     proportions : float
         As for ``confidence.evidence_of``.
     found : sequence of str
-        What the fit says of the scan, such as its unit; of one that has failed, with that reserve.
+        What the fit says of the scan, such as its unit; of one that has failed, with that reserve, of one that is not finite,
+        nothing.
     further : sequence of str
         What a fit in doubt says would look further.
     judged : bool, default True
@@ -135,7 +136,9 @@ def assemble(
             reason += "; is it the right rig, and does the scan stand as orientation and up say (--orientation, --up)?"
         if status != "ok" and not partial and evidence["unreached"] > _HARDLY_REACHED:
             reason += "; if the scan shows one side only, say so with partial (--partial)"
-    if finite and status == "failed" and any(found):
+    if not finite:
+        found = ()
+    elif status == "failed" and any(found):
         found = [f"if it were right all the same: {'; '.join(filter(None, found))}"]
     return FitResult(
         pose=pose,

@@ -279,7 +279,7 @@ def verdict_of(evidence, probability, worst=None):
 def _together(evidence, worst):
     """Where nothing alone is worth a word: the two pieces of evidence that have cost the most probability."""
     cost = dict(zip(REGRESSED, np.array(_WEIGHTS) * (np.log10(_FLOOR) - logarithms(evidence)), strict=True))
-    seen = (name for name, c in cost.items() if c > 0 and evidence[name] >= 0.005)  # what is not printed as 0 %
+    seen = (name for name, c in cost.items() if c > 0 and f"{evidence[name]:.0%}" != "0%")
     most = sorted(seen, key=cost.get, reverse=True)[:2]
     named = [_ALSO[name].format(value=evidence[name], part=worst.get(name, "")) for name in most]
     return "several small things together" + (f", above all {' and '.join(named)}" if named else "")

@@ -5,7 +5,7 @@ place leaves points unexplained. So here starts may be many and careless, and th
 """
 
 import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -31,6 +31,8 @@ _DOUBT = 0.8
 _FEW, _FAR, _FAR_VERTICES, _FAR_STEPS = 400, 0.2, 300, 6
 _MORE, _NEAR, _NEAR_VERTICES, _NEAR_STEPS, _NEAR_ENOUGH = 900, 0.05, 600, 10, 1e-3
 _SURVIVORS = 3
+# Limbs are tried again where that has left less than this share unexplained.
+_HELPED = 0.99
 
 
 @dataclass(frozen=True)
@@ -73,7 +75,7 @@ class Refit:
         self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
         self._last = GaussNewton(model, **near)
 
-    def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False):
+    def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None, effort=None):
         """The best pose found.
 
         Parameters
@@ -88,6 +90,9 @@ class Refit:
         labels_known : bool, default False
             The probabilities are known labels, which the steps go by: from the first start alone, or from the one that the
             labels give where there is no other.
+        limbs : LimbPoses, optional
+            Other poses for limbs, tried with ``effort`` where labels are not known.
+        effort : Effort, optional
 
         Returns
         -------
@@ -95,7 +100,7 @@ class Refit:
         value : float
             L_c(X, V), plain Chamfer distance, squared half sizes.
         which : int
-            Row of the start that won: states, then poses, then the one from parts.
+            Row of the start that won, or led to what won: states, then poses, then the one from parts.
         """
         starts = [self._mine(s) for s in states] + [self.placed(problem, theta) for theta in poses]
         if labels_known:
@@ -106,7 +111,8 @@ class Refit:
             return state, self._chamfer(problem, state), 0
         if proba is not None:
             starts.append(self.from_parts(problem, proba, False))
-        best = self.race([Runner(problem, s, k) for k, s in enumerate(starts)])[0]
+        runners = self.race([Runner(problem, s, k) for k, s in enumerate(starts)])
+        best = (runners if limbs is None else self.with_other_limbs(runners, limbs, effort))[0]
         state = self.polish(problem, best.state)
         return state, self._chamfer(problem, state), best.name
 
@@ -140,6 +146,37 @@ class Refit:
             problem = more.setdefault(id(r.problem), thinned(r.problem, _MORE))
             out.append(self._moved(self._near, problem, r, _NEAR_STEPS))
         return sorted(out, key=lambda r: r.value)
+
+    def with_other_limbs(self, runners, limbs, effort):
+        """The same with, where some limb is better off in another pose, what came of that; again while it helps.
+
+        Parameters
+        ----------
+        runners : list of Runner
+            After their last steps, the best first; as many come back.
+        limbs : LimbPoses
+            Of the model.
+        effort : Effort
+            How often and of how many poses.
+
+        Returns
+        -------
+        list of Runner
+            The best first.
+        """
+        size = len(runners)
+        for _ in range(effort.generations):
+            best = runners[0].value
+            tried = []
+            for r in runners[: effort.parents]:
+                proposals = limbs.proposals(r.problem, r.state, effort.proposals, closer=effort.closer)
+                tried += [replace(r, state=r.state.replace(theta=theta)) for theta in proposals]
+            if not tried:
+                break
+            runners = sorted([*runners, *self.race(tried, effort.survivors)], key=lambda r: r.value)[:size]
+            if runners[0].value > _HELPED * best:
+                break
+        return runners
 
     def freeing(self, free):
         """The same, for other unknowns; what is prepared of the model is shared."""

@@ -177,12 +177,13 @@ class Scout:
         if self.segmenter is not None:
             labelled = [self._labelled(points, x_weights, frame) for frame in self._facings(runners)]
             runners = sorted([*runners, *refit.first_steps(labelled)], key=lambda r: r.value)
-        near = self._distinct(self._other_limbs(refit.last_steps(runners[: effort.survivors])))
+        ends = refit.last_steps(runners[: effort.survivors])
+        near = self._distinct(refit.with_other_limbs(ends, self._limbs, effort) if self.nearest else ends)
         close = [r for r in near[: effort.finals] if r.value <= _RIVAL * near[0].value]
-        ends = list(map(self._with_proportions, close))
+        finals = list(map(self._with_proportions, close))
         # What the others would leave unexplained if proportions helped them as much as the best.
-        helped = min((e.value, e.value / max(r.value, 1e-300)) for e, r in zip(ends, close, strict=True))[1]
-        finals = sorted(ends, key=lambda r: r.value)
+        helped = min((e.value, e.value / max(r.value, 1e-300)) for e, r in zip(finals, close, strict=True))[1]
+        finals.sort(key=lambda r: r.value)
         if self._bends and effort.bends:
             state, value = self._bends(finals[0].problem, finals[0].state, finals[0].value)
             finals[0] = replace(finals[0], state=state, value=value)
@@ -232,23 +233,6 @@ class Scout:
             state = r.state.replace(scale=r.state.scale / q, translation=r.state.translation / q)
             out.append(Runner(problems[id(r.problem)], state, frame, r.value / q**2))
         return out
-
-    def _other_limbs(self, runners):
-        """The same with, where some limb is better off in another pose, what came of that; again while it helps."""
-        refit, size = self._refit, len(runners)
-        for _ in range(self.effort.generations if self.nearest else 0):
-            best = runners[0].value
-            tried = []
-            for r in runners[: self.effort.parents]:
-                proposals = self._limbs.proposals(r.problem, r.state, self.effort.proposals, closer=self.effort.closer)
-                tried += [replace(r, state=r.state.replace(theta=theta)) for theta in proposals]
-            if not tried:
-                break
-            ends = refit.last_steps(refit.first_steps(tried)[: self.effort.survivors])
-            runners = sorted([*runners, *ends], key=lambda r: r.value)[:size]
-            if runners[0].value > 0.99 * best:
-                break
-        return runners
 
     def _distinct(self, runners):
         """Those of runners, best first, that have come to another pose than all before them."""

@@ -17,7 +17,7 @@ from ..segmentation.segmenter import Segmenter
 from ..segmentation.stage import Stage
 from ..starts.library import PoseLibrary
 
-__all__ = ["MODEL_KEY", "model_digest", "read_fitter", "write_fitter"]
+__all__ = ["MODEL_KEY", "learned_digests", "model_digest", "read_fitter", "write_fitter"]
 
 MODEL_KEY = "lbsfit_np_model"
 _FORMAT = 2
@@ -87,6 +87,16 @@ def model_digest(fitter, subject=None):
     for name, array in sorted(_learned_arrays(fitter, templates.values()).items()):
         h.update(f"{name} {array.dtype.str} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return h.hexdigest()
+
+
+def learned_digests(fitter):
+    """Subject → hex digest of the results that learning itself left of this one's scans; none before ``fit``.
+
+    They are neither fits of scans that might be anybody's nor fits as a subject that was named, and may stand for both.
+    """
+    whole = model_digest(fitter)
+    templates = getattr(fitter, "template_", None) or {}
+    return {s: hashlib.sha256(f"{whole} learned {s!r}".encode()).hexdigest() for s in templates}
 
 
 def _learned_arrays(fitter, templates):

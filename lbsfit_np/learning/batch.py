@@ -11,8 +11,9 @@ import numpy as np
 from ..errors import InputError, LbsfitError, in_words
 from ..scan import check_points
 from ..workers import Workers
-from .collection import as_scans, as_subjects
+from .collection import as_scans
 from .parameters import check_callables
+from .subjects import as_subjects, known_subject
 from .variants import as_variant
 
 __all__ = ["ScanOutcome", "fit_scans"]
@@ -88,9 +89,8 @@ def fit_scans(fitter, scans, *, subjects=None, jobs=1, finish=None, on_result=No
     subjects = [None] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
     if hasattr(fitter, "_check"):
         fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
-        for subject in subjects:
-            if subject is not None:
-                fitter._check_subject(subject)
+        learned = getattr(fitter, "template_", None)
+        subjects = [s if s is None else known_subject(learned, s, "subjects", i) for i, s in enumerate(subjects)]
     outcomes = {}
 
     def report(outcome):

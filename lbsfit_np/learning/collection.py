@@ -17,6 +17,7 @@ from ..seeds import generator
 from ..starts.clean import clean_rows
 from ..starts.scale import extent, reference_scale
 from ..workers import each
+from .subjects import as_subjects, check_texts
 
 __all__ = [
     "APART",
@@ -25,8 +26,8 @@ __all__ = [
     "LEARNED_FROM",
     "Member",
     "as_scans",
-    "as_subjects",
     "check_scales",
+    "most_failed",
     "odd_ones",
     "read_collection",
     "units_apart",
@@ -200,7 +201,7 @@ class Collection:
         return [answer for answer, error in found if error is None]
 
     def warn(self, stacklevel, results=()):
-        """Warn of the failures that nobody was warned of yet, and where results say that subjects are of several people."""
+        """Warn of failures that nobody was warned of yet; of results, where people are mixed up or most fits have failed."""
         new = sorted(set(self.failures) - self.warned)
         self.warned.update(new)
         if new:
@@ -210,6 +211,8 @@ class Collection:
         if sum(odd) > max(1, _STRANGERS * len(odd)):
             words = f"{sum(odd)} of {len(odd)} scans do not suit their subject's template; are they of several people? "
             words += "Say whose each scan is: subjects (--subjects)"
+            warnings.warn(words, stacklevel=stacklevel + 1)
+        if results and (words := most_failed(["failed" if r is None else r.status for r in results], self.roles)):
             warnings.warn(words, stacklevel=stacklevel + 1)
 
 
@@ -245,19 +248,6 @@ def as_scans(scans):
     return scans
 
 
-def as_subjects(subjects, n):
-    """Ids of ``n`` scans as a list, or InputError."""
-    if isinstance(subjects, (Mapping, Set)):
-        remedy = "Make a list, in the order of the scans."
-        raise InputError("subjects", f"a {type(subjects).__name__}", "a sequence with one id for each scan", remedy)
-    if isinstance(subjects, (str, bytes)) or not hasattr(subjects, "__len__") or not hasattr(subjects, "__iter__"):
-        raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
-    subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
-    if len(subjects) != n:
-        raise InputError("subjects", f"{len(subjects)} ids", f"{n}, one for each scan")
-    return subjects
-
-
 def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state, up=None):
     """Read and check the scans of a collection.
 
@@ -282,7 +272,8 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     Raises
     ------
     InputError
-        Subjects of the wrong number, no scan that can be used, different units, too few scans to hold any out.
+        Subjects of the wrong number, different ids of one text, no scan that can be used, different units, too few scans to hold
+        any out.
     """
     scans = as_scans(scans)
     if not scans:
@@ -291,6 +282,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     for s in subjects:
         if not isinstance(s, (str, int)):
             raise InputError("subjects", brief(s), "ids that are text or whole numbers")
+    check_texts(subjects)
     collection = Collection(len(scans))
     for i, (source, subject) in enumerate(zip(scans, subjects)):
         try:
@@ -315,6 +307,14 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     _check_units(collection, scale)
     _hold_out(collection, held_out, random_state)
     return collection
+
+
+def most_failed(statuses, roles):
+    """What to say where most fits have failed, of the scans that could be used, which have a role; "" where they have not."""
+    used = [status for status, role in zip(statuses, roles, strict=True) if role is not None]
+    if 2 * used.count("failed") <= len(used):
+        return ""
+    return "most fits have failed: do not trust what was learned; fit single scans first (lbs.fit_scan, lbsfit fit) and see why"
 
 
 def odd_ones(sizes, most):

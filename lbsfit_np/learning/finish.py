@@ -155,7 +155,8 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
     result = replace(result, subject=str(subject))
     if another and result.status != "ok":
-        return replace(result, message=f"{result.message}; without subject (--subject) the template that suits it best is taken")
+        without = "without subject (--subject, or its line of --subjects, which may be wrong)"
+        return replace(result, message=f"{result.message}; {without} the template that suits it best is taken")
     return _asking(result, subjects)
 
 
@@ -163,7 +164,7 @@ def _asking(result, subjects):
     """A result in doubt asks for the subject where there are several."""
     if len(subjects) == 1 or result.status == "ok":
         return result
-    return replace(result, message=f"{result.message}; if you know who it is, name the subject (--subject)")
+    return replace(result, message=f"{result.message}; if you know who it is, name the subject (--subject, --subjects)")
 
 
 def _scouted(fitter, subject, x, a, settings):

@@ -1,23 +1,23 @@
 """LBSFitter: the estimator. Fits single scans, learns from collections of scans, and fits new scans with what it has learned."""
 
 import warnings
-from collections.abc import Hashable
 from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from ..errors import InputError, brief, did_you_mean
+from ..errors import InputError
 from ..optimize.model import Model
 from ..seeds import integer_seed
 from ..segmentation.segmenter import jobs_of
 from ..starts.turns import facing_of
-from .archive import model_digest, read_fitter, write_fitter
-from .collection import as_scans, as_subjects, in_words, read_collection
+from .archive import learned_digests, model_digest, read_fitter, write_fitter
+from .collection import as_scans, in_words, read_collection
 from .finish import fit_free_form, fit_new, results_of, scan_fit
 from .loop import Loop, LoopSettings
 from .parameters import check_callables, check_parameters, check_same, check_scan, check_segmenter, fit_settings, learned_with
 from .pretraining import LIBRARY_TIME, pretrain_library, pretrain_segmenter
+from .subjects import as_subjects, known_subject
 from .training import training_settings
 from .variants import as_variant
 
@@ -254,7 +254,8 @@ class LBSFitter(BaseEstimator):
         self._set_aside(collection)
 
     def _finished(self, collection, results):
-        self.results_ = self._signed(results)
+        digests, subjects = learned_digests(self), {m.index: m.subject for m in collection.members}
+        self.results_ = [r if r is None else replace(r, model_digest=digests[subjects[i]]) for i, r in enumerate(results)]
         self._set_aside(collection)
         collection.warn(stacklevel=3, results=results)
         return self
@@ -326,7 +327,7 @@ class LBSFitter(BaseEstimator):
         points : (n, 3) array or Scan
             In any unit that ``scale`` allows.
         subject : str or int, optional
-            After :meth:`fit`: whose template to use; by default the one that explains the scan best.
+            After :meth:`fit`: whose template to use, by id or its text; by default the one that explains the scan best.
         theta0 : (J, 3) array, optional
             A known start, radians.
         labels : (n,) int array, optional
@@ -347,7 +348,7 @@ class LBSFitter(BaseEstimator):
         points, theta0, labels, point_weights = check_scan(rig, points, theta0, labels, point_weights)
         learned = getattr(self, "template_", None)
         if subject is not None:
-            self._check_subject(subject)
+            subject = known_subject(learned, subject)
         if learned is not None:
             self._check_learned()
         if learned is not None or not as_variant(self.variant).skinning:
@@ -375,8 +376,8 @@ class LBSFitter(BaseEstimator):
         self._check_learned()
         scans = as_scans(scans)
         subjects = None if subjects is None else as_subjects(subjects, len(scans))
-        for subject in subjects or ():
-            self._check_subject(subject)
+        if subjects is not None:
+            subjects = [known_subject(self.template_, s, "subjects", i) for i, s in enumerate(subjects)]
         results = []
         for i, scan in enumerate(scans):
             try:
@@ -386,12 +387,6 @@ class LBSFitter(BaseEstimator):
                 warnings.warn(f"scan {i} cannot be fitted: {in_words(error)}", stacklevel=3)
                 results.append(None)
         return results
-
-    def _check_subject(self, subject):
-        learned = getattr(self, "template_", None)
-        if learned is None or not isinstance(subject, Hashable) or subject not in learned:
-            known = "no subject, as nothing was learned yet" if learned is None else f"one of {', '.join(map(repr, learned))}"
-            raise InputError("subject", brief(subject), known, did_you_mean(subject, learned or ()))
 
     def _check_learned(self):
         self._check()

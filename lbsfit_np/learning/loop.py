@@ -4,7 +4,8 @@ After pretraining and a first fit of each scan by itself, a round does this:
 
 1. each subject's template from the poses of its scans (``fitting.template``), scans that are explained badly left out;
 2. training scans from the mixture Θ' on these templates (``mixture``); s is trained on, f and the library of starts anew;
-3. the labels of all scans; every pose again, from its last one, from labels, from f and from the library (``fitting.refit``);
+3. the labels of all scans; every pose again, from its last one, from labels, from f and from the library, then with other
+   poses for limbs that are better off so (``fitting.refit``);
 4. the loss on the scans held out: rounds end when it no longer falls.
 
 At the end the full objective gives each scan its residual on its subject's template.
@@ -19,7 +20,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..fitting.refit import Refit
-from ..fitting.scout import Scout
+from ..fitting.scout import EFFORTS, Scout
 from ..fitting.template import TemplateSettings, shared_template
 from ..losses.objective import LossWeights
 from ..optimize.frame import nearest_root, turned_root
@@ -27,6 +28,7 @@ from ..optimize.model import Model
 from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import build_library
+from ..starts.limbs import LimbPoses
 from ..threads import one_thread
 from ..workers import each, kept_processes
 from .collection import HELD_OUT, LEARNED_FROM, check_scales, units_apart
@@ -291,7 +293,7 @@ class Loop:
         """Every pose again on its subject's template; returns how many new starts won."""
         members = self.collection.members
         neighbours = self.settings.neighbours if self.variant.library else 0
-        work = _Refit(self._models(templates), self.fit_settings.partial, self.library, neighbours)
+        work = _Refit(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
         tasks = [(m.subject, m.problem, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
         answers = self._work(work, tasks, "poses of scans")
         won = 0
@@ -397,20 +399,26 @@ class _Label:
 @dataclass(frozen=True)
 class _Refit:
     models: dict
-    partial: bool
+    settings: object
     library: object
     neighbours: int
+    limbs: bool
 
     @cached_property
     def _refit(self):
-        return cache(lambda subject: Refit(self.models[subject], partial=self.partial))  # prepared once in each process
+        return cache(lambda subject: Refit(self.models[subject], partial=self.settings.partial))  # once in each process
+
+    @cached_property
+    def _limbs(self):
+        return cache(lambda subject: LimbPoses(self.models[subject], self.library.poses) if self.limbs else None)
 
     def __call__(self, task):
         subject, problem, state, beside, proba = task
         poses = [*beside, self.library.regress(problem.X)]
         if self.neighbours:
             poses += list(self.library.nearest(problem.X, self.neighbours))
-        state, loss, which = self._refit(subject)(problem, [state], poses=poses, proba=proba)
+        limbs = {"limbs": self._limbs(subject), "effort": EFFORTS[self.settings.effort]}
+        state, loss, which = self._refit(subject)(problem, [state], poses=poses, proba=proba, **limbs)
         return state, _finite(loss), which
 
 

@@ -50,8 +50,8 @@ def check_parameters(fitter):
     as_weights(fitter.weights)
     if not isinstance(fitter.training, (type(None), Mapping, Synthesis)):
         raise InputError("training", type(fitter.training).__name__, "a dict of fields of synthesis.Synthesis")
-    words = {"joints": JOINT_MODES, "scale": ("estimate", "fixed"), "orientation": ORIENTATIONS, "effort": tuple(EFFORTS)}
-    for name, known in words.items():
+    choices = {"joints": JOINT_MODES, "scale": ("estimate", "fixed"), "orientation": ORIENTATIONS, "effort": tuple(EFFORTS)}
+    for name, known in choices.items():
         value = getattr(fitter, name)
         if not isinstance(value, str) or value not in known:
             words = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, did_you_mean, listed
+from ..errors import InputError, listed
 from .anomalies import mesh_notes, size_notes, skin_notes
 from .card import Card, matching, read_card
 from .checks import (
@@ -23,6 +23,7 @@ from .checks import (
 )
 from .frames import bone_frames, child_directions
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, derived_limits
+from .partition import check_partition
 from .regressor import exact_regressor, regressor_from_weights
 from .rig import Rig
 from .shapes import check_shapes
@@ -84,17 +85,8 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
 
     partitions = _partitions(report, data, names, card)
     granularity = next((p for p in (parts, card.use_parts, data.parts) if p is not None), "joints")
-    known = ["joints", *(p for p in partitions if p != "joints")]
-    if granularity not in known:
-        argument = (
-            "parts" if parts is not None else f"{card.where}, use_parts" if card.use_parts is not None else "parts of the file"
-        )
-        raise InputError(
-            argument,
-            repr(granularity),
-            f"one of {', '.join(known)}",
-            did_you_mean(granularity, known) or "Name further partitions in the rig's card, in [parts.NAME].",
-        )
+    argument = "parts" if parts is not None else f"{card.where}, use_parts" if card.use_parts is not None else "parts of the file"
+    known = check_partition(argument, granularity, partitions)
 
     rig = Rig(
         name=str(data.name),

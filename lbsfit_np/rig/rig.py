@@ -9,8 +9,8 @@ from numbers import Real
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, brief, check_array, did_you_mean
-from .partition import parts_of_joints, vertex_parts
+from ..errors import InputError, brief, check_array
+from .partition import check_partition, parts_of_joints, vertex_parts
 from .proportions import proportions
 from .shapes import ShapeSpace
 from .weld import weld_map
@@ -241,10 +241,7 @@ class Rig:
 
     def with_parts(self, granularity):
         """The same rig with another of its partitions in use."""
-        known = ["joints", *(n for n in self.partitions if n != "joints")]
-        if granularity not in known:
-            remedy = did_you_mean(granularity, known) or "Name further partitions in the rig's card."
-            raise InputError("parts", repr(granularity), f"one of {', '.join(known)}", remedy)
+        check_partition("parts", granularity, self.partitions)
         return replace(self, granularity=granularity)
 
     def with_template(self, vertices, joints=None):

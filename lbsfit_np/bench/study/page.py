@@ -103,9 +103,10 @@ _PROTOCOL = """\
 - Recon is compared with its value at the true mesh on the same scan, as √CD is not 0 there. Corre. carries points of
   scan A by their closest surface point on A's registration to B's, {points} points of each; "snapped" goes on to the
   nearest point of scan B, as the paper does.
-- Size "{size}": the paper learns from 1,500 hands and 23,000 bodies and tests on 300 and 2,300; `--size paper` is
-  there for that, and has not been run.
+- Size "{size}": the paper learns from 1,500 hands and 23,000 bodies and tests on 300 and 2,300{more}.
 """
+# Of all sizes but that.
+_PAPERS_SIZE = "; `--size paper` is\n  there for that, and has not been run"
 
 
 def page(report, captions):
@@ -350,10 +351,10 @@ def _protocol(report):
     from .data import NATURAL
     from .measures import POINTS
 
-    scan = report["scan"]
-    return _PROTOCOL.format(
-        natural_hand=NATURAL["hand"], n_points=scan["n_points"], noise=scan["noise"], size=report["size"], points=POINTS
-    )
+    scan, size = report["scan"], report["size"]
+    more = "" if size == "paper" else _PAPERS_SIZE
+    given = {"n_points": scan["n_points"], "noise": scan["noise"], "size": size, "more": more}
+    return _PROTOCOL.format(natural_hand=NATURAL["hand"], points=POINTS, **given)
 
 
 def _provenance(report):

@@ -1,0 +1,77 @@
+"""Ids of subjects: those of a collection, and those that callers give for what was learned."""
+
+from collections.abc import Mapping, Set
+
+import numpy as np
+
+from ..errors import InputError, brief, did_you_mean, listed
+
+__all__ = ["as_subjects", "check_texts", "known_subject"]
+
+
+def as_subjects(subjects, n):
+    """Ids of ``n`` scans as a list, or InputError."""
+    if isinstance(subjects, (Mapping, Set)):
+        remedy = "Make a list, in the order of the scans."
+        raise InputError("subjects", f"a {type(subjects).__name__}", "a sequence with one id for each scan", remedy)
+    if isinstance(subjects, (str, bytes)) or not hasattr(subjects, "__len__") or not hasattr(subjects, "__iter__"):
+        raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
+    subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
+    if len(subjects) != n:
+        raise InputError("subjects", f"{len(subjects)} ids", f"{n}, one for each scan")
+    return subjects
+
+
+def check_texts(subjects):
+    """InputError where different ids have one text: results and files have ids as text, and would not tell them apart."""
+    first = {}
+    for i, s in enumerate(subjects):
+        j, other = first.setdefault(_text(s), (i, s))
+        if other != s:
+            got = f"{brief(other)} for scan {j} and {brief(s)} for scan {i}"
+            remedy = "Write the id of one person in one way, and give two people names that differ."
+            raise InputError("subjects", got, "ids that differ as text, too: results and files have them so", remedy)
+
+
+def known_subject(learned, given, argument="subject", scan=None):
+    """The id of a learned subject, by itself or by its text, as results and files have ids as text.
+
+    Parameters
+    ----------
+    learned : dict of id, or None
+        ``LBSFitter.template_``; None where nothing was learned.
+    given : str or int
+    argument : str, default "subject"
+        What errors name.
+    scan : int, optional
+        Of several ids, the number of the scan that this one is for.
+
+    Returns
+    -------
+    str or int
+        As it stands in ``learned``.
+
+    Raises
+    ------
+    InputError
+        Nobody of that id.
+    """
+    given = given.item() if isinstance(given, np.generic) else given
+    got = brief(given) if scan is None else f"{brief(given)} for scan {scan}"
+    if learned is None:
+        raise InputError(argument, got, "no subject, as nothing was learned yet")
+    if isinstance(given, (str, int, float)):
+        known = {_text(s): s for s in learned} | {s: s for s in learned}
+        found = known.get(given, known.get(_text(given)))
+        if found is not None:
+            return found
+    remedy = did_you_mean(given, learned) or "Fit scans of others without it."
+    raise InputError(argument, got, f"one of {listed(list(map(repr, learned)))}", remedy)
+
+
+def _text(subject):
+    """An id as results and files have it."""
+    try:
+        return str(subject)
+    except ValueError:  # a number of several thousand digits
+        return brief(subject)
