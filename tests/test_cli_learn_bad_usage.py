@@ -90,12 +90,23 @@ def test_bad_usage_is_found_before_any_work(arguments, words, tubes, tmp_path, r
     assert {p: p.stat().st_mtime_ns for p in tmp_path.rglob("*")} == before
 
 
-def test_existing_files_are_replaced_where_that_is_asked_for(tubes, tmp_path, run):
-    (tmp_path / "m.npz").write_text("old")
+def test_existing_models_are_replaced_where_that_is_asked_for(tube_model, tubes, tmp_path, run):
+    before = tube_model[0].read_bytes()
+    (tmp_path / "m.npz").write_bytes(before)
     arguments = ("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz", "--variant", "free-form")
-    assert run(*arguments)[0] == 2 and (tmp_path / "m.npz").read_text() == "old"
+    assert run(*arguments)[0] == 2 and (tmp_path / "m.npz").read_bytes() == before
     assert run(*arguments, "--existing", "replace")[0] == 0
-    assert list(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == [0]
+    assert list(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == [0] and (tmp_path / "m.npz").read_bytes() != before
+
+
+@pytest.mark.parametrize("content", ["old", "a rig"])
+def test_what_is_no_model_is_not_replaced(content, tubes, tmp_path, run):
+    before = b"old" if content == "old" else (tubes / "tube.npz").read_bytes()
+    (tmp_path / "m.npz").write_bytes(before)
+    arguments = ("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz")
+    code, _, err = run(*arguments, "--existing", "replace")
+    assert code == 2 and "m.npz, a file that is no model and would be replaced" in one_line(err)
+    assert (tmp_path / "m.npz").read_bytes() == before
 
 
 def test_too_few_scans_to_hold_any_out(tubes, tmp_path, run):

@@ -62,11 +62,13 @@ def test_empty_ids_and_other_scans_where_both_may_be(name, text, tmp_path):
     "content, got, remedy",
     [
         ("a1,anna\nb 1,\n", "no id for 1 of 3 scans: in/a2.ply", "Add them, with an empty id where nobody knows whose"),
-        ("a1,anna\nb 1,\naa2,anna\n", "no id for 1 of 3 scans: in/a2.ply", "Did you mean 'aa2'? Add them, with an empty id"),
-        ("a1,anna\nb 1,\nA02.ply,anna\n", "no id for 1 of 3 scans: in/a2.ply", "Did you mean 'A02.ply'? Add them"),
-        ("a1,anna\nb_1,ben\n", "no id for 2 of 3 scans: in/a2.ply, in/b 1.xyz", "For in/b 1.xyz: did you mean 'b_1'? Add them"),
+        ("a1,anna\nb 1,\naa2,anna\n", "no id for 1 of 3 scans: in/a2.ply", "If 'aa2' in line 3 is 'in/a2.ply', write it so"),
+        ("a1,anna\nb 1,\nA02.ply,anna\n", "no id for 1 of 3 scans: in/a2.ply", "If 'A02.ply' in line 3 is 'in/a2.ply', write"),
+        ("a1,anna\nb_1,ben\n", "no id for 2 of 3 scans: in/a2.ply, in/b 1.xyz", "If 'b_1' in line 2 is 'in/b 1.xyz', write"),
         ("a1,anna\nb 1,\na3,anna\n", "no id for 1 of 3 scans: in/a2.ply", "Add them"),  # another of the series
         ("z,anna\n", "a file that names none of these scans: 'in/a1.ply', 'in/a2.ply', 'in/b 1.xyz'", "Add them"),
+        ("../in/a1.ply,anna\n", "a file that names none of these scans: ", "If '../in/a1.ply' in line 1 is 'in/a1.ply'"),
+        ("anna,a1\nben,b 1\n", "a file that names none of these scans: ", "The columns seem to be exchanged"),
         ("", "no id for 3 of 3 scans", "Add them"),
     ],
 )

@@ -170,9 +170,9 @@ def test_results_say_whose_template_they_are_on(learned, tube_result, clouds, tm
     assert lbs.FitResult.load(tmp_path / "r.npz").subject == "b"
     numbers = lbs.LBSFitter(learned.rig, **QUICK).fit(clouds)
     assert {r.subject for r in numbers.results_} == {"0"}
-    with pytest.raises(InputError, match="subjects: got 'c' for scan 1; expected one of 'a', 'b'"):
+    with pytest.raises(InputError, match="subjects: got 'c' for scan 1; expected a learned subject: 'a', 'b'"):
         fit_scans(learned, clouds[:2], subjects=["a", "c"])
-    with pytest.raises(InputError, match="subjects: got 1 ids; expected 2, one for each scan"):
+    with pytest.raises(InputError, match="subjects: got 1 id; expected 2, one for each scan"):
         fit_scans(learned, clouds[:2], subjects=["a"])
 
 
@@ -190,9 +190,11 @@ def test_subjects_are_known_by_the_text_of_their_ids(ids, others, own, clouds):
         assert (theirs.subject, theirs.model_digest) == (ours.subject, ours.model_digest)
     np.testing.assert_array_equal(own.transform(clouds[:2], others), [r.vertices for r in plain])
     listed = ", ".join(map(repr, ids))
-    for given in ("3", 3, 1.5, 10**5000, ["1"], (["1"],)):
-        with pytest.raises(InputError, match=f"subject: got .*; expected one of {listed}. Fit scans of others without it."):
+    for given in ("3", 3, 1.0, 10**5000, ["1"], (["1"],)):
+        with pytest.raises(InputError, match=f"subject: got .*; expected a learned subject: {listed}. Fit scans of others with"):
             own.fit_scan(clouds[0], subject=given)
+    with pytest.raises(InputError, match=f"subjects: got '3' for scan 1; .*: {listed}. Give None for scans of others."):
+        own.transform(clouds[:2], [*others[:1], "3"])
 
 
 def test_results_say_which_model_they_were_made_with(learned, tube_fitter, tube_result, clouds, tmp_path):

@@ -141,12 +141,12 @@ def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans)
 
 def test_a_free_form_scan_whose_extent_is_not_the_others_says_so_and_has_its_own_unit(make_learner, few_scans):
     points = [s.points for s in few_scans[:4]]
-    points[2] = 3.0 * points[2]  # in no usual unit
+    points[2] = 4.0 * points[2]  # in no usual unit
     free = make_learner(variant="free-form").fit(points)
     words = r"its extent is \d\.\d+ times the rig's in the scans' unit: in another unit\? Convert it and learn again; free-form"
     assert [bool(re.match(words, r.message)) for r in free.results_] == [False, False, True, False]
     assert [r.scale == 1.0 for r in free.results_] == [True, True, False, True]
-    assert free.results_[2].scale == pytest.approx(3.0, rel=0.5) and "one rig unit taken as" in free.results_[2].message
+    assert free.results_[2].scale == pytest.approx(4.0, rel=0.5) and "one rig unit taken as" in free.results_[2].message
     assert free.results_[2].terms["recon"] < 1.5 * np.median([r.terms["recon"] for r in free.results_])
 
 
@@ -171,6 +171,17 @@ def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig,
     joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
     assert joints < 0.03 * 2.54 * tube_rig.size / 2 and fitter.results_[1].scale == pytest.approx(2.54, rel=0.1)
     assert all(entry["recon"] < 0.08 for entry in fitter.history_)  # of the others alone, which have 0.065
+
+
+def test_a_scan_of_another_size_than_its_subjects_others_is_told_so_and_fitted_in_that(tube_rig, make_learner, few_scans):
+    """Too little for another unit: it is learned from like a first fit that is wrong, which would come home in the rounds."""
+    points = [s.points for s in few_scans]
+    points[1] = 1.5 * points[1]
+    fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(points)
+    odd = r"it has 1\.[45]\d* times the scale of its subject's others: in another unit, or somebody else's\?; learned from; "
+    assert [bool(re.match(odd, r.message)) for r in fitter.results_] == [False, True, False, False, False]
+    joints = np.linalg.norm(fitter.results_[1].joints - 1.5 * few_scans[1].joints, axis=1).mean()
+    assert joints < 0.03 * 1.5 * tube_rig.size / 2 and fitter.results_[1].status == "ok"
 
 
 def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_size(tube_rig, few_scans, monkeypatch):

@@ -277,9 +277,9 @@ def test_a_new_scan_that_is_turned(tube_rig, learned_people, people_scans, unit)
 
 @pytest.mark.parametrize("subject", ["carl", 0, ["ann"]])
 def test_a_subject_that_nobody_knows(learned_people, tube_rig, people_scans, subject):
-    with pytest.raises(InputError, match="subject: got .*expected one of 'ann', 'bob'"):
+    with pytest.raises(InputError, match="subject: got .*expected a learned subject: 'ann', 'bob'"):
         learned_people.fit_scan(people_scans[0].points, subject=subject)
-    with pytest.raises(InputError, match="subjects: got .* for scan 1; expected one of 'ann', 'bob'"):
+    with pytest.raises(InputError, match="subjects: got .* for scan 1; expected a learned subject: 'ann', 'bob'"):
         learned_people.transform([people_scans[0].points] * 2, ["bob", subject])
     with pytest.raises(InputError, match="no subject, as nothing was learned yet"):
         lbs.LBSFitter(tube_rig, **SMALL).fit_scan(people_scans[0].points, subject=subject)
@@ -300,7 +300,7 @@ def test_transform_and_score(tube_rig, learned_people, people_scans):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         assert np.isnan(learned_people.score([NAN]))
-    with pytest.raises(InputError, match="subjects: got 1 ids; expected 2"):
+    with pytest.raises(InputError, match="subjects: got 1 id; expected 2"):
         learned_people.transform(given[:2], ["ann"])
 
 

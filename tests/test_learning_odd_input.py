@@ -252,13 +252,25 @@ def test_what_is_called_late_is_looked_at_before_any_work(learned, clouds):
 
 def test_an_unknown_subject_is_said_once_before_any_work(tube_rig, learned, clouds):
     for fitter in (learned, lbs.LBSFitter(tube_rig)):
-        with pytest.raises(InputError, match="subjects: got 'nobody' for scan 0; expected (one of|no subject, as)"):
+        with pytest.raises(InputError, match="subjects: got 'nobody' for scan 0; expected (a learned subject: 0|no subject, as)"):
             fit_scans(fitter, clouds, subjects=["nobody"] * len(clouds))
 
 
 def test_ids_of_numpy_are_those_of_python(learned, clouds):
     ours = learned.transform(clouds[:2], np.array([0, 0]))
     np.testing.assert_array_equal(ours, learned.transform(clouds[:2], [0, 0]))
+
+
+def test_none_among_subjects_is_nobody_known(learned, clouds):
+    ours = learned.transform(clouds[:2], [0, None])
+    for theirs, subject in zip(ours, (0, None)):
+        np.testing.assert_array_equal(theirs, learned.fit_scan(clouds[1 if subject is None else 0], subject=subject).vertices)
+
+
+@pytest.mark.parametrize("given", [True, np.True_, False])
+def test_a_bool_is_no_subject(given, learned, clouds):
+    with pytest.raises(InputError, match=f"subject: got {bool(given)}; expected a learned subject: 0"):
+        learned.fit_scan(clouds[0], subject=given)
 
 
 # ---- absurd settings ----

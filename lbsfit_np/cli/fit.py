@@ -354,7 +354,7 @@ def _kept(files, fitter, subjects):
                 remedy += "fitted again; or choose another folder, or --existing replace."
             raise InputError(
                 "--existing skip",
-                f"{f.fit}, a fit {_made_with(result.model_digest, alone)}",
+                f"{f.fit}, a fit {_made_with(fitter, result, alone)}",
                 f"fits with rig {rig.name!r} alone" if alone else "fits with this model and subject",
                 remedy,
             )
@@ -394,10 +394,18 @@ def _is_newer(picture, fit):
     return picture.is_file() and picture.stat().st_mtime_ns >= fit.stat().st_mtime_ns
 
 
-def _made_with(theirs, alone):
-    if not theirs:
-        return "without a model"
-    return "with a learned model" if alone else "with another model, or as another subject's"
+def _made_with(fitter, result, alone):
+    """What a fit that is not kept was made with, in words."""
+    from ..learning.archive import learned_digests, model_digest
+
+    if alone or not result.model_digest:
+        return "with a learned model" if result.model_digest else "without a model"
+    if result.model_digest == model_digest(fitter):
+        return f"with this model where no subject was named; it got the template of {result.subject!r}"
+    for subject, learned in learned_digests(fitter).items():
+        if result.model_digest in (learned, model_digest(fitter, subject)):
+            return f"with this model as {str(subject)!r}"
+    return "with another model"
 
 
 def _farewell(counts, n, out, stopped, older):

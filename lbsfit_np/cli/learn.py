@@ -14,7 +14,7 @@ from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, check_training, load_rig_with, read_scan, scan_options
-from .models import about_model
+from .models import about_model, is_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, of_all, say, span
 from .stopped_learning import is_result_of, results_so_far, stopped_early
@@ -199,6 +199,9 @@ def _checked(rig_path, scans, values, inputs):
     outputs.check_sources(scans)
     _check_twice(scans)
     outputs.check_file(model, inputs=[(path, f"an input ({path})") for path in (*scans, *others)], existing=existing)
+    if model.is_file() and not _was_model(model):
+        got = f"{model}, a file that is no model and would be replaced"
+        raise InputError("-o/--output", got, "a new name, or a model of before", "Choose another name, or delete that file.")
     if values["results"] is None:
         if values["pictures"]:
             raise InputError("--pictures", "no --results", "a folder for the fits, and their pictures", "Add --results OUT.")
@@ -209,6 +212,13 @@ def _checked(rig_path, scans, values, inputs):
         if outputs.same_file(path, model):
             raise InputError("-o/--output", f"{model}, which is a file of --results", "another name")
     return files
+
+
+def _was_model(path):
+    try:
+        return is_model(path)
+    except FileError:  # an NPZ cut short, or no NPZ
+        return False
 
 
 def _without_unused(values):

@@ -89,7 +89,7 @@ def about_model(path):
             "path": str(path),
             "variant": header["parameters"]["variant"],
             "rounds": max((entry["round"] for entry in header["history"]), default=0),
-            "subjects": list(header["subjects"]),
+            "subjects": [str(s) for s in header["subjects"]],
         }
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
         expected = "a model that was written by lbsfit learn"
@@ -98,7 +98,7 @@ def about_model(path):
 
 def model_in_words(about):
     """``about_model`` in a line."""
-    names = [str(s) for s in about["subjects"]]
+    names = about["subjects"]
     who = counted(len(names), "subject") + (f" ({listed(names)})" if names != ["0"] else "")
     rounds = f"{counted(about['rounds'], 'round')}, " if about["rounds"] else ""
     return f"a learned model: {who}, {rounds}variant {about['variant']!r}"
@@ -146,18 +146,19 @@ def subjects_of(fitter, values, scans):
 
 def _subject(fitter, wanted, option):
     """A subject of a model, by its id as text: ids on the command line are text, in a model they may be numbers."""
+    from ..learning.subjects import known_subject
+
     table = option == "--subjects"
-    known = {str(s): s for s in fitter.template_}
-    if wanted not in known and list(fitter.template_) == [0]:
+    if list(fitter.template_) == [0] and wanted != "0":
         got = f"{brief(wanted)} for a model that was learned without --subjects"
         remedy = f"Leave {option if table else 'it'} out, or learn with --subjects."
         raise InputError(option, got, "no subject: it has one template", remedy)
-    if wanted not in known:
-        remedy = did_you_mean(wanted, known) or (
-            "Leave the ids of others' scans empty." if table else "Fit scans of others without it."
-        )
-        raise InputError(option, brief(wanted), f"a subject of the model: {listed([repr(s) for s in known])}", remedy)
-    return known[wanted]
+    try:
+        return known_subject(fitter.template_, wanted, option)
+    except InputError as error:
+        if table and not did_you_mean(wanted, map(str, fitter.template_)):
+            raise InputError(option, error.got, error.expected, "Leave the ids of others' scans empty.") from None
+        raise
 
 
 def _plain(value):

@@ -3,7 +3,9 @@
 import csv
 import re
 import tomllib
+from difflib import get_close_matches
 from pathlib import Path
+from unicodedata import normalize
 
 from ..errors import FileError, InputError, brief, did_you_mean, listed
 from .outputs import same_file
@@ -22,6 +24,7 @@ _HEADINGS = {"scan", "scans", "file", "filename", "file name", "name", "path"}
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}
 _ONE = {"\t": "a tab", ";": "a semicolon", ",": "a comma", None: "a comma in all lines, or a blank,"}
 _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
+_FILE_FIRST = "The columns seem to be exchanged: put the file name first, the id after it."
 
 
 def read_subjects(path, scans, *, others=False, known=None):
@@ -56,11 +59,12 @@ def read_subjects(path, scans, *, others=False, known=None):
     for line, name, subject in rows:
         found = names.of(name)
         if not found and others:
-            passed.append(name)
+            passed.append((line, name, subject))
             continue
         if not found:
             named = {i for _, other, _ in rows for i in names.of(other)}
             remedy = did_you_mean(name, names.without(named)) or "Leave out scans that are not given to this command."
+            remedy = _FILE_FIRST if names.of(subject) else remedy
             raise FileError(str(path), f"{brief(name)} in line {line}, which is none of the scans given", _EXPECTED, remedy)
         if len(found) > 1:
             got = f"{brief(name)} in line {line}, which {len(found)} scans are called"
@@ -84,18 +88,22 @@ def read_subjects(path, scans, *, others=False, known=None):
             got = f"a file that names none of these scans: {listed([brief(s) for s in missing], 5)}"
         unknown = ", with an empty id where nobody knows whose a scan is" if others else ""
         remedy = " ".join([*_likeness(missing, passed), f"Add them{unknown}, or leave these scans out."])
+        if any(names.of(subject) for _, _, subject in passed):
+            remedy = _FILE_FIRST
         raise FileError(str(path), got, _EXPECTED, remedy)
     return [ids[i] for i in range(len(scans))]
 
 
 def _likeness(missing, passed):
-    """The question whether a name that is no scan means one that is missing: the first such one, in a list; else none."""
+    """What a name that is no scan may mean, of those that are missing: the first such one, in a list; else none."""
     for scan in missing:
         # Scans of a series differ in their numbers alone, and none of them stands for another.
-        alike = [name for name in passed if _numbers(name) == _numbers(scan)]
-        hints = [did_you_mean(given, alike) for given in (Path(scan).stem, Path(scan).name, scan)]
-        for hint in filter(None, hints):
-            return [hint if len(missing) == 1 else f"For {scan}: {hint[0].lower()}{hint[1:]}"]
+        alike = {name.casefold(): (name, line) for line, name, _ in passed if _numbers(name) == _numbers(scan)}
+        for given in (Path(scan).stem, Path(scan).name, scan):
+            if close := get_close_matches(given.casefold(), alike, n=1):
+                name, line = alike[close[0]]
+                words = f"If {brief(name)} in line {line} is {brief(scan)}, write it so"
+                return [f"{words}: scans are called by their file names, or as on the command line."]
     return []
 
 
@@ -111,9 +119,10 @@ class _Names:
         self.tables = [{}, {}, {}]
         for i, scan in enumerate(scans):
             for table, key in zip(self.tables, (scan, Path(scan).name, Path(scan).stem), strict=True):
-                table.setdefault(key, []).append(i)
+                table.setdefault(normalize("NFC", key), []).append(i)
 
     def of(self, name):
+        name = normalize("NFC", name)  # some systems write accents into file names as letters of their own
         for table in self.tables:
             if name in table:
                 return table[name]
@@ -157,7 +166,7 @@ def _table_rows(path, text):
                 remedy = f"Put {_ONE[delimiter]} between name and id."
             got = f"{brief(line)} in line {k}, which has {counted(len(cells), 'column')}{separated}"
             raise FileError(str(path), got, _EXPECTED, remedy)
-        rows.append((k, *cells))
+        rows.append((k, cells[0], normalize("NFC", cells[1])))
     return rows
 
 
@@ -184,5 +193,5 @@ def _toml_rows(path, text):
         if type(subject) not in (str, int):
             remedy = "Put names with dots in quotes." if isinstance(subject, dict) else None
             raise FileError(str(path), f"{name} = {brief(subject)} in line {line}", expected, remedy)
-        rows.append((line, name, str(subject).strip()))
+        rows.append((line, name, normalize("NFC", str(subject).strip())))
     return rows

@@ -13,7 +13,7 @@ from ..scan import check_points
 from ..workers import Workers
 from .collection import as_scans
 from .parameters import check_callables
-from .subjects import as_subjects, known_subject
+from .subjects import as_subjects, known_subjects
 from .variants import as_variant
 
 __all__ = ["ScanOutcome", "fit_scans"]
@@ -89,8 +89,7 @@ def fit_scans(fitter, scans, *, subjects=None, jobs=1, finish=None, on_result=No
     subjects = [None] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
     if hasattr(fitter, "_check"):
         fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
-        learned = getattr(fitter, "template_", None)
-        subjects = [s if s is None else known_subject(learned, s, "subjects", i) for i, s in enumerate(subjects)]
+        subjects = known_subjects(getattr(fitter, "template_", None), subjects, len(scans))
     outcomes = {}
 
     def report(outcome):

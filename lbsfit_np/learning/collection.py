@@ -17,7 +17,7 @@ from ..seeds import generator
 from ..starts.clean import clean_rows
 from ..starts.scale import extent, reference_scale
 from ..workers import each
-from .subjects import as_subjects, check_texts
+from .subjects import as_subjects, check_ids
 
 __all__ = [
     "APART",
@@ -71,7 +71,7 @@ class Member:
     apart : bool
         Neither learned from nor asked when to stop: it is in another unit than its subject's others, or its first fit is wrong.
     own : (float, (J, 3) array, (k, n_parts) array or None) or None
-        Where it is in doubt, the unit, angles and probabilities of the parts that its first fit found.
+        Where its unit is in doubt, the unit, angles and probabilities of the parts that its first fit found.
     """
 
     index: int
@@ -272,17 +272,14 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     Raises
     ------
     InputError
-        Subjects of the wrong number, different ids of one text, no scan that can be used, different units, too few scans to hold
+        Subjects of the wrong number, ids that cannot be used, no scan that can be used, different units, too few scans to hold
         any out.
     """
     scans = as_scans(scans)
     if not scans:
         raise InputError("scans", "none", "one or more scans")
     subjects = [0] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
-    for s in subjects:
-        if not isinstance(s, (str, int)):
-            raise InputError("subjects", brief(s), "ids that are text or whole numbers")
-    check_texts(subjects)
+    check_ids(subjects)
     collection = Collection(len(scans))
     for i, (source, subject) in enumerate(zip(scans, subjects)):
         try:

@@ -19,15 +19,13 @@ from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.clean import clean_rows
-from ..starts.scale import extent_doubt, reference_scale, unit_note
+from ..starts.scale import extent_doubt, reference_scale, same_size, unit_note
 from ..starts.turns import facing_of, some_turns
 from ..threads import one_thread
 from .variants import as_variant
 
 __all__ = ["LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
 
-# A scan whose unit differs from its subject's by more than this factor has a unit of its own.
-_SAME_UNIT = 1.35
 # Free vertices have all of a pose to make, and are rougher than offsets. Of λ_lap from 0.3, the fits' own, to 0.003 this one left
 # the least joint and vertex errors on the study's tuning seed 5, in so many steps.
 LOOSE = PRESETS["default"].replace(lam_lap=0.01)
@@ -75,14 +73,17 @@ def _with_doubt(m, result):
 
 
 def _in_its_unit(m, fit):
-    """A scan in doubt as it is, in its subject's unit, or from its first fit, in the unit found by that."""
+    """A scan as it is, in its subject's unit, or from its first fit, in the unit found by that, which makes doubts of it."""
     unit, theta, proba = m.own
     own = replace(m, proba=proba)
     own.use_frame(unit, fit.model.half)
     anew = fit.refit.freeing(("pose", "translation", "scale"))
     found = [(m, *fit.refit(m.problem, [m.state], proba=m.proba)), (own, *anew(own.problem, poses=[theta], proba=proba))]
     best, state, _, _ = min(found, key=lambda f: f[2] * f[0].frame.unit**2)  # values go by the square of the frame's unit
-    return replace(best, state=state)
+    doubt = m.doubt
+    if best is own and not doubt:
+        doubt = f"it has {unit / m.unit:.3g} times the scale of its subject's others: in another unit, or somebody else's?"
+    return replace(best, state=state, doubt=doubt)
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):
@@ -222,7 +223,7 @@ def _unit(seen, learned, settings):
     """Scan units in a rig unit where they are known: as learned, if what is seen of the scan allows that; else None."""
     if settings.scale == "fixed":
         return 1.0
-    return learned if 1 / _SAME_UNIT < seen / learned < _SAME_UNIT else None
+    return learned if same_size(seen, learned) else None
 
 
 def _template_fit(fitter, subject, settings):

@@ -17,7 +17,7 @@ from .finish import fit_free_form, fit_new, results_of, scan_fit
 from .loop import Loop, LoopSettings
 from .parameters import check_callables, check_parameters, check_same, check_scan, check_segmenter, fit_settings, learned_with
 from .pretraining import LIBRARY_TIME, pretrain_library, pretrain_segmenter
-from .subjects import as_subjects, known_subject
+from .subjects import known_subject, known_subjects
 from .training import training_settings
 from .variants import as_variant
 
@@ -75,7 +75,7 @@ class LBSFitter(BaseEstimator):
     regressor_ : PoseLibrary or None
         f, and the poses it was trained on, which starts are looked up in; like s, and anew after :meth:`fit`.
     template_ : dict of id to Rig
-        After :meth:`fit`, as all below: the rig on each subject's own template.
+        After :meth:`fit`, as all below: the rig on each subject's own template. Ids are those that it was given; 0 without any.
     unit_ : dict of id to float
         Scan units in a rig unit.
     results_ : list of FitResult or None
@@ -273,8 +273,10 @@ class LBSFitter(BaseEstimator):
 
         Parameters
         ----------
-        scans, subjects
-            As in :meth:`fit`; without subjects each scan takes the template that explains it best.
+        scans
+            As in :meth:`fit`.
+        subjects : sequence of str, int or None, optional
+            Whose templates to use, by ids or their text; None is the one that explains the scan best, of all by default.
 
         Returns
         -------
@@ -375,14 +377,12 @@ class LBSFitter(BaseEstimator):
     def _fit_all(self, scans, subjects):
         self._check_learned()
         scans = as_scans(scans)
-        subjects = None if subjects is None else as_subjects(subjects, len(scans))
-        if subjects is not None:
-            subjects = [known_subject(self.template_, s, "subjects", i) for i, s in enumerate(subjects)]
+        subjects = [None] * len(scans) if subjects is None else known_subjects(self.template_, subjects, len(scans))
         results = []
         for i, scan in enumerate(scans):
             try:
                 points = scan() if callable(scan) else scan
-                results.append(self.fit_scan(points, subject=None if subjects is None else subjects[i]))
+                results.append(self.fit_scan(points, subject=subjects[i]))
             except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
                 warnings.warn(f"scan {i} cannot be fitted: {in_words(error)}", stacklevel=3)
                 results.append(None)

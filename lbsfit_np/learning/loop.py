@@ -29,6 +29,7 @@ from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import build_library
 from ..starts.limbs import LimbPoses
+from ..starts.scale import same_size
 from ..threads import one_thread
 from ..workers import each, kept_processes
 from .collection import HELD_OUT, LEARNED_FROM, check_scales, units_apart
@@ -219,8 +220,10 @@ class Loop:
             c[: self.model.n_coefficients] = size - 1.0
             self.coefficients[subject] = c
             for m in self.collection.of(subject):
+                own = m.state.scale * m.unit / size
+                if m.doubt or not same_size(own, unit):
+                    m.own = own, m.state.theta, m.proba
                 if m.doubt:
-                    m.own = m.state.scale * m.unit / size, m.state.theta, m.proba
                     warnings.warn(f"scan {m.name}: {m.doubt}; {m.role}", stacklevel=2)
                 ratio = unit / m.unit
                 m.use_frame(unit, half)

@@ -1,12 +1,13 @@
 """Ids of subjects: those of a collection, and those that callers give for what was learned."""
 
 from collections.abc import Mapping, Set
+from unicodedata import normalize
 
 import numpy as np
 
 from ..errors import InputError, brief, did_you_mean, listed
 
-__all__ = ["as_subjects", "check_texts", "known_subject"]
+__all__ = ["as_subjects", "check_ids", "known_subject", "known_subjects"]
 
 
 def as_subjects(subjects, n):
@@ -18,19 +19,33 @@ def as_subjects(subjects, n):
         raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
     subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
     if len(subjects) != n:
-        raise InputError("subjects", f"{len(subjects)} ids", f"{n}, one for each scan")
+        raise InputError("subjects", f"{len(subjects)} id{'' if len(subjects) == 1 else 's'}", f"{n}, one for each scan")
     return subjects
 
 
-def check_texts(subjects):
-    """InputError where different ids have one text: results and files have ids as text, and would not tell them apart."""
+def check_ids(subjects):
+    """InputError unless ids are text or whole numbers that differ as text, too: results and files have them so.
+
+    True is 1 to a dict, and another text; "" is what a fit on no learned template has; blanks at the ends cannot be seen.
+    """
     first = {}
     for i, s in enumerate(subjects):
+        if isinstance(s, bool) or not isinstance(s, (str, int)):
+            raise InputError("subjects", f"{brief(s)} for scan {i}", "ids that are text or whole numbers")
+        if not isinstance(s, str) and abs(s) >= 2**63:  # Python refuses to write longer ones still as text
+            raise InputError("subjects", f"{brief(s, 30)} for scan {i}", "whole numbers of at most 64 bits, or text")
+        if isinstance(s, str) and (not s or s != s.strip()):
+            raise InputError("subjects", f"{brief(s)} for scan {i}", "ids that are not empty, without blanks at their ends")
         j, other = first.setdefault(_text(s), (i, s))
         if other != s:
             got = f"{brief(other)} for scan {j} and {brief(s)} for scan {i}"
             remedy = "Write the id of one person in one way, and give two people names that differ."
             raise InputError("subjects", got, "ids that differ as text, too: results and files have them so", remedy)
+
+
+def known_subjects(learned, subjects, n):
+    """Ids of ``n`` scans as they stand in ``learned``, None where an id is None; InputError as :func:`known_subject`."""
+    return [s if s is None else known_subject(learned, s, "subjects", i) for i, s in enumerate(as_subjects(subjects, n))]
 
 
 def known_subject(learned, given, argument="subject", scan=None):
@@ -60,18 +75,16 @@ def known_subject(learned, given, argument="subject", scan=None):
     got = brief(given) if scan is None else f"{brief(given)} for scan {scan}"
     if learned is None:
         raise InputError(argument, got, "no subject, as nothing was learned yet")
-    if isinstance(given, (str, int, float)):
+    if isinstance(given, (str, int)) and not isinstance(given, bool):
         known = {_text(s): s for s in learned} | {s: s for s in learned}
         found = known.get(given, known.get(_text(given)))
         if found is not None:
             return found
-    remedy = did_you_mean(given, learned) or "Fit scans of others without it."
-    raise InputError(argument, got, f"one of {listed(list(map(repr, learned)))}", remedy)
+    others = "Fit scans of others without it." if scan is None else "Give None for scans of others."
+    remedy = did_you_mean(given, learned) or others
+    raise InputError(argument, got, f"a learned subject: {listed(list(map(repr, learned)))}", remedy)
 
 
 def _text(subject):
-    """An id as results and files have it."""
-    try:
-        return str(subject)
-    except ValueError:  # a number of several thousand digits
-        return brief(subject)
+    """An id as results and files have it, accents in one way of writing them."""
+    return normalize("NFC", subject if isinstance(subject, str) else brief(subject))

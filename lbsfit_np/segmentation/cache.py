@@ -2,10 +2,11 @@
 
 import hashlib
 import os
+import warnings
 from pathlib import Path
 
 from .. import __version__
-from ..errors import FileError
+from ..errors import FileError, in_words
 from . import context
 
 __all__ = ["RECIPE", "cache_folder", "cached"]
@@ -41,7 +42,7 @@ def cached(kind, key, train, load):
 
     Notes
     -----
-    A folder that cannot be written to is no error: what was trained then lasts as long as the process.
+    A folder that cannot be written to is no error, but warned of: what was trained then lasts as long as the process.
     """
     name = kind + "-" + hashlib.sha256(repr((key, *_recipe())).encode()).hexdigest()[:32]
     if name in _MEMORY:
@@ -54,8 +55,10 @@ def cached(kind, key, train, load):
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             trained.save(path)
-        except (OSError, FileError):
-            pass
+        except (OSError, FileError) as error:
+            why = error.got if isinstance(error, FileError) else error.strerror or in_words(error)
+            words = f"what was trained cannot be kept in {path.parent} ({why}), and is trained again the next time"
+            warnings.warn(f"{words}; LBSFIT_CACHE can name another folder", stacklevel=2)
     _MEMORY[name] = trained
     return trained
 

@@ -13,6 +13,7 @@ __all__ = [
     "extent_doubt",
     "near_rows",
     "reference_scale",
+    "same_size",
     "same_unit",
     "unit_name",
     "unit_note",
@@ -27,6 +28,8 @@ _NEIGHBOURS, _LONELY = 6, 5.0
 _SAME_UNIT = 0.4, 1.8
 # People of one unit differ by less than this factor.
 _PEOPLE = 1.6
+# Scans of one person, as fits find it, by less than this.
+_ONE_PERSON = 1.35
 # Metres in the units that scans are usually in.
 _UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 
@@ -129,6 +132,11 @@ def extent_doubt(points, rig, unit):
 def same_unit(scale):
     """Whether scan and rig are in one unit, as people of one unit may differ in size."""
     return abs(np.log(scale)) < np.log(_PEOPLE)
+
+
+def same_size(scale, other):
+    """Whether two scans of one person, with these scales, are in one unit."""
+    return abs(np.log(scale / other)) < np.log(_ONE_PERSON)
 
 
 def unit_name(scale, rig):
