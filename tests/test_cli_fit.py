@@ -6,11 +6,15 @@ import re
 import numpy as np
 import pytest
 from cli_runs import QUICK, one_line
+from docs_tables import needs_documents, summary_keys
 
 import lbsfit_np as lbs
 from lbsfit_np.io.write import write_mesh_ply
 
 pytestmark = pytest.mark.usefixtures("own_cache")
+
+# Of a scan that could not be read, in the summary; details are for errors that nobody foresaw.
+UNFITTED = {"name", "input", "status", "message", "seconds"}
 
 
 def test_fit_writes_every_file(fitted, made, tube_rig):
@@ -49,6 +53,12 @@ def test_the_summary_tells_all(fitted, made, tube_rig):
     assert summary["scans"][0]["input"] == str(made / "one.ply")
 
 
+@needs_documents
+def test_the_keys_of_the_summary_are_those_that_the_documents_list(fitted):
+    summary = json.loads((fitted[0] / "summary.json").read_text())
+    assert (set(summary), set(summary["scans"][0]), UNFITTED) == summary_keys("fit")
+
+
 def test_jobs_do_not_change_the_results(fitted, made, tmp_path, run):
     scans = [made / "one.ply", made / "two.xyz"]
     code, _, err = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--jobs", 2, *QUICK)
@@ -74,7 +84,8 @@ def test_failed_scans_are_named_and_the_others_written(made, tmp_path, run):
     ]
     scans = json.loads((tmp_path / "out" / "summary.json").read_text())["scans"]
     assert [s["status"] for s in scans] == ["failed", "ok"]
-    assert "an empty file (0 bytes)" in scans[0]["message"] and "details" not in scans[0]
+    assert "an empty file (0 bytes)" in scans[0]["message"]
+    assert set(scans[0]) == UNFITTED
 
 
 def test_drop_invalid_keeps_the_good_points(made, tmp_path, run):

@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cli_runs import ARRAYS, HAND, QUICK_LEARNING, one_line
+from docs_tables import needs_documents, summary_keys
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit, learn
@@ -88,6 +89,13 @@ def test_the_summary_of_learning(learned_hands):
     assert set(scans) == {*truth, "broken"}
     assert scans["broken"]["status"] == "failed" and "broken.ply" in scans["broken"]["message"]
     assert sum("held out of learning" in s["message"] for s in scans.values()) == 1
+
+
+@needs_documents
+def test_the_keys_of_the_summary_are_those_that_the_documents_list(learned_hands):
+    summary = json.loads((learned_hands[1] / "summary.json").read_text())
+    scans = {s["name"]: set(s) for s in summary["scans"]}
+    assert (set(summary), scans["anna1"], scans["broken"]) == summary_keys("learn")
 
 
 def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model, tube_rig, tmp_path, run):

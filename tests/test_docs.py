@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from docs_tables import ROOT, codes, document, listed_keys, table_rows
 
 import lbsfit_np as lbs
 
-ROOT = Path(__file__).resolve().parents[1]
 if not (ROOT / "README.md").is_file():
     pytest.skip("the documents lie in the checkout, not in the wheel", allow_module_level=True)
 
@@ -22,23 +22,8 @@ IDS = [str(p.relative_to(ROOT)) for p in DOCS]
 COMMANDS = ("python -m pip install . && lbsfit demo -o demo", "python -m pip install '.[test]' && python -m pytest")
 
 
-def _text(name):
-    return (ROOT / name).read_text(encoding="utf-8")
-
-
 def _blocks(path, language):
     return re.findall(rf"^```{language}\n(.*?)^```$", path.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
-
-
-def _rows(text, marker):
-    """Rows of the table below an HTML comment, as lists of cells."""
-    after = text.split(f"<!-- {marker} -->\n", 1)[1].splitlines()
-    rows = [re.split(r"(?<!\\)\|", line)[1:-1] for line in after[: next(k for k, line in enumerate(after) if line[:1] != "|")]]
-    return [[cell.strip() for cell in row] for row in rows[2:]]
-
-
-def _code(cell):
-    return re.findall(r"`([^`]*)`", cell)
 
 
 # ---- snippets ----
@@ -133,45 +118,41 @@ def test_defaults_are_the_codes(path, name):
         key: 'PRESETS["default"]' if value == lbs.losses.PRESETS["default"] else repr(value)
         for key, value in _defaults(getattr(importlib.import_module(module), attribute)).items()
     }
-    rows = _rows(path.read_text(encoding="utf-8"), f"defaults: {name}")
-    assert {_code(row[0])[0]: _code(row[1])[0] for row in rows} == expected
+    rows = table_rows(path.read_text(encoding="utf-8"), f"defaults: {name}")
+    assert {codes(row[0])[0]: codes(row[1])[0] for row in rows} == expected
 
 
 def test_presets_are_the_codes():
-    rows = _rows(_text("docs/losses.md"), "presets")
+    rows = table_rows(document("docs/losses.md"), "presets")
     for column, preset in ((2, "paper"), (3, "default")):
-        listed = {_code(row[0])[0]: _code(row[column])[0] for row in rows}
+        listed = {codes(row[0])[0]: codes(row[column])[0] for row in rows}
         assert listed == {key: repr(value) for key, value in dataclasses.asdict(lbs.losses.PRESETS[preset]).items()}
 
 
 def test_efforts_are_the_codes():
     from lbsfit_np.fitting.scout import EFFORTS
 
-    text = _text("docs/fitting.md")
-    names = [_code(cell)[0].strip('"') for cell in text.split("<!-- efforts -->\n", 1)[1].splitlines()[0].split("|")[2:-2]]
+    text = document("docs/fitting.md")
+    names = [codes(cell)[0].strip('"') for cell in text.split("<!-- efforts -->\n", 1)[1].splitlines()[0].split("|")[2:-2]]
     assert names == list(EFFORTS)
-    rows = _rows(text, "efforts")
+    rows = table_rows(text, "efforts")
     for column, effort in enumerate(EFFORTS.values(), start=1):
-        listed = {_code(row[0])[0]: _code(row[column])[0] for row in rows}
+        listed = {codes(row[0])[0]: codes(row[column])[0] for row in rows}
         assert listed == {key: repr(value) for key, value in dataclasses.asdict(effort).items()}
-
-
-def _listed_keys(name, marker):
-    return {key for row in _rows(_text(name), marker) for key in _code(row[0])}
 
 
 def test_keys_of_rigs_are_the_files(demo):
     with np.load(demo / "demo" / "rig.npz", allow_pickle=False) as file:
-        assert _listed_keys("docs/rigs.md", "rig keys") == set(file.files)
+        assert listed_keys("docs/rigs.md", "rig keys") == set(file.files)
 
 
 def test_keys_of_results_are_the_files(demo):
     with np.load(demo / "demo" / "scan.fit.npz", allow_pickle=False) as file:
-        assert _listed_keys("docs/fitting.md", "result keys") == set(file.files)
+        assert listed_keys("docs/fitting.md", "result keys") == set(file.files)
 
 
 def test_every_loss_is_described():
-    text = _text("docs/losses.md")
+    text = document("docs/losses.md")
     for name in lbs.losses.__all__:
         assert name in text, name
 
@@ -180,11 +161,11 @@ def test_scan_formats_are_listed():
     from lbsfit_np.io.scans import SCAN_EXTENSIONS
 
     for ending in SCAN_EXTENSIONS:
-        assert f"`{ending}`" in _text("docs/scans.md"), ending
+        assert f"`{ending}`" in document("docs/scans.md"), ending
 
 
 def test_every_room_is_described():
-    text = _text("docs/architecture.md")
+    text = document("docs/architecture.md")
     package = Path(lbs.__file__).parent
     for room in package.iterdir():
         if not room.name.startswith("__") and room.name != "rigs":
@@ -192,8 +173,8 @@ def test_every_room_is_described():
 
 
 def test_every_extra_and_dependency_is_explained():
-    text = _text("docs/architecture.md")
-    setup = _text("setup.cfg")
+    text = document("docs/architecture.md")
+    setup = document("setup.cfg")
     required = re.search(r"install_requires =\n((?:    .*\n)+)", setup)[1]
     for library in re.findall(r"    ([\w-]+)", required):
         assert f"| {library} |" in text, library
@@ -207,7 +188,7 @@ def test_every_extra_and_dependency_is_explained():
 
 @pytest.mark.parametrize("command", COMMANDS)
 def test_readme_has_the_two_commands(command):
-    assert command in (line.strip() for line in _text("README.md").splitlines())
+    assert command in (line.strip() for line in document("README.md").splitlines())
 
 
 def _anchors(text):
