@@ -8,13 +8,14 @@ import signal
 import time
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from cli_runs import QUICK, one_line, started, stopped
 
 import lbsfit_np as lbs
-from lbsfit_np.cli import learn, outputs
+from lbsfit_np.cli import learn, outputs, stopped_learning
 from lbsfit_np.cli.stopped_learning import results_so_far
 from lbsfit_np.errors import FileError
 
@@ -190,7 +191,9 @@ def test_ctrl_c_after_the_results_names_a_scan_that_failed_once(tubes, tmp_path,
     assert sum(line.startswith("broken ") for line in text.splitlines()) == 1
 
 
-def _stopped_among_results(run, tubes, out, stop_at, monkeypatch, *options, stop_in=outputs.Writer, method="__call__"):
+def _stopped_among_results(
+    run, tubes, out, stop_at, monkeypatch, *options, stop_in=outputs.Writer, method="__call__", letters=0
+):
     """The last line of a run that is stopped at some call of a function, and the scans."""
     call, calls = getattr(stop_in, method), []
 
@@ -203,6 +206,7 @@ def _stopped_among_results(run, tubes, out, stop_at, monkeypatch, *options, stop
     scans = [str(path) for path in sorted(tubes.glob("t*.ply"))]
     with monkeypatch.context() as patch:
         patch.setattr(stop_in, method, interrupted)
+        patch.setattr(stopped_learning, "_SHORT", letters)
         arguments = ("learn", tubes / "tube.npz", *scans, "-o", out / "m n.npz", "--results", out / "fi ts", *options)
         code, text, _ = run(*arguments, "--variant", "free-form")
     assert code == 130
@@ -244,13 +248,38 @@ def test_the_rest_of_the_results_where_those_of_an_earlier_run_are(tubes, tmp_pa
     """--existing skip would take the model for another one."""
     (tmp_path / "fi ts").mkdir()
     run("fit", tubes / "tube.npz", *sorted(tubes.glob("t*.ply")), "-o", tmp_path / "fi ts", *QUICK)
-    line, scans = _stopped_among_results(run, tubes, tmp_path, 2, monkeypatch, "--existing", "replace")
+    how = (run, tubes, tmp_path, 2, monkeypatch, "--existing", "replace")
+    line, scans = _stopped_among_results(*how)
     end = f"; the rest alone, where files of an earlier run are: lbsfit fit '{tmp_path}/m n.npz' SCAN... -o '{tmp_path}/fi ts'"
     assert "is complete, 2 of 4 results in" in line and line.endswith(end + " --existing replace")
     code, text, err = run(*[word.replace("replace", "skip") for word in _as_said(line, scans)])
     assert code == 2 and "t2.fit.npz, a fit without a model" in one_line(err)
-    code, text, err = run(*_as_said(line, scans[2:]))
+    line, _ = _stopped_among_results(*how, letters=10**4)
+    code, text, err = run(*shlex.split(line[line.index("lbsfit fit ") :])[1:])  # these alone, by name
     assert (code, err) == (0, "") and "2 of 2 scans fitted" in text
+
+
+def test_the_rest_of_the_results_where_those_of_the_same_learning_are(tubes, tmp_path, run, monkeypatch):
+    """They are what would be written: that of the scan that was stopped at counts, those of the others are kept."""
+    scans = sorted(tubes.glob("t*.ply"))
+    arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m n.npz", "--results", tmp_path / "fi ts")
+    assert run(*arguments, "--variant", "free-form")[0] == 0
+    how = (run, tubes, tmp_path, 2, monkeypatch, "--existing", "replace")
+    line, _ = _stopped_among_results(*how, letters=10**4)
+    assert "is complete, 3 of 4 results in" in line and line.endswith("--existing skip")
+    assert json.loads((tmp_path / "fi ts" / "summary.json").read_text())["not_done"] == ["t3"]
+    code, text, err = run(*shlex.split(line[line.index("lbsfit fit ") :])[1:])
+    assert (code, err) == (0, "") and "4 of 4 scans are fitted already and kept" in text
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_the_scan_that_was_stopped_at_has_its_notes(whole, tubes, tmp_path, tube_result, monkeypatch):
+    """Where its files were written; those of the next may be of an earlier run."""
+    monkeypatch.setattr(learn, "is_result_of", lambda fitter, files: whole)
+    files = outputs.plan([str(tubes / f"t{i}.ply") for i in (0, 1)], tmp_path, inputs=[], existing="replace")
+    reading, entries = SimpleNamespace(scans=[SimpleNamespace(notes=("odd",))] * 2), {}
+    learn._settle_the_rest(SimpleNamespace(results_=[tube_result] * 2), reading, files, entries)
+    assert {name: entry["notes"] for name, entry in entries.items()} == ({"t0": ["odd"]} if whole else {})
 
 
 def _interrupted():
@@ -263,36 +292,21 @@ def test_all_results_are_there_at_ctrl_c(tubes, tmp_path, run, monkeypatch):
     assert line.endswith(f"is complete, 4 of 4 results in {tmp_path / 'fi ts'}")
 
 
-def test_the_rest_of_the_results_of_several_people(learned_hands, hands, tmp_path, run):
-    """Those learned from are kept; the others are looked at on each template."""
-    scans = [str(hands[0] / f"{name}.ply") for name in ("anna0", "ben1")]
-    for path in learned_hands[1].glob("anna0.*"):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    fitter = lbs.LBSFitter.load(learned_hands[0])
-    values = {"results": str(tmp_path), "samples": None, "drop_invalid": False, "pictures": False, "subjects": None}
-    files = outputs.plan(scans, tmp_path, inputs=[], existing="replace")
-    words = results_so_far(fitter, learned_hands[0], files, {}, None, values)
-    rest = f"; the rest, each on the template that explains it best: lbsfit fit {learned_hands[0]} SCAN... -o {tmp_path} "
-    assert words == f", 1 of 2 results in {tmp_path}{rest}--existing skip"
-    code, text, _ = run(*_as_said(words, scans))
-    assert code == 0 and "1 of 2 scans is fitted already and kept" in text and "2 of 2 scans fitted" in text
-
-
 _AS_IT_IS = {"samples": None, "subjects": None, "drop_invalid": False, "pictures": False}
 
 
 @pytest.mark.parametrize(
-    "there, count, how",
+    "there, how",
     [
-        (("fit", "mesh", "labels"), 1, "; the rest: "),
-        (("fit", "labels"), 0, "; the rest alone, where files of an earlier run are: "),  # no fit without its mesh
-        (("fit", "mesh"), 0, "; the rest alone, where files of an earlier run are: "),
-        (("mesh",), 0, "; the rest alone, where files of an earlier run are: "),
-        (("labels",), 0, "; the rest alone, where files of an earlier run are: "),
-        ((), 0, "; the rest: "),
+        (("fit", "mesh", "labels"), "; the rest: "),  # of an earlier run that learned the same
+        (("fit", "labels"), "; the rest alone, where files of an earlier run are: "),  # no fit without its mesh
+        (("fit", "mesh"), "; the rest alone, where files of an earlier run are: "),
+        (("mesh",), "; the rest alone, where files of an earlier run are: "),
+        (("labels",), "; the rest alone, where files of an earlier run are: "),
+        ((), "; the rest: "),
     ],
 )
-def test_what_is_there_of_the_scan_that_was_stopped_at(there, count, how, tube_model, tubes, tmp_path):
+def test_what_is_there_of_scans_that_nobody_came_to(there, how, tube_model, tubes, tmp_path):
     files = outputs.plan([str(tubes / f"t{i}.ply") for i in (0, 1)], tmp_path, inputs=[], existing="replace")
     earlier = outputs.plan([str(tubes / "t0.ply")], tube_model[1], inputs=[], existing="replace")[0]
     for what in there:
@@ -300,17 +314,7 @@ def test_what_is_there_of_the_scan_that_was_stopped_at(there, count, how, tube_m
     fitter = lbs.LBSFitter.load(tube_model[0])
     words = results_so_far(fitter, tube_model[0], files, {}, None, {"results": str(tmp_path), **_AS_IT_IS})
     existing = "replace" if "earlier run" in how else "skip"
-    assert words.startswith(f", {count} of 2 results in {tmp_path}{how}lbsfit fit ") and words.endswith(f" --existing {existing}")
-
-
-@pytest.mark.parametrize("variant, each", [("joint", ", each on the template that explains it best"), ("free-form", "")])
-def test_free_form_models_have_no_template_to_choose(variant, each, tube_model, tubes, tmp_path):
-    """Of two people."""
-    fitter = lbs.LBSFitter.load(tube_model[0]).set_params(variant=variant)
-    fitter.template_ = {"ann": fitter.template_[0], "bob": fitter.template_[0]}
-    files = outputs.plan([str(tubes / "t0.ply")], tmp_path, inputs=[], existing="replace")
-    words = results_so_far(fitter, tube_model[0], files, {}, None, {"results": str(tmp_path), **_AS_IT_IS})
-    assert words.startswith(f", 0 of 1 result in {tmp_path}; the rest{each}: lbsfit fit ")
+    assert words.startswith(f", 0 of 2 results in {tmp_path}{how}lbsfit fit ") and words.endswith(f" --existing {existing}")
 
 
 def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, monkeypatch):
@@ -321,11 +325,19 @@ def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, 
     assert line.endswith(f" --subjects {tmp_path / 'who.csv'} --existing skip")
     code, text, err = run(*_as_said(line, scans))
     assert (code, err) == (0, "") and "2 of 4 scans are fitted already and kept" in text
+    monkeypatch.setattr(stopped_learning, "_SHORT", 0)
     fitter, values = lbs.LBSFitter.load(tmp_path / "m n.npz"), {"results": "new", "samples": None, "subjects": "who.csv"}
     files = outputs.plan(scans, tmp_path / "new", inputs=[], existing="replace")
     values |= {"drop_invalid": False, "pictures": False}
+    rest = ", but for those of 'carl', 'dora', of whom nothing was learned: lbsfit fit m.npz"
+    for existing, alone in (("skip", ""), ("replace", " alone, where files of an earlier run are")):
+        words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)
+        assert f"; the rest{alone}{rest} SCAN... -o new" in words and words.endswith(existing)
+        outputs.make_folder(tmp_path / "new")
+        files[0].mesh.write_text("of an earlier run")
+    monkeypatch.setattr(stopped_learning, "_SHORT", 10**4)
     words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)
-    assert "; the rest, but for those of 'carl', 'dora', of whom nothing was learned: lbsfit fit m.npz" in words
+    assert f"lbsfit fit m.npz {shlex.join([scans[0], scans[3]])} -o new" in words
 
 
 def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path, run):

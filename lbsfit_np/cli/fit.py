@@ -329,9 +329,8 @@ def _kept(files, fitter, subjects):
     from ..fitting.result import FitResult
 
     kept, rig = {}, fitter.rig
-    digests = {subject: _digests(fitter, subject) for subject in set(subjects.values())}
+    made = _MadeWith(fitter)
     for f in files:
-        ours = digests[subjects[f.name]]
         if not all(path.is_file() for what, path in f.paths.items() if what != "picture"):
             continue
         try:
@@ -346,30 +345,47 @@ def _kept(files, fitter, subjects):
                 f"fits of rig {rig.name!r}",
                 "Choose another folder, or --existing replace.",
             )
-        if result.model_digest not in ours:
-            alone, remedy = "" in ours, "Choose another folder, or --existing replace."
-            if result.model_digest and not alone:
-                files_of = f"{f.name}.fit.npz, .mesh.ply and .labels.ply"
-                remedy = f"Give --subject or --subjects as in that run, or leave them out as there; without {files_of} it is "
-                remedy += "fitted again; or choose another folder, or --existing replace."
-            raise InputError(
-                "--existing skip",
-                f"{f.fit}, a fit {_made_with(fitter, result, alone)}",
-                f"fits with rig {rig.name!r} alone" if alone else "fits with this model and subject",
-                remedy,
-            )
+        if result.model_digest not in made.wanted(subjects[f.name]):
+            raise made.refusal(f, result)
         if f.picture is not None and not _is_newer(f.picture, f.fit):
             _draw_kept(f, rig, result)
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)
     return kept
 
 
-def _digests(fitter, subject):
-    """Of fits that are what is wanted of a scan of this subject, None where nobody says whose it is; learning's own, too."""
-    from ..learning.archive import learned_digests, model_digest
+class _MadeWith:
+    """What the fits of earlier runs may have been made with, by their digests."""
 
-    learned = learned_digests(fitter)
-    return {model_digest(fitter, subject), *(learned.values() if subject is None else [learned[subject]])}
+    def __init__(self, fitter):
+        from ..learning.archive import learned_digests, model_digest
+
+        self.rig, self.anybody, self.learned = fitter.rig, model_digest(fitter), learned_digests(fitter)
+        self.named = functools.cache(lambda subject: model_digest(fitter, subject))
+
+    def wanted(self, subject):
+        """Of fits that are what is wanted of a scan of this subject, None where nobody says whose it is; learning's own, too."""
+        if subject is None:
+            return {self.anybody, *self.learned.values()}
+        return {self.named(subject), self.learned[subject]}
+
+    def refusal(self, files, result):
+        """The InputError about a fit that was made with something else."""
+        digest, remedy = result.model_digest, "Choose another folder, or --existing replace."
+        if not self.anybody or not digest:
+            words = "with a learned model" if digest else "without a model"
+        else:
+            words = "with another model"
+            if digest == self.anybody:
+                words = f"with this model where no subject was named; it got the template of {result.subject!r}"
+            for subject, learned in self.learned.items():
+                if digest in (learned, self.named(subject)):
+                    words = f"with this model as {str(subject)!r}"
+            if words != "with another model":
+                files_of = f"{files.name}.fit.npz, .mesh.ply and .labels.ply"
+                remedy = f"Give --subject or --subjects as in that run, or leave them out as there; without {files_of} it is "
+                remedy += "fitted again; or choose another folder, or --existing replace."
+        expected = "fits with this model and subject" if self.anybody else f"fits with rig {self.rig.name!r} alone"
+        return InputError("--existing skip", f"{files.fit}, a fit {words}", expected, remedy)
 
 
 def _draw_kept(files, rig, result):
@@ -392,20 +408,6 @@ def _draw_kept(files, rig, result):
 def _is_newer(picture, fit):
     """Whether a picture is there and was drawn after the fit was written; an older one is of an earlier fit."""
     return picture.is_file() and picture.stat().st_mtime_ns >= fit.stat().st_mtime_ns
-
-
-def _made_with(fitter, result, alone):
-    """What a fit that is not kept was made with, in words."""
-    from ..learning.archive import learned_digests, model_digest
-
-    if alone or not result.model_digest:
-        return "with a learned model" if result.model_digest else "without a model"
-    if result.model_digest == model_digest(fitter):
-        return f"with this model where no subject was named; it got the template of {result.subject!r}"
-    for subject, learned in learned_digests(fitter).items():
-        if result.model_digest in (learned, model_digest(fitter, subject)):
-            return f"with this model as {str(subject)!r}"
-    return "with another model"
 
 
 def _farewell(counts, n, out, stopped, older):

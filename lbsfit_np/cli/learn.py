@@ -4,6 +4,7 @@ import functools
 import os
 import time
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -403,13 +404,12 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
     stopped = True
     try:
         for i, (f, result) in enumerate(zip(files, fitter.results_, strict=True)):
-            if result is None:
-                entries[f.name] = _without_fit(reading, i, f, result)
-                continue
             try:
                 entries[f.name] = _without_fit(reading, i, f, result) or writer(i, reading.scans[i], result)
             except LbsfitError as error:
                 entries[f.name] = outputs.unfitted_entry(f, str(error))
+            if result is None:
+                continue
             read = reading.scans[i].notes  # said when it was read
             progress.notes(f.name, [note for note in entries[f.name].get("notes", ()) if note not in read])
             progress.scan(entries[f.name])
@@ -417,7 +417,8 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
     finally:
         progress.close()
         if stopped:
-            _settle_the_rest(fitter, reading, files, entries)
+            with suppress(Exception, KeyboardInterrupt):  # the summary is worth more
+                _settle_the_rest(fitter, reading, files, entries)
         facts = {"started": started, "stopped": stopped, "model": about_model(values["output"]), "history": fitter.history_}
         write_summary(Path(values["results"]), rig_path, fitter.rig, files, entries, values, **facts)
 
@@ -437,5 +438,5 @@ def _settle_the_rest(fitter, reading, files, entries):
     for i, f, result in left:
         if entry := _without_fit(reading, i, f, result):
             entries[f.name] = entry
-        elif (i, f) == left[0][:2] and is_result_of(fitter, f):
+        elif i == left[0][0] and is_result_of(fitter, f):
             entries[f.name] = outputs.fitted_entry(f, result, notes=reading.scans[i].notes)

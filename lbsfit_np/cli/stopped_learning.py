@@ -4,12 +4,14 @@ import os
 import shlex
 
 from ..errors import FileError, listed
-from ..learning.variants import VARIANTS
 from .progress import of_all
 from .stopping import terminable
 from .summary import written_of
 
 __all__ = ["is_result_of", "results_so_far", "stopped_early"]
+
+# Letters of scans' names up to which a command has them all.
+_SHORT = 200
 
 
 def stopped_early(fitter, model, subjects, values):
@@ -42,23 +44,27 @@ def results_so_far(fitter, model, files, entries, subjects, values):
     ``subjects`` as for :func:`stopped_early`.
     """
     left = [f for f in files if f.name not in entries]
-    whole = bool(left) and is_result_of(fitter, left[0])  # stopped before its picture was drawn, or on the way to its entry
-    left = left[whole:]
-    words = f", {of_all(written_of(entries) + whole, len(files), 'result')} in {values['results']}"
+    words = f", {of_all(written_of(entries), len(files), 'result')} in {values['results']}"
     if not left:
         return words
-    if any(os.path.lexists(path) for f in left for path in (f.fit, f.mesh, f.labels)):  # which --existing skip refuses
-        alone = f"alone, where files of an earlier run are{_but_for_strangers(fitter, subjects)}"
-        return f"{words}; the rest {alone}: {_to_fit(model, values, 'replace')}"
-    several = len(fitter.template_) > 1 and VARIANTS[fitter.variant].skinning
-    which = ", each on the template that explains it best" if several and subjects is None else ""
-    return f"{words}; the rest{which}{_but_for_strangers(fitter, subjects)}: {_to_fit(model, values, 'skip')}"
+    there = [f for f in left if any(os.path.lexists(path) for path in (f.fit, f.mesh, f.labels))]
+    anew = not all(is_result_of(fitter, f) for f in there)  # which --existing skip would refuse, or keep though they are others
+    unknown = _strangers(fitter, subjects)
+    known = [f for f, s in zip(files, subjects or [None] * len(files), strict=True) if s not in unknown]
+    command = _to_fit(model, values, "replace" if anew else "skip", [f for f in known if f in left] if anew else known)
+    alone = " alone, where files of an earlier run are" if anew else ""
+    return f"{words}; the rest{alone}{_but_for_strangers(fitter, subjects)}: {command}"
+
+
+def _strangers(fitter, subjects):
+    """Subjects of whom nothing was learned, as all their scans have failed."""
+    return [s for s in dict.fromkeys(subjects or ()) if s not in fitter.template_]
 
 
 def _but_for_strangers(fitter, subjects):
-    """Whose scans have to be left out of a command with the table, as all of them have failed; nothing where there are none."""
-    strangers = [repr(s) for s in dict.fromkeys(subjects or ()) if s not in fitter.template_]
-    return f", but for those of {listed(strangers)}, of whom nothing was learned" if strangers else ""
+    """Whose scans have to be left out of a command with the table; nothing where there are none."""
+    strangers = listed([repr(s) for s in _strangers(fitter, subjects)])
+    return f", but for those of {strangers}, of whom nothing was learned" if strangers else ""
 
 
 def is_result_of(fitter, files):
@@ -73,9 +79,11 @@ def is_result_of(fitter, files):
         return False
 
 
-def _to_fit(model, values, existing):
-    """The command that fits scans with the model, read and written as here."""
-    words = ["lbsfit", "fit", shlex.quote(str(model)), "SCAN...", "-o", shlex.quote(values["results"] or "OUT")]
+def _to_fit(model, values, existing, files=()):
+    """The command that fits scans, these where their names are short, with the model, read and written as here."""
+    scans = " ".join(shlex.quote(f.source) for f in files)
+    words = ["lbsfit", "fit", shlex.quote(str(model)), scans if 0 < len(scans) <= _SHORT else "SCAN..."]
+    words += ["-o", shlex.quote(values["results"] or "OUT")]
     words += ["--samples", str(values["samples"])] if values["samples"] is not None else []
     words += [f"--{name}" for name in ("drop-invalid", "pictures") if values[name.replace("-", "_")]]
     words += ["--subjects", shlex.quote(values["subjects"])] if values["subjects"] is not None else []
