@@ -69,6 +69,15 @@ def test_fit_with_a_table_of_subjects(learned_hands, hands, tmp_path, run):
     assert code == 2 and "ben1.fit.npz, a fit with this model as 'ben'; expected fits with" in one_line(err)
 
 
+@pytest.mark.parametrize("command", ["learn", "fit"])
+def test_a_table_of_subjects_among_the_scans(command, tubes, tmp_path, run):
+    (tmp_path / "who.csv").write_text("t0.ply,anna\nt1.ply,ben\n")
+    scans = (*sorted(tubes.glob("t*.ply")), tmp_path / "who.csv")
+    code, _, err = run(command, tubes / "tube.npz", *scans, "-o", tmp_path / "new.npz")
+    assert code == 2 and "SCAN: got " in one_line(err) and f"Give it as --subjects {tmp_path / 'who.csv'}." in err
+    assert not (tmp_path / "new.npz").exists()
+
+
 def test_tables_of_subjects_that_cannot_be_used(learned_hands, hands, tubes, tmp_path, run):
     def said(table, *options, model=learned_hands[0]):
         (tmp_path / "who.csv").write_text(table)

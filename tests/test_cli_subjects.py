@@ -2,8 +2,8 @@
 
 import pytest
 
-from lbsfit_np.cli.subjects import read_subjects
-from lbsfit_np.errors import FileError
+from lbsfit_np.cli.subjects import check_no_table, read_subjects
+from lbsfit_np.errors import FileError, InputError
 
 SCANS = ["in/a1.ply", "in/a2.ply", "in/b 1.xyz"]
 
@@ -113,3 +113,37 @@ def test_bad_tables_of_subjects(name, content, words, tmp_path):
         read_subjects(tmp_path / name, SCANS)
     message = str(error.value)
     assert message.startswith(f"{tmp_path / name}: got ") and all(word in message for word in words), message
+
+
+@pytest.mark.parametrize(
+    "name, content",
+    [
+        ("who.csv", "scan,subject\na1.ply,anna\n"),
+        ("who.txt", "# whose they are\n\na1;anna\n"),
+        ("who.csv", "\"b 1.xyz\"\tben\n"),
+        ("who.toml", "'a2.ply' = 'anna'\n"),
+    ],
+)
+def test_a_table_among_the_scans_is_told_from_them(name, content, tmp_path):
+    table = tmp_path / name
+    table.write_text(content)
+    with pytest.raises(InputError, match=f"SCAN: got .*{name}, a table that names other scans; .*Give it as --subjects .*{name}"):
+        check_no_table([*SCANS, str(table)])
+
+
+@pytest.mark.parametrize("content", ["1,2,3\n4,5,6\n", "a1,2,3\n", "x,y\n1,2\n", "1 2\n", "", "\udcff"])
+def test_clouds_are_no_tables_of_subjects(content, tmp_path):
+    cloud = tmp_path / "1.csv"
+    cloud.write_bytes(content.encode("utf-8", "surrogateescape"))
+    check_no_table([*SCANS, str(tmp_path / "2.csv"), str(cloud)])
+
+
+def test_columns_that_are_exchanged(tmp_path):
+    (tmp_path / "who.csv").write_text("anna,a1\n")
+    with pytest.raises(FileError, match="'anna' in line 1, which is none .* The columns seem to be exchanged: put the file name"):
+        read_subjects(tmp_path / "who.csv", SCANS)
+
+
+def test_accents_in_either_way_of_writing_them(tmp_path):
+    (tmp_path / "who.csv").write_text("Mu\u0308ller,Jos\u00e9\nIs\u00e9e,Jose\u0301\n", encoding="utf-8")
+    assert read_subjects(tmp_path / "who.csv", ["M\u00fcller.ply", "Ise\u0301e.ply"]) == ["Jos\u00e9"] * 2

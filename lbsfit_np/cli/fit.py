@@ -10,6 +10,7 @@ from .models import about_model, is_model, load_model, model_in_words, say_model
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, counted, of_all, say
 from .stopping import exit_code, terminable
+from .subjects import check_no_table
 from .summary import counts_of, doubts_of, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "check_training", "fit_files", "load_rig_with", "read_scan", "scan_options"]
@@ -216,6 +217,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     read = [rig_path, values["segmenter"], values["subjects"], values["card"] if values["card"] != "none" else None, *inputs]
     names = {"existing": values["existing"], "pictures": values["pictures"], "may_skip": True}
     outputs.check_sources(scans)
+    check_no_table(scans)
     values = dict(values)  # a model changes some
     fitter, model = _fitter(rig_path, values, given)
     subjects = [None] * len(scans) if model is None else subjects_of(fitter, values, scans)

@@ -20,7 +20,7 @@ from .parsing import Option, add_options, amount, formatter, positive, settings,
 from .progress import LearningProgress, Progress, of_all, say, span
 from .stopped_learning import is_result_of, results_so_far, stopped_early
 from .stopping import exit_code, terminable
-from .subjects import SUBJECT_FILES, read_subjects
+from .subjects import SUBJECT_FILES, check_no_table, read_subjects
 from .summary import counts_of, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "add_parser", "learn_files"]
@@ -198,6 +198,7 @@ def _checked(rig_path, scans, values, inputs):
     card = values["card"] if values["card"] != "none" else None
     others = [p for p in (rig_path, card, values["subjects"], *inputs) if p]
     outputs.check_sources(scans)
+    check_no_table(scans)
     _check_twice(scans)
     outputs.check_file(model, inputs=[(path, f"an input ({path})") for path in (*scans, *others)], existing=existing)
     if model.is_file() and not _was_model(model):

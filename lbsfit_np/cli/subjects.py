@@ -2,6 +2,7 @@
 
 import csv
 import re
+import shlex
 import tomllib
 from difflib import get_close_matches
 from pathlib import Path
@@ -11,12 +12,12 @@ from ..errors import FileError, InputError, brief, did_you_mean, listed
 from .outputs import same_file
 from .progress import counted
 
-__all__ = ["SUBJECT_FILES", "read_subjects"]
+__all__ = ["SUBJECT_FILES", "check_no_table", "read_subjects"]
 
 SUBJECT_FILES = """\
 The file of --subjects has a line for each scan, its file name, with or without the extension, and an id:
       anna_01.ply, anna          separated by commas, semicolons, tabs, or blanks before the id (then no blanks in ids)
-      ben_01, ben                blank lines and lines that start with # are passed over, as is a heading "scan, subject"
+      ben_01, ben                blank lines and lines that start with # are passed over, as is a heading such as "scan, subject"
 or is TOML (NAME.toml): "anna_01.ply" = "anna", at the top or in a table [subjects]. Scans whose names are the same are
 told apart by their paths as given on the command line. Each scan has one id; a name that is no scan given is an error."""
 
@@ -24,6 +25,8 @@ _HEADINGS = {"scan", "scans", "file", "filename", "file name", "name", "path"}
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}
 _ONE = {"\t": "a tab", ";": "a semicolon", ",": "a comma", None: "a comma in all lines, or a blank,"}
 _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
+# Of what may be a table: a heading, comments, and names of scans that are not among these.
+_FIRST_LINES = 20
 _FILE_FIRST = "The columns seem to be exchanged: put the file name first, the id after it."
 
 
@@ -92,6 +95,21 @@ def read_subjects(path, scans, *, others=False, known=None):
             remedy = _FILE_FIRST
         raise FileError(str(path), got, _EXPECTED, remedy)
     return [ids[i] for i in range(len(scans))]
+
+
+def check_no_table(scans):
+    """Raise where one of the scans is a table that says whose the others are: learning from the others would take its time."""
+    names = _Names(scans)
+    for i, scan in enumerate(scans):
+        try:
+            with open(scan, "rb") as f:
+                lines = f.read(4096).decode("utf-8-sig").splitlines()[:_FIRST_LINES]
+        except (OSError, ValueError):
+            continue
+        pairs = [re.split("[\t;,=]", line) for line in lines if not line.startswith("#")]
+        if any(len(pair) == 2 and set(names.of(pair[0].strip(" \"'"))) - {i} for pair in pairs):
+            remedy = f"Give it as --subjects {shlex.quote(scan)}."
+            raise InputError("SCAN", f"{scan}, a table that names other scans", "scans", remedy)
 
 
 def _likeness(missing, passed):
