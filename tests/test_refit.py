@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.refit import Refit, Runner, thinned
+from lbsfit_np.fitting.refit import LimbSearch, Refit, Runner, thinned
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import EFFORTS
 from lbsfit_np.learning.loop import _Refit
@@ -84,14 +84,14 @@ def poses(rig, case):
 
 
 def test_limbs_in_other_poses_bring_two_exchanged_fingers_home(model, refit, case, poses):
-    limbs = {"limbs": LimbPoses(model, poses), "effort": EFFORTS["balanced"]}
-    state, _, which = refit(case.problem, [case.swap], **limbs)
+    limbs = LimbSearch(LimbPoses(model, poses), EFFORTS["balanced"])
+    state, _, which = refit(case.problem, [case.swap], limbs=limbs)
     assert case.error(model, state) < 0.008 and which == 0  # where it has come from
-    right, _, _ = refit(case.problem, [case.truth], **limbs)
+    right, _, _ = refit(case.problem, [case.truth], limbs=limbs)
     np.testing.assert_array_equal(right.theta, refit(case.problem, [case.truth])[0].theta)  # nothing to mend
-    never = replace(EFFORTS["balanced"], generations=0)
+    never = replace(limbs, effort=replace(limbs.effort, generations=0))
     np.testing.assert_array_equal(
-        refit(case.problem, [case.swap], **limbs | {"effort": never})[0].theta, refit(case.problem, [case.swap])[0].theta
+        refit(case.problem, [case.swap], limbs=never)[0].theta, refit(case.problem, [case.swap])[0].theta
     )
 
 

@@ -251,7 +251,7 @@ def test_what_the_finals_leave_unexplained_chooses(tube_rig, before, after, best
 
 def _only_finals(scout, runners, left, monkeypatch):
     """All steps of a look do nothing, but for the finals, who are left with these values."""
-    steps = {"first_steps": lambda r: r, "last_steps": lambda r: r, "with_other_limbs": lambda r, limbs, effort: r}
+    steps = {"first_steps": lambda r: r, "last_steps": lambda r: r, "with_other_limbs": lambda r, limbs: r}
     monkeypatch.setattr(scout, "_refit", SimpleNamespace(**steps))
     for step, answer in (("_runners", runners), ("_facings", [])):
         monkeypatch.setattr(scout, step, lambda *given, answer=answer: answer)

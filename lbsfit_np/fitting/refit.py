@@ -14,10 +14,11 @@ from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..optimize.problem import Problem
 from ..optimize.state import State
+from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
 from .labels import refined_labels
 
-__all__ = ["Refit", "Runner", "thinned"]
+__all__ = ["LimbSearch", "Refit", "Runner", "thinned"]
 
 _PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
 _BOTH = LossWeights(chamfer=1.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
@@ -56,6 +57,22 @@ class Runner:
     value: float = np.inf
 
 
+@dataclass(frozen=True)
+class LimbSearch:
+    """Other poses for limbs, and how far they are looked through.
+
+    Attributes
+    ----------
+    poses : LimbPoses
+        Of the model.
+    effort : Effort
+        Of ``scout``: how often, of how many runners, and of how many poses.
+    """
+
+    poses: LimbPoses
+    effort: object
+
+
 class Refit:
     """Poses of scans for one known template.
 
@@ -75,7 +92,7 @@ class Refit:
         self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
         self._last = GaussNewton(model, **near)
 
-    def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None, effort=None):
+    def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None):
         """The best pose found.
 
         Parameters
@@ -90,9 +107,8 @@ class Refit:
         labels_known : bool, default False
             The probabilities are known labels, which the steps go by: from the first start alone, or from the one that the
             labels give where there is no other.
-        limbs : LimbPoses, optional
-            Other poses for limbs, tried with ``effort`` where labels are not known.
-        effort : Effort, optional
+        limbs : LimbSearch, optional
+            Tried where labels are not known.
 
         Returns
         -------
@@ -112,7 +128,7 @@ class Refit:
         if proba is not None:
             starts.append(self.from_parts(problem, proba, False))
         runners = self.race([Runner(problem, s, k) for k, s in enumerate(starts)])
-        best = (runners if limbs is None else self.with_other_limbs(runners, limbs, effort))[0]
+        best = (runners if limbs is None else self.with_other_limbs(runners, limbs))[0]
         state = self.polish(problem, best.state)
         return state, self._chamfer(problem, state), best.name
 
@@ -147,29 +163,26 @@ class Refit:
             out.append(self._moved(self._near, problem, r, _NEAR_STEPS))
         return sorted(out, key=lambda r: r.value)
 
-    def with_other_limbs(self, runners, limbs, effort):
+    def with_other_limbs(self, runners, limbs):
         """The same with, where some limb is better off in another pose, what came of that; again while it helps.
 
         Parameters
         ----------
         runners : list of Runner
             After their last steps, the best first; as many come back.
-        limbs : LimbPoses
-            Of the model.
-        effort : Effort
-            How often and of how many poses.
+        limbs : LimbSearch
 
         Returns
         -------
         list of Runner
             The best first.
         """
-        size = len(runners)
+        size, effort = len(runners), limbs.effort
         for _ in range(effort.generations):
             best = runners[0].value
             tried = []
             for r in runners[: effort.parents]:
-                proposals = limbs.proposals(r.problem, r.state, effort.proposals, closer=effort.closer)
+                proposals = limbs.poses.proposals(r.problem, r.state, effort.proposals, closer=effort.closer)
                 tried += [replace(r, state=r.state.replace(theta=theta)) for theta in proposals]
             if not tried:
                 break

@@ -21,7 +21,7 @@ from ..starts.limbs import LimbPoses
 from ..starts.turns import any_side_up
 from .bends import Bends
 from .confidence import evidence_of, probability_of
-from .refit import Refit, Runner, thinned
+from .refit import LimbSearch, Refit, Runner, thinned
 
 __all__ = ["EFFORTS", "Effort", "Found", "Scout"]
 
@@ -178,7 +178,7 @@ class Scout:
             labelled = [self._labelled(points, x_weights, frame) for frame in self._facings(runners)]
             runners = sorted([*runners, *refit.first_steps(labelled)], key=lambda r: r.value)
         ends = refit.last_steps(runners[: effort.survivors])
-        near = self._distinct(refit.with_other_limbs(ends, self._limbs, effort) if self.nearest else ends)
+        near = self._distinct(refit.with_other_limbs(ends, LimbSearch(self._limbs, effort)) if self.nearest else ends)
         close = [r for r in near[: effort.finals] if r.value <= _RIVAL * near[0].value]
         finals = list(map(self._with_proportions, close))
         # What the others would leave unexplained if proportions helped them as much as the best.

@@ -19,7 +19,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from ..errors import InputError
-from ..fitting.refit import Refit
+from ..fitting.refit import LimbSearch, Refit
 from ..fitting.scout import EFFORTS, Scout
 from ..fitting.template import TemplateSettings, shared_template
 from ..losses.objective import LossWeights
@@ -405,23 +405,23 @@ class _Refit:
     settings: object
     library: object
     neighbours: int
-    limbs: bool
+    other_limbs: bool
 
     @cached_property
     def _refit(self):
         return cache(lambda subject: Refit(self.models[subject], partial=self.settings.partial))  # once in each process
 
     @cached_property
-    def _limbs(self):
-        return cache(lambda subject: LimbPoses(self.models[subject], self.library.poses) if self.limbs else None)
+    def _search(self):
+        poses, effort = self.library.poses, EFFORTS[self.settings.effort]
+        return cache(lambda subject: LimbSearch(LimbPoses(self.models[subject], poses), effort) if self.other_limbs else None)
 
     def __call__(self, task):
         subject, problem, state, beside, proba = task
         poses = [*beside, self.library.regress(problem.X)]
         if self.neighbours:
             poses += list(self.library.nearest(problem.X, self.neighbours))
-        limbs = {"limbs": self._limbs(subject), "effort": EFFORTS[self.settings.effort]}
-        state, loss, which = self._refit(subject)(problem, [state], poses=poses, proba=proba, **limbs)
+        state, loss, which = self._refit(subject)(problem, [state], poses=poses, proba=proba, limbs=self._search(subject))
         return state, _finite(loss), which
 
 
