@@ -103,6 +103,44 @@ def test_poses_of_a_round_have_other_limbs_where_variants_have_a_library(library
     assert (case.error(model, state) < 0.008) == home
 
 
+@pytest.mark.parametrize("effort, partial", [("fast", True), ("thorough", False)])
+def test_poses_of_a_round_are_looked_for_as_settings_say(effort, partial, rig, model, monkeypatch):
+    """On each subject's own template, with the settings' effort, of scans of one side where they are that."""
+    models = {"ann": model, "bob": Model(rig.with_template(1.1 * rig.vertices))}
+    known = SimpleNamespace(poses=np.zeros((2, *rig.lower.shape)), regress=lambda X: rig.lower)
+    asked, state = [], model.rest()
+    monkeypatch.setattr(Refit, "__call__", lambda self, *scan, limbs, **more: asked.append((self, limbs)) or (state, 0.1, 0))
+    work = _Refit(models, FitSettings(effort=effort, partial=partial), known, 0, True)
+    for subject in ("bob", "ann", "bob"):
+        work((subject, Problem(rig.vertices), state, [], None))
+        refit, limbs = asked[-1]
+        assert refit.model is limbs.poses.model is models[subject]
+        assert refit._last.partial == partial and limbs.effort is EFFORTS[effort]
+    assert asked[0][0] is asked[2][0] and asked[0][1] is asked[2][1]  # made ready once
+
+
+@pytest.mark.parametrize("left, generations", [(0.98, 3), (0.995, 1)])
+def test_limbs_are_tried_as_effort_says_while_it_helps(left, generations, model, refit, monkeypatch):
+    """Each time, of the best two, two poses each are tried, of which one leaves this share of what the best one has left."""
+    effort = replace(EFFORTS["thorough"], generations=3, parents=2, proposals=7, survivors=5)
+    asked, raced, problem = [], [], Problem(np.zeros((9, 3)))
+
+    def proposals(problem, state, n, *, closer):
+        asked.append((n, closer))
+        return [state.theta, state.theta]
+
+    def race(tried, survivors):
+        raced.append((len(tried), survivors))
+        return [replace(tried[-1], value=left ** len(raced))]
+
+    monkeypatch.setattr(refit, "race", race)
+    runners = [Runner(problem, model.rest(), k, value) for k, value in enumerate((1.0, 1.1, 1.2))]
+    found = refit.with_other_limbs(runners, LimbSearch(SimpleNamespace(proposals=proposals), effort))
+    assert asked == 2 * generations * [(7, True)] and raced == generations * [(4, 5)]
+    expected = sorted([1.0, 1.1, *(left**k for k in range(1, generations + 1))])
+    assert [r.value for r in found] == expected[:3]  # as many as before
+
+
 def test_the_right_start_among_bad_ones_wins(model, refit, case):
     state, value, which = refit(case.problem, [case.swap], poses=[*case.bad, case.near])
     assert case.error(model, state) < 0.008 and which == 3
