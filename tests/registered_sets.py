@@ -1,11 +1,14 @@
 """Sets of scans with known correspondences, and fits of them that are exact or off by a known amount."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from lbsfit_np import synthesize
 from lbsfit_np.bench.pair_fits import Fits
 from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.io.write import write_mesh_ply
+from lbsfit_np.learning.archive import learned_digests, model_digest
 from lbsfit_np.learning.parameters import learned_with
 
 WHO = ("ann", "ann", "bob", "bob")  # whose the scans of ``pair_scans`` are
@@ -76,7 +79,7 @@ def fits_are_given(patch, registrations):
             raise given
         vertices, more = given if isinstance(given, tuple) else (given, {})
         result = result_of(self.rig, vertices, len(scan.points), **more)
-        return self._signed([result], options.get("subject"))[0]
+        return replace(result, model_digest=model_digest(self, options.get("subject")))
 
     def pretrain(self, **options):
         self.segmenter_ = self.regressor_ = "given"
@@ -104,8 +107,12 @@ def learning_is_given(patch, registrations):
         self.template_, self.unit_ = dict.fromkeys(known, self.rig), dict.fromkeys(known, 1.0)
         self.segmenter_ = self.regressor_ = None
         self.history_, self._learned_with = [{"round": 0}], learned_with(self)
-        results = [v if v is None else result_of(self.rig, v, len(s.points)) for s, v in zip(scans, found)]
-        self.results_ = self._signed(results)
+        digests = learned_digests(self)
+
+        def result(scan, subject, vertices):
+            return replace(result_of(self.rig, vertices, len(scan.points)), model_digest=digests[subject])
+
+        self.results_ = [v if v is None else result(s, subject, v) for s, subject, v in zip(scans, subjects, found)]
         return self
 
     patch.setattr(lbs.LBSFitter, "fit", fit)

@@ -11,7 +11,7 @@ import lbsfit_np as lbs
 from lbsfit_np.bench.pair_fits import fit_scans_of
 from lbsfit_np.bench.truth import PairScan
 from lbsfit_np.errors import InputError
-from lbsfit_np.learning.archive import model_digest
+from lbsfit_np.learning.archive import learned_digests, model_digest
 
 pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
 
@@ -119,13 +119,16 @@ def test_what_was_learned_from_is_fitted_as_its_subjects(pair_scans, tube_rig, p
     assert subjects() == {"s0": "ann", "s2": "bob", "s3": None} and {f.n_jobs for _, f in told.values()} == {2}
     assert [e["kept"] for e in fit().entries.values()] == [True] * 4 and asked == []
     assert list(json.loads((tmp_path / "fits.json").read_text())["learned_from"]) == ["s0", "s1", "s2"]
-    # Fits of other models, of s3 as its namesake's, and of ann as bob, are not what would be made now.
-    named = model_digest(lbs.LBSFitter.load(tmp_path / "model.npz"), "bob")
-    for others in ({"s0": "", "s2": "another", "s3": named}, {"s0": named}):
+    # Fits of other models, of s3 as its namesake's, of ann as bob, and of ann as anybody, are not what would be made now.
+    model = lbs.LBSFitter.load(tmp_path / "model.npz")
+    named, learning = model_digest(model, "bob"), learned_digests(model)["bob"]
+    anybody = dict.fromkeys(("s0", "s1", "s2"), model_digest(model))
+    for others in ({"s0": "", "s2": "another", "s3": named}, {"s0": named}, anybody, {"s1": learning, "s3": learning}):
         for name, digest in others.items():
             replace(result_of(tube_rig, pair_meshes[0], 242), model_digest=digest).save(tmp_path / "fits" / f"{name}.npz")
         fit()
-        assert subjects() == {name: {"s0": "ann", "s2": "bob", "s3": None}[name] for name in others} and len(learned) == 1
+        whose = {"s0": "ann", "s1": "ann", "s2": "bob", "s3": None}
+        assert subjects() == {name: whose[name] for name in others} and len(learned) == 1
 
 
 def test_a_subject_of_whom_nothing_was_learned_is_anybody(pair_scans, fitter, pair_meshes, tmp_path, monkeypatch):

@@ -229,8 +229,8 @@ def _kept(folder, names, fitter, learn_from):
             result = FitResult.load(_file(folder, name))
         except FileError:
             continue
-        # Of a scan that was learned from, the fit that learning left, too, or a later one as its subject's.
-        digests = (anybody, *((learned[known[name]], refitted[known[name]]) if name in known else ()))
+        # Of a scan that was learned from, the fit that learning left, or a later one as its subject's.
+        digests = (learned[known[name]], refitted[known[name]]) if name in known else (anybody,)
         if result.rig_digest == fitter.rig.digest and result.model_digest in digests:
             kept[name] = _entry(result, kept=True)
     return kept

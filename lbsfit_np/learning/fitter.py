@@ -263,11 +263,6 @@ class LBSFitter(BaseEstimator):
     def _set_aside(self, collection):
         self.failures_, self.roles_ = dict(collection.failures), collection.roles
 
-    def _signed(self, results, subject=None):
-        """The results with the digest of what they were made with."""
-        digest = model_digest(self, subject)
-        return [r if r is None else replace(r, model_digest=digest) for r in results]
-
     def transform(self, scans, subjects=None):
         """Registered vertices of scans, fitted with what was learned.
 
@@ -356,7 +351,7 @@ class LBSFitter(BaseEstimator):
         if learned is not None or not as_variant(self.variant).skinning:
             subjects = None if learned is None else list(learned) if subject is None else [subject]
             found = fit_new(self, points, subjects, theta0, labels, point_weights, anyone=subject is None)
-            return self._signed([found], subject)[0]
+            return replace(found, model_digest=model_digest(self, subject))
         trained = {}
         if labels is None:
             if not self._is_pretrained():
