@@ -23,7 +23,7 @@ from .checks import (
 )
 from .frames import bone_frames, child_directions
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, derived_limits
-from .partition import check_partition
+from .partition import check_partition, partition_names
 from .regressor import exact_regressor, regressor_from_weights
 from .rig import Rig
 from .shapes import check_shapes
@@ -86,7 +86,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     partitions = _partitions(report, data, names, card)
     granularity = next((p for p in (parts, card.use_parts, data.parts) if p is not None), "joints")
     argument = "parts" if parts is not None else f"{card.where}, use_parts" if card.use_parts is not None else "parts of the file"
-    known = check_partition(argument, granularity, partitions)
+    check_partition(argument, granularity, partitions)
 
     rig = Rig(
         name=str(data.name),
@@ -113,7 +113,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     )
     if not len(rig.welded.faces):
         report.fail("faces", f"{len(faces)} faces, each with two corners at one point", "at least one proper triangle")
-    for partition in known:
+    for partition in partition_names(partitions):
         _ = rig.with_parts(partition).parts  # raises where a vertex has no part, and says what is missing
     notes += mesh_notes(rig) + skin_notes(rig) + size_notes(rig)
     unknown = [word for word, value in (("unit", unit), ("up axis", up), ("forward axis", forward)) if value is None]

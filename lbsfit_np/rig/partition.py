@@ -4,16 +4,20 @@ import numpy as np
 
 from ..errors import InputError, did_you_mean
 
-__all__ = ["check_partition", "leading_joint", "parts_of_joints", "vertex_parts"]
+__all__ = ["check_partition", "leading_joint", "partition_names", "parts_of_joints", "vertex_parts"]
+
+
+def partition_names(partitions):
+    """All granularities of a rig: "joints", and the names of its partitions."""
+    return ["joints", *(name for name in partitions if name != "joints")]
 
 
 def check_partition(argument, granularity, partitions):
-    """The names of all partitions of a rig, "joints" first; InputError about ``argument`` where it is none of them."""
-    known = ["joints", *(name for name in partitions if name != "joints")]
+    """Raise InputError about ``argument`` where a rig with these partitions has no such granularity."""
+    known = partition_names(partitions)
     if granularity not in known:
         remedy = did_you_mean(granularity, known) or "Name further partitions in the rig's card, in [parts.NAME]."
         raise InputError(argument, repr(granularity), f"one of {', '.join(known)}", remedy)
-    return known
 
 
 def parts_of_joints(rig):

@@ -105,7 +105,7 @@ _PROTOCOL = """\
   nearest point of scan B, as the paper does.
 - Size "{size}": the paper learns from 1,500 hands and 23,000 bodies and tests on 300 and 2,300{more}.
 """
-# Of all sizes but that.
+# Of all sizes but "paper".
 _PAPERS_SIZE = "; `--size paper` is\n  there for that, and has not been run"
 
 
