@@ -59,7 +59,7 @@ def test_training_says_a_line_a_minute(capsys):
         now[0] += 0.6 * SILENCE
     progress.close()
     first, *lines = capsys.readouterr().out.splitlines()
-    assert first == "training the segmenter on synthetic scans of the rig; it is kept for the next time"
+    assert first == "training the segmenter on synthetic scans of the rig, once for a rig and its settings"
     assert lines == [f"{first}: 25%, about 4 min left of this step"]  # 72 s for a quarter
 
 

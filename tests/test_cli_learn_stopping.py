@@ -338,6 +338,28 @@ def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, 
     monkeypatch.setattr(stopped_learning, "_SHORT", 10**4)
     words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)
     assert f"lbsfit fit m.npz {shlex.join([scans[0], scans[3]])} -o new" in words
+    files[0].mesh.unlink()
+    entries = {files[3].name: outputs.unfitted_entry(files[3], "empty")}  # which no command makes better
+    words = results_so_far(fitter, "m.npz", files, entries, ["a", "carl", "dora", "b"], values)
+    assert f"lbsfit fit m.npz {shlex.join([scans[0]])} -o new" in words and words.endswith("skip")
+
+
+@pytest.mark.parametrize("letters, named", [(200, True), (201, False)])
+def test_the_rest_is_named_where_that_is_short(letters, named, tube_model, tmp_path):
+    fitter, values = lbs.LBSFitter.load(tube_model[0]), {"results": "new", **_AS_IT_IS}
+    files = [outputs.ScanFiles("s" * letters, "s", *(tmp_path / what for what in ("fit", "mesh", "labels")))]
+    words = results_so_far(fitter, "m.npz", files, {}, None, values)
+    assert ("s" * letters in words, "SCAN..." in words) == (named, not named)
+
+
+@pytest.mark.parametrize("error", [ValueError, KeyboardInterrupt])
+def test_the_summary_is_written_whatever_becomes_of_the_rest(error, tubes, tmp_path, run, monkeypatch):
+    def fails(*given):
+        raise error
+
+    monkeypatch.setattr(learn, "_settle_the_rest", fails)
+    _stopped_among_results(run, tubes, tmp_path, 2, monkeypatch)
+    assert json.loads((tmp_path / "fi ts" / "summary.json").read_text())["not_done"] == ["t2", "t3"]
 
 
 def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path, run):

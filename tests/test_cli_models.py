@@ -69,12 +69,23 @@ def test_fit_with_a_table_of_subjects(learned_hands, hands, tmp_path, run):
     assert code == 2 and "ben1.fit.npz, a fit with this model as 'ben'; expected fits with" in one_line(err)
 
 
-@pytest.mark.parametrize("command", ["learn", "fit"])
-def test_a_table_of_subjects_among_the_scans(command, tubes, tmp_path, run):
-    (tmp_path / "who.csv").write_text("t0.ply,anna\nt1.ply,ben\n")
-    scans = (*sorted(tubes.glob("t*.ply")), tmp_path / "who.csv")
-    code, _, err = run(command, tubes / "tube.npz", *scans, "-o", tmp_path / "new.npz")
-    assert code == 2 and "SCAN: got " in one_line(err) and f"Give it as --subjects {tmp_path / 'who.csv'}." in err
+@pytest.mark.parametrize(
+    "command, given, remedy",
+    [
+        ("learn", False, "Give it as --subjects {}."),
+        ("learn", True, "Leave it out of the scans: --subjects is given."),
+        ("fit", False, "Leave it out of the scans."),  # a rig has no subjects
+        ("fit a model", False, "Give it as --subjects {}."),
+        ("fit a model", True, "Leave it out of the scans."),
+    ],
+)
+def test_a_table_of_subjects_among_the_scans(command, given, remedy, tube_model, tubes, tmp_path, run):
+    who = tmp_path / "who.csv"
+    who.write_text("t0.ply,anna\nt1.ply,ben\n")
+    rig = tube_model[0] if "model" in command else tubes / "tube.npz"
+    options = ("-o", tmp_path / "new.npz", *(("--subjects", who) if given else ()))
+    code, _, err = run(command.split()[0], rig, *sorted(tubes.glob("t*.ply")), who, *options)
+    assert code == 2 and "SCAN: got " in one_line(err) and one_line(err).endswith(remedy.format(who))
     assert not (tmp_path / "new.npz").exists()
 
 
@@ -218,7 +229,7 @@ def test_skip_does_not_take_fits_made_with_something_else(change, tube_model, tu
         fitter.template_[0] = template.with_template(1.01 * template.vertices, template.joints)
         fitter.save(tmp_path / "other.npz")
         model = tmp_path / "other.npz"
-        words = "with another model; expected fits with this model"
+        words = "with another model; expected fits with this model and subject. Choose another folder"
         _copied(results, "t0.*", tmp_path)
     elif change == "a rig":
         model, words = tubes / "tube.npz", "with a learned model; expected fits with rig 'tube' alone"

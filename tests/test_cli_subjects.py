@@ -115,27 +115,41 @@ def test_bad_tables_of_subjects(name, content, words, tmp_path):
     assert message.startswith(f"{tmp_path / name}: got ") and all(word in message for word in words), message
 
 
+_MANY = "".join(f"{name},Zoë\n" for name in ("a1", "a2", "b 1")) * 200  # longer than what is looked at, cut in a letter
+
+
 @pytest.mark.parametrize(
     "name, content",
     [
         ("who.csv", "scan,subject\na1.ply,anna\n"),
-        ("who.txt", "# whose they are\n\na1;anna\n"),
+        ("who.csv", "\ufeffa1.ply,anna"),
+        ("who.csv", "scan,subject,,\na1,anna,,\n"),
+        ("who.csv", "anna,a1\nben,b 1\n"),  # which is told so when it is read as a table
+        ("who.txt", "# whose they are\n" * 30 + "\na1;anna\n"),
+        ("who.txt", "a1 anna\na2.ply  ben\n"),
         ("who.csv", "\"b 1.xyz\"\tben\n"),
         ("who.toml", "'a2.ply' = 'anna'\n"),
+        *((f"who{k}.csv", "é" * k + "\n" + _MANY) for k in (1, 2)),
     ],
 )
 def test_a_table_among_the_scans_is_told_from_them(name, content, tmp_path):
     table = tmp_path / name
-    table.write_text(content)
-    with pytest.raises(InputError, match=f"SCAN: got .*{name}, a table that names other scans; .*Give it as --subjects .*{name}"):
-        check_no_table([*SCANS, str(table)])
+    table.write_text(content, encoding="utf-8")
+    with pytest.raises(InputError, match=f"SCAN: got .*{name}, a table that names other scans; expected scans. It is .*{name}"):
+        check_no_table([*SCANS, str(table)], "It is {}.")
 
 
-@pytest.mark.parametrize("content", ["1,2,3\n4,5,6\n", "a1,2,3\n", "x,y\n1,2\n", "1 2\n", "", "\udcff"])
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("1,2,3\n4,5,6\n", "a1,2,3\n", "1 2 3\n", "", "\udcff", "# a1,anna\n"),
+        *("2,\n1,2,3\n4,5,6\n", "a1,scanned\nx,y,z\n1,2,3\n"),  # titles
+    ],
+)
 def test_clouds_are_no_tables_of_subjects(content, tmp_path):
     cloud = tmp_path / "1.csv"
     cloud.write_bytes(content.encode("utf-8", "surrogateescape"))
-    check_no_table([*SCANS, str(tmp_path / "2.csv"), str(cloud)])
+    check_no_table([*SCANS, str(tmp_path / "2.csv"), str(cloud)], "")
 
 
 def test_columns_that_are_exchanged(tmp_path):

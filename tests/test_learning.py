@@ -233,6 +233,7 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, tu
     (m,) = collected(tube_rig, [few_scans[0].points], held_out=0).members
     theta, proba, half = np.full((4, 3), 0.1), np.full((len(m.rows), 4), 0.25), tube_rig.size / 2
     m.state, m.own, m.proba = "as it is", (2.54, theta, proba), np.zeros((len(m.rows), 4))
+    m.ratio, m.prior = 2.6, ("neighbours", 1e-5)
     m.use_frame(1.0, half)
     as_it_is, asked = m.problem, []
 
@@ -256,6 +257,9 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, tu
     assert (best.state, best.unit, best.frame.unit) == (("anew", 2.54, 2.54 * half) if wins else ("gone on", 1.0, half))
     assert best.problem is (own if wins else as_it_is) and best.proba is (proba if wins else m.proba)
     assert m.state == "as it is" and m.unit == 1.0
+    doubt = "it has 2.6 times the scale of its subject's others: in another unit, or somebody else's?"
+    assert best.doubt == (doubt if wins else "")
+    assert best.prior == (None if wins else m.prior)
 
 
 def test_figures_of_a_round_are_means_of_roots():

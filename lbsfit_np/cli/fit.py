@@ -217,7 +217,8 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     read = [rig_path, values["segmenter"], values["subjects"], values["card"] if values["card"] != "none" else None, *inputs]
     names = {"existing": values["existing"], "pictures": values["pictures"], "may_skip": True}
     outputs.check_sources(scans)
-    check_no_table(scans)
+    a_model = is_model(rig_path) and values["subjects"] is None
+    check_no_table(scans, "Give it as --subjects {}." if a_model else "Leave it out of the scans.")
     values = dict(values)  # a model changes some
     fitter, model = _fitter(rig_path, values, given)
     subjects = [None] * len(scans) if model is None else subjects_of(fitter, values, scans)
@@ -378,7 +379,8 @@ class _MadeWith:
         else:
             words = "with another model"
             if digest == self.anybody:
-                words = f"with this model where no subject was named; it got the template of {result.subject!r}"
+                got = f"it got the template of {result.subject!r}" if result.subject else "it is of none of its subjects"
+                words = f"with this model where no subject was named; {got}"
             for subject, learned in self.learned.items():
                 if digest in (learned, self.named(subject)):
                     words = f"with this model as {str(subject)!r}"

@@ -198,7 +198,8 @@ def _checked(rig_path, scans, values, inputs):
     card = values["card"] if values["card"] != "none" else None
     others = [p for p in (rig_path, card, values["subjects"], *inputs) if p]
     outputs.check_sources(scans)
-    check_no_table(scans)
+    given = values["subjects"] is not None
+    check_no_table(scans, "Leave it out of the scans: --subjects is given." if given else "Give it as --subjects {}.")
     _check_twice(scans)
     outputs.check_file(model, inputs=[(path, f"an input ({path})") for path in (*scans, *others)], existing=existing)
     if model.is_file() and not _was_model(model):

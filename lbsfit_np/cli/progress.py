@@ -10,7 +10,7 @@ __all__ = ["SILENCE", "LearningProgress", "Progress", "counted", "of_all", "perc
 
 # What the stages of LBSFitter.fit do, in words; others are called by their names.
 _STAGES = {
-    "pretraining": "training the segmenter on synthetic scans of the rig; it is kept for the next time",
+    "pretraining": "training the segmenter on synthetic scans of the rig, once for a rig and its settings",
     "first fits": "fitting each scan by itself",
     "templates": "templates of the subjects",
     "segmenter": "training the segmenter on scans like these",

@@ -43,7 +43,7 @@ def results_so_far(fitter, model, files, entries, subjects, values):
 
     ``subjects`` as for :func:`stopped_early`.
     """
-    left = [f for f in files if f.name not in entries]
+    left, useless = [f for f in files if f.name not in entries], {e["name"] for e in entries.values() if "files" not in e}
     words = f", {of_all(written_of(entries), len(files), 'result')} in {values['results']}"
     if not left:
         return words
@@ -51,7 +51,8 @@ def results_so_far(fitter, model, files, entries, subjects, values):
     anew = not all(is_result_of(fitter, f) for f in there)  # which --existing skip would refuse, or keep though they are others
     unknown = _strangers(fitter, subjects)
     known = [f for f, s in zip(files, subjects or [None] * len(files), strict=True) if s not in unknown]
-    command = _to_fit(model, values, "replace" if anew else "skip", [f for f in known if f in left] if anew else known)
+    known = [f for f in known if f in left or (not anew and f.name not in useless)]
+    command = _to_fit(model, values, "replace" if anew else "skip", known)
     alone = " alone, where files of an earlier run are" if anew else ""
     return f"{words}; the rest{alone}{_but_for_strangers(fitter, subjects)}: {command}"
 

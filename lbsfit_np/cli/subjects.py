@@ -25,8 +25,8 @@ _HEADINGS = {"scan", "scans", "file", "filename", "file name", "name", "path"}
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}
 _ONE = {"\t": "a tab", ";": "a semicolon", ",": "a comma", None: "a comma in all lines, or a blank,"}
 _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
-# Of what may be a table: a heading, comments, and names of scans that are not among these.
-_FIRST_LINES = 20
+# What is looked at of a scan that may be a table, and of scans that a table lacks.
+_FIRST_BYTES, _FIRST_MISSING = 4096, 20
 _FILE_FIRST = "The columns seem to be exchanged: put the file name first, the id after it."
 
 
@@ -97,26 +97,40 @@ def read_subjects(path, scans, *, others=False, known=None):
     return [ids[i] for i in range(len(scans))]
 
 
-def check_no_table(scans):
-    """Raise where one of the scans is a table that says whose the others are: learning from the others would take its time."""
+def check_no_table(scans, remedy):
+    """Raise where one of the scans is a table that says whose the others are: the others would be worked at for long.
+
+    ``remedy`` : what to do with it, with "{}" for the file. Clouds have three columns, and names of scans in none of them.
+    """
     names = _Names(scans)
     for i, scan in enumerate(scans):
         try:
             with open(scan, "rb") as f:
-                lines = f.read(4096).decode("utf-8-sig").splitlines()[:_FIRST_LINES]
-        except (OSError, ValueError):
+                start = f.read(_FIRST_BYTES)
+        except OSError:
             continue
-        pairs = [re.split("[\t;,=]", line) for line in lines if not line.startswith("#")]
-        if any(len(pair) == 2 and set(names.of(pair[0].strip(" \"'"))) - {i} for pair in pairs):
-            remedy = f"Give it as --subjects {shlex.quote(scan)}."
-            raise InputError("SCAN", f"{scan}, a table that names other scans", "scans", remedy)
+        lines = start.decode("utf-8-sig", errors="replace").splitlines()[: -1 if len(start) == _FIRST_BYTES else None]
+        lines = [line.strip() for line in lines if line.strip() and not line.lstrip().startswith("#")]
+        pairs = [pair for pair in map(_pair, lines) if any(set(names.of(cell)) - {i} for cell in pair)]
+        if 2 * len(pairs) >= len(lines) > 0:
+            raise InputError("SCAN", f"{scan}, a table that names other scans", "scans", remedy.format(shlex.quote(scan)))
+
+
+def _pair(line):
+    """The two columns of a line of a table, or of TOML; none where it has another number."""
+    cells = re.split("[\t;,=]", line) if re.search("[\t;,=]", line) else line.rsplit(None, 1)
+    while len(cells) > 2 and not cells[-1]:
+        cells.pop()
+    return [cell.strip(" \"'") for cell in cells] if len(cells) == 2 else []
 
 
 def _likeness(missing, passed):
     """What a name that is no scan may mean, of those that are missing: the first such one, in a list; else none."""
-    for scan in missing:
-        # Scans of a series differ in their numbers alone, and none of them stands for another.
-        alike = {name.casefold(): (name, line) for line, name, _ in passed if _numbers(name) == _numbers(scan)}
+    by_numbers = {}  # scans of a series differ in their numbers alone, and none of them stands for another
+    for line, name, _ in passed:
+        by_numbers.setdefault(_numbers(name), {}).setdefault(name.casefold(), (name, line))
+    for scan in missing[:_FIRST_MISSING]:
+        alike = by_numbers.get(_numbers(scan), {})
         for given in (Path(scan).stem, Path(scan).name, scan):
             if close := get_close_matches(given.casefold(), alike, n=1):
                 name, line = alike[close[0]]
@@ -126,7 +140,7 @@ def _likeness(missing, passed):
 
 
 def _numbers(name):
-    return [int(digits) for digits in re.findall("[0-9]+", Path(name).stem)]
+    return tuple(map(int, re.findall("[0-9]+", Path(name).stem)))
 
 
 class _Names:

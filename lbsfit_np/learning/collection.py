@@ -70,6 +70,8 @@ class Member:
         What its result says first.
     apart : bool
         Neither learned from nor asked when to stop: it is in another unit than its subject's others, or its first fit is wrong.
+    ratio : float
+        The scale of its first fit to that of its subject's others; 1 where it is alone, or where scales are fixed.
     own : (float, (J, 3) array, (k, n_parts) array or None) or None
         Where its unit is in doubt, the unit, angles and probabilities of the parts that its first fit found.
     """
@@ -89,6 +91,7 @@ class Member:
     prior: tuple = None
     doubt: str = ""
     apart: bool = False
+    ratio: float = 1.0
     own: tuple = None
 
     @property
@@ -337,12 +340,13 @@ def odd_ones(sizes, most):
 
 
 def check_scales(members, scales):
-    """Set scans apart whose first fits have another scale than their subject's others: extents hide a small factor between units.
+    """Compare first fits' scales; set scans apart that have another than their subject's others: extents hide a small factor.
 
     Parameters
     ----------
     members : list of Member
-        Of one subject; those apart get their ``doubt``, too. Of two either may be the odd one, and both are learned from.
+        Of one subject; they get their ``ratio``, those apart their ``doubt``, too. Of two either may be the odd one, and both are
+        learned from.
     scales : (n,) array
         Scan units in a rig unit that the first fits found.
 
@@ -352,13 +356,14 @@ def check_scales(members, scales):
         Too many for single wrong fits: the scans are in two units.
     """
     scales = np.asarray(scales)
+    for i, m in enumerate(members if len(members) > 1 else ()):
+        m.ratio = float(scales[i] / np.median(np.delete(scales, i)))
     odd = odd_ones(scales, _ONE_SCALE)
     two = len(odd) > 0 and len(scales) == 2
     doubted = np.arange(2) if two else odd
     others = any(m.role == LEARNED_FROM for i, m in enumerate(members) if i not in odd)
     for i in doubted:
-        ratio = scales[i] / np.median(np.delete(scales, i))
-        members[i].doubt = f"its first fit had {ratio:.3g} times the scale of its subject's others: in another unit? "
+        members[i].doubt = f"its first fit had {members[i].ratio:.3g} times the scale of its subject's others: in another unit? "
         members[i].doubt += "Convert it and learn again"
         members[i].apart = others and not two
     if len(odd) > max(1, 0.2 * len(scales)):  # a few may just be wrong

@@ -82,8 +82,9 @@ def _in_its_unit(m, fit):
     best, state, _, _ = min(found, key=lambda f: f[2] * f[0].frame.unit**2)  # values go by the square of the frame's unit
     doubt = m.doubt
     if best is own and not doubt:
-        doubt = f"it has {unit / m.unit:.3g} times the scale of its subject's others: in another unit, or somebody else's?"
-    return replace(best, state=state, doubt=doubt)
+        doubt = f"it has {m.ratio:.3g} times the scale of its subject's others: in another unit, or somebody else's?"
+    # Neighbours' poses were found in the subject's unit.
+    return replace(best, state=state, doubt=doubt, prior=None if best is own else m.prior)
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):

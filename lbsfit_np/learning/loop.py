@@ -220,9 +220,8 @@ class Loop:
             c[: self.model.n_coefficients] = size - 1.0
             self.coefficients[subject] = c
             for m in self.collection.of(subject):
-                own = m.state.scale * m.unit / size
-                if m.doubt or not same_size(own, unit):
-                    m.own = own, m.state.theta, m.proba
+                if m.doubt or not same_size(m.ratio, 1.0):
+                    m.own = m.state.scale * m.unit / size, m.state.theta, m.proba
                 if m.doubt:
                     warnings.warn(f"scan {m.name}: {m.doubt}; {m.role}", stacklevel=2)
                 ratio = unit / m.unit

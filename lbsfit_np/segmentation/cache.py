@@ -16,7 +16,7 @@ __all__ = ["RECIPE", "cache_folder", "cached"]
 # of the code has cached is then never taken for this one's.
 RECIPE = 1
 
-_MEMORY = {}
+_MEMORY, _WARNED_OF = {}, set()
 
 
 def cache_folder():
@@ -57,8 +57,10 @@ def cached(kind, key, train, load):
             trained.save(path)
         except (OSError, FileError) as error:
             why = error.got if isinstance(error, FileError) else error.strerror or in_words(error)
-            words = f"what was trained cannot be kept in {path.parent} ({why}), and is trained again the next time"
-            warnings.warn(f"{words}; LBSFIT_CACHE can name another folder", stacklevel=2)
+            if path.parent not in _WARNED_OF:
+                words = f"what was trained cannot be kept in {path.parent} ({why}), and is trained again the next time"
+                warnings.warn(f"{words}; LBSFIT_CACHE can name another folder", stacklevel=2)
+            _WARNED_OF.add(path.parent)
     _MEMORY[name] = trained
     return trained
 
