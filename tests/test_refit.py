@@ -153,6 +153,34 @@ def test_the_right_start_among_bad_ones_wins(model, refit, case):
     assert which == 0
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_a_pose_that_was_known_is_not_lost_to_one_that_looks_better_on_few_points(known, model, case, monkeypatch):
+    refit = Refit(model)
+    monkeypatch.setattr(refit, "race", lambda runners: [Runner(case.problem, case.swap, "swap", 0.001)])
+    states = [case.truth] if known else []
+    state, value, which = refit(case.problem, states, poses=[case.swap.theta])
+    assert (case.error(model, state) < 0.02) == known and which == (0 if known else "swap")
+    assert value == pytest.approx(refit._chamfer(case.problem, state))
+
+
+@pytest.mark.parametrize("more, looked_at", [(1.25, True), (1.35, False)])
+def test_of_poses_that_are_close_on_few_points_all_decide(more, looked_at, model, case, monkeypatch):
+    refit = Refit(model)
+    ends = [Runner(case.problem, case.swap, "swap", 0.001), Runner(case.problem, case.truth, "truth", more * 0.001)]
+    monkeypatch.setattr(refit, "race", lambda runners: ends)
+    assert refit(case.problem, poses=[case.swap.theta])[2] == ("truth" if looked_at else "swap")
+
+
+def test_ends_in_one_pose_go_on_once(model, case, monkeypatch):
+    refit, went_on = Refit(model), []
+    nearly = case.swap.replace(translation=case.swap.translation + 0.001)
+    ends = [Runner(case.problem, s, k, 0.001 + 1e-5 * k) for k, s in enumerate((case.swap, nearly, case.truth))]
+    monkeypatch.setattr(refit, "race", lambda runners: ends)
+    monkeypatch.setattr(refit, "_moved", lambda steps, problem, r, iterations=None: went_on.append(r.name) or r)
+    refit(case.problem, poses=[case.swap.theta])
+    assert went_on == [0, 2]
+
+
 def test_the_last_steps_have_the_last_word(model, case, monkeypatch):
     """The first steps' best start goes astray in the last ones: the other wins, and goes on with all points."""
     refit = Refit(model)

@@ -32,6 +32,9 @@ _DOUBT = 0.8
 _FEW, _FAR, _FAR_VERTICES, _FAR_STEPS = 400, 0.2, 300, 6
 _MORE, _NEAR, _NEAR_VERTICES, _NEAR_STEPS, _NEAR_ENOUGH = 900, 0.05, 600, 10, 1e-3
 _SURVIVORS = 3
+# Those go on with all points that leave at most so many times as much unexplained as the best, and whose joints are on the mean
+# further from it than this, half sizes.
+_CLOSE, _ALIKE = 1.3, 0.005
 # Limbs are tried again where that has left less than this share unexplained.
 _HELPED = 0.99
 
@@ -127,10 +130,12 @@ class Refit:
             return state, self._chamfer(problem, state), 0
         if proba is not None:
             starts.append(self.from_parts(problem, proba, False))
-        runners = self.race([Runner(problem, s, k) for k, s in enumerate(starts)])
-        best = (runners if limbs is None else self.with_other_limbs(runners, limbs))[0]
-        state = self.polish(problem, best.state)
-        return state, self._chamfer(problem, state), best.name
+        runners = [Runner(problem, s, k) for k, s in enumerate(starts)]
+        ends = self.race(runners)
+        ends = self._close(ends if limbs is None else self.with_other_limbs(ends, limbs))
+        # On few points a wrong pose may look as good; a pose that was known is not lost to one that looks better there.
+        best = min((self._moved(self._last, problem, r) for r in [*ends, *runners[: len(states)]]), key=lambda r: r.value)
+        return best.state, self._chamfer(problem, best.state), best.name
 
     def race(self, runners, survivors=_SURVIVORS):
         """All starts a few steps, the best of them to the end.
@@ -225,8 +230,19 @@ class Refit:
             state = go(state, _BOTH, refined_labels(X, proba, V, model.labels, sigma, doubt=_DOUBT), 30)
         return state
 
-    def _moved(self, steps, problem, runner, iterations):
-        state, value = steps.pose(problem, runner.state, free=self.free, iterations=iterations)
+    def _close(self, runners):
+        """Those, the best first, that leave not much more unexplained than the best, and have come to another pose than it."""
+        out, joints = [], []
+        for r in runners:
+            own = self.model.deformed(r.state).joints
+            if r.value <= _CLOSE * runners[0].value and all(np.linalg.norm(own - j, axis=1).mean() > _ALIKE for j in joints):
+                out.append(r)
+                joints.append(own)
+        return out
+
+    def _moved(self, steps, problem, runner, iterations=None):
+        more = {} if iterations is None else {"iterations": iterations}
+        state, value = steps.pose(problem, runner.state, free=self.free, **more)
         return Runner(runner.problem, state, runner.name, value)
 
     def _chamfer(self, problem, state):
