@@ -436,9 +436,12 @@ def _without_fit(reading, i, files, result):
 
 def _settle_the_rest(fitter, reading, files, entries):
     """Entries, after a stop, of the scans left that have no fit, and of the first one where its files were written already."""
+    from ..learning.archive import learned_digests
+
+    learned = set(learned_digests(fitter).values())
     left = [(i, f, result) for i, (f, result) in enumerate(zip(files, fitter.results_, strict=True)) if f.name not in entries]
     for i, f, result in left:
         if entry := _without_fit(reading, i, f, result):
             entries[f.name] = entry
-        elif i == left[0][0] and is_result_of(fitter, f):
+        elif i == left[0][0] and is_result_of(learned, f):
             entries[f.name] = outputs.fitted_entry(f, result, notes=reading.scans[i].notes)

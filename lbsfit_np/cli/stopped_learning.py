@@ -43,12 +43,15 @@ def results_so_far(fitter, model, files, entries, subjects, values):
 
     ``subjects`` as for :func:`stopped_early`.
     """
+    from ..learning.archive import learned_digests
+
     left, useless = [f for f in files if f.name not in entries], {e["name"] for e in entries.values() if "files" not in e}
     words = f", {of_all(written_of(entries), len(files), 'result')} in {values['results']}"
     if not left:
         return words
     there = [f for f in left if any(os.path.lexists(path) for path in (f.fit, f.mesh, f.labels))]
-    anew = not all(is_result_of(fitter, f) for f in there)  # which --existing skip would refuse, or keep though they are others
+    learned = set(learned_digests(fitter).values())
+    anew = not all(is_result_of(learned, f) for f in there)  # which --existing skip would refuse, or keep though they are others
     unknown = _strangers(fitter, subjects)
     known = [f for f, s in zip(files, subjects or [None] * len(files), strict=True) if s not in unknown]
     known = [f for f in known if f in left or (not anew and f.name not in useless)]
@@ -68,14 +71,13 @@ def _but_for_strangers(fitter, subjects):
     return f", but for those of {strangers}, of whom nothing was learned" if strangers else ""
 
 
-def is_result_of(fitter, files):
-    """Whether all files of a scan are there but for a picture, and its fit is one that ``--existing skip`` keeps."""
+def is_result_of(learned, files):
+    """Whether all files of a scan are there but for a picture, and its fit has one of the digests that learning's own have."""
     from ..fitting.result import FitResult
-    from ..learning.archive import learned_digests
 
     try:
         there = files.mesh.is_file() and files.labels.is_file()
-        return there and FitResult.load(files.fit).model_digest in learned_digests(fitter).values()
+        return there and FitResult.load(files.fit).model_digest in learned
     except FileError:
         return False
 

@@ -18,7 +18,7 @@ from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
 from .labels import refined_labels
 
-__all__ = ["LimbSearch", "Refit", "Runner", "thinned"]
+__all__ = ["LimbSearch", "Refit", "Runner", "distinct", "thinned"]
 
 _PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
 _BOTH = LossWeights(chamfer=1.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
@@ -157,7 +157,7 @@ class Refit:
         few, out = {}, []
         for r in runners:
             problem = few.setdefault(id(r.problem), thinned(r.problem, _FEW))
-            out.append(self._moved(self._far, problem, r, _FAR_STEPS))
+            out.append(self._moved(self._far, problem, r, iterations=_FAR_STEPS))
         return sorted(out, key=lambda r: r.value)
 
     def last_steps(self, runners):
@@ -165,7 +165,7 @@ class Refit:
         more, out = {}, []
         for r in runners:
             problem = more.setdefault(id(r.problem), thinned(r.problem, _MORE))
-            out.append(self._moved(self._near, problem, r, _NEAR_STEPS))
+            out.append(self._moved(self._near, problem, r, iterations=_NEAR_STEPS))
         return sorted(out, key=lambda r: r.value)
 
     def with_other_limbs(self, runners, limbs):
@@ -231,18 +231,12 @@ class Refit:
         return state
 
     def _close(self, runners):
-        """Those, the best first, that leave not much more unexplained than the best, and have come to another pose than it."""
-        out, joints = [], []
-        for r in runners:
-            own = self.model.deformed(r.state).joints
-            if r.value <= _CLOSE * runners[0].value and all(np.linalg.norm(own - j, axis=1).mean() > _ALIKE for j in joints):
-                out.append(r)
-                joints.append(own)
-        return out
+        """Those, the best first, that leave not much more unexplained than the best, each pose once."""
+        near = [r for r in runners if r.value <= _CLOSE * runners[0].value]
+        return distinct(near, lambda r: self.model.deformed(r.state).joints, lambda r: _ALIKE)
 
-    def _moved(self, steps, problem, runner, iterations=None):
-        more = {} if iterations is None else {"iterations": iterations}
-        state, value = steps.pose(problem, runner.state, free=self.free, **more)
+    def _moved(self, steps, problem, runner, **options):
+        state, value = steps.pose(problem, runner.state, free=self.free, **options)
         return Runner(runner.problem, state, runner.name, value)
 
     def _chamfer(self, problem, state):
@@ -255,6 +249,27 @@ class Refit:
 
 def _centroid(problem):
     return problem.X.mean(axis=0) if problem.x_weights is None else problem.x_weights @ problem.X
+
+
+def distinct(runners, joints, alike):
+    """Those of runners that have come to another pose than all before them.
+
+    Parameters
+    ----------
+    runners : list of Runner
+        The best first.
+    joints : callable (Runner) → (J, 3) array
+        Where its pose has the joints, the same frame for all.
+    alike : callable (Runner) → float
+        How far joints are apart, on the mean, in poses that are one.
+    """
+    out, known = [], []
+    for r in runners:
+        own = joints(r)
+        if all(np.linalg.norm(own - other, axis=1).mean() > alike(r) for other in known):
+            out.append(r)
+            known.append(own)
+    return out
 
 
 def thinned(problem, most):

@@ -21,7 +21,7 @@ from ..starts.limbs import LimbPoses
 from ..starts.turns import any_side_up
 from .bends import Bends
 from .confidence import evidence_of, probability_of
-from .refit import LimbSearch, Refit, Runner, thinned
+from .refit import LimbSearch, Refit, Runner, distinct, thinned
 
 __all__ = ["EFFORTS", "Effort", "Found", "Scout"]
 
@@ -235,14 +235,7 @@ class Scout:
         return out
 
     def _distinct(self, runners):
-        """Those of runners, best first, that have come to another pose than all before them."""
-        out, joints = [], []
-        for r in runners:
-            own = self._joints(r)
-            if all(np.linalg.norm(own - j, axis=1).mean() > _ALIKE * r.name.unit for j in joints):
-                out.append(r)
-                joints.append(own)
-        return out
+        return distinct(runners, self._joints, lambda r: _ALIKE * r.name.unit)
 
     def _facings(self, runners):
         """Frames under which labels are read: the best runner's, its half turns, and those of others that face elsewhere."""
