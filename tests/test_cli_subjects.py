@@ -142,7 +142,7 @@ def test_a_table_among_the_scans_is_told_from_them(name, content, tmp_path):
 @pytest.mark.parametrize(
     "content",
     [
-        *("1,2,3\n4,5,6\n", "a1,2,3\n", "1 2 3\n", "", "\udcff", "# a1,anna\n"),
+        *("1,2,3\n4,5,6\n", "a1,2,3\n", "1 2 3\n", "0.1 0.2 0.3 2\n", "0.1 0.2 a1\n", "", "\udcff", "# a1,anna\n"),
         *("2,\n1,2,3\n4,5,6\n", "a1,scanned\nx,y,z\n1,2,3\n"),  # titles
     ],
 )

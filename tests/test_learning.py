@@ -233,7 +233,8 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, tu
     (m,) = collected(tube_rig, [few_scans[0].points], held_out=0).members
     theta, proba, half = np.full((4, 3), 0.1), np.full((len(m.rows), 4), 0.25), tube_rig.size / 2
     m.state, m.own, m.proba = "as it is", (2.54, theta, proba), np.zeros((len(m.rows), 4))
-    m.ratio, m.prior = 2.6, ("neighbours", 1e-5)
+    m.prior = "neighbours", 1e-5
+    anew, as_is = SimpleNamespace(name="anew", scale=1.1), SimpleNamespace(name="gone on", scale=1.0)
     m.use_frame(1.0, half)
     as_it_is, asked = m.problem, []
 
@@ -246,20 +247,23 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, tu
             return (*self.answer, 0)
 
         def freeing(self, free):
-            return Fake(free, "anew", value)
+            return Fake(free, anew, value)
 
-    best = finish._in_its_unit(m, SimpleNamespace(model=SimpleNamespace(half=half), refit=Fake("own", "gone on", 0.02)))
+    best = finish._in_its_unit(m, SimpleNamespace(model=SimpleNamespace(half=half), refit=Fake("own", as_is, 0.02)))
     (free, problem, states, poses, given), (freed, own, no_states, angles, parts) = asked
     assert (free, states, poses) == ("own", ["as it is"], []) and problem is as_it_is and given is m.proba
     assert set(freed) == {"pose", "translation", "scale"} and no_states == [] and angles[0] is theta and parts is proba
     np.testing.assert_allclose(own.X, as_it_is.X / 2.54)
     # 0.01 squared half sizes of its own unit are 0.0645 of the subject's.
-    assert (best.state, best.unit, best.frame.unit) == (("anew", 2.54, 2.54 * half) if wins else ("gone on", 1.0, half))
+    assert (best.state, best.unit, best.frame.unit) == ((anew, 2.54, 2.54 * half) if wins else (as_is, 1.0, half))
     assert best.problem is (own if wins else as_it_is) and best.proba is (proba if wins else m.proba)
     assert m.state == "as it is" and m.unit == 1.0
-    doubt = "it has 2.6 times the scale of its subject's others: in another unit, or somebody else's?"
+    doubt = "it has 2.79 times the scale of its subject's others: in another unit, or somebody else's?"
     assert best.doubt == (doubt if wins else "")
     assert best.prior == (None if wins else m.prior)
+    anew.scale = 1.2 / 2.54  # of its subject's size after all: then only its first fit was wrong
+    again = finish._in_its_unit(m, SimpleNamespace(model=SimpleNamespace(half=half), refit=Fake("own", as_is, 0.02)))
+    assert (again.state, again.unit, again.doubt, again.prior) == (as_is, 1.0, "", m.prior)
 
 
 def test_figures_of_a_round_are_means_of_roots():

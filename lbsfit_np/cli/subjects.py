@@ -118,7 +118,7 @@ def check_no_table(scans, remedy):
 
 def _pair(line):
     """The two columns of a line of a table, or of TOML; none where it has another number."""
-    cells = re.split("[\t;,=]", line) if re.search("[\t;,=]", line) else line.rsplit(None, 1)
+    cells = re.split("[\t;,=]", line) if re.search("[\t;,=]", line) else line.split()
     while len(cells) > 2 and not cells[-1]:
         cells.pop()
     return [cell.strip(" \"'") for cell in cells] if len(cells) == 2 else []

@@ -80,9 +80,11 @@ def _in_its_unit(m, fit):
     anew = fit.refit.freeing(("pose", "translation", "scale"))
     found = [(m, *fit.refit(m.problem, [m.state], proba=m.proba)), (own, *anew(own.problem, poses=[theta], proba=proba))]
     best, state, _, _ = min(found, key=lambda f: f[2] * f[0].frame.unit**2)  # values go by the square of the frame's unit
-    doubt = m.doubt
+    doubt, ratio = m.doubt, state.scale * best.unit / m.unit
     if best is own and not doubt:
-        doubt = f"it has {m.ratio:.3g} times the scale of its subject's others: in another unit, or somebody else's?"
+        if same_size(ratio, 1.0):  # only its first fit was wrong; scale is free in this one alone, which wins by that
+            return replace(m, state=found[0][1])
+        doubt = f"it has {ratio:.3g} times the scale of its subject's others: in another unit, or somebody else's?"
     # Neighbours' poses were found in the subject's unit.
     return replace(best, state=state, doubt=doubt, prior=None if best is own else m.prior)
 
