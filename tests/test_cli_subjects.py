@@ -153,9 +153,10 @@ def test_clouds_are_no_tables_of_subjects(content, tmp_path):
 
 
 def test_columns_that_are_exchanged(tmp_path):
-    (tmp_path / "who.csv").write_text("anna,a1\n")
-    with pytest.raises(FileError, match="'anna' in line 1, which is none .* The columns seem to be exchanged: put the file name"):
-        read_subjects(tmp_path / "who.csv", SCANS)
+    for content in ("anna,a1\n", "anna,a1\na2,anna\n", "subject,scan\nanna,a1\n"):
+        (tmp_path / "who.csv").write_text(content)
+        with pytest.raises(FileError, match=" in line 1, which is none .* The columns seem to be exchanged: put the file name"):
+            read_subjects(tmp_path / "who.csv", SCANS)
 
 
 def test_accents_in_either_way_of_writing_them(tmp_path):

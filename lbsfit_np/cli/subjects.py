@@ -67,7 +67,8 @@ def read_subjects(path, scans, *, others=False, known=None):
         if not found:
             named = {i for _, other, _ in rows for i in names.of(other)}
             remedy = did_you_mean(name, names.without(named)) or "Leave out scans that are not given to this command."
-            remedy = _FILE_FIRST if names.of(subject) else remedy
+            headed = not named and any(names.of(other) for _, _, other in rows)  # this is a heading then
+            remedy = _FILE_FIRST if headed or names.of(subject) else remedy
             raise FileError(str(path), f"{brief(name)} in line {line}, which is none of the scans given", _EXPECTED, remedy)
         if len(found) > 1:
             got = f"{brief(name)} in line {line}, which {len(found)} scans are called"
