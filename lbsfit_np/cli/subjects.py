@@ -27,6 +27,7 @@ _ONE = {"\t": "a tab", ";": "a semicolon", ",": "a comma", None: "a comma in all
 _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
 # What is looked at of a scan that may be a table, and of scans that a table lacks.
 _FIRST_BYTES, _FIRST_MISSING = 4096, 20
+_NO_HEADING = 'If it is a heading, write "scan" in its place; if it is a scan that is not given to this command, leave it out.'
 _FILE_FIRST = "The columns seem to be exchanged: put the file name first, the id after it."
 
 
@@ -66,7 +67,9 @@ def read_subjects(path, scans, *, others=False, known=None):
             continue
         if not found:
             named = {i for _, other, _ in rows for i in names.of(other)}
-            remedy = did_you_mean(name, names.without(named)) or "Leave out scans that are not given to this command."
+            first = line == rows[0][0] and all(names.of(other) for _, other, _ in rows[1:]) and len(rows) > 1
+            remedy = _NO_HEADING if first else "Leave out scans that are not given to this command."
+            remedy = did_you_mean(name, names.without(named)) or remedy
             headed = not named and any(names.of(other) for _, _, other in rows)  # this is a heading then
             remedy = _FILE_FIRST if headed or names.of(subject) else remedy
             raise FileError(str(path), f"{brief(name)} in line {line}, which is none of the scans given", _EXPECTED, remedy)
@@ -224,7 +227,9 @@ def _toml_rows(path, text):
         match = re.search(rf"""^\s*["']?{re.escape(name)}(?=["'\s=.\]])""", text, flags=re.MULTILINE)
         line = text.count("\n", 0, match.end()) + 1 if match else "?"
         if type(subject) not in (str, int):
-            remedy = "Put names with dots in quotes." if isinstance(subject, dict) else None
-            raise FileError(str(path), f"{name} = {brief(subject)} in line {line}", expected, remedy)
+            remedy = "Ids are text, in quotes, or whole numbers."
+            remedy = "Put names with dots in quotes." if isinstance(subject, dict) else remedy
+            got = str(subject).lower() if isinstance(subject, bool) else brief(subject)  # as TOML has it
+            raise FileError(str(path), f"{name} = {got} in line {line}", expected, remedy)
         rows.append((line, name, normalize("NFC", str(subject).strip())))
     return rows
