@@ -12,7 +12,7 @@ from lbsfit_np.bench.calibrate import Case, calibrate, cases_of, judged
 from lbsfit_np.bench.conditions import CONDITIONS, SEEN, condition_scan, conditions_of
 from lbsfit_np.bench.run import TRAINING_SEED
 from lbsfit_np.bench.starts import PROBABLE
-from lbsfit_np.fitting.scout import EFFORTS
+from lbsfit_np.fitting.effort import EFFORTS
 
 
 @pytest.fixture(scope="module")

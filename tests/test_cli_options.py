@@ -10,7 +10,7 @@ from cli_runs import one_line
 import lbsfit_np as lbs
 from lbsfit_np import cli
 from lbsfit_np.cli import fit
-from lbsfit_np.fitting.scout import EFFORTS
+from lbsfit_np.fitting.effort import EFFORTS
 from lbsfit_np.rig.frames import AXES
 from lbsfit_np.starts.turns import ORIENTATIONS
 

@@ -51,7 +51,7 @@ def demo(tmp_path_factory):
 @pytest.mark.parametrize("path", WITH_SNIPPETS, ids=lambda path: path.name)
 def test_snippets_run(path, demo, monkeypatch):
     """All ```python blocks of a document one after the other, as a reader would; with fewer training scans and starts."""
-    from lbsfit_np.fitting.scout import EFFORTS
+    from lbsfit_np.fitting.effort import EFFORTS
     from lbsfit_np.learning.fitter import LBSFitter
 
     monkeypatch.setitem(EFFORTS, "balanced", EFFORTS["fast"])
@@ -130,7 +130,7 @@ def test_presets_are_the_codes():
 
 
 def test_efforts_are_the_codes():
-    from lbsfit_np.fitting.scout import EFFORTS
+    from lbsfit_np.fitting.effort import EFFORTS
 
     text = document("docs/fitting.md")
     names = [codes(cell)[0].strip('"') for cell in text.split("<!-- efforts -->\n", 1)[1].splitlines()[0].split("|")[2:-2]]

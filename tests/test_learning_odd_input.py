@@ -10,7 +10,7 @@ import pytest
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.labels import labels_from_mesh
-from lbsfit_np.learning import finish, loop
+from lbsfit_np.learning import finish, tasks
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.collection import Collection, Member, read_collection
 from lbsfit_np.learning.training import training_settings
@@ -73,7 +73,7 @@ def _failing(monkeypatch, module, name, bad):
     monkeypatch.setattr(step, "__call__", careless)
 
 
-@pytest.mark.parametrize("module, name", [(loop, "_FirstFit"), (loop, "_Refit"), (finish, "_Finish")])
+@pytest.mark.parametrize("module, name", [(tasks, "FirstFit"), (tasks, "Pose"), (finish, "_Finish")])
 def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube_rig, clouds, monkeypatch):
     _failing(monkeypatch, module, name, 399)
     given = [clouds[0], clouds[1][:399], *clouds[2:]]
@@ -86,7 +86,7 @@ def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube
     assert [r is None for r in fitter.results_] == [False, True, False, False]
     assert fitter.roles_[1] == ("held out of learning" if module is finish else None)
     others = [fitter.roles_[k] for k in (0, 2, 3)]  # another is held out where the one that was fails before the rounds
-    assert others.count("held out of learning") == (name == "_FirstFit") and None not in others
+    assert others.count("held out of learning") == (name == "FirstFit") and None not in others
     assert fitter.fit_scan(clouds[0]).status != "failed"
 
 
@@ -98,7 +98,7 @@ def test_free_form_fits_that_fail_are_left_out(tube_rig, clouds, monkeypatch):
 
 
 def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds, monkeypatch, tmp_path):
-    _failing(monkeypatch, loop, "_Refit", 399)
+    _failing(monkeypatch, tasks, "Pose", 399)
     with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], clouds[1][:399], *clouds[2:]], list("abaa"))
     assert list(fitter.template_) == list(fitter.unit_) == ["a"]
@@ -106,22 +106,22 @@ def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds
     assert list(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == ["a"]
 
 
-@pytest.mark.parametrize("name", ["_FirstFit", "_Refit"])
+@pytest.mark.parametrize("name", ["FirstFit", "Pose"])
 def test_a_loss_that_is_not_finite_does_not_spoil_those_of_others(name, tube_rig, clouds, monkeypatch):
-    answer, seen = loop._finite, []
+    answer, seen = tasks._finite, []
 
     def sometimes(loss):
         seen.append(loss)
-        return answer(np.nan if len(seen) == (2 if name == "_FirstFit" else 6) else loss)
+        return answer(np.nan if len(seen) == (2 if name == "FirstFit" else 6) else loss)
 
-    monkeypatch.setattr(loop, "_finite", sometimes)
+    monkeypatch.setattr(tasks, "_finite", sometimes)
     with pytest.warns(UserWarning, match="scan 1: points: got a fit that is not finite"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
     assert list(fitter.failures_) == [1] and np.isfinite([h["recon"] for h in fitter.history_]).all()
 
 
 def test_where_all_scans_fail_the_first_ones_error_passes_on(tube_rig, clouds, monkeypatch):
-    _failing(monkeypatch, loop, "_FirstFit", 400)
+    _failing(monkeypatch, tasks, "FirstFit", 400)
     with pytest.raises(ZeroDivisionError, match="nobody foresaw this"):
         lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
 

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.effort import EFFORTS
 from lbsfit_np.fitting.refit import LimbSearch, Refit, Runner, thinned
 from lbsfit_np.fitting.scan_fit import FitSettings
-from lbsfit_np.fitting.scout import EFFORTS
-from lbsfit_np.learning.loop import _Refit
+from lbsfit_np.learning.tasks import Pose
 from lbsfit_np.losses import chamfer
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
@@ -98,7 +98,7 @@ def test_limbs_in_other_poses_bring_two_exchanged_fingers_home(model, refit, cas
 @pytest.mark.parametrize("library, home", [(True, True), (False, False)])
 def test_poses_of_a_round_have_other_limbs_where_variants_have_a_library(library, home, model, case, poses):
     known = SimpleNamespace(poses=poses, regress=lambda X: case.bad[0])
-    work = _Refit({"ann": model}, FitSettings(), known, 0, library)
+    work = Pose({"ann": model}, FitSettings(), known, 0, library)
     state, _, _ = work(("ann", case.problem, case.swap, [], None))
     assert (case.error(model, state) < 0.008) == home
 
@@ -110,7 +110,7 @@ def test_poses_of_a_round_are_looked_for_as_settings_say(effort, partial, rig, m
     known = SimpleNamespace(poses=np.zeros((2, *rig.lower.shape)), regress=lambda X: rig.lower)
     asked, state = [], model.rest()
     monkeypatch.setattr(Refit, "__call__", lambda self, *scan, limbs, **more: asked.append((self, limbs)) or (state, 0.1, 0))
-    work = _Refit(models, FitSettings(effort=effort, partial=partial), known, 0, True)
+    work = Pose(models, FitSettings(effort=effort, partial=partial), known, 0, True)
     for subject in ("bob", "ann", "bob"):
         work((subject, Problem(rig.vertices), state, [], None))
         refit, limbs = asked[-1]
@@ -124,21 +124,41 @@ def test_limbs_are_tried_as_effort_says_while_it_helps(left, generations, model,
     """Each time, of the best two, two poses each are tried, of which one leaves this share of what the best one has left."""
     effort = replace(EFFORTS["thorough"], generations=3, parents=2, proposals=7, survivors=5)
     asked, raced, problem = [], [], Problem(np.zeros((9, 3)))
+    poses = iter(_poses(model, 16))  # none twice
 
     def proposals(problem, state, n, *, closer):
         asked.append((n, closer))
-        return [state.theta, state.theta]
+        return [next(poses), next(poses)]
 
     def race(tried, survivors):
         raced.append((len(tried), survivors))
         return [replace(tried[-1], value=left ** len(raced))]
 
     monkeypatch.setattr(refit, "race", race)
-    runners = [Runner(problem, model.rest(), k, value) for k, value in enumerate((1.0, 1.1, 1.2))]
+    starts = [model.rest().replace(theta=next(poses)) for _ in range(3)]
+    runners = [Runner(problem, state, k, value) for k, (state, value) in enumerate(zip(starts, (1.0, 1.1, 1.2)))]
     found = refit.with_other_limbs(runners, LimbSearch(SimpleNamespace(proposals=proposals), effort))
     assert asked == 2 * generations * [(7, True)] and raced == generations * [(4, 5)]
     expected = sorted([1.0, 1.1, *(left**k for k in range(1, generations + 1))])
     assert [r.value for r in found] == expected[:3]  # as many as before
+
+
+def test_copies_of_one_pose_take_the_place_of_no_other(model, refit, monkeypatch):
+    """Neither among those whose limbs are tried nor among those that go on; in another frame the same angles are another pose."""
+    a, b, c = (model.rest().replace(theta=theta) for theta in _poses(model, 3))
+    here, there = Problem(np.zeros((9, 3))), Problem(np.zeros((9, 3)))
+    runners = [Runner(here, a, 0, 1.0), Runner(here, a, 1, 1.1), Runner(here, b, 2, 1.2), Runner(there, a, 3, 1.3)]
+    asked = []
+    limbs = SimpleNamespace(proposals=lambda problem, state, n, closer: asked.append(state) or [c.theta])
+    monkeypatch.setattr(refit, "race", lambda tried, survivors: [replace(r, value=0.995) for r in tried])
+    effort = replace(EFFORTS["thorough"], generations=1, parents=2)
+    found = refit.with_other_limbs(runners, LimbSearch(limbs, effort))
+    assert asked == [a, b]
+    assert [r.name for r in found] == [0, 0, 2, 3] and found[0].state.theta is c.theta
+
+
+def _poses(model, n):
+    return uniform_poses(model.rig, n, np.random.default_rng(1))
 
 
 def test_the_right_start_among_bad_ones_wins(model, refit, case):
@@ -235,14 +255,18 @@ def test_parts_give_one_more_start(model, refit, case):
     assert case.error(model, state) < 0.008 and which == 3
 
 
-def test_labels_that_err_are_mended_on_the_way(model, refit, case):
-    """A third of the points has a label drawn at random; those that are known to be right are kept to."""
-    rng = np.random.default_rng(0)
-    wrong = rng.random(len(case.proba)) < 0.33
-    drawn = np.eye(case.proba.shape[1])[rng.integers(case.proba.shape[1], size=len(case.proba))]
-    proba = np.where(wrong[:, None], drawn, case.proba)
-    mended, kept = (case.error(model, refit.from_parts(case.problem, proba, known)) for known in (False, True))
-    assert mended < 0.5 * kept
+def test_labels_that_err_are_mended_on_the_way(rig, model, refit):
+    """A third of the points has a label drawn at random; those that are known to be right are kept to. In one of many hands
+    a finger may stay in another's place."""
+    errors = []
+    for seed in range(6):
+        case, rng = Case(rig, model, seed), np.random.default_rng(seed)
+        wrong = rng.random(len(case.proba)) < 0.33
+        drawn = np.eye(case.proba.shape[1])[rng.integers(case.proba.shape[1], size=len(case.proba))]
+        proba = np.where(wrong[:, None], drawn, case.proba)
+        errors.append([case.error(model, refit.from_parts(case.problem, proba, known)) for known in (False, True)])
+    mended, kept = np.median(errors, axis=0)
+    assert mended < 0.25 * kept
 
 
 def test_known_labels_lead_alone(model, refit, case):

@@ -8,9 +8,10 @@ import pytest
 from turned_scans import CLEAN, any_turn, error_of, upright
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.effort import EFFORTS
 from lbsfit_np.fitting.refit import Runner
 from lbsfit_np.fitting.scan_fit import FitSettings
-from lbsfit_np.fitting.scout import EFFORTS, Found, Scout
+from lbsfit_np.fitting.scout import Found, Scout
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem

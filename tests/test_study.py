@@ -19,7 +19,7 @@ from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import cell_name, study
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
-from lbsfit_np.fitting.scout import EFFORTS
+from lbsfit_np.fitting.effort import EFFORTS
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.learning.fitter import LBSFitter
 

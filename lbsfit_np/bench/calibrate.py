@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..fitting.confidence import REGRESSED, logarithms
-from ..fitting.scout import EFFORTS, Effort
+from ..fitting.effort import EFFORTS, Effort
 from ..io.rigs import load_rig
 from ..rig.rig import Rig
 from ..seeds import generator

@@ -16,6 +16,7 @@ from ..optimize.problem import Problem
 from ..optimize.state import State
 from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
+from .effort import Effort
 from .labels import refined_labels
 
 __all__ = ["LimbSearch", "Refit", "Runner", "distinct", "thinned"]
@@ -69,11 +70,11 @@ class LimbSearch:
     poses : LimbPoses
         Of the model.
     effort : Effort
-        Of ``scout``: how often, of how many runners, and of how many poses.
+        How often, of how many runners, and of how many poses.
     """
 
     poses: LimbPoses
-    effort: object
+    effort: Effort
 
 
 class Refit:
@@ -174,24 +175,29 @@ class Refit:
         Parameters
         ----------
         runners : list of Runner
-            After their last steps, the best first; as many come back.
+            After their last steps, the best first; at most as many come back.
         limbs : LimbSearch
 
         Returns
         -------
         list of Runner
-            The best first.
+            The best first, each pose once.
         """
         size, effort = len(runners), limbs.effort
+        runners = self._once(runners)  # copies would take the places of others
         for _ in range(effort.generations):
             best = runners[0].value
-            tried = []
+            lead, tried = [], []
             for r in runners[: effort.parents]:
                 proposals = limbs.poses.proposals(r.problem, r.state, effort.proposals, closer=effort.closer)
-                tried += [replace(r, state=r.state.replace(theta=theta)) for theta in proposals]
-            if not tried:
+                changed = [replace(r, state=r.state.replace(theta=theta)) for theta in proposals]
+                lead += changed[:1]
+                tried += changed[1:]
+            if not lead:
                 break
-            runners = sorted([*runners, *self.race(tried, effort.survivors)], key=lambda r: r.value)[:size]
+            # Few steps may not do for what is right; the most promising go on whatever these make of them.
+            ends = self.last_steps([*self.first_steps(lead), *self.first_steps(tried)[: effort.survivors - 1]])
+            runners = self._once(sorted([*runners, *ends], key=lambda r: r.value))[:size]
             if runners[0].value > _HELPED * best:
                 break
         return runners
@@ -232,8 +238,16 @@ class Refit:
 
     def _close(self, runners):
         """Those, the best first, that leave not much more unexplained than the best, each pose once."""
-        near = [r for r in runners if r.value <= _CLOSE * runners[0].value]
-        return distinct(near, lambda r: self.model.deformed(r.state).joints, lambda r: _ALIKE)
+        return self._once([r for r in runners if r.value <= _CLOSE * runners[0].value])
+
+    def _once(self, runners):
+        """Each pose once, in each frame."""
+        by_frame = {}
+        for r in runners:
+            by_frame.setdefault(id(r.problem), []).append(r)
+        own = [distinct(g, lambda r: self.model.deformed(r.state).joints, lambda r: _ALIKE) for g in by_frame.values()]
+        kept = {id(r) for group in own for r in group}
+        return [r for r in runners if id(r) in kept]
 
     def _moved(self, steps, problem, runner, **options):
         state, value = steps.pose(problem, runner.state, free=self.free, **options)

@@ -21,9 +21,10 @@ from ..starts.limbs import LimbPoses
 from ..starts.turns import any_side_up
 from .bends import Bends
 from .confidence import evidence_of, probability_of
+from .effort import EFFORTS
 from .refit import LimbSearch, Refit, Runner, distinct, thinned
 
-__all__ = ["EFFORTS", "Effort", "Found", "Scout"]
+__all__ = ["Found", "Scout"]
 
 
 # Labels are read of so many points, under turns that are further apart than this, radians.
@@ -34,54 +35,6 @@ _ALIKE = 0.03
 _RIVAL = 2.0
 # A pose that is right with less than this probability is worth a second look.
 _SURE = 0.8
-
-
-@dataclass(frozen=True)
-class Effort:
-    """How many hypotheses go how far.
-
-    Attributes
-    ----------
-    starts : int
-        Poses of the library that go the first steps.
-    facings : int
-        Under how many turns labels are read.
-    survivors : int
-        Of them, and of the others, that go the last steps.
-    finals : int
-        Of these, that proportions are found for.
-    generations : int
-        How often, at most, limbs are tried in other poses.
-    parents : int
-        Of how many survivors.
-    proposals : int
-        Poses tried for each limb, at most.
-    closer : bool
-        Whether they may be others than the library's.
-    bends : bool
-        Whether other bends of joints are tried in the end.
-    again : str or None
-        The effort of a second look where the first leaves the pose in doubt; None for none. With the effort of the first, only
-        where other up axes are to be tried.
-    """
-
-    starts: int
-    facings: int
-    survivors: int
-    finals: int
-    generations: int
-    parents: int
-    proposals: int
-    closer: bool
-    bends: bool
-    again: str | None = None
-
-
-EFFORTS = {
-    "fast": Effort(6, 2, 2, 1, 1, 1, 1, closer=False, bends=False),
-    "balanced": Effort(16, 4, 4, 2, 3, 1, 2, closer=False, bends=True, again="thorough"),
-    "thorough": Effort(48, 8, 8, 3, 8, 4, 3, closer=True, bends=True, again="thorough"),
-}
 
 
 @dataclass(frozen=True)

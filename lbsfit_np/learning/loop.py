@@ -14,26 +14,21 @@ At the end the full objective gives each scan its residual on its subject's temp
 import time
 import warnings
 from dataclasses import dataclass, field, replace
-from functools import cache, cached_property
 
 import numpy as np
 
-from ..errors import InputError
-from ..fitting.refit import LimbSearch, Refit
-from ..fitting.scout import EFFORTS, Scout
-from ..fitting.template import TemplateSettings, shared_template
-from ..losses.objective import LossWeights
+from ..fitting.template import TemplateSettings
 from ..optimize.frame import nearest_root, turned_root
 from ..optimize.model import Model
 from ..segmentation.segmenter import train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import build_library
-from ..starts.limbs import LimbPoses
 from ..starts.scale import same_size
 from ..threads import one_thread
 from ..workers import each, kept_processes
 from .collection import HELD_OUT, LEARNED_FROM, check_scales, units_apart
 from .mixture import Mixture
+from .tasks import FirstFit, Labels, Pose, SmoothPose, Template
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
@@ -197,7 +192,7 @@ class Loop:
         hold_out = bool(self.collection.with_role(HELD_OUT))
         guess = members[0].unit  # one for all
         segmenter = self.segmenter if self.variant.labels else None
-        work = _FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library)
+        work = FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library)
         answers = self._work(work, [m.points[m.rows] for m in members], "first fits")
         scales = {}
         for m, (frame, state, loss, proba) in zip(self.collection.members, answers, strict=True):
@@ -244,7 +239,7 @@ class Loop:
                     [m.proba for m in learning] if self.variant.labels else None,
                 )
             )
-        work = _Template(self.shifting, self.fit_settings.partial)
+        work = Template(self.shifting, self.fit_settings.partial)
         found = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("templates", p))
         weld = self.rig.weld
         templates = {s: (np.ascontiguousarray(U[weld]), J) for s, (U, J, _) in zip(subjects, found)}
@@ -286,7 +281,7 @@ class Loop:
 
     def _label(self):
         if self.variant.labels:
-            work = _Label(self.segmenter)
+            work = Labels(self.segmenter)
             found = self._work(work, [m.problem.X * self.model.half for m in self.collection.members], "labels")
             for m, proba in zip(self.collection.members, found, strict=True):
                 m.proba = proba
@@ -295,7 +290,7 @@ class Loop:
         """Every pose again on its subject's template; returns how many new starts won."""
         members = self.collection.members
         neighbours = self.settings.neighbours if self.variant.library else 0
-        work = _Refit(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
+        work = Pose(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
         tasks = [(m.subject, m.problem, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
         answers = self._work(work, tasks, "poses of scans")
         won = 0
@@ -313,7 +308,7 @@ class Loop:
                 beside = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
                 m.prior = np.mean([m.state.theta, *beside], axis=0), self.smooth  # without its own, neighbours would swap places
             tasks = [(m.subject, m.problem, m.state, m.prior) for m in members]
-            work = _Drawn(models, self.fit_settings.partial)
+            work = SmoothPose(models, self.fit_settings.partial)
             states = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
             for m, state in zip(members, states):
                 m.state = state
@@ -355,95 +350,3 @@ class Loop:
         self.history.append(entry)
         self.progress("round", 1.0, entry)
         return entry["recon_held_out"]
-
-
-# ---- what is done for one task, here or in another process ----
-
-
-@dataclass(frozen=True)
-class _FirstFit:
-    model: Model
-    settings: object
-    segmenter: object
-    library: object
-    facing: object
-    nearest: bool
-
-    @cached_property
-    def _scout(self):
-        return Scout(self.model, self.library, self.facing, self.segmenter, self.settings, nearest=self.nearest)
-
-    def __call__(self, points):
-        found = self._scout(points)
-        loss = found.problem.evaluate(self.model.coarse, found.state, _plain()).value
-        return found.frame, found.state, _finite(loss), found.proba
-
-
-@dataclass(frozen=True)
-class _Template:
-    model: Model
-    partial: bool
-
-    def __call__(self, task):
-        problems, states, losses, proba = task
-        settings = TemplateSettings(partial=self.partial)
-        return shared_template(self.model, problems, states, losses, proba=proba, settings=settings)
-
-
-@dataclass(frozen=True)
-class _Label:
-    segmenter: object
-
-    def __call__(self, points):
-        return self.segmenter.predict_proba(points)
-
-
-@dataclass(frozen=True)
-class _Refit:
-    models: dict
-    settings: object
-    library: object
-    neighbours: int
-    other_limbs: bool
-
-    @cached_property
-    def _refit(self):
-        return cache(lambda subject: Refit(self.models[subject], partial=self.settings.partial))  # once in each process
-
-    @cached_property
-    def _search(self):
-        poses, effort = self.library.poses, EFFORTS[self.settings.effort]
-        return cache(lambda subject: LimbSearch(LimbPoses(self.models[subject], poses), effort) if self.other_limbs else None)
-
-    def __call__(self, task):
-        subject, problem, state, beside, proba = task
-        poses = [*beside, self.library.regress(problem.X)]
-        if self.neighbours:
-            poses += list(self.library.nearest(problem.X, self.neighbours))
-        state, loss, which = self._refit(subject)(problem, [state], poses=poses, proba=proba, limbs=self._search(subject))
-        return state, _finite(loss), which
-
-
-@dataclass(frozen=True)
-class _Drawn:
-    models: dict
-    partial: bool
-
-    @cached_property
-    def _refit(self):
-        return cache(lambda subject: Refit(self.models[subject], partial=self.partial))  # prepared once in each process
-
-    def __call__(self, task):
-        subject, problem, state, prior = task
-        return self._refit(subject).polish(problem, state, prior=prior)
-
-
-def _finite(loss):
-    """The loss, unless it would spoil the means and medians that all scans go by."""
-    if not np.isfinite(loss):
-        raise InputError("points", "a fit that is not finite", "points without wild ones")
-    return loss
-
-
-def _plain():
-    return LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)

@@ -5,8 +5,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from ..errors import InputError, brief, check_array, did_you_mean
+from ..fitting.effort import EFFORTS
 from ..fitting.scan_fit import FitSettings
-from ..fitting.scout import EFFORTS
 from ..losses.objective import as_weights
 from ..rig.frames import AXES
 from ..rig.rig import Rig
