@@ -7,8 +7,7 @@ import pytest
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.effort import EFFORTS
-from lbsfit_np.fitting.refit import LimbSearch, Refit, Runner
+from lbsfit_np.fitting.refit import Refit, Runner
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rig.build import build_rig
@@ -223,17 +222,21 @@ def test_two_exchanged_fingers_are_proposed_together(hand, seed):
     assert hand.error(first, truth) < 0.25 * hand.error(wrong, truth)
 
 
-@pytest.mark.parametrize("pair, least", [(("index", "middle"), 5), (("ring", "pinky"), 4), (("pinky", "ring"), 4)])
-def test_steps_from_what_is_proposed_bring_two_exchanged_fingers_home(hand, pair, least):
-    """At once or, as the hand that they have pulled along moves back, the next time. Without, they stay: all."""
-    refit, home = Refit(hand.model), 0
-    for seed in range(5):
-        truth, problem, wrong = _exchanged(hand, *pair, seed)
-        start = refit.last_steps([Runner(problem, truth.replace(theta=wrong))])
-        assert hand.error(start[0].state.theta, truth) > 0.15
-        best = refit.with_other_limbs(start, LimbSearch(hand.limbs, EFFORTS["balanced"]))[0]
-        home += hand.error(best.state.theta, truth) < 0.01
-    assert home >= least
+def test_steps_from_what_is_proposed_bring_two_exchanged_fingers_home(hand):
+    """At once or, as the hand that they have pulled along moves back, the next time: most. Without, they stay: all."""
+    refit, home = Refit(hand.model), {}
+    for pair in (("index", "middle"), ("ring", "pinky"), ("pinky", "ring")):
+        home[pair] = 0
+        for seed in range(5):
+            truth, problem, wrong = _exchanged(hand, *pair, seed)
+            best = refit.last_steps([Runner(problem, truth.replace(theta=wrong))])[0]
+            assert hand.error(best.state.theta, truth) > 0.15
+            for _ in range(2):
+                proposals = hand.limbs.proposals(problem, best.state, 2)
+                best = refit.race([best, *(Runner(problem, best.state.replace(theta=theta)) for theta in proposals)], 4)[0]
+            home[pair] += hand.error(best.state.theta, truth) < 0.01
+    assert home["index", "middle"] == 5 and min(home.values()) > 2  # rounding decides on single ones
+    assert sum(home.values()) > 0.85 * 15
 
 
 @pytest.mark.parametrize("cost, pairs", [(0.9e-4, 0), (1.1e-4, 1)])

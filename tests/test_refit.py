@@ -173,6 +173,13 @@ def test_the_right_start_among_bad_ones_wins(model, refit, case):
     assert which == 0
 
 
+def test_of_poses_that_are_as_good_the_known_one_wins(model, case, monkeypatch):
+    """So that new starts that have won can be counted."""
+    refit = Refit(model)
+    monkeypatch.setattr(refit, "race", lambda runners: [Runner(case.problem, case.truth, 1, 0.001)])
+    assert refit(case.problem, [case.truth], poses=case.bad)[2] == 0
+
+
 @pytest.mark.parametrize("known", [True, False])
 def test_a_pose_that_was_known_is_not_lost_to_one_that_looks_better_on_few_points(known, model, case, monkeypatch):
     refit = Refit(model)

@@ -135,7 +135,8 @@ class Refit:
         ends = self.race(runners)
         ends = self._close(ends if limbs is None else self.with_other_limbs(ends, limbs))
         # On few points a wrong pose may look as good; a pose that was known is not lost to one that looks better there.
-        best = min((self._moved(self._last, problem, r) for r in [*ends, *runners[: len(states)]]), key=lambda r: r.value)
+        # Of poses that are as good the known one wins.
+        best = min((self._moved(self._last, problem, r) for r in [*runners[: len(states)], *ends]), key=lambda r: r.value)
         return best.state, self._chamfer(problem, best.state), best.name
 
     def race(self, runners, survivors=_SURVIVORS):
@@ -187,17 +188,13 @@ class Refit:
         runners = self._once(runners)  # copies would take the places of others
         for _ in range(effort.generations):
             best = runners[0].value
-            lead, tried = [], []
+            tried = []
             for r in runners[: effort.parents]:
                 proposals = limbs.poses.proposals(r.problem, r.state, effort.proposals, closer=effort.closer)
-                changed = [replace(r, state=r.state.replace(theta=theta)) for theta in proposals]
-                lead += changed[:1]
-                tried += changed[1:]
-            if not lead:
+                tried += [replace(r, state=r.state.replace(theta=theta)) for theta in proposals]
+            if not tried:
                 break
-            # Few steps may not do for what is right; the most promising go on whatever these make of them.
-            ends = self.last_steps([*self.first_steps(lead), *self.first_steps(tried)[: effort.survivors - 1]])
-            runners = self._once(sorted([*runners, *ends], key=lambda r: r.value))[:size]
+            runners = self._once(sorted([*runners, *self.race(tried, effort.survivors)], key=lambda r: r.value))[:size]
             if runners[0].value > _HELPED * best:
                 break
         return runners

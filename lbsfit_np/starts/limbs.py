@@ -58,10 +58,6 @@ class _Tried:
     reach: np.ndarray  # (1 + N, x) d(x, limb)²
     angles: np.ndarray  # (1 + N, j, 3)
 
-    def moved(self, rows):
-        """Mean distance of the vertices from where they are in the own pose, (k,) for k rows."""
-        return np.linalg.norm(self.place[rows] - self.place[0], axis=2).mean(axis=1)
-
 
 class LimbPoses:
     """Poses to try for the limbs of a model.
@@ -134,8 +130,7 @@ class LimbPoses:
                 t = self._nearer(limb, t, rest, try_out)
             cost = t.away + np.minimum(t.reach, rest).mean(axis=1)
             order = np.argsort(cost, kind="stable")
-            order = order[t.moved(order) > _UNLIKE][:_BEST]
-            changes = [(cost[k] - cost[0], cost[k], ((limb, t, k),)) for k in order]
+            changes = [(cost[k] - cost[0], cost[k], ((limb, t, k),)) for k in order[:_BEST]]
             found += self._unlike(state, changes, cost[0], n, _BETTER)
         for (a, s), (b, t) in combinations(zip(self._limbs, tried), 2):
             if (a.hangs & b.hangs).any():
@@ -148,11 +143,13 @@ class LimbPoses:
             now = cost[0, 0]
             if now < _FINE:
                 continue
-            other = np.maximum(s.moved(best_s)[:, None], t.moved(best_t)[None]) > _UNLIKE  # those like the own would crowd it out
-            cost[~(other & (best_s > 0)[:, None] & (best_t > 0))] = np.inf
             order = np.argsort(cost, axis=None, kind="stable")[:_BEST]
             pairs = [np.unravel_index(o, cost.shape) for o in order]
-            changes = [(cost[i, j] - now, cost[i, j], ((a, s, best_s[i]), (b, t, best_t[j]))) for i, j in pairs]
+            changes = [
+                (cost[i, j] - now, cost[i, j], ((a, s, best_s[i]), (b, t, best_t[j])))
+                for i, j in pairs
+                if best_s[i] and best_t[j]
+            ]
             found += self._unlike(state, changes, now, n, _BETTER_PAIR)
         return [theta for _, theta in sorted(found, key=lambda f: f[0])]
 
@@ -192,7 +189,8 @@ class LimbPoses:
             if len(out) == n or cost > better * now:
                 break
             place = [t.place[k] for _, t, k in parts]
-            if all(max(np.linalg.norm(p - o, axis=1).mean() for p, o in zip(place, other)) > _UNLIKE for other in seen):
+            others = [*seen, [t.place[0] for _, t, _ in parts]]
+            if all(max(np.linalg.norm(p - o, axis=1).mean() for p, o in zip(place, other)) > _UNLIKE for other in others):
                 theta = state.theta.copy()
                 for limb, t, k in parts:
                     theta[limb.hangs] = t.angles[k]
