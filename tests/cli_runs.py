@@ -1,6 +1,7 @@
 """Runs of the program in a process of its own, and what the tests of the command line have in common."""
 
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -48,6 +49,13 @@ def stopped(process, sent):
 def content_with_few_starts(patch):
     """Have all fitters that are made in this process be so, those of benchmarks too, which take no effort."""
     patch.setitem(lbs.LBSFitter.__init__.__kwdefaults__, "effort", "fast")
+
+
+def as_said(line, scans):
+    """The command that a line ends with, for these scans."""
+    words = shlex.split(line[line.index("lbsfit fit ") :])
+    k = words.index("SCAN...")
+    return [*words[1:k], *scans, *words[k + 1 :]]
 
 
 def one_line(err):

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cli_runs import QUICK, one_line, started, stopped
+from cli_runs import QUICK, as_said, one_line, started, stopped
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import learn, outputs, stopped_learning
@@ -27,7 +27,9 @@ pytestmark = pytest.mark.usefixtures("own_cache")
 def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
     text, err, returned = _stopped_after("round 1 of", jobs, sent, tubes, cli_cache, tmp_path)
     assert (returned, err) == (code, ""), err
-    how = r"the same command with --existing replace begins anew; to fit scans with it: lbsfit fit .*m\.npz SCAN\.\.\. -o .*fits"
+    scans = " ".join(shlex.quote(str(path)) for path in sorted(tubes.glob("*.ply")))
+    scans = re.escape(scans if len(scans) <= stopped_learning._SHORT else "SCAN...")
+    how = rf"the same command with --existing replace begins anew; to fit scans with it: lbsfit fit .*m\.npz {scans} -o .*fits"
     round_kept = re.search(rf"stopped: .*m\.npz has what round (\d+) learned, without results; {how}\n$", text)[1]
     assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]  # no empty folder of results
     learned = lbs.LBSFitter.load(tmp_path / "m.npz")
@@ -44,6 +46,24 @@ def test_ctrl_c_before_the_first_round_ends_leaves_no_model(jobs, sent, code, tu
         "stopped before the model was learned; what was trained first is kept, and the rounds begin anew with the same command\n"
     )
     assert not list(tmp_path.iterdir())
+
+
+def test_what_a_cache_could_not_keep_is_not_said_to_be_kept(tubes, tmp_path, run, monkeypatch):
+    def interrupted(self, *given, **options):
+        self.pretrain(cache=True)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(lbs.LBSFitter, "fit", interrupted)
+    monkeypatch.setattr("lbsfit_np.segmentation.cache._MEMORY", {})
+    arguments = ("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz", "--training-scans", 2)
+    (tmp_path / "file").write_text("no folder")
+    for folder, kept in (("file", False), ("folder", True)):
+        monkeypatch.setattr("lbsfit_np.segmentation.cache._MEMORY", {})
+        monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path / folder))
+        code, text, err = run(*arguments, "--seed", 1)
+        assert code == 130 and ("cannot be kept" in err) == (not kept)
+        more = "what was trained first is kept, and the rounds begin anew with the same command"
+        assert text.endswith(f"stopped before the model was learned; {more if kept else 'the same command begins anew'}\n")
 
 
 def _stopped_after(words, jobs, sent, tubes, cache, folder, wait=0.5):
@@ -73,87 +93,6 @@ def test_stopped_before_anything_was_trained_nothing_is_said_to_be_kept(variant,
     code, text, _ = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, "--variant", variant)
     assert code == 130 and text.endswith("stopped before the model was learned; the same command begins anew\n")
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]  # which was there
-
-
-@pytest.fixture
-def stop_after_a_round(tube_model, monkeypatch):
-    """(ids) → learning stops once a round has learned these subjects' templates, and a scan has failed."""
-
-    def made(*subjects):
-        def fit(self, *given, **options):
-            learned = lbs.LBSFitter.load(tube_model[0])
-            self.template_, self.unit_ = (dict.fromkeys(subjects, getattr(learned, name)[0]) for name in ("template_", "unit_"))
-            self.segmenter_, self.regressor_, self.history_ = learned.segmenter_, learned.regressor_, learned.history_
-            self.failures_, self._learned_with = {1: "nobody foresaw this"}, learned._learned_with
-            raise KeyboardInterrupt
-
-        monkeypatch.setattr(lbs.LBSFitter, "fit", fit)
-
-    return made
-
-
-@pytest.mark.parametrize(
-    "subjects, results, options, words",
-    [
-        ((0,), None, (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o OUT\n"),
-        ((0,), "of all", (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o '{}/of all'\n"),
-        ((0,), "fits", ("--existing", "replace"), "with it: lbsfit fit '{}/m n.npz' SCAN... -o {}/fits --existing replace\n"),
-        ((0,), "fits", ("--pictures",), "with it: lbsfit fit '{}/m n.npz' SCAN... -o {}/fits --pictures\n"),
-        (("a", "b"), None, (), "with it: lbsfit fit '{}/m n.npz' SCAN... -o OUT\n"),
-        (
-            ("a", "b"),
-            None,
-            ("--subjects", "{}/who is who.csv"),
-            "(others without --subjects, or with an empty id in it) with it: "
-            "lbsfit fit '{}/m n.npz' SCAN... -o OUT --subjects '{}/who is who.csv'\n",
-        ),
-    ],
-)
-def test_how_to_go_on_after_a_round(subjects, results, options, words, tubes, tmp_path, run, stop_after_a_round):
-    stop_after_a_round(*subjects)
-    (tmp_path / "who is who.csv").write_text("t0,a\nt1,b\nt2,a\nt3,b\n")
-    options = [word.replace("{}", str(tmp_path)) for word in options]
-    outputs = ("-o", tmp_path / "m n.npz", *(() if results is None else ("--results", tmp_path / results)))
-    code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, *options)
-    assert (code, err) == (130, "t1: failed: nobody foresaw this\n")
-    with_it = "" if options[:1] == ["--existing"] else "with --existing replace "
-    anew = f"results; the same command {with_it}begins anew; to fit {'these ' if '--subjects' in options else ''}scans "
-    *_, heading, failed, last = text.splitlines()
-    assert heading.split() == ["scan", "status", "probability", "why"]  # of a scan that was named long before
-    assert failed.split(maxsplit=3) == ["t1", "failed", "–", "nobody foresaw this"]
-    assert anew + words.replace("{}", str(tmp_path)) in last + "\n"
-    assert list(lbs.LBSFitter.load(tmp_path / "m n.npz").template_) == list(subjects)
-
-
-def test_subjects_of_whom_nothing_was_learned_are_named_after_a_stop(tubes, tmp_path, run, stop_after_a_round):
-    """With the table their scans are refused: the command is for the others."""
-    stop_after_a_round("a", "b")
-    (tmp_path / "who.csv").write_text("t0,a\nt1,carl\nt2,b\nt3,carl\n")
-    arguments = ("-o", tmp_path / "m.npz", "--subjects", tmp_path / "who.csv")
-    text = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *arguments)[1]
-    line = text.splitlines()[-1]
-    which = "to fit these scans, but for those of 'carl', of whom nothing was learned (others without --subjects, "
-    assert f"{which}or with an empty id in it) with it: lbsfit fit " in line
-    command = _as_said(line.replace("OUT", str(tmp_path / "out")), [str(tubes / "t0.ply"), str(tubes / "t2.ply")])
-    code, text, _ = run(*command)
-    assert code == 0 and "2 of 2 scans fitted" in text
-    assert run(*_as_said(line.replace("OUT", str(tmp_path / "out")), [str(tubes / "t1.ply")]))[0] == 2
-
-
-@pytest.mark.skipif(os.name != "posix", reason="SIGTERM is a POSIX signal")
-def test_sigterm_while_the_model_of_a_stopped_run_is_written(tubes, tmp_path, run, stop_after_a_round, monkeypatch):
-    def slow(entry, array, **_):
-        entry.write(b"half")
-        os.kill(os.getpid(), signal.SIGTERM)
-
-    stop_after_a_round(0)
-    monkeypatch.setattr(np.lib.format, "write_array", slow)
-    before = signal.signal(signal.SIGTERM, lambda *_: pytest.fail("it would have ended the process"))
-    try:
-        code = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz")[0]
-    finally:
-        signal.signal(signal.SIGTERM, before)
-    assert code == 143 and not list(tmp_path.iterdir())
 
 
 def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypatch):
@@ -213,13 +152,6 @@ def _stopped_among_results(
     return text.splitlines()[-1], scans
 
 
-def _as_said(line, scans):
-    """The command that a line ends with, for these scans."""
-    words = shlex.split(line[line.index("lbsfit fit ") :])
-    k = words.index("SCAN...")
-    return [*words[1:k], *scans, *words[k + 1 :]]
-
-
 @pytest.mark.parametrize("where", ["results", "pictures", "before"])
 def test_the_rest_of_the_results_after_ctrl_c(where, tubes, tmp_path, run, monkeypatch):
     """Of one whose picture was being drawn the fit is there, and only its picture is made."""
@@ -238,7 +170,7 @@ def test_the_rest_of_the_results_after_ctrl_c(where, tubes, tmp_path, run, monke
         assert summary["not_done"] == ["t2", "t3"] and summary["stopped"]
         first = ["fit", "labels", "mesh", *["picture"] * bool(options)]
         assert {s["name"]: sorted(s["files"]) for s in summary["scans"]} == {"t0": first, "t1": ["fit", "labels", "mesh"]}
-    code, text, err = run(*_as_said(line, scans))
+    code, text, err = run(*as_said(line, scans))
     assert (code, err) == (0, "") and ("2 of 4 scans are fitted already and kept" in text) == (written == 2)
     assert len(before) == written and all(path.read_bytes() == content for path, content in before.items())
     assert len(list(fits.iterdir())) == 4 * (3 + (where == "pictures")) + 1
@@ -252,7 +184,7 @@ def test_the_rest_of_the_results_where_those_of_an_earlier_run_are(tubes, tmp_pa
     line, scans = _stopped_among_results(*how)
     end = f"; the rest alone, where files of an earlier run are: lbsfit fit '{tmp_path}/m n.npz' SCAN... -o '{tmp_path}/fi ts'"
     assert "is complete, 2 of 4 results in" in line and line.endswith(end + " --existing replace")
-    code, text, err = run(*[word.replace("replace", "skip") for word in _as_said(line, scans)])
+    code, text, err = run(*[word.replace("replace", "skip") for word in as_said(line, scans)])
     assert code == 2 and "t2.fit.npz, a fit without a model" in one_line(err)
     line, _ = _stopped_among_results(*how, letters=10**4)
     code, text, err = run(*shlex.split(line[line.index("lbsfit fit ") :])[1:])  # these alone, by name
@@ -323,7 +255,7 @@ def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, 
     line, scans = _stopped_among_results(run, tubes, tmp_path, 2, monkeypatch, "--subjects", tmp_path / "who.csv")
     assert f"; the rest: lbsfit fit '{tmp_path}/m n.npz'" in line
     assert line.endswith(f" --subjects {tmp_path / 'who.csv'} --existing skip")
-    code, text, err = run(*_as_said(line, scans))
+    code, text, err = run(*as_said(line, scans))
     assert (code, err) == (0, "") and "2 of 4 scans are fitted already and kept" in text
     monkeypatch.setattr(stopped_learning, "_SHORT", 0)
     fitter, values = lbs.LBSFitter.load(tmp_path / "m n.npz"), {"results": "new", "samples": None, "subjects": "who.csv"}

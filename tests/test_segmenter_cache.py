@@ -1,6 +1,7 @@
 """The cache of what was trained: once a recipe, and never in the way."""
 
 import os
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -67,6 +68,12 @@ def test_another_recipe_is_another_segmenter(empty_cache, small_segmenter, monke
 def test_the_folder_is_the_users_to_choose(monkeypatch, tmp_path):
     monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path / "mine"))
     assert cache.cache_folder() == tmp_path / "mine"
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    for given, folder in (("~/mine", tmp_path / "home" / "mine"), ("~", tmp_path / "home"), ("a/~", Path("a/~"))):
+        monkeypatch.setenv("LBSFIT_CACHE", given)  # as a file of settings has it, which no shell reads
+        assert cache.cache_folder() == folder
+    monkeypatch.setenv("LBSFIT_CACHE", "~nobody-of-this-name/mine")
+    assert cache.cache_folder() == Path("~nobody-of-this-name/mine")
     monkeypatch.delenv("LBSFIT_CACHE")
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "xdg"))
     assert cache.cache_folder() == tmp_path / "xdg" / "lbsfit_np"
@@ -94,6 +101,17 @@ def test_a_cache_that_cannot_be_made_is_no_error(empty_cache, small_segmenter):
     with pytest.warns(UserWarning, match="trained cannot be kept in .* .File exists.*LBSFIT_CACHE can name another folder"):
         assert cached("key", train) is small_segmenter
     assert cached("key", train) is small_segmenter and train.calls == 1
+
+
+def test_a_cache_that_cannot_be_made_is_warned_of_once(empty_cache, small_segmenter, monkeypatch, tmp_path):
+    empty_cache.write_text("a file where the folder should be")
+    with pytest.warns(UserWarning, match="cannot be kept") as told:
+        for key in "ab":
+            cached(key, Trainer(small_segmenter))
+    assert len(told) == 1 and cache.could_not_keep()
+    monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path / "another"))
+    cached("c", Trainer(small_segmenter))
+    assert not cache.could_not_keep()
 
 
 def test_a_cache_that_cannot_be_written_to_is_no_error(empty_cache, small_segmenter, monkeypatch):

@@ -172,7 +172,8 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     except KeyboardInterrupt as stop:
         progress.close()
         results = results_so_far(fitter, model, files, entries, subjects, values) if files and written else ""
-        end = f"stopped: {model} is complete{results}" if written else stopped_early(fitter, model, subjects, values)
+        early = "" if written else stopped_early(fitter, model, scans, reading.failures, subjects, values)
+        end = early or f"stopped: {model} is complete{results}"
         known = {e["input"] for e in entries.values()}  # the lines that named the others may be far above
         say_doubtful([*entries.values(), *(e for e in reading.unused() if e["input"] not in known)])
         say(end)

@@ -4,6 +4,7 @@ import os
 import shlex
 
 from ..errors import FileError, listed
+from ..segmentation.cache import could_not_keep
 from .progress import of_all
 from .stopping import terminable
 from .summary import written_of
@@ -14,10 +15,11 @@ __all__ = ["is_result_of", "results_so_far", "stopped_early"]
 _SHORT = 200
 
 
-def stopped_early(fitter, model, subjects, values):
+def stopped_early(fitter, model, scans, failed, subjects, values):
     """What of the work is kept before learning was over, and how to go on, in words; the model, where a round has learned one.
 
-    ``subjects``: whose each scan is, by the table of ``--subjects``; None without one.
+    ``scans``: their paths as given; ``failed``: which of them, by number, cannot be used. ``subjects``: whose each scan is, by
+    the table of ``--subjects``; None without one.
     """
     if getattr(fitter, "history_", None):  # a round has been kept
         with terminable():
@@ -25,14 +27,16 @@ def stopped_early(fitter, model, subjects, values):
         kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
         replace = values["existing"] == "replace"
         # In the results' folder those of an earlier run may be.
-        to_fit = _to_fit(model, values, "replace" if replace and values["results"] else None)
+        known = [scans[i] for i in _of_the_known(fitter, subjects, len(scans)) if i not in failed]
+        to_fit = _to_fit(model, values, "replace" if replace and values["results"] else None, known)
         anew = "the same command begins anew" if replace else "the same command with --existing replace begins anew"
         which = "scans"
         if subjects is not None:
             others = "others without --subjects, or with an empty id in it"
             which = f"these scans{_but_for_strangers(fitter, subjects)} ({others})"
         return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit {which} with it: {to_fit}"
-    if getattr(fitter, "regressor_", None) is None:  # training is over only when all of it is
+    # Training is over only when all of it is; what could not be written is gone, as was warned of.
+    if getattr(fitter, "regressor_", None) is None or could_not_keep():
         return "stopped before the model was learned; the same command begins anew"
     kept = "what was trained first is kept, and the rounds begin anew with the same command"
     return f"stopped before the model was learned; {kept}"
@@ -52,9 +56,8 @@ def results_so_far(fitter, model, files, entries, subjects, values):
     there = [f for f in left if any(os.path.lexists(path) for path in (f.fit, f.mesh, f.labels))]
     learned = set(learned_digests(fitter).values())
     anew = not all(is_result_of(learned, f) for f in there)  # which --existing skip would refuse, or keep though they are others
-    unknown = _strangers(fitter, subjects)
-    known = [f for f, s in zip(files, subjects or [None] * len(files), strict=True) if s not in unknown]
-    known = [f for f in known if f in left or (not anew and f.name not in useless)]
+    known = [files[i] for i in _of_the_known(fitter, subjects, len(files))]
+    known = [f.source for f in known if f in left or (not anew and f.name not in useless)]
     command = _to_fit(model, values, "replace" if anew else "skip", known)
     alone = " alone, where files of an earlier run are" if anew else ""
     return f"{words}; the rest{alone}{_but_for_strangers(fitter, subjects)}: {command}"
@@ -63,6 +66,12 @@ def results_so_far(fitter, model, files, entries, subjects, values):
 def _strangers(fitter, subjects):
     """Subjects of whom nothing was learned, as all their scans have failed."""
     return [s for s in dict.fromkeys(subjects or ()) if s not in fitter.template_]
+
+
+def _of_the_known(fitter, subjects, n):
+    """Which of n scans are of subjects of whom something was learned."""
+    unknown = _strangers(fitter, subjects)
+    return [i for i in range(n) if subjects is None or subjects[i] not in unknown]
 
 
 def _but_for_strangers(fitter, subjects):
@@ -82,9 +91,9 @@ def is_result_of(learned, files):
         return False
 
 
-def _to_fit(model, values, existing, files=()):
+def _to_fit(model, values, existing, scans):
     """The command that fits scans, these where their names are short, with the model, read and written as here."""
-    scans = " ".join(shlex.quote(f.source) for f in files)
+    scans = " ".join(map(shlex.quote, scans))
     words = ["lbsfit", "fit", shlex.quote(str(model)), scans if 0 < len(scans) <= _SHORT else "SCAN..."]
     words += ["-o", shlex.quote(values["results"] or "OUT")]
     words += ["--samples", str(values["samples"])] if values["samples"] is not None else []

@@ -9,7 +9,7 @@ from .. import __version__
 from ..errors import FileError, in_words
 from . import context
 
-__all__ = ["RECIPE", "cache_folder", "cached"]
+__all__ = ["RECIPE", "cache_folder", "cached", "could_not_keep"]
 
 # To be raised by one with every change of segmentation/, starts/look.py, starts/library.py, synthesis.py, sensor.py or
 # rig/proportions.py after which the same settings and seed train another segmenter or another library: what an earlier state
@@ -22,8 +22,21 @@ _MEMORY, _WARNED_OF = {}, set()
 def cache_folder():
     """The folder of the cache: $LBSFIT_CACHE, else lbsfit_np in the user's cache folder."""
     if os.environ.get("LBSFIT_CACHE"):
-        return Path(os.environ["LBSFIT_CACHE"])
+        return _expanded(os.environ["LBSFIT_CACHE"])
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lbsfit_np"
+
+
+def _expanded(folder):
+    """The path, ~ at its start being the user's folder: a shell replaces it, files of settings and services do not."""
+    try:
+        return Path(folder).expanduser()
+    except RuntimeError:  # a user that there is not, or no such folder
+        return Path(folder)
+
+
+def could_not_keep():
+    """Whether something that this process has trained could not be written to the folder, which was warned of."""
+    return cache_folder() in _WARNED_OF
 
 
 def cached(kind, key, train, load):
