@@ -213,7 +213,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     from ..learning.parameters import check_parameters
 
     started = time.perf_counter()
-    out = Path(values["output"])
+    out, scans = Path(values["output"]), outputs.without_results(scans)
     read = [rig_path, values["segmenter"], values["subjects"], values["card"] if values["card"] != "none" else None, *inputs]
     names = {"existing": values["existing"], "pictures": values["pictures"], "may_skip": True}
     outputs.check_sources(scans)

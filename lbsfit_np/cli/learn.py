@@ -140,7 +140,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     from ..learning.parameters import check_parameters
 
     started = time.perf_counter()
-    model = Path(values["output"])
+    model, scans = Path(values["output"]), outputs.without_results(scans)
     files = _checked(rig_path, scans, values, inputs)
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
     rig = load_rig_with(rig_path, values)

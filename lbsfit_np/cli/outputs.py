@@ -8,6 +8,7 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, in_words, listed
 from ..io.columns import ODD_X
+from .progress import say
 
 __all__ = [
     "SUMMARY",
@@ -27,9 +28,12 @@ __all__ = [
     "unfitted_entry",
     "with_reasons",
     "without_pictures_of_others",
+    "without_results",
 ]
 
 SUMMARY = "summary.json"
+# What follows the name of a scan in its files.
+_ENDINGS = {"fit": ".fit.npz", "mesh": ".mesh.ply", "labels": ".labels.ply", "picture": ".png"}
 
 _FREE = "a folder without results of these names"
 _REPLACE = "--existing replace"
@@ -100,8 +104,8 @@ def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, may_s
     files = []
     for source in sources:
         name = Path(source).stem
-        paths = [out / f"{name}.{ending}" for ending in ("fit.npz", "mesh.ply", "labels.ply")]
-        files.append(ScanFiles(source, name, *paths, out / f"{name}.png" if pictures else None))
+        paths = {what: out / f"{name}{ending}" for what, ending in _ENDINGS.items() if pictures or what != "picture"}
+        files.append(ScanFiles(source, name, **paths))
     _check_clashes(files, out, argument)
     # The summary is of each run alone: one that is there is no fit that could be lost.
     paths = [path for f in files for path in f.paths.values()] + [out / SUMMARY]
@@ -132,7 +136,7 @@ def check_outputs(paths, out, *, inputs, existing, argument="-o"):
         _check_length(path, "Rename the scan.")
         for source in inputs:
             if same_file(path, source):
-                remedy = "An input is never overwritten: choose another folder."
+                remedy = "An input is never overwritten: choose another folder, or leave it out where it is a result of before."
                 raise InputError(argument, f"{out}, where {path.name} is an input ({source})", "a folder for the results", remedy)
         if os.path.isdir(path):
             raise FileError(str(path), "a folder", "the name of a file to write")
@@ -300,6 +304,46 @@ def check_sources(sources):
     if folders:
         inside = os.path.join(folders[0], "*.ply")
         raise InputError("SCAN", f"a folder: {listed(folders, 5)}", "scan files", f"Name the files in it, such as {inside}")
+
+
+def without_results(sources):
+    """The scans but for results of others of them that this package has written beside these, which a line tells.
+
+    Patterns such as ``*.ply`` name both where results go into the folder of the scans, and the same command has to mean the same
+    once there are some. A result that is given without its scan is one itself.
+    """
+    scans = {}
+    for source in sources:
+        if not source.endswith(_ENDINGS["picture"]):
+            scans.setdefault(_place(source, Path(source).stem), set()).add(os.path.basename(source))
+    left = {s for s in sources if any(s.endswith(ending) and _is_result(s, ending, scans) for ending in _ENDINGS.values())}
+    folders = {os.path.dirname(s) for s in left}
+    left |= {s for s in sources if os.path.basename(s) == SUMMARY and os.path.dirname(s) in folders}
+    if left:
+        which, names = ("which is a result", "its scan") if len(left) == 1 else ("which are results", "their scans")
+        words = f"left out {len(left)} of {len(sources)} files, {which} that lbsfit has written beside {names}: "
+        words += listed([os.path.basename(s) for s in sources if s in left], 3)
+        say(f"{words}; to fit such a file as a scan, give it without the scan that it is of")
+    return [s for s in sources if s not in left]
+
+
+def _is_result(source, ending, scans):
+    """Whether a file with that ending is of a fit beside it, whose scan is one of the others: names by place."""
+    from ..io.npz import npz_keys
+
+    name = os.path.basename(source).removesuffix(ending)
+    if not scans.get(_place(source, name), set()) - {os.path.basename(source)}:
+        return False
+    fit = os.path.join(os.path.dirname(source), name + _ENDINGS["fit"])
+    try:
+        ours = "lbsfit_np_result" in npz_keys(fit)
+    except FileError:
+        return False
+    return ours and (ending != _ENDINGS["picture"] or not _is_of_others(source))
+
+
+def _place(source, name):
+    return os.path.abspath(os.path.dirname(source)), name
 
 
 def _check_there(files, out, argument, may_skip):

@@ -1,0 +1,97 @@
+"""Results that were written into the folder of the scans: patterns name both, and results are no scans then."""
+
+import json
+
+import numpy as np
+import pytest
+from cli_runs import QUICK, one_line
+
+import lbsfit_np as lbs
+from lbsfit_np.cli import learn
+from lbsfit_np.cli.outputs import without_results
+from lbsfit_np.report.render import write_png
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+@pytest.fixture
+def folder(fitted, made, tmp_path):
+    """A folder with the scans one.ply and two.xyz, their fits, and the summary."""
+    folder = tmp_path / "scans"
+    folder.mkdir()
+    for path in (made / "one.ply", made / "two.xyz", *fitted[0].iterdir()):
+        (folder / path.name).write_bytes(path.read_bytes())
+    return folder
+
+
+def test_the_same_pattern_means_the_same_scans_once_there_are_results(folder, made, run):
+    before = {path: path.stat().st_mtime_ns for path in folder.glob("*.fit.npz")}
+    arguments = ("fit", made / "tube.npz", *sorted(folder.iterdir()), "-o", folder, *QUICK)
+    code, text, err = run(*arguments, "--existing", "skip")
+    assert (code, err) == (0, "") and "2 of 2 scans fitted, 2 of them kept from before" in text
+    told = "left out 7 of 9 files, which are results that lbsfit has written beside their scans: one.fit.npz, one.labels.ply, "
+    told += "one.mesh.ply and 4 more; to fit such a file as a scan, give it without the scan that it is of\n"
+    assert text.startswith(told)
+    assert {path: path.stat().st_mtime_ns for path in before} == before
+    code, _, err = run(*arguments)
+    assert code == 2 and "one.fit.npz" in one_line(err) and "exist already" in err and "--existing skip" in err
+
+
+def test_results_are_not_fitted_into_another_folder(folder, made, tmp_path, run):
+    code, text, _ = run("fit", made / "tube.npz", *sorted(folder.glob("one.*")), "-o", tmp_path / "out", *QUICK)
+    assert code == 0 and "left out 3 of 4 files, which are results " in text and "1 of 1 scan fitted" in text
+    summary = json.loads((tmp_path / "out" / "summary.json").read_text())
+    assert [scan["name"] for scan in summary["scans"]] == ["one"]
+
+
+def test_a_registration_can_be_registered(folder, made, tmp_path, run):
+    """On purpose: its scan is not given."""
+    scans = (folder / "one.mesh.ply", folder / "two.xyz")
+    code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path / "out", *QUICK)
+    assert code == 0 and "left out" not in text and "2 of 2 scans fitted" in text
+    assert (tmp_path / "out" / "one.mesh.mesh.ply").is_file()
+
+
+def test_learning_leaves_results_out_as_well(folder, made, tmp_path, run, monkeypatch):
+    read = []
+
+    def stopped(fitter, reading, *given):
+        read.extend(reading.paths)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(learn, "_learn", stopped)
+    code, text, _ = run("learn", made / "tube.npz", *sorted(folder.iterdir()), "-o", tmp_path / "m.npz", "--results", folder,
+                        "--existing", "replace")  # fmt: skip
+    assert code == 130 and text.startswith("left out 7 of 9 files") and read == [str(folder / n) for n in ("one.ply", "two.xyz")]
+
+
+@pytest.mark.parametrize("relative", [False, True])
+def test_what_is_a_result(relative, folder, fitted, capsys, monkeypatch):
+    (folder / "sub").mkdir()
+    write_png(folder / "one.png", np.zeros((4, 4, 3), dtype=np.uint8))
+    (folder / "two.png").write_bytes(b"a texture")
+    names = ("three.ply", "three.mesh.ply", "four.ply", "four.labels.ply", "four.fit.npz", "sub/one.ply", "sub/two.mesh.ply")
+    for name in names:  # without a fit, with one that is none, elsewhere
+        (folder / name).write_bytes(b"ply")
+    np.savez(folder / "three.fit.npz", a=1)
+    if relative:
+        monkeypatch.chdir(folder)
+
+    def given(*names):
+        return list(names) if relative else [str(folder / name) for name in names]
+
+    assert without_results(given("one.png", "one.mesh.ply", "one.ply", "two.png")) == given("one.ply", "two.png")
+    assert "left out 2 of 4 files, which are results that lbsfit has written beside their scans: one.png, one.mesh.ply; " in (
+        capsys.readouterr().out
+    )
+    assert without_results(given("one.ply", "one.mesh.ply")) == given("one.ply")
+    assert "left out 1 of 2 files, which is a result that lbsfit has written beside its scan: one.mesh.ply; " in (
+        capsys.readouterr().out
+    )
+    scans = given(*names, "three.fit.npz", "summary.json", "two.png", "two.xyz", "one.mesh.ply", "one.labels.ply", "one.png")
+    assert without_results(scans) == scans and capsys.readouterr().out == ""
+    (folder / "four.fit.npz").write_bytes((fitted[0] / "one.fit.npz").read_bytes())
+    assert without_results(given(*names)) == given("three.ply", "three.mesh.ply", "four.ply", *names[5:])
+    deep = given("three.ply", "three.mesh.ply", "three.mesh.mesh.ply")  # a registration that was registered
+    lbs.FitResult.load(fitted[0] / "one.fit.npz").save(folder / "three.mesh.fit.npz")
+    assert without_results(deep) == deep[:2]
