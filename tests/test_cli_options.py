@@ -10,7 +10,9 @@ from cli_runs import one_line
 import lbsfit_np as lbs
 from lbsfit_np import cli
 from lbsfit_np.cli import fit
+from lbsfit_np.cli.parsing import settings
 from lbsfit_np.fitting.effort import EFFORTS
+from lbsfit_np.learning.training import training_settings
 from lbsfit_np.rig.frames import AXES
 from lbsfit_np.starts.turns import ORIENTATIONS
 
@@ -37,7 +39,8 @@ def test_configuration_files(made, tmp_path, run):
     [
         ("sede = 3", ["'sede'", "one of output, card", "Did you mean 'seed'"]),
         ('seed = "3"', ["seed", "a whole number"]),
-        ("jobs = 0", ["jobs", "at least 1"]),
+        ("jobs = 0", ["got jobs = 0; expected a whole number of at least 1."]),
+        ("seed = -1", ["got seed = -1; expected a whole number of at least 0."]),
         ("drop-invalid = 1", ["drop-invalid", "true or false"]),
         ('weights = "papre"', ["weights", "'default' or 'paper'"]),
         ("card = 3", ["card", "text in quotes"]),
@@ -55,7 +58,9 @@ def test_configuration_files(made, tmp_path, run):
         ("seed = 1" + "0" * 400, ["seed = 1000", "…", "a whole number"]),
         ("jobs = 100000000000000000000", ["jobs", "at most 9223372036854775807"]),
         ("training = { turn = 1" + "0" * 400 + " }", ["training", "a table of numbers"]),
-        ('output = ""', ["output", "text in quotes"]),
+        ('output = ""', ["got output = ''; expected text in quotes that is not empty."]),
+        ("training = { turn = true }", ["got training: turn: True; expected a number of at least 0 and"]),
+        ("training = { one_sided = 2 }", ["got training: one_sided: 2; expected True or False, or 1 or 0."]),
     ],
 )
 def test_bad_configuration_files(text, words, made, tmp_path, run):
@@ -63,6 +68,24 @@ def test_bad_configuration_files(text, words, made, tmp_path, run):
     config.write_text(text)
     code, _, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", "--config", config)
     assert code == 2 and "fit.toml: got" in one_line(err) and all(word in err for word in words), err
+
+
+def test_shares_out_of_range_in_a_file_are_named_as_there(made, tmp_path, run):
+    config = tmp_path / "learn.toml"
+    for text, expected in (("held-out = 1.5", "a number from 0 to 0.9"), ("smooth = -1", "a number of at least 0")):
+        config.write_text(text)
+        code, _, err = run("learn", made / "tube.npz", made / "one.ply", "-o", tmp_path / "m.npz", "--config", config)
+        assert code == 2 and one_line(err).endswith(f"learn.toml: got {text}; expected {expected}.")
+
+
+@pytest.mark.parametrize("word, value", [("true", True), ("False", False), ("1", 1)])
+def test_what_is_on_or_off_in_training_may_be_said_so(word, value, tmp_path):
+    (tmp_path / "fit.toml").write_text(f"training = {{ one-sided = {word.lower()} }}")
+    for options in (("--training", f"one_sided={word}"), ("--config", str(tmp_path / "fit.toml"))):
+        arguments = cli._parser().parse_args(["fit", "r", "s", "-o", "o", *options])
+        training = settings(arguments, fit.OPTIONS, arguments.config)["training"]
+        assert training == {"one_sided": value} and training_settings(training).one_sided is bool(value)
+        fit.check_training(training)
 
 
 @pytest.mark.parametrize(

@@ -112,7 +112,7 @@ def _number(text, most):
         value = math.nan
     if not (0 <= value <= most and math.isfinite(value)):
         bounds = "of at least 0" if most == math.inf else f"from 0 to {most:g}"
-        raise argparse.ArgumentTypeError(f"got {brief(text)}; expected a number {bounds}")
+        raise _OutOfRange(text, f"a number {bounds}")
     return value
 
 
@@ -122,10 +122,18 @@ def _whole(text, least):
     except ValueError:
         value = least - 1
     if value < least:
-        raise argparse.ArgumentTypeError(f"got {brief(text)}; expected a whole number of at least {least}")
+        raise _OutOfRange(text, f"a whole number of at least {least}")
     if value > _LARGEST:
-        raise argparse.ArgumentTypeError(f"got {brief(text)}; expected a whole number of at most {_LARGEST}")
+        raise _OutOfRange(text, f"a whole number of at most {_LARGEST}")
     return value
+
+
+class _OutOfRange(argparse.ArgumentTypeError):
+    """A number that cannot be; ``expected`` says what could, for those who call what came by another name."""
+
+    def __init__(self, text, expected):
+        self.expected = expected
+        super().__init__(f"got {brief(text)}; expected {expected}")
 
 
 @dataclass(frozen=True)
@@ -147,7 +155,7 @@ class Option:
     is_path : bool
         In a configuration file it is relative to the file's folder.
     table : bool
-        NAME=NUMBER, as often as wanted; in a configuration file a table.
+        NAME=NUMBER, as often as wanted, or true or false for the number; in a configuration file a table.
     check : callable (value), optional
         Raises InputError where a configuration file's value cannot be used, which is then said to be the file's.
     refusals : dict
@@ -241,6 +249,8 @@ def _help(option):
 
 def _pair(text):
     name, _, value = text.partition("=")
+    if (word := value.strip().lower()) in ("true", "false"):
+        return name.strip().replace("-", "_"), word == "true"
     for kind in (int, float):
         try:
             number = kind(value)
@@ -288,7 +298,7 @@ def _checked(value, option, path):
             return value
         raise FileError(str(path), f"{option.name} = {brief(value)}", "true or false")
     if option.table:
-        if isinstance(value, dict) and all(type(v) in (int, float) and _is_finite(v) for v in value.values()):
+        if isinstance(value, dict) and all(type(v) in (bool, int, float) and _is_finite(v) for v in value.values()):
             table = {name.replace("-", "_"): v for name, v in value.items()}
             if option.check is not None:
                 try:
@@ -306,12 +316,12 @@ def _checked(value, option, path):
         raise FileError(str(path), f"{option.name} = {brief(value)}", expected, remedy)
     if option.kind is str:
         if not isinstance(value, str) or not value:
-            raise FileError(str(path), f"{option.name} = {brief(value)}", "text in quotes")
+            raise FileError(str(path), f"{option.name} = {brief(value)}", "text in quotes" + " that is not empty" * (value == ""))
         return str(Path(path).parent / value) if option.is_path and value != "none" else value
     whole = option.kind in (natural, positive)
     if type(value) not in ((int,) if whole else (int, float)) or not _is_finite(value):
         raise FileError(str(path), f"{option.name} = {brief(value)}", "a whole number" if whole else "a number")
     try:
         return option.kind(str(value))
-    except argparse.ArgumentTypeError as error:
-        raise FileError(str(path), f"{option.name}: {error}", "another number") from None
+    except _OutOfRange as error:
+        raise FileError(str(path), f"{option.name} = {brief(value)}", error.expected) from None
