@@ -1,11 +1,14 @@
 """Tables of subjects: the forms that are read, and the mistakes that are named."""
 
+import os
+
 import pytest
 
 from lbsfit_np.cli.subjects import check_no_table, read_subjects
 from lbsfit_np.errors import FileError, InputError
 
 SCANS = ["in/a1.ply", "in/a2.ply", "in/b 1.xyz"]
+_ONE_PLACE = " Put all names at the top, or all in [subjects]."
 
 
 @pytest.mark.parametrize(
@@ -105,6 +108,8 @@ def test_scans_that_a_table_with_others_lacks(content, got, remedy, tmp_path):
         ("who.toml", "a1.ply = 'anna'\n", ["line 1", "names with dots in quotes"]),
         ("who.toml", "a1 = 'anna'\n\na2 = ['anna']\n", ["a2 = ['anna'] in line 3"]),
         ("who.toml", "a1 = 'anna'\na2 = true\n", ["a2 = true in line 2", "Ids are text, in quotes, or whole numbers."]),
+        ("who.toml", "a1 = 'anna'\n\n[subjects]\na2 = 'ben'\n", ["got subjects = {'a2': 'ben'} in line 3; ", _ONE_PLACE]),
+        ("who.toml", "[people]\na1 = 'anna'\n", ["got people = {'a1': 'anna'} in line 1; ", _ONE_PLACE]),
         ("who.toml", "a1 = 'anna'\na1 = 'ben'\n", ["not TOML", "line 2"]),
         ("who.toml", "a1 = 'anna'\n'a1.ply' = 'ben'\n", ["'a1.ply' twice, in lines 1 and 2"]),
         ("who.toml", "a1 = ", ["not TOML"]),
@@ -153,6 +158,38 @@ def test_clouds_are_no_tables_of_subjects(content, tmp_path):
     cloud = tmp_path / "1.csv"
     cloud.write_bytes(content.encode("utf-8", "surrogateescape"))
     check_no_table([*SCANS, str(tmp_path / "2.csv"), str(cloud)], "")
+
+
+def test_a_line_that_is_cut_says_nothing_of_what_a_file_is(tmp_path):
+    """One of two whole lines names a scan, as tables' lines do; the third is cut within its name."""
+    head, cut = "a1,anna\nnobody knows whose these are\n", "b 1.xyz,ben\n"
+    (tmp_path / "who.csv").write_text(head + "#" * (4096 - len(head) - len("\nb ")) + "\n" + cut)
+    with pytest.raises(InputError, match="a table that names other scans"):
+        check_no_table([*SCANS, str(tmp_path / "who.csv")], "")
+
+
+def test_files_that_name_others_do_not_make_many_scans_slow(tmp_path, monkeypatch):
+    """OBJ names its materials by two words, the second a path: each is looked up, not compared with each scan."""
+    scans, looked, stat = [], [], os.stat
+    for i in range(60):
+        (tmp_path / f"s{i}.obj").write_text(f"mtllib ./s{i}.obj.mtl\nmtllib {tmp_path}/sub/../s{i}.obj\nv 0 0 0\nv 1 0 0\n")
+        scans.append(str(tmp_path / f"s{i}.obj"))
+    (tmp_path / "sub").mkdir()
+    monkeypatch.setattr(os, "stat", lambda *given, **more: looked.append(given) or stat(*given, **more))
+    check_no_table(scans, "")
+    assert 60 <= len(looked) <= 4 * 60
+
+
+def test_a_file_may_be_named_by_another_path(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "in").mkdir()
+    (tmp_path / "in" / "a1.ply").write_text("ply")
+    (tmp_path / "in" / "link.ply").symlink_to("a1.ply")
+    (tmp_path / "who.csv").write_text(f"{tmp_path}/in/link.ply,anna\n./in/A2.ply,ben\nin/../in/b 1.xyz,carl\n")
+    assert read_subjects(tmp_path / "who.csv", SCANS) == ["anna", "ben", "carl"]  # the others do not exist
+    (tmp_path / "who.csv").write_text("in/a1.ply,anna\n./in/a1.ply,anna\n")
+    with pytest.raises(FileError, match="the scan './in/a1.ply' twice, in lines 1 and 2"):
+        read_subjects(tmp_path / "who.csv", SCANS)
 
 
 def test_columns_that_are_exchanged(tmp_path):

@@ -193,6 +193,8 @@ def _checked(rig_path, scans, values, inputs):
         got = f"{model}, which ends in {model.suffix!r}" if model.suffix else f"{model}, which has no ending"
         other = model.suffix.lower() in (*SCAN_EXTENSIONS, *_OTHER_ENDINGS)  # else a dot within the name
         name = model.with_suffix(".npz") if other else f"{model}.npz"
+        if model.is_dir():
+            got, name = f"{model}, which is a folder", model / "model.npz"
         raise InputError("-o/--output", got, "a name that ends in .npz", f"Call it {name}.")
     if values["smooth"] and not values["sequence"] and VARIANTS[values["variant"]].skinning:
         raise InputError("--smooth", f"{values['smooth']:g} without --sequence", "a sequence", "Add --sequence, or leave it out.")

@@ -20,6 +20,7 @@ __all__ = [
     "draw",
     "entry",
     "fitted_entry",
+    "folded",
     "make_folder",
     "plan",
     "remove",
@@ -161,6 +162,9 @@ def make_folder(out):
     """Create the folder to write to, and see that it can be written to; the folders that were not there, the innermost first."""
     out = Path(out)
     made = [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]
+    for path in (out, *out.parents):
+        if os.path.exists(path) and not os.path.isdir(path):
+            raise FileError(str(path), "a file", "a folder to write to, or a name for a new one")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except (OSError, ValueError) as error:  # ValueError: NUL in the name
@@ -183,7 +187,7 @@ def same_file(a, b):
     try:
         return os.path.samefile(a, b)
     except (OSError, ValueError):
-        return _folded(os.path.abspath(a)) == _folded(os.path.abspath(b))
+        return folded(os.path.abspath(a)) == folded(os.path.abspath(b))
 
 
 def entry(scan, status, **facts):
@@ -401,7 +405,7 @@ def _check_clashes(files, out, argument):
         other_way = "learn without --results, and fit the model to each folder"
     seen = {}
     for f in files:
-        other = seen.setdefault(_folded(f.name), f)
+        other = seen.setdefault(folded(f.name), f)
         if other is not f:
             what = "given twice" if same_file(f.source, other.source) else f"and {f.source}"
             raise InputError(
@@ -412,5 +416,6 @@ def _check_clashes(files, out, argument):
             )
 
 
-def _folded(text):
+def folded(text):
+    """A name or path as file systems have it where upper and lower case are the same."""
     return unicodedata.normalize("NFC", str(text)).casefold()

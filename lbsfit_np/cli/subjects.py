@@ -1,15 +1,17 @@
 """``--subjects FILE``: who was scanned in which file, from a table that people write by hand or export."""
 
 import csv
+import os
 import re
 import shlex
 import tomllib
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
 from unicodedata import normalize
 
 from ..errors import FileError, InputError, brief, did_you_mean, listed
-from .outputs import same_file
+from .outputs import folded
 from .progress import counted
 
 __all__ = ["SUBJECT_FILES", "check_no_table", "read_subjects"]
@@ -162,13 +164,39 @@ class _Names:
         for table in self.tables:
             if name in table:
                 return table[name]
-        if Path(name).name != name:  # another way to write a path
-            return [i for i, scan in enumerate(self.scans) if same_file(scan, name)]
-        return []
+        return self._by_file(name) if Path(name).name != name else []  # another way to write a path
+
+    def _by_file(self, name):
+        """As ``outputs.same_file`` finds them: one by one that takes too long where each of thousands of scans has such names."""
+        known, lost, places = self.files
+        place = folded(os.path.abspath(name))
+        try:
+            return sorted(known.get(_identity(name), []) + lost.get(place, []))
+        except (OSError, ValueError):
+            return places.get(place, [])
+
+    @cached_property
+    def files(self):
+        """Scans by their files, where there is no file by their places, and all by their places."""
+        known, lost, places = {}, {}, {}
+        for i, scan in enumerate(self.scans):
+            place = folded(os.path.abspath(scan))
+            places.setdefault(place, []).append(i)
+            try:
+                known.setdefault(_identity(scan), []).append(i)
+            except (OSError, ValueError):
+                lost.setdefault(place, []).append(i)
+        return known, lost, places
 
     def without(self, scans):
         """Names that mean other scans, too."""
         return [name for table in self.tables for name, found in table.items() if set(found) - scans]
+
+
+def _identity(path):
+    """What two paths have in common that are one file."""
+    found = os.stat(path)
+    return found.st_dev, found.st_ino
 
 
 def _text(path):
@@ -224,11 +252,13 @@ def _toml_rows(path, text):
         content = content["subjects"]
     rows = []
     for name, subject in content.items():
-        match = re.search(rf"""^\s*["']?{re.escape(name)}(?=["'\s=.\]])""", text, flags=re.MULTILINE)
+        match = re.search(rf"""^\s*(\[\s*)?["']?{re.escape(name)}(?=["'\s=.\]])""", text, flags=re.MULTILINE)
         line = text.count("\n", 0, match.end()) + 1 if match else "?"
         if type(subject) not in (str, int):
             remedy = "Ids are text, in quotes, or whole numbers."
-            remedy = "Put names with dots in quotes." if isinstance(subject, dict) else remedy
+            if isinstance(subject, dict):
+                headed = match is not None and match[1] is not None
+                remedy = "Put all names at the top, or all in [subjects]." if headed else "Put names with dots in quotes."
             got = str(subject).lower() if isinstance(subject, bool) else brief(subject)  # as TOML has it
             raise FileError(str(path), f"{name} = {got} in line {line}", expected, remedy)
         rows.append((line, name, normalize("NFC", str(subject).strip())))
