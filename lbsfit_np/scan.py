@@ -118,13 +118,14 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
     ------
     InputError
         Wrong shape, not numbers, empty, NaN or infinite (with their count and the first index), fewer than ``minimum``,
-        or two and more points that are all equal.
+        two and more points that are all equal, or a mask that leaves points out.
     """
     if isinstance(points, (str, bytes, os.PathLike)):
         expected, remedy = "numbers of shape (n, 3)", "Read a file with load_scan(path)."
         raise InputError(argument, f"the path {brief(os.fsdecode(points))}", expected, remedy)
     try:
-        given = np.asarray(getattr(points, "points", points))
+        raw = getattr(points, "points", points)
+        given = np.asarray(raw)
         if given.dtype.kind == "O":
             given = given.astype(float)
     except (ValueError, TypeError):
@@ -140,6 +141,10 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         raise InputError(argument, "an empty cloud (0 points)", f"at least {minimum} points of shape (n, 3)")
     if given.ndim != 2 or given.shape[1] != 3:
         raise InputError(argument, f"an array of shape {given.shape}", "shape (n, 3), one point per row", _reshaping(given.shape))
+    if np.ma.is_masked(raw):  # of which no view as an array knows
+        masked = int(np.ma.getmaskarray(raw).any(axis=1).sum())
+        remedy = "Leave masked points out: points[~np.ma.getmaskarray(points).any(axis=1)]."
+        raise InputError(argument, f"a masked array with {masked} of {len(given)} points masked", "points without a mask", remedy)
     array = given.astype(np.float64, copy=False)
     finite = np.isfinite(array)
     dropped = ""

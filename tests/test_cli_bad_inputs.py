@@ -34,6 +34,7 @@ BAD_SCANS = {
     "few.xyz": (_points(np.eye(3)), ["few.xyz: got 3 points", "at least 4 points"]),
     "nan.xyz": (_points(_WITH_NAN), ["2 of 5 points", "index 2", "--drop-invalid"]),
     "equal.xyz": (_points(np.ones((30, 3))), ["30 points that are all equal"]),
+    "huge.xyz": (_points(1e199 * np.random.default_rng(0).normal(size=(30, 3))), ["huge.xyz: got an extent of", "can square"]),
     "flat.npy": (lambda path: np.save(path, np.ones((30, 2))), ["(30, 2)", "(n, 3)"]),
     "words.xyz": (lambda path: path.write_text("this is no scan\n"), ["words.xyz: got no line of numbers below the first"]),
     "not.glb": (lambda path: path.write_bytes(b"glTF" + struct.pack("<II", 2, 900)), ["not.glb"]),

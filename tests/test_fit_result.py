@@ -140,6 +140,11 @@ def test_a_name_without_the_ending_is_refused(name, words, tube_result, tmp_path
     assert not list(tmp_path.iterdir())
 
 
+def test_a_folder_is_no_name_of_a_result(tube_result, tmp_path):
+    with pytest.raises(FileError, match="got a folder; expected the name of a file to write, which ends in .npz"):
+        tube_result.save(tmp_path)
+
+
 def test_a_result_is_no_scan(tube_result, tmp_path):
     tube_result.save(tmp_path / "a.fit.npz")
     with pytest.raises(FileError, match=r"got the result of a fit; expected a scan.*FitResult\.load"):

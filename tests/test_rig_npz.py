@@ -1,6 +1,10 @@
 """Rigs in NPZ files: bit-exact round trips, the bodies' format, and every way of being broken."""
 
+import gc
+import itertools
 import json
+import warnings
+from contextlib import nullcontext
 from dataclasses import fields, replace
 
 import numpy as np
@@ -215,6 +219,20 @@ def test_truncated_file(tmp_path, tube_rig, share):
     (tmp_path / "cut.npz").write_bytes(whole[: int(share * len(whole))])
     with pytest.raises(FileError, match=r"cut\.npz.*broken or no NPZ.*again"):
         load_rig(tmp_path / "cut.npz")
+
+
+def test_a_file_that_is_no_archive_is_closed(tmp_path, tube_rig):
+    tube_rig.save(tmp_path / "rig.npz")
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "rig.npz").read_bytes()[:900])
+    np.save(tmp_path / "one.npy", np.zeros(3))
+    (tmp_path / "one.npy").rename(tmp_path / "one.npz")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        for name, read in itertools.product(("rig", "cut", "one"), (read_npz, npz_keys)):
+            with nullcontext() if name == "rig" else pytest.raises(FileError):
+                read(tmp_path / f"{name}.npz")
+        gc.collect()
+    assert not told
 
 
 def test_damaged_file(tmp_path, tube_rig):

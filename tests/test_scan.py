@@ -46,6 +46,21 @@ def test_check_points_refuses(points, words):
     assert caught.value.argument == "cloud"
 
 
+def test_masked_points_are_no_points():
+    """Arrays forget masks, and what is masked would be fitted."""
+    points = np.ma.masked_array(POINTS, np.zeros(np.shape(POINTS), dtype=bool))
+    np.testing.assert_array_equal(check_points(points), POINTS)  # none is
+    points[0], points[2, 1] = np.ma.masked, np.ma.masked
+    for refuse in (check_points, Scan, lambda p: check_points(SimpleNamespace(points=p))):
+        words = rf"points: got a masked array with 2 of {len(POINTS)} points masked; expected points without a mask. Leave masked"
+        with pytest.raises(InputError, match=words):
+            refuse(points)
+    left = points[~np.ma.getmaskarray(points).any(axis=1)]  # as the message says
+    np.testing.assert_array_equal(Scan(left).points, np.delete(POINTS, [0, 2], axis=0))
+    with pytest.raises(InputError, match=r"shape \(3,\)"):
+        check_points(np.ma.masked_array([1.0, 2, 3], [True, False, False]))
+
+
 class _Frame:
     """An array in another dress, as data frames are."""
 

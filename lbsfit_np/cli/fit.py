@@ -178,13 +178,15 @@ def scan_options(values):
 
 
 def read_scan(path, least, options):
-    """The scan at ``path``; FileError, which names it, also where it has fewer points than ``least``."""
+    """The scan at ``path``; FileError, which names it, also where points are fewer than ``least`` or cannot be used."""
     from ..io.scans import load_scan
     from ..scan import check_points
+    from ..starts.scale import checked_extent
 
     scan = load_scan(path, **options)
     try:
         check_points(scan, minimum=least)
+        checked_extent(scan.points)
     except InputError as error:
         raise FileError(str(path), error.got, error.expected, error.remedy) from None
     return scan

@@ -5,6 +5,7 @@ import struct
 import tokenize
 import zipfile
 import zlib
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 
@@ -92,22 +93,25 @@ def read_npy(path):
         raise FileError(str(path), got, "a complete NPY file", remedy) from None
 
 
+@contextmanager
 def _opened(path):
+    """The archive, closed at the end, as is a file that turns out to be none."""
     if not isinstance(path, (str, os.PathLike)):
         raise InputError("path", f"a {type(path).__name__}", "the path of an NPZ file")
-    try:
-        archive = np.load(path, allow_pickle=False)
-    except FileNotFoundError:
-        raise FileError(str(path), "no such file", "an NPZ file") from None
-    except IsADirectoryError:
-        raise FileError(str(path), "a folder", "an NPZ file") from None
-    except _BROKEN:
-        raise _broken(path, "it does not open as an NPZ archive") from None
-    except OSError as e:
-        raise FileError(str(path), f"a file that cannot be read ({e.strerror or e})", "an NPZ file") from None
-    if not isinstance(archive, np.lib.npyio.NpzFile):
-        raise FileError(str(path), "a single array (NPY)", "an NPZ file, which holds several arrays by name")
-    return archive
+    with ExitStack() as stack:
+        try:
+            archive = np.load(stack.enter_context(open(path, "rb")), allow_pickle=False)
+        except FileNotFoundError:
+            raise FileError(str(path), "no such file", "an NPZ file") from None
+        except IsADirectoryError:
+            raise FileError(str(path), "a folder", "an NPZ file") from None
+        except _BROKEN:
+            raise _broken(path, "it does not open as an NPZ archive") from None
+        except OSError as e:
+            raise FileError(str(path), f"a file that cannot be read ({e.strerror or e})", "an NPZ file") from None
+        if not isinstance(archive, np.lib.npyio.NpzFile):
+            raise FileError(str(path), "a single array (NPY)", "an NPZ file, which holds several arrays by name")
+        yield stack.enter_context(archive)
 
 
 def _broken(path, what):

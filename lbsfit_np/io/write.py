@@ -131,6 +131,8 @@ def check_npz_name(path):
     """FileError unless a name ends in ``.npz``, by which such files are known again."""
     suffix = Path(path).suffix if isinstance(path, (str, os.PathLike)) else ".npz"  # what is no path is for others to refuse
     if suffix.lower() != ".npz":
+        if os.path.isdir(path):
+            raise FileError(str(path), "a folder", "the name of a file to write, which ends in .npz")
         raise FileError(str(path), f"the ending {suffix!r}" if suffix else "a name without an ending", "a name that ends in .npz")
 
 
