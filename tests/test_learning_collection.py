@@ -94,6 +94,16 @@ def test_most_fits_that_fail_are_warned_of(failed, unused, n, warns):
     assert [str(w.message)[:58] for w in told] == ["most fits have failed: do not trust what was learned; fit "] * warns
 
 
+@pytest.mark.parametrize("without, warns", [(2, False), (3, True)])
+def test_a_scan_that_had_its_part_in_learning_and_has_no_result_has_failed(without, warns):
+    """Not so one that could not be used, which has no role."""
+    results = [None] * without + [SimpleNamespace(evidence={}, status="ok")] * (4 - without) + [None] * 5
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        Collection(9, taught=dict.fromkeys(range(4), LEARNED_FROM)).warn(1, results)
+    assert [str(w.message)[:22] for w in told] == ["most fits have failed:"] * warns
+
+
 def test_most_fits_that_fail_in_learning_are_warned_of(tube_rig, clouds, monkeypatch):
     """By the estimator, where it was called."""
     fit = learning_fitter.fit_free_form

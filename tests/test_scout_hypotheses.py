@@ -125,6 +125,16 @@ def test_a_second_look_tries_any_side_where_no_axis_was_told(tube_rig, effort, o
     assert sides == {tuple(s) for s in np.vstack([np.eye(3), -np.eye(3)]) + 0.0}
 
 
+@pytest.mark.parametrize("unit", [0.001, 1.0, 1000.0])
+@pytest.mark.parametrize("apart, poses", [(0.02, 1), (0.04, 2)])
+def test_poses_are_told_apart_in_half_sizes_whatever_the_unit(tube_rig, apart, poses, unit):
+    scout, frame = _untrained(tube_rig), Frame(np.zeros(3), unit)
+    rest = scout.model.rest()
+    states = rest, rest.replace(translation=rest.translation + [apart, 0.0, 0.0])
+    runners = [Runner(None, state, frame) for state in states]
+    assert scout._distinct(runners) == runners[:poses]
+
+
 def test_a_wrong_pose_is_in_doubt(make_scout, clean_scans):
     scout = make_scout()
     found = scout(clean_scans[0].points)
