@@ -160,47 +160,6 @@ def test_extents_raise_no_doubt_of_free_form_fits_whose_scale_is_fixed(scale, do
     assert finish.fit_free_form(Model(tube_rig), collection, FitSettings(scale=scale), **options) == doubted
 
 
-def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans):
-    points = [s.points for s in few_scans]
-    points[1] = 2.54 * points[1]
-    odd = r"its first fit had 2\.\d+ times the scale of its subject's others: in another unit\? Convert it and learn again; "
-    with pytest.warns(UserWarning, match=f"scan 1: {odd}not learned from"):
-        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(points)
-    assert re.match(odd + "not learned from; the scan is in another unit", fitter.results_[1].message)
-    assert [r.message.startswith("learned from; scan and rig are in one unit") for r in fitter.results_] == [1, 0, 1, 1, 1]
-    joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
-    assert joints < 0.03 * 2.54 * tube_rig.size / 2 and fitter.results_[1].scale == pytest.approx(2.54, rel=0.1)
-    assert all(entry["recon"] < 0.08 for entry in fitter.history_)  # of the others alone, which have 0.065
-
-
-def test_a_scan_of_another_size_than_its_subjects_others_is_told_so_and_fitted_in_that(tube_rig, make_learner, few_scans):
-    """Too little for another unit: it is learned from like a first fit that is wrong, which would come home in the rounds."""
-    points = [s.points for s in few_scans]
-    points[1] = 1.5 * points[1]
-    fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(points)
-    odd = r"it has 1\.[45]\d* times the scale of its subject's others: in another unit, or somebody else's\?; learned from; "
-    assert [bool(re.match(odd, r.message)) for r in fitter.results_] == [False, True, False, False, False]
-    joints = np.linalg.norm(fitter.results_[1].joints - 1.5 * few_scans[1].joints, axis=1).mean()
-    assert joints < 0.03 * 1.5 * tube_rig.size / 2 and fitter.results_[1].status == "ok"
-
-
-def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_size(tube_rig, few_scans, monkeypatch):
-    """Of somebody 1.2 times the rig's size, and one scan in another unit."""
-    scales = (1.2, 1.2, 1.2 * 2.54, 1.2)
-    collection = collected(tube_rig, [k * s.points for k, s in zip(scales, few_scans)], held_out=0)
-    loop = loop_over(tube_rig, collection, "cd", None)
-    rest = loop.model.rest()
-    frames = [replace(m.frame, unit=loop.model.half) for m in collection.members]
-    found = [(frame, rest.replace(scale=k), 0.01, None) for frame, k in zip(frames, scales)]
-    monkeypatch.setattr(loop, "_work", lambda *given: found)
-    with pytest.warns(UserWarning, match="scan 2: .*; not learned from"):
-        loop._first_fits()
-    assert [m.own is None for m in collection.members] == [True, True, False, True]
-    unit, theta, proba = collection.members[2].own
-    assert unit == pytest.approx(2.54) and theta is rest.theta and proba is None
-    assert collection.members[2].unit == 1.0  # its subject's, which it has for all that
-
-
 def test_another_scan_tells_when_to_stop_where_the_one_held_out_is_in_another_unit(tube_rig, few_scans, monkeypatch):
     collection = collected(tube_rig, [s.points for s in few_scans])
     loop = loop_over(tube_rig, collection, "cd", None)
@@ -225,45 +184,6 @@ def test_a_learned_fit_in_doubt_tells_what_would_look_further(effort, tube_rig, 
     given = tube_rig, {0: tube_rig}, "follow", collection, settings, Facing()
     (r,) = finish.results_of(*given, jobs=1, progress=lambda *told: None)
     assert ("effort 'balanced' (--effort balanced) looks further" in r.message) == (effort == "fast")
-
-
-@pytest.mark.parametrize("value, wins", [(0.002, True), (0.01, False)])
-def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, tube_rig, few_scans):
-    """In its subject's unit from where it is, or in its own, scale free, from the angles and parts of its first fit."""
-    (m,) = collected(tube_rig, [few_scans[0].points], held_out=0).members
-    theta, proba, half = np.full((4, 3), 0.1), np.full((len(m.rows), 4), 0.25), tube_rig.size / 2
-    m.state, m.own, m.proba = "as it is", (2.54, theta, proba), np.zeros((len(m.rows), 4))
-    m.prior = "neighbours", 1e-5
-    anew, as_is = SimpleNamespace(name="anew", scale=1.1), SimpleNamespace(name="gone on", scale=1.0)
-    m.use_frame(1.0, half)
-    as_it_is, asked = m.problem, []
-
-    class Fake:
-        def __init__(self, free, *answer):
-            self.free, self.answer = free, answer
-
-        def __call__(self, problem, states=(), *, poses=(), proba=None):
-            asked.append((self.free, problem, list(states), list(poses), proba))
-            return (*self.answer, 0)
-
-        def freeing(self, free):
-            return Fake(free, anew, value)
-
-    best = finish._in_its_unit(m, SimpleNamespace(model=SimpleNamespace(half=half), refit=Fake("own", as_is, 0.02)))
-    (free, problem, states, poses, given), (freed, own, no_states, angles, parts) = asked
-    assert (free, states, poses) == ("own", ["as it is"], []) and problem is as_it_is and given is m.proba
-    assert set(freed) == {"pose", "translation", "scale"} and no_states == [] and angles[0] is theta and parts is proba
-    np.testing.assert_allclose(own.X, as_it_is.X / 2.54)
-    # 0.01 squared half sizes of its own unit are 0.0645 of the subject's.
-    assert (best.state, best.unit, best.frame.unit) == ((anew, 2.54, 2.54 * half) if wins else (as_is, 1.0, half))
-    assert best.problem is (own if wins else as_it_is) and best.proba is (proba if wins else m.proba)
-    assert m.state == "as it is" and m.unit == 1.0
-    doubt = "it has 2.79 times the scale of its subject's others: in another unit, or somebody else's?"
-    assert best.doubt == (doubt if wins else "")
-    assert best.prior == (None if wins else m.prior)
-    anew.scale = 1.2 / 2.54  # of its subject's size after all: then only its first fit was wrong
-    again = finish._in_its_unit(m, SimpleNamespace(model=SimpleNamespace(half=half), refit=Fake("own", as_is, 0.02)))
-    assert (again.state, again.unit, again.doubt, again.prior) == (as_is, 1.0, "", m.prior)
 
 
 def test_figures_of_a_round_are_means_of_roots():

@@ -17,10 +17,8 @@ from lbsfit_np.learning.collection import (
     LEARNED_FROM,
     Collection,
     Member,
-    check_scales,
     most_failed,
     odd_ones,
-    units_apart,
 )
 
 
@@ -137,38 +135,6 @@ def test_the_odd_ones_are_all_but_the_largest_group():
 
 
 @pytest.mark.parametrize(
-    "scales, words",
-    [
-        ([1.0, 0.9, 2.54, 2.5], "of subject 'a', scan 2, 3 have"),
-        ([100.0, 39.4, 101.0, 39.0, 100.0], "of subject 'a', scan 1, 3 have 0.394 times the others' scale"),
-        ([1.0, 1.1, 0.95, 2.0], None),  # one of them may be a wrong fit
-        ([1.0, 2.0], None),
-        ([0.9, 1.0, 1.1, 1.2], None),
-    ],
-)
-def test_units_that_extents_hide_are_told_by_first_fits(scales, words):
-    members = [SimpleNamespace(name=str(k), subject="a", role=LEARNED_FROM) for k in range(len(scales))]
-    if words is None:
-        check_scales(members, scales)
-        doubted = {k: m.doubt for k, m in enumerate(members) if hasattr(m, "doubt")}
-        said = "its first fit had {} times the scale of its subject's others: in another unit? Convert it and learn again".format
-        odd = {4: {3: said(2)}, 2: {0: said(0.5), 1: said(2)}}[len(scales)] if max(scales) == 2 else {}
-        assert doubted == odd
-        # Of two either may be the odd one: both are learned from.
-        assert [k for k, m in enumerate(members) if getattr(m, "apart", False)] == (list(odd) if len(scales) > 2 else [])
-        return
-    with pytest.raises(InputError, match=words):
-        check_scales(members, scales)
-
-
-def test_the_one_scan_that_a_subject_is_learned_from_is_not_set_apart():
-    members = [SimpleNamespace(name=str(k), subject="a", role=HELD_OUT) for k in range(4)]
-    members[3].role = LEARNED_FROM
-    check_scales(members, [1.0, 1.1, 0.95, 2.0])
-    assert "2.0" not in members[3].doubt and members[3].doubt and not members[3].apart
-
-
-@pytest.mark.parametrize(
     "held_out, apart, role",
     [
         (False, False, "learned from"),
@@ -180,22 +146,6 @@ def test_the_one_scan_that_a_subject_is_learned_from_is_not_set_apart():
 def test_what_a_scan_is_to_learning(held_out, apart, role):
     member = Member(0, np.zeros((0, 3)), np.arange(0), None, "a", held_out=held_out, apart=apart)
     assert member.role == role and Collection(1, [member]).with_role(role, "a") == [member]
-
-
-@pytest.mark.parametrize(
-    "scales, words",
-    [
-        ({"anna": [1.0, 0.95, 1.0], "ben": [0.39, 0.4]}, "scans of subject 'anna' have 2.53 times the scale of those of 'ben'"),
-        ({"ben": [0.39, 0.4], "anna": [1.0, 0.95, 1.0], "carl": [0.7]}, "'anna' have 2.53 times the scale of those of 'ben'"),
-        ({1: [1.0], 2: [1.62]}, "scans of subject 2 have 1.62 times the scale of those of 1: in another unit?"),
-        ({"anna": [1.0, 1.1], "child": [0.7]}, None),  # people differ as much
-        ({"anna": [1.0, 3.0, 1.0], "ben": [1.2]}, None),  # one wrong first fit
-        ({"anna": [25.4]}, None),
-    ],
-)
-def test_subjects_in_different_units_are_told(scales, words):
-    told = units_apart(scales)
-    assert words in told if words else told == ""
 
 
 def test_another_scan_is_held_out_where_none_is_any_more(tube_rig, clouds):

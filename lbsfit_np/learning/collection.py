@@ -26,17 +26,14 @@ __all__ = [
     "LEARNED_FROM",
     "Member",
     "as_scans",
-    "check_scales",
+    "mixed_units",
     "most_failed",
     "odd_ones",
     "read_collection",
-    "units_apart",
 ]
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
 _ONE_UNIT = 6.0
-# First fits' scales of one subject differ by less than this factor, unless scans are in two units.
-_ONE_SCALE = 1.6
 # Where more than this share of the scans, and more than one, are of somebody else than their subject, subjects are wrong.
 _STRANGERS = 0.1
 # What the message of a scan says that teaches, of one that only tells when to stop, and of one that does neither.
@@ -67,7 +64,7 @@ class Member:
     prior : ((J, 3) array, float) or None
         In a smoothed sequence, the angles that the pose is drawn to, and how much.
     doubt : str
-        What its result says first.
+        What its result says first. Both of a subject's only two scans have it, in the same words.
     apart : bool
         Neither learned from nor asked when to stop: it is in another unit than its subject's others, or its first fit is wrong.
     ratio : float
@@ -339,62 +336,8 @@ def odd_ones(sizes, most):
     return np.sort(np.concatenate([g for k, g in enumerate(groups) if k != largest]))
 
 
-def check_scales(members, scales):
-    """Compare first fits' scales; set scans apart that have another than their subject's others: extents hide a small factor.
-
-    Parameters
-    ----------
-    members : list of Member
-        Of one subject; they get their ``ratio``, those apart their ``doubt``, too. Of two either may be the odd one, and both are
-        learned from.
-    scales : (n,) array
-        Scan units in a rig unit that the first fits found.
-
-    Raises
-    ------
-    InputError
-        Too many for single wrong fits: the scans are in two units.
-    """
-    scales = np.asarray(scales)
-    for i, m in enumerate(members if len(members) > 1 else ()):
-        m.ratio = float(scales[i] / np.median(np.delete(scales, i)))
-    odd = odd_ones(scales, _ONE_SCALE)
-    two = len(odd) > 0 and len(scales) == 2
-    doubted = np.arange(2) if two else odd
-    others = any(m.role == LEARNED_FROM for i, m in enumerate(members) if i not in odd)
-    for i in doubted:
-        members[i].doubt = f"its first fit had {members[i].ratio:.3g} times the scale of its subject's others: in another unit? "
-        members[i].doubt += "Convert it and learn again"
-        members[i].apart = others and not two
-    if len(odd) > max(1, 0.2 * len(scales)):  # a few may just be wrong
-        ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
-        at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
-        raise _mixed_units(f"of subject {members[0].subject!r}, scan {at} have {ratio:.3g} times the others' scale")
-
-
-def units_apart(scales):
-    """What to say where subjects' scales differ by more than people do; "" where they do not.
-
-    Parameters
-    ----------
-    scales : dict of subject to (n,) array
-        Scan units in a rig unit that the first fits of its scans found.
-
-    Returns
-    -------
-    str
-    """
-    units = {subject: float(np.median(found)) for subject, found in scales.items()}
-    least, most = min(units, key=units.get), max(units, key=units.get)
-    if units[most] < _ONE_SCALE * units[least]:
-        return ""
-    ratio = units[most] / units[least]
-    words = f"scans of subject {most!r} have {ratio:.3g} times the scale of those of {least!r}: in another unit? "
-    return words + "Each subject's template is learned in its own; where they are of one unit, convert them and learn again"
-
-
-def _mixed_units(got):
-    """The InputError of a collection whose scans are in different units."""
+def mixed_units(got):
+    """The InputError of a collection whose scans are in different units, ``got`` in words."""
     remedy = "Convert them, or learn from each kind by itself."
     return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
 
@@ -406,7 +349,7 @@ def _check_units(collection, scale):
     if len(odd):
         at = ", ".join(collection.members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
         others = np.median(np.delete(extents, odd))
-        raise _mixed_units(
+        raise mixed_units(
             f"scan {at} {'has' if len(odd) == 1 else 'have'} an extent of {extents[odd[0]]:.3g}, the others of about {others:.3g}"
         )
     unit = float(np.median([m.unit for m in collection.members]))

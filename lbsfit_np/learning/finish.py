@@ -30,6 +30,8 @@ __all__ = ["LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan
 # the least joint and vertex errors on the study's tuning seed 5, in so many steps.
 LOOSE = PRESETS["default"].replace(lam_lap=0.01)
 _LOOSE_STEPS = {"max_iterations": 200, "tolerance": 1e-4}
+# Share of the time that is taken by the scales of scans whose subject has one in doubt.
+_SIZES = 0.2
 
 
 def results_of(rig, templates, joints, collection, settings, facing, *, jobs, progress):
@@ -42,29 +44,85 @@ def results_of(rig, templates, joints, collection, settings, facing, *, jobs, pr
     """
     half = rig.size / 2
     models = {s: Model(t, joints, half=half) for s, t in templates.items()}
-    work, members = _Finish(rig, models, settings, further_words(settings, facing)), collection.members
-    return collection.in_order(collection.work(work, members, jobs=jobs, done=lambda p: progress("results", p), taught=True))
+    doubted, share = {m.subject for m in collection.members if m.own is not None}, 0.0
+    sizes = [None] * len(collection.members)
+    if doubted:
+        share = _SIZES
+        work = _Sizes(rig, models, settings, doubted)
+        done = {"jobs": jobs, "done": lambda p: progress("results", share * p)}
+        sizes = collection.work(work, collection.members, **done, taught=True)
+    tasks = list(zip(collection.members, sizes, _others(collection.members, sizes), strict=True))
+    work = _Finish(rig, models, settings, further_words(settings, facing))
+    done = {"jobs": jobs, "done": lambda p: progress("results", share + (1 - share) * p)}
+    return collection.in_order(collection.work(work, tasks, **done, taught=True))
+
+
+def _others(members, sizes):
+    """For each, the median of the scales that its subject's others have; as the template has them, where there is no other."""
+    scales = {}
+    for m, size in zip(members, sizes):
+        scales.setdefault(m.subject, {}).update({} if size is None else {m.index: size.scale})
+    others = [[scale for i, scale in scales[m.subject].items() if i != m.index] for m in members]
+    return [float(np.median(found)) if found else m.unit for m, found in zip(members, others)]
 
 
 @dataclass(frozen=True)
-class _Finish:
+class _Size:
+    """A scan on its subject's template.
+
+    Attributes
+    ----------
+    scale : float
+        Scan units in a rig unit, scale free.
+    state : State
+        In its subject's unit.
+    own : State or None
+        From its first fit, in the unit found by that and with scale free, if this explains the scan better.
+    """
+
+    scale: float
+    state: object
+    own: object = None
+
+
+@dataclass(frozen=True)
+class _OnTemplates:
     rig: object
     models: dict
     settings: object
-    further: tuple
 
     @cached_property
     def _fit(self):
         return cache(lambda subject: TemplateFit(self.rig, self.models[subject], self.settings))  # once in each process
 
+
+@dataclass(frozen=True)
+class _Sizes(_OnTemplates):
+    """Scan → its _Size, or None where nobody's scale of its subject is in doubt."""
+
+    doubted: set
+
     def __call__(self, m):
+        return _size(m, self._fit(m.subject)) if m.subject in self.doubted else None
+
+
+@dataclass(frozen=True)
+class _Finish(_OnTemplates):
+    """(Scan, its _Size or None, its others' scale) → its result."""
+
+    further: tuple
+
+    def __call__(self, task):
+        m, size, others = task
         fit = self._fit(m.subject)
         if m.own is not None:
-            m = _in_its_unit(m, fit)
+            m = _in_its_unit(m, fit, size, others)
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         place |= {"proportions": fit.proportions(m.problem, m.state), "further": self.further}
         result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=m.role, found=(unit,), **place)
+        if m.own is None and result.status == "ok":  # then only first fits were wrong
+            m = replace(m, doubt="")
         return _with_doubt(m, replace(result, subject=str(m.subject)))
 
 
@@ -72,21 +130,40 @@ def _with_doubt(m, result):
     return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
 
 
-def _in_its_unit(m, fit):
-    """A scan as it is, in its subject's unit, or from its first fit, in the unit found by that, which makes doubts of it."""
-    unit, theta, proba = m.own
+def _size(m, fit):
+    """The _Size of a scan: from its first fit, too, where that had another."""
+    anew, state = fit.refit.freeing(("pose", "translation", "scale")), m.state
+    if m.own is not None:
+        own = _as_first_fitted(m, fit)
+        state, value, _ = fit.refit(m.problem, [m.state], proba=m.proba)
+        free, free_value, _ = anew(own.problem, poses=[m.own[1]], proba=own.proba)
+        if free_value * own.frame.unit**2 < value * m.frame.unit**2:  # values go by the square of the frame's unit
+            return _Size(free.scale * own.unit, state, free)
+    return _Size(anew.polish(m.problem, state).scale * m.unit, state)
+
+
+def _as_first_fitted(m, fit):
+    """The scan in the unit, and with the parts, that its first fit found."""
+    unit, _, proba = m.own
     own = replace(m, proba=proba)
     own.use_frame(unit, fit.model.half)
-    anew = fit.refit.freeing(("pose", "translation", "scale"))
-    found = [(m, *fit.refit(m.problem, [m.state], proba=m.proba)), (own, *anew(own.problem, poses=[theta], proba=proba))]
-    best, state, _, _ = min(found, key=lambda f: f[2] * f[0].frame.unit**2)  # values go by the square of the frame's unit
-    doubt, ratio = m.doubt, state.scale * best.unit / m.unit
-    if best is own and not doubt:
-        if same_size(ratio, 1.0):  # only its first fit was wrong; scale is free in this one alone, which wins by that
-            return replace(m, state=found[0][1])
-        doubt = f"it has {ratio:.3g} times the scale of its subject's others: in another unit, or somebody else's?"
+    return own
+
+
+def _in_its_unit(m, fit, size, others):
+    """A scan in its subject's unit, or in its own where that explains it better, which makes doubts of it.
+
+    A first fit that was wrong says nothing of a scan's size, nor does the template, in which the scan has taken part: its
+    subject's others have a scale on that, too. Where they have the same, ``own`` is None in what comes back.
+    """
+    if same_size(size.scale, others) and not m.apart:  # scale is free in its own fit alone, which may win by that
+        return replace(m, state=size.state, own=None)
+    if size.own is None:
+        return replace(m, state=size.state)
+    ratio = size.scale / others
+    doubt = m.doubt or f"it has {ratio:.3g} times the scale of its subject's others: in another unit, or somebody else's?"
     # Neighbours' poses were found in the subject's unit.
-    return replace(best, state=state, doubt=doubt, prior=None if best is own else m.prior)
+    return replace(_as_first_fitted(m, fit), state=size.own, doubt=doubt, prior=None)
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):

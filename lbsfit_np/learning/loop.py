@@ -26,8 +26,9 @@ from ..starts.library import build_library
 from ..starts.scale import same_size
 from ..threads import one_thread
 from ..workers import each, kept_processes
-from .collection import HELD_OUT, LEARNED_FROM, check_scales, units_apart
+from .collection import HELD_OUT, LEARNED_FROM
 from .mixture import Mixture
+from .scales import check_scales, scale_warnings, units_apart
 from .tasks import FirstFit, Labels, Pose, SmoothPose, Template
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
@@ -214,11 +215,11 @@ class Loop:
             c = np.zeros(self.shifting.n_coefficients)
             c[: self.model.n_coefficients] = size - 1.0
             self.coefficients[subject] = c
+            for words in scale_warnings(self.collection.of(subject)):
+                warnings.warn(words, stacklevel=2)
             for m in self.collection.of(subject):
                 if m.doubt or not same_size(m.ratio, 1.0):
                     m.own = m.state.scale * m.unit / size, m.state.theta, m.proba
-                if m.doubt:
-                    warnings.warn(f"scan {m.name}: {m.doubt}; {m.role}", stacklevel=2)
                 ratio = unit / m.unit
                 m.use_frame(unit, half)
                 # Templates grow about the root joint, scales about the origin: the root joint stays where it was found.

@@ -1,0 +1,95 @@
+"""What the scales of first fits say: scans, or subjects, that are in another unit than others, which extents may hide."""
+
+import numpy as np
+
+from ..starts.scale import same_size
+from .collection import LEARNED_FROM, mixed_units, odd_ones
+
+__all__ = ["check_scales", "scale_warnings", "units_apart"]
+
+# First fits' scales of one subject differ by less than this factor, unless scans are in two units.
+_ONE_SCALE = 1.6
+
+
+def check_scales(members, scales):
+    """Compare first fits' scales; set scans apart that have another than their subject's others: extents hide a small factor.
+
+    Parameters
+    ----------
+    members : list of Member
+        Of one subject; they get their ``ratio``, those apart their ``doubt``, too. Of two either may be the odd one: both are in
+        doubt, in the same words, and learned from.
+    scales : (n,) array
+        Scan units in a rig unit that the first fits found.
+
+    Raises
+    ------
+    InputError
+        Too many for single wrong fits: the scans are in two units.
+    """
+    scales = np.asarray(scales)
+    for i, m in enumerate(members if len(members) > 1 else ()):
+        m.ratio = float(scales[i] / np.median(np.delete(scales, i)))
+    if len(members) == 2:
+        if not same_size(*scales):
+            doubt = "the first fits of scans {} and {} had the scales {:.3g} and {:.3g}: in two units, or of two people? "
+            doubt += "Convert one, or name two subjects (--subjects), and learn again"
+            members[0].doubt = members[1].doubt = doubt.format(*(m.name for m in members), *scales)
+        return
+    odd = odd_ones(scales, _ONE_SCALE)
+    others = any(m.role == LEARNED_FROM for i, m in enumerate(members) if i not in odd)
+    for i in odd:
+        members[i].doubt = f"{_other_scale(members[i])}: in another unit? Convert it and learn again"
+        members[i].apart = others
+    if len(odd) > max(1, 0.2 * len(scales)):  # a few may just be wrong
+        ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
+        at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
+        raise mixed_units(f"of subject {members[0].subject!r}, scan {at} have {ratio:.3g} times the others' scale")
+
+
+def scale_warnings(members):
+    """What to warn of before the rounds: scans of one subject whose first fits :func:`check_scales` found of another size.
+
+    Parameters
+    ----------
+    members : list of Member
+        Of one subject.
+
+    Returns
+    -------
+    list of str
+    """
+    if len(members) == 2 and members[0].doubt:  # in the same words
+        return [f"{members[0].doubt}; {' and '.join(dict.fromkeys(m.role for m in members))}"]
+    told = []
+    for m in members:
+        if m.doubt:
+            told.append(f"scan {m.name}: {m.doubt}; {m.role}")
+        elif not same_size(m.ratio, 1.0):
+            told.append(f"scan {m.name}: {_other_scale(m)}: in another unit, or a wrong fit? Its result will tell; {m.role}")
+    return told
+
+
+def _other_scale(member):
+    return f"its first fit had {member.ratio:.3g} times the scale of its subject's others"
+
+
+def units_apart(scales):
+    """What to say where subjects' scales differ by more than people do; "" where they do not.
+
+    Parameters
+    ----------
+    scales : dict of subject to (n,) array
+        Scan units in a rig unit that the first fits of its scans found.
+
+    Returns
+    -------
+    str
+    """
+    units = {subject: float(np.median(found)) for subject, found in scales.items()}
+    least, most = min(units, key=units.get), max(units, key=units.get)
+    if units[most] < _ONE_SCALE * units[least]:
+        return ""
+    ratio = units[most] / units[least]
+    words = f"scans of subject {most!r} have {ratio:.3g} times the scale of those of {least!r}: in another unit? "
+    return words + "Each subject's template is learned in its own; where they are of one unit, convert them and learn again"

@@ -1,0 +1,277 @@
+"""Scans, or subjects, whose first fits have another scale than others: what is said of them, and how they end."""
+
+import re
+import warnings
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from learning_runs import collected, loop_over
+
+from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.learning import finish
+from lbsfit_np.learning.collection import Member
+from lbsfit_np.learning.scales import check_scales, scale_warnings, units_apart
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.starts.turns import Facing
+
+CONVERT = "in another unit? Convert it and learn again"
+OTHERS = "its first fit had {} times the scale of its subject's others"
+TWO = "the first fits of scans {} and {} had the scales {} and {}: in two units, or of two people? "
+TWO += "Convert one, or name two subjects (--subjects), and learn again"
+TOLD = "{}: in another unit, or a wrong fit? Its result will tell; learned from"
+
+
+def _members(n):
+    return [Member(k, np.zeros((0, 3)), np.arange(0), None, "a", name=str(k)) for k in range(n)]
+
+
+# ---- what first fits say ----
+
+
+@pytest.mark.parametrize(
+    "scales, words",
+    [
+        ([1.0, 0.9, 2.54, 2.5], "of subject 'a', scan 2, 3 have"),
+        ([100.0, 39.4, 101.0, 39.0, 100.0], "of subject 'a', scan 1, 3 have 0.394 times the others' scale"),
+        ([1.0, 1.1, 0.95, 2.0], None),  # one of them may be a wrong fit
+        ([0.9, 1.0, 1.1, 1.2], None),
+    ],
+)
+def test_units_that_extents_hide_are_told_by_first_fits(scales, words):
+    members = _members(len(scales))
+    if words is None:
+        check_scales(members, scales)
+        odd = {3: f"{OTHERS.format(2)}: {CONVERT}"} if max(scales) == 2 else {}
+        assert {k: m.doubt for k, m in enumerate(members) if m.doubt} == odd
+        assert [k for k, m in enumerate(members) if m.apart] == list(odd)
+        return
+    with pytest.raises(InputError, match=words):
+        check_scales(members, scales)
+
+
+@pytest.mark.parametrize(
+    "scales, said",
+    [((1.0, 1.34), ""), ((1.0, 1.36), "1 and 1.36"), ((1.42, 1.0), "1.42 and 1"), ((250.0, 98.4), "250 and 98.4")],
+)
+def test_of_two_scans_the_two_scales_are_said_in_one_line(scales, said):
+    """Either may be the odd one: both are learned from, and neither is told to be converted."""
+    members = _members(2)
+    check_scales(members, scales)
+    doubt = TWO.format(0, 1, *said.split(" and ")) if said else ""
+    assert [m.doubt for m in members] == [doubt, doubt] and not any(m.apart for m in members)
+    assert scale_warnings(members) == [f"{doubt}; learned from"] * bool(said)
+    members[1].held_out = True
+    assert scale_warnings(members) == [f"{doubt}; learned from and held out of learning"] * bool(said)
+
+
+@pytest.mark.parametrize(
+    "scales, told",
+    [
+        ([1.0, 1.0, 1.34], []),  # people of one unit
+        ([1.0, 1.0, 1.0, 1.36], ["scan 3: " + TOLD.format(OTHERS.format(1.36))]),
+        ([1.4, 1.0, 1.0], ["scan 0: " + TOLD.format(OTHERS.format(1.4))]),
+        ([1.0, 0.5, 1.0, 1.0], [f"scan 1: {OTHERS.format(0.5)}: {CONVERT}; not learned from"]),
+        ([3.0], []),
+    ],
+)
+def test_scans_of_another_size_are_warned_of_before_the_rounds(scales, told):
+    members = _members(len(scales))
+    check_scales(members, scales)
+    assert scale_warnings(members) == told
+
+
+def test_the_one_scan_that_a_subject_is_learned_from_is_not_set_apart():
+    members = _members(4)
+    for m in members[:3]:
+        m.held_out = True
+    check_scales(members, [1.0, 1.1, 0.95, 2.0])
+    assert "2.0" not in members[3].doubt and members[3].doubt and not members[3].apart
+
+
+@pytest.mark.parametrize(
+    "scales, words",
+    [
+        ({"anna": [1.0, 0.95, 1.0], "ben": [0.39, 0.4]}, "scans of subject 'anna' have 2.53 times the scale of those of 'ben'"),
+        ({"ben": [0.39, 0.4], "anna": [1.0, 0.95, 1.0], "carl": [0.7]}, "'anna' have 2.53 times the scale of those of 'ben'"),
+        ({1: [1.0], 2: [1.62]}, "scans of subject 2 have 1.62 times the scale of those of 1: in another unit?"),
+        ({"anna": [1.0, 1.1], "child": [0.7]}, None),  # people differ as much
+        ({"anna": [1.0, 3.0, 1.0], "ben": [1.2]}, None),  # one wrong first fit
+        ({"anna": [25.4]}, None),
+    ],
+)
+def test_subjects_in_different_units_are_told(scales, words):
+    told = units_apart(scales)
+    assert words in told if words else told == ""
+
+
+# ---- in learning ----
+
+
+def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans):
+    points = [s.points for s in few_scans]
+    points[1] = 2.54 * points[1]
+    odd = r"its first fit had 2\.\d+ times the scale of its subject's others: in another unit\? Convert it and learn again; "
+    with pytest.warns(UserWarning, match=f"scan 1: {odd}not learned from"):
+        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(points)
+    assert re.match(odd + "not learned from; the scan is in another unit", fitter.results_[1].message)
+    assert [r.message.startswith("learned from; scan and rig are in one unit") for r in fitter.results_] == [1, 0, 1, 1, 1]
+    joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
+    assert joints < 0.03 * 2.54 * tube_rig.size / 2 and fitter.results_[1].scale == pytest.approx(2.54, rel=0.1)
+    assert all(entry["recon"] < 0.08 for entry in fitter.history_)  # of the others alone, which have 0.065
+
+
+def test_a_scan_of_another_size_than_its_subjects_others_is_told_so_and_fitted_in_that(tube_rig, make_learner, few_scans):
+    """Too little for another unit: it is learned from like a first fit that is wrong, which would come home in the rounds."""
+    points = [s.points for s in few_scans]
+    points[1] = 1.5 * points[1]
+    first = OTHERS.format(r"1\.[45]\d*")
+    with pytest.warns(UserWarning, match=rf"scan 1: {first}: in another unit, or a wrong fit\?") as told:
+        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(points)
+    assert len(told) == 1
+    odd = r"it has 1\.[45]\d* times the scale of its subject's others: in another unit, or somebody else's\?; learned from; "
+    assert [bool(re.match(odd, r.message)) for r in fitter.results_] == [False, True, False, False, False]
+    joints = np.linalg.norm(fitter.results_[1].joints - 1.5 * few_scans[1].joints, axis=1).mean()
+    assert joints < 0.03 * 1.5 * tube_rig.size / 2 and fitter.results_[1].status == "ok"
+
+
+def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_size(tube_rig, few_scans, monkeypatch):
+    """Of somebody 1.2 times the rig's size, and one scan in another unit."""
+    scales = (1.2, 1.2, 1.2 * 2.54, 1.2)
+    collection = collected(tube_rig, [k * s.points for k, s in zip(scales, few_scans)], held_out=0)
+    loop = loop_over(tube_rig, collection, "cd", None)
+    rest = loop.model.rest()
+    frames = [replace(m.frame, unit=loop.model.half) for m in collection.members]
+    found = [(frame, rest.replace(scale=k), 0.01, None) for frame, k in zip(frames, scales)]
+    monkeypatch.setattr(loop, "_work", lambda *given: found)
+    with pytest.warns(UserWarning, match="scan 2: .*; not learned from"):
+        loop._first_fits()
+    assert [m.own is None for m in collection.members] == [True, True, False, True]
+    unit, theta, proba = collection.members[2].own
+    assert unit == pytest.approx(2.54) and theta is rest.theta and proba is None
+    assert collection.members[2].unit == 1.0  # its subject's, which it has for all that
+
+
+# ---- in the end ----
+
+
+def _in_doubt(rig, scan):
+    """A scan as rounds leave it, whose first fit had another unit."""
+    (m,) = collected(rig, [scan.points], held_out=0).members
+    m.state, m.own = "as it is", (2.54, np.full((4, 3), 0.1), np.full((len(m.rows), 4), 0.25))
+    m.proba, m.prior = np.zeros((len(m.rows), 4)), ("neighbours", 1e-5)
+    m.use_frame(1.0, rig.size / 2)
+    return m
+
+
+@pytest.mark.parametrize("value, wins", [(0.002, True), (0.01, False)])
+def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, tube_rig, few_scans):
+    """In its subject's unit from where it is, or in its own, scale free, from the angles and parts of its first fit."""
+    m, half = _in_doubt(tube_rig, few_scans[0]), tube_rig.size / 2
+    _, theta, proba = m.own
+    anew, as_is = SimpleNamespace(name="anew", scale=1.1), SimpleNamespace(name="gone on", scale=1.0)
+    as_it_is, asked = m.problem, []
+
+    class Fake:
+        def __init__(self, free, *answer):
+            self.free, self.answer = free, answer
+
+        def __call__(self, problem, states=(), *, poses=(), proba=None):
+            asked.append((self.free, problem, list(states), list(poses), proba))
+            return (*self.answer, 0)
+
+        def freeing(self, free):
+            return Fake(free, anew, value)
+
+        def polish(self, problem, state):
+            assert problem is as_it_is and state is as_is and "scale" in self.free
+            return SimpleNamespace(scale=1.3)
+
+    fit = SimpleNamespace(model=SimpleNamespace(half=half), refit=Fake("own", as_is, 0.02))
+    size = finish._size(m, fit)
+    (free, problem, states, poses, given), (freed, own, no_states, angles, parts) = asked
+    assert (free, states, poses) == ("own", ["as it is"], []) and problem is as_it_is and given is m.proba
+    assert set(freed) == {"pose", "translation", "scale"} and no_states == [] and angles[0] is theta and parts is proba
+    np.testing.assert_allclose(own.X, as_it_is.X / 2.54)
+    # 0.01 squared half sizes of its own unit are 0.0645 of the subject's.
+    assert size == (finish._Size(1.1 * 2.54, as_is, anew) if wins else finish._Size(1.3, as_is))
+    best = finish._in_its_unit(m, fit, size, 0.9)
+    assert (best.state, best.unit, best.frame.unit) == ((anew, 2.54, 2.54 * half) if wins else (as_is, 1.0, half))
+    np.testing.assert_array_equal(best.problem.X, own.X if wins else as_it_is.X)
+    assert best.proba is (proba if wins else m.proba)
+    assert m.state == "as it is" and m.unit == 1.0
+    doubt = "it has 3.1 times the scale of its subject's others: in another unit, or somebody else's?"
+    assert best.doubt == (doubt if wins else "")
+    assert best.prior == (None if wins else m.prior) and best.own is m.own
+
+
+@pytest.mark.parametrize("scale, apart, own", [(1.2, False, False), (0.8, False, False), (1.4, False, True), (1.2, True, True)])
+def test_a_scan_of_its_subjects_size_after_all_is_fitted_in_that(scale, apart, own, tube_rig, few_scans):
+    """Then only its first fit was wrong; one that is not learned from has the fit that is better."""
+    m = _in_doubt(tube_rig, few_scans[0])
+    m.apart, m.doubt = apart, "so it seemed"
+    fit = SimpleNamespace(model=SimpleNamespace(half=tube_rig.size / 2))
+    best = finish._in_its_unit(m, fit, finish._Size(1.5 * scale, "as it is", "own"), 1.5)  # on a template between two sizes
+    assert (best.state, best.unit) == (("own", 2.54) if own else ("as it is", 1.0))
+    assert best.own is (m.own if own else None) and best.prior == (None if own else m.prior) and best.doubt == "so it seemed"
+
+
+def test_the_size_of_others_is_their_own_on_the_template_not_the_templates():
+    members = [SimpleNamespace(subject=s, index=3 * k, unit=7.0) for k, s in enumerate("aabaabc")]
+    sizes = [finish._Size(x, None) for x in (0.8, 1.2, 30.0, 0.9, 1.0, 20.0)] + [None]
+    found = finish._others(members, sizes)
+    assert found == pytest.approx([1.0, 0.9, 20.0, 1.0, 0.9, 30.0, 7.0])
+
+
+@pytest.mark.parametrize("status, home, said", [("ok", True, False), ("ok", False, True), ("suspect", True, True)])
+def test_a_doubt_that_has_come_to_nothing_is_not_said_of_a_fit_that_is_ok(status, home, said, tube_rig, few_scans, monkeypatch):
+    (m,) = collected(tube_rig, [few_scans[0].points], held_out=0).members
+    m.doubt, m.own = "odd", "own"
+    m.state = SimpleNamespace(scale=1.0)
+    kept = replace(m, own=None if home else "own")
+    monkeypatch.setattr(finish, "_in_its_unit", lambda *given: kept)
+
+    @dataclass(frozen=True)
+    class Result:
+        message: str = "done"
+        status: str = ""
+        subject: str = ""
+
+    fit = SimpleNamespace(proportions=lambda *given: 0.0, finish=lambda *given, **more: Result(status=status))
+    work = finish._Finish(tube_rig, {}, SimpleNamespace(scale="estimate"), ())
+    work.__dict__["_fit"] = lambda subject: fit
+    assert work((m, "size", 1.0)).message == ("odd; done" if said else "done")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_all_scans_of_a_subject_in_doubt_are_measured_on_its_template(jobs, tube_rig, few_scans):
+    """And they alone: where nobody is in doubt there is nothing to compare."""
+    scans = [*(s.points for s in few_scans[:3]), few_scans[3].points]
+    collection = collected(tube_rig, scans, ["a", "a", "a", "b"], held_out=0)
+    model = Model(tube_rig)
+    for m in collection.members:
+        m.use_frame(1.0, tube_rig.size / 2)
+        m.state = model.rest()
+    collection.members[1].own = 1.4, np.zeros((4, 3)), None
+    told, given = [], (tube_rig, {"a": tube_rig, "b": tube_rig}, "follow", collection, FitSettings(full_iterations=1), Facing())
+    results = finish.results_of(*given, jobs=jobs, progress=lambda stage, share: told.append((stage, share)))
+    assert all(results) and {stage for stage, _ in told} == {"results"}
+    shares = [share for _, share in told]
+    assert len(shares) == 8 and shares == sorted(shares) and shares[3] == pytest.approx(0.2) and shares[-1] == 1.0
+
+
+# ---- two scans ----
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.54])
+def test_two_scans_of_different_sizes_say_so_once_and_in_both_results(factor, tube_rig, few_scans, make_learner):
+    words = TWO.format(0, 1, r"\d\.\d+", r"\d\.\d+").replace("?", r"\?").replace("(", r"\(").replace(")", r"\)")
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit([few_scans[0].points, factor * few_scans[1].points])
+    (line,) = [str(w.message) for w in told if "first fit" in str(w.message)]
+    assert re.match(f"{words}; learned from$", line)
+    assert all(re.match(f"{words}; (.*; )?learned from; ", r.message) for r in fitter.results_)
+    assert not any("Convert it" in r.message or "others" in r.message for r in fitter.results_)
