@@ -126,6 +126,15 @@ def test_scans_in_different_units_are_named(tubes, tmp_path, run):
     assert code == 2 and "different units: scan " in one_line(err) and "millimetres.ply has an extent" in err
 
 
+def test_one_scan_of_many_in_another_unit_is_named_and_left_out(tubes, tmp_path, run):
+    scans = [tmp_path / f"s{i}.ply" for i in range(10)]
+    for i, scan in enumerate(scans):
+        write_points_ply(scan, (1000 if i == 7 else 1) * lbs.load_scan(tubes / f"t{i % 4}.ply").points)
+    code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
+    assert code == 1 and "fitted 9 of 10 scans" in text and "fits of 10 scans: " in text
+    assert len(err.splitlines()) == 1 and err.startswith(f"s7: failed: scan {scans[7]}: got an extent of ")
+
+
 def test_no_scan_that_can_be_used(tubes, tmp_path, run):
     (tmp_path / "empty.ply").write_bytes(b"")
     np.savetxt(tmp_path / "few.xyz", np.eye(3))

@@ -1,6 +1,7 @@
 """The collection that is learned from: what is read of it, set aside, held out and refused."""
 
 import functools
+import re
 import warnings
 from dataclasses import replace
 from types import SimpleNamespace
@@ -59,6 +60,19 @@ def test_collections_that_cannot_be(tube_rig, clouds, given, words):
         collected(tube_rig, *given(clouds))
     for word in words:
         assert word in str(error.value)
+
+
+@pytest.mark.parametrize("factor", [1000.0, 1e-3])
+def test_one_scan_of_many_in_another_unit_is_left_out(factor, tube_rig, clouds):
+    scans = [clouds[i % 4] for i in range(10)]
+    scans[6] = factor * scans[6]
+    made = collected(tube_rig, scans)
+    assert [m.index for m in made.members] == [0, 1, 2, 3, 4, 5, 7, 8, 9] and {m.unit for m in made.members} == {1.0}
+    assert made.roles[6] is None and len(made.with_role(LEARNED_FROM)) == 8
+    told = r"scan 6: got an extent of \S+, the others of about \S+; expected scans .* in one unit. It is left out: convert"
+    assert list(made.failures) == [6] and re.match(told, made.failures[6])
+    with pytest.raises(InputError, match="different units: scan 5 has .* by itself, or leave out those that are wrong"):
+        collected(tube_rig, scans[1:])  # of nine, one is more than a tenth
 
 
 def test_bad_collections_are_named_before_any_training(tube_rig, clouds, monkeypatch):

@@ -34,6 +34,8 @@ __all__ = [
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
 _ONE_UNIT = 6.0
+# At most this share of the scans is left out where they differ by more; where it is more, nobody knows which are right.
+_FEW = 0.1
 # Where more than this share of the scans, and more than one, are of somebody else than their subject, subjects are wrong.
 _STRANGERS = 0.1
 # What the message of a scan says that teaches, of one that only tells when to stop, and of one that does neither.
@@ -338,20 +340,24 @@ def odd_ones(sizes, most):
 
 def mixed_units(got):
     """The InputError of a collection whose scans are in different units, ``got`` in words."""
-    remedy = "Convert them, or learn from each kind by itself."
+    remedy = "Convert them, learn from each kind by itself, or leave out those that are wrong."
     return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
 
 
 def _check_units(collection, scale):
-    """All members get the unit that most of them are in; refuse a mixture."""
+    """All members get the unit that most of them are in; leave a few out that are in another, and refuse a mixture."""
     extents = np.array([extent(m.points[m.rows]) for m in collection.members])
     odd = odd_ones(extents, _ONE_UNIT)
-    if len(odd):
-        at = ", ".join(collection.members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
-        others = np.median(np.delete(extents, odd))
+    others = np.median(np.delete(extents, odd))
+    if len(odd) > _FEW * len(extents):
+        at = ", ".join(collection.members[i].name for i in odd[:5]) + ", …" * (len(odd) > 5)
         raise mixed_units(
             f"scan {at} {'has' if len(odd) == 1 else 'have'} an extent of {extents[odd[0]]:.3g}, the others of about {others:.3g}"
         )
+    for m, size in ((collection.members[i], extents[i]) for i in odd):
+        words = f"an extent of {size:.3g}, the others of about {others:.3g}; expected scans of one collection in one unit"
+        collection.failures[m.index] = f"scan {m.name}: got {words}. It is left out: convert it and learn again."
+    collection.members = [m for i, m in enumerate(collection.members) if i not in odd]
     unit = float(np.median([m.unit for m in collection.members]))
     for m in collection.members:
         m.unit = unit
