@@ -32,8 +32,9 @@ _LIMB_VERTICES, _ALL_VERTICES, _POINTS, _REACH, _VOXEL = 32, 900, 250, 0.2, 0.04
 _POSES, _BLOCK, _AT_ONCE, _BEST = 800, 200, 8, 40
 # A pose is worth a try where it costs less than this much of the limb's own, and is unlike that and those tried already: mean
 # distance of the limb's vertices. Two limbs that are exchanged have pulled what they hang on with them, so that even the right
-# poses may seem worse; but two that cost less than the last number are where they should be.
-_BETTER, _BETTER_PAIR, _UNLIKE, _FINE = 0.85, 3.0, 0.08, 1e-4
+# poses may seem worse; but two that cost less than the last number are where they should be. Each in the other's pose, they are
+# worth a try where that costs no more.
+_BETTER, _BETTER_PAIR, _EXCHANGED, _UNLIKE, _FINE = 0.85, 3.0, 1.0, 0.08, 1e-4
 # Closer: from so many poses, no two nearer than this, come so many others with changes of these sizes, radians.
 _PARENTS, _SAME, _CHILDREN, _SIGMAS = 24, 0.03, 400, (0.4, 0.2, 0.1, 0.05)
 
@@ -143,6 +144,10 @@ class LimbPoses:
             now = cost[0, 0]
             if now < _FINE:
                 continue
+            if a.hangs.sum() == b.hangs.sum():  # each in the other's pose, which the library need not have
+                i, j = try_out(a, self._within(a, state.theta[b.hangs])), try_out(b, self._within(b, state.theta[a.hangs]))
+                swapped = np.minimum(np.minimum(i.reach[1], j.reach[1]), rest).mean() + i.away[1] + j.away[1]
+                found += self._unlike(state, [(swapped - now, swapped, ((a, i, 1), (b, j, 1)))], now, n, _EXCHANGED)
             order = np.argsort(cost, axis=None, kind="stable")[:_BEST]
             pairs = [np.unravel_index(o, cost.shape) for o in order]
             changes = [
@@ -152,6 +157,10 @@ class LimbPoses:
             ]
             found += self._unlike(state, changes, now, n, _BETTER_PAIR)
         return [theta for _, theta in sorted(found, key=lambda f: f[0])]
+
+    def _within(self, limb, angles):
+        """(1, j, 3): angles (j, 3) within a limb's limits."""
+        return np.clip(angles, self.model.rig.lower[limb.hangs], self.model.rig.upper[limb.hangs])[None]
 
     def _nearer(self, limb, tried, rest, try_out):
         """Poses of a limb that come of the best ones tried: parts of two of them, and small random changes, ever smaller."""
