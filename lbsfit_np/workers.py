@@ -33,7 +33,7 @@ def kept_processes():
             worker.end()
 
 
-def each(work, tasks, *, jobs=1, done=None):
+def each(work, tasks, *, jobs=1, done=None, answered=None):
     """[work(task) for task in tasks].
 
     Parameters
@@ -44,6 +44,8 @@ def each(work, tasks, *, jobs=1, done=None):
     jobs : int, default 1
     done : callable (share), optional
         Called after each task with the share done.
+    answered : callable (k, answer), optional
+        Called with each answer as it comes, before ``done``.
 
     Returns
     -------
@@ -55,12 +57,13 @@ def each(work, tasks, *, jobs=1, done=None):
         A process was killed.
     """
     tasks = list(tasks)
-    done = done or (lambda share: None)
+    done, answered = done or (lambda share: None), answered or (lambda k, answer: None)
     answers = {}
     if min(jobs, len(tasks)) <= 1:
         with one_thread():  # as in the processes: results must not depend on where they were made
             for k, task in enumerate(tasks):
                 answers[k] = work(task)
+                answered(k, answers[k])
                 done((k + 1) / len(tasks))
         return [answers[k] for k in range(len(tasks))]
     todo = list(enumerate(tasks))[::-1]
@@ -74,6 +77,7 @@ def each(work, tasks, *, jobs=1, done=None):
                 answers[k], error = answer
                 if error is not None:
                     raise error
+                answered(k, answers[k])
                 done(len(answers) / len(tasks))
     return [answers[k] for k in range(len(tasks))]
 

@@ -317,8 +317,9 @@ def test_a_picture_of_others_is_in_the_way_of_results(tubes, tmp_path, run):
 def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):
     seen = {}
 
-    def fit(self, scans, subjects=None, *, cache=False, progress=None):
+    def fit(self, scans, subjects=None, *, cache=False, checkpoint=None, progress=None):
         seen.update(self.get_params(deep=False), subjects=subjects, cache=cache, points=[len(s()) for s in scans])
+        assert checkpoint == tmp_path / "m.npz.unfinished"
         raise KeyboardInterrupt
 
     monkeypatch.setattr(lbs.LBSFitter, "fit", fit)

@@ -96,6 +96,19 @@ def test_a_stage_that_is_done_again_starts_anew(capsys, drawn_at_once):
     assert "about 20 s left of this step" in capsys.readouterr().err
 
 
+def test_what_an_earlier_run_has_done_takes_no_time(capsys, drawn_at_once):
+    clock = _Clock()
+    shown = LearningProgress(4, terminal=True, clock=clock)
+    shown("first fits", 0.5)
+    clock.now += 20
+    shown("first fits", 0.75)
+    assert "about 20 s left of this step" in capsys.readouterr().err
+    shown("round", 1.0, _figures(0))
+    shown("round", 1.0, _figures(1))  # at once, but it had taken a minute
+    shown.close()
+    assert "took 60 s; at most about 3 min left" in capsys.readouterr().err
+
+
 def test_a_scan_that_cannot_be_used_has_no_line_said_again(capsys):
     shown = LearningProgress(1, terminal=False)
     shown("reading scans", 0.2)
@@ -157,7 +170,7 @@ def test_a_warning_closes_the_bar(capsys, monkeypatch):
         warnings.warn("odd", stacklevel=1)
 
     monkeypatch.setattr(warnings, "showwarning", lambda message, *more: told.append((str(message), shown._bar is None)))
-    learn._learn(SimpleNamespace(fit=fit), SimpleNamespace(sources=[]), None, shown)
+    learn._learn(SimpleNamespace(fit=fit), SimpleNamespace(sources=[]), None, shown, None)
     assert told == [("odd", True)]
 
 

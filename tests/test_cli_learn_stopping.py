@@ -12,12 +12,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cli_runs import QUICK, as_said, one_line, started, stopped
+from cli_runs import QUICK, QUICK_LEARNING, as_said, one_line, started, stopped
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import learn, outputs, stopped_learning
 from lbsfit_np.cli.stopped_learning import results_so_far
 from lbsfit_np.errors import FileError
+from lbsfit_np.learning.archive import MODEL_KEY
+from lbsfit_np.learning.checkpoint import steps_in
+from lbsfit_np.learning.tasks import FirstFit
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -29,9 +32,10 @@ def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes
     assert (returned, err) == (code, ""), err
     scans = " ".join(shlex.quote(str(path)) for path in sorted(tubes.glob("*.ply")))
     scans = re.escape(scans if len(scans) <= stopped_learning._SHORT else "SCAN...")
-    how = rf"the same command with --existing replace begins anew; to fit scans with it: lbsfit fit .*m\.npz {scans} -o .*fits"
+    how = r"the same command with --existing replace goes on from what is kept in .*m\.npz\.unfinished; "
+    how += rf"to fit scans with it: lbsfit fit .*m\.npz {scans} -o .*fits"
     round_kept = re.search(rf"stopped: .*m\.npz has what round (\d+) learned, without results; {how}\n$", text)[1]
-    assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]  # no empty folder of results
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["m.npz", "m.npz.unfinished"]  # no empty folder of results
     learned = lbs.LBSFitter.load(tmp_path / "m.npz")
     assert [entry["round"] for entry in learned.history_ if entry["kept"]] == [int(round_kept)]
     assert learned.fit_scan(lbs.load_scan(sorted(tubes.glob("*.ply"))[0])).vertices.shape == learned.rig.vertices.shape
@@ -42,10 +46,31 @@ def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes
 def test_ctrl_c_before_the_first_round_ends_leaves_no_model(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
     text, err, returned = _stopped_after("each scan by itself, with", jobs, sent, tubes, cli_cache, tmp_path, wait=0.0)
     assert (returned, err) == (code, ""), err
-    assert text.endswith(
-        "stopped before the model was learned; what was trained first is kept, and the rounds begin anew with the same command\n"
-    )
-    assert not list(tmp_path.iterdir())
+    folder = tmp_path / "m.npz.unfinished"
+    assert text.endswith(f"stopped before the model was learned; the same command goes on from what is kept in {folder}\n")
+    assert list(tmp_path.iterdir()) == [folder]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="a process is killed as POSIX does it")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_run_that_was_killed_goes_on_with_the_same_command(jobs, tubes, tube_model, cli_cache, tmp_path, run, monkeypatch):
+    folder, scans = tmp_path / "m.npz.unfinished", sorted(tubes.glob("*.ply"))
+    arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *QUICK_LEARNING, "--jobs", jobs)
+    process = started(*arguments, cache=cli_cache)
+    while process.poll() is None and len(list(folder.glob("first-fit-*.npz"))) < 2:
+        time.sleep(0.01)
+    os.killpg(process.pid, signal.SIGKILL)
+    process.communicate(timeout=120)
+    assert process.returncode == -signal.SIGKILL and list(tmp_path.iterdir()) == [folder]
+    kept, fitted, call = steps_in(folder), [], FirstFit.__call__
+    monkeypatch.setattr(FirstFit, "__call__", lambda self, points: fitted.append(points) or call(self, points))
+    code, text, err = run(*arguments[:-1], 1)
+    assert (code, err, len(fitted)) == (0, "", max(len(scans) - kept, 0)) and kept >= 2
+    assert text.startswith(f"note: {folder} has {kept} steps of a run that was stopped; those that suit this one are taken\n")
+    assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]
+    found, expected = (dict(np.load(path)) for path in (tmp_path / "m.npz", tube_model[0]))
+    for name in expected.keys() - {MODEL_KEY}:  # which has the seconds of rounds
+        np.testing.assert_array_equal(found[name], expected[name], err_msg=name)
 
 
 def test_what_a_cache_could_not_keep_is_not_said_to_be_kept(tubes, tmp_path, run, monkeypatch):
@@ -341,7 +366,9 @@ def test_a_full_disk_leaves_no_half_model(tubes, tmp_path, run, monkeypatch):
     monkeypatch.setattr(np.lib.format, "write_array", full)
     scans = sorted(tubes.glob("*.ply"))
     code, _, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
-    assert code == 2 and "No space left" in one_line(err) and not list(tmp_path.iterdir())
+    kept, failed = err.splitlines(keepends=True)
+    assert kept.startswith(f"lbsfit: warning: what is done cannot be kept in {tmp_path / 'm.npz.unfinished'} (an error while ")
+    assert code == 2 and "No space left" in one_line(failed) and not list(tmp_path.iterdir())
 
 
 def test_a_result_that_cannot_be_written_does_not_stop_the_others(tubes, tmp_path, run, monkeypatch):

@@ -12,6 +12,7 @@ import lbsfit_np as lbs
 from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning import finish
+from lbsfit_np.learning.checkpoint import NO_CHECKPOINT
 from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection
 from lbsfit_np.learning.loop import Loop
 from lbsfit_np.losses import cotangent_matrix
@@ -190,7 +191,7 @@ def test_figures_of_a_round_are_means_of_roots():
     """Of √L_c, as the study's Recon is; not the root of a mean."""
     losses = ((0.01, False), (0.09, False), (0.04, True), (0.16, True))
     members = [SimpleNamespace(loss=loss, role=HELD_OUT if held else LEARNED_FROM) for loss, held in losses]
-    loop = SimpleNamespace(collection=Collection(4, members), history=[], progress=lambda *a: None)
+    loop = SimpleNamespace(collection=Collection(4, members), history=[], progress=lambda *a: None, _kept=NO_CHECKPOINT)
     assert Loop._note(loop, 1, 0.0, {}) == pytest.approx(0.3)
     assert (loop.history[0]["recon"], loop.history[0]["recon_held_out"]) == (pytest.approx(0.2), pytest.approx(0.3))
 
@@ -216,7 +217,7 @@ def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, f
     values = iter([0.4, 0.6])
     templates = []
     found = Loop._templates
-    monkeypatch.setattr(Loop, "_templates", lambda self: templates.append(found(self)) or templates[-1])
+    monkeypatch.setattr(Loop, "_templates", lambda self, k: templates.append(found(self, k)) or templates[-1])
     fitter = make_learner(variant="cd", rounds=6).fit([s.points for s in few_scans[:3]])
     assert len(templates) == 2 and [h["kept"] for h in fitter.history_] == [False, True, False]
     (loop, best), (_, last) = poses[1], poses[2]

@@ -235,6 +235,27 @@ def test_two_limbs_are_tried_in_each_others_pose_which_no_library_need_have(hand
     assert bare.proposals(problem, truth, 2) == []
 
 
+@pytest.mark.parametrize("n", [1, 2])
+def test_proposals_for_a_pair_are_few_and_unlike_each_other(hand, n):
+    """The exchange, of which the library has next to the same, among them."""
+    truth, problem, wrong = _exchanged(hand, "index", "middle")
+    state, (index, middle) = truth.replace(theta=wrong), (hand.limb("index1"), hand.limb("middle1"))
+    changed = [((t != wrong).any(axis=1), t) for t in hand.limbs.proposals(problem, state, n)]
+    both = [t for c, t in changed if c[index].any() and c[middle].any() and not c[~(index | middle)].any()]
+    assert 1 <= len(both) <= n
+    rows = [limb.rows for limb in hand.limbs._limbs if limb.hangs[hand.row["index1"]] or limb.hangs[hand.row["middle1"]]]
+    places = [hand.model.pose(state.replace(theta=t))[0].vertices for t in (wrong, *both)]
+    for i, a in enumerate(places):
+        assert all(max(np.linalg.norm(a[r] - b[r], axis=1).mean() for r in rows) > 0.079 for b in places[:i])
+
+
+def test_a_limb_in_anothers_pose_is_within_its_own_limits(hand):
+    for limb in hand.limbs._limbs:
+        far = np.where(np.arange(9).reshape(3, 3) % 2, 5.0, -5.0)
+        lower, upper = hand.rig.lower[limb.hangs], hand.rig.upper[limb.hangs]
+        np.testing.assert_array_equal(hand.limbs._within(limb, far), np.where(far > 0, upper, lower)[None])
+
+
 def test_limbs_of_other_numbers_of_joints_have_no_pose_to_exchange(body):
     bare = LimbPoses(body.model, np.zeros((1, *body.rig.lower.shape)))
     assert len({int(limb.hangs.sum()) for limb in bare._limbs}) > 1

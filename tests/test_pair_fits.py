@@ -8,10 +8,11 @@ import pytest
 from registered_sets import fits_are_given, learning_is_given, result_of, what_fits_are_told, write_meshes
 
 import lbsfit_np as lbs
-from lbsfit_np.bench.pair_fits import fit_scans_of
+from lbsfit_np.bench.pair_fits import fit_scans_of, made_files
 from lbsfit_np.bench.truth import PairScan
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.archive import learned_digests, model_digest
+from lbsfit_np.learning.checkpoint import Checkpoint, steps_in
 
 pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
 
@@ -158,3 +159,26 @@ def test_a_model_of_somebody_else_is_not_what_was_learned(pair_scans, fitter, tu
     learned.clear()
     fit_scans_of(fitter, pair_scans, tmp_path, learn_from=pair_scans)
     assert len(learned) == 1 and lbs.LBSFitter.load(tmp_path / "model.npz").template_.keys() == {"ann", "bob"}
+
+
+@pytest.mark.parametrize("existing, kept", [("resume", 1), ("replace", 0)])
+def test_a_loop_that_was_stopped_goes_on(existing, kept, pair_scans, fitter, pair_meshes, tmp_path, monkeypatch):
+    """Its steps are no scans, and go with the model; a run that replaces takes none."""
+    given = {s.name: v for s, v in zip(pair_scans, pair_meshes)}
+    fits_are_given(monkeypatch, given)
+    learning_is_given(monkeypatch, given)
+    learn, found, folder = lbs.LBSFitter.fit, [], tmp_path / "model.npz.unfinished"
+
+    def stopped(self, *args, checkpoint, **options):
+        found.append(steps_in(checkpoint))
+        Checkpoint(checkpoint).slot("first-fit").keep(1)
+        if len(found) == 1:
+            raise KeyboardInterrupt
+        return learn(self, *args, **options)
+
+    monkeypatch.setattr(lbs.LBSFitter, "fit", stopped)
+    with pytest.raises(KeyboardInterrupt):
+        fit_scans_of(fitter, pair_scans, tmp_path, learn_from=pair_scans)
+    assert set(made_files(tmp_path)) == set(folder.iterdir()) and steps_in(folder) == 1
+    fit_scans_of(fitter, pair_scans, tmp_path, learn_from=pair_scans, existing=existing)
+    assert found == [0, kept] and not folder.exists() and (tmp_path / "model.npz").is_file()

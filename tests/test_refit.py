@@ -146,8 +146,9 @@ def test_limbs_are_tried_as_effort_says_while_it_helps(left, generations, model,
 def test_copies_of_one_pose_take_the_place_of_no_other(model, refit, monkeypatch):
     """Neither among those whose limbs are tried nor among those that go on; in another frame the same angles are another pose."""
     a, b, c = (model.rest().replace(theta=theta) for theta in _poses(model, 3))
-    here, there = Problem(np.zeros((9, 3))), Problem(np.zeros((9, 3)))
+    here, again, there = Problem(np.zeros((9, 3))), Problem(np.zeros((9, 3))), Problem(np.ones((9, 3)))
     runners = [Runner(here, a, 0, 1.0), Runner(here, a, 1, 1.1), Runner(here, b, 2, 1.2), Runner(there, a, 3, 1.3)]
+    runners.insert(1, Runner(again, a, 4, 1.05))  # made anew in the same frame
     asked = []
     limbs = SimpleNamespace(proposals=lambda problem, state, n, closer: asked.append(state) or [c.theta])
     monkeypatch.setattr(refit, "race", lambda tried, survivors: [replace(r, value=0.995) for r in tried])

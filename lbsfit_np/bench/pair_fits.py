@@ -20,6 +20,7 @@ from ..fitting.result import FitResult
 __all__ = ["Fits", "fit_files", "fit_scans_of", "has_record", "made_files"]
 
 _RECORD, _MODEL, _FITS = "fits.json", "model.npz", "fits"
+_UNFINISHED = "model.npz.unfinished"  # what an interrupted loop has done
 _REMEDY = "Choose another folder, or --existing replace."
 
 
@@ -72,7 +73,8 @@ def made_files(folder):
     """The files with points or meshes that an earlier run of :func:`fit_scans_of` has written."""
     if not has_record(folder):
         return []
-    return [path for path in (folder / _MODEL, *sorted((folder / _FITS).glob("*.npz"))) if path.is_file()]
+    made = (folder / _MODEL, *sorted((folder / _FITS).glob("*.npz")), *sorted((folder / _UNFINISHED).glob("*.npz")))
+    return [path for path in made if path.is_file()]
 
 
 def fit_scans_of(
@@ -108,6 +110,8 @@ def fit_scans_of(
     InputError, FileError
         Fits that are there and were made otherwise; scans that nothing can be learned from.
     """
+    from ..learning.checkpoint import remove_checkpoint
+
     folder, reporter = Path(folder), reporter or _Silent()
     read = {s.name: functools.partial(_load, s.path, n_samples, fitter.random_state) for s in scans}
     record = _Record.of(fitter.rig, scans, learn_from, settings or {})
@@ -118,6 +122,7 @@ def fit_scans_of(
     if existing == "replace":
         for path in fit_files(folder, scans):
             path.unlink(missing_ok=True)
+        remove_checkpoint(folder / _UNFINISHED)
     (folder / _FITS).mkdir(exist_ok=True)
     learned = _learned_before(folder, fitter) if learn_from and before is not None else None
     same = set() if before is None else {s.name for s in scans if before.scans.get(s.name) == record.scans[s.name]}
@@ -150,14 +155,19 @@ def _load(path, n_samples, seed):
 
 def _learn(fitter, learn_from, read, fits, reporter):
     """Learn, and write fits and model; scans that cannot be used are left for later, which says why."""
+    from ..learning.checkpoint import remove_checkpoint
+
+    checkpoint = fits.folder / _UNFINISHED
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".* scans cannot be used; ")
         sources = [read[s.name] for s in learn_from]
-        fitter.fit(sources, [s.subject for s in learn_from], cache=True, progress=reporter.learning)
+        subjects = [s.subject for s in learn_from]
+        fitter.fit(sources, subjects, cache=True, checkpoint=checkpoint, progress=reporter.learning)
     for scan, result in zip(learn_from, fitter.results_, strict=True):
         if result is not None and np.isfinite(result.vertices).all():
             fits.entries[scan.name] = _Save(fits.folder, [scan.name])(0, scan, result)
     fitter.save(fits.folder / _MODEL)  # last: it says that the fits are complete
+    remove_checkpoint(checkpoint)
     return fitter
 
 

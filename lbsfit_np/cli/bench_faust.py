@@ -29,7 +29,7 @@ examples:
 OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan, model.npz, which
 lbsfit fit takes, and, for each challenge whose pairs are listed, challenge-intra/ or challenge-inter/ with a file for each pair
 (012_023.txt: for each vertex of test_scan_012 its point on test_scan_023), and challenge-intra.zip or challenge-inter.zip to be
-submitted. The same command once more does what is not there yet; what an interrupted loop has learned is not kept.
+submitted. The same command once more does what is not there yet; what an interrupted loop has done is in model.npz.unfinished.
 """
 
 

@@ -29,7 +29,7 @@ examples:
 
 OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan, and, after
 learning, model.npz, which lbsfit fit takes. The same command once more does what is not there yet; what an interrupted loop has
-learned is not kept. Scans are fitted as their subject's: the column is part of what learning is told.
+done is in model.npz.unfinished. Scans are fitted as their subject's: the column is part of what learning is told.
 """
 
 

@@ -1,24 +1,23 @@
 """``lbsfit learn``: learn from a collection of scans, and write what was learned as one model file."""
 
-import functools
 import os
 import time
 import warnings
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, LbsfitError, in_words
+from ..errors import FileError, InputError, LbsfitError
 from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
-from .fit import RIG_OPTIONS, check_training, load_rig_with, read_scan, scan_options
+from .fit import RIG_OPTIONS, check_training, load_rig_with, scan_options
 from .models import about_model, is_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
-from .progress import LearningProgress, Progress, of_all, say, span
-from .stopped_learning import is_result_of, results_so_far, stopped_early
+from .progress import LearningProgress, Progress, counted, of_all, say, span
+from .reading import Reading
+from .stopped_learning import is_result_of, results_so_far, stopped_early, unfinished
 from .stopping import exit_code, terminable
 from .subjects import SUBJECT_FILES, check_no_table, read_subjects
 from .summary import counts_of, say_doubtful, write_summary, written_of
@@ -91,9 +90,10 @@ examples:
       held-out = 0.2
 
 A scan that cannot be used is named with the reason and left out. The model appears when it is complete, or, after Ctrl-C,
-with what the rounds until then have learned; an input is never overwritten. The segmenter's first training is kept in
-$LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans, how many fits are ok, suspect or
-failed, and a table of those that are not ok, see lbsfit fit --help.
+with what the rounds until then have learned; an input is never overwritten. Until it is complete the steps done are kept in
+MODEL.unfinished: after a stop or a crash the same command goes on from there, also with more scans. The segmenter's first
+training is kept in $LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans, how many fits are
+ok, suspect or failed, and a table of those that are not ok, see lbsfit fit --help.
 Exit code: 0 learned, and all scans could be used, also where some were held out or not learned from, 1 some could not be used, or
 their fits failed, 2 usage, unreadable rig, or no model could be learned, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
@@ -137,6 +137,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     int
         Exit code.
     """
+    from ..learning.checkpoint import remove_checkpoint, steps_in
     from ..learning.parameters import check_parameters
 
     started = time.perf_counter()
@@ -154,14 +155,18 @@ def learn_files(rig_path, scans, values, *, inputs=()):
         except FileError:
             outputs.remove_empty(folders)
             raise
+    checkpoint = unfinished(model)
+    if kept := steps_in(checkpoint):
+        say(f"note: {checkpoint} has {counted(kept, 'step')} of a run that was stopped; those that suit this one are taken")
     progress = LearningProgress(values["rounds"])
-    reading = _Reading(scans, scan_options(values), len(rig.parts), progress, keep=bool(files))
+    reading = Reading(scans, scan_options(values), len(rig.parts), progress, keep=bool(files))
     entries, written = {}, False
     try:
         with terminable():
-            _learn(fitter, reading, subjects, progress)
+            _learn(fitter, reading, subjects, progress, checkpoint)
             fitter.save(model)
             written = True
+            remove_checkpoint(checkpoint)
             say(_learned(fitter, reading, model, time.perf_counter() - started))
             say(_units(fitter))
             if files:
@@ -258,64 +263,7 @@ def _fitter(rig, values):
     )
 
 
-@dataclass
-class _Reading:
-    """The scans as callables for ``LBSFitter.fit``, each of which reports at once when it cannot be used."""
-
-    paths: list
-    options: dict
-    least: int
-    progress: object
-    keep: bool
-    scans: dict = field(default_factory=dict)
-    failures: dict = field(default_factory=dict)
-    notes: dict = field(default_factory=dict)
-
-    @property
-    def sources(self):
-        return [functools.partial(self.read, i) for i in range(len(self.paths))]
-
-    def name(self, i):
-        """The file name without its extension, or the path where others are called the same."""
-        stems = [Path(p).stem for p in self.paths]
-        return stems[i] if stems.count(stems[i]) == 1 else self.paths[i]
-
-    def read(self, i):
-        try:
-            scan = read_scan(self.paths[i], self.least, self.options)
-        except LbsfitError as error:
-            self.fail(i, str(error))
-            raise
-        except Exception as error:  # whatever is wrong with one scan is that scan's failure
-            got = f"content that cannot be read ({in_words(error)})"
-            foreseen = FileError(self.paths[i], got, "a scan")
-            self.fail(i, str(foreseen))
-            raise foreseen from error
-        if self.keep:
-            self.scans[i] = scan
-        self.notes[i] = scan.notes
-        self.progress("reading scans", (i + 1) / len(self.paths))
-        self.progress.notes(self.name(i), scan.notes)
-        return scan
-
-    def unused(self):
-        """Entries of the scans that have no fit."""
-        return [
-            {"name": self.name(i), "input": self.paths[i], "status": "failed", "message": self.why(i)}
-            for i in sorted(self.failures)
-        ]
-
-    def why(self, i, message=None):
-        """What became of scan i, by default of one without a fit, after what its file explains of that."""
-        return outputs.with_reasons(self.failures[i] if message is None else message, self.notes.get(i, ()))
-
-    def fail(self, i, message):
-        if i not in self.failures:
-            self.failures[i] = message
-            self.progress.failed(self.name(i), message)
-
-
-def _learn(fitter, reading, subjects, progress):
+def _learn(fitter, reading, subjects, progress, checkpoint):
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".* scans cannot be used; ")  # each has been named already
         warnings.filterwarnings("ignore", message="most fits have failed: ")  # said at the end, with how many
@@ -327,7 +275,7 @@ def _learn(fitter, reading, subjects, progress):
 
         warnings.showwarning = show_on_a_line
         try:
-            fitter.fit(reading.sources, subjects, cache=True, progress=progress)
+            fitter.fit(reading.sources, subjects, cache=True, checkpoint=checkpoint, progress=progress)
         finally:  # those that were stopped may leave a model, too
             progress.close()
             for i, message in getattr(fitter, "failures_", {}).items():

@@ -123,7 +123,7 @@ class LearningProgress:
         self._clock = clock
         self._stage, self._bar, self._said = None, None, set()
         self._began, self._took = None, []
-        self._share, self._stage_began, self._told = 0.0, None, None
+        self._share, self._stage_began, self._first, self._told = 0.0, None, 0.0, None
 
     def __call__(self, stage, share, figures=None):
         """``stage`` is done to ``share``; ``figures`` at the end of a round."""
@@ -132,8 +132,9 @@ class LearningProgress:
             return
         if stage != self._stage:
             self._begin(stage)
+            self._first = share  # what an earlier run has done takes no time
         elif share < self._share:
-            self._stage_began = self._clock()  # the same once more
+            self._stage_began, self._first = self._clock(), share  # the same once more
         self._share = share
         if self._bar is None:
             self._tell()
@@ -180,7 +181,7 @@ class LearningProgress:
         self.close()
         now, k = self._clock(), figures["round"]
         if k:
-            self._took.append(now - self._began)
+            self._took.append(figures["seconds"])
         self._began, self.round = now, k + 1
         recon = f"recon {figures['recon']:.4f} on the scans learned from"
         if figures["recon_held_out"] is not None:
@@ -208,8 +209,8 @@ class LearningProgress:
         Until then, and after the rounds, how long it is until the stage ends, by the share of it that is done.
         """
         if not self._took or not self.round:
-            took = 0.0 if self._stage is None else self._clock() - self._stage_began
-            return f"about {span(took / self._share * (1 - self._share))} left of this step" if took and self._share else ""
+            took, done = 0.0 if self._stage is None else self._clock() - self._stage_began, self._share - self._first
+            return f"about {span(took / done * (1 - self._share))} left of this step" if took and done else ""
         mean = sum(self._took) / len(self._took)
         left = (self.rounds - self.round + 1) * mean - (self._clock() - self._began)
         return f"at most about {span(max(left, 0))} left"

@@ -9,10 +9,15 @@ from .progress import of_all
 from .stopping import terminable
 from .summary import written_of
 
-__all__ = ["is_result_of", "results_so_far", "stopped_early"]
+__all__ = ["is_result_of", "results_so_far", "stopped_early", "unfinished"]
 
 # Letters of scans' names up to which a command has them all.
 _SHORT = 200
+
+
+def unfinished(model):
+    """The folder of what is done until a model is complete."""
+    return model.with_name(f"{model.name}.unfinished")
 
 
 def stopped_early(fitter, model, scans, failed, subjects, values):
@@ -29,17 +34,27 @@ def stopped_early(fitter, model, scans, failed, subjects, values):
         # In the results' folder those of an earlier run may be.
         known = [scans[i] for i in _of_the_known(fitter, subjects, len(scans)) if i not in failed]
         to_fit = _to_fit(model, values, "replace" if replace and values["results"] else None, known)
-        anew = "the same command begins anew" if replace else "the same command with --existing replace begins anew"
+        anew = f"the same command{'' if replace else ' with --existing replace'} {_goes_on(model) or 'begins anew'}"
         which = "scans"
         if subjects is not None:
             others = "others without --subjects, or with an empty id in it"
             which = f"these scans{_but_for_strangers(fitter, subjects)} ({others})"
         return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit {which} with it: {to_fit}"
+    if words := _goes_on(model):
+        return f"stopped before the model was learned; the same command {words}"
     # Training is over only when all of it is; what could not be written is gone, as was warned of.
     if getattr(fitter, "regressor_", None) is None or could_not_keep():
         return "stopped before the model was learned; the same command begins anew"
     kept = "what was trained first is kept, and the rounds begin anew with the same command"
     return f"stopped before the model was learned; {kept}"
+
+
+def _goes_on(model):
+    """What a later run does with what is kept, in words; nothing where nothing is."""
+    from ..learning.checkpoint import steps_in
+
+    kept = unfinished(model)
+    return f"goes on from what is kept in {kept}" if steps_in(kept) else ""
 
 
 def results_so_far(fitter, model, files, entries, subjects, values):

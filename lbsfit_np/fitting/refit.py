@@ -241,7 +241,7 @@ class Refit:
         """Each pose once, in each frame."""
         by_frame = {}
         for r in runners:
-            by_frame.setdefault(id(r.problem), []).append(r)
+            by_frame.setdefault(r.problem.X.tobytes(), []).append(r)  # starts may have problems of their own in one frame
         own = [distinct(g, lambda r: self.model.deformed(r.state).joints, lambda r: _ALIKE) for g in by_frame.values()]
         kept = {id(r) for group in own for r in group}
         return [r for r in runners if id(r) in kept]

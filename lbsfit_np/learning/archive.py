@@ -17,7 +17,7 @@ from ..segmentation.segmenter import Segmenter
 from ..segmentation.stage import Stage
 from ..starts.library import PoseLibrary
 
-__all__ = ["MODEL_KEY", "learned_digests", "model_digest", "read_fitter", "write_fitter"]
+__all__ = ["MODEL_KEY", "learned_arrays", "learned_digests", "model_digest", "read_fitter", "write_fitter"]
 
 MODEL_KEY = "lbsfit_np_model"
 _FORMAT = 2
@@ -69,7 +69,7 @@ def write_fitter(fitter, path):
         text = json.dumps(header, default=_plain)
     except TypeError as error:
         raise InputError("fitter", f"parameters that cannot be saved ({error})", "numbers, text and settings") from None
-    write_npz(path, **{MODEL_KEY: np.array(text)}, **rig_arrays(fitter.rig), **_learned_arrays(fitter, fitter.template_.values()))
+    write_npz(path, **{MODEL_KEY: np.array(text)}, **rig_arrays(fitter.rig), **_arrays(fitter, fitter.template_.values()))
 
 
 def model_digest(fitter, subject=None):
@@ -84,7 +84,7 @@ def model_digest(fitter, subject=None):
     templates = fitter.template_ if subject is None else {subject: fitter.template_[subject]}
     subjects = [(s, float(fitter.unit_[s])) for s in templates]
     h.update(repr((fitter.rig.digest, fitter.variant, fitter.joints, subjects, subject is not None)).encode())
-    for name, array in sorted(_learned_arrays(fitter, templates.values()).items()):
+    for name, array in sorted(_arrays(fitter, templates.values()).items()):
         h.update(f"{name} {array.dtype.str} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return h.hexdigest()
 
@@ -99,13 +99,18 @@ def learned_digests(fitter):
     return {s: hashlib.sha256(f"{whole} learned {s!r}".encode()).hexdigest() for s in templates}
 
 
-def _learned_arrays(fitter, templates):
+def _arrays(fitter, templates):
     """Templates, and the fitter's segmenter and library, as the named arrays of a model file."""
-    segmenter, library = fitter.segmenter_, fitter.regressor_
     arrays = {
         "model_vertices": np.array([t.vertices for t in templates]),
         "model_joints": np.array([t.joints for t in templates]),
     }
+    return arrays | learned_arrays(fitter.segmenter_, fitter.regressor_)
+
+
+def learned_arrays(segmenter, library):
+    """A segmenter and a library, or None in place of either, as the named arrays of a model file."""
+    arrays = {}
     for k, stage in enumerate(() if segmenter is None else segmenter.stages):
         arrays |= stage.arrays(f"model_stage_{k}")
     return arrays | ({} if library is None else library.arrays("model_library"))

@@ -16,7 +16,7 @@ from ..scan import Scan, check_points
 from ..seeds import generator
 from ..starts.clean import clean_rows
 from ..starts.scale import extent, reference_scale
-from ..workers import each
+from .checkpoint import each_kept
 from .subjects import as_subjects, check_ids
 
 __all__ = [
@@ -166,7 +166,7 @@ class Collection:
         most = max(self.subjects, key=lambda s: len(self.with_role(LEARNED_FROM, s)))
         self.with_role(LEARNED_FROM, most)[-1].held_out = True
 
-    def work(self, work, tasks, *, jobs, done, taught=False):
+    def work(self, work, tasks, *, jobs, done, kept=(), taught=False):
         """Do a task for each member; one whose task fails is a member no more, with the reason in ``failures``.
 
         Parameters
@@ -176,6 +176,8 @@ class Collection:
             One for each member.
         jobs, done
             As in ``workers.each``.
+        kept : sequence, optional
+            Slots of a checkpoint, one for each member.
         taught : bool, default False
             Whether learning is over, which failures then say.
 
@@ -189,7 +191,7 @@ class Collection:
         Exception
             The first one's own, where no task could be done.
         """
-        found = each(_Tried(work), tasks, jobs=jobs, done=done)
+        found = each_kept(_Tried(work), tasks, kept, jobs=jobs, done=done, keep=lambda tried: tried[1] is None)
         errors = [error for _, error in found if error is not None]
         if errors and len(errors) == len(found):
             raise errors[0]

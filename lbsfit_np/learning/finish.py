@@ -22,6 +22,7 @@ from ..starts.clean import clean_rows
 from ..starts.scale import extent_doubt, reference_scale, same_size, unit_note
 from ..starts.turns import facing_of, some_turns
 from ..threads import one_thread
+from .checkpoint import NO_CHECKPOINT
 from .variants import as_variant
 
 __all__ = ["LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
@@ -34,8 +35,8 @@ _LOOSE_STEPS = {"max_iterations": 200, "tolerance": 1e-4}
 _SIZES = 0.2
 
 
-def results_of(rig, templates, joints, collection, settings, facing, *, jobs, progress):
-    """The results of the scans that the loop has left poses of.
+def results_of(rig, templates, joints, collection, settings, facing, *, jobs, progress, checkpoint=NO_CHECKPOINT):
+    """The results of the scans that the loop has left poses of; those that the checkpoint has are not made again.
 
     Returns
     -------
@@ -52,9 +53,19 @@ def results_of(rig, templates, joints, collection, settings, facing, *, jobs, pr
         done = {"jobs": jobs, "done": lambda p: progress("results", share * p)}
         sizes = collection.work(work, collection.members, **done, taught=True)
     tasks = list(zip(collection.members, sizes, _others(collection.members, sizes), strict=True))
-    work = _Finish(rig, models, settings, further_words(settings, facing))
+    further = further_words(settings, facing)
+    kept = []
+    for m, size, others in tasks:
+        on = templates[m.subject]
+        kept.append(checkpoint.slot("result", (_as_it_is(m), size, others, on.vertices, on.joints, further)))
+    work = _Finish(rig, models, settings, further)
     done = {"jobs": jobs, "done": lambda p: progress("results", share + (1 - share) * p)}
-    return collection.in_order(collection.work(work, tasks, **done, taught=True))
+    return collection.in_order(collection.work(work, tasks, **done, kept=kept, taught=True))
+
+
+def _as_it_is(member):
+    """All of a member that its result depends on: the problem is but points and frame made ready."""
+    return replace(member, problem=None)
 
 
 def _others(members, sizes):
@@ -353,7 +364,7 @@ def _alike(a, b):
 # ---- the free-form baseline ----
 
 
-def fit_free_form(model, collection, settings, *, jobs, progress):
+def fit_free_form(model, collection, settings, *, jobs, progress, checkpoint=NO_CHECKPOINT):
     """Scans fitted without skinning: the template's vertices move freely under Chamfer and Laplacian.
 
     Returns
@@ -366,7 +377,8 @@ def fit_free_form(model, collection, settings, *, jobs, progress):
         own = reference_scale(m.points[m.rows], model.source, settings.scale).scale if m.doubt else m.unit
         m.use_frame(own, model.half)
     work = _FreeForm(model, settings)
-    answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p))
+    kept = [checkpoint.slot("free-form", _as_it_is(m)) for m in collection.members]
+    answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p), kept=kept)
     return collection.in_order(answers)
 
 

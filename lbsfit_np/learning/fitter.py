@@ -11,7 +11,8 @@ from ..optimize.model import Model
 from ..seeds import integer_seed
 from ..segmentation.segmenter import jobs_of
 from ..starts.turns import facing_of
-from .archive import learned_digests, model_digest, read_fitter, write_fitter
+from .archive import learned_arrays, learned_digests, model_digest, read_fitter, write_fitter
+from .checkpoint import Checkpoint
 from .collection import as_scans, in_words, read_collection
 from .finish import fit_free_form, fit_new, results_of, scan_fit
 from .loop import Loop, LoopSettings
@@ -167,7 +168,7 @@ class LBSFitter(BaseEstimator):
         self.segmenter_, self.regressor_ = self._pretrained = segmenter, library
         return self
 
-    def fit(self, scans, subjects=None, *, cache=False, progress=None, on_round=None):
+    def fit(self, scans, subjects=None, *, cache=False, checkpoint=None, progress=None, on_round=None):
         """Learn from a collection of scans: Algorithm 1 of the paper, see ``learning.loop``.
 
         Parameters
@@ -179,6 +180,10 @@ class LBSFitter(BaseEstimator):
             Who was scanned, one id for each scan; one subject by default. The scans of a subject share a template.
         cache : bool, default False
             As in :meth:`pretrain`.
+        checkpoint : path-like, optional
+            A folder that each step is kept in as it is done: after a stop, or a crash, the same call once more goes on from
+            there, to the same result. It stays when learning is over; delete it then. Without a seed no two runs are the same,
+            and nothing is found.
         progress : callable (stage, share, figures=None), optional
             Called with the name of what is done and the share done in [0, 1]; after a round also with its entry of ``history_``.
         on_round : callable (k, segmenter), optional
@@ -198,6 +203,7 @@ class LBSFitter(BaseEstimator):
         """
         self._check()
         check_callables(progress=progress, on_round=on_round)
+        checkpoint = Checkpoint(checkpoint)
         variant, seed, facing = as_variant(self.variant), self._seed(), facing_of(self.rig, self.orientation, self.up)
         collection = read_collection(
             self.rig,
@@ -217,7 +223,8 @@ class LBSFitter(BaseEstimator):
             self.template_ = dict.fromkeys(collection.subjects, self.rig)
             self.unit_ = {s: collection.of(s)[0].unit for s in collection.subjects}
             self.history_, self._learned_with = [], learned_with(self)
-            results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress)
+            kept = checkpoint.narrowed(self._made_of(seed))
+            results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress, checkpoint=kept)
             return self._finished(collection, results)
         segmenter, library = getattr(self, "_pretrained", None) or (None, None)
         if library is None or (variant.labels and segmenter is None):
@@ -225,6 +232,7 @@ class LBSFitter(BaseEstimator):
         segmenter = segmenter if variant.labels else None
         if segmenter is not None:
             segmenter.check_rig(self.rig)
+        checkpoint = checkpoint.narrowed(self._made_of(seed, segmenter, library))
         loop = Loop(
             *(self.rig, collection, variant, segmenter, library),
             facing=facing,
@@ -239,11 +247,19 @@ class LBSFitter(BaseEstimator):
             progress=progress,
             on_round=on_round,
             on_kept=lambda learned: self._take(learned, collection),
+            checkpoint=checkpoint,
         )
         self._take(loop.run(), collection)
         made_of = self.rig, self.template_, self.joints, collection, settings, facing
-        results = results_of(*made_of, jobs=jobs, progress=progress)
+        results = results_of(*made_of, jobs=jobs, progress=progress, checkpoint=checkpoint)
         return self._finished(collection, results)
+
+    def _made_of(self, seed, segmenter=None, library=None):
+        """What all steps of learning depend on; what only some do, the scans among it, comes with these."""
+        some = ("rig", "n_jobs", "rounds", "held_out", "sequence", "smooth", "random_state", "training")
+        parameters = {name: value for name, value in self.get_params(deep=False).items() if name not in some}
+        pretrained = learned_arrays(segmenter, library)
+        return self.rig.digest, self.rig.poses, parameters, self._synthesis(), seed, pretrained
 
     def _take(self, learned, collection):
         """Have what was learned, as yet without results: what a round has learned stays where a later one is stopped."""

@@ -20,12 +20,13 @@ import numpy as np
 from ..fitting.template import TemplateSettings
 from ..optimize.frame import nearest_root, turned_root
 from ..optimize.model import Model
-from ..segmentation.segmenter import train_segmenter
+from ..segmentation.segmenter import Segmenter, train_segmenter
 from ..segmentation.stage import Training
-from ..starts.library import build_library
+from ..starts.library import PoseLibrary, build_library
 from ..starts.scale import same_size
 from ..threads import one_thread
 from ..workers import each, kept_processes
+from .checkpoint import NO_CHECKPOINT, each_kept
 from .collection import HELD_OUT, LEARNED_FROM
 from .mixture import Mixture
 from .scales import check_scales, scale_warnings, units_apart
@@ -122,6 +123,8 @@ class Loop:
         ``figures`` is a round's entry of the history when it ends, else None.
     on_round : callable (k, segmenter) or None, after each round
     on_kept : callable (Learned) or None, after each round that is to be kept unless a later one is
+    checkpoint : Checkpoint
+        That depends on all of the above but for the collection, ``sequence``, ``smooth``, ``jobs`` and the number of rounds.
     """
 
     def __init__(
@@ -144,6 +147,7 @@ class Loop:
         progress,
         on_round=None,
         on_kept=None,
+        checkpoint=NO_CHECKPOINT,
     ):
         self.rig, self.collection, self.variant, self.segmenter = rig, collection, variant, segmenter
         self.fit_settings, self.settings, self.synthesis, self.joints = fit_settings, settings, synthesis, joints
@@ -155,6 +159,9 @@ class Loop:
         self.library, self.facing = library, facing
         self.coefficients = {}
         self.history = []
+        self._first_kept = checkpoint
+        scans = [(m.index, m.points, m.rows, m.subject, m.held_out) for m in collection.members]
+        self._kept = self._first_kept.narrowed((sequence, scans))
 
     @one_thread()
     @kept_processes()
@@ -166,9 +173,9 @@ class Loop:
         best, best_members, learned = np.inf, {}, None
         for k in range(1, self.settings.rounds + 1):
             began = time.perf_counter()
-            templates = self._templates()
+            templates = self._templates(k)
             self._learn(k, templates)
-            won = self._refit(templates)
+            won = self._refit(k, templates)
             value = self._note(k, began, {"new_starts_won": won})
             self.on_round(k, self.segmenter)
             fallen = value is None or value < best * (1 - self.settings.improvement)
@@ -194,7 +201,8 @@ class Loop:
         guess = members[0].unit  # one for all
         segmenter = self.segmenter if self.variant.labels else None
         work = FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library)
-        answers = self._work(work, [m.points[m.rows] for m in members], "first fits")
+        tasks = [m.points[m.rows] for m in members]
+        answers = self._work(work, tasks, "first fits", [self._first_kept.slot("first-fit", points) for points in tasks])
         scales = {}
         for m, (frame, state, loss, proba) in zip(self.collection.members, answers, strict=True):
             m.proba, m.loss = proba, loss
@@ -226,7 +234,7 @@ class Loop:
                 moved = (m.state.scale / ratio - 1.0) * self.model.rig.joints[self.rig.root]
                 m.state = m.state.replace(scale=1.0, translation=m.state.translation / ratio + moved, residual=None)
 
-    def _templates(self):
+    def _templates(self, k):
         """Each subject's template from the poses of its scans that are learned from."""
         tasks, subjects = [], self.collection.subjects
         for subject in subjects:
@@ -241,7 +249,8 @@ class Loop:
                 )
             )
         work = Template(self.shifting, self.fit_settings.partial)
-        found = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("templates", p))
+        kept = [self._kept.slot(f"round-{k}-template", s) for s in subjects]
+        found = each_kept(work, tasks, kept, jobs=self.jobs, done=lambda p: self.progress("templates", p))
         weld = self.rig.weld
         templates = {s: (np.ascontiguousarray(U[weld]), J) for s, (U, J, _) in zip(subjects, found)}
         self.coefficients = {s: c for s, (_, _, c) in zip(subjects, found)}
@@ -267,18 +276,23 @@ class Loop:
     def _learn(self, k, templates):
         """Train s on the round's mixture, and f and the library anew."""
         if self.variant.labels:
-            self.segmenter = train_segmenter(
-                self.rig.welded,
-                self._mixture(k, templates),
-                self.settings.round_scans,
-                training=self.settings.training,
-                random_state=self.seed,
-                n_jobs=self.jobs,
-                progress=lambda p: self.progress("segmenter", p),
-                start=self.segmenter,
-            )
+            kept = self._kept.slot(f"round-{k}-segmenter")
+            self.segmenter = kept.known(Segmenter) or kept.keep(self._trained(k, templates))
             self._label()
-        self.library = self._library(k, templates)
+        kept = self._kept.slot(f"round-{k}-library")
+        self.library = kept.known(PoseLibrary) or kept.keep(self._library(k, templates))
+
+    def _trained(self, k, templates):
+        return train_segmenter(
+            self.rig.welded,
+            self._mixture(k, templates),
+            self.settings.round_scans,
+            training=self.settings.training,
+            random_state=self.seed,
+            n_jobs=self.jobs,
+            progress=lambda p: self.progress("segmenter", p),
+            start=self.segmenter,
+        )
 
     def _label(self):
         if self.variant.labels:
@@ -287,13 +301,13 @@ class Loop:
             for m, proba in zip(self.collection.members, found, strict=True):
                 m.proba = proba
 
-    def _refit(self, templates):
+    def _refit(self, k, templates):
         """Every pose again on its subject's template; returns how many new starts won."""
         members = self.collection.members
         neighbours = self.settings.neighbours if self.variant.library else 0
         work = Pose(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
         tasks = [(m.subject, m.problem, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
-        answers = self._work(work, tasks, "poses of scans")
+        answers = self._work(work, tasks, "poses of scans", [self._kept.slot(f"round-{k}-pose", m.index) for m in members])
         won = 0
         for m, (state, loss, which) in zip(self.collection.members, answers, strict=True):
             won += which > 0
@@ -314,9 +328,9 @@ class Loop:
             for m, state in zip(members, states):
                 m.state = state
 
-    def _work(self, work, tasks, stage):
+    def _work(self, work, tasks, stage, kept=()):
         """The members' answers; those who fail are members no more."""
-        return self.collection.work(work, tasks, jobs=self.jobs, done=lambda p: self.progress(stage, p))
+        return self.collection.work(work, tasks, jobs=self.jobs, done=lambda p: self.progress(stage, p), kept=kept)
 
     def _models(self, templates):
         return {s: Model(self.rig.with_template(*t), self.joints, half=self.model.half) for s, t in templates.items()}
@@ -341,11 +355,13 @@ class Loop:
     def _note(self, k, began, more):
         """One more entry of the history; the value that decides when to stop, None where no scan is held out to tell."""
         held, learning = ([np.sqrt(m.loss) for m in self.collection.with_role(r)] for r in (HELD_OUT, LEARNED_FROM))
+        kept = self._kept.slot(f"round-{k}-seconds")
+        seconds = kept.known() or round(time.perf_counter() - began, 2)  # those of the run that did the work
         entry = {
             "round": k,
             "recon": float(np.mean(learning)),
             "recon_held_out": float(np.mean(held)) if held else None,
-            "seconds": round(time.perf_counter() - began, 2),
+            "seconds": kept.keep(seconds),
             **more,
         }
         self.history.append(entry)

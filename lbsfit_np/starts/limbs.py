@@ -34,7 +34,7 @@ _POSES, _BLOCK, _AT_ONCE, _BEST = 800, 200, 8, 40
 # distance of the limb's vertices. Two limbs that are exchanged have pulled what they hang on with them, so that even the right
 # poses may seem worse; but two that cost less than the last number are where they should be. Each in the other's pose, they are
 # worth a try where that costs no more.
-_BETTER, _BETTER_PAIR, _EXCHANGED, _UNLIKE, _FINE = 0.85, 3.0, 1.0, 0.08, 1e-4
+_BETTER, _BETTER_PAIR, _UNLIKE, _FINE = 0.85, 3.0, 0.08, 1e-4
 # Closer: from so many poses, no two nearer than this, come so many others with changes of these sizes, radians.
 _PARENTS, _SAME, _CHILDREN, _SIGMAS = 24, 0.03, 400, (0.4, 0.2, 0.1, 0.05)
 
@@ -144,10 +144,6 @@ class LimbPoses:
             now = cost[0, 0]
             if now < _FINE:
                 continue
-            if a.hangs.sum() == b.hangs.sum():  # each in the other's pose, which the library need not have
-                i, j = try_out(a, self._within(a, state.theta[b.hangs])), try_out(b, self._within(b, state.theta[a.hangs]))
-                swapped = np.minimum(np.minimum(i.reach[1], j.reach[1]), rest).mean() + i.away[1] + j.away[1]
-                found += self._unlike(state, [(swapped - now, swapped, ((a, i, 1), (b, j, 1)))], now, n, _EXCHANGED)
             order = np.argsort(cost, axis=None, kind="stable")[:_BEST]
             pairs = [np.unravel_index(o, cost.shape) for o in order]
             changes = [
@@ -155,6 +151,11 @@ class LimbPoses:
                 for i, j in pairs
                 if best_s[i] and best_t[j]
             ]
+            if a.hangs.sum() == b.hangs.sum():  # first each in the other's pose, which the library need not have
+                i, j = try_out(a, self._within(a, state.theta[b.hangs])), try_out(b, self._within(b, state.theta[a.hangs]))
+                swapped = np.minimum(np.minimum(i.reach[1], j.reach[1]), rest).mean() + i.away[1] + j.away[1]
+                if swapped <= now:
+                    changes.insert(0, (swapped - now, swapped, ((a, i, 1), (b, j, 1))))
             found += self._unlike(state, changes, now, n, _BETTER_PAIR)
         return [theta for _, theta in sorted(found, key=lambda f: f[0])]
 

@@ -1,0 +1,217 @@
+"""What learning has done so far, kept in a folder step by step, so that a run that was stopped goes on to the same end.
+
+Each step is a file that is named after a digest of all that its answer depends on: other scans, other settings or another state
+of the code find nothing, and what still suits them, such as the first fits of the same scans in a larger collection, is found.
+"""
+
+import hashlib
+import json
+import re
+import warnings
+from contextlib import suppress
+from dataclasses import fields, is_dataclass
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import FileError, InputError, in_words
+from ..fitting.result import FitResult
+from ..optimize.frame import Frame
+from ..optimize.state import State
+from ..workers import each
+
+__all__ = ["Checkpoint", "NO_CHECKPOINT", "each_kept", "remove_checkpoint", "steps_in"]
+
+# Records that answers are made of.
+_RECORDS = {kind.__name__: kind for kind in (Frame, State, FitResult)}
+# Files that a checkpoint writes, and those that it was writing when a process was killed.
+_OURS = re.compile(r"(first-fit|round-\d+-\w+|result|free-form)-[0-9a-f]{32}\.npz|\..*\.tmp\.npz")
+
+
+class Checkpoint:
+    """Steps of one run.
+
+    Parameters
+    ----------
+    folder : path-like or None
+        Made with the first step that is kept; with None none is.
+    made_of : object, optional
+        What all steps depend on, besides the package and the libraries that it computes with: numbers, text, arrays, and
+        tuples, lists, dicts and dataclasses of such.
+
+    Raises
+    ------
+    InputError
+        ``folder`` is a file, or no path.
+    """
+
+    def __init__(self, folder, made_of=()):
+        try:
+            self._folder = None if folder is None else Path(folder)
+        except TypeError:
+            raise InputError("checkpoint", f"a {type(folder).__name__}", "the path of a folder, or None") from None
+        if self._folder is not None and self._folder.exists() and not self._folder.is_dir():
+            raise InputError("checkpoint", f"{folder}, which is a file", "the path of a folder", "Choose another name.")
+        self._key = "" if folder is None else _digest(_state_of_the_code(), made_of)
+        self._trouble = []  # shared by all that are narrowed from this one, to be told once
+
+    def narrowed(self, made_of):
+        """A checkpoint whose steps depend on more."""
+        out = Checkpoint.__new__(Checkpoint)
+        out._folder, out._trouble = self._folder, self._trouble
+        out._key = "" if self._folder is None else _digest(self._key, made_of)
+        return out
+
+    def slot(self, step, made_of=()):
+        """Where the answer of a step is kept that depends on this, too."""
+        if self._folder is None:
+            return _Slot(None, self._trouble)
+        return _Slot(self._folder / f"{step}-{_digest(self._key, step, made_of)[:32]}.npz", self._trouble)
+
+
+NO_CHECKPOINT = Checkpoint(None)
+
+
+class _Slot:
+    """The place of one answer."""
+
+    def __init__(self, path, trouble):
+        self._path, self._trouble = path, trouble
+
+    def known(self, kind=None):
+        """The answer that is kept here, or None; of a ``kind`` that loads itself, where it is one of that."""
+        if self._path is None:
+            return None
+        try:
+            return _read(self._path) if kind is None else kind.load(self._path)
+        except FileError:  # not there, or cut short by another program
+            return None
+
+    def keep(self, answer):
+        """Keep an answer, in a file of its own kind where it can save itself so; returns it."""
+        if self._path is None or self._trouble:
+            return answer
+        try:
+            self._path.parent.mkdir(parents=True, exist_ok=True)
+            answer.save(self._path) if hasattr(answer, "save") else _write(self._path, answer)
+        except (OSError, FileError) as error:
+            why = error.got if isinstance(error, FileError) else error.strerror or in_words(error)
+            self._trouble.append(why)
+            with suppress(OSError):  # where other steps are in it
+                self._path.parent.rmdir()
+            words = f"what is done cannot be kept in {self._path.parent} ({why}): after a stop it is done again"
+            warnings.warn(words, stacklevel=2)
+        return answer
+
+
+def each_kept(work, tasks, slots, *, jobs, done, keep=lambda answer: True):
+    """``workers.each``, but for tasks whose answers are kept already; of the others those are kept that ``keep`` says."""
+    n, known = len(tasks), {k: answer for k, slot in enumerate(slots) if (answer := slot.known()) is not None}
+    left, at = [k for k in range(n) if k not in known], len(known)
+    if known:
+        done(at / n)
+
+    def answered(i, answer):
+        if slots and keep(answer):
+            slots[left[i]].keep(answer)
+
+    share = (lambda p: done((at + p * len(left)) / n)) if known else done
+    found = each(work, [tasks[k] for k in left], jobs=jobs, done=share, answered=answered)
+    known.update(zip(left, found, strict=True))
+    return [known[k] for k in range(n)]
+
+
+def steps_in(folder):
+    """How many steps are kept in a folder."""
+    folder = Path(folder)
+    return sum(bool(_OURS.fullmatch(p.name)) and p.name[0] != "." for p in folder.iterdir()) if folder.is_dir() else 0
+
+
+def remove_checkpoint(folder):
+    """Remove what a checkpoint has written, and the folder where nothing else is in it."""
+    folder = Path(folder)
+    if not folder.is_dir():
+        return
+    for path in folder.iterdir():
+        if _OURS.fullmatch(path.name):
+            path.unlink(missing_ok=True)
+    if not any(folder.iterdir()):
+        folder.rmdir()
+
+
+@cache
+def _state_of_the_code():
+    """Digest of the package and of the libraries whose numbers hang on their versions."""
+    import scipy
+    import sklearn
+
+    h = hashlib.sha256(repr((np.__version__, scipy.__version__, sklearn.__version__)).encode())
+    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
+        h.update(path.read_bytes())
+    return h.hexdigest()
+
+
+def _digest(*parts):
+    h = hashlib.sha256()
+    _add(h, parts)
+    return h.hexdigest()
+
+
+def _add(h, value):
+    if isinstance(value, np.ndarray):
+        h.update(f"array {value.dtype.str} {value.shape}".encode() + np.ascontiguousarray(value).tobytes())
+    elif isinstance(value, dict):
+        _add(h, sorted(value.items()))
+    elif isinstance(value, (tuple, list)):
+        h.update(f"{len(value)} of".encode())
+        for v in value:
+            _add(h, v)
+    elif is_dataclass(value):
+        _add(h, [type(value).__name__, *((f.name, getattr(value, f.name)) for f in fields(value))])
+    else:
+        h.update(f"{type(value).__name__} {value!r}\0".encode())
+
+
+def _write(path, value):
+    from ..io.write import write_npz
+
+    arrays = {}
+    text = json.dumps(_plain(value, arrays))
+    write_npz(path, value=np.array(text), **arrays)
+
+
+def _read(path):
+    from ..io.npz import read_npz
+
+    arrays = read_npz(path)
+    try:
+        return _value(json.loads(str(arrays["value"])), arrays)
+    except (KeyError, ValueError, TypeError) as error:
+        raise FileError(str(path), f"content that does not fit ({error})", "a step of learning") from None
+
+
+def _plain(value, arrays):
+    """A value in JSON's terms; its arrays go into ``arrays``, by names. Whole and exact: floats are written as Python's repr."""
+    if isinstance(value, (np.ndarray, np.generic)):
+        name = f"a{len(arrays)}"
+        arrays[name] = value
+        return {"array": name, "scalar": isinstance(value, np.generic)}
+    if isinstance(value, (tuple, list, dict)):
+        items = list(value.items()) if isinstance(value, dict) else value
+        return {type(value).__name__: [_plain(v, arrays) for v in items]}
+    if is_dataclass(value):
+        return {"record": type(value).__name__, "fields": {f.name: _plain(getattr(value, f.name), arrays) for f in fields(value)}}
+    return value
+
+
+def _value(plain, arrays):
+    if not isinstance(plain, dict):
+        return plain
+    if "array" in plain:
+        found = arrays[plain["array"]]
+        return found[()] if plain["scalar"] else found
+    if "record" in plain:
+        return _RECORDS[plain["record"]](**{name: _value(v, arrays) for name, v in plain["fields"].items()})
+    ((kind, items),) = plain.items()
+    return {"tuple": tuple, "list": list, "dict": dict}[kind](_value(v, arrays) for v in items)

@@ -1,0 +1,286 @@
+"""Learning that was stopped goes on from what its checkpoint has, does nothing twice, and comes to the same end."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.fitting.result import FitResult
+from lbsfit_np.learning import finish, loop
+from lbsfit_np.learning.checkpoint import Checkpoint, each_kept, remove_checkpoint, steps_in
+from lbsfit_np.optimize.frame import Frame
+from lbsfit_np.optimize.state import State
+
+WORK = {"FirstFit": loop, "Template": loop, "Pose": loop, "_Finish": finish, "_FreeForm": finish}
+
+
+@pytest.fixture
+def done(monkeypatch):
+    """How often each kind of work was done, in this process."""
+    counts = dict.fromkeys((*WORK, "train_segmenter", "build_library"), 0)
+
+    def counted(owner, name, key):
+        call = getattr(owner, name)
+
+        def counting(*given, **more):
+            found = call(*given, **more)
+            counts[key] += 1
+            return found
+
+        monkeypatch.setattr(owner, name, counting)
+
+    for name, module in WORK.items():
+        counted(getattr(module, name), "__call__", name)
+    for name in ("train_segmenter", "build_library"):
+        counted(loop, name, name)
+    return counts
+
+
+@pytest.fixture(scope="module")
+def points(few_scans):
+    return [s.points for s in few_scans[:4]]
+
+
+@pytest.fixture(scope="module")
+def uninterrupted(make_learner, points):
+    return make_learner().fit(points)
+
+
+def _assert_same(found, expected):
+    for a, b in zip(found.results_, expected.results_, strict=True):
+        for name in ("pose", "vertices", "joints", "offsets", "labels", "confidence"):
+            np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)
+        assert (a.terms, a.message, a.model_digest) == (b.terms, b.message, b.model_digest)
+    assert found.roles_ == expected.roles_ and found.unit_ == expected.unit_
+    assert _figures(found) == _figures(expected)
+
+
+def _figures(fitter):
+    return [{k: v for k, v in entry.items() if k != "seconds"} for entry in fitter.history_]
+
+
+def _stop_at(stage, share):
+    def progress(now, done, figures=None):
+        if now == stage and done >= share:
+            raise KeyboardInterrupt
+
+    return progress
+
+
+def test_a_run_that_is_stopped_again_and_again_does_nothing_twice(make_learner, points, uninterrupted, done, tmp_path):
+    n = len(points)
+    for stage, share, so_far in (
+        ("first fits", 0.3, {"FirstFit": 2}),
+        ("first fits", 1.0, {"FirstFit": n}),
+        ("templates", 1.0, {"Template": 1}),
+        ("library of starts", 1.0, {"train_segmenter": 1}),
+        ("poses of scans", 0.75, {"build_library": 1, "Pose": 3}),
+        ("results", 0.5, {"Pose": n, "_Finish": 2}),
+    ):
+        with pytest.raises(KeyboardInterrupt):
+            make_learner().fit(points, checkpoint=tmp_path / "kept", progress=_stop_at(stage, share))
+        assert {key: done[key] for key in so_far} == so_far, stage
+    found = make_learner().fit(points, checkpoint=tmp_path / "kept")
+    once = {"Template": 1, "train_segmenter": 1, "build_library": 1}
+    assert done == {"FirstFit": n, "Pose": n, "_Finish": n, "_FreeForm": 0} | once
+    _assert_same(found, uninterrupted)
+    before = dict(done)
+    again = make_learner().fit(points, checkpoint=tmp_path / "kept")  # a second time nothing is left to do
+    assert done == before and again.history_ == found.history_
+    _assert_same(again, uninterrupted)
+
+
+def test_processes_find_what_one_has_kept(make_learner, points, uninterrupted, tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        make_learner().fit(points, checkpoint=tmp_path, progress=_stop_at("first fits", 0.5))
+    kept = steps_in(tmp_path)
+    assert kept == 2
+    _assert_same(make_learner(n_jobs=2).fit(points, checkpoint=tmp_path), uninterrupted)
+    assert steps_in(tmp_path) > kept
+
+
+def test_what_suits_other_scans_and_settings_is_taken_and_nothing_else(make_learner, few_scans, points, done, tmp_path):
+    make_learner(variant="cd").fit(points, checkpoint=tmp_path)
+
+    def anew(scans=points, subjects=None, **parameters):
+        done.update(dict.fromkeys(done, 0))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            make_learner(**({"variant": "cd"} | parameters)).fit(scans, subjects, checkpoint=tmp_path)
+        return done["FirstFit"], done["Pose"]
+
+    n = len(points)
+    assert anew() == (0, 0)
+    assert anew(n_jobs=1, rounds=2, held_out=0.1) == (0, n * (done["Template"] > 0))  # another round, if it is made
+    assert anew([*points, few_scans[4].points]) == (1, n + 1)  # of a larger collection the first fits are known
+    assert anew(held_out=0) == (0, n) and anew(subjects=list("aabb")) == (0, n)
+    assert anew(points[::-1])[0] == 0
+    assert anew(random_state=1)[0] == anew(max_points=300)[0] == anew(joints="fixed")[0] == n
+    assert anew([p + 1e-9 for p in points])[0] == n
+
+
+def test_another_state_of_the_code_finds_nothing(make_learner, points, done, tmp_path, monkeypatch):
+    make_learner(variant="free-form").fit(points, checkpoint=tmp_path)
+    assert done["_FreeForm"] == len(points)
+    make_learner(variant="free-form").fit(points, checkpoint=tmp_path)
+    assert done["_FreeForm"] == len(points)
+    monkeypatch.setattr("lbsfit_np.learning.checkpoint._state_of_the_code", lambda: "another")
+    make_learner(variant="free-form").fit(points, checkpoint=tmp_path)
+    assert done["_FreeForm"] == 2 * len(points)
+
+
+def test_free_form_fits_are_kept_whole(make_learner, points, tmp_path):
+    expected = make_learner(variant="free-form").fit(points)
+    with pytest.raises(KeyboardInterrupt):
+        stop = _stop_at("free-form fits", 0.5)
+        make_learner(variant="free-form").fit(points, checkpoint=tmp_path, progress=stop)
+    found = make_learner(variant="free-form").fit(points, checkpoint=tmp_path)
+    assert [type(r) for r in found.results_] == [FitResult] * len(points)
+    _assert_same(found, expected)
+
+
+def test_a_fit_that_fails_is_tried_again(make_learner, points, done, tmp_path, monkeypatch):
+    call = loop.FirstFit.__call__
+
+    def failing(self, given):
+        if np.array_equal(given, points[1]):
+            raise InputError("points", "bad luck", "good")
+        return call(self, given)
+
+    with monkeypatch.context() as patch, pytest.warns(UserWarning, match="bad luck"):
+        patch.setattr(loop.FirstFit, "__call__", failing)
+        make_learner(variant="cd").fit(points, checkpoint=tmp_path)
+    assert done["FirstFit"] == len(points) - 1
+    assert make_learner(variant="cd").fit(points, checkpoint=tmp_path).failures_ == {}
+    assert done["FirstFit"] == len(points)
+
+
+# ---- files ----
+
+
+def test_answers_come_back_exactly(tmp_path, uninterrupted):
+    rng = np.random.default_rng(0)
+    state = State(rng.normal(size=(4, 3)), rng.normal(size=3), 1 / 3, rng.normal(size=2).astype(np.float32), None)
+    frame = Frame(rng.normal(size=3), np.float64(0.1), np.eye(3))
+    more = {"a": (), "b": [{}], "array": rng.normal(size=2)}
+    given = (frame, state, 0.1 + 0.2, None), [True, 7, "é\0", np.inf, np.nan, -0.0], more
+    slot = Checkpoint(tmp_path / "deep" / "er").slot("result", 1)
+    assert slot.known() is None and slot.keep(given) is given
+    _assert_equal(slot.known(), given)
+    result = uninterrupted.results_[0]
+    _assert_equal(slot.keep((result, None)) and slot.known(), (result, None))
+
+
+def _assert_equal(a, b):
+    assert type(a) is type(b)
+    if isinstance(a, np.ndarray):
+        assert a.dtype == b.dtype
+        np.testing.assert_array_equal(a, b)
+    elif isinstance(a, (tuple, list)):
+        assert len(a) == len(b)
+        for x, y in zip(a, b):
+            _assert_equal(x, y)
+    elif isinstance(a, dict):
+        assert list(a) == list(b)
+        _assert_equal(list(a.values()), list(b.values()))
+    elif isinstance(a, (State, Frame, FitResult)):
+        _assert_equal(vars(a), vars(b))
+    else:
+        assert repr(a) == repr(b)
+
+
+@pytest.mark.parametrize(
+    "one, other",
+    [
+        (np.zeros(2), np.zeros(2, dtype=np.float32)),
+        (np.zeros((2, 1)), np.zeros((1, 2))),
+        ([1, [2, 3]], [[1, 2], 3]),
+        (1, "1"),
+        (1, True),
+        (None, "None"),
+        (("ab", "c"), ("a", "bc")),
+        ({"a": 1}, {"a": 2}),
+        (Frame(np.zeros(3), 1.0), Frame(np.zeros(3), 2.0)),
+    ],
+)
+def test_what_differs_has_another_place(one, other, tmp_path):
+    for made in (lambda x: Checkpoint(tmp_path, x).slot("result"), lambda x: Checkpoint(tmp_path).slot("result", x)):
+        made(one).keep(1)
+        assert (made(one).known(), made(other).known()) == (1, None)
+    narrowed = Checkpoint(tmp_path).narrowed(one).slot("result")
+    narrowed.keep(2)
+    assert Checkpoint(tmp_path).narrowed(other).slot("result").known() is None
+    assert Checkpoint(tmp_path).slot("first-fit", one).known() is None
+
+
+def test_the_order_of_a_dict_does_not_matter(tmp_path):
+    Checkpoint(tmp_path, {"a": 1, "b": 2}).slot("result").keep(3)
+    assert Checkpoint(tmp_path, {"b": 2, "a": 1}).slot("result").known() == 3
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\3\4 cut short", None])
+def test_files_that_are_broken_are_made_again(content, tmp_path):
+    slot = Checkpoint(tmp_path).slot("result")
+    slot.keep((1, 2))
+    (path,) = tmp_path.iterdir()
+    if content is None:
+        np.savez(path, value=np.array('{"record": "Unknown", "fields": {}}'))
+    else:
+        path.write_bytes(content)
+    assert slot.known() is None
+    assert each_kept(lambda task: (task, task), [5], [slot], jobs=1, done=lambda p: None) == [(5, 5)] and slot.known() == (5, 5)
+
+
+def test_shares_begin_with_what_is_kept(tmp_path):
+    slots, told = [Checkpoint(tmp_path).slot("result", k) for k in range(4)], []
+    slots[2].keep("two")
+    answers = each_kept(lambda task: f"{task}", range(4), slots, jobs=1, done=told.append, keep=lambda a: a != "3")
+    assert answers == ["0", "1", "two", "3"] and told == [0.25, 0.5, 0.75, 1.0]
+    assert [slot.known() for slot in slots] == ["0", "1", "two", None]
+
+
+def test_a_folder_that_cannot_be_written_to_is_told_once_and_no_error(make_learner, points, tmp_path, monkeypatch):
+    def full(path, *given, **more):
+        raise FileError(str(path), "a full disk", "room")
+
+    monkeypatch.setattr("lbsfit_np.learning.checkpoint._write", full)
+    with pytest.warns(UserWarning) as told:
+        fitter = make_learner(variant="free-form").fit(points, checkpoint=tmp_path / "kept")
+    words = [str(w.message) for w in told if "kept" in str(w.message)]
+    assert words == [f"what is done cannot be kept in {tmp_path / 'kept'} (a full disk): after a stop it is done again"]
+    assert len(fitter.results_) == len(points)
+
+
+def test_nothing_is_kept_unless_asked_for(make_learner, points, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    make_learner(variant="free-form").fit(points)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("given", [3, True, ["a"]])
+def test_a_checkpoint_that_is_no_path(given, make_learner, points):
+    with pytest.raises(InputError, match=f"checkpoint: got a {type(given).__name__}; expected the path of a folder, or None"):
+        make_learner().fit(points, checkpoint=given)
+
+
+def test_a_checkpoint_that_is_a_file(make_learner, points, tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(InputError, match="checkpoint: got .*file, which is a file; expected the path of a folder"):
+        make_learner().fit(points, checkpoint=tmp_path / "file")
+
+
+def test_what_is_removed_is_what_was_written(tmp_path):
+    folder = tmp_path / "kept"
+    remove_checkpoint(folder)  # where there is none, nothing
+    assert steps_in(folder) == 0
+    for name in ("first-fit", "round-12-pose", "result", "free-form"):
+        Checkpoint(folder).slot(name).keep(1)
+    (folder / ".result-0.0123.tmp.npz").write_bytes(b"killed while it was written")
+    (folder / "mine.npz").write_bytes(b"")
+    assert steps_in(folder) == 4
+    remove_checkpoint(folder)
+    assert [path.name for path in folder.iterdir()] == ["mine.npz"] and steps_in(folder) == 0
+    (folder / "mine.npz").unlink()
+    remove_checkpoint(folder)
+    assert not folder.exists()
