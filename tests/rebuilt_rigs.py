@@ -32,7 +32,7 @@ def assert_rebuilt(made, shipped):
     for key in set(ours) - OF_THE_SURFACE:
         assert ours[key].dtype == theirs[key].dtype and ours[key].shape == theirs[key].shape, key
         if ours[key].dtype.kind == "f":
-            np.testing.assert_allclose(ours[key], theirs[key], rtol=1e-12, atol=1e-14, err_msg=key)
+            np.testing.assert_allclose(ours[key], theirs[key], rtol=1e-12, atol=1e-14, equal_nan=False, err_msg=key)
         else:
             np.testing.assert_array_equal(ours[key], theirs[key], err_msg=key)
     assert_alike(load_rig(made), load_rig(shipped))

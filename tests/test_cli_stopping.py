@@ -9,6 +9,7 @@ import pytest
 from cli_runs import QUICK, started, stopped
 
 import lbsfit_np as lbs
+import lbsfit_np.io.write
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -51,3 +52,26 @@ def test_ctrl_c_before_the_first_fit_leaves_nothing(made, tmp_path, run, monkeyp
     code, text, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", *QUICK)
     assert (code, err) == (130, "") and "before a scan was fitted" in text
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("at", [0, 1])
+@pytest.mark.parametrize("what", ["write_mesh_ply", "write_points_ply"])
+def test_ctrl_c_while_a_fit_is_written_leaves_nothing_of_it(what, at, made, tmp_path, run, monkeypatch):
+    write, calls = getattr(lbsfit_np.io.write, what), []
+
+    def interrupted(path, *given, **more):
+        calls.append(path)
+        if len(calls) > at:
+            path.write_bytes(b"half")
+            raise KeyboardInterrupt
+        return write(path, *given, **more)
+
+    command = ("fit", made / "tube.npz", made / "one.ply", made / "two.xyz", "-o", tmp_path / "out", *QUICK)
+    with monkeypatch.context() as patch:
+        patch.setattr(lbsfit_np.io.write, what, interrupted)
+        code, text, err = run(*command)
+    assert (code, err) == (130, "")
+    there = {p.name for p in (tmp_path / "out").iterdir()} if (tmp_path / "out").exists() else set()
+    assert there - {"summary.json"} == {f"one.{kind}" for kind in ("fit.npz", "labels.ply", "mesh.ply") if at}
+    code, text, _ = run(*command, *("--existing", "skip") * bool(there))
+    assert code == 0 and "2 of 2 scans fitted" in text and len(list((tmp_path / "out").iterdir())) == 7
