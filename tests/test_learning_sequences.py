@@ -5,6 +5,8 @@ import pytest
 from learning_runs import collected, loop_over, mean_gap
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import Refit
+from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.optimize.frame import nearest_root
 from lbsfit_np.rotations import matrix_from_rotvec
 
@@ -99,3 +101,25 @@ def test_scans_that_are_not_learned_from_neither_smooth_nor_are_smoothed(tube_ri
     wanted = {round(state.theta[1, 0], 3): wanted[1, 0] for _, _, state, (wanted, _) in asked}
     assert 0.1 not in wanted and collection.members[1].prior is None
     assert wanted[0.0] == pytest.approx(0.1) and wanted[0.2] == pytest.approx((0.2 + 0.0 + 0.3) / 3)
+
+
+def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch):
+    """Vertices on the other side do not pull them."""
+    collection = collected(tube_rig, [s.points for s in few_scans[:3]], held_out=0)
+    for m, s in zip(collection.members, few_scans):
+        m.state = lbs.LBSFitter(tube_rig)._model().rest()
+        m.state.theta[1:] = s.pose[1:]
+        m.use_frame(1.0, tube_rig.size / 2)
+    loop = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3, fit_settings=FitSettings(partial=True))
+    done = []
+
+    def each(work, tasks, **options):
+        done.extend((work.models[0], *task[1:], work(task)) for task in tasks)
+        return [state for *_, state in done[-len(tasks) :]]
+
+    monkeypatch.setattr("lbsfit_np.learning.loop.each", each)
+    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)})
+    model, problem, state, prior, found = done[0]
+    one_side, whole = (Refit(model, partial=p).polish(problem, state, prior=prior).theta for p in (True, False))
+    np.testing.assert_array_equal(found.theta, one_side)
+    assert np.abs(one_side - whole).max() > 1e-3
