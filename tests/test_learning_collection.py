@@ -47,6 +47,7 @@ BAD_COLLECTIONS = [
     (lambda c: (c[:4], [1, 1, -(2**63), 1]), ["subjects: got -9223372036854775808 for scan 2", "64 bits"]),
     (lambda c: ([*c[:4], 1000 * c[4]], None), ["scans: got different units: scan 4 has", "in one unit", "Convert"]),
     (lambda c: ([0.001 * c[0], *c[1:4], 100 * c[4]], None), ["different units: scan 0, 4 have"]),
+    (lambda c: ([NAN, *c[:8], 1000 * c[8]], None), ["different units: scan 9 has"]),  # of nine that can be used
     (lambda c: ([*c[:3], *(10 * x for x in c[3:6])], None), ["different units: scan 3, 4, 5 have"]),
     (lambda c: ([NAN, np.zeros((0, 3))], None), ["scans: got 2, none of which can be used (the first: points: got 50"]),
     (lambda c: (c[:2], None), ["scans: got 2 that can be used", "at least 3", "held_out=0"]),
@@ -69,8 +70,10 @@ def test_one_scan_of_many_in_another_unit_is_left_out(factor, tube_rig, clouds):
     made = collected(tube_rig, scans)
     assert [m.index for m in made.members] == [0, 1, 2, 3, 4, 5, 7, 8, 9] and {m.unit for m in made.members} == {1.0}
     assert made.roles[6] is None and len(made.with_role(LEARNED_FROM)) == 8
-    told = r"scan 6: got an extent of \S+, the others of about \S+; expected scans .* in one unit. It is left out: convert"
+    told = r"points: got an extent of \S+, the others of about \S+; expected scans .* in one unit. It is left out: convert"
     assert list(made.failures) == [6] and re.match(told, made.failures[6])
+    with pytest.warns(UserWarning, match="^1 of 10 scans cannot be used; scan 6: points: got an extent of "):
+        made.warn(1)
     with pytest.raises(InputError, match="different units: scan 5 has .* by itself, or leave out those that are wrong"):
         collected(tube_rig, scans[1:])  # of nine, one is more than a tenth
 

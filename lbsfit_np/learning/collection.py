@@ -357,8 +357,9 @@ def _check_units(collection, scale):
             f"scan {at} {'has' if len(odd) == 1 else 'have'} an extent of {extents[odd[0]]:.3g}, the others of about {others:.3g}"
         )
     for m, size in ((collection.members[i], extents[i]) for i in odd):
-        words = f"an extent of {size:.3g}, the others of about {others:.3g}; expected scans of one collection in one unit"
-        collection.failures[m.index] = f"scan {m.name}: got {words}. It is left out: convert it and learn again."
+        got = f"an extent of {size:.3g}, the others of about {others:.3g}"
+        remedy = "It is left out: convert it and learn again."
+        collection.failures[m.index] = str(InputError("points", got, "scans of one collection in one unit", remedy))
     collection.members = [m for i, m in enumerate(collection.members) if i not in odd]
     unit = float(np.median([m.unit for m in collection.members]))
     for m in collection.members:
