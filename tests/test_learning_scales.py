@@ -74,6 +74,12 @@ def test_of_two_scans_the_two_scales_are_said_in_one_line(scales, said):
         ([1.0, 1.0, 1.0, 1.36], ["scan 3: " + TOLD.format(OTHERS.format(1.36))]),
         ([1.4, 1.0, 1.0], ["scan 0: " + TOLD.format(OTHERS.format(1.4))]),
         ([1.0, 0.5, 1.0, 1.0], [f"scan 1: {OTHERS.format(0.5)}: {CONVERT}; not learned from"]),
+        # Of three, the two that are right are measured by each other.
+        ([1.0, 1.0, 2.54], [f"scan 2: {OTHERS.format(2.54)}: {CONVERT}; not learned from"]),
+        ([1.0, 1.8, 1.0], [f"scan 1: {OTHERS.format(1.8)}: {CONVERT}; not learned from"]),
+        ([0.39, 1.0, 1.0], [f"scan 0: {OTHERS.format(0.39)}: {CONVERT}; not learned from"]),
+        ([1.0, 1.0, 1.0, 2.54], [f"scan 3: {OTHERS.format(2.54)}: {CONVERT}; not learned from"]),
+        ([1.0, 1.0, 10.0, 1.0, 1.0], [f"scan 2: {OTHERS.format(10)}: {CONVERT}; not learned from"]),
         ([3.0], []),
     ],
 )
@@ -89,6 +95,7 @@ def test_the_one_scan_that_a_subject_is_learned_from_is_not_set_apart():
         m.held_out = True
     check_scales(members, [1.0, 1.1, 0.95, 2.0])
     assert "2.0" not in members[3].doubt and members[3].doubt and not members[3].apart
+    assert [m.ratio for m in members] == pytest.approx([1.0 / 1.025, 1.1 / 0.975, 0.95 / 1.05, 2.0])  # it is no measure of them
 
 
 @pytest.mark.parametrize(
@@ -121,6 +128,15 @@ def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig,
     joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
     assert joints < 0.03 * 2.54 * tube_rig.size / 2 and fitter.results_[1].scale == pytest.approx(2.54, rel=0.1)
     assert all(entry["recon"] < 0.08 for entry in fitter.history_)  # of the others alone, which have 0.065
+
+
+def test_of_three_scans_the_one_in_another_unit_is_in_doubt_alone(make_learner, few_scans):
+    scans = [few_scans[0].points, few_scans[1].points, 2.54 * few_scans[2].points]
+    with pytest.warns(UserWarning, match=r"scan 2: .* times the scale .*; not learned from") as told:
+        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(scans)
+    assert sum("first fit" in str(w.message) for w in told) == 1
+    assert ["times the scale" in r.message for r in fitter.results_] == [False, False, True]
+    assert [r.scale for r in fitter.results_] == [1.0, 1.0, pytest.approx(2.54, rel=0.05)]
 
 
 def test_a_scan_of_another_size_than_its_subjects_others_is_told_so_and_fitted_in_that(tube_rig, make_learner, few_scans):
@@ -157,19 +173,20 @@ def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_s
 # ---- in the end ----
 
 
-def _in_doubt(rig, scan):
+def _in_doubt(rig, scan, unit=1.0):
     """A scan as rounds leave it, whose first fit had another unit."""
-    (m,) = collected(rig, [scan.points], held_out=0).members
-    m.state, m.own = "as it is", (2.54, np.full((4, 3), 0.1), np.full((len(m.rows), 4), 0.25))
+    (m,) = collected(rig, [unit * scan.points], held_out=0).members
+    m.state, m.own = "as it is", (2.54 * unit, np.full((4, 3), 0.1), np.full((len(m.rows), 4), 0.25))
     m.proba, m.prior = np.zeros((len(m.rows), 4)), ("neighbours", 1e-5)
-    m.use_frame(1.0, rig.size / 2)
+    m.use_frame(unit, rig.size / 2)
     return m
 
 
+@pytest.mark.parametrize("unit", [1.0, 1000.0])  # metres, millimetres
 @pytest.mark.parametrize("value, wins", [(0.002, True), (0.01, False)])
-def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, tube_rig, few_scans):
+def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, unit, tube_rig, few_scans):
     """In its subject's unit from where it is, or in its own, scale free, from the angles and parts of its first fit."""
-    m, half = _in_doubt(tube_rig, few_scans[0]), tube_rig.size / 2
+    m, half = _in_doubt(tube_rig, few_scans[0], unit), tube_rig.size / 2
     _, theta, proba = m.own
     anew, as_is = SimpleNamespace(name="anew", scale=1.1), SimpleNamespace(name="gone on", scale=1.0)
     as_it_is, asked = m.problem, []
@@ -196,12 +213,14 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, tu
     assert set(freed) == {"pose", "translation", "scale"} and no_states == [] and angles[0] is theta and parts is proba
     np.testing.assert_allclose(own.X, as_it_is.X / 2.54)
     # 0.01 squared half sizes of its own unit are 0.0645 of the subject's.
-    assert size == (finish._Size(1.1 * 2.54, as_is, anew) if wins else finish._Size(1.3, as_is))
-    best = finish._in_its_unit(m, fit, size, 0.9)
-    assert (best.state, best.unit, best.frame.unit) == ((anew, 2.54, 2.54 * half) if wins else (as_is, 1.0, half))
+    assert (size.state, size.own) == (as_is, anew if wins else None)
+    assert size.scale == pytest.approx((1.1 * 2.54 if wins else 1.3) * unit)
+    best = finish._in_its_unit(m, fit, size, 0.9 * unit)
+    expected = 2.54 * unit if wins else unit
+    assert (best.state, best.unit, best.frame.unit) == (anew if wins else as_is, expected, expected * half)
     np.testing.assert_array_equal(best.problem.X, own.X if wins else as_it_is.X)
     assert best.proba is (proba if wins else m.proba)
-    assert m.state == "as it is" and m.unit == 1.0
+    assert m.state == "as it is" and m.unit == unit
     doubt = "it has 3.1 times the scale of its subject's others: in another unit, or somebody else's?"
     assert best.doubt == (doubt if wins else "")
     assert best.prior == (None if wins else m.prior) and best.own is m.own
@@ -219,10 +238,18 @@ def test_a_scan_of_its_subjects_size_after_all_is_fitted_in_that(scale, apart, o
 
 
 def test_the_size_of_others_is_their_own_on_the_template_not_the_templates():
-    members = [SimpleNamespace(subject=s, index=3 * k, unit=7.0) for k, s in enumerate("aabaabc")]
+    members = [SimpleNamespace(subject=s, index=3 * k, unit=7.0, apart=False) for k, s in enumerate("aabaabc")]
     sizes = [finish._Size(x, None) for x in (0.8, 1.2, 30.0, 0.9, 1.0, 20.0)] + [None]
     found = finish._others(members, sizes)
     assert found == pytest.approx([1.0, 0.9, 20.0, 1.0, 0.9, 30.0, 7.0])
+
+
+def test_scans_that_are_set_apart_are_nobodys_others():
+    """Of three, one would shift the median of the two that are right; where all others are apart, the template is the measure."""
+    given = zip("aaabbcc", [False, False, True, False, True, True, True])
+    members = [SimpleNamespace(subject=s, index=k, unit=7.0, apart=apart) for k, (s, apart) in enumerate(given)]
+    sizes = [finish._Size(x, None) for x in (1.0, 1.2, 2.54, 1.0, 0.4, 2.5, 0.4)]
+    assert finish._others(members, sizes) == pytest.approx([1.2, 1.0, 1.1, 7.0, 1.0, 7.0, 7.0])
 
 
 @pytest.mark.parametrize("status, home, said", [("ok", True, False), ("ok", False, True), ("suspect", True, True)])
@@ -246,7 +273,7 @@ def test_a_doubt_that_has_come_to_nothing_is_not_said_of_a_fit_that_is_ok(status
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_all_scans_of_a_subject_in_doubt_are_measured_on_its_template(jobs, tube_rig, few_scans):
+def test_all_scans_of_a_subject_in_doubt_are_measured_on_its_template(jobs, tube_rig, few_scans, monkeypatch):
     """And they alone: where nobody is in doubt there is nothing to compare."""
     scans = [*(s.points for s in few_scans[:3]), few_scans[3].points]
     collection = collected(tube_rig, scans, ["a", "a", "a", "b"], held_out=0)
@@ -255,8 +282,11 @@ def test_all_scans_of_a_subject_in_doubt_are_measured_on_its_template(jobs, tube
         m.use_frame(1.0, tube_rig.size / 2)
         m.state = model.rest()
     collection.members[1].own = 1.4, np.zeros((4, 3)), None
+    others, measured = finish._others, []
+    monkeypatch.setattr(finish, "_others", lambda members, sizes: measured.extend(sizes) or others(members, sizes))
     told, given = [], (tube_rig, {"a": tube_rig, "b": tube_rig}, "follow", collection, FitSettings(full_iterations=1), Facing())
     results = finish.results_of(*given, jobs=jobs, progress=lambda stage, share: told.append((stage, share)))
+    assert [size is not None for size in measured] == [True, True, True, False]
     assert all(results) and {stage for stage, _ in told} == {"results"}
     shares = [share for _, share in told]
     assert len(shares) == 8 and shares == sorted(shares) and shares[3] == pytest.approx(0.2) and shares[-1] == 1.0

@@ -70,7 +70,7 @@ class Member:
     apart : bool
         Neither learned from nor asked when to stop: it is in another unit than its subject's others, or its first fit is wrong.
     ratio : float
-        The scale of its first fit to that of its subject's others; 1 where it is alone, or where scales are fixed.
+        The scale of its first fit to that of its subject's others, odd ones left out; 1 where it is alone, or scales are fixed.
     own : (float, (J, 3) array, (k, n_parts) array or None) or None
         Where its unit is in doubt, the unit, angles and probabilities of the parts that its first fit found.
     """

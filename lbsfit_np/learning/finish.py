@@ -69,10 +69,13 @@ def _as_it_is(member):
 
 
 def _others(members, sizes):
-    """For each, the median of the scales that its subject's others have; as the template has them, where there is no other."""
+    """For each, the median of the scales that its subject's others have; as the template has them, where there is no other.
+
+    Scans that are set apart are nobody's others: of three, one would shift the median of the two that are right.
+    """
     scales = {}
     for m, size in zip(members, sizes):
-        scales.setdefault(m.subject, {}).update({} if size is None else {m.index: size.scale})
+        scales.setdefault(m.subject, {}).update({} if size is None or m.apart else {m.index: size.scale})
     others = [[scale for i, scale in scales[m.subject].items() if i != m.index] for m in members]
     return [float(np.median(found)) if found else m.unit for m, found in zip(members, others)]
 

@@ -28,23 +28,23 @@ def check_scales(members, scales):
         Too many for single wrong fits: the scans are in two units.
     """
     scales = np.asarray(scales)
+    odd = odd_ones(scales, _ONE_SCALE) if len(members) > 2 else np.empty(0, dtype=int)
+    if len(odd) > max(1, 0.2 * len(scales)):  # a few may just be wrong
+        ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
+        at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
+        raise mixed_units(f"of subject {members[0].subject!r}, scan {at} have {ratio:.3g} times the others' scale")
     for i, m in enumerate(members if len(members) > 1 else ()):
-        m.ratio = float(scales[i] / np.median(np.delete(scales, i)))
+        m.ratio = float(scales[i] / np.median(np.delete(scales, [*odd, i])))  # the odd one of three would shift the others'
     if len(members) == 2:
         if not same_size(*scales):
             doubt = "the first fits of scans {} and {} had the scales {:.3g} and {:.3g}: in two units, or of two people? "
             doubt += "Convert one, or name two subjects (--subjects), and learn again"
             members[0].doubt = members[1].doubt = doubt.format(*(m.name for m in members), *scales)
         return
-    odd = odd_ones(scales, _ONE_SCALE)
     others = any(m.role == LEARNED_FROM for i, m in enumerate(members) if i not in odd)
     for i in odd:
         members[i].doubt = f"{_other_scale(members[i])}: in another unit? Convert it and learn again"
         members[i].apart = others
-    if len(odd) > max(1, 0.2 * len(scales)):  # a few may just be wrong
-        ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
-        at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
-        raise mixed_units(f"of subject {members[0].subject!r}, scan {at} have {ratio:.3g} times the others' scale")
 
 
 def scale_warnings(members):
