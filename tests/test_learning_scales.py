@@ -120,10 +120,10 @@ def test_subjects_in_different_units_are_told(scales, words):
 def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans):
     points = [s.points for s in few_scans]
     points[1] = 2.54 * points[1]
-    odd = r"its first fit had 2\.\d+ times the scale of its subject's others: in another unit\? Convert it and learn again; "
-    with pytest.warns(UserWarning, match=f"scan 1: {odd}not learned from"):
+    odd = r"2\.\d+ times the scale of its subject's others: in another unit\? Convert it and learn again; not learned from"
+    with pytest.warns(UserWarning, match=f"scan 1: its first fit had {odd}"):
         fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(points)
-    assert re.match(odd + "not learned from; the scan is in another unit", fitter.results_[1].message)
+    assert re.match(f"it has {odd}; the scan is in another unit", fitter.results_[1].message)
     assert [r.message.startswith("learned from; scan and rig are in one unit") for r in fitter.results_] == [1, 0, 1, 1, 1]
     joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
     assert joints < 0.03 * 2.54 * tube_rig.size / 2 and fitter.results_[1].scale == pytest.approx(2.54, rel=0.1)
@@ -235,6 +235,15 @@ def test_a_scan_of_its_subjects_size_after_all_is_fitted_in_that(scale, apart, o
     best = finish._in_its_unit(m, fit, finish._Size(1.5 * scale, "as it is", "own"), 1.5)  # on a template between two sizes
     assert (best.state, best.unit) == (("own", 2.54) if own else ("as it is", 1.0))
     assert best.own is (m.own if own else None) and best.prior == (None if own else m.prior) and best.doubt == "so it seemed"
+
+
+@pytest.mark.parametrize("own, said", [("own", "it has 2.5 times the scale of its subject's others: {}"), (None, "so far")])
+def test_a_scan_fitted_in_its_own_unit_says_by_how_much_as_the_template_has_it(own, said, tube_rig, few_scans):
+    """That is nearer to the truth than its first fit; in its subject's unit no scale of its own was found."""
+    m = _in_doubt(tube_rig, few_scans[0])
+    m.apart, m.doubt = True, "so far"
+    fit = SimpleNamespace(model=SimpleNamespace(half=tube_rig.size / 2))
+    assert finish._in_its_unit(m, fit, finish._Size(2.5 * 1.2, "as it is", own), 1.2).doubt == said.format(CONVERT)
 
 
 def test_the_size_of_others_is_their_own_on_the_template_not_the_templates():

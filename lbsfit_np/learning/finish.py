@@ -174,8 +174,10 @@ def _in_its_unit(m, fit, size, others):
         return replace(m, state=size.state, own=None)
     if size.own is None:
         return replace(m, state=size.state)
-    ratio = size.scale / others
-    doubt = m.doubt or f"it has {ratio:.3g} times the scale of its subject's others: in another unit, or somebody else's?"
+    words = f"it has {size.scale / others:.3g} times the scale of its subject's others: in another unit"
+    doubt = m.doubt or f"{words}, or somebody else's?"
+    if m.apart and not same_size(size.scale, others):  # nearer to the truth than the first fit's, which its doubt has so far
+        doubt = f"{words}? Convert it and learn again"
     # Neighbours' poses were found in the subject's unit.
     return replace(_as_first_fitted(m, fit), state=size.own, doubt=doubt, prior=None)
 
