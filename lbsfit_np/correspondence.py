@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .errors import InputError, check_array
+from .errors import InputError, check_array, check_unmasked
 from .neighbors import PointIndex
 from .optimize.surface import closest_on_mesh, faces_around
 
@@ -145,6 +145,7 @@ def _checked_points(argument, value):
     if array is None or array.ndim != 2 or array.shape[1] != 3:
         got = "rows of different lengths" if array is None else f"an array of shape {array.shape}"
         raise InputError(argument, got, "shape (n, 3), one point per row")
+    check_unmasked(argument, getattr(value, "points", value))
     return check_array(argument, array, array.shape)
 
 

@@ -11,6 +11,8 @@ __all__ = [
     "MissingExtraError",
     "brief",
     "check_array",
+    "check_unmasked",
+    "counted",
     "did_you_mean",
     "in_words",
     "listed",
@@ -74,6 +76,7 @@ class MissingExtraError(LbsfitError, ImportError):
 
 def check_array(argument, value, shape):
     """``value`` as a finite float array of a given shape, or an InputError that names ``argument``."""
+    check_unmasked(argument, value)
     try:
         a = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -83,8 +86,34 @@ def check_array(argument, value, shape):
     if a.shape != tuple(shape):
         raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}")
     if not np.isfinite(a).all():
-        raise InputError(argument, f"{int((~np.isfinite(a)).sum())} values that are NaN or infinite", "finite numbers")
+        bad = int((~np.isfinite(a)).sum())
+        raise InputError(argument, f"{counted(bad, 'value')} that {_are(bad)} NaN or infinite", "finite numbers")
     return a
+
+
+def check_unmasked(argument, value, *, rows="rows", remedy="Leave masked entries out, or fill them: numpy.ma.filled."):
+    """Raise InputError where a masked array, or a list with rows of one, has masked entries: plain arrays know of no mask.
+
+    ``rows``, ``remedy``: what the error calls the rows of ``value``, and what it says to do.
+    """
+    if isinstance(value, np.ma.MaskedArray):
+        what, mask = "a masked array", np.atleast_1d(np.ma.getmaskarray(value))
+        masked = mask.reshape(len(mask), -1).any(axis=1)
+    elif isinstance(value, (list, tuple)):
+        what, masked = f"a {type(value).__name__}", [isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in value]
+    else:
+        return
+    if count := int(np.sum(masked)):
+        raise InputError(argument, f"{what} with {count} of {len(masked)} {rows} masked", f"{rows} without a mask", remedy)
+
+
+def counted(n, what):
+    """So many of something: "1 scan", "2 scans"."""
+    return f"{n} {what}{'' if n == 1 else 's'}"
+
+
+def _are(n):
+    return "is" if n == 1 else "are"
 
 
 def listed(names, most=8):

@@ -6,10 +6,14 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError, brief
+from .errors import InputError, brief, check_unmasked, counted
 from .seeds import generator
 
-__all__ = ["Scan", "check_points"]
+__all__ = ["Scan", "check_points", "count_distinct"]
+
+_DENSER = "A denser scan is needed."
+# Points at a time where distinct ones are counted: nearly always the first ones are enough.
+_BLOCK = 1024
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,11 +53,13 @@ class Scan:
         object.__setattr__(self, "points", _frozen(points, np.float64))
         n = len(points)
         if self.normals is not None:
+            check_unmasked("normals", self.normals)
             normals = np.asarray(self.normals)
             if normals.shape != (n, 3) or normals.dtype.kind not in "iuf":
                 raise InputError("normals", _described(normals), f"numbers of shape ({n}, 3), one row per point")
             object.__setattr__(self, "normals", _frozen(normals, np.float64))
         if self.labels is not None:
+            check_unmasked("labels", self.labels)
             labels = np.asarray(self.labels)
             if labels.shape != (n,) or labels.dtype.kind not in "iu":
                 raise InputError("labels", _described(labels), f"whole numbers of shape ({n},), one per point")
@@ -105,7 +111,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
     argument : str, default "points"
         What an error calls them.
     minimum : int, default 1
-        The fewest points that are enough.
+        The fewest points that are enough; copies of a point do not count.
     drop_invalid : bool, default False
         Leave out points with a coordinate that is NaN or infinite instead of refusing them.
 
@@ -117,12 +123,13 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
     Raises
     ------
     InputError
-        Wrong shape, not numbers, empty, NaN or infinite (with their count and the first index), fewer than ``minimum``,
-        two and more points that are all equal, or a mask that leaves points out.
+        Wrong shape, not numbers, empty, NaN or infinite (with their count and the first index), fewer than ``minimum``
+        that differ, two and more points that are all equal, or a mask that leaves points out.
     """
     if isinstance(points, (str, bytes, os.PathLike)):
-        expected, remedy = "numbers of shape (n, 3)", "Read a file with load_scan(path)."
-        raise InputError(argument, f"the path {brief(os.fsdecode(points))}", expected, remedy)
+        got, remedy = f"the path {brief(os.fsdecode(points))}", "Read a file with load_scan(path)."
+        raise InputError(argument, got, "numbers of shape (n, 3)", remedy)
+    expected = f"at least {counted(max(minimum, 1), 'point')}"
     try:
         raw = getattr(points, "points", points)
         given = np.asarray(raw)
@@ -138,13 +145,11 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         got = "None" if points is None else f"values of type {given.dtype}"
         raise InputError(argument, got, "numbers of shape (n, 3)")
     if given.size == 0:
-        raise InputError(argument, "an empty cloud (0 points)", f"at least {minimum} points of shape (n, 3)")
+        raise InputError(argument, "an empty cloud (0 points)", f"{expected} of shape (n, 3)")
     if given.ndim != 2 or given.shape[1] != 3:
         raise InputError(argument, f"an array of shape {given.shape}", "shape (n, 3), one point per row", _reshaping(given.shape))
-    if np.ma.is_masked(raw):  # of which no view as an array knows
-        masked = int(np.ma.getmaskarray(raw).any(axis=1).sum())
-        remedy = "Leave masked points out: points[~np.ma.getmaskarray(points).any(axis=1)]."
-        raise InputError(argument, f"a masked array with {masked} of {len(given)} points masked", "points without a mask", remedy)
+    of_array = ": points[~np.ma.getmaskarray(points).any(axis=1)]" if isinstance(raw, np.ma.MaskedArray) else ""
+    check_unmasked(argument, raw, rows="points", remedy=f"Leave masked points out{of_array}.")
     array = given.astype(np.float64, copy=False)
     finite = np.isfinite(array)
     dropped = ""
@@ -160,14 +165,28 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
             )
         array = array[~bad]
         dropped = f" after {count} with a coordinate that is NaN or infinite were left out"
-    if len(array) < max(minimum, 1):
-        expected = f"at least {max(minimum, 1)} point{'' if minimum <= 1 else 's'}"
-        raise InputError(argument, f"{len(array)} points{dropped}", expected, "A denser scan is needed.")
+    if not len(array):
+        raise InputError(argument, f"0 points{dropped}", expected, "No point is left: see how the scan was made.")
+    if len(array) < minimum:
+        raise InputError(argument, f"{counted(len(array), 'point')}{dropped}", expected, _DENSER)
     if len(array) > 1 and (array == array[0]).all():
         raise InputError(
             argument, f"{len(array)} points that are all equal, at {_short(array[0])}{dropped}", "points of a surface"
         )
+    if (distinct := count_distinct(array, minimum)) < minimum:
+        got = f"{len(array)} points, of which {distinct} are distinct{dropped}"
+        raise InputError(argument, got, f"at least {minimum} distinct points", _DENSER)
     return array
+
+
+def count_distinct(points, enough):
+    """How many points (n, 3) differ from each other; no more are looked at once there are ``enough``."""
+    seen = set()
+    for start in range(0, len(points), _BLOCK):
+        if len(seen) >= enough:
+            break
+        seen.update(map(tuple, points[start : start + _BLOCK].tolist()))
+    return len(seen)
 
 
 def _frozen(array, dtype):

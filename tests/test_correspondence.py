@@ -123,6 +123,7 @@ def test_one_point_and_none(tube_rig, poses):
         ({"points": np.zeros((4, 2))}, ["points: got an array of shape (4, 2)", "shape (n, 3)"]),
         ({"points": np.full((1, 3), np.nan)}, ["points", "NaN"]),
         ({"points": [[0, 0, 0], [1]]}, ["points", "different lengths"]),
+        ({"points": np.ma.masked_less(np.eye(3), 0.5)}, ["points: got a masked array with 3 of 3 rows masked"]),
         ({"registration_a": np.zeros(3)}, ["registration_a", "(3,)"]),
         ({"registration_b": np.zeros((5, 3))}, ["registration_b: got shape (5, 3)"]),
         ({"faces": np.zeros((0, 3), int)}, ["faces", "one triangle at least", "rig.faces"]),

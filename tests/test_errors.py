@@ -1,9 +1,39 @@
 """The words of errors, and the check that most arrays of users go through."""
 
+import warnings
+
 import numpy as np
 import pytest
 
-from lbsfit_np.errors import InputError, brief, check_array, did_you_mean, in_words, listed
+from lbsfit_np.errors import InputError, brief, check_array, check_unmasked, counted, did_you_mean, in_words, listed
+
+
+def test_things_are_counted():
+    assert [counted(n, "value") for n in (0, 1, 2)] == ["0 values", "1 value", "2 values"]
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (np.ma.masked_equal(np.arange(3.0), 1), "x: got a masked array with 1 of 3 rows masked; expected rows without a mask"),
+        (list(np.ma.masked_equal(np.arange(3.0), 1)), "x: got a list with 1 of 3 rows masked"),
+        (np.ma.masked_less(np.arange(12.0).reshape(4, 3), 4), "x: got a masked array with 2 of 4 rows masked"),
+        (tuple(np.ma.masked_less(np.arange(12.0).reshape(4, 3), 4)), "x: got a tuple with 2 of 4 rows masked"),
+        (np.ma.masked_less(np.arange(12.0).reshape(2, 2, 3), 4), "x: got a masked array with 1 of 2 rows masked"),
+        (np.ma.masked, "x: got a masked array with 1 of 1 rows masked"),
+    ],
+)
+def test_masked_entries_are_refused(value, words):
+    for refuse in (check_unmasked, lambda name, value: check_array(name, value, (3,))):
+        with warnings.catch_warnings(action="error"), pytest.raises(InputError) as error:
+            refuse("x", value)
+        assert str(error.value).startswith(words)
+
+
+@pytest.mark.parametrize("value", [np.ma.arange(3), [*np.ma.arange(3)], [1, 2], np.arange(3), np.ma.masked_less([1.0, 2.0], 0)])
+def test_masks_that_mask_nothing_are_none(value):
+    check_unmasked("x", value)
+    np.testing.assert_array_equal(check_array("x", value, (len(value),)), np.asarray(value, dtype=float))
 
 
 def test_names_are_listed_up_to_a_number():

@@ -22,13 +22,19 @@ from lbsfit_np.neighbors import PointIndex
 
 _X, _V, _xl, _vl = S.X, S.V, S.x_labels, S.v_labels
 _nan = np.where(np.arange(len(_X))[:, None] == 3, np.nan, _X)
+_masked = {name: np.ma.masked_less(np.arange(37) + 0 * a, 2) for name, a in (("int", _xl), ("float", 1.0))}
 BAD = [
     (lambda: chamfer(_X.T, _V), ["X: got shape (3, 37)", "(k, 3)"]),
     (lambda: chamfer(_X, _V[:, :2]), ["V: got shape (30, 2)", "(k, 3)"]),
     (lambda: chamfer(_X[:0], _V), ["X: got an empty set", "at least one point"]),
     (lambda: chamfer(_X, _V[:0]), ["V: got an empty set"]),
     (lambda: chamfer("scan.ply", _V), ["X: got str", "numbers"]),
-    (lambda: chamfer(_nan, _V), ["X: got 1 points", "NaN", "row 3"]),
+    (lambda: chamfer(_nan, _V), ["X: got 1 point that is", "NaN", "row 3"]),
+    (lambda: chamfer(np.ma.masked_invalid(_nan), _V), ["X: got a masked array with 1 of 37 rows masked", "without a mask"]),
+    (lambda: chamfer(_X, _V, x_weights=_masked["float"]), ["x_weights: got a masked array with 2 of 37 rows masked"]),
+    (lambda: structured_chamfer(_X, _V, _masked["int"], _vl), ["x_labels: got a masked array with 2 of 37 rows masked"]),
+    (lambda: loopback(np.ma.masked_less(S.V, S.V.max()), S.V), ["predicted: got a masked array with", "of 30 rows masked"]),
+    (lambda: loopback(S.V, np.ma.masked_less(S.V, S.V.max())), ["theta: got a masked array with"]),
     (lambda: chamfer(_X, np.full_like(_V, np.inf)), ["V: got 30 points", "infinite", "row 0"]),
     (lambda: chamfer(_X, _V, x_weights=np.ones(5)), ["x_weights: got shape (5,)", "(37,)"]),
     (lambda: chamfer(_X, _V, x_weights=-np.ones(37)), ["x_weights", "negative"]),

@@ -9,7 +9,7 @@ import pytest
 from scan_files import LABELS, NORMALS, POINTS
 
 from lbsfit_np.errors import InputError
-from lbsfit_np.scan import Scan, check_points
+from lbsfit_np.scan import Scan, check_points, count_distinct
 
 
 def test_check_points_takes_scans_lists_and_integers():
@@ -57,6 +57,14 @@ def test_masked_points_are_no_points():
             refuse(points)
     left = points[~np.ma.getmaskarray(points).any(axis=1)]  # as the message says
     np.testing.assert_array_equal(Scan(left).points, np.delete(POINTS, [0, 2], axis=0))
+    for rows in (list(points), tuple(points)):
+        with pytest.raises(InputError, match=rf"points: got a {type(rows).__name__} with 2 of {len(POINTS)} points masked"):
+            check_points(rows)
+    np.testing.assert_array_equal(check_points(list(left)), np.delete(POINTS, [0, 2], axis=0))
+    for name, values in (("normals", NORMALS), ("labels", LABELS)):
+        values = np.ma.masked_array(values, np.arange(np.size(values)).reshape(np.shape(values)) == 1)
+        with pytest.raises(InputError, match=rf"{name}: got a masked array with 1 of {len(POINTS)} rows masked"):
+            Scan(POINTS, **{name: values})
     with pytest.raises(InputError, match=r"shape \(3,\)"):
         check_points(np.ma.masked_array([1.0, 2, 3], [True, False, False]))
 
@@ -98,8 +106,38 @@ def test_check_points_counts_after_dropping():
         check_points(points, minimum=5, drop_invalid=True)
     with pytest.raises(InputError, match="got 4 points; expected at least 9 points. A denser scan"):
         check_points(POINTS, minimum=9)
-    with pytest.raises(InputError, match="0 points after 2 .*at least 1 point(?!s)"):
+    with pytest.raises(InputError, match="0 points after 2 .*at least 1 point(?!s).*No point is left"):
         check_points(np.full((2, 3), np.nan), drop_invalid=True)
+    with pytest.raises(InputError, match="got 1 point after 1 with.*at least 2 points. A denser"):
+        check_points([[1, 2, 3], [np.nan, 0, 0]], minimum=2, drop_invalid=True)
+    with pytest.raises(InputError, match="an empty cloud .*at least 1 point of shape"):
+        check_points([])
+
+
+@pytest.mark.parametrize("copies", [lambda p: np.repeat(p, 2000, axis=0), lambda p: np.tile(p, (2000, 1)), lambda p: p])
+def test_copies_of_points_do_not_count(copies):
+    points = np.vstack([copies(POINTS), POINTS, 0.0 * POINTS[:1], -0.0 * POINTS[:1]])
+    distinct = len(np.unique(points, axis=0))
+    assert count_distinct(points, 10**6) == distinct
+    assert check_points(points, minimum=distinct) is points
+    words = f"got {len(points)} points, of which {distinct} are distinct; expected at least {distinct + 1} distinct points. A den"
+    with pytest.raises(InputError, match=words):
+        check_points(points, minimum=distinct + 1)
+
+
+def test_no_more_points_are_counted_than_have_to_be():
+    class Counting:
+        asked = 0
+
+        def __len__(self):
+            return 10**7
+
+        def __getitem__(self, rows):
+            self.asked += 1
+            return np.arange(3.0 * rows.start, 3.0 * rows.stop).reshape(-1, 3)
+
+    points = Counting()
+    assert count_distinct(points, 16) >= 16 and points.asked == 1
 
 
 def test_scan_is_its_own_and_read_only():

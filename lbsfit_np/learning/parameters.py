@@ -4,13 +4,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from ..errors import InputError, brief, check_array, did_you_mean
+from ..errors import InputError, brief, check_array, check_unmasked, counted, did_you_mean
 from ..fitting.effort import EFFORTS
 from ..fitting.scan_fit import FitSettings
 from ..losses.objective import as_weights
 from ..rig.frames import AXES
 from ..rig.rig import Rig
-from ..scan import check_points
+from ..scan import check_points, count_distinct
 from ..segmentation.segmenter import Segmenter, jobs_of
 from ..skinning import JOINT_MODES
 from ..starts.turns import ORIENTATIONS
@@ -144,15 +144,19 @@ def check_scan(rig, points, theta0, labels, point_weights):
     if point_weights is not None:
         point_weights = check_array("point_weights", point_weights, (len(points),))
         if point_weights.min() < 0:
-            raise InputError("point_weights", f"{int((point_weights < 0).sum())} negative values", "values of at least 0")
-        if np.count_nonzero(point_weights) < len(rig.parts):
-            got = f"{np.count_nonzero(point_weights)} positive values"
+            got = counted(int((point_weights < 0).sum()), "negative value")
+            raise InputError("point_weights", got, "values of at least 0")
+        positive = point_weights > 0
+        if (distinct := count_distinct(points[positive], len(rig.parts))) < len(rig.parts):
+            got = counted(int(positive.sum()), "positive value")
+            got += f", of {counted(distinct, 'distinct point')}" if positive.sum() > distinct else ""
             raise InputError("point_weights", got, f"at least {len(rig.parts)}, as many as the rig has parts")
         point_weights = point_weights / point_weights.max()  # whose sum is finite
     return points, theta0, None if labels is None else _checked_labels(labels, len(points), rig.parts), point_weights
 
 
 def _checked_labels(labels, n, parts):
+    check_unmasked("labels", labels)
     labels = np.asarray(labels)
     if labels.shape != (n,):
         raise InputError("labels", f"shape {labels.shape}", f"shape ({n},), one for each point")

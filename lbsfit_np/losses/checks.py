@@ -5,7 +5,7 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import InputError, brief
+from ..errors import InputError, brief, check_unmasked, counted
 
 __all__ = ["check_index", "check_labels", "check_number", "check_same_length", "check_set", "check_weights"]
 
@@ -15,6 +15,7 @@ _MOST_PARTS = 2**16
 
 def check_set(argument, value):
     """A point set as a finite, non-empty (k, 3) float array; the input itself where it is one."""
+    check_unmasked(argument, value)
     try:
         a = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -28,7 +29,8 @@ def check_set(argument, value):
     finite = np.isfinite(a)
     if not finite.all():
         bad = np.flatnonzero(~finite.all(axis=1))
-        raise InputError(argument, f"{len(bad)} points that are NaN or infinite, the first at row {bad[0]}", "finite numbers")
+        got = f"{counted(len(bad), 'point')} that {'is' if len(bad) == 1 else 'are'} NaN or infinite, the first at row {bad[0]}"
+        raise InputError(argument, got, "finite numbers")
     return a
 
 
@@ -40,6 +42,7 @@ def check_same_length(argument, a, other, b):
 
 def check_labels(argument, value, n):
     """Parts of n points as an int array of values from 0."""
+    check_unmasked(argument, value)
     a = np.asarray(value)
     if a.shape != (n,):
         raise InputError(argument, f"shape {a.shape}", f"shape ({n},), one label a point")
@@ -58,6 +61,7 @@ def check_weights(argument, value, n):
     """Non-negative weights of n points with a positive sum, as a float array; None stays None."""
     if value is None:
         return None
+    check_unmasked(argument, value)
     try:
         a = np.asarray(value, dtype=float)
     except (TypeError, ValueError):

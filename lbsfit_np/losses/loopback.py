@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, check_unmasked
 
 __all__ = ["loopback"]
 
@@ -27,8 +27,10 @@ def loopback(predicted, theta):
     Raises
     ------
     InputError
-        Wrong or different shapes, an empty batch.
+        Wrong or different shapes, an empty batch, masked entries.
     """
+    check_unmasked("predicted", predicted)
+    check_unmasked("theta", theta)
     try:
         predicted, theta = np.asarray(predicted, dtype=float), np.asarray(theta, dtype=float)
     except (TypeError, ValueError):
