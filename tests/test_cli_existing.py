@@ -88,7 +88,7 @@ def test_existing_results(fitted, made, tmp_path, run):
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert [(s["status"], s["kept"]) for s in summary["scans"]] == [("ok", True), ("ok", False)]
     assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "unfitted": 0, "kept": 1}
-    assert f"2 of 2 scans fitted, 1 of them kept from before; results in {tmp_path}\n" in text
+    assert f"2 of 2 scans fitted, 1 of the fits kept from before; results in {tmp_path}\n" in text
     assert summary["scans"][0]["terms"] == lbs.FitResult.load(tmp_path / "one.fit.npz").terms
 
     (tmp_path / "one.fit.npz").write_bytes(b"broken")
@@ -341,7 +341,7 @@ def test_one_scan_alone_is_told_as_one(fitted, made, tmp_path, run, monkeypatch)
         (tmp_path / path.name).write_bytes(path.read_bytes())
     arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
     _, text, _ = run(*arguments)
-    assert "1 of 1 scan is fitted already and kept\n" in text and "1 of 1 scan fitted, 1 of them kept from before" in text
+    assert "1 of 1 scan is fitted already and kept\n" in text and "1 of 1 scan fitted, 1 of the fits kept from before" in text
     monkeypatch.setattr(fit, "_fit", _interrupted)
     assert f"stopped: 1 of 1 scan is fitted and kept in {tmp_path}; the same" in run(*arguments)[1]
 
@@ -390,7 +390,7 @@ def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
         doubtful.save(tmp_path / "two.fit.npz")
         found, text, _ = run(*arguments)
         assert found == code
-        assert f"2 of 2 scans fitted, 2 of them kept from before (1 {status}); results in" in text
+        assert f"2 of 2 scans fitted (1 {status}), 2 of the fits kept from before; results in" in text
         assert f"two   {status.ljust(len('status'))}  {probability:.2f}" in text and text.rstrip().count("odd") == 1
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert [(s["name"], s["status"], s["kept"]) for s in summary["scans"]] == [("two", status, True), ("one", "ok", True)]

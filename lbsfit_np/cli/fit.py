@@ -431,8 +431,8 @@ def _farewell(counts, n, out, stopped, older):
             rest = f"; {whose} {have} of an earlier run, which --existing skip would keep"
         say(kept + rest)
         return exit_code(stopped)
-    skipped = f", {counts['kept']} of them kept from before" if counts["kept"] else ""
-    say(f"{of_all(done, n)} fitted{skipped}{doubts_of(counts)}; results in {out}")
+    kept = f", {counts['kept']} of the fits kept from before" if counts["kept"] else ""
+    say(f"{of_all(done, n)} fitted{doubts_of(counts)}{kept}; results in {out}")
     return 1 if counts["failed"] else 0
 
 
