@@ -68,11 +68,12 @@ OPTIONS = (
     Option("training-scans", "synthetic scans for the segmenter; half as many for starts", positive, 4000, metavar="N"),
     Option(
         "training",
-        "how these are made: a field of lbsfit_np.synthesis.Synthesis, such as noise=0.01 or scale=0.2; may be repeated",
+        "how these are made: a field of lbsfit_np.synthesis.Synthesis, such as noise=0.01 or one_sided=true; may be repeated",
         default={},
-        metavar="NAME=NUMBER",
+        metavar="NAME=VALUE",
         table=True,
         check=lambda given: check_training(given),
+        refusals={"one_sided": "Of scans that show one side only say partial = true."},
     ),
     Option("seed", "seed of all that is random", natural, 0, metavar="N"),
     Option("jobs", "worker processes; the results do not depend on it", positive, 1, metavar="N"),
@@ -169,7 +170,11 @@ def check_training(given):
         if name not in known:
             expected = f"one of {', '.join(known)}"
             raise InputError("--training", f"{name}: a setting that is not known", expected, did_you_mean(name, known))
-    training_settings(given)
+    try:
+        training_settings(given)
+    except InputError as error:  # in the words of the command line and of TOML
+        got = error.got.lower() if isinstance(given.get(error.got.partition(":")[0]), bool) else error.got
+        raise InputError("--training", got, error.expected.replace("True or False", "true or false"), error.remedy) from None
 
 
 def scan_options(values):

@@ -5,6 +5,7 @@ import math
 import sys
 import textwrap
 import tomllib
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -155,11 +156,12 @@ class Option:
     is_path : bool
         In a configuration file it is relative to the file's folder.
     table : bool
-        NAME=NUMBER, as often as wanted, or true or false for the number; in a configuration file a table.
+        NAME=VALUE, as often as wanted, a number, or true or false; in a configuration file a table.
     check : callable (value), optional
         Raises InputError where a configuration file's value cannot be used, which is then said to be the file's.
     refusals : dict
-        What to say of values that are no choices here, though somebody may well expect them.
+        What to say of values that are no choices here, though somebody may well expect them; of a table, of its names that
+        are no options by themselves.
     """
 
     name: str
@@ -258,7 +260,7 @@ def _pair(text):
                 return name.strip().replace("-", "_"), number
         except ValueError:
             continue
-    raise argparse.ArgumentTypeError(f"got {brief(text)}; expected NAME=NUMBER, such as turn=3.14")
+    raise argparse.ArgumentTypeError(f"got {brief(text)}; expected NAME=VALUE, such as turn=3.14 or one_sided=true")
 
 
 def _is_finite(number):
@@ -283,12 +285,26 @@ def _read_config(path, options):
     for key, value in content.items():
         if key not in known:
             names = ", ".join(o.name for o in options)
-            raise FileError(str(path), f"the unknown option {key!r}", f"one of {names}", did_you_mean(key, known))
+            remedy = _in_a_table(key, value, options) or did_you_mean(key, known)
+            raise FileError(str(path), f"the unknown option {key!r}", f"one of {names}", remedy)
         option = known[key]
         if option.key in out:
             raise FileError(str(path), f"the option {option.name!r} twice", "each option once")
         out[option.key] = _checked(value, option, path)
     return out
+
+
+def _in_a_table(key, value, options):
+    """What to say of what is no option, but could stand in a table that is one; None of all else."""
+    name = key.replace("-", "_")
+    for option in options:
+        if option.table and option.check is not None:
+            with suppress(InputError):
+                option.check({name: value})
+                words = str(value).lower() if isinstance(value, bool) else f"{value}"
+                hint = f"It belongs in {option.name}: {option.name} = {{ {name} = {words} }}."
+                return " ".join(filter(None, [option.refusals.get(name), hint]))
+    return None
 
 
 def _checked(value, option, path):
@@ -306,7 +322,8 @@ def _checked(value, option, path):
                 except InputError as error:
                     raise FileError(str(path), f"{option.name}: {error.got}", error.expected, error.remedy) from None
             return table
-        raise FileError(str(path), f"{option.name} = {brief(value)}", "a table of numbers, such as { turn = 3.14 }")
+        expected = "a table of numbers, true or false, such as { turn = 3.14 }"
+        raise FileError(str(path), f"{option.name} = {brief(value)}", expected)
     if option.choices:
         if value in option.choices:
             return value
