@@ -181,8 +181,8 @@ def test_what_a_misspelt_option_is_given_has_no_like(command, words, meant, run)
     told = f"lbsfit: error: unrecognized arguments: {words}. Did you mean {meant!r}? (see: lbsfit {command} --help)"
     assert code == 2 and one_line(err) == told
     given = words.split()[1]
-    code, _, err = run(command, "r", "s", "--seed", "3", given)  # alone
-    assert code == 2 and one_line(err) == f"lbsfit: error: unrecognized arguments: {given} (see: lbsfit {command} --help)"
+    code, _, err = run("demo", "--seed", "3", given)  # alone, where there are no scans
+    assert code == 2 and one_line(err) == f"lbsfit: error: unrecognized arguments: {given} (see: lbsfit demo --help)"
 
 
 def test_each_of_several_misspelt_options_is_told_its_like(run):
@@ -192,6 +192,13 @@ def test_each_of_several_misspelt_options_is_told_its_like(run):
     assert code == 2 and one_line(err).startswith(f"lbsfit: error: unrecognized arguments: {given}. {told} (see: ")
     code, _, err = run("learn", "r", "s", "-o", "o", "--pictrues", "--zzz")
     assert code == 2 and "--pictrues --zzz. For --pictrues: did you mean '--pictures'? (see: " in one_line(err)
+
+
+@pytest.mark.parametrize("command", ["fit", "learn"])
+@pytest.mark.parametrize("words", ["r a b -o o --jobs 3 c d", "r -o o a b --jobs 3 c d", "-o o r a --seed 3 b c --seed 1 d"])
+def test_scans_may_stand_among_options(command, words):
+    found = cli._parser().parse_args([command, *words.split()])
+    assert (found.rig, found.scans) == ("r", ["a", "b", "c", "d"])
 
 
 @pytest.mark.parametrize("given", [("--up", "-z"), ("--up=-z",)])
