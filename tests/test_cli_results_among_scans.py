@@ -8,7 +8,9 @@ from cli_runs import QUICK, one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import learn
-from lbsfit_np.cli.outputs import without_results
+from lbsfit_np.cli.outputs import results_beside, without_results
+from lbsfit_np.cli.subjects import read_subjects
+from lbsfit_np.errors import FileError
 from lbsfit_np.report.render import write_png
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -95,3 +97,27 @@ def test_what_is_a_result(relative, folder, fitted, capsys, monkeypatch):
     deep = given("three.ply", "three.mesh.ply", "three.mesh.mesh.ply")  # a registration that was registered
     lbs.FitResult.load(fitted[0] / "one.fit.npz").save(folder / "three.mesh.fit.npz")
     assert without_results(deep) == deep[:2]
+
+
+def test_a_table_may_name_results_that_are_left_out(folder, tmp_path, capsys):
+    """As a list of all files in the folder does; whether they are given or not."""
+    table, files = tmp_path / "who.csv", sorted(map(str, folder.iterdir()))
+    scans = without_results(files)
+    assert results_beside(scans) == [path for path in files if path not in scans]
+    for names in (files, [path.rpartition("/")[2] for path in files], ["one.ply", "one.labels", "two", "two.fit", "summary"]):
+        table.write_text("".join(f"{name},{'ann' if 'one' in name else 'ben'}\n" for name in names))
+        assert read_subjects(table, scans) == ["ann", "ben"] == read_subjects(table, scans, others=True)
+    table.write_text("one,ann\ntwo,ben\nthree.mesh.ply,ben\n")
+    with pytest.raises(FileError, match="'three.mesh.ply' in line 3, which is none of the scans given"):
+        read_subjects(table, scans)
+    (folder / "one.fit.npz").unlink()  # then nobody has left the mesh out
+    table.write_text("one,ann\ntwo,ben\none.mesh.ply,ann\n")
+    with pytest.raises(FileError, match="'one.mesh.ply' in line 3, which is none of the scans given"):
+        read_subjects(table, scans)
+
+
+def test_results_are_found_however_paths_are_written(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    scan = str(folder / "one.ply")
+    assert without_results([scan, "one.mesh.ply", "../scans/one.fit.npz", "./summary.json", "two.xyz"]) == [scan, "two.xyz"]
+    assert "left out 3 of 5 files" in capsys.readouterr().out

@@ -199,6 +199,13 @@ def test_columns_that_are_exchanged(tmp_path):
             read_subjects(tmp_path / "who.csv", SCANS)
 
 
+def test_one_line_that_is_no_scan_is_no_heading(tmp_path):
+    for content, remedy in (("zoe,anna\n", "Leave out scans"), ("zoe,anna\na1,anna\n", "If it is a heading, write")):
+        (tmp_path / "who.csv").write_text(content)
+        with pytest.raises(FileError, match=f"'zoe' in line 1, which is none .* {remedy}"):
+            read_subjects(tmp_path / "who.csv", SCANS)
+
+
 def test_accents_in_either_way_of_writing_them(tmp_path):
     (tmp_path / "who.csv").write_text("Mu\u0308ller,Jos\u00e9\nIs\u00e9e,Jose\u0301\n", encoding="utf-8")
     assert read_subjects(tmp_path / "who.csv", ["M\u00fcller.ply", "Ise\u0301e.ply"]) == ["Jos\u00e9"] * 2

@@ -25,6 +25,7 @@ __all__ = [
     "plan",
     "remove",
     "remove_empty",
+    "results_beside",
     "same_file",
     "unfitted_entry",
     "with_reasons",
@@ -316,14 +317,7 @@ def without_results(sources):
     Patterns such as ``*.ply`` name both where results go into the folder of the scans, and the same command has to mean the same
     once there are some. A result that is given without its scan is one itself.
     """
-    scans = {}
-    for source in sources:
-        if not source.endswith(_ENDINGS["picture"]):
-            scans.setdefault(_place(source, Path(source).stem), set()).add(os.path.basename(source))
-    left = {s for s in sources if any(s.endswith(ending) and _is_result(s, ending, scans) for ending in _ENDINGS.values())}
-    folders = {os.path.dirname(s) for s in left}
-    left |= {s for s in sources if os.path.basename(s) == SUMMARY and os.path.dirname(s) in folders}
-    if left:
+    if left := _results_among(sources):
         which, names = ("which is a result", "its scan") if len(left) == 1 else ("which are results", "their scans")
         words = f"left out {len(left)} of {len(sources)} files, {which} that lbsfit has written beside {names}: "
         words += listed([os.path.basename(s) for s in sources if s in left], 3)
@@ -331,12 +325,28 @@ def without_results(sources):
     return [s for s in sources if s not in left]
 
 
+def results_beside(scans):
+    """Results of these scans that :func:`without_results` leaves out where a pattern names them as well."""
+    beside = {os.path.join(os.path.dirname(s), f"{Path(s).stem}{ending}") for s in scans for ending in _ENDINGS.values()}
+    beside |= {os.path.join(os.path.dirname(s), SUMMARY) for s in scans}
+    there = {path for path in beside if os.path.isfile(path)}
+    return sorted(_results_among([*scans, *there]) & there)
+
+
+def _results_among(sources):
+    """Those of some files that are results of others of them."""
+    scans = {_place(s, Path(s).stem) for s in sources if not s.endswith(_ENDINGS["picture"])}
+    left = {s for s in sources if any(s.endswith(ending) and _is_result(s, ending, scans) for ending in _ENDINGS.values())}
+    folders = {_place(s, SUMMARY) for s in left}
+    return left | {s for s in sources if os.path.basename(s) == SUMMARY and _place(s, SUMMARY) in folders}
+
+
 def _is_result(source, ending, scans):
-    """Whether a file with that ending is of a fit beside it, whose scan is one of the others: names by place."""
+    """Whether a file with that ending is of a fit beside it, whose scan is one of these: places and names."""
     from ..io.npz import npz_keys
 
     name = os.path.basename(source).removesuffix(ending)
-    if not scans.get(_place(source, name), set()) - {os.path.basename(source)}:
+    if _place(source, name) not in scans:
         return False
     fit = os.path.join(os.path.dirname(source), name + _ENDINGS["fit"])
     try:

@@ -5,13 +5,14 @@ import os
 import re
 import shlex
 import tomllib
+from contextlib import suppress
 from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from unicodedata import normalize
 
 from ..errors import FileError, InputError, brief, did_you_mean, listed
-from .outputs import folded
+from .outputs import folded, results_beside
 from .progress import counted
 
 __all__ = ["SUBJECT_FILES", "check_no_table", "read_subjects"]
@@ -21,7 +22,8 @@ The file of --subjects has a line for each scan, its file name, with or without 
       anna_01.ply, anna          separated by commas, semicolons, tabs, or blanks before the id (then no blanks in ids)
       ben_01, ben                blank lines and lines that start with # are passed over, as is a heading such as "scan, subject"
 or is TOML (NAME.toml): "anna_01.ply" = "anna", at the top or in a table [subjects]. Scans whose names are the same are
-told apart by their paths as given on the command line. Each scan has one id; a name that is no scan given is an error."""
+told apart by their paths as given on the command line. Each scan has one id; a name that is no scan given is an error, but
+results of lbsfit beside their scans may be named, and are passed over."""
 
 _HEADINGS = {"scan", "scans", "file", "filename", "file name", "name", "path"}
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}
@@ -58,12 +60,16 @@ def read_subjects(path, scans, *, others=False, known=None):
     """
     text = _text(path)
     rows = _toml_rows(path, text) if Path(path).suffix.lower() == ".toml" else _table_rows(path, text)
-    names = _Names(scans)
+    names, results = _Names(scans), None
     if rows and rows[0][1].casefold() in _HEADINGS and not names.of(rows[0][1]):
         del rows[0]
     ids, lines, passed = {}, {}, []
     for line, name, subject in rows:
         found = names.of(name)
+        if not found:
+            results = results or _Names(results_beside(scans))
+            if results.of(name):  # exported with the scans, and left out with a line already
+                continue
         if not found and others:
             passed.append((line, name, subject))
             continue
@@ -168,25 +174,21 @@ class _Names:
 
     def _by_file(self, name):
         """As ``outputs.same_file`` finds them: one by one that takes too long where each of thousands of scans has such names."""
-        known, lost, places = self.files
-        place = folded(os.path.abspath(name))
+        known, places = self.files
         try:
-            return sorted(known.get(_identity(name), []) + lost.get(place, []))
+            return known.get(_identity(name), [])
         except (OSError, ValueError):
-            return places.get(place, [])
+            return places.get(folded(os.path.abspath(name)), [])
 
     @cached_property
     def files(self):
-        """Scans by their files, where there is no file by their places, and all by their places."""
-        known, lost, places = {}, {}, {}
+        """Scans by their files, where they are there, and all by their places."""
+        known, places = {}, {}
         for i, scan in enumerate(self.scans):
-            place = folded(os.path.abspath(scan))
-            places.setdefault(place, []).append(i)
-            try:
+            places.setdefault(folded(os.path.abspath(scan)), []).append(i)
+            with suppress(OSError, ValueError):
                 known.setdefault(_identity(scan), []).append(i)
-            except (OSError, ValueError):
-                lost.setdefault(place, []).append(i)
-        return known, lost, places
+        return known, places
 
     def without(self, scans):
         """Names that mean other scans, too."""
