@@ -16,6 +16,7 @@ __all__ = [
     "did_you_mean",
     "in_words",
     "listed",
+    "not_finite",
 ]
 
 
@@ -86,8 +87,7 @@ def check_array(argument, value, shape):
     if a.shape != tuple(shape):
         raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}")
     if not np.isfinite(a).all():
-        bad = int((~np.isfinite(a)).sum())
-        raise InputError(argument, f"{counted(bad, 'value')} that {_are(bad)} NaN or infinite", "finite numbers")
+        raise InputError(argument, not_finite(int((~np.isfinite(a)).sum())), "finite numbers")
     return a
 
 
@@ -112,8 +112,9 @@ def counted(n, what):
     return f"{n} {what}{'' if n == 1 else 's'}"
 
 
-def _are(n):
-    return "is" if n == 1 else "are"
+def not_finite(n, what="value"):
+    """In words, that so many of something are NaN or infinite."""
+    return f"{counted(n, what)} that {'is' if n == 1 else 'are'} NaN or infinite"
 
 
 def listed(names, most=8):

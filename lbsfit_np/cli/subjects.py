@@ -29,6 +29,7 @@ _HEADINGS = {"scan", "scans", "file", "filename", "file name", "name", "path"}
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}
 _ONE = {"\t": "a tab", ";": "a semicolon", ",": "a comma", None: "a comma in all lines, or a blank,"}
 _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
+_EXPECTED_TOML = 'one line for each scan, such as "anna_01.ply" = "anna"'
 # What is looked at of a scan that may be a table, and of scans that a table lacks.
 _FIRST_BYTES, _FIRST_MISSING = 4096, 20
 _NO_HEADING = 'If it is a heading, write "scan" in its place; if it is a scan that is not given to this command, leave it out.'
@@ -59,7 +60,8 @@ def read_subjects(path, scans, *, others=False, known=None):
         Unreadable, a line that is no pair, a name that is no scan or several, a scan with two ids or none; with the line.
     """
     text = _text(path)
-    rows = _toml_rows(path, text) if Path(path).suffix.lower() == ".toml" else _table_rows(path, text)
+    is_toml = Path(path).suffix.lower() == ".toml"
+    rows, expected = (_toml_rows(path, text), _EXPECTED_TOML) if is_toml else (_table_rows(path, text), _EXPECTED)
     names, results = _Names(scans), None
     if rows and rows[0][1].casefold() in _HEADINGS and not names.of(rows[0][1]):
         del rows[0]
@@ -80,15 +82,15 @@ def read_subjects(path, scans, *, others=False, known=None):
             remedy = did_you_mean(name, names.without(named)) or remedy
             headed = not named and any(names.of(other) for _, _, other in rows)  # this is a heading then
             remedy = _FILE_FIRST if headed or names.of(subject) else remedy
-            raise FileError(str(path), f"{brief(name)} in line {line}, which is none of the scans given", _EXPECTED, remedy)
+            raise FileError(str(path), f"{brief(name)} in line {line}, which is none of the scans given", expected, remedy)
         if len(found) > 1:
             got = f"{brief(name)} in line {line}, which {len(found)} scans are called"
             raise FileError(str(path), got, "a name that says which scan", f"Write its path, such as {scans[found[0]]}")
         i = found[0]
         if i in ids:
-            raise FileError(str(path), f"the scan {brief(name)} twice, in lines {lines[i]} and {line}", _EXPECTED)
+            raise FileError(str(path), f"the scan {brief(name)} twice, in lines {lines[i]} and {line}", expected)
         if not subject and not others:
-            raise FileError(str(path), f"no id for {brief(name)} in line {line}", _EXPECTED)
+            raise FileError(str(path), f"no id for {brief(name)} in line {line}", expected)
         if subject and known is not None:
             try:
                 subject = known(subject)
@@ -105,7 +107,7 @@ def read_subjects(path, scans, *, others=False, known=None):
         remedy = " ".join([*_likeness(missing, passed), f"Add them{unknown}, or leave these scans out."])
         if any(names.of(subject) for _, _, subject in passed):
             remedy = _FILE_FIRST
-        raise FileError(str(path), got, _EXPECTED, remedy)
+        raise FileError(str(path), got, expected, remedy)
     return [ids[i] for i in range(len(scans))]
 
 
@@ -245,23 +247,23 @@ def _cells(path, k, line, delimiter):
 
 def _toml_rows(path, text):
     """The same of a TOML file; its parser keeps no lines, so that they are looked up."""
-    expected = 'lines such as "anna_01.ply" = "anna"'
     try:
         content = tomllib.loads(text)
     except (ValueError, RecursionError) as error:
-        raise FileError(str(path), f"text that is not TOML ({error})", expected) from None
+        raise FileError(str(path), f"text that is not TOML ({error})", _EXPECTED_TOML) from None
     if set(content) == {"subjects"} and isinstance(content["subjects"], dict):
         content = content["subjects"]
     rows = []
     for name, subject in content.items():
-        match = re.search(rf"""^\s*(\[\s*)?["']?{re.escape(name)}(?=["'\s=.\]])""", text, flags=re.MULTILINE)
+        match = re.search(rf"""^\s*(\[\s*)*["']?{re.escape(name)}(?=["'\s=.\]])""", text, flags=re.MULTILINE)
         line = text.count("\n", 0, match.end()) + 1 if match else "?"
         if type(subject) not in (str, int):
             remedy = "Ids are text, in quotes, or whole numbers."
-            if isinstance(subject, dict):
-                headed = match is not None and match[1] is not None
-                remedy = "Put all names at the top, or all in [subjects]." if headed else "Put names with dots in quotes."
+            if match is not None and match[1] is not None:  # the head of a table
+                remedy = "Put all names at the top, or all in [subjects]."
+            elif isinstance(subject, dict):
+                remedy = "Put names with dots in quotes."
             got = str(subject).lower() if isinstance(subject, bool) else brief(subject)  # as TOML has it
-            raise FileError(str(path), f"{name} = {got} in line {line}", expected, remedy)
+            raise FileError(str(path), f"{name} = {got} in line {line}", _EXPECTED_TOML, remedy)
         rows.append((line, name, normalize("NFC", str(subject).strip())))
     return rows

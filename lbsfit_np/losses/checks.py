@@ -5,7 +5,7 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import InputError, brief, check_unmasked, counted
+from ..errors import InputError, brief, check_unmasked, not_finite
 
 __all__ = ["check_index", "check_labels", "check_number", "check_same_length", "check_set", "check_weights"]
 
@@ -29,8 +29,7 @@ def check_set(argument, value):
     finite = np.isfinite(a)
     if not finite.all():
         bad = np.flatnonzero(~finite.all(axis=1))
-        got = f"{counted(len(bad), 'point')} that {'is' if len(bad) == 1 else 'are'} NaN or infinite, the first at row {bad[0]}"
-        raise InputError(argument, got, "finite numbers")
+        raise InputError(argument, f"{not_finite(len(bad), 'point')}, the first at row {bad[0]}", "finite numbers")
     return a
 
 

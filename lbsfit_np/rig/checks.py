@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from scipy import sparse
 
-from ..errors import FileError, InputError, listed
+from ..errors import FileError, InputError, counted, listed, not_finite
 from .frames import AXES
 
 __all__ = [
@@ -58,7 +58,7 @@ class Reporter:
         bad = ~np.isfinite(a)
         if bad.any():
             first = np.argwhere(bad)[0].tolist()
-            self.fail(field, f"{np.count_nonzero(bad)} values that are NaN or infinite, the first at {first}", "finite numbers")
+            self.fail(field, f"{not_finite(np.count_nonzero(bad))}, the first at {first}", "finite numbers")
         return a
 
     def matrix(self, field, value, shape):
@@ -71,7 +71,7 @@ class Reporter:
         bad = int(np.count_nonzero(~np.isfinite(a.data)))
         if bad:
             row = int(np.searchsorted(a.indptr, np.flatnonzero(~np.isfinite(a.data))[0], side="right")) - 1
-            self.fail(field, f"{bad} values that are NaN or infinite, the first in row {row}", "finite numbers")
+            self.fail(field, f"{not_finite(bad)}, the first in row {row}", "finite numbers")
         a.sum_duplicates()
         a.eliminate_zeros()
         a.sort_indices()
@@ -107,7 +107,7 @@ def check_weights(report, weights, m, joint_names, normalize, notes):
         k = int(np.argmin(w.data))
         row = int(np.searchsorted(w.indptr, k, side="right")) - 1
         worst = f"{w.data[k]:.3g} (vertex {row}, joint {joint_names[w.indices[k]]!r})"
-        got = f"{np.count_nonzero(w.data < 0)} negative weights, the worst {worst}"
+        got = f"{counted(np.count_nonzero(w.data < 0), 'negative weight')}, the worst {worst}"
         report.fail("weights", got, "weights of 0 and more", "Clean the weights in the program that made the rig.")
     sums = np.asarray(w.sum(axis=1)).ravel()
     if (sums <= 0).any():
@@ -123,20 +123,21 @@ def check_weights(report, weights, m, joint_names, normalize, notes):
     worst = int(np.argmax(off))
     if off[worst] > _TOLERATED and not normalize:
         count = np.count_nonzero(off > _TOLERATED)
-        got = (
-            f"{count} of {m} weight rows that do not sum to 1: they sum to {sums.min():.4g} to {sums.max():.4g}, "
-            f"the worst is vertex {worst} with {sums[worst]:.4g}"
-        )
+        got = f"{count} of {m} weight rows that do not sum to 1: they sum to {_range(sums, '.4g')}, "
+        got += f"the worst is vertex {worst} with {sums[worst]:.4g}"
         remedy = "To divide each row by its sum, ask for it: --normalize-weights, or normalize_weights=True."
         report.fail("weights", got, "rows that sum to 1 within 1 %", remedy)
     if off[worst] > 1e-12:  # rows that are right to the last bits stay as they are
         w.data /= np.repeat(sums, np.diff(w.indptr))
     if off[worst] > _ROUNDING:
-        notes.append(
-            f"{np.count_nonzero(off > _ROUNDING)} weight rows summed to {sums.min():.6g} to {sums.max():.6g}; "
-            "they were divided by their sums"
-        )
+        count = counted(np.count_nonzero(off > _ROUNDING), "weight row")
+        notes.append(f"{count} summed to {_range(sums, '.6g')}; they were divided by their sums")
     return w
+
+
+def _range(values, digits):
+    """The least and the greatest of some values in words, one number where they are written alike."""
+    return " to ".join(dict.fromkeys(format(value, digits) for value in (values.min(), values.max())))
 
 
 def check_joints(report, data):
