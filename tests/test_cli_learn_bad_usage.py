@@ -132,7 +132,7 @@ def test_one_scan_of_many_in_another_unit_is_named_and_left_out(tubes, tmp_path,
         write_points_ply(scan, (1000 if i == 7 else 1) * lbs.load_scan(tubes / f"t{i % 4}.ply").points)
     code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
     assert code == 1 and "fitted 9 of 10 scans" in text and "fits of 10 scans: " in text
-    assert len(err.splitlines()) == 1 and err.startswith(f"s7: failed: scan {scans[7]}: got an extent of ")
+    assert len(err.splitlines()) == 1 and err.startswith(f"s7: failed: {scans[7]}: got an extent of ")
 
 
 def test_no_scan_that_can_be_used(tubes, tmp_path, run):

@@ -359,7 +359,8 @@ def _check_units(collection, scale):
     for m, size in ((collection.members[i], extents[i]) for i in odd):
         got = f"an extent of {size:.3g}, the others of about {others:.3g}"
         remedy = "It is left out: convert it and learn again."
-        collection.failures[m.index] = str(InputError("points", got, "scans of one collection in one unit", remedy))
+        what = "points" if m.name == f"{m.index}" else m.name  # its number is said with every failure, its file is not
+        collection.failures[m.index] = str(InputError(what, got, "scans of one collection in one unit", remedy))
     collection.members = [m for i, m in enumerate(collection.members) if i not in odd]
     unit = float(np.median([m.unit for m in collection.members]))
     for m in collection.members:
