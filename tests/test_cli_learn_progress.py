@@ -7,7 +7,8 @@ import pytest
 from cli_runs import help_alone
 
 from lbsfit_np.cli import learn, progress
-from lbsfit_np.cli.progress import LearningProgress, Progress, counted, of_all, span
+from lbsfit_np.cli.progress import LearningProgress, Progress, of_all, span
+from lbsfit_np.errors import counted
 from lbsfit_np.io.columns import ODD_X
 
 pytestmark = pytest.mark.usefixtures("own_cache")

@@ -3,9 +3,10 @@
 import functools
 from pathlib import Path
 
+from ..errors import counted
 from . import pair_runs
 from .parsing import Option, positive
-from .progress import counted, say
+from .progress import say
 
 __all__ = ["add_parser"]
 

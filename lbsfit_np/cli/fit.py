@@ -4,11 +4,11 @@ import functools
 import time
 from pathlib import Path
 
-from ..errors import FileError, InputError, brief, did_you_mean
+from ..errors import FileError, InputError, brief, counted, did_you_mean
 from . import outputs
 from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subjects_of
 from .parsing import Option, add_options, chosen, formatter, natural, positive
-from .progress import Progress, counted, of_all, say
+from .progress import Progress, of_all, say
 from .stopping import exit_code, terminable
 from .subjects import check_no_table
 from .summary import counts_of, doubts_of, say_doubtful, write_summary, written_of

@@ -8,14 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, LbsfitError
+from ..errors import FileError, InputError, LbsfitError, counted
 from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, check_training, load_rig_with, scan_options
 from .models import about_model, is_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
-from .progress import LearningProgress, Progress, counted, of_all, say, span
+from .progress import LearningProgress, Progress, of_all, say, span
 from .reading import Reading
 from .stopped_learning import is_result_of, results_so_far, stopped_early, unfinished
 from .stopping import exit_code, terminable

@@ -4,9 +4,9 @@ import json
 import os
 from dataclasses import asdict, is_dataclass
 
-from ..errors import FileError, InputError, brief, did_you_mean, listed
+from ..errors import FileError, InputError, brief, counted, did_you_mean, listed
 from ..learning.variants import note_on, unused
-from .progress import counted, say
+from .progress import say
 from .subjects import read_subjects
 
 __all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig", "subjects_of"]

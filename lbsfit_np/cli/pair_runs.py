@@ -4,14 +4,14 @@ import functools
 import time
 from pathlib import Path
 
-from ..errors import InputError, LbsfitError
+from ..errors import InputError, LbsfitError, counted
 from .bench_runs import RESULTS, failures_code
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, load_rig_with
 from .learn import OPTIONS as LEARN_OPTIONS
 from .outputs import check_outputs, make_folder
 from .parsing import Option, add_options, formatter, natural, positive, settings
-from .progress import SILENCE, LearningProgress, Progress, counted, say
+from .progress import SILENCE, LearningProgress, Progress, say
 from .stopping import exit_code, terminable
 
 __all__ = [

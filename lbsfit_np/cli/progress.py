@@ -4,9 +4,10 @@ import re
 import sys
 import time
 
+from ..errors import counted
 from ..io.columns import ODD_X
 
-__all__ = ["SILENCE", "LearningProgress", "Progress", "counted", "of_all", "percentage_bar", "say", "span"]
+__all__ = ["SILENCE", "LearningProgress", "Progress", "of_all", "percentage_bar", "say", "span"]
 
 # What the stages of LBSFitter.fit do, in words; others are called by their names.
 _STAGES = {
@@ -214,11 +215,6 @@ class LearningProgress:
         mean = sum(self._took) / len(self._took)
         left = (self.rounds - self.round + 1) * mean - (self._clock() - self._began)
         return f"at most about {span(max(left, 0))} left"
-
-
-def counted(n, what):
-    """So many of something: "1 scan", "2 scans"."""
-    return f"{n} {what}{'' if n == 1 else 's'}"
 
 
 def of_all(k, n, what="scan"):

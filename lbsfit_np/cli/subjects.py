@@ -11,9 +11,8 @@ from functools import cached_property
 from pathlib import Path
 from unicodedata import normalize
 
-from ..errors import FileError, InputError, brief, did_you_mean, listed
+from ..errors import FileError, InputError, brief, counted, did_you_mean, listed
 from .outputs import folded, results_beside
-from .progress import counted
 
 __all__ = ["SUBJECT_FILES", "check_no_table", "read_subjects"]
 
