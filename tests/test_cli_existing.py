@@ -11,7 +11,7 @@ import pytest
 from cli_runs import QUICK, one_line
 
 import lbsfit_np as lbs
-from lbsfit_np.cli import fit, outputs
+from lbsfit_np.cli import fit, kept_fits, outputs
 from lbsfit_np.cli.summary import counts_of, doubts_of
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_points_ply
@@ -270,7 +270,7 @@ def test_without_the_points_of_a_kept_fit_there_is_no_picture_of_it(labels, word
     if labels is not None:
         write_points_ply(files.labels, np.random.default_rng(0).random((labels, 3)))
     monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", lambda rig, points, result: PIXELS)
-    fit._draw_kept(files, tube_rig, SimpleNamespace(labels=np.zeros(5, dtype=int)))
+    kept_fits._draw_kept(files, tube_rig, SimpleNamespace(labels=np.zeros(5, dtype=int)))
     said = capsys.readouterr().out
     if words is None:
         assert said == "" and files.picture.read_bytes().startswith(b"\x89PNG")
@@ -284,9 +284,9 @@ def test_a_picture_as_old_as_its_fit_is_of_it(later, newer, tmp_path):
     files = _files(tmp_path)
     for path, second in ((files.fit, 100), (files.picture, 100 + later)):
         os.utime(path, (second, second))
-    assert fit._is_newer(files.picture, files.fit) == newer
+    assert kept_fits._is_newer(files.picture, files.fit) == newer
     files.picture.unlink()
-    assert not fit._is_newer(files.picture, files.fit)
+    assert not kept_fits._is_newer(files.picture, files.fit)
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,9 @@
 
 import json
 import os
+import shutil
 import signal
+import threading
 import time
 
 import pytest
@@ -10,6 +12,8 @@ from cli_runs import QUICK, started, stopped
 
 import lbsfit_np as lbs
 import lbsfit_np.io.write
+from lbsfit_np.cli import outputs
+from lbsfit_np.cli.stopping import Terminated, held, terminable
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -26,8 +30,7 @@ def test_ctrl_c_keeps_what_is_finished(jobs, sent, code, fitted, made, cli_cache
         cache=cli_cache,
     )
     deadline = time.monotonic() + 120
-    # More than are written at a time: of one that is stopped half way all files are removed.
-    while len(list(out.glob("*.fit.npz"))) < 3 and process.poll() is None and time.monotonic() < deadline:
+    while not list(out.glob("*.fit.npz")) and process.poll() is None and time.monotonic() < deadline:
         time.sleep(0.02)
     text, err = stopped(process, sent)
     assert process.returncode == code, err
@@ -75,3 +78,88 @@ def test_ctrl_c_while_a_fit_is_written_leaves_nothing_of_it(what, at, made, tmp_
     assert there - {"summary.json"} == {f"one.{kind}" for kind in ("fit.npz", "labels.ply", "mesh.ply") if at}
     code, text, _ = run(*command, *("--existing", "skip") * bool(there))
     assert code == 0 and "2 of 2 scans fitted" in text and len(list((tmp_path / "out").iterdir())) == 7
+
+
+@pytest.mark.parametrize("number, code", [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize("at", ["fit.npz", "mesh.ply", "labels.ply"])
+def test_a_fit_that_is_being_written_at_ctrl_c_is_finished_and_counted(at, number, code, made, tmp_path, run, monkeypatch):
+    """The signal comes while one of its files gets its name."""
+    command, out, replace = ("fit", made / "tube.npz", made / "one.ply", made / "two.xyz", *QUICK), tmp_path / "out", os.replace
+
+    def signalled(one, other):
+        replace(one, other)
+        if str(other).endswith(f"one.{at}"):
+            signal.raise_signal(number)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(lbsfit_np.io.write.os, "replace", signalled)
+        code_, text, err = run(*command, "-o", out)
+    assert (code_, err) == (code, "") and "1 of 2 scans is fitted and kept" in text
+    assert {p.name for p in out.iterdir()} == {"summary.json", "one.fit.npz", "one.mesh.ply", "one.labels.ply"}
+    summary = json.loads((out / "summary.json").read_text())
+    assert [scan["name"] for scan in summary["scans"]] == ["one"] and summary["not_done"] == ["two"]
+    code, text, _ = run(*command, "-o", out, "--existing", "skip")
+    assert code == 0 and "1 of 2 scans is fitted already and kept" in text
+
+
+def test_fits_of_an_earlier_run_are_not_counted_at_ctrl_c(made, fitted, tmp_path, run, monkeypatch):
+    """Those that were written since are, noted or not."""
+    out, write = tmp_path / "out", outputs.Writer.__call__
+    shutil.copytree(fitted[0], out)
+
+    def interrupted(self, index, scan, result):
+        write(self, index, scan, result)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(outputs.Writer, "__call__", interrupted)
+    command = ("fit", made / "tube.npz", made / "one.ply", made / "two.xyz", *QUICK, "-o", out, "--existing", "replace")
+    code, text, _ = run(*command)
+    assert code == 130 and "1 of 2 scans is fitted and kept" in text and "1 of the others has a fit of an earlier run" in text
+    assert [scan["name"] for scan in json.loads((out / "summary.json").read_text())["scans"]] == ["one"]
+
+
+@pytest.mark.parametrize("at", ["fit.npz", "mesh.ply"])
+def test_killed_among_the_files_of_a_fit_nothing_is_taken_for_one(at, made, fitted, tmp_path, run, monkeypatch):
+    """An earlier run's mesh beside a new fit, say."""
+    out, replace = tmp_path / "out", os.replace
+    shutil.copytree(fitted[0], out)
+
+    def killed(one, other):
+        replace(one, other)
+        if str(other).endswith(f"one.{at}"):
+            raise KeyboardInterrupt  # nothing is done after it, as if the process were gone
+
+    command = ("fit", made / "tube.npz", made / "one.ply", "-o", out, *QUICK)
+    with monkeypatch.context() as patch:
+        patch.setattr(lbsfit_np.io.write.os, "replace", killed)
+        assert run(*command, "--existing", "replace")[0] == 130
+    assert (out / "one.fit.npz").exists() and not (out / "one.labels.ply").exists()
+    code, text, _ = run(*command, "--existing", "skip")
+    assert code == 0 and "already" not in text and "1 of 1 scan fitted" in text
+
+
+@pytest.mark.parametrize("number, raised", [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)])
+def test_signals_wait_while_they_are_held(number, raised):
+    before = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
+    with pytest.raises(raised), terminable():
+        with held():
+            for _ in range(2):
+                signal.raise_signal(number)
+            done = True
+        pytest.fail("it was not raised at the end")
+    assert done and [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == before
+    with held():
+        pass
+
+
+def test_elsewhere_than_in_the_main_thread_nothing_is_held():
+    found = []
+
+    def work():
+        with held():
+            found.append(True)
+
+    thread = threading.Thread(target=work)
+    thread.start()
+    thread.join()
+    assert found == [True]

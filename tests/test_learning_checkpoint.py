@@ -156,6 +156,23 @@ def test_a_fit_that_fails_is_tried_again(make_learner, points, done, tmp_path, m
     assert done["FirstFit"] == len(points)
 
 
+def test_what_followed_from_a_fit_that_failed_is_not_taken(make_learner, points, tmp_path, monkeypatch):
+    """Templates and poses of the second round of a run that had lost a scan in the first."""
+    parameters = {"variant": "cd", "rounds": 2, "held_out": 0}
+    expected, call, failed = make_learner(**parameters).fit(points), loop.Pose.__call__, []
+
+    def failing_once(self, task):
+        if not failed:
+            failed.append(task)
+            raise InputError("points", "bad luck", "good")
+        return call(self, task)
+
+    with monkeypatch.context() as patch, pytest.warns(UserWarning, match="bad luck"):
+        patch.setattr(loop.Pose, "__call__", failing_once)
+        assert make_learner(**parameters).fit(points, checkpoint=tmp_path).results_[0] is None
+    _assert_same(make_learner(**parameters).fit(points, checkpoint=tmp_path), expected)
+
+
 # ---- files ----
 
 

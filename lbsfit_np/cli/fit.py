@@ -6,9 +6,11 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, brief, counted, did_you_mean
 from . import outputs
+from .kept_fits import kept_entries
 from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subjects_of
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, of_all, say
+from .stopped_fits import named, settled
 from .stopping import exit_code, terminable
 from .subjects import check_no_table
 from .summary import counts_of, doubts_of, say_doubtful, write_summary, written_of
@@ -236,12 +238,12 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
         for note in notes:
             say(note)
     rig, subjects = fitter.rig, {f.name: subject for f, subject in zip(files, subjects, strict=True)}
-    kept = _kept(files, fitter, subjects) if values["existing"] == "skip" else {}
+    kept = kept_entries(files, fitter, subjects) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"{of_all(len(kept), len(files))} {_are(len(kept))} fitted already and kept")
     folders = outputs.make_folder(out)
-    entries = dict(kept)
+    entries, before = dict(kept), named(todo)
     progress = Progress(len(todo))
 
     def on_result(outcome):
@@ -261,6 +263,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
             _fit(fitter, todo, subjects, values, on_result, progress)
     except BaseException as reason:  # noqa: BLE001 (raised again below, once the summary is safe)
         stopped = reason
+        entries |= settled([f for f in todo if f.name not in entries], before)
     finally:
         progress.close()
     counts = counts_of(entries) | {"written": written_of(entries)}
@@ -332,93 +335,6 @@ def _fit(fitter, todo, subjects, values, on_result, progress):
         on_result=on_result,
         pretrain=lambda fitter: fitter.pretrain(segmenter=segmenter, cache=True, progress=progress.training),
     )
-
-
-def _kept(files, fitter, subjects):
-    """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
-    from ..fitting.result import FitResult
-
-    kept, rig = {}, fitter.rig
-    made = _MadeWith(fitter)
-    for f in files:
-        if not all(path.is_file() for what, path in f.paths.items() if what != "picture"):
-            continue
-        try:
-            result = FitResult.load(f.fit)
-        except FileError as error:
-            say(f"{f.name}: {f.fit} cannot be read ({error.got}; expected {error.expected}), so it is fitted again")
-            continue
-        if result.rig_digest != rig.digest:
-            raise InputError(
-                "--existing skip",
-                f"{f.fit}, a fit of another rig (or of other parts or limits of this one)",
-                f"fits of rig {rig.name!r}",
-                "Choose another folder, or --existing replace.",
-            )
-        if result.model_digest not in made.wanted(subjects[f.name]):
-            raise made.refusal(f, result)
-        if f.picture is not None and not _is_newer(f.picture, f.fit):
-            _draw_kept(f, rig, result)
-        kept[f.name] = outputs.fitted_entry(f, result, kept=True)
-    return kept
-
-
-class _MadeWith:
-    """What the fits of earlier runs may have been made with, by their digests."""
-
-    def __init__(self, fitter):
-        from ..learning.archive import learned_digests, model_digest
-
-        self.rig, self.anybody, self.learned = fitter.rig, model_digest(fitter), learned_digests(fitter)
-        self.named = functools.cache(lambda subject: model_digest(fitter, subject))
-
-    def wanted(self, subject):
-        """Of fits that are what is wanted of a scan of this subject, None where nobody says whose it is; learning's own, too."""
-        if subject is None:
-            return {self.anybody, *self.learned.values()}
-        return {self.named(subject), self.learned[subject]}
-
-    def refusal(self, files, result):
-        """The InputError about a fit that was made with something else."""
-        digest, remedy = result.model_digest, "Choose another folder, or --existing replace."
-        if not self.anybody or not digest:
-            words = "with a learned model" if digest else "without a model"
-        else:
-            words = "with another model"
-            if digest == self.anybody:
-                got = f"it got the template of {result.subject!r}" if result.subject else "it is of none of its subjects"
-                words = f"with this model where no subject was named; {got}"
-            for subject, learned in self.learned.items():
-                if digest in (learned, self.named(subject)):
-                    words = f"with this model as {str(subject)!r}"
-            if words != "with another model":
-                files_of = f"{files.name}.fit.npz, .mesh.ply and .labels.ply"
-                remedy = f"Give --subject or --subjects as in that run, or leave them out as there; without {files_of} it is "
-                remedy += "fitted again; or choose another folder, or --existing replace."
-        expected = "fits with this model and subject" if self.anybody else f"fits with rig {self.rig.name!r} alone"
-        return InputError("--existing skip", f"{files.fit}, a fit {words}", expected, remedy)
-
-
-def _draw_kept(files, rig, result):
-    """The picture of a fit that an earlier run has made, with the points that it labelled: the scan may be another by now."""
-    from ..io.scans import load_scan
-
-    try:
-        points = load_scan(files.labels).points
-        if len(points) != len(result.labels):
-            got, expected = f"{len(points)} points", f"the {len(result.labels)} that the fit has labels of"
-            raise FileError(str(files.labels), got, expected)
-    except FileError as error:
-        notes = [f"no picture: {error}", *outputs.remove([files.picture])]
-    else:
-        notes = outputs.draw(files, rig, points, result)
-    for note in notes:
-        say(f"{files.name}: {note}")
-
-
-def _is_newer(picture, fit):
-    """Whether a picture is there and was drawn after the fit was written; an older one is of an earlier fit."""
-    return picture.is_file() and picture.stat().st_mtime_ns >= fit.stat().st_mtime_ns
 
 
 def _farewell(counts, n, out, stopped, older):

@@ -9,6 +9,7 @@ from pathlib import Path
 from ..errors import FileError, InputError, in_words, listed
 from ..io.columns import ODD_X
 from .progress import say
+from .stopping import held
 
 __all__ = [
     "SUMMARY",
@@ -217,9 +218,9 @@ class Writer:
         if result.status != "ok":  # in the fit's own file, too, for runs that keep it
             result = replace(result, message=with_reasons(result.message, scan.notes))
         colors = part_colors(len(rig.parts))
-        # All three get their names only once all three are complete. The fit first (the last that is opened): of what a stop in
-        # between leaves, --existing skip then knows whose it is, and makes it anew.
-        with atomic_path(files.labels) as labels, atomic_path(files.mesh) as mesh, atomic_path(files.fit) as fit:
+        # All three get their names only once all three are complete. The fit first (the last that is opened): of what is left
+        # where the process is killed in between, --existing skip then knows whose it is, and makes it anew.
+        with held(), atomic_path(files.labels) as labels, atomic_path(files.mesh) as mesh, atomic_path(files.fit) as fit:
             result.save(fit)
             write_mesh_ply(
                 mesh,
@@ -238,6 +239,8 @@ class Writer:
                 normals=scan.normals,
                 part_names=rig.parts,
             )
+            for path in (files.mesh, files.labels):  # of an earlier fit, which would then pass for this one's
+                path.unlink(missing_ok=True)
         undrawn = [] if files.picture is None else draw(files, rig, scan.points, result)
         return fitted_entry(files, result, notes=[*scan.notes, *undrawn])
 

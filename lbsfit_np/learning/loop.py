@@ -233,6 +233,7 @@ class Loop:
                 # Templates grow about the root joint, scales about the origin: the root joint stays where it was found.
                 moved = (m.state.scale / ratio - 1.0) * self.model.rig.joints[self.rig.root]
                 m.state = m.state.replace(scale=1.0, translation=m.state.translation / ratio + moved, residual=None)
+        self._follow()
 
     def _templates(self, k):
         """Each subject's template from the poses of its scans that are learned from."""
@@ -312,7 +313,12 @@ class Loop:
         for m, (state, loss, which) in zip(self.collection.members, answers, strict=True):
             won += which > 0
             m.state, m.loss = state, loss
+        self._follow()
         return won
+
+    def _follow(self):
+        """What is kept from here on depends on what fits have found, and for whom."""
+        self._kept = self._kept.narrowed([(m.index, m.state, m.loss, m.held_out) for m in self.collection.members])
 
     def _smooth(self, templates):
         """A few sweeps that draw each pose towards the mean of its neighbours' and its own, as the sweep before left them."""

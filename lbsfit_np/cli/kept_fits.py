@@ -1,0 +1,96 @@
+"""Fits of earlier runs that ``--existing skip`` keeps, once it is sure what they were made with."""
+
+import functools
+
+from ..errors import FileError, InputError
+from . import outputs
+from .progress import say
+
+__all__ = ["kept_entries"]
+
+
+def kept_entries(files, fitter, subjects):
+    """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
+    from ..fitting.result import FitResult
+
+    kept, rig = {}, fitter.rig
+    made = _MadeWith(fitter)
+    for f in files:
+        if not all(path.is_file() for what, path in f.paths.items() if what != "picture"):
+            continue
+        try:
+            result = FitResult.load(f.fit)
+        except FileError as error:
+            say(f"{f.name}: {f.fit} cannot be read ({error.got}; expected {error.expected}), so it is fitted again")
+            continue
+        if result.rig_digest != rig.digest:
+            raise InputError(
+                "--existing skip",
+                f"{f.fit}, a fit of another rig (or of other parts or limits of this one)",
+                f"fits of rig {rig.name!r}",
+                "Choose another folder, or --existing replace.",
+            )
+        if result.model_digest not in made.wanted(subjects[f.name]):
+            raise made.refusal(f, result)
+        if f.picture is not None and not _is_newer(f.picture, f.fit):
+            _draw_kept(f, rig, result)
+        kept[f.name] = outputs.fitted_entry(f, result, kept=True)
+    return kept
+
+
+class _MadeWith:
+    """What the fits of earlier runs may have been made with, by their digests."""
+
+    def __init__(self, fitter):
+        from ..learning.archive import learned_digests, model_digest
+
+        self.rig, self.anybody, self.learned = fitter.rig, model_digest(fitter), learned_digests(fitter)
+        self.named = functools.cache(lambda subject: model_digest(fitter, subject))
+
+    def wanted(self, subject):
+        """Of fits that are what is wanted of a scan of this subject, None where nobody says whose it is; learning's own, too."""
+        if subject is None:
+            return {self.anybody, *self.learned.values()}
+        return {self.named(subject), self.learned[subject]}
+
+    def refusal(self, files, result):
+        """The InputError about a fit that was made with something else."""
+        digest, remedy = result.model_digest, "Choose another folder, or --existing replace."
+        if not self.anybody or not digest:
+            words = "with a learned model" if digest else "without a model"
+        else:
+            words = "with another model"
+            if digest == self.anybody:
+                got = f"it got the template of {result.subject!r}" if result.subject else "it is of none of its subjects"
+                words = f"with this model where no subject was named; {got}"
+            for subject, learned in self.learned.items():
+                if digest in (learned, self.named(subject)):
+                    words = f"with this model as {str(subject)!r}"
+            if words != "with another model":
+                files_of = f"{files.name}.fit.npz, .mesh.ply and .labels.ply"
+                remedy = f"Give --subject or --subjects as in that run, or leave them out as there; without {files_of} it is "
+                remedy += "fitted again; or choose another folder, or --existing replace."
+        expected = "fits with this model and subject" if self.anybody else f"fits with rig {self.rig.name!r} alone"
+        return InputError("--existing skip", f"{files.fit}, a fit {words}", expected, remedy)
+
+
+def _draw_kept(files, rig, result):
+    """The picture of a fit that an earlier run has made, with the points that it labelled: the scan may be another by now."""
+    from ..io.scans import load_scan
+
+    try:
+        points = load_scan(files.labels).points
+        if len(points) != len(result.labels):
+            got, expected = f"{len(points)} points", f"the {len(result.labels)} that the fit has labels of"
+            raise FileError(str(files.labels), got, expected)
+    except FileError as error:
+        notes = [f"no picture: {error}", *outputs.remove([files.picture])]
+    else:
+        notes = outputs.draw(files, rig, points, result)
+    for note in notes:
+        say(f"{files.name}: {note}")
+
+
+def _is_newer(picture, fit):
+    """Whether a picture is there and was drawn after the fit was written; an older one is of an earlier fit."""
+    return picture.is_file() and picture.stat().st_mtime_ns >= fit.stat().st_mtime_ns
