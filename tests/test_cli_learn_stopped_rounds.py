@@ -43,7 +43,7 @@ def stop_after_a_round(tube_model, monkeypatch):
             ("a", "b"),
             None,
             ("--subjects", "{}/who is who.csv"),
-            "(others without --subjects, or with an empty id in it) with it: "
+            "with it (others without --subjects, or with an empty id in its file): "
             "lbsfit fit '{}/m n.npz' SCAN... -o OUT --subjects '{}/who is who.csv'\n",
         ),
     ],
@@ -87,8 +87,8 @@ def test_subjects_of_whom_nothing_was_learned_are_named_after_a_stop(tubes, tmp_
     arguments = ("-o", tmp_path / "m.npz", "--subjects", tmp_path / "who.csv")
     text = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *arguments)[1]
     line = text.splitlines()[-1]
-    which = "to fit these scans, but for those of 'carl', of whom nothing was learned (others without --subjects, "
-    assert f"{which}or with an empty id in it) with it: lbsfit fit " in line
+    which = "to fit these scans with it, but for those of 'carl', of whom nothing was learned (others without --subjects, "
+    assert f"{which}or with an empty id in its file): lbsfit fit " in line
     command = as_said(line.replace("OUT", str(tmp_path / "out")), [str(tubes / "t0.ply"), str(tubes / "t2.ply")])
     code, text, _ = run(*command)
     assert code == 0 and "2 of 2 scans fitted" in text

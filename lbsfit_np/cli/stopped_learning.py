@@ -35,11 +35,11 @@ def stopped_early(fitter, model, scans, failed, subjects, values):
         known = [scans[i] for i in _of_the_known(fitter, subjects, len(scans)) if i not in failed]
         to_fit = _to_fit(model, values, "replace" if replace and values["results"] else None, known)
         anew = f"the same command{'' if replace else ' with --existing replace'} {_goes_on(model) or 'begins anew'}"
-        which = "scans"
+        which = "scans with it"
         if subjects is not None:
-            others = "others without --subjects, or with an empty id in it"
-            which = f"these scans{_but_for_strangers(fitter, subjects)} ({others})"
-        return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit {which} with it: {to_fit}"
+            which = f"these scans with it{_but_for_strangers(fitter, subjects)}"
+            which += " (others without --subjects, or with an empty id in its file)"
+        return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit {which}: {to_fit}"
     if words := _goes_on(model):
         return f"stopped before the model was learned; the same command {words}"
     # Training is over only when all of it is; what could not be written is gone, as was warned of.
