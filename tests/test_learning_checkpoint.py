@@ -1,6 +1,8 @@
 """Learning that was stopped goes on from what its checkpoint has, does nothing twice, and comes to the same end."""
 
 import warnings
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -118,6 +120,23 @@ def test_what_suits_other_scans_and_settings_is_taken_and_nothing_else(make_lear
     assert anew(points[::-1])[0] == 0
     assert anew(random_state=1)[0] == anew(max_points=300)[0] == anew(joints="fixed")[0] == n
     assert anew([p + 1e-9 for p in points])[0] == n
+    assert anew([*points, few_scans[4].points], max_points=300)[0] == 1
+    assert anew([few_scans[4].points, *points], max_points=300)[0] == n + 1  # points are drawn by the scans' numbers
+
+
+@pytest.mark.parametrize(
+    "changes", [{"up": "+z"}, {"forward": "+x"}, {"metres_per_unit": 0.5}, {"locked": [0, 0, 1, 0]}, {"poses": {}}]
+)
+def test_what_a_card_changes_of_a_rig_counts(changes, tube_rig, make_learner, tmp_path):
+    rig = replace(tube_rig, poses={"rest": np.zeros((4, 3))})
+    if "locked" in changes:
+        changes = {"locked": np.array(changes["locked"], dtype=bool)}
+
+    def slot(rig):
+        return Checkpoint(tmp_path).narrowed(make_learner().set_params(rig=rig)._made_of(0)).slot("first-fit")
+
+    slot(rig).keep(1)
+    assert slot(replace(rig)).known() == 1 and slot(replace(rig, **changes)).known() is None
 
 
 def test_another_state_of_the_code_finds_nothing(make_learner, points, done, tmp_path, monkeypatch):
@@ -301,3 +320,15 @@ def test_what_is_removed_is_what_was_written(tmp_path):
     (folder / "mine.npz").unlink()
     remove_checkpoint(folder)
     assert not folder.exists()
+
+
+def test_what_cannot_be_removed_stays_and_is_no_error(tmp_path, monkeypatch):
+    Checkpoint(tmp_path / "kept").slot("result").keep(1)
+
+    def denied(self, **_):
+        raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "unlink", denied)
+        remove_checkpoint(tmp_path / "kept")
+    assert steps_in(tmp_path / "kept") == 1

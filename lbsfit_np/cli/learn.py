@@ -91,9 +91,9 @@ examples:
 
 A scan that cannot be used is named with the reason and left out. The model appears when it is complete, or, after Ctrl-C,
 with what the rounds until then have learned; an input is never overwritten. Until it is complete the steps done are kept in
-MODEL.unfinished: after a stop or a crash the same command goes on from there, also with more scans. The segmenter's first
-training is kept in $LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans, how many fits are
-ok, suspect or failed, and a table of those that are not ok, see lbsfit fit --help.
+MODEL.unfinished: after a stop or a crash the same command goes on from there, also with more scans at its end. The
+segmenter's first training is kept in $LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans,
+how many fits are ok, suspect or failed, and a table of those that are not ok, see lbsfit fit --help.
 Exit code: 0 learned, and all scans could be used, also where some were held out or not learned from, 1 some could not be used, or
 their fits failed, 2 usage, unreadable rig, or no model could be learned, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """

@@ -8,6 +8,7 @@ import hashlib
 import json
 import re
 import warnings
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import fields, is_dataclass
 from functools import cache
@@ -38,7 +39,7 @@ class Checkpoint:
         Made with the first step that is kept; with None none is.
     made_of : object, optional
         What all steps depend on, besides the package and the libraries that it computes with: numbers, text, arrays, and
-        tuples, lists, dicts and dataclasses of such.
+        sparse matrices, tuples, lists, mappings and dataclasses of such.
 
     Raises
     ------
@@ -124,19 +125,21 @@ def each_kept(work, tasks, slots, *, jobs, done, keep=lambda answer: True):
 
 def steps_in(folder):
     """How many steps are kept in a folder."""
-    folder = Path(folder)
-    return sum(bool(_OURS.fullmatch(p.name)) and p.name[0] != "." for p in folder.iterdir()) if folder.is_dir() else 0
+    try:
+        names = [path.name for path in Path(folder).iterdir()]
+    except OSError:
+        return 0
+    return sum(bool(_OURS.fullmatch(name)) and name[0] != "." for name in names)
 
 
 def remove_checkpoint(folder):
-    """Remove what a checkpoint has written, and the folder where nothing else is in it."""
+    """Remove what a checkpoint has written, and the folder where nothing else is in it; what cannot be removed stays."""
     folder = Path(folder)
-    if not folder.is_dir():
-        return
-    for path in folder.iterdir():
-        if _OURS.fullmatch(path.name):
-            path.unlink(missing_ok=True)
-    if not any(folder.iterdir()):
+    with suppress(OSError):  # another run may be removing the same
+        for path in folder.iterdir():
+            if _OURS.fullmatch(path.name):
+                with suppress(OSError):
+                    path.unlink()
         folder.rmdir()
 
 
@@ -161,8 +164,11 @@ def _digest(*parts):
 def _add(h, value):
     if isinstance(value, np.ndarray):
         h.update(f"array {value.dtype.str} {value.shape}".encode() + np.ascontiguousarray(value).tobytes())
-    elif isinstance(value, dict):
+    elif isinstance(value, Mapping):
         _add(h, sorted(value.items()))
+    elif hasattr(value, "tocoo"):  # a sparse matrix
+        rows = value.tocoo()
+        _add(h, (value.shape, rows.row, rows.col, rows.data))
     elif isinstance(value, (tuple, list)):
         h.update(f"{len(value)} of".encode())
         for v in value:

@@ -259,7 +259,7 @@ class LBSFitter(BaseEstimator):
         some = ("rig", "n_jobs", "rounds", "held_out", "sequence", "smooth", "random_state", "training")
         parameters = {name: value for name, value in self.get_params(deep=False).items() if name not in some}
         pretrained = learned_arrays(segmenter, library)
-        return self.rig.digest, self.rig.poses, parameters, self._synthesis(), seed, pretrained
+        return self.rig, parameters, self._synthesis(), seed, pretrained
 
     def _take(self, learned, collection):
         """Have what was learned, as yet without results: what a round has learned stays where a later one is stopped."""
