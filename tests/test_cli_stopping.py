@@ -13,6 +13,7 @@ from cli_runs import QUICK, started, stopped
 import lbsfit_np as lbs
 import lbsfit_np.io.write
 from lbsfit_np.cli import outputs
+from lbsfit_np.cli.stopped_fits import named, settled
 from lbsfit_np.cli.stopping import Terminated, held, terminable
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -136,6 +137,23 @@ def test_killed_among_the_files_of_a_fit_nothing_is_taken_for_one(at, made, fitt
     assert (out / "one.fit.npz").exists() and not (out / "one.labels.ply").exists()
     code, text, _ = run(*command, "--existing", "skip")
     assert code == 0 and "already" not in text and "1 of 1 scan fitted" in text
+
+
+@pytest.mark.parametrize("new", [(), ("fit",), ("fit", "mesh"), ("fit", "mesh", "labels")])
+def test_a_fit_counts_where_all_of_its_files_are_new(new, made, fitted, tmp_path):
+    out = tmp_path / "out"
+    shutil.copytree(fitted[0], out)
+    files = outputs.plan([str(made / "one.ply")], out, inputs=[], existing="replace")
+    before = named(files)
+    assert set(before) == {files[0].fit, files[0].mesh, files[0].labels} and settled(files, before) == {}
+    for kind in new:
+        path = files[0].paths[kind]
+        path.with_suffix(".new").write_bytes(path.read_bytes())
+        os.replace(path.with_suffix(".new"), path)
+    assert list(settled(files, before)) == ["one"] * (len(new) == 3)
+    if len(new) == 3:
+        files[0].fit.write_bytes(b"cut short")
+        assert settled(files, before) == {}
 
 
 @pytest.mark.parametrize("number, raised", [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)])

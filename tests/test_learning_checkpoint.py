@@ -117,7 +117,7 @@ def test_what_suits_other_scans_and_settings_is_taken_and_nothing_else(make_lear
     assert anew(n_jobs=1, rounds=2, held_out=0.1) == (0, n * (done["Template"] > 0))  # another round, if it is made
     assert anew([*points, few_scans[4].points]) == (1, n + 1)  # of a larger collection the first fits are known
     assert anew(held_out=0) == (0, n) and anew(subjects=list("aabb")) == (0, n)
-    assert anew(points[::-1])[0] == 0
+    assert anew(points[::-1])[0] == 0 and anew(sequence=True) == (0, n)
     assert anew(random_state=1)[0] == anew(max_points=300)[0] == anew(joints="fixed")[0] == n
     assert anew([p + 1e-9 for p in points])[0] == n
     assert anew([*points, few_scans[4].points], max_points=300)[0] == 1
