@@ -20,6 +20,7 @@ ROOMS = (
     "errors",
     "seeds",
     "threads",
+    "interrupts",
     "workers",
     "rotations",
     "rig",

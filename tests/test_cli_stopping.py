@@ -14,7 +14,8 @@ import lbsfit_np as lbs
 import lbsfit_np.io.write
 from lbsfit_np.cli import outputs
 from lbsfit_np.cli.stopped_fits import named, settled
-from lbsfit_np.cli.stopping import Terminated, held, terminable
+from lbsfit_np.cli.stopping import Terminated, terminable
+from lbsfit_np.interrupts import held
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -166,6 +167,9 @@ def test_signals_wait_while_they_are_held(number, raised):
             done = True
         pytest.fail("it was not raised at the end")
     assert done and [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == before
+    with pytest.raises(raised), terminable(), held():
+        signal.raise_signal(number)
+        raise OSError("a full disk, say: the signal is not forgotten for it")
     with held():
         pass
 

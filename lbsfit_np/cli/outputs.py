@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import FileError, InputError, in_words, listed
+from ..interrupts import held
 from ..io.columns import ODD_X
 from .progress import say
-from .stopping import held
 
 __all__ = [
     "SUMMARY",

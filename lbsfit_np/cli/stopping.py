@@ -1,9 +1,9 @@
-"""SIGTERM handled as Ctrl-C is, and both held back while what is half done would be left."""
+"""SIGTERM handled as Ctrl-C is: what is half done is removed, what is finished stays."""
 
 import signal
 from contextlib import contextmanager
 
-__all__ = ["Terminated", "exit_code", "held", "terminable"]
+__all__ = ["Terminated", "exit_code", "terminable"]
 
 
 class Terminated(KeyboardInterrupt):
@@ -31,24 +31,3 @@ def terminable():
         yield
     finally:
         signal.signal(signal.SIGTERM, before)
-
-
-@contextmanager
-def held():
-    """Within it Ctrl-C and SIGTERM wait, in a worker process as well; what they do is done at its end."""
-    came, before = [], {}
-    try:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            handler = signal.getsignal(number)
-            if callable(handler):
-                signal.signal(number, lambda *given: came.append(given))
-                before[number] = handler
-    except ValueError:
-        pass  # not the main thread: no signal arrives here
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        for number, frame in came[:1]:
-            before[number](number, frame)

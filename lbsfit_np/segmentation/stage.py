@@ -1,16 +1,15 @@
 """Stage: one standardised scikit-learn classifier, kept as arrays so that saving it needs no pickle."""
 
-import signal
 import warnings
-from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..interrupts import passing_interrupts
 from ..seeds import generator, integer_seed
 from ..threads import one_thread
 
-__all__ = ["Stage", "Training", "passing_interrupts", "train_stage"]
+__all__ = ["Stage", "Training", "train_stage"]
 
 
 @dataclass(frozen=True)
@@ -200,38 +199,3 @@ def _fit_chunk(classifier, X, y, classes):
         classifier.partial_fit(X, y, classes=classes)
     if len(classifier.loss_curve_) == losses:
         raise KeyboardInterrupt  # one that was no signal, such as another thread can raise here
-
-
-@contextmanager
-def passing_interrupts():
-    """Raise what Ctrl-C raised in the block (or SIGTERM, where it has such a handler), even if the block has caught it.
-
-    scikit-learn's networks catch KeyboardInterrupt, warn, and return as if the training were complete.
-    """
-    raised, before = [], {}
-
-    def noting(handler):
-        def handle(signum, frame):
-            try:
-                handler(signum, frame)
-            except KeyboardInterrupt as interrupt:
-                raised.append(interrupt)
-                raise
-
-        return handle
-
-    try:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            handler = signal.getsignal(number)
-            if callable(handler):
-                signal.signal(number, noting(handler))
-                before[number] = handler
-    except ValueError:
-        pass  # not the main thread: no signal arrives here
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
-        if raised:
-            raise raised[0]

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import FileError
+from ..interrupts import passing_interrupts
 from ..seeds import integer_seed
-from ..segmentation.stage import passing_interrupts
 from ..threads import one_thread
 from ..workers import each
 from .look import look
