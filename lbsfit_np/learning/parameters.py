@@ -39,12 +39,13 @@ def check_names(parameters, known):
         if name == "subject":
             remedy = "LBSFitter.load(model).fit_scan(points, subject=...) fits a scan of a subject that was learned."
             raise InputError(name, "an argument of a learned fitter's fit_scan", "a rig alone, which knows no subjects", remedy)
-        if name in Synthesis.__dataclass_fields__ and name not in known:
+        if name in known:
+            continue
+        remedy = did_you_mean(name, known)
+        if name in Synthesis.__dataclass_fields__:
             remedy = f"Pass training={{{name!r}: ...}}, a field of the scans to train on."
             remedy = f"Of scans that show one side only say partial=True. {remedy}" if name == "one_sided" else remedy
-            raise InputError(name, "an argument that is not known", f"one of {', '.join(known)}", remedy)
-        if name not in known:
-            raise InputError(name, "an argument that is not known", f"one of {', '.join(known)}", did_you_mean(name, known))
+        raise InputError(name, "an argument that is not known", f"one of {', '.join(known)}", remedy)
 
 
 def check_parameters(fitter):
