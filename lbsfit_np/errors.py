@@ -98,7 +98,7 @@ def check_unmasked(argument, value, *, rows="rows", remedy="Leave masked entries
     """
     if isinstance(value, np.ma.MaskedArray):
         what, mask = "a masked array", np.atleast_1d(np.ma.getmaskarray(value))
-        masked = mask.reshape(len(mask), -1).any(axis=1)
+        masked = mask.any(axis=tuple(range(1, mask.ndim)))
     elif isinstance(value, (list, tuple)):
         what, masked = f"a {type(value).__name__}", [isinstance(row, np.ma.MaskedArray) and np.ma.is_masked(row) for row in value]
     else:

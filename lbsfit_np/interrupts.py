@@ -1,14 +1,15 @@
 """Ctrl-C and SIGTERM where they come at a bad time: held back, or passed on through code that swallows them."""
 
 import signal
-from contextlib import contextmanager
+import threading
+from contextlib import ExitStack, contextmanager
 
 __all__ = ["held", "passing_interrupts"]
 
 
 @contextmanager
 def held():
-    """Within it Ctrl-C and SIGTERM wait, in a worker process as well; what they do is done at its end."""
+    """Within it Ctrl-C waits, and SIGTERM where it has a handler (in commands and workers); what they do is done at its end."""
     came = []
     try:
         with _handlers(lambda handler: lambda *given: came.append((handler, given))):
@@ -47,17 +48,19 @@ def passing_interrupts():
 @contextmanager
 def _handlers(changed):
     """Within it each handler of the two signals is what ``changed(handler)`` makes of it."""
-    before = {}
-    try:
-        for number in (signal.SIGINT, signal.SIGTERM):
-            handler = signal.getsignal(number)
-            if callable(handler):
-                signal.signal(number, changed(handler))
-                before[number] = handler
-    except ValueError:
-        pass  # not the main thread: no signal arrives here
-    try:
+    with ExitStack() as after:  # which puts back one handler whatever happens as the other is put back
+        if threading.current_thread() is threading.main_thread():  # to others no signal comes
+            for number in (signal.SIGINT, signal.SIGTERM):
+                handler = signal.getsignal(number)
+                if callable(handler):
+                    after.callback(_put_back, number, handler)
+                    signal.signal(number, changed(handler))
         yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+
+
+def _put_back(number, handler):
+    try:
+        signal.signal(number, handler)
+    except BaseException:  # what a signal has raised that came just before: nothing is changed yet
+        signal.signal(number, handler)
+        raise

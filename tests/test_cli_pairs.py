@@ -15,6 +15,7 @@ from lbsfit_np.bench.truth import VertexOrder
 from lbsfit_np.bench.truth_file import read_truth
 from lbsfit_np.cli.pair_runs import PairsProgress
 from lbsfit_np.cli.progress import SILENCE
+from lbsfit_np.learning.checkpoint import Checkpoint
 
 pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
 
@@ -134,6 +135,25 @@ def test_a_run_that_is_stopped_says_what_is_kept(pair_folder, tmp_path, run, pai
     fits_are_given(monkeypatch, {"s0": pair_meshes[0], "s1": pair_meshes[1], "s2": KeyboardInterrupt()})
     code, out, _ = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--existing", "replace"))
     assert code == 130 and "2 fits are kept" in out and "; the same command without --existing replace does the rest" in out
+
+
+def test_a_loop_that_is_stopped_says_what_is_kept(pair_folder, tmp_path, run, monkeypatch):
+    """And how to go on from there: --existing replace would begin anew."""
+    out, keeps = tmp_path / "out", []
+
+    def stopped(self, *args, checkpoint, **options):
+        for step in keeps:
+            Checkpoint(checkpoint).slot(step).keep(1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(lbs.LBSFitter, "fit", stopped)
+    code, text, _ = run(*_command(pair_folder, out))
+    assert code == 130 and text.endswith("stopped before a scan was fitted\n")
+    keeps.append("first-fit")
+    kept = f"goes on from what is kept in {out / 'model.npz.unfinished'}\n"
+    assert run(*_command(pair_folder, out))[1].endswith(f"stopped before a scan was fitted; the same command once more {kept}")
+    text = run(*_command(pair_folder, out, "--existing", "replace"))[1]
+    assert text.endswith(f"stopped before a scan was fitted; the same command without --existing replace {kept}")
 
 
 def test_sigterm_stops_a_run_as_ctrl_c_does(pair_folder, tmp_path, run, pair_meshes, monkeypatch):

@@ -4,7 +4,6 @@ import json
 import os
 import shutil
 import signal
-import threading
 import time
 
 import pytest
@@ -14,8 +13,6 @@ import lbsfit_np as lbs
 import lbsfit_np.io.write
 from lbsfit_np.cli import outputs
 from lbsfit_np.cli.stopped_fits import named, settled
-from lbsfit_np.cli.stopping import Terminated, terminable
-from lbsfit_np.interrupts import held
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -157,31 +154,20 @@ def test_a_fit_counts_where_all_of_its_files_are_new(new, made, fitted, tmp_path
         assert settled(files, before) == {}
 
 
-@pytest.mark.parametrize("number, raised", [(signal.SIGINT, KeyboardInterrupt), (signal.SIGTERM, Terminated)])
-def test_signals_wait_while_they_are_held(number, raised):
-    before = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]
-    with pytest.raises(raised), terminable():
-        with held():
-            for _ in range(2):
-                signal.raise_signal(number)
-            done = True
-        pytest.fail("it was not raised at the end")
-    assert done and [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == before
-    with pytest.raises(raised), terminable(), held():
-        signal.raise_signal(number)
-        raise OSError("a full disk, say: the signal is not forgotten for it")
-    with held():
-        pass
+@pytest.mark.parametrize("pictures", [True, False])
+def test_a_picture_of_an_earlier_fit_is_not_listed_at_ctrl_c(pictures, made, tmp_path, run, monkeypatch):
+    """It goes where a new one would be drawn; where none is asked for it stays, and is nobody's."""
+    out, replace = tmp_path / "out", os.replace
+    command = ("fit", made / "tube.npz", made / "one.ply", "-o", out, *QUICK)
+    assert run(*command, "--pictures")[0] == 0
 
+    def signalled(one, other):
+        replace(one, other)
+        if str(other).endswith("one.labels.ply"):
+            signal.raise_signal(signal.SIGINT)
 
-def test_elsewhere_than_in_the_main_thread_nothing_is_held():
-    found = []
-
-    def work():
-        with held():
-            found.append(True)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert found == [True]
+    with monkeypatch.context() as patch:
+        patch.setattr(lbsfit_np.io.write.os, "replace", signalled)
+        assert run(*command, "--existing", "replace", *["--pictures"] * pictures)[0] == 130
+    (entry,) = json.loads((out / "summary.json").read_text())["scans"]
+    assert set(entry["files"]) == {"fit", "mesh", "labels"} and (out / "one.png").exists() == (not pictures)

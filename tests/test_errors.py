@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from lbsfit_np.errors import InputError, brief, check_array, check_unmasked, counted, did_you_mean, in_words, listed
+from lbsfit_np.losses.checks import check_set
 
 
 def test_things_are_counted():
@@ -34,6 +35,13 @@ def test_masked_entries_are_refused(value, words):
 def test_masks_that_mask_nothing_are_none(value):
     check_unmasked("x", value)
     np.testing.assert_array_equal(check_array("x", value, (len(value),)), np.asarray(value, dtype=float))
+
+
+@pytest.mark.parametrize("value", [np.ma.empty((0, 3)), np.ma.empty((0,)), np.ma.empty((3, 0)), []])
+def test_where_there_is_nothing_nothing_is_masked(value):
+    check_unmasked("x", value)
+    with pytest.raises(InputError, match=r"points: got an empty set"):
+        check_set("points", np.ma.empty((0, 3)))
 
 
 def test_names_are_listed_up_to_a_number():

@@ -1,5 +1,6 @@
 """Bad scans and bad parameters of a fit are named before any training."""
 
+import re
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -8,6 +9,7 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.starts.scale import near_rows
 
 
@@ -127,6 +129,23 @@ def test_numbers_of_processes_that_cannot_be_are_named_where_none_are_started(tu
 def test_scale_fixed_with_another_unit_is_named(tube_rig, tube_scan):
     with pytest.raises(InputError, match=r"scale: got 'fixed' for a scan whose extent is \d+ times.*scale='estimate'"):
         lbs.LBSFitter(tube_rig, scale="fixed", random_state=0).fit_scan(1000 * tube_scan.points, labels=tube_scan.labels)
+
+
+@pytest.mark.parametrize("seed", [0, None, np.random.default_rng(3)])
+def test_scans_that_no_fit_takes_are_refused_before_training(seed, tube_rig, tube_scan, monkeypatch):
+    monkeypatch.setattr(lbs.LBSFitter, "pretrain", lambda *a, **k: pytest.fail("trained first"))
+    before = seed.bit_generator.state if isinstance(seed, np.random.Generator) else None
+    fitter = lbs.LBSFitter(tube_rig, scale="fixed", random_state=seed, max_points=100)
+    for points, words in (
+        (1000 * tube_scan.points, "scale: got 'fixed' for a scan whose extent is "),
+        (1e200 * tube_scan.points, r"points: got an extent of \S+e\+(200|199); expected .* Give them in another unit"),
+        (1e308 / np.abs(tube_scan.points).max() * tube_scan.points, r"points: got an extent of \S+e\+308; expected "),
+    ):
+        with pytest.raises(InputError, match=words):
+            fitter.fit_scan(points)
+        (outcome,) = fit_scans(fitter, [points], pretrain=lambda fitter: pytest.fail("trained first"))
+        assert re.search(words, outcome.error)
+    assert before is None or seed.bit_generator.state == before
 
 
 def test_one_call_names_its_errors_before_training(tube_rig, tube_scan, monkeypatch):

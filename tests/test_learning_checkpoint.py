@@ -192,6 +192,38 @@ def test_what_followed_from_a_fit_that_failed_is_not_taken(make_learner, points,
     _assert_same(make_learner(**parameters).fit(points, checkpoint=tmp_path), expected)
 
 
+def test_what_followed_from_labels_that_failed_is_not_taken(make_learner, points, uninterrupted, tmp_path, monkeypatch):
+    """A library and poses of a round that had lost a scan among its labels."""
+    call, failed = loop.Labels.__call__, []
+
+    def failing_once(self, task):
+        if not failed:
+            failed.append(task)
+            raise MemoryError("for once")
+        return call(self, task)
+
+    with monkeypatch.context() as patch, pytest.warns(UserWarning, match="for once"):
+        patch.setattr(loop.Labels, "__call__", failing_once)
+        assert make_learner().fit(points, checkpoint=tmp_path).results_[0] is None
+    _assert_same(make_learner().fit(points, checkpoint=tmp_path), uninterrupted)
+
+
+def test_stopped_in_the_second_round_labels_are_those_of_the_segmenter_that_is_kept(make_learner, points, done, tmp_path):
+    parameters, rounds = {"rounds": 2, "held_out": 0}, []
+    expected = make_learner(**parameters).fit(points)
+
+    def stop(now, share, figures=None):
+        rounds.extend([now] * (now == "library of starts" and share == 1))
+        if len(rounds) == 2:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        make_learner(**parameters).fit(points, checkpoint=tmp_path, progress=stop)
+    done.update(dict.fromkeys(done, 0))
+    _assert_same(make_learner(**parameters).fit(points, checkpoint=tmp_path), expected)
+    assert (done["FirstFit"], done["train_segmenter"], done["build_library"], done["Pose"]) == (0, 0, 1, len(points))
+
+
 # ---- files ----
 
 
@@ -300,10 +332,33 @@ def test_a_checkpoint_that_is_no_path(given, make_learner, points):
         make_learner().fit(points, checkpoint=given)
 
 
-def test_a_checkpoint_that_is_a_file(make_learner, points, tmp_path):
+@pytest.mark.parametrize("name", ["file", "file/in/it"])
+def test_a_checkpoint_that_is_a_file(name, make_learner, points, tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="checkpoint: got .*file, which is a file; expected the path of a folder"):
-        make_learner().fit(points, checkpoint=tmp_path / "file")
+        make_learner().fit(points, checkpoint=tmp_path / name)
+
+
+def test_a_checkpoint_that_is_nowhere(make_learner, points):
+    with pytest.raises(InputError, match="checkpoint: got an empty path; expected the path of a folder, or None"):
+        make_learner().fit(points, checkpoint="")
+
+
+def test_a_checkpoint_where_nothing_can_be_written_is_said_first(make_learner, points, tmp_path, monkeypatch):
+    def denied(**options):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", denied)
+    words = r"checkpoint: got .*, a folder that cannot be written to \(Read-only file system\); expected a folder to write to"
+    with pytest.raises(InputError, match=words):
+        make_learner().fit(points, checkpoint=tmp_path / "new" / "er")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("seed", [None, np.random.default_rng(0)])
+def test_a_checkpoint_without_a_seed(seed, make_learner, points, tmp_path):
+    with pytest.raises(InputError, match="checkpoint: got random_state (None|Generator).*; expected a seed.*random_state=0"):
+        make_learner(random_state=seed).fit(points, checkpoint=tmp_path)
 
 
 def test_what_is_removed_is_what_was_written(tmp_path):

@@ -12,6 +12,7 @@ from learning_runs import collected, loop_over
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning import finish
+from lbsfit_np.learning.checkpoint import Checkpoint
 from lbsfit_np.learning.collection import Member
 from lbsfit_np.learning.scales import check_scales, scale_warnings, units_apart
 from lbsfit_np.optimize.model import Model
@@ -299,6 +300,23 @@ def test_all_scans_of_a_subject_in_doubt_are_measured_on_its_template(jobs, tube
     assert all(results) and {stage for stage, _ in told} == {"results"}
     shares = [share for _, share in told]
     assert len(shares) == 8 and shares == sorted(shares) and shares[3] == pytest.approx(0.2) and shares[-1] == 1.0
+
+
+def test_a_result_hangs_on_the_scales_of_its_subjects_others(tube_rig, few_scans, tmp_path, monkeypatch):
+    collection, model, made = collected(tube_rig, [s.points for s in few_scans[:3]], held_out=0), Model(tube_rig), []
+    for m in collection.members:
+        m.use_frame(1.0, tube_rig.size / 2)
+        m.state = model.rest()
+    call = finish._Finish.__call__
+    monkeypatch.setattr(finish._Finish, "__call__", lambda self, task: made.append(task[0].index) or call(self, task))
+    subject = collection.members[0].subject
+    given = tube_rig, {subject: tube_rig}, "follow", collection, FitSettings(full_iterations=1), Facing()
+    options = {"jobs": 1, "progress": lambda stage, share: None, "checkpoint": Checkpoint(tmp_path)}
+    for others, anew in (([1.0, 1.0, 1.0], [0, 1, 2]), ([1.0, 1.0, 1.0], []), ([1.0, 1.4, 1.0], [1])):
+        made.clear()
+        monkeypatch.setattr(finish, "_others", lambda members, sizes, others=others: others)
+        finish.results_of(*given, **options)
+        assert made == anew
 
 
 # ---- two scans ----

@@ -249,6 +249,19 @@ def test_proposals_for_a_pair_are_few_and_unlike_each_other(hand, n):
         assert all(max(np.linalg.norm(a[r] - b[r], axis=1).mean() for r in rows) > 0.079 for b in places[:i])
 
 
+@pytest.mark.parametrize("n", [0, 1, 2, 5])
+def test_of_changes_that_are_unlike_each_other_no_more_are_taken_than_asked_for(n, hand):
+    """Of one limb and of pairs alike; those that are like one before, or the pose as it is, do not count."""
+    state, (a, b) = hand.model.rest(), hand.limbs._limbs[:2]
+    rows = np.array([0, 0.01, 0.2, 0.4, 0.41, 0.6, 0.8])
+    angles = [np.full((len(rows), int(limb.hangs.sum()), 3), rows[:, None, None]) for limb in (a, b)]
+    tried = [_Tried(np.broadcast_to(rows[:, None, None], (len(rows), 4, 3)), None, None, x) for x in angles]
+    for limbs in ([(a, tried[0])], [(a, tried[0]), (b, tried[1])]):
+        changes = [(-1.0 / k, 0.5, tuple((limb, t, k) for limb, t in limbs)) for k in range(1, len(rows))]
+        found = hand.limbs._unlike(state, changes, 1.0, n, 0.9)
+        assert [theta[limbs[-1][0].hangs][0, 0] for _, theta in found] == [0.2, 0.4, 0.6, 0.8][:n]
+
+
 def test_a_limb_in_anothers_pose_is_within_its_own_limits(hand):
     for limb in hand.limbs._limbs:
         far = np.where(np.arange(9).reshape(3, 3) % 2, 5.0, -5.0)

@@ -16,11 +16,11 @@ import numpy as np
 
 from ..errors import FileError, InputError, LbsfitError
 from ..fitting.result import FitResult
+from ..learning.checkpoint import checkpoint_of, remove_checkpoint
 
-__all__ = ["Fits", "fit_files", "fit_scans_of", "has_record", "made_files"]
+__all__ = ["Fits", "checkpoint_in", "fit_files", "fit_scans_of", "has_record", "made_files"]
 
 _RECORD, _MODEL, _FITS = "fits.json", "model.npz", "fits"
-_UNFINISHED = "model.npz.unfinished"  # what an interrupted loop has done
 _REMEDY = "Choose another folder, or --existing replace."
 
 
@@ -73,7 +73,7 @@ def made_files(folder):
     """The files with points or meshes that an earlier run of :func:`fit_scans_of` has written."""
     if not has_record(folder):
         return []
-    made = (folder / _MODEL, *sorted((folder / _FITS).glob("*.npz")), *sorted((folder / _UNFINISHED).glob("*.npz")))
+    made = (folder / _MODEL, *sorted((folder / _FITS).glob("*.npz")), *sorted(checkpoint_in(folder).glob("*.npz")))
     return [path for path in made if path.is_file()]
 
 
@@ -110,8 +110,6 @@ def fit_scans_of(
     InputError, FileError
         Fits that are there and were made otherwise; scans that nothing can be learned from.
     """
-    from ..learning.checkpoint import remove_checkpoint
-
     folder, reporter = Path(folder), reporter or _Silent()
     read = {s.name: functools.partial(_load, s.path, n_samples, fitter.random_state) for s in scans}
     record = _Record.of(fitter.rig, scans, learn_from, settings or {})
@@ -122,7 +120,7 @@ def fit_scans_of(
     if existing == "replace":
         for path in fit_files(folder, scans):
             path.unlink(missing_ok=True)
-        remove_checkpoint(folder / _UNFINISHED)
+        remove_checkpoint(checkpoint_in(folder))
     (folder / _FITS).mkdir(exist_ok=True)
     learned = _learned_before(folder, fitter) if learn_from and before is not None else None
     same = set() if before is None else {s.name for s in scans if before.scans.get(s.name) == record.scans[s.name]}
@@ -147,6 +145,11 @@ def fit_scans_of(
     return fits
 
 
+def checkpoint_in(folder):
+    """Where a folder keeps what an interrupted loop has done."""
+    return checkpoint_of(Path(folder) / _MODEL)
+
+
 def _load(path, n_samples, seed):
     from ..io.scans import load_scan
 
@@ -155,9 +158,7 @@ def _load(path, n_samples, seed):
 
 def _learn(fitter, learn_from, read, fits, reporter):
     """Learn, and write fits and model; scans that cannot be used are left for later, which says why."""
-    from ..learning.checkpoint import remove_checkpoint
-
-    checkpoint = fits.folder / _UNFINISHED
+    checkpoint = checkpoint_in(fits.folder)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".* scans cannot be used; ")
         sources = [read[s.name] for s in learn_from]

@@ -17,7 +17,7 @@ from .models import about_model, is_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, of_all, say, span
 from .reading import Reading
-from .stopped_learning import is_result_of, results_so_far, stopped_early, unfinished
+from .stopped_learning import is_result_of, results_so_far, stopped_early
 from .stopping import exit_code, terminable
 from .subjects import SUBJECT_FILES, check_no_table, read_subjects
 from .summary import counts_of, say_doubtful, write_summary, written_of
@@ -137,7 +137,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     int
         Exit code.
     """
-    from ..learning.checkpoint import remove_checkpoint, steps_in
+    from ..learning.checkpoint import checkpoint_of, remove_checkpoint, steps_in
     from ..learning.parameters import check_parameters
 
     started = time.perf_counter()
@@ -155,7 +155,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
         except FileError:
             outputs.remove_empty(folders)
             raise
-    checkpoint = unfinished(model)
+    checkpoint = checkpoint_of(model)
     if kept := steps_in(checkpoint):
         say(f"note: {checkpoint} has {counted(kept, 'step')} of a run that was stopped; those that suit this one are taken")
     progress = LearningProgress(values["rounds"])

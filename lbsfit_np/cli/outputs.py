@@ -9,6 +9,7 @@ from pathlib import Path
 from ..errors import FileError, InputError, in_words, listed
 from ..interrupts import held
 from ..io.columns import ODD_X
+from ..io.write import check_writable
 from .progress import say
 
 __all__ = [
@@ -172,8 +173,7 @@ def make_folder(out):
     except (OSError, ValueError) as error:  # ValueError: NUL in the name
         why = getattr(error, "strerror", None) or error
         raise FileError(str(out), f"a folder that cannot be made ({why})", "a folder to write to") from None
-    if not os.access(out, os.W_OK | os.X_OK):
-        raise FileError(str(out), "a folder that cannot be written to", "a folder to write to")
+    check_writable(out)
     return made
 
 
@@ -239,8 +239,9 @@ class Writer:
                 normals=scan.normals,
                 part_names=rig.parts,
             )
-            for path in (files.mesh, files.labels):  # of an earlier fit, which would then pass for this one's
-                path.unlink(missing_ok=True)
+            for path in (files.mesh, files.labels, files.picture):  # of an earlier fit, which would then pass for this one's
+                if path is not None:
+                    path.unlink(missing_ok=True)
         undrawn = [] if files.picture is None else draw(files, rig, scan.points, result)
         return fitted_entry(files, result, notes=[*scan.notes, *undrawn])
 

@@ -197,16 +197,22 @@ def _draw_gallery(out, rig, scans, fits, values):
 
 def run_stoppable(work, values, out):
     """``work(progress)`` → its exit code; Ctrl-C and SIGTERM leave what is finished, and say so."""
+    from ..bench.pair_fits import checkpoint_in
+    from ..learning.checkpoint import steps_in
+
     progress = PairsProgress(values["rounds"])
     try:
         with terminable():
             return work(progress)
     except KeyboardInterrupt as stop:
         progress.close()
-        n = len(list((out / "fits").glob("*.npz")))
+        n, steps = len(list((out / "fits").glob("*.npz"))), checkpoint_in(out)
         again = "the same command " + ("without --existing replace" if values["existing"] == "replace" else "once more")
-        rest = f"{n} fit{' is' if n == 1 else 's are'} kept in {out}; {again} does the rest"
-        say(f"stopped: {rest}" if n else "stopped before a scan was fitted")
+        if n:
+            say(f"stopped: {n} fit{' is' if n == 1 else 's are'} kept in {out}; {again} does the rest")
+        else:
+            rest = f"; {again} goes on from what is kept in {steps}" if steps_in(steps) else ""
+            say(f"stopped before a scan was fitted{rest}")
         return exit_code(stop)
     finally:
         progress.close()

@@ -9,15 +9,10 @@ from .progress import of_all
 from .stopping import terminable
 from .summary import written_of
 
-__all__ = ["is_result_of", "results_so_far", "stopped_early", "unfinished"]
+__all__ = ["is_result_of", "results_so_far", "stopped_early"]
 
 # Letters of scans' names up to which a command has them all.
 _SHORT = 200
-
-
-def unfinished(model):
-    """The folder of what is done until a model is complete."""
-    return model.with_name(f"{model.name}.unfinished")
 
 
 def stopped_early(fitter, model, scans, failed, subjects, values):
@@ -51,9 +46,9 @@ def stopped_early(fitter, model, scans, failed, subjects, values):
 
 def _goes_on(model):
     """What a later run does with what is kept, in words; nothing where nothing is."""
-    from ..learning.checkpoint import steps_in
+    from ..learning.checkpoint import checkpoint_of, steps_in
 
-    kept = unfinished(model)
+    kept = checkpoint_of(model)
     return f"goes on from what is kept in {kept}" if steps_in(kept) else ""
 
 

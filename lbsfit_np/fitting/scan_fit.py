@@ -125,11 +125,30 @@ class ScanFit:
         with one_thread():  # threads on arrays this small cost more than they give
             return self._fit(points, theta0, labels, point_weights, random_state, started, found)
 
+    def taking_part(self, points, point_weights=None, random_state=None):
+        """What of a scan its fit looks at; arguments as for :meth:`fit`.
+
+        Returns
+        -------
+        rows : int array
+            Points that take part.
+        left_out : str
+            Which do not, in words.
+        scale : float
+            How many of the scan's units a rig unit seems to have.
+
+        Raises
+        ------
+        InputError
+            Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed".
+        """
+        rows = _thinned(len(points), point_weights, self.settings.max_points, generator(random_state, "thin"))
+        rows, left_out = clean_rows(points, rows, up=self.facing.up)
+        return rows, left_out, reference_scale(points[rows], self.model.source, self.settings.scale).scale
+
     def _fit(self, points, theta0, labels, point_weights, random_state, started, found):
         model, settings = self.model, self.settings
-        rows = _thinned(len(points), point_weights, settings.max_points, generator(random_state, "thin"))
-        rows, left_out = clean_rows(points, rows, up=self.facing.up)
-        guess = reference_scale(points[rows], model.source, settings.scale).scale
+        rows, left_out, guess = self.taking_part(points, point_weights, random_state)
         a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
         if theta0 is None and labels is None:
             found = found or self.scout(points[rows], a)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..errors import FileError, InputError
 
-__all__ = ["atomic_path", "check_npz_name", "write_json", "write_mesh_ply", "write_npz", "write_points_ply"]
+__all__ = ["atomic_path", "check_npz_name", "check_writable", "write_json", "write_mesh_ply", "write_npz", "write_points_ply"]
 
 
 @contextmanager
@@ -63,6 +63,18 @@ def atomic_path(path):
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def check_writable(folder):
+    """Raise FileError unless files can be made in a folder: permissions do not tell of read-only disks, nor root of anything."""
+    from tempfile import TemporaryFile
+
+    try:
+        with TemporaryFile(dir=folder):
+            pass
+    except OSError as error:
+        why = error.strerror or type(error).__name__
+        raise FileError(str(folder), f"a folder that cannot be written to ({why})", "a folder to write to") from None
 
 
 def write_mesh_ply(path, vertices, faces, *, vertex_labels=None, colors=None, normals=None, part_names=None):

@@ -119,7 +119,9 @@ def _pretrained(fitter, scans, report, pretrain):
         started = time.perf_counter()
         try:
             scan = source() if callable(source) else source
-            check_points(scan, minimum=len(fitter.rig.parts))
+            points = check_points(scan, minimum=len(fitter.rig.parts))
+            if hasattr(fitter, "_check_alone"):
+                fitter._check_alone(points)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             report(_failure(i, error, started))
             continue

@@ -22,7 +22,7 @@ from ..optimize.frame import Frame
 from ..optimize.state import State
 from ..workers import each
 
-__all__ = ["Checkpoint", "NO_CHECKPOINT", "each_kept", "remove_checkpoint", "steps_in"]
+__all__ = ["Checkpoint", "NO_CHECKPOINT", "checkpoint_of", "each_kept", "remove_checkpoint", "steps_in"]
 
 # Records that answers are made of.
 _RECORDS = {kind.__name__: kind for kind in (Frame, State, FitResult)}
@@ -44,16 +44,11 @@ class Checkpoint:
     Raises
     ------
     InputError
-        ``folder`` is a file, or no path.
+        ``folder`` is a file, no path, or where nothing can be written.
     """
 
     def __init__(self, folder, made_of=()):
-        try:
-            self._folder = None if folder is None else Path(folder)
-        except TypeError:
-            raise InputError("checkpoint", f"a {type(folder).__name__}", "the path of a folder, or None") from None
-        if self._folder is not None and self._folder.exists() and not self._folder.is_dir():
-            raise InputError("checkpoint", f"{folder}, which is a file", "the path of a folder", "Choose another name.")
+        self._folder = None if folder is None else _checked(folder)
         self._key = "" if folder is None else _digest(_state_of_the_code(), made_of)
         self._trouble = []  # shared by all that are narrowed from this one, to be told once
 
@@ -69,6 +64,26 @@ class Checkpoint:
         if self._folder is None:
             return _Slot(None, self._trouble)
         return _Slot(self._folder / f"{step}-{_digest(self._key, step, made_of)[:32]}.npz", self._trouble)
+
+
+def _checked(folder):
+    """The folder of a checkpoint as a Path, once it is known that files can be made there."""
+    from ..io.write import check_writable
+
+    try:
+        path = Path(folder)
+    except TypeError:
+        raise InputError("checkpoint", f"a {type(folder).__name__}", "the path of a folder, or None") from None
+    if not str(folder):
+        raise InputError("checkpoint", "an empty path", "the path of a folder, or None")
+    there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
+    if not there.is_dir():
+        raise InputError("checkpoint", f"{there}, which is a file", "the path of a folder", "Choose another name.")
+    try:
+        check_writable(there)
+    except FileError as error:
+        raise InputError("checkpoint", f"{there}, {error.got}", error.expected, "Choose another folder.") from None
+    return path
 
 
 NO_CHECKPOINT = Checkpoint(None)
@@ -121,6 +136,12 @@ def each_kept(work, tasks, slots, *, jobs, done, keep=lambda answer: True):
     found = each(work, [tasks[k] for k in left], jobs=jobs, done=share, answered=answered)
     known.update(zip(left, found, strict=True))
     return [known[k] for k in range(n)]
+
+
+def checkpoint_of(model):
+    """The folder beside a model's file where commands keep what is done until the model is complete."""
+    model = Path(model)
+    return model.with_name(f"{model.name}.unfinished")
 
 
 def steps_in(folder):

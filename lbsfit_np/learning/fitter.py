@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from ..errors import InputError
+from ..errors import InputError, brief
 from ..optimize.model import Model
 from ..seeds import integer_seed
 from ..segmentation.segmenter import jobs_of
@@ -182,8 +182,7 @@ class LBSFitter(BaseEstimator):
             As in :meth:`pretrain`.
         checkpoint : path-like, optional
             A folder that each step is kept in as it is done: after a stop, or a crash, the same call once more goes on from
-            there, to the same result. It stays when learning is over; delete it then. Without a seed no two runs are the same,
-            and nothing is found.
+            there, to the same result. It stays when learning is over; delete it then. ``random_state`` has to be a seed.
         progress : callable (stage, share, figures=None), optional
             Called with the name of what is done and the share done in [0, 1]; after a round also with its entry of ``history_``.
         on_round : callable (k, segmenter), optional
@@ -203,6 +202,9 @@ class LBSFitter(BaseEstimator):
         """
         self._check()
         check_callables(progress=progress, on_round=on_round)
+        if checkpoint is not None and not self._repeatable():
+            got = f"random_state {brief(self.random_state)}, with which no run is made again"
+            raise InputError("checkpoint", got, "a seed", "Pass random_state=0, say.")
         checkpoint = Checkpoint(checkpoint)
         variant, seed, facing = as_variant(self.variant), self._seed(), facing_of(self.rig, self.orientation, self.up)
         collection = read_collection(
@@ -371,6 +373,7 @@ class LBSFitter(BaseEstimator):
         trained = {}
         if labels is None:
             if not self._is_pretrained():
+                self._check_alone(points, point_weights)
                 self.pretrain(segmenter=getattr(self, "segmenter_", None), cache=cache)
             segmenter = self.segmenter_ if as_variant(self.variant).labels else None
             if segmenter is not None:
@@ -379,6 +382,11 @@ class LBSFitter(BaseEstimator):
         return scan_fit(self, **trained).fit(
             points, theta0=theta0, labels=labels, point_weights=point_weights, random_state=self.random_state
         )
+
+    def _check_alone(self, points, point_weights=None):
+        """Raise InputError, before anything is trained, where the fit of a scan by itself would."""
+        seed = 0 if isinstance(self.random_state, np.random.Generator) else self.random_state  # which drawing would advance
+        scan_fit(self).taking_part(points, point_weights, seed)
 
     def _is_pretrained(self):
         """Whether there is all that fits of scans by themselves need."""
@@ -438,6 +446,5 @@ class LBSFitter(BaseEstimator):
         check_parameters(self)
         self._synthesis()
 
-    def __getstate__(self):
-        """Pickles and copies are without what was made ready for fits: that is large, and soon made again."""
+    def __getstate__(self):  # pickles and copies are without what was made ready for fits, which is large and soon made again
         return {k: v for k, v in super().__getstate__().items() if k not in ("_ready", "_prepared")}

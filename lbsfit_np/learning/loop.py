@@ -301,6 +301,7 @@ class Loop:
             found = self._work(work, [m.problem.X * self.model.half for m in self.collection.members], "labels")
             for m, proba in zip(self.collection.members, found, strict=True):
                 m.proba = proba
+            self._follow()
 
     def _refit(self, k, templates):
         """Every pose again on its subject's template; returns how many new starts won."""
@@ -362,7 +363,7 @@ class Loop:
         """One more entry of the history; the value that decides when to stop, None where no scan is held out to tell."""
         held, learning = ([np.sqrt(m.loss) for m in self.collection.with_role(r)] for r in (HELD_OUT, LEARNED_FROM))
         kept = self._kept.slot(f"round-{k}-seconds")
-        seconds = kept.known() or round(time.perf_counter() - began, 2)  # those of the run that did the work
+        seconds = kept.known() or round(time.perf_counter() - began, 2)  # of a round that was gone on with, those since then
         entry = {
             "round": k,
             "recon": float(np.mean(learning)),

@@ -155,7 +155,8 @@ def check_scan(rig, points, theta0, labels, point_weights):
         if (distinct := count_distinct(points[positive], len(rig.parts))) < len(rig.parts):
             got = counted(int(positive.sum()), "positive value")
             got += f", of {counted(distinct, 'distinct point')}" if positive.sum() > distinct else ""
-            raise InputError("point_weights", got, f"at least {len(rig.parts)}, as many as the rig has parts")
+            expected = f"at least {len(rig.parts)}, as many as the rig has parts"
+            raise InputError("point_weights", got, expected, "Only points that are not of the body need a weight of 0.")
         point_weights = point_weights / point_weights.max()  # whose sum is finite
     return points, theta0, None if labels is None else _checked_labels(labels, len(points), rig.parts), point_weights
 

@@ -189,7 +189,9 @@ def checked_extent(points):
         expected = "points that are spread over a surface"
         raise InputError("points", "an extent of 0, as of points at one place", expected, "Check that the scan has coordinates.")
     if not 0 < own**2 < np.inf:
-        raise InputError("points", f"an extent of {own:.3g}", "coordinates that double precision can square")
+        largest = float(np.abs(points).max())  # as a unit in which the extent can be measured
+        got = f"an extent of {largest * extent(points / largest):.3g}"
+        raise InputError("points", got, "coordinates that double precision can square", "Give them in another unit.")
     return own
 
 
