@@ -23,7 +23,7 @@ _OPTIONS = (
 
 _DESCRIPTION = """\
 Make a scan of a bundled rig, with noise, holes and uneven density, of a shape and in a pose that the fit does not know;
-fit it as `lbsfit fit` does; print the errors against the truth; and draw a picture. Takes about two minutes of one core,
+fit it as `lbsfit fit` does; print the errors against the truth; and draw a picture. Takes about three minutes of one core,
 most of it for training the segmenter, which is kept for the next time.
 """
 

@@ -12,7 +12,7 @@ from ..synthesis import StartScans, TrainingScans
 __all__ = ["LIBRARY_TIME", "pretrain_library", "pretrain_segmenter"]
 
 # Share of the time of pretraining that the library takes, for the progress bar.
-LIBRARY_TIME = 0.25
+LIBRARY_TIME = 0.1
 
 # Enough for a look.
 _LIBRARY_POINTS = 1000

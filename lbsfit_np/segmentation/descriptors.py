@@ -34,7 +34,7 @@ class Descriptor:
         Edge of a voxel.
     """
 
-    n_probes: int = 150
+    n_probes: int = 200
     n_basis: int = 96
     nearest: float = 0.05
     farthest: float = 1.2

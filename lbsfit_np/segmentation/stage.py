@@ -31,7 +31,7 @@ class Training:
         learns from answers as good as a new scan's.
     """
 
-    points_per_scan: int = 120
+    points_per_scan: int = 360
     hidden: tuple = (256, 128, 64)
     epochs: int = 4
     average_from: int = 1
@@ -39,8 +39,10 @@ class Training:
     second: float = 0.5
 
 
-# Chunks an epoch: how often the weights are looked at for the average.
+# Chunks an epoch: how often the weights are looked at for the average, and what part of the data is standardised at a time.
 _CHUNKS = 4
+# Rows at a time of which moments are taken, to bound memory.
+_BLOCK = 8192
 
 
 @dataclass(frozen=True)
@@ -127,8 +129,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
 
     Parameters
     ----------
-    X : (k, d) float32 array
-        Overwritten.
+    X : (k, d) float16 or float32 array
     y : (k,) int array
     n_parts : int
     training : Training
@@ -151,8 +152,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     """
     from sklearn.neural_network import MLPClassifier
 
-    mean = X.mean(axis=0, dtype=float).astype(np.float32)
-    deviation = X.std(axis=0, dtype=float).astype(np.float32) + np.float32(1e-6)
+    mean, deviation = _moments(X)
     classes = np.unique(y)
     if start is not None and not (start.classifier is not None and np.isin(classes, start.classifier.classes_).all()):
         start = None
@@ -161,8 +161,13 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     if len(classes) == 1:
         progress(1.0)
         return Stage(mean, deviation, None, n_parts, int(classes[0]))
-    X -= mean
-    X /= deviation
+
+    def standardised(rows):
+        x = X[rows].astype(np.float32)
+        x -= mean
+        x /= deviation
+        return x
+
     classifier = MLPClassifier(
         training.hidden,
         batch_size=max(1, min(1024, len(X) // _CHUNKS)),
@@ -170,14 +175,15 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
         random_state=integer_seed(random_state, name),
     )
     if start is not None:  # scikit-learn makes its optimiser with the weights, so they are written into what it made
-        _fit_chunk(classifier, X[: classifier.batch_size], y[: classifier.batch_size], classes)
+        some = slice(classifier.batch_size)
+        _fit_chunk(classifier, standardised(some), y[some], classes)
         for own, given in zip(classifier.coefs_ + classifier.intercepts_, start.classifier.coefs_ + start.classifier.intercepts_):
             own[...] = given
     rng = generator(random_state, name, "order")
     averaged, count = None, 0
     for epoch in range(training.epochs):
         for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
-            _fit_chunk(classifier, X[rows], y[rows], classes)
+            _fit_chunk(classifier, standardised(rows), y[rows], classes)
             progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
             if epoch >= min(training.average_from, training.epochs - 1):
                 count += 1
@@ -189,6 +195,17 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     n = len(classifier.coefs_)
     classifier.coefs_, classifier.intercepts_ = averaged[:n], averaged[n:]
     return Stage(mean, deviation, classifier, n_parts)
+
+
+def _moments(X):
+    """Mean and deviation of each column, float32."""
+    total = squares = 0.0
+    for start in range(0, len(X), _BLOCK):
+        x = X[start : start + _BLOCK].astype(float)
+        total, squares = total + x.sum(axis=0), squares + (x**2).sum(axis=0)
+    mean = total / len(X)
+    deviation = np.sqrt(np.maximum(squares / len(X) - mean**2, 0.0))
+    return mean.astype(np.float32), deviation.astype(np.float32) + np.float32(1e-6)
 
 
 def _fit_chunk(classifier, X, y, classes):
