@@ -1,6 +1,6 @@
 """Draws the documents' pictures: python docs/make_pictures.py, in the checkout, with the package installed.
 
-Takes about a minute the first time, for training the segmenter, and seconds after that.
+Takes about three minutes the first time, for training the segmenter, and seconds after that.
 docs/pictures/fit.png: a scan of the bundled hand, coloured by the parts found; the registered mesh; the true mesh.
 """
 
