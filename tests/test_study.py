@@ -21,6 +21,7 @@ from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.effort import EFFORTS
 from lbsfit_np.io.rigs import load_rig
+from lbsfit_np.learning.checkpoint import steps_in
 from lbsfit_np.learning.fitter import LBSFitter
 
 TINY = Size(4, 3, 2, 1, 6, 50, 2, 1)
@@ -356,9 +357,9 @@ def test_the_command_keeps_each_row_as_soon_as_it_is_there(rig, quick, monkeypat
     asked = []
     cells = run_module._cells
 
-    def stopping(name, rig, size, seed, rows, jobs, progress):
+    def stopping(name, rig, size, seed, rows, jobs, progress, steps):
         asked.append((seed, rows, jobs))
-        for made in cells(name, rig, size, seed, rows, jobs, progress):
+        for made in cells(name, rig, size, seed, rows, jobs, progress, steps):
             yield made
             if len(asked) == 1:
                 raise KeyboardInterrupt
@@ -394,12 +395,65 @@ def test_other_rigs_have_no_goals(rig, quick):
     assert "goal" not in text and "[0.035]" not in text and "from the best of the ablations" in text
 
 
-def test_every_row_does_what_it_says(tube_rig, monkeypatch):
-    """All of them, as the command runs them, on few scans, those without pretraining first."""
-    few = Size(train=4, test=3, train_subjects=2, test_subjects=2, pairs=4, training_scans=60, rounds=1, seeds=1)
-    monkeypatch.setitem(SIZES, "small", few)
+@pytest.fixture
+def few(monkeypatch):
+    """A size of few small scans, fitted fast."""
+    size = Size(train=4, test=3, train_subjects=2, test_subjects=2, pairs=4, training_scans=60, rounds=1, seeds=1)
+    monkeypatch.setitem(SIZES, "small", size)
     monkeypatch.setattr("lbsfit_np.bench.study.data.SCAN", replace(SCAN, n_points=300))
     monkeypatch.setitem(EFFORTS, "balanced", EFFORTS["fast"])
+
+
+def test_a_row_that_is_stopped_goes_on(tube_rig, few, tmp_path, monkeypatch, capsys):
+    """Nothing of it is done twice, its figures are those of a run at one go, and its steps are gone in the end."""
+    tube_rig.save(tmp_path / "tube.npz")
+    out, fitted, fit_scan = tmp_path / "out", [], LBSFitter.fit_scan
+    command = ["bench", "study", "--rig", str(tmp_path / "tube.npz"), "--rows", "joint", "--seeds", "5", "--no-figures"]
+    command += ["-o", str(out)]
+    whole = study({"tube": tube_rig}, rows=("joint",), seeds=[5])["rigs"]["tube"]["seeds"]["5"]
+    tried = rows_module.each_kept
+
+    def stopping(work, tasks, slots, *, done, **others):
+        def some(share):
+            done(share)
+            if share > 0.5:
+                raise KeyboardInterrupt
+
+        return tried(work, tasks, slots, done=some, **others)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(rows_module, "each_kept", stopping)
+        assert run(command) == 130
+        assert f"stopped: what is done is kept in {out}, and the same command goes on" in capsys.readouterr().out
+    assert not (out / "results.json").exists() and steps_in(out / "cells" / "tube-5-joint.npz.unfinished") > 6
+    monkeypatch.setattr(LBSFitter, "fit_scan", lambda self, *a: fitted.append(self.variant) or fit_scan(self, *a))
+    monkeypatch.setattr("lbsfit_np.learning.loop.FirstFit.__call__", lambda self, task: fitted.append("first") or 1 / 0)
+    assert run(command) == 0
+    found = json.loads((out / "results.json").read_text())["rigs"]["tube"]["seeds"]["5"]["joint"]
+    text = (out / "README.md").read_text()
+    timed = "seconds", "jobs", "history", "commit"
+    assert {k: v for k, v in found.items() if k not in timed} == json.loads(
+        json.dumps({k: v for k, v in whole["joint"].items() if k not in timed})
+    )
+    assert found["seconds"] is None and "0.0 min for 0 of 1 rows" in text
+    assert fitted == ["joint"]  # the last of three
+    assert [path.name for path in (out / "cells").iterdir()] == ["tube-5-joint.npz"]
+
+
+def test_steps_are_gone_where_all_is_to_be_done_anew(tube_rig, few, tmp_path, monkeypatch, capsys):
+    tube_rig.save(tmp_path / "tube.npz")
+    steps = tmp_path / "cells" / "tube-5-joint.npz.unfinished"
+    steps.mkdir(parents=True)
+    (steps / f"result-{32 * '0'}.npz").write_bytes(b"")
+    monkeypatch.setattr(run_module, "_cells", lambda *a: (_ for _ in ()).throw(KeyboardInterrupt))
+    command = ["bench", "study", "--rig", str(tmp_path / "tube.npz"), "--rows", "joint", "--seeds", "5", "-o", str(tmp_path)]
+    assert run(command) == 130 and steps_in(steps) == 1
+    assert run([*command, "--existing", "replace"]) == 130 and not steps.exists()
+    assert capsys.readouterr().out.endswith("and the same command without --existing replace goes on\n")
+
+
+def test_every_row_does_what_it_says(tube_rig, few, monkeypatch):
+    """All of them, as the command runs them, on few scans, those without pretraining first."""
     learned, fit = [], LBSFitter.fit
     monkeypatch.setattr(LBSFitter, "fit", lambda self, *a, **k: learned.append(self.variant) or fit(self, *a, **k))
     labels = {}

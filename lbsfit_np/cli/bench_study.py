@@ -22,6 +22,7 @@ def run_study(values):
     from ..bench.study.run import cell_name, study
     from ..io.rigs import load_rig
     from ..io.write import write_json, write_npz
+    from ..learning.checkpoint import checkpoint_of, remove_checkpoint
 
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT, such as docs/study.")
@@ -43,6 +44,13 @@ def run_study(values):
     progress = _StudyProgress()
     made = make_folder(cells)  # before any work, as it may be impossible
 
+    def steps(cell):
+        return checkpoint_of(cells / f"{cell}.npz")
+
+    if values["existing"] == "replace":
+        for folder in cells.glob(steps("*").name):
+            remove_checkpoint(folder)
+
     def on_cell(report, name, seed, row, arrays):
         write_npz(cells / f"{cell_name(name, seed, row)}.npz", **arrays)
         write_json(results, report)
@@ -58,12 +66,14 @@ def run_study(values):
                 jobs=values["jobs"],
                 before=read_results(results) if resumed else None,
                 kept=lambda cell: (cells / f"{cell}.npz").exists(),
+                steps=steps,
                 progress=progress,
                 on_cell=on_cell,
             )
     except KeyboardInterrupt:
         progress.close()
-        say(f"stopped: finished rows are kept in {out}, and the same command goes on")
+        again = "the same command" + (" without --existing replace" if values["existing"] == "replace" else "")
+        say(f"stopped: what is done is kept in {out}, and {again} goes on")
         raise
     finally:
         progress.close()
@@ -141,4 +151,5 @@ class _StudyProgress(Progress):
         self._what = None
         found = f"pose {entry['pose']:.4f}" if "pose" in entry else "nothing could be fitted"
         found += f", corre. {entry['corre']['mean']:.4f}" if entry.get("corre") else ""
-        self.line(f"{name}, seed {seed}, {row}: {found}; {span(entry['seconds'])}, {span(time.monotonic() - self._began)} in all")
+        took = "" if entry["seconds"] is None else f"{span(entry['seconds'])}, "
+        self.line(f"{name}, seed {seed}, {row}: {found}; {took}{span(time.monotonic() - self._began)} in all")

@@ -61,7 +61,7 @@ Columns of the tables; means over the test scans, the paper's figures in square 
 - **Corre.**: how far from its true place on scan B a point of scan A is carried by the two registrations: mean and percentiles
   over all points of all pairs of scans. **snapped**: the same after the step to the nearest point of B.
 - **vertices**: ‖registered − true vertices‖. **unfitted**: scans without a fit, which all these leave out. **s**: of learning
-  and all fits of the row, pretraining not counted.
+  and all fits of the row, pretraining not counted; – of a row that was stopped and gone on with.
 
 Below each table: in the order of the ablations, ≈ stands between rows that are nearer to each other than 3 %; an order with such
 rows is level, and does not reach what was to be reached any more than one that is missed. The **template gap** is ‖U^d − U^gt‖,
@@ -188,7 +188,7 @@ def _main(report, name, *, markdown):
                 *(_over(cells, "corre_snapped", p) for p in carried),
                 _over(cells, "vertices"),
                 str(sum(c["unfitted"] for c in cells)),
-                _number([c["seconds"] for c in cells], ".0f"),
+                _number(_seconds(cells), ".0f"),
             )
         )
     return layout(lines, markdown=markdown)
@@ -365,7 +365,8 @@ def _provenance(report):
     commits = sorted({c["commit"][:12] for c in cells if c.get("commit")})
     commit = f", commit{'s' if len(commits) > 1 else ''} {', '.join(commits)}" if commits else ""
     jobs = sorted({c["jobs"] for c in cells})
-    took = f"{sum(c['seconds'] for c in cells) / 60:.1f} min for all rows"
+    of, timed = len(cells), _seconds(cells)
+    took = f"{sum(timed) / 60:.1f} min for {'all' if len(timed) == of else f'{len(timed)} of {of}'} rows"
     took += f", with {' or '.join(map(str, jobs))} process{'es' * (jobs != [1])}"
     known = "`results.json` beside this page has every figure."
     return f"---\n\nlbsfit_np {e['lbsfit_np']}{commit}; {versions}; {machine}; {took}. {known}"
@@ -405,6 +406,11 @@ def _number(values, style):
         return "–"
     text = format(np.mean(values), style)
     return text if len(values) == 1 else f"{text} ({format(min(values), style)}–{format(max(values), style)})"
+
+
+def _seconds(cells):
+    """Of the rows that were made at one go."""
+    return [c["seconds"] for c in cells if c["seconds"] is not None]
 
 
 def _with(text, paper):

@@ -5,8 +5,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...learning.archive import model_digest
+from ...learning.checkpoint import NO_CHECKPOINT, Checkpoint, each_kept
 from ...learning.variants import as_variant
-from ...workers import each
 from .data import study_set
 from .free_form import Augmented, FromTemplate, taught
 from .measures import Registrations, template_gap
@@ -97,6 +98,8 @@ class Context:
         Share of the test scans' points that such labels, a list of (n,) int arrays, put into the right group of parts.
     jobs : int
     progress : callable (share)
+    steps : Path or None, default None
+        A folder that what takes long is kept in step by step, as by ``LBSFitter.fit(checkpoint=)``.
     """
 
     source: object
@@ -107,6 +110,7 @@ class Context:
     right: Callable
     jobs: int
     progress: Callable
+    steps: object = None
 
 
 # ---- baselines without skinning ----
@@ -153,8 +157,10 @@ def _learned(c, variant):
             c.progress(0.8 * (figures["round"] + 1) / (fitter.rounds + 1))
 
     watch(0, c.fitter.segmenter_)
-    fitter.fit([s.points for s in given.train], given.train_subjects, progress=progress, on_round=watch)
-    results, failures = _tried(c, fitter.fit_scan, [s.points for s in given.test], lambda p: c.progress(0.8 + 0.2 * p))
+    points = [s.points for s in given.train]
+    fitter.fit(points, given.train_subjects, checkpoint=c.steps, progress=progress, on_round=watch)
+    points, kept = [s.points for s in given.test], Checkpoint(c.steps, model_digest(fitter))
+    results, failures = _tried(c, fitter.fit_scan, points, lambda p: c.progress(0.8 + 0.2 * p), kept)
     rig = given.rig
     people = sorted(fitter.template_)
     learned = [fitter.unit_[k] * fitter.template_[k].vertices for k in people]
@@ -202,16 +208,16 @@ def _oracle_fit(c):
 # ---- registrations ----
 
 
-def _tried(c, work, tasks, done):
-    """What work makes of each task, None where it cannot; and why, by number."""
-    answers = each(_Tried(work), tasks, jobs=c.jobs, done=done)
-    failures = {i: answer for i, answer in enumerate(answers) if isinstance(answer, str)}
-    return [None if isinstance(answer, str) else answer for answer in answers], failures
+def _tried(c, work, tasks, done, kept=NO_CHECKPOINT):
+    """What work makes of each task, None where it cannot; and why, by number. The checkpoint depends on the work."""
+    slots = [kept.slot("result", task) for task in tasks] if kept is not NO_CHECKPOINT else []
+    answers = each_kept(_Tried(work), tasks, slots, jobs=c.jobs, done=done)
+    return [answer for answer, _ in answers], {i: why for i, (_, why) in enumerate(answers) if why is not None}
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """task → what the work makes of it; where it cannot, why."""
+    """task → (what the work makes of it, None), or (None, why it cannot)."""
 
     work: object
 
@@ -219,9 +225,9 @@ class _Tried:
         from ...errors import LbsfitError
 
         try:
-            return self.work(task)
+            return self.work(task), None
         except LbsfitError as error:
-            return str(error)
+            return None, str(error)
 
 
 def _said(segmenter, scans):

@@ -7,6 +7,7 @@ from dataclasses import asdict
 import numpy as np
 
 from ...errors import InputError
+from ...learning.checkpoint import remove_checkpoint, steps_in
 from ...workers import kept_processes
 from ..environment import environment
 from ..resume import REMEDY, begun
@@ -33,6 +34,7 @@ def study(
     jobs=1,
     before=None,
     kept=lambda cell: True,
+    steps=lambda cell: None,
     progress=None,
     on_cell=None,
 ):
@@ -53,6 +55,8 @@ def study(
         A report of the same settings: what it has is not done again.
     kept : callable (cell name) → bool, optional
         Whether the arrays of a cell of ``before`` are still there.
+    steps : callable (cell name) → Path or None, optional
+        A folder for what a row that takes long has done so far; taken up by the next run, and removed when the rows are done.
     progress : callable (name, seed, row, share), optional
     on_cell : callable (report, name, seed, row, arrays), optional
         After each row of each rig and seed, with the report so far and what is to be kept as :func:`cell_name`.
@@ -83,10 +87,13 @@ def study(
             done = entry["seeds"].setdefault(str(seed), {})
             todo = [row for row in ROWS if row in rows and not (row in done and kept(cell_name(name, seed, row)))]
             if todo:
-                for row, cell, arrays in _cells(name, rig, sizes[name], seed, todo, jobs, progress):
+                for row, cell, arrays in _cells(name, rig, sizes[name], seed, todo, jobs, progress, steps):
                     done[row] = cell
                     if on_cell is not None:
                         on_cell(report, name, seed, row, arrays)
+            for folder in (steps(cell_name(name, seed, row)) for row in done):
+                if folder is not None:
+                    remove_checkpoint(folder)
     report["complete"] = all(len({tuple(rows) for rows in _in_order(entry)}) == 1 for entry in report["rigs"].values())
     return report
 
@@ -125,7 +132,7 @@ def _described(rig, size):
     return {"kind": kind_of(rig), **known, "size": asdict(size), "seeds": {}}
 
 
-def _cells(name, rig, size, seed, rows, jobs, progress):
+def _cells(name, rig, size, seed, rows, jobs, progress, steps):
     """(row, its entry of the report, its arrays), one after the other."""
     from ...learning.fitter import LBSFitter
 
@@ -145,10 +152,11 @@ def _cells(name, rig, size, seed, rows, jobs, progress):
     train_truth = None
     for row in rows:
         say = lambda share, row=row: progress(name, seed, row, share)  # noqa: E731
-        context = Context(rig, given, size, seed, fitter, right, jobs, say)
-        started = time.perf_counter()
+        folder = steps(cell_name(name, seed, row))
+        context = Context(rig, given, size, seed, fitter, right, jobs, say, folder)
+        gone_on, started = folder is not None and steps_in(folder) > 0, time.perf_counter()
         found = ROWS[row].find(context)
-        seconds = round(time.perf_counter() - started, 1)
+        seconds = None if gone_on else round(time.perf_counter() - started, 1)  # what went before was not timed
         entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "accuracy": found.accuracy, "gap": found.gap}
         entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history, "commit": environment()["commit"]}
         if found.fitted_labels is not None:
