@@ -139,3 +139,16 @@ def test_a_card_that_names_no_joint(made, tmp_path, run):
         "fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", "--card", tmp_path / "tube.toml", *QUICK
     )
     assert code == 2 and "'elbo'" in one_line(err) and "Did you mean 'elbow'" in err
+
+
+@pytest.mark.parametrize("command", ["fit", "learn"])
+def test_a_place_that_cannot_be_written_to_is_said_before_any_work(command, made, tmp_path, run, monkeypatch):
+    def denied(**options):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr("tempfile.TemporaryFile", denied)
+    monkeypatch.setattr(lbs.LBSFitter, "pretrain", None)
+    out = tmp_path / "new" / ("out" if command == "fit" else "model.npz")
+    code, _, err = run(command, made / "tube.npz", made / "one.ply", "-o", out, *QUICK)
+    words = "a folder that cannot be written to (Read-only file system); expected a folder to write to"
+    assert code == 2 and words in one_line(err) and not (tmp_path / "new").exists()

@@ -153,12 +153,11 @@ class _Told(BaseException):
 @pytest.mark.parametrize("what", ["fit of one scan", "fit of a new scan", "learning"])
 def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, orientation, side, monkeypatch):
     points, labels = tube_scan.points, tube_scan.labels
-    where = {"fit of one scan": "fitting.scan_fit", "fit of a new scan": "learning.finish", "learning": "learning.collection"}
 
     def spy(points, rows, *, up=None):
         raise _Told(up)
 
-    monkeypatch.setattr(f"lbsfit_np.{where[what]}.clean_rows", spy)
+    monkeypatch.setattr("lbsfit_np.starts.clean.clean_rows", spy)
     fitter.set_params(up=up, orientation=orientation)
     with pytest.raises(_Told) as told:
         if what == "learning":

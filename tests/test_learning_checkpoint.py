@@ -339,6 +339,12 @@ def test_a_checkpoint_that_is_a_file(name, make_learner, points, tmp_path):
         make_learner().fit(points, checkpoint=tmp_path / name)
 
 
+@pytest.mark.parametrize("name, why", [(300 * "x", "File name too long"), ("a\0b", "embedded null byte|null character")])
+def test_a_checkpoint_by_a_name_that_no_folder_can_have(name, why, make_learner, points):
+    with pytest.raises(InputError, match=f"checkpoint: got a path that cannot be used .({why}).*; expected the path of a folder"):
+        make_learner().fit(points, checkpoint=name)
+
+
 def test_a_checkpoint_that_is_nowhere(make_learner, points):
     with pytest.raises(InputError, match="checkpoint: got an empty path; expected the path of a folder, or None"):
         make_learner().fit(points, checkpoint="")

@@ -132,6 +132,16 @@ def test_what_was_learned_from_is_fitted_as_its_subjects(pair_scans, tube_rig, p
         assert subjects() == {name: whose[name] for name in others} and len(learned) == 1
 
 
+@pytest.mark.parametrize("seed, kept", [(None, None), (3, "model.npz.unfinished")])
+def test_without_a_seed_no_steps_are_kept(seed, kept, pair_scans, tube_rig, pair_meshes, tmp_path, monkeypatch):
+    given = {s.name: v for s, v in zip(pair_scans, pair_meshes)}
+    learning_is_given(monkeypatch, given)
+    asked, fit = [], lbs.LBSFitter.fit
+    monkeypatch.setattr(lbs.LBSFitter, "fit", lambda self, *a, **k: asked.append(k["checkpoint"]) or fit(self, *a, **k))
+    fit_scans_of(lbs.LBSFitter(tube_rig, random_state=seed), pair_scans, tmp_path, learn_from=pair_scans)
+    assert asked == [kept and tmp_path / kept]
+
+
 def test_a_subject_of_whom_nothing_was_learned_is_anybody(pair_scans, fitter, pair_meshes, tmp_path, monkeypatch):
     given = {s.name: v for s, v in zip(pair_scans, pair_meshes)}
     fits_are_given(monkeypatch, given)

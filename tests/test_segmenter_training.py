@@ -9,7 +9,7 @@ from segmenter_training import ONE, Scans, in_parts, scans_of, train_small
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.segmentation.segmenter import train_segmenter
-from lbsfit_np.segmentation.stage import Training, train_stage
+from lbsfit_np.segmentation.stage import Training, in_half_precision, train_stage
 from lbsfit_np.synthesis import Synthesis, TrainingScans
 
 
@@ -133,3 +133,42 @@ def test_weights_are_averaged_over_the_later_epochs(tube_rig, average_from):
     assert same == (average_from >= 1)
     long = train(epochs=30, average_from=average_from)
     assert (long.predict_proba(X.copy()).argmax(axis=1) == y).mean() > 0.95
+
+
+@pytest.mark.parametrize("start", [0, 3])
+def test_descriptions_are_standardised_by_all_rows(tube_rig, start):
+    """More rows than are looked at at a time, means far from 0, and a column that hardly varies."""
+    rng = np.random.default_rng(1)
+    X = in_half_precision(rng.standard_normal((20000, 4)) * [1.0, 0.1, 3.0, 1e-5] + [0.0, 2.0, -5.0, 1.0])
+    X[:9000] += np.float16(0.5)
+    y = (X[:, 0] > 0.25).astype(int)
+    training = Training(hidden=(4,), epochs=1)
+    stage = train_stage(X[start:], y[start:], 2, training, 0, "test", lambda share: None)
+    rows = X[start:].astype(float)
+    np.testing.assert_allclose(stage.mean, rows.mean(axis=0), rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(stage.deviation, rows.std(axis=0), rtol=1e-3)
+    still = train_stage(X[9000:], y[9000:], 2, training, 0, "test", lambda share: None)
+    assert still.deviation[3] == 2.0**-10  # what varies by less than half precision tells is not made large
+
+
+def test_what_the_network_sees_is_standardised(tube_rig, monkeypatch):
+    seen = []
+    monkeypatch.setattr("lbsfit_np.segmentation.stage._fit_chunk", lambda classifier, X, y, classes: seen.append(X))
+    X = in_half_precision(np.random.default_rng(1).standard_normal((4000, 3)) * [0.01, 1.0, 30.0] + [2.0, 0.0, -50.0])
+    y = (X[:, 0] > 2).astype(int)
+    with pytest.raises(AttributeError):  # a network that has seen nothing has no weights
+        train_stage(X, y, 2, Training(hidden=(4,), epochs=1), 0, "test", lambda share: None)
+    assert abs(seen[0].mean(axis=0)).max() < 0.1 and abs(seen[0].std(axis=0) - 1).max() < 0.1
+
+
+def test_one_scan_alone_is_learned(tube_rig, tube_scan):
+    """What is the same for all its points, such as its covariance, does not vary, and is no less the same when it is labelled."""
+    scans = Scans([(tube_scan.points, tube_scan.labels, 1.0)] * 6)
+    s = train_segmenter(tube_rig, scans, 6, training=Training(second=0.0), random_state=0)
+    assert (s.predict(tube_scan.points) == tube_scan.labels).mean() > 0.95
+
+
+def test_scans_in_a_wrong_unit_are_no_errors_of_arithmetic(tube_rig, tube_scan):
+    scans = Scans([(p, y, 1e-5) for p, y, _ in scans_of(tube_rig, 4).scans])
+    s = train_segmenter(tube_rig, scans, 4, training=Training(points_per_scan=20, epochs=1), random_state=0)
+    assert np.isfinite(s.predict_proba(tube_scan.points)).all() and np.isfinite(s.predict_proba(1e6 * tube_scan.points)).all()

@@ -395,6 +395,13 @@ def test_other_rigs_have_no_goals(rig, quick):
     assert "goal" not in text and "[0.035]" not in text and "from the best of the ablations" in text
 
 
+def test_a_template_of_another_unit_grows_about_its_root(rig):
+    root = rig.joints[rig.root]
+    grown = root + 1.1 * (rig.vertices - root)  # a person who is larger, made as people are
+    found = rows_module._in_scan_units(1.1, rig.vertices, root)
+    assert template_gap(rig, [found], [grown])["after"] < 1e-12 < 0.01 < template_gap(rig, [rig.vertices], [grown])["after"]
+
+
 @pytest.fixture
 def few(monkeypatch):
     """A size of few small scans, fitted fast."""

@@ -158,17 +158,18 @@ def _load(path, n_samples, seed):
 
 def _learn(fitter, learn_from, read, fits, reporter):
     """Learn, and write fits and model; scans that cannot be used are left for later, which says why."""
-    checkpoint = checkpoint_in(fits.folder)
+    kept = checkpoint_in(fits.folder)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".* scans cannot be used; ")
         sources = [read[s.name] for s in learn_from]
         subjects = [s.subject for s in learn_from]
+        checkpoint = kept if fitter._repeatable() else None
         fitter.fit(sources, subjects, cache=True, checkpoint=checkpoint, progress=reporter.learning)
     for scan, result in zip(learn_from, fitter.results_, strict=True):
         if result is not None and np.isfinite(result.vertices).all():
             fits.entries[scan.name] = _Save(fits.folder, [scan.name])(0, scan, result)
     fitter.save(fits.folder / _MODEL)  # last: it says that the fits are complete
-    remove_checkpoint(checkpoint)
+    remove_checkpoint(kept)
     return fitter
 
 

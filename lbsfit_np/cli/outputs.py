@@ -173,7 +173,11 @@ def make_folder(out):
     except (OSError, ValueError) as error:  # ValueError: NUL in the name
         why = getattr(error, "strerror", None) or error
         raise FileError(str(out), f"a folder that cannot be made ({why})", "a folder to write to") from None
-    check_writable(out)
+    try:
+        check_writable(out)
+    except FileError:
+        remove_empty(made)
+        raise
     return made
 
 

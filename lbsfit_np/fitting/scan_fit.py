@@ -6,14 +6,13 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import InputError
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
 from ..rig.frames import up_axis
 from ..seeds import generator
-from ..starts.clean import clean_rows
-from ..starts.scale import reference_scale, unit_note
+from ..starts.clean import taking_part
+from ..starts.scale import unit_note
 from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
 from ..threads import one_thread
 from .assemble import assemble
@@ -126,25 +125,10 @@ class ScanFit:
             return self._fit(points, theta0, labels, point_weights, random_state, started, found)
 
     def taking_part(self, points, point_weights=None, random_state=None):
-        """What of a scan its fit looks at; arguments as for :meth:`fit`.
-
-        Returns
-        -------
-        rows : int array
-            Points that take part.
-        left_out : str
-            Which do not, in words.
-        scale : float
-            How many of the scan's units a rig unit seems to have.
-
-        Raises
-        ------
-        InputError
-            Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed".
-        """
-        rows = _thinned(len(points), point_weights, self.settings.max_points, generator(random_state, "thin"))
-        rows, left_out = clean_rows(points, rows, up=self.facing.up)
-        return rows, left_out, reference_scale(points[rows], self.model.source, self.settings.scale).scale
+        """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
+        settings, rng = self.settings, generator(random_state, "thin")
+        limits = {"most": settings.max_points, "scale": settings.scale, "up": self.facing.up}
+        return taking_part(points, self.model.source, rng=rng, point_weights=point_weights, **limits)
 
     def _fit(self, points, theta0, labels, point_weights, random_state, started, found):
         model, settings = self.model, self.settings
@@ -231,11 +215,3 @@ def further_words(settings, facing):
     if facing.told and len(facing.turns) > 1:
         return ("without up (--up) other axes are tried, too",)
     return ()
-
-
-def _thinned(n, point_weights, most, rng):
-    """Rows that take part: all, or as many as allowed; points of weight 0 never."""
-    rows = np.arange(n) if point_weights is None else np.flatnonzero(point_weights > 0)
-    if not len(rows):
-        raise InputError("point_weights", "all zeros", "at least one positive weight")
-    return rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))

@@ -76,6 +76,13 @@ def _checked(folder):
         raise InputError("checkpoint", f"a {type(folder).__name__}", "the path of a folder, or None") from None
     if not str(folder):
         raise InputError("checkpoint", "an empty path", "the path of a folder, or None")
+    try:
+        path.stat()
+    except (FileNotFoundError, NotADirectoryError):
+        pass
+    except (OSError, ValueError) as error:  # a name too long, or with NUL
+        why = getattr(error, "strerror", None) or error
+        raise InputError("checkpoint", f"a path that cannot be used ({why})", "the path of a folder, or None") from None
     there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
     if not there.is_dir():
         raise InputError("checkpoint", f"{there}, which is a file", "the path of a folder", "Choose another name.")

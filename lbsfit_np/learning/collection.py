@@ -14,8 +14,8 @@ from ..optimize.frame import Frame
 from ..optimize.problem import Problem
 from ..scan import Scan, check_points
 from ..seeds import generator
-from ..starts.clean import clean_rows
-from ..starts.scale import extent, reference_scale
+from ..starts.clean import taking_part
+from ..starts.scale import extent
 from .checkpoint import each_kept
 from .subjects import as_subjects, check_ids
 
@@ -266,7 +266,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
         Share of the scans to hold out, at least one where positive.
     scale : {"estimate", "fixed"}
     up : (3,) array, optional
-        As for ``starts.clean.clean_rows``.
+        As for ``starts.clean.taking_part``.
     random_state : int
 
     Returns
@@ -289,18 +289,15 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
         try:
             scan = source() if callable(source) else source
             points = check_points(scan, minimum=len(rig.parts))
-            rows = np.arange(len(points))
-            if len(points) > max_points:
-                rows = np.sort(generator(random_state, "thin", i).choice(len(points), max_points, replace=False))
-            rows, _ = clean_rows(points, rows, up=up)
-            reference = reference_scale(points[rows], rig, scale)
+            rng = generator(random_state, "thin", i)
+            rows, _, unit = taking_part(points, rig, most=max_points, rng=rng, scale=scale, up=up)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             collection.failures[i] = in_words(error)
             continue
         path = getattr(scan, "path", None)
         name = f"{i}" if path is None else f"{path}"
-        frame = Frame(points[rows].mean(axis=0), reference.scale * rig.size / 2)
-        member = Member(i, points, rows, frame, subject, reference.scale, name=name)
+        frame = Frame(points[rows].mean(axis=0), unit * rig.size / 2)
+        member = Member(i, points, rows, frame, subject, unit, name=name)
         collection.members.append(member)
     if not collection.members:
         first = next(iter(collection.failures.values()))

@@ -18,7 +18,7 @@ from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..seeds import generator
-from ..starts.clean import clean_rows
+from ..starts.clean import taking_part
 from ..starts.scale import extent_doubt, reference_scale, same_size, unit_note
 from ..starts.turns import facing_of, some_turns
 from ..threads import one_thread
@@ -210,11 +210,8 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
 def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     started, seed = time.perf_counter(), fitter._seed()
     rig, settings, half = fitter.rig, fitter._fit_settings(), fitter.rig.size / 2
-    rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
-    if len(rows) > settings.max_points:
-        rows = np.sort(generator(seed, "thin").choice(rows, settings.max_points, replace=False))
-    rows, left_out = clean_rows(points, rows, up=_facing(fitter).up)
-    guess = reference_scale(points[rows], rig, settings.scale).scale
+    limits = {"most": settings.max_points, "scale": settings.scale, "up": _facing(fitter).up}
+    rows, left_out, guess = taking_part(points, rig, rng=generator(seed, "thin"), point_weights=point_weights, **limits)
     x = points[rows]
     a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned

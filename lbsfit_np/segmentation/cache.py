@@ -14,7 +14,7 @@ __all__ = ["RECIPE", "cache_folder", "cached", "could_not_keep"]
 # To be raised by one with every change of segmentation/, starts/look.py, starts/library.py, synthesis.py, sensor.py or
 # rig/proportions.py after which the same settings and seed train another segmenter or another library: what an earlier state
 # of the code has cached is then never taken for this one's.
-RECIPE = 1
+RECIPE = 2
 
 _MEMORY, _WARNED_OF = {}, set()
 

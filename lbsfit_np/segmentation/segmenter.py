@@ -13,7 +13,7 @@ from ..threads import one_thread
 from ..workers import each
 from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor
-from .stage import Stage, Training, train_stage
+from .stage import Stage, Training, in_half_precision, train_stage
 
 __all__ = ["Segmenter", "jobs_of", "train_segmenter"]
 
@@ -216,8 +216,7 @@ class _Describe:
             else:
                 X.append(_in_context(points, rows, self.descriptor, self.first))
             y.append(labels[rows])
-        # Half precision, a thousandth of a length, is finer than the voxels, and takes half the memory.
-        return np.concatenate(X).astype(np.float16), np.concatenate(y)
+        return in_half_precision(np.concatenate(X)), np.concatenate(y)
 
 
 def _describe_all(describe, start, stop, jobs, progress):
@@ -253,7 +252,7 @@ def _in_context(points, rows, descriptor, first):
     # Evenly spread rows of a scan in its own order: no randomness where one scan has to be labelled.
     around = np.linspace(0, len(points) - 1, min(CONTEXT_POINTS, len(points))).astype(int)
     own = descriptor(points, np.concatenate([rows, around]))
-    proba = first.predict_proba(own.copy())
+    proba = first.predict_proba(own)
     k = len(rows)
     return np.hstack([own[:k], context(points[rows], proba[:k], points[around], proba[k:])])
 

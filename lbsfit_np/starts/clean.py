@@ -1,9 +1,53 @@
 """What of a scan is the body: wild points and floors are left out before anything is measured."""
 
-from .floor import off_floor
-from .scale import checked_extent, near_rows
+import numpy as np
 
-__all__ = ["clean_rows"]
+from ..errors import InputError
+from .floor import off_floor
+from .scale import checked_extent, near_rows, reference_scale
+
+__all__ = ["clean_rows", "taking_part"]
+
+
+def taking_part(points, rig, *, most, rng, scale, up=None, point_weights=None):
+    """What of a scan its fit looks at.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    rig : Rig
+    most : int
+        Points at most; where there are more they are drawn.
+    rng : numpy.random.Generator
+    scale : {"estimate", "fixed"}
+        As for :func:`~lbsfit_np.starts.scale.reference_scale`.
+    up : (3,) array, optional
+        As for :func:`clean_rows`.
+    point_weights : (n,) array, optional
+        Points of weight 0 never take part.
+
+    Returns
+    -------
+    rows : int array
+        Points that take part.
+    left_out : str
+        Which do not, in words.
+    scale : float
+        How many of the scan's units a rig unit seems to have.
+
+    Raises
+    ------
+    InputError
+        Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed"; weights
+        that are all 0.
+    """
+    rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
+    if not len(rows):
+        raise InputError("point_weights", "all zeros", "at least one positive weight")
+    if len(rows) > most:
+        rows = np.sort(rng.choice(rows, most, replace=False))
+    rows, left_out = clean_rows(points, rows, up=up)
+    return rows, left_out, reference_scale(points[rows], rig, scale).scale
 
 
 def clean_rows(points, rows, *, up=None):

@@ -62,8 +62,8 @@ class Size:
 # Of hands; :func:`sized` knows those of bodies.
 SIZES = {
     "small": Size(6, 6, 2, 2, 30, 250, 2, 1),
-    "medium": Size(60, 30, 3, 5, 400, 4000, 4, 3),
-    "paper": Size(1500, 300, 30, 10, 4000, 4000, 4, 3),
+    "medium": Size(60, 30, 3, 5, 400, 16000, 4, 3),
+    "paper": Size(1500, 300, 30, 10, 4000, 16000, 4, 3),
 }
 # Of poses, the share that is near the library's; the paper has 20,000 from motion and 3,000 bent ones.
 NATURAL = {"hand": 0.5, "body": 20 / 23, "other": 0.5}

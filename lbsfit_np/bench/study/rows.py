@@ -162,18 +162,22 @@ def _learned(c, variant):
     points, kept = [s.points for s in given.test], Checkpoint(c.steps, model_digest(fitter))
     results, failures = _tried(c, fitter.fit_scan, points, lambda p: c.progress(0.8 + 0.2 * p), kept)
     rig = given.rig
-    people = sorted(fitter.template_)
-    learned = [fitter.unit_[k] * fitter.template_[k].vertices for k in people]
-    gap = {"subjects": template_gap(rig, learned, [given.train.templates[k][0] for k in people])}
+    learned = [_in_scan_units(fitter.unit_[k], t.vertices, t.joints[rig.root]) for k, t in fitter.template_.items()]
+    gap = {"subjects": template_gap(rig, learned, [given.train.templates[k][0] for k in fitter.template_])}
     own = [(r, k) for r, k in zip(results, given.test_subjects) if r is not None]
     if own:
-        deformed = [r.scale * (rig.vertices + r.offsets) for r, _ in own]  # the study's scans are of scale 1
+        deformed = [_in_scan_units(r.scale, rig.vertices + r.offsets, r.rest_joints[rig.root]) for r, _ in own]
         gap["test scans"] = template_gap(rig, deformed, [given.test.templates[k][0] for _, k in own])
     train = _of_results(rig, fitter.results_) if variant == "joint" else None
     said = _said(fitter.segmenter_, given.test) if labels else None
     kept = c.right(said) if labels else None
     stages = _stages(rig, results[:_STAGES]) if variant == "joint" else {}
     return Found(_of_results(rig, results), train, said, _labels(results), accuracy, kept, gap, fitter.history_, stages, failures)
+
+
+def _in_scan_units(unit, template, root):
+    """A template in the unit of the study's scans, in which people are made; the root joint stays, as where people grow."""
+    return root + unit * (template - root)
 
 
 def _stages(rig, results):
