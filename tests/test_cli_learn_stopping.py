@@ -18,6 +18,7 @@ import lbsfit_np as lbs
 from lbsfit_np.cli import learn, outputs, stopped_learning
 from lbsfit_np.cli.stopped_learning import results_so_far
 from lbsfit_np.errors import FileError
+from lbsfit_np.io.write import make_folder
 from lbsfit_np.learning.archive import MODEL_KEY
 from lbsfit_np.learning.checkpoint import steps_in
 from lbsfit_np.learning.tasks import FirstFit
@@ -290,7 +291,7 @@ def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, 
     for existing, alone in (("skip", ""), ("replace", " alone, where files of an earlier run are")):
         words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)
         assert f"; the rest{alone}{rest} SCAN... -o new" in words and words.endswith(existing)
-        outputs.make_folder(tmp_path / "new")
+        make_folder(tmp_path / "new")
         files[0].mesh.write_text("of an earlier run")
     monkeypatch.setattr(stopped_learning, "_SHORT", 10**4)
     words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)

@@ -132,8 +132,11 @@ def test_a_run_that_is_stopped_says_what_is_kept(pair_folder, tmp_path, run, pai
     fits_are_given(monkeypatch, {"s0": pair_meshes[0], "s1": KeyboardInterrupt()})
     code, out, _ = run(*_command(pair_folder, tmp_path / "out", "--no-learn"))
     assert code == 130 and f"stopped: 1 fit is kept in {tmp_path / 'out'}; the same command once more does the rest" in out
+    for name in ("results.json", "gallery.png"):
+        (tmp_path / "out" / name).write_text("of fits that are to be gone")
     fits_are_given(monkeypatch, {"s0": pair_meshes[0], "s1": pair_meshes[1], "s2": KeyboardInterrupt()})
     code, out, _ = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--existing", "replace"))
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"fits", "fits.json"}
     assert code == 130 and "2 fits are kept" in out and "; the same command without --existing replace does the rest" in out
 
 
@@ -152,8 +155,11 @@ def test_a_loop_that_is_stopped_says_what_is_kept(pair_folder, tmp_path, run, mo
     keeps.append("first-fit")
     kept = f"goes on from what is kept in {out / 'model.npz.unfinished'}\n"
     assert run(*_command(pair_folder, out))[1].endswith(f"stopped before a scan was fitted; the same command once more {kept}")
+    text = run(*_command(pair_folder, out))[1]
+    assert f"note: {out / 'model.npz.unfinished'} has 1 step of a run that was stopped; those that suit" in text
     text = run(*_command(pair_folder, out, "--existing", "replace"))[1]
-    assert text.endswith(f"stopped before a scan was fitted; the same command without --existing replace {kept}")
+    again = "the same command without --existing replace"
+    assert " of a run that was stopped" not in text and text.endswith(f"stopped before a scan was fitted; {again} {kept}")
 
 
 def test_sigterm_stops_a_run_as_ctrl_c_does(pair_folder, tmp_path, run, pair_meshes, monkeypatch):

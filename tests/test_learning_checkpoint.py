@@ -144,7 +144,7 @@ def test_another_state_of_the_code_finds_nothing(make_learner, points, done, tmp
     assert done["_FreeForm"] == len(points)
     make_learner(variant="free-form").fit(points, checkpoint=tmp_path)
     assert done["_FreeForm"] == len(points)
-    monkeypatch.setattr("lbsfit_np.learning.checkpoint._state_of_the_code", lambda: "another")
+    monkeypatch.setattr("lbsfit_np.learning.checkpoint.state_of_the_code", lambda: "another")
     make_learner(variant="free-form").fit(points, checkpoint=tmp_path)
     assert done["_FreeForm"] == 2 * len(points)
 
@@ -335,14 +335,20 @@ def test_a_checkpoint_that_is_no_path(given, make_learner, points):
 @pytest.mark.parametrize("name", ["file", "file/in/it"])
 def test_a_checkpoint_that_is_a_file(name, make_learner, points, tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match="checkpoint: got .*file, which is a file; expected the path of a folder"):
+    with pytest.raises(InputError, match="checkpoint: got .*file, a file; expected a folder to write to, or a name"):
         make_learner().fit(points, checkpoint=tmp_path / name)
 
 
-@pytest.mark.parametrize("name, why", [(300 * "x", "File name too long"), ("a\0b", "embedded null byte|null character")])
-def test_a_checkpoint_by_a_name_that_no_folder_can_have(name, why, make_learner, points):
-    with pytest.raises(InputError, match=f"checkpoint: got a path that cannot be used .({why}).*; expected the path of a folder"):
-        make_learner().fit(points, checkpoint=name)
+@pytest.mark.parametrize(
+    "name, why",
+    [("new/" + 300 * "x", "File name too long"), ("a\0b", "embedded null byte|null character"), ("link", "File exists")],
+)
+def test_a_checkpoint_by_a_name_that_no_folder_can_have(name, why, make_learner, points, tmp_path):
+    (tmp_path / "link").symlink_to(tmp_path / "nothing")
+    words = f"checkpoint: got .*, a folder that cannot be made .({why}).; expected a folder to write to"
+    with pytest.raises(InputError, match=words):
+        make_learner().fit(points, checkpoint=tmp_path / name)
+    assert [path.name for path in tmp_path.iterdir()] == ["link"]
 
 
 def test_a_checkpoint_that_is_nowhere(make_learner, points):

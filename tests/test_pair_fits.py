@@ -8,6 +8,7 @@ import pytest
 from registered_sets import fits_are_given, learning_is_given, result_of, what_fits_are_told, write_meshes
 
 import lbsfit_np as lbs
+from lbsfit_np.bench import pair_fits
 from lbsfit_np.bench.pair_fits import fit_scans_of, made_files
 from lbsfit_np.bench.truth import PairScan
 from lbsfit_np.errors import InputError
@@ -130,6 +131,14 @@ def test_what_was_learned_from_is_fitted_as_its_subjects(pair_scans, tube_rig, p
         fit()
         whose = {"s0": "ann", "s1": "ann", "s2": "bob", "s3": None}
         assert subjects() == {name: whose[name] for name in others} and len(learned) == 1
+
+
+def test_fits_of_another_state_of_the_code_are_not_mixed_with_others(pair_scans, fitter, pair_meshes, tmp_path, monkeypatch):
+    fits_are_given(monkeypatch, {s.name: v for s, v in zip(pair_scans, pair_meshes)})
+    fit_scans_of(fitter, pair_scans[:2], tmp_path)
+    monkeypatch.setattr(pair_fits, "state_of_the_code", lambda: 64 * "f")
+    with pytest.raises(InputError, match="fits of code [0-9a-f]{12}….*expected code ffffffffffff….*--existing replace"):
+        fit_scans_of(fitter, pair_scans, tmp_path)
 
 
 @pytest.mark.parametrize("seed, kept", [(None, None), (3, "model.npz.unfinished")])

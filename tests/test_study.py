@@ -435,8 +435,10 @@ def test_a_row_that_is_stopped_goes_on(tube_rig, few, tmp_path, monkeypatch, cap
     assert not (out / "results.json").exists() and steps_in(out / "cells" / "tube-5-joint.npz.unfinished") > 6
     monkeypatch.setattr(LBSFitter, "fit_scan", lambda self, *a: fitted.append(self.variant) or fit_scan(self, *a))
     monkeypatch.setattr("lbsfit_np.learning.loop.FirstFit.__call__", lambda self, task: fitted.append("first") or 1 / 0)
+    steps = steps_in(out / "cells" / "tube-5-joint.npz.unfinished")
     assert run(command) == 0
     found = json.loads((out / "results.json").read_text())["rigs"]["tube"]["seeds"]["5"]["joint"]
+    assert f"tube-5-joint.npz.unfinished has {steps} steps of a run that was stopped; those" in capsys.readouterr().out
     text = (out / "README.md").read_text()
     timed = "seconds", "jobs", "history", "commit"
     assert {k: v for k, v in found.items() if k not in timed} == json.loads(

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import FileError, InputError, LbsfitError
 from ..fitting.result import FitResult
-from ..learning.checkpoint import checkpoint_of, remove_checkpoint
+from ..learning.checkpoint import checkpoint_of, remove_checkpoint, state_of_the_code
 
 __all__ = ["Fits", "checkpoint_in", "fit_files", "fit_scans_of", "has_record", "made_files"]
 
@@ -309,9 +309,10 @@ class _Record:
 
 
 def _described(rig):
-    """All of a rig that fits depend on: its digest, and what that does not cover, much of which a card may change."""
+    """The code, and of a rig all that fits depend on: its digest, and what that does not cover, much of it a card's."""
     still = [sorted(name for name, on in zip(rig.joint_names, mask, strict=True) if on) for mask in (rig.locked, rig.merged)]
     return {
+        "code": state_of_the_code(),
         "rig": rig.digest,
         "rig's up": rig.up,
         "rig's forward": rig.forward,

@@ -5,7 +5,8 @@ import sys
 from pathlib import Path
 
 from ..errors import FileError, InputError
-from .outputs import check_outputs, make_folder
+from ..io.write import make_folder
+from .outputs import check_outputs
 from .progress import LearningProgress, Progress, say
 
 __all__ = [

@@ -5,11 +5,11 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from ..errors import InputError, MissingExtraError
+from ..io.write import make_folder, remove_empty
 from .bench_runs import RESULTS, failures_code, made_results, numbers, read_results
 from .models import say_model_as_rig
-from .outputs import make_folder, remove_empty
 from .progress import SILENCE, Progress, percentage_bar, say, span
-from .stopping import terminable
+from .stopping import say_steps, terminable
 
 __all__ = ["run_study"]
 
@@ -47,9 +47,8 @@ def run_study(values):
     def steps(cell):
         return checkpoint_of(cells / f"{cell}.npz")
 
-    if values["existing"] == "replace":
-        for folder in cells.glob(steps("*").name):
-            remove_checkpoint(folder)
+    for folder in sorted(cells.glob(steps("*").name)):
+        (remove_checkpoint if values["existing"] == "replace" else say_steps)(folder)
 
     def on_cell(report, name, seed, row, arrays):
         write_npz(cells / f"{cell_name(name, seed, row)}.npz", **arrays)

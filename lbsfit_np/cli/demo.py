@@ -5,8 +5,9 @@ import time
 from pathlib import Path
 
 from ..errors import InputError
+from ..io.write import make_folder
 from .fit import OPTIONS, fit_files
-from .outputs import SUMMARY, check_outputs, make_folder
+from .outputs import SUMMARY, check_outputs
 from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import say
 

@@ -5,6 +5,7 @@ import time
 from pathlib import Path
 
 from ..errors import FileError, InputError, brief, counted, did_you_mean
+from ..io.write import make_folder, remove_empty
 from . import outputs
 from .kept_fits import kept_entries
 from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subjects_of
@@ -242,7 +243,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"{of_all(len(kept), len(files))} {_are(len(kept))} fitted already and kept")
-    folders = outputs.make_folder(out)
+    folders = make_folder(out)
     entries, before = dict(kept), named(todo)
     progress = Progress(len(todo))
 
@@ -270,7 +271,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     if entries:
         facts = {"started": started, "stopped": stopped is not None, "model": model}
         write_summary(out, rig_path, rig, files, entries, values, **facts)
-    outputs.remove_empty(folders)
+    remove_empty(folders)
     if stopped is not None and not isinstance(stopped, KeyboardInterrupt):
         raise stopped
     say_doubtful([entries[f.name] for f in files if f.name in entries])

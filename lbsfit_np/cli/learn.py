@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, LbsfitError, counted
+from ..errors import FileError, InputError, LbsfitError
+from ..io.write import make_folder, remove_empty
 from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
@@ -18,7 +19,7 @@ from .parsing import Option, add_options, amount, formatter, positive, settings,
 from .progress import LearningProgress, Progress, of_all, say, span
 from .reading import Reading
 from .stopped_learning import is_result_of, results_so_far, stopped_early
-from .stopping import exit_code, terminable
+from .stopping import exit_code, say_steps, terminable
 from .subjects import SUBJECT_FILES, check_no_table, read_subjects
 from .summary import counts_of, say_doubtful, write_summary, written_of
 
@@ -137,7 +138,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     int
         Exit code.
     """
-    from ..learning.checkpoint import checkpoint_of, remove_checkpoint, steps_in
+    from ..learning.checkpoint import checkpoint_of, remove_checkpoint
     from ..learning.parameters import check_parameters
 
     started = time.perf_counter()
@@ -148,16 +149,15 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     values = _without_unused(values)
     fitter = _fitter(rig, values)
     check_parameters(fitter)  # before a folder is made
-    folders = outputs.make_folder(model.parent)
+    folders = make_folder(model.parent)
     if files:
         try:
-            folders = outputs.make_folder(values["results"]) + folders
+            folders = make_folder(values["results"]) + folders
         except FileError:
-            outputs.remove_empty(folders)
+            remove_empty(folders)
             raise
     checkpoint = checkpoint_of(model)
-    if kept := steps_in(checkpoint):
-        say(f"note: {checkpoint} has {counted(kept, 'step')} of a run that was stopped; those that suit this one are taken")
+    say_steps(checkpoint)
     progress = LearningProgress(values["rounds"])
     reading = Reading(scans, scan_options(values), len(rig.parts), progress, keep=bool(files))
     entries, written = {}, False
@@ -185,7 +185,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
         return exit_code(stop)
     finally:
         progress.close()
-        outputs.remove_empty(folders)
+        remove_empty(folders)
     return 1 if counts_of(entries)["failed"] else 0
 
 

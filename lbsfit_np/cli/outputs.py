@@ -2,14 +2,12 @@
 
 import os
 import unicodedata
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import FileError, InputError, in_words, listed
 from ..interrupts import held
 from ..io.columns import ODD_X
-from ..io.write import check_writable
 from .progress import say
 
 __all__ = [
@@ -23,10 +21,8 @@ __all__ = [
     "entry",
     "fitted_entry",
     "folded",
-    "make_folder",
     "plan",
     "remove",
-    "remove_empty",
     "results_beside",
     "same_file",
     "unfitted_entry",
@@ -159,33 +155,6 @@ def check_file(path, *, inputs, existing):
     _check_length(Path(path), "Choose a shorter one.")
     if os.path.lexists(path) and existing == "error":
         raise FileError(str(path), "a file that exists already", "a new name", "Choose another, or --existing replace.")
-
-
-def make_folder(out):
-    """Create the folder to write to, and see that it can be written to; the folders that were not there, the innermost first."""
-    out = Path(out)
-    made = [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]
-    for path in (out, *out.parents):
-        if os.path.exists(path) and not os.path.isdir(path):
-            raise FileError(str(path), "a file", "a folder to write to, or a name for a new one")
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except (OSError, ValueError) as error:  # ValueError: NUL in the name
-        why = getattr(error, "strerror", None) or error
-        raise FileError(str(out), f"a folder that cannot be made ({why})", "a folder to write to") from None
-    try:
-        check_writable(out)
-    except FileError:
-        remove_empty(made)
-        raise
-    return made
-
-
-def remove_empty(folders):
-    """Remove folders that are empty."""
-    for folder in folders:
-        with suppress(OSError):  # there is something in it
-            folder.rmdir()
 
 
 def same_file(a, b):

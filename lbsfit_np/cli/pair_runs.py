@@ -5,14 +5,15 @@ import time
 from pathlib import Path
 
 from ..errors import InputError, LbsfitError, counted
+from ..io.write import make_folder
 from .bench_runs import RESULTS, failures_code
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, load_rig_with
 from .learn import OPTIONS as LEARN_OPTIONS
-from .outputs import check_outputs, make_folder
+from .outputs import check_outputs
 from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import SILENCE, LearningProgress, Progress, say
-from .stopping import exit_code, terminable
+from .stopping import exit_code, say_steps, terminable
 
 __all__ = [
     *("GALLERY", "RESULTS", "PairsProgress", "add_command"),
@@ -127,9 +128,11 @@ def made_output(values, scans, inputs, more=()):
     read = [*(s.path for s in scans), *inputs, *(values[k] for k in ("rig", "card") if values[k] and values[k] != "none")]
     written = [out / RESULTS, out / GALLERY, *fit_files(out, scans), *more]
     # What this benchmark has left may be gone on with, or replaced; what somebody else has, only where people say so.
-    own = values["existing"] == "replace" or has_record(out)
-    check_outputs(written, out, inputs=read, existing="replace" if own else "error")
+    replace = values["existing"] == "replace"
+    check_outputs(written, out, inputs=read, existing="replace" if replace or has_record(out) else "error")
     make_folder(out)
+    for name in (RESULTS, GALLERY) if replace else ():  # figures of fits that are to be gone
+        (out / name).unlink(missing_ok=True)
     return out
 
 
@@ -201,6 +204,8 @@ def run_stoppable(work, values, out):
     from ..learning.checkpoint import steps_in
 
     progress = PairsProgress(values["rounds"])
+    if values["existing"] == "resume":
+        say_steps(checkpoint_in(out))
     try:
         with terminable():
             return work(progress)

@@ -1,13 +1,24 @@
-"""SIGTERM handled as Ctrl-C is: what is half done is removed, what is finished stays."""
+"""SIGTERM handled as Ctrl-C is: what is half done is removed, what is finished stays; and that a run goes on with it."""
 
 import signal
 from contextlib import contextmanager
 
-__all__ = ["Terminated", "exit_code", "terminable"]
+from ..errors import counted
+from .progress import say
+
+__all__ = ["Terminated", "exit_code", "say_steps", "terminable"]
 
 
 class Terminated(KeyboardInterrupt):
     """SIGTERM, handled as Ctrl-C is."""
+
+
+def say_steps(folder):
+    """Say that there are steps of a run that was stopped, where there are any."""
+    from ..learning.checkpoint import steps_in
+
+    if kept := steps_in(folder):
+        say(f"note: {folder} has {counted(kept, 'step')} of a run that was stopped; those that suit this one are taken")
 
 
 def exit_code(stopped):

@@ -4,14 +4,17 @@ import json
 import os
 import secrets
 import zipfile
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import FileError, InputError
 
-__all__ = ["atomic_path", "check_npz_name", "check_writable", "write_json", "write_mesh_ply", "write_npz", "write_points_ply"]
+__all__ = [
+    *("atomic_path", "check_npz_name", "make_folder", "remove_empty"),
+    *("write_json", "write_mesh_ply", "write_npz", "write_points_ply"),
+]
 
 
 @contextmanager
@@ -65,7 +68,39 @@ def atomic_path(path):
         raise
 
 
-def check_writable(folder):
+def make_folder(out):
+    """Create the folder to write to, and see that it can be written to; the folders that were not there, the innermost first.
+
+    Raises
+    ------
+    FileError
+        It cannot be made, or nothing can be written there; what was made up to then is removed.
+    """
+    out = Path(out)
+    made = [folder for folder in (out, *out.parents) if not os.path.lexists(folder)]
+    for path in (out, *out.parents):
+        if os.path.exists(path) and not os.path.isdir(path):
+            raise FileError(str(path), "a file", "a folder to write to, or a name for a new one")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+        _check_writable(out)
+    except (OSError, ValueError) as error:  # ValueError: NUL in the name
+        remove_empty(made)
+        if isinstance(error, FileError):
+            raise
+        why = getattr(error, "strerror", None) or error
+        raise FileError(str(out), f"a folder that cannot be made ({why})", "a folder to write to") from None
+    return made
+
+
+def remove_empty(folders):
+    """Remove folders that are empty."""
+    for folder in folders:
+        with suppress(OSError, ValueError):  # there is something in it, or it was never there
+            folder.rmdir()
+
+
+def _check_writable(folder):
     """Raise FileError unless files can be made in a folder: permissions do not tell of read-only disks, nor root of anything."""
     from tempfile import TemporaryFile
 

@@ -22,7 +22,7 @@ from ..optimize.frame import Frame
 from ..optimize.state import State
 from ..workers import each
 
-__all__ = ["Checkpoint", "NO_CHECKPOINT", "checkpoint_of", "each_kept", "remove_checkpoint", "steps_in"]
+__all__ = ["Checkpoint", "NO_CHECKPOINT", "checkpoint_of", "each_kept", "remove_checkpoint", "state_of_the_code", "steps_in"]
 
 # Records that answers are made of.
 _RECORDS = {kind.__name__: kind for kind in (Frame, State, FitResult)}
@@ -49,7 +49,7 @@ class Checkpoint:
 
     def __init__(self, folder, made_of=()):
         self._folder = None if folder is None else _checked(folder)
-        self._key = "" if folder is None else _digest(_state_of_the_code(), made_of)
+        self._key = "" if folder is None else _digest(state_of_the_code(), made_of)
         self._trouble = []  # shared by all that are narrowed from this one, to be told once
 
     def narrowed(self, made_of):
@@ -68,7 +68,7 @@ class Checkpoint:
 
 def _checked(folder):
     """The folder of a checkpoint as a Path, once it is known that files can be made there."""
-    from ..io.write import check_writable
+    from ..io.write import make_folder, remove_empty
 
     try:
         path = Path(folder)
@@ -77,19 +77,9 @@ def _checked(folder):
     if not str(folder):
         raise InputError("checkpoint", "an empty path", "the path of a folder, or None")
     try:
-        path.stat()
-    except (FileNotFoundError, NotADirectoryError):
-        pass
-    except (OSError, ValueError) as error:  # a name too long, or with NUL
-        why = getattr(error, "strerror", None) or error
-        raise InputError("checkpoint", f"a path that cannot be used ({why})", "the path of a folder, or None") from None
-    there = next(p for p in (path.absolute(), *path.absolute().parents) if p.exists())
-    if not there.is_dir():
-        raise InputError("checkpoint", f"{there}, which is a file", "the path of a folder", "Choose another name.")
-    try:
-        check_writable(there)
+        remove_empty(make_folder(path))  # it is there for good with the first step
     except FileError as error:
-        raise InputError("checkpoint", f"{there}, {error.got}", error.expected, "Choose another folder.") from None
+        raise InputError("checkpoint", f"{error.argument}, {error.got}", error.expected, "Choose another folder.") from None
     return path
 
 
@@ -172,7 +162,7 @@ def remove_checkpoint(folder):
 
 
 @cache
-def _state_of_the_code():
+def state_of_the_code():
     """Digest of the package and of the libraries whose numbers hang on their versions."""
     import scipy
     import sklearn
