@@ -147,6 +147,8 @@ def test_descriptions_are_standardised_by_all_rows(tube_rig, start):
     rows = X[start:].astype(float)
     np.testing.assert_allclose(stage.mean, rows.mean(axis=0), rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(stage.deviation, rows.std(axis=0), rtol=1e-3)
+    near = X[:100].astype(np.float32) * (1 + 1e-5)  # what is the same in half precision is the same
+    np.testing.assert_array_equal(stage.predict_proba(near), stage.predict_proba(X[:100].astype(np.float32)))
     still = train_stage(X[9000:], y[9000:], 2, training, 0, "test", lambda share: None)
     assert still.deviation[3] == 2.0**-10  # what varies by less than half precision tells is not made large
 
