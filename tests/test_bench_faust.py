@@ -311,3 +311,18 @@ def test_the_table_without_pairs_of_a_kind():
     nothing["after"] = nothing["before"]
     text = faust_table({"figures": {"intra": nothing, "inter": nothing}, "settings": {"learn": True}})
     assert "0 intra pairs (3 missing)" in text
+
+
+def test_all_of_it_with_fits_of_its_own(made, tmp_path, run):
+    """Learning, fits, errors and what the challenge asks for: nobody has said where anything is."""
+    quick = ("--training-scans", 300, "--rounds", 1, "--effort", "fast", "--max-points", 900)
+    code, out, err = run("bench", "faust", made, "-o", tmp_path, "--rig", "body-coarse", "--pictures", 1, *quick)
+    assert code == 0 and "error" not in err, out
+    report = json.loads((tmp_path / "results.json").read_text())
+    for kind in ("intra", "inter"):  # metres; the bodies are 1.7 high, and other people each
+        assert 0.002 < report["figures"][kind]["before"]["mean"] < 0.05
+        assert report["figures"][kind]["before"]["median"] < 0.03 and report["challenge"][kind]["missing"] == 0
+    assert {path.name for path in (tmp_path / "fits").iterdir()} == {f"{scan['name']}.npz" for scan in report["scans"]}
+    again, said, _ = run("bench", "faust", made, "-o", tmp_path, "--rig", "body-coarse", "--pictures", 1, *quick)
+    assert again == 0 and "9 scans are fitted already and kept" in said
+    assert json.loads((tmp_path / "results.json").read_text())["pairs"] == report["pairs"]
