@@ -65,8 +65,8 @@ Columns of the tables; means over the test scans, the paper's figures in square 
 
 Below each table: in the order of the ablations, ≈ stands between rows that are nearer to each other than 3 %; an order with such
 rows is level, and does not reach what was to be reached any more than one that is missed. The **template gap** is ‖U^d − U^gt‖,
-mean over the vertices in the rest pose, and the same with both moved to a common centre ("up to a shift"), as no scan shows where
-the rest pose stands; before is ‖U − U^gt‖.
+mean over the vertices in the rest pose, U^d grown by its fit's scale about the root joint, and the same with both moved to a
+common centre ("up to a shift"), as no scan shows where the rest pose stands; before is ‖U − U^gt‖.
 """
 
 _PROTOCOL = """\
