@@ -256,12 +256,17 @@ def _learned(rig, size, monkeypatch, *, units, scales):
     """What the row "cd" finds where learning and fits find the truth: (given, Found)."""
     given = data.study_set(rig, size, 5)
     true = {"train": given.train.templates, "test": given.test.templates}
-    results = []
+    results, root = [], rig.joints[rig.root]
+
+    def in_rig_units(places, unit):
+        return root + (places - root) / unit
+
     for k, scale in zip(given.test_subjects, scales, strict=True):
         U, joints = true["test"][k]
-        results.append(None if scale is None else SimpleNamespace(scale=scale, offsets=U / scale - rig.vertices, vertices=U))
-        if results[-1]:
-            vars(results[-1]).update(joints=joints, labels=None)
+        results.append(None)
+        if scale is not None:
+            rest = {"offsets": in_rig_units(U, scale) - rig.vertices, "rest_joints": in_rig_units(joints, scale)}
+            results[-1] = SimpleNamespace(scale=scale, **rest, vertices=U, joints=joints, labels=None)
     fits = iter(results)
 
     def fit_scan(points):
@@ -270,7 +275,10 @@ def _learned(rig, size, monkeypatch, *, units, scales):
             raise InputError("points", "some", "others")
         return found
 
-    templates = {k: SimpleNamespace(vertices=true["train"][k][0] / unit) for k, unit in units.items()}
+    templates = {}
+    for k, unit in units.items():
+        U, joints = (in_rig_units(places, unit) for places in true["train"][k])
+        templates[k] = SimpleNamespace(vertices=U, joints=joints)
     own = {"template_": templates, "unit_": units, "history_": [], "segmenter_": None, "_pretrained": None, "rounds": 1}
     fitter = SimpleNamespace(**own, fit=lambda *given, **more: None, fit_scan=fit_scan)
     fitter.set_params = lambda **parameters: fitter

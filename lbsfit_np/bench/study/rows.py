@@ -159,7 +159,7 @@ def _learned(c, variant):
     watch(0, c.fitter.segmenter_)
     points = [s.points for s in given.train]
     fitter.fit(points, given.train_subjects, checkpoint=c.steps, progress=progress, on_round=watch)
-    points, kept = [s.points for s in given.test], Checkpoint(c.steps, model_digest(fitter))
+    points, kept = [s.points for s in given.test], NO_CHECKPOINT if c.steps is None else Checkpoint(c.steps, model_digest(fitter))
     results, failures = _tried(c, fitter.fit_scan, points, lambda p: c.progress(0.8 + 0.2 * p), kept)
     rig = given.rig
     learned = [_in_scan_units(fitter.unit_[k], t.vertices, t.joints[rig.root]) for k, t in fitter.template_.items()]
