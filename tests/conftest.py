@@ -349,3 +349,21 @@ def tube_model(tubes, cli_cache, tmp_path_factory):
         arguments = ["learn", tubes / "tube.npz", *scans, "-o", out / "m.npz", "--results", out / "fits", *QUICK_LEARNING]
         assert main([str(a) for a in arguments]) == 0
     return out / "m.npz", out / "fits"
+
+
+@pytest.fixture(scope="session")
+def coarse_hand():
+    """A bundled rig of few vertices."""
+    from lbsfit_np import load_rig
+
+    return load_rig("hand-coarse")
+
+
+@pytest.fixture(scope="session")
+def tiny_study(coarse_hand):
+    """The study's scans of that hand, a few."""
+    from study_sizes import TINY
+
+    from lbsfit_np.bench.study.data import study_set
+
+    return study_set(coarse_hand, TINY, 300)

@@ -1,164 +1,24 @@
-"""The paper's study: its scans, its measures, rows that are cheap, its page, and that a run goes on where it stopped."""
+"""Runs of the paper's study, and the command: what is kept, what is refused, and that a run goes on where it stopped."""
 
 import json
 from dataclasses import replace
-from itertools import combinations
 
 import numpy as np
 import pytest
+from study_sizes import TINY, small_is_few_and_fast
 
-from lbsfit_np.bench.measure import recon
 from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
-from lbsfit_np.bench.study.data import SCAN, SIZES, Size, part_groups, sized, study_set
-from lbsfit_np.bench.study.free_form import FromTemplate, taught
-from lbsfit_np.bench.study.measures import Registrations, Truth, measured, template_gap
-from lbsfit_np.bench.study.oracle import OracleFit
-from lbsfit_np.bench.study.page import GOALS, PAPER, console_table, page
+from lbsfit_np.bench.study.data import SIZES, study_set
+from lbsfit_np.bench.study.measures import Registrations
+from lbsfit_np.bench.study.page import GOALS, console_table, page
 from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import cell_name, study
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
-from lbsfit_np.fitting.effort import EFFORTS
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.learning.checkpoint import steps_in
 from lbsfit_np.learning.fitter import LBSFitter
-
-TINY = Size(4, 3, 2, 1, 6, 50, 2, 1)
-
-
-@pytest.fixture(scope="module")
-def rig():
-    return load_rig("hand-coarse")
-
-
-@pytest.fixture(scope="module")
-def given(rig):
-    return study_set(rig, TINY, 300)
-
-
-# ---- scans ----
-
-
-def test_training_and_test_share_neither_poses_nor_people(rig, given):
-    names = set(given.rig.poses)
-    assert 0.5 * len(rig.poses) < len(names) < len(rig.poses)  # the rest is for the test
-    held_out = [pose for name, pose in rig.poses.items() if name not in names]
-    apart = [np.abs(given.rig.poses[name] - pose).max() for name in names for pose in held_out]
-    assert len(held_out) > 8 and np.sort(apart)[3] > 0.3
-    templates = {s.template.tobytes() for s in given.train} & {s.template.tobytes() for s in given.test}
-    assert not templates and len({s.template.tobytes() for s in given.train}) == TINY.train_subjects
-    body = study_set(load_rig("body-coarse"), replace(TINY, train=1, test=1), 300).rig.poses
-    assert all(name.removesuffix(" (mirrored)") in body for name in body)  # a pose and its mirror image are never apart
-
-
-def test_scans_are_a_function_of_seed_and_number(rig, given):
-    again, more = study_set(rig, TINY, 300), study_set(rig, TINY, 300, times=3)
-    assert all(np.array_equal(a.points, b.points) for a, b in zip([*given.train, *given.test], [*again.train, *again.test]))
-    assert len(more.train) == 12 and more.train_subjects[:4] == given.train_subjects and len(set(more.train_subjects)) == 6
-    assert all(np.array_equal(a.points, b.points) for a, b in zip(given.train, more.train))
-    assert not np.array_equal(study_set(rig, TINY, 301).train[0].points[:9], given.train[0].points[:9])
-    # Missing areas in every scan.
-    assert len(given.train[0].points) <= 2500 and np.abs(given.train[0].points).max() < 3 * rig.size
-
-
-def test_sizes_are_the_papers(rig):
-    assert (sized(rig, "paper").train, sized(rig, "paper").test) == (1500, 300)
-    body = sized(load_rig("body-coarse"), "paper")
-    assert (body.train, body.test, body.pairs) == (23000, 2300, 4000)
-    assert sized(rig, "small") == SIZES["small"]
-    with pytest.raises(InputError, match="'huge'.*small, medium, paper"):
-        sized(rig, "huge")
-
-
-def test_groups_of_parts_are_fingers_and_limbs(rig):
-    groups = part_groups(rig)
-    named = {}
-    for part, group in zip(rig.parts, groups):
-        named.setdefault(group, []).append(part)
-    assert len(named) == 6 and sorted(map(len, named.values())) == [1, 3, 3, 3, 3, 3]
-    assert any(all("index" in part for part in parts) for parts in named.values())
-
-
-# ---- measures ----
-
-
-def test_the_truth_has_no_errors(rig, given):
-    truth = Truth(given.rig, given.test, 6, 0)
-    found = measured(truth, Registrations(*(np.array([getattr(s, n) for s in given.test]) for n in ("vertices", "joints"))))
-    assert found["pose"] == found["vertices"] == found["unfitted"] == 0
-    assert found["recon"] == pytest.approx(found["recon_truth"]) and found["recon"] > 0
-    assert found["corre"]["mean"] < 1e-12 and 0 < found["corre_snapped"]["mean"] < 0.05
-    assert found["corre_snapped"]["p50"] <= found["corre_snapped"]["p90"] <= found["corre_snapped"]["p95"]
-
-
-def test_errors_are_in_half_sizes_and_of_the_right_pairs(rig, given):
-    truth = Truth(given.rig, given.test, 6, 0)
-    assert sorted(map(tuple, truth.pairs)) == [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
-    shift = np.array([0.0, 0.0, 0.1 * given.half])
-    vertices = np.array([s.vertices + (i == 2) * shift for i, s in enumerate(given.test)])
-    joints = np.array([s.joints + (i == 2) * shift for i, s in enumerate(given.test)])
-    found = measured(truth, Registrations(vertices, joints))
-    assert found["pose"] == pytest.approx(0.1 / 3) and found["vertices"] == pytest.approx(0.1 / 3)
-    # Carried to the shifted one: off by the shift. From it, to the others: its points find other places of the surface.
-    assert 0.1 / 3 < found["corre"]["mean"] < 0.1
-    lost = measured(truth, Registrations(np.where(np.arange(3)[:, None, None] == 2, np.nan, vertices), joints))
-    assert lost["of_scans"] == {name: [*of[:2], None] for name, of in found["of_scans"].items()}
-    assert all(found[name] == pytest.approx(np.mean(of)) for name, of in found["of_scans"].items())
-    assert lost["unfitted"] == 1 and lost["corre"]["mean"] < 1e-12
-    assert measured(truth, Registrations(np.full_like(vertices, np.nan), joints)) == {"unfitted": 3}
-
-
-def test_template_gaps(rig):
-    half, U = rig.size / 2, rig.vertices
-    found = template_gap(rig, [U + [0, 0, 0.2 * half]], [U + [0, 0, 0.3 * half]])
-    assert found["before"] == pytest.approx(0.3) and found["after"] == pytest.approx(0.1)
-    assert found["before, up to a shift"] == pytest.approx(0, abs=1e-12) == found["after, up to a shift"]
-
-
-# ---- rows ----
-
-
-def test_the_oracle_fit_comes_nearest_to_the_truth(given):
-    scan = given.test[0]
-    result = OracleFit(given.rig)(scan)
-    off = np.linalg.norm(result.joints - scan.joints, axis=1)[given.rig.moving].mean()
-    assert off < 0.03 * given.half
-    assert np.linalg.norm(result.vertices - scan.vertices, axis=1).mean() < 0.03 * given.half
-
-
-def test_the_objective_of_the_oracle_has_the_gradient_that_it_says(given):
-    from lbsfit_np.bench.study import oracle
-    from lbsfit_np.correspondence import surface_places
-    from lbsfit_np.optimize.model import Model
-
-    model, scan, rng = Model(given.rig), given.test[1], np.random.default_rng(0)
-    places = surface_places(scan.points, scan.vertices, given.rig.faces)
-    known = oracle._Known(model, scan.points / given.half, *places, oracle.OracleFit(given.rig).settings.weights)
-    state = model.rest().replace(coefficients=0.05 * rng.standard_normal(model.n_coefficients))
-    state = state.replace(residual=0.01 * rng.standard_normal(model.rig.vertices.shape))
-    state = state.replace(theta=state.theta + 0.1 * rng.standard_normal(state.theta.shape), scale=1.1)
-    e, h = known.evaluate(state), 1e-6
-    for name in ("theta", "translation", "coefficients", "residual"):
-        value, gradient = getattr(state, name), getattr(e, name)
-        way = rng.standard_normal(value.shape)
-        ends = [known.evaluate(state.replace(**{name: value + s * h * way})).value for s in (1, -1)]
-        assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(float((gradient * way).sum()), rel=1e-5), name
-    ends = [known.evaluate(state.replace(scale=1.1 + s * h)).value for s in (1, -1)]
-    assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(e.scale, rel=1e-5)
-
-
-def test_free_form_explains_the_scan_and_the_taught_one_starts_near_the_truth(given):
-    scan = given.train[1]
-    vertices, joints = FromTemplate(given.rig)(scan.points)
-    assert recon(scan.points, vertices) < 1.5 * recon(scan.points, scan.vertices)
-    assert vertices.shape == scan.vertices.shape and joints.shape == scan.joints.shape
-    learned, _ = taught(given.rig, given.train, 0)(scan.points)  # one that it was taught with
-    off = [np.linalg.norm(V - scan.vertices, axis=1).mean() for V in (learned, vertices)]
-    assert off[0] < 0.5 * off[1]
-
-
-# ---- runs ----
 
 
 def _true(c):
@@ -188,11 +48,11 @@ def quick(monkeypatch):
     return made
 
 
-def test_a_run_measures_writes_and_goes_on(rig, quick):
+def test_a_run_measures_writes_and_goes_on(coarse_hand, quick):
     kept, shares = {}, []
     arguments = {"size": "small", "rows": ("joint", "cd"), "seeds": [1]}
     report = study(
-        {"h": rig},
+        {"h": coarse_hand},
         **arguments,
         progress=lambda *a: shares.append(a),
         on_cell=lambda report, name, seed, row, arrays: kept.update({cell_name(name, seed, row): arrays}),
@@ -200,27 +60,27 @@ def test_a_run_measures_writes_and_goes_on(rig, quick):
     assert report["complete"] and set(kept) == {"h-1-cd", "h-1-joint"} and ("h", 1, "cd", 0.5) in shares
     cell = report["rigs"]["h"]["seeds"]["1"]["joint"]
     assert cell["unfitted"] == 1 and cell["pose"] == 0 and 0.2 < cell["accuracy"][1] <= 1 and cell["fitted_labels"] == 1
-    assert kept["h-1-cd"]["vertices"].shape == (3, *rig.vertices.shape)
+    assert kept["h-1-cd"]["vertices"].shape == (3, *coarse_hand.vertices.shape)
     quick.clear()
-    again = study({"h": rig}, before=report, **arguments | {"seeds": [1, 2]})
+    again = study({"h": coarse_hand}, before=report, **arguments | {"seeds": [1, 2]})
     assert quick == [2, 2] and again["rigs"]["h"]["seeds"]["1"] == report["rigs"]["h"]["seeds"]["1"]
     quick.clear()
-    study({"h": rig}, before=report, kept=lambda cell: cell != "h-1-cd", **arguments)
+    study({"h": coarse_hand}, before=report, kept=lambda cell: cell != "h-1-cd", **arguments)
     assert quick == [1]
 
 
-def test_reports_of_something_else_are_refused(rig, quick):
-    report = study({"h": rig}, rows=("joint",), seeds=[1])
+def test_reports_of_something_else_are_refused(coarse_hand, quick):
+    report = study({"h": coarse_hand}, rows=("joint",), seeds=[1])
     with pytest.raises(InputError, match="size small.*size medium"):
-        study({"h": rig}, size="medium", before=report)
+        study({"h": coarse_hand}, size="medium", before=report)
     with pytest.raises(InputError, match="another rig than 'h'"):
         study({"h": load_rig("hand-left-coarse")}, before=report)
     with pytest.raises(InputError, match="another rig than 'h'"):
-        study({"h": replace(rig, poses=dict(list(rig.poses.items())[:20]))}, before=report)
+        study({"h": replace(coarse_hand, poses=dict(list(coarse_hand.poses.items())[:20]))}, before=report)
     with pytest.raises(InputError, match="results of starts.*results of study"):
-        study({"h": rig}, before={"benchmark": "starts"})
+        study({"h": coarse_hand}, before={"benchmark": "starts"})
     with pytest.raises(InputError, match="some of free-form"):
-        study({"h": rig}, rows=("joint", "nothing"))
+        study({"h": coarse_hand}, rows=("joint", "nothing"))
 
 
 def test_the_command_writes_a_page_and_resumes(quick, tmp_path, capsys):
@@ -246,31 +106,31 @@ def test_the_command_writes_a_page_and_resumes(quick, tmp_path, capsys):
     assert run(same) == 2 and "different names" in capsys.readouterr().err
 
 
-def test_the_size_has_to_be_the_same(rig, quick, monkeypatch):
-    report = study({"h": rig}, rows=("joint",), seeds=[1])
+def test_the_size_has_to_be_the_same(coarse_hand, quick, monkeypatch):
+    report = study({"h": coarse_hand}, rows=("joint",), seeds=[1])
     monkeypatch.setitem(SIZES, "small", replace(TINY, train=6))
     with pytest.raises(InputError, match="'h' with other numbers of scans"):
-        study({"h": rig}, rows=("joint",), seeds=[1], before=report)
+        study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=report)
 
 
 @pytest.mark.parametrize("lacking", ["people", "jobs"])
-def test_results_of_an_earlier_version_are_refused_whichever_rigs_are_run(rig, quick, lacking):
-    report = study({"h": rig, "other": rig}, rows=("joint",), seeds=[1])
+def test_results_of_an_earlier_version_are_refused_whichever_rigs_are_run(coarse_hand, quick, lacking):
+    report = study({"h": coarse_hand, "other": coarse_hand}, rows=("joint",), seeds=[1])
     entry = report["rigs"]["other"]
     del (entry if lacking == "people" else entry["seeds"]["1"]["joint"])[lacking]
     with pytest.raises(InputError, match="results of 'other' by an earlier version.*--existing replace"):
-        study({"h": rig}, rows=("joint",), seeds=[1], before=report)
+        study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=report)
 
 
-def test_results_of_other_people_are_not_gone_on_with(rig, quick):
-    report = study({"h": rig}, rows=("joint",), seeds=[1])
+def test_results_of_other_people_are_not_gone_on_with(coarse_hand, quick):
+    report = study({"h": coarse_hand}, rows=("joint",), seeds=[1])
     report["rigs"]["h"]["people"] = "others"
     with pytest.raises(InputError, match="results of other test people than 'h' now has.*--existing replace"):
-        study({"h": rig}, rows=("joint",), seeds=[1], before=report)
+        study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=report)
 
 
-def test_the_page_says_what_is_missed(rig, quick):
-    report = study({"hand": rig}, rows=("joint", "rand"), seeds=[1, 2])
+def test_the_page_says_what_is_missed(coarse_hand, quick):
+    report = study({"hand": coarse_hand}, rows=("joint", "rand"), seeds=[1, 2])
     for seed, pose in (("1", 0.03), ("2", 0.05)):
         report["rigs"]["hand"]["seeds"][seed]["joint"] |= {"pose": pose, "pose_median": pose}
     text = page(report, {"a.png": "A picture."})
@@ -281,8 +141,8 @@ def test_the_page_says_what_is_missed(rig, quick):
     assert console_table(report).count("joint") >= 2
 
 
-def test_rows_are_compared_over_the_seeds_that_all_of_them_have(rig, quick):
-    report = study({"h": rig}, rows=("joint", "cd", "oracle-fit"), seeds=[1, 2])
+def test_rows_are_compared_over_the_seeds_that_all_of_them_have(coarse_hand, quick):
+    report = study({"h": coarse_hand}, rows=("joint", "cd", "oracle-fit"), seeds=[1, 2])
     assert report["complete"]
     seeds = report["rigs"]["h"]["seeds"]
     for row, poses in {"joint": (0.05, 0.01), "cd": (0.03, 0.02), "oracle-fit": (0.001, 0.005)}.items():
@@ -294,11 +154,11 @@ def test_rows_are_compared_over_the_seeds_that_all_of_them_have(rig, quick):
     text = page(report, {})
     assert "joint 0.0100 < cd 0.0200 (the paper's order, joint before cd: kept, of 3 scans, which are few)" in text
     assert "Joint ÷ oracle fit: Recon 1.00, Pose 2.00" in text
-    again = study({"h": rig}, rows=("joint",), seeds=[1], before=report)
-    assert not again["complete"] and study({"h": rig}, rows=("cd", "oracle-fit"), seeds=[1], before=again)["complete"]
+    again = study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=report)
+    assert not again["complete"] and study({"h": coarse_hand}, rows=("cd", "oracle-fit"), seeds=[1], before=again)["complete"]
 
 
-def test_what_cannot_be_fitted_has_a_reason(rig, quick, tmp_path, monkeypatch, capsys):
+def test_what_cannot_be_fitted_has_a_reason(coarse_hand, quick, tmp_path, monkeypatch, capsys):
     arguments = ["bench", "study", "--rig", "hand-coarse", "--rows", "joint", "--no-figures", "-o", str(tmp_path)]
     assert run(arguments) == 1
     assert "failed: hand-coarse, seed 300, joint, scan 2: its fit is not finite" in capsys.readouterr().out
@@ -309,15 +169,15 @@ def test_what_cannot_be_fitted_has_a_reason(rig, quick, tmp_path, monkeypatch, c
             raise InputError("points", "some", "others")
         return fitted(self, points)
 
-    given = study_set(rig, TINY, 300)
-    given_points = [s.points for s in given.test]
+    tiny_study = study_set(coarse_hand, TINY, 300)
+    given_points = [s.points for s in tiny_study.test]
     monkeypatch.setattr(rows_module.FromTemplate, "__call__", sometimes)
-    context = rows_module.Context(rig, given, TINY, 300, None, None, 1, lambda share: None)
+    context = rows_module.Context(coarse_hand, tiny_study, TINY, 300, None, None, 1, lambda share: None)
     found = ROWS["free-form"].find(context)
     assert list(found.test.fitted) == [True, False, True] and found.failures == {1: "points: got some; expected others."}
 
 
-def test_pictures_of_other_rigs_stay_on_the_page(rig, quick, tmp_path, monkeypatch):
+def test_pictures_of_other_rigs_stay_on_the_page(coarse_hand, quick, tmp_path, monkeypatch):
     def draw(report, arrays, out, *, rigs):
         for name in rigs:
             (out / f"triplet-{name}.png").write_bytes(b"")
@@ -352,7 +212,7 @@ def test_the_command_says_what_is_missing_and_what_goes_on(quick, tmp_path, monk
     assert "'lbsfit_np[viz]'" in text and "h, seed 300, joint: 50%" in text and "the same command goes on" in text
 
 
-def test_the_command_keeps_each_row_as_soon_as_it_is_there(rig, quick, monkeypatch, tmp_path):
+def test_the_command_keeps_each_row_as_soon_as_it_is_there(coarse_hand, quick, monkeypatch, tmp_path):
     """Seeds and processes are as asked; what is done when it stops is there, and is not done again."""
     asked = []
     cells = run_module._cells
@@ -365,7 +225,19 @@ def test_the_command_keeps_each_row_as_soon_as_it_is_there(rig, quick, monkeypat
                 raise KeyboardInterrupt
 
     monkeypatch.setattr(run_module, "_cells", stopping)
-    command = ["bench", "study", "--rig", "hand-coarse", "--rows", "cd,joint", "--seeds", "5,6", "--jobs", "2", "--no-figures"]
+    command = [
+        "bench",
+        "study",
+        "--rig",
+        "hand-coarse",
+        "--rows",
+        "cd,joint",
+        "--seeds",
+        "5,6",
+        "--jobs",
+        "2",
+        "--no-figures",
+    ]
     assert run([*command, "-o", str(tmp_path)]) == 130
     kept = json.loads((tmp_path / "results.json").read_text())["rigs"]["hand-coarse"]["seeds"]
     assert {seed: set(rows) for seed, rows in kept.items()} == {"5": {"cd"}} and kept["5"]["cd"]["jobs"] == 2
@@ -381,38 +253,23 @@ def test_a_folder_that_cannot_be_made_is_told_before_any_work(quick, monkeypatch
     assert "cells: got a file; expected a folder to write to" in capsys.readouterr().err
 
 
-def test_one_fit_has_no_correspondences(rig, quick, monkeypatch, tmp_path):
+def test_one_fit_has_no_correspondences(coarse_hand, quick, monkeypatch, tmp_path):
     monkeypatch.setitem(SIZES, "small", replace(TINY, test=2))
     assert run(["bench", "study", "--rig", "hand-coarse", "--rows", "joint,oracle-fit", "--no-figures", "-o", str(tmp_path)]) == 1
     text = (tmp_path / "README.md").read_text()
     assert "Joint ÷ oracle fit: Recon 1.00" in text and "Corre. before the snap" not in text.split("## Where")[0]
 
 
-def test_other_rigs_have_no_goals(rig, quick):
-    report = study({"h": rig}, rows=("joint", "rand"), seeds=[1])
+def test_other_rigs_have_no_goals(coarse_hand, quick):
+    report = study({"h": coarse_hand}, rows=("joint", "rand"), seeds=[1])
     report["rigs"]["h"]["kind"] = "other"
     text = console_table(report)
     assert "goal" not in text and "[0.035]" not in text and "from the best of the ablations" in text
 
 
-def test_a_template_of_another_unit_grows_about_its_root(rig):
-    root = np.array([0.3, -0.2, 0.5]) * rig.size
-    grown = root + 1.1 * (rig.vertices - root)  # a person who is larger, made as people are
-    found = rows_module._in_scan_units(1.1, rig.vertices, root)
-    assert template_gap(rig, [found], [grown])["after"] < 1e-12 < 0.01 < template_gap(rig, [rig.vertices], [grown])["after"]
-
-
-@pytest.fixture
-def few(monkeypatch):
-    """A size of few small scans, fitted fast."""
-    size = Size(train=4, test=3, train_subjects=2, test_subjects=2, pairs=4, training_scans=60, rounds=1, seeds=1)
-    monkeypatch.setitem(SIZES, "small", size)
-    monkeypatch.setattr("lbsfit_np.bench.study.data.SCAN", replace(SCAN, n_points=300))
-    monkeypatch.setitem(EFFORTS, "balanced", EFFORTS["fast"])
-
-
-def test_a_row_that_is_stopped_goes_on(tube_rig, few, tmp_path, monkeypatch, capsys):
+def test_a_row_that_is_stopped_goes_on(tube_rig, tmp_path, monkeypatch, capsys):
     """Nothing of it is done twice, its figures are those of a run at one go, and its steps are gone in the end."""
+    small_is_few_and_fast(monkeypatch)
     tube_rig.save(tmp_path / "tube.npz")
     out, fitted, fit_scan = tmp_path / "out", [], LBSFitter.fit_scan
     command = ["bench", "study", "--rig", str(tmp_path / "tube.npz"), "--rows", "joint", "--seeds", "5", "--no-figures"]
@@ -449,59 +306,25 @@ def test_a_row_that_is_stopped_goes_on(tube_rig, few, tmp_path, monkeypatch, cap
     assert [path.name for path in (out / "cells").iterdir()] == ["tube-5-joint.npz"]
 
 
-def test_steps_are_gone_where_all_is_to_be_done_anew(tube_rig, few, tmp_path, monkeypatch, capsys):
+def test_steps_are_gone_where_all_is_to_be_done_anew(tube_rig, tmp_path, monkeypatch, capsys):
+    small_is_few_and_fast(monkeypatch)
     tube_rig.save(tmp_path / "tube.npz")
     steps = tmp_path / "cells" / "tube-5-joint.npz.unfinished"
     steps.mkdir(parents=True)
     (steps / f"result-{32 * '0'}.npz").write_bytes(b"")
     monkeypatch.setattr(run_module, "_cells", lambda *a: (_ for _ in ()).throw(KeyboardInterrupt))
-    command = ["bench", "study", "--rig", str(tmp_path / "tube.npz"), "--rows", "joint", "--seeds", "5", "-o", str(tmp_path)]
+    command = [
+        "bench",
+        "study",
+        "--rig",
+        str(tmp_path / "tube.npz"),
+        "--rows",
+        "joint",
+        "--seeds",
+        "5",
+        "-o",
+        str(tmp_path),
+    ]
     assert run(command) == 130 and steps_in(steps) == 1
     assert run([*command, "--existing", "replace"]) == 130 and not steps.exists()
     assert capsys.readouterr().out.endswith("and the same command without --existing replace goes on\n")
-
-
-def test_every_row_does_what_it_says(tube_rig, few, monkeypatch):
-    """All of them, as the command runs them, on few scans, those without pretraining first."""
-    learned, fit = [], LBSFitter.fit
-    monkeypatch.setattr(LBSFitter, "fit", lambda self, *a, **k: learned.append(self.variant) or fit(self, *a, **k))
-    labels = {}
-
-    def on_cell(report, name, seed, row, arrays):
-        labels[row] = arrays.get("labels")
-
-    alone = tuple(name for name, row in ROWS.items() if not row.pretrained)
-    with monkeypatch.context() as patch:
-        patch.setattr("lbsfit_np.learning.fitter.LBSFitter.pretrain", None)  # rows that need none do none
-        first = study({"tube": tube_rig}, rows=alone, seeds=[5], on_cell=on_cell)
-    assert {"free-form", "oracle-labels", "oracle-fit"} < set(first["rigs"]["tube"]["seeds"]["5"]) == set(alone)
-    cells = study({"tube": tube_rig}, seeds=[5], before=first, on_cell=on_cell)["rigs"]["tube"]["seeds"]["5"]
-    assert list(cells) == [*alone, *(name for name in ROWS if name not in alone)]
-    assert not any(cell["unfitted"] for cell in cells.values())
-    assert min(cells, key=lambda row: cells[row]["pose"]) == "oracle-fit"
-    assert cells["joint"]["pose"] < 0.5 * cells["free-form"]["pose"]
-    told = {row: len(cell["accuracy"]) for row, cell in cells.items()}
-    assert told == dict.fromkeys(ROWS, 0) | {"joint": 2, "pose-only": 2, "rand": 2}
-    assert {row for row, cell in cells.items() if cell["gap"]} == {"joint", "pose-only", "rand", "cd"}
-    assert len({cells[row]["accuracy"][0] for row in ("joint", "pose-only", "rand")}) == 1  # the same pretraining
-    assert learned == [row for row in ROWS if row in ("joint", "pose-only", "rand", "cd")]  # and different learning,
-    assert not any(np.array_equal(labels[a], labels[b]) for a, b in combinations(("joint", "pose-only", "rand"), 2))
-
-
-def test_the_steps_of_skinning_are_those_of_the_fits(tube_rig, tube_result):
-    """U^d with the offsets, V = M(Θ, U) without; nothing where there is no fit."""
-    r = tube_result
-    stages = rows_module._stages(tube_rig, [None, r])
-    assert np.isnan(stages["template"][0]).all() and np.isnan(stages["posed"][0]).all() and np.abs(r.offsets).max() > 1e-4
-    np.testing.assert_array_equal(stages["template"][1], tube_rig.vertices + r.offsets)
-    np.testing.assert_array_equal(stages["posed"][1], tube_rig.pose(r.pose, r.translation, r.scale))
-    found = Found(Registrations(np.zeros((2, 3, 3)), np.zeros((2, 1, 3))), stages=stages)
-    assert set(run_module._arrays(found)) == {"vertices", "joints", "template", "posed"}
-
-
-def test_rows_know_the_papers():
-    assert set(PAPER["hand"]) < set(ROWS) and set(PAPER["body"]) < set(ROWS)
-    assert all(ROWS[row].paper for known in PAPER.values() for row in known)
-    from lbsfit_np.cli.bench import STUDY_NAMES
-
-    assert STUDY_NAMES == tuple(ROWS) and rows_module.ROWS is ROWS

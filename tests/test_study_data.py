@@ -5,13 +5,15 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from study_sizes import TINY
 
 from lbsfit_np.bench.run import TRAINING_SEED
 from lbsfit_np.bench.study import data
-from lbsfit_np.bench.study.data import SCAN, Size, kind_of, study_set
+from lbsfit_np.bench.study.data import SCAN, SIZES, Size, kind_of, part_groups, sized, study_set
 from lbsfit_np.bench.study.measures import Registrations
 from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import study
+from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
 
 MANY = Size(train=300, test=200, train_subjects=2, test_subjects=2, pairs=1, training_scans=1, rounds=1, seeds=1)
@@ -116,3 +118,45 @@ def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypat
 )
 def test_a_body_with_thumbs_is_no_hand(names, kind):
     assert kind_of(SimpleNamespace(joint_names=names)) == kind
+
+
+def test_training_and_test_share_neither_poses_nor_people(coarse_hand, tiny_study):
+    names = set(tiny_study.rig.poses)
+    assert 0.5 * len(coarse_hand.poses) < len(names) < len(coarse_hand.poses)  # the rest is for the test
+    held_out = [pose for name, pose in coarse_hand.poses.items() if name not in names]
+    apart = [np.abs(tiny_study.rig.poses[name] - pose).max() for name in names for pose in held_out]
+    assert len(held_out) > 8 and np.sort(apart)[3] > 0.3
+    templates = {s.template.tobytes() for s in tiny_study.train} & {s.template.tobytes() for s in tiny_study.test}
+    assert not templates and len({s.template.tobytes() for s in tiny_study.train}) == TINY.train_subjects
+    body = study_set(load_rig("body-coarse"), replace(TINY, train=1, test=1), 300).rig.poses
+    assert all(name.removesuffix(" (mirrored)") in body for name in body)  # a pose and its mirror image are never apart
+
+
+def test_scans_are_a_function_of_seed_and_number(coarse_hand, tiny_study):
+    again, more = study_set(coarse_hand, TINY, 300), study_set(coarse_hand, TINY, 300, times=3)
+    assert all(
+        np.array_equal(a.points, b.points) for a, b in zip([*tiny_study.train, *tiny_study.test], [*again.train, *again.test])
+    )
+    assert len(more.train) == 12 and more.train_subjects[:4] == tiny_study.train_subjects and len(set(more.train_subjects)) == 6
+    assert all(np.array_equal(a.points, b.points) for a, b in zip(tiny_study.train, more.train))
+    assert not np.array_equal(study_set(coarse_hand, TINY, 301).train[0].points[:9], tiny_study.train[0].points[:9])
+    # Missing areas in every scan.
+    assert len(tiny_study.train[0].points) <= 2500 and np.abs(tiny_study.train[0].points).max() < 3 * coarse_hand.size
+
+
+def test_sizes_are_the_papers(coarse_hand):
+    assert (sized(coarse_hand, "paper").train, sized(coarse_hand, "paper").test) == (1500, 300)
+    body = sized(load_rig("body-coarse"), "paper")
+    assert (body.train, body.test, body.pairs) == (23000, 2300, 4000)
+    assert sized(coarse_hand, "small") == SIZES["small"]
+    with pytest.raises(InputError, match="'huge'.*small, medium, paper"):
+        sized(coarse_hand, "huge")
+
+
+def test_groups_of_parts_are_fingers_and_limbs(coarse_hand):
+    groups = part_groups(coarse_hand)
+    named = {}
+    for part, group in zip(coarse_hand.parts, groups):
+        named.setdefault(group, []).append(part)
+    assert len(named) == 6 and sorted(map(len, named.values())) == [1, 3, 3, 3, 3, 3]
+    assert any(all("index" in part for part in parts) for parts in named.values())

@@ -1,22 +1,16 @@
-"""The study's measures on scans made by hand, and the baselines and oracles that play by rules of their own."""
+"""The study's measures, on scans made by hand, and what a run takes them of."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from lbsfit_np.bench.study import data, free_form, oracle
+from lbsfit_np.bench.study import data
 from lbsfit_np.bench.study.data import SCAN, Size, part_groups
-from lbsfit_np.bench.study.free_form import Augmented, FromTemplate, best_free_form
-from lbsfit_np.bench.study.measures import POINTS, Registrations, Truth, measured
-from lbsfit_np.bench.study.oracle import OracleFit
-from lbsfit_np.bench.study.rows import ROWS, Context, Found
+from lbsfit_np.bench.study.measures import POINTS, Registrations, Truth, measured, template_gap
+from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import study
-from lbsfit_np.correspondence import surface_places
-from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
-from lbsfit_np.optimize.model import Model
 from lbsfit_np.synthesis import SyntheticScan, synthesize
 
 # ---- measures ----
@@ -131,6 +125,39 @@ def test_points_and_pairs_are_drawn_anew_for_each_seed(tube_rig):
     assert not any(np.array_equal(np.sort(a, axis=0), np.sort(b, axis=0)) for a, b in zip(one.points, other.points))
 
 
+def test_the_truth_has_no_errors(coarse_hand, tiny_study):
+    truth = Truth(tiny_study.rig, tiny_study.test, 6, 0)
+    found = measured(truth, Registrations(*(np.array([getattr(s, n) for s in tiny_study.test]) for n in ("vertices", "joints"))))
+    assert found["pose"] == found["vertices"] == found["unfitted"] == 0
+    assert found["recon"] == pytest.approx(found["recon_truth"]) and found["recon"] > 0
+    assert found["corre"]["mean"] < 1e-12 and 0 < found["corre_snapped"]["mean"] < 0.05
+    assert found["corre_snapped"]["p50"] <= found["corre_snapped"]["p90"] <= found["corre_snapped"]["p95"]
+
+
+def test_errors_are_in_half_sizes_and_of_the_right_pairs(coarse_hand, tiny_study):
+    truth = Truth(tiny_study.rig, tiny_study.test, 6, 0)
+    assert sorted(map(tuple, truth.pairs)) == [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
+    shift = np.array([0.0, 0.0, 0.1 * tiny_study.half])
+    vertices = np.array([s.vertices + (i == 2) * shift for i, s in enumerate(tiny_study.test)])
+    joints = np.array([s.joints + (i == 2) * shift for i, s in enumerate(tiny_study.test)])
+    found = measured(truth, Registrations(vertices, joints))
+    assert found["pose"] == pytest.approx(0.1 / 3) and found["vertices"] == pytest.approx(0.1 / 3)
+    # Carried to the shifted one: off by the shift. From it, to the others: its points find other places of the surface.
+    assert 0.1 / 3 < found["corre"]["mean"] < 0.1
+    lost = measured(truth, Registrations(np.where(np.arange(3)[:, None, None] == 2, np.nan, vertices), joints))
+    assert lost["of_scans"] == {name: [*of[:2], None] for name, of in found["of_scans"].items()}
+    assert all(found[name] == pytest.approx(np.mean(of)) for name, of in found["of_scans"].items())
+    assert lost["unfitted"] == 1 and lost["corre"]["mean"] < 1e-12
+    assert measured(truth, Registrations(np.full_like(vertices, np.nan), joints)) == {"unfitted": 3}
+
+
+def test_template_gaps(coarse_hand):
+    half, U = coarse_hand.size / 2, coarse_hand.vertices
+    found = template_gap(coarse_hand, [U + [0, 0, 0.2 * half]], [U + [0, 0, 0.3 * half]])
+    assert found["before"] == pytest.approx(0.3) and found["after"] == pytest.approx(0.1)
+    assert found["before, up to a shift"] == pytest.approx(0, abs=1e-12) == found["after, up to a shift"]
+
+
 # ---- what a run measures ----
 
 
@@ -164,159 +191,3 @@ def test_labels_are_judged_by_groups_and_training_by_its_own_truth(tube_rig, mon
         assert found["pose"] == found["vertices"] == found["unfitted"] == 0
         assert found["recon"] == pytest.approx(found["recon_truth"]) and found["corre"]["mean"] < 1e-12
     assert cell["on_training"]["recon"] != cell["recon"]
-
-
-# ---- the oracle ----
-
-
-def test_the_oracles_objective_is_nothing_where_the_template_explains_all(tube_rig):
-    """Smooth are the offsets, not the shape: at the exact template without offsets nothing is left."""
-    model = Model(tube_rig)
-    V = model.pose(model.rest())[0].vertices
-    places = surface_places(V, V, model.rig.faces)
-    known = oracle._Known(model, V, *places, OracleFit(tube_rig).settings.weights)
-    e = known.evaluate(model.rest())
-    assert e.value == pytest.approx(0, abs=1e-15) and np.abs(e.residual).max() < 1e-12
-    assert known.weights.lam_lap > 0
-    rough = np.random.default_rng(0).standard_normal(V.shape) * 0.01
-    assert known.evaluate(model.rest().replace(residual=rough)).value > (rough**2).sum(axis=1).mean()
-
-
-def test_the_oracle_comes_nearer_than_proportions_can(tube_rig):
-    """A person with a lump on one side, which only offsets can have; without them the mean is above 0.04."""
-    U = tube_rig.vertices
-    lump = 0.2 * np.exp(-((U - U[np.abs(U[:, 1]).argmin()]) ** 2).sum(axis=1) / 0.15**2)
-    changed = U + lump[:, None] * [0.0, 0.0, 1.0]
-    (scan,) = synthesize(tube_rig, 1, templates=[(changed, tube_rig.joints)], random_state=4, n_points=800, shape=0.0, holes=0)
-    off = np.linalg.norm(OracleFit(tube_rig)(scan).vertices - scan.vertices, axis=1) / (tube_rig.size / 2)
-    assert off.mean() < 0.025
-
-
-# ---- baselines without skinning ----
-
-
-@pytest.fixture
-def fitted(monkeypatch):
-    """Fits that leave their starts as they are, and what they leave unexplained, by the start's first coordinate."""
-    starts = []
-
-    def fit(rig, points, start):
-        starts.append(start)
-        return SimpleNamespace(vertices=start, terms={"recon": float(start[0, 0])})
-
-    monkeypatch.setattr(free_form, "_fitted", fit)
-    return starts
-
-
-def test_the_best_start_is_the_one_that_explains_most(tube_rig, fitted):
-    candidates = [np.full(tube_rig.vertices.shape, x) for x in (3.0, 1.0, 2.0)]
-    vertices, joints = best_free_form(tube_rig, np.zeros((5, 3)), candidates)
-    assert len(fitted) == 3 and vertices is candidates[1]
-    assert joints == pytest.approx(np.ones(tube_rig.joints.shape))  # the regressor's, of vertices that are all in one place
-
-
-def test_free_form_starts_from_the_template_and_the_augmented_one_from_poses_that_look_alike_too(tube_rig, fitted):
-    points, poses, asked = np.zeros((5, 3)), np.stack([0.2 * k * tube_rig.upper for k in (1, 2, 3)]), []
-
-    def nearest(x, n):
-        asked.append((x, n))
-        return poses[:n]
-
-    FromTemplate(tube_rig)(points)
-    assert [np.array_equal(start, tube_rig.vertices) for start in fitted] == [True]
-    fitted.clear()
-    Augmented(tube_rig, SimpleNamespace(nearest=nearest))(points)
-    ((x, n),) = asked
-    assert x is points and n == 3
-    for start, theta in zip(fitted, [np.zeros_like(poses[0]), *poses], strict=True):
-        np.testing.assert_allclose(start, tube_rig.pose(theta), atol=1e-12)
-
-
-def test_components_are_of_some_scans_and_the_regressor_learns_from_all(tube_rig, monkeypatch):
-    """Four of nine, evenly taken; on these, three components leave nothing out."""
-    scans, given = synthesize(tube_rig, 9, random_state=6, n_points=60), []
-    monkeypatch.setattr(free_form, "_OF_COMPONENTS", 4)
-    monkeypatch.setattr("sklearn.neural_network.MLPRegressor.fit", lambda network, X, y: given.append((X, y)))
-    found = free_form.taught(tube_rig, scans, 0)
-    ((X, y),) = given
-    shapes = np.array([(s.vertices - s.points.mean(axis=0)).ravel() for s in scans])
-    some = [0, 2, 5, 8]
-    assert len(X) == len(y) == 9 and found.components.shape == (3, shapes.shape[1])
-    np.testing.assert_allclose(found.centre, shapes[some].mean(axis=0), atol=1e-6)
-    off = np.abs(found.centre + y @ found.components - shapes).max(axis=1) / (tube_rig.size / 2)
-    assert off[some].max() < 1e-5 and np.delete(off, some).min() > 1e-3
-    looks = np.concatenate([free_form.look(s.points).vectors for s in scans])
-    np.testing.assert_allclose(X, (looks - found.mean) / found.deviation)
-
-
-# ---- rows that learn ----
-
-
-def _learned(rig, size, monkeypatch, *, units, scales):
-    """What the row "cd" finds where learning and fits find the truth: (given, Found)."""
-    given = data.study_set(rig, size, 5)
-    true = {"train": given.train.templates, "test": given.test.templates}
-    results, root = [], rig.joints[rig.root]
-
-    def in_rig_units(places, unit):
-        return root + (places - root) / unit
-
-    for k, scale in zip(given.test_subjects, scales, strict=True):
-        U, joints = true["test"][k]
-        results.append(None)
-        if scale is not None:
-            rest = {"offsets": in_rig_units(U, scale) - rig.vertices, "rest_joints": in_rig_units(joints, scale)}
-            results[-1] = SimpleNamespace(scale=scale, **rest, vertices=U, joints=joints, labels=None)
-    fits = iter(results)
-
-    def fit_scan(points):
-        found = next(fits)
-        if found is None:
-            raise InputError("points", "some", "others")
-        return found
-
-    templates = {}
-    for k, unit in units.items():
-        U, joints = (in_rig_units(places, unit) for places in true["train"][k])
-        templates[k] = SimpleNamespace(vertices=U, joints=joints)
-    own = {"template_": templates, "unit_": units, "history_": [], "segmenter_": None, "_pretrained": None, "rounds": 1}
-    fitter = SimpleNamespace(**own, fit=lambda *given, **more: None, fit_scan=fit_scan)
-    fitter.set_params = lambda **parameters: fitter
-    monkeypatch.setattr("sklearn.base.clone", lambda fitter: fitter)
-    return given, ROWS["cd"].find(Context(rig, given, size, 5, fitter, None, 1, lambda share: None))
-
-
-def test_gaps_of_templates_are_in_the_rigs_unit_and_of_the_right_people(tube_rig, monkeypatch):
-    """Units that learning has found, and scales of fits, are undone; the second subject was not learned."""
-    size = Size(6, 4, 3, 2, 1, 1, 1, 1)
-    monkeypatch.setattr(data, "SCAN", replace(SCAN, n_points=50))
-    given, found = _learned(tube_rig, size, monkeypatch, units={2: 2.0, 0: 0.5}, scales=[2.0, None, 0.5, 4.0])
-    people = {"subjects": (given.train.templates, (0, 2)), "test scans": (given.test.templates, (0, 0, 1))}
-    assert found.failures == {1: "points: got some; expected others."} and list(found.test.fitted) == [True, False, True, True]
-    for what, (templates, whose) in people.items():
-        gap, true = found.gap[what], [templates[k][0] for k in whose]
-        far = [np.linalg.norm(U - tube_rig.vertices, axis=1).mean() / given.half for U in true]
-        assert gap["before"] == pytest.approx(np.mean(far)) and gap["before"] > 0.01
-        assert gap["after"] == pytest.approx(0, abs=1e-12) == gap["after, up to a shift"]
-
-
-def test_three_times_the_data_is_more_people(tube_rig, monkeypatch):
-    """The row without a number learns from the scans that are given, and is judged on these as well."""
-    size, seen, fitted = Size(3, 2, 1, 1, 1, 1, 1, 1), [], []
-    monkeypatch.setattr(data, "SCAN", replace(SCAN, n_points=50))
-    given = data.study_set(tube_rig, size, 5)
-
-    def taught(rig, scans, random_state):
-        seen.append((rig, [s.points for s in scans], random_state))
-        return lambda points: fitted.append(points) or (tube_rig.vertices, tube_rig.joints)
-
-    monkeypatch.setattr("lbsfit_np.bench.study.rows.taught", taught)
-    shares = []
-    c = Context(tube_rig, given, size, 5, SimpleNamespace(random_state=7), None, 1, shares.append)
-    one, three = (ROWS[row].find(c) for row in ("free-form-supervised", "free-form-supervised-3x"))
-    assert [(rig is given.rig, len(points), seed) for rig, points, seed in seen] == [(True, 3, 7), (True, 9, 7)]
-    assert all(np.array_equal(a, b) for a, b in zip(seen[0][1], seen[1][1]))
-    asked = [*given.test, *given.train, *given.test]
-    assert all(np.array_equal(a, s.points) for a, s in zip(fitted, asked, strict=True))
-    assert len(one.train.vertices) == 3 and three.train is None and len(one.test.vertices) == len(three.test.vertices) == 2
-    assert shares == pytest.approx([0.25, 0.5, 2 / 3, 5 / 6, 1.0, 0.5, 1.0])
