@@ -113,7 +113,7 @@ def test_without_subjects_all_are_one(folder):
     "text, words",
     [
         ("", ["0 lines", "heading"]),
-        ("scan,subject\n", ["1 lines"]),
+        ("scan,subject\n", ["1 line;"]),
         ("scan,subject\ns0,a\n", ["1 scan", "two scans"]),
         ("scan,subject,vertx\ns0,a,5\n", ["scan, subject, vertx", "name and vertex"]),
         ("scan,subject,name\ns0,a,b\n", ["name and vertex, or name, x, y and z"]),

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from study_sizes import TINY, small_is_few_and_fast
+from study_sizes import TINY
 
 from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
@@ -17,8 +17,6 @@ from lbsfit_np.bench.study.run import cell_name, study
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
-from lbsfit_np.learning.checkpoint import steps_in
-from lbsfit_np.learning.fitter import LBSFitter
 
 
 def _true(c):
@@ -203,6 +201,7 @@ def test_the_command_says_what_is_missing_and_what_goes_on(quick, tmp_path, monk
     monkeypatch.setattr("lbsfit_np.cli.bench_study.SILENCE", -1.0)
 
     def stopped(*a, **k):
+        k["on_begun"]({}, [])
         k["progress"]("h", 300, "joint", 0.5)
         raise KeyboardInterrupt
 
@@ -265,66 +264,3 @@ def test_other_rigs_have_no_goals(coarse_hand, quick):
     report["rigs"]["h"]["kind"] = "other"
     text = console_table(report)
     assert "goal" not in text and "[0.035]" not in text and "from the best of the ablations" in text
-
-
-def test_a_row_that_is_stopped_goes_on(tube_rig, tmp_path, monkeypatch, capsys):
-    """Nothing of it is done twice, its figures are those of a run at one go, and its steps are gone in the end."""
-    small_is_few_and_fast(monkeypatch)
-    tube_rig.save(tmp_path / "tube.npz")
-    out, fitted, fit_scan = tmp_path / "out", [], LBSFitter.fit_scan
-    command = ["bench", "study", "--rig", str(tmp_path / "tube.npz"), "--rows", "joint", "--seeds", "5", "--no-figures"]
-    command += ["-o", str(out)]
-    whole = study({"tube": tube_rig}, rows=("joint",), seeds=[5])["rigs"]["tube"]["seeds"]["5"]
-    tried = rows_module.each_kept
-
-    def stopping(work, tasks, slots, *, done, **others):
-        def some(share):
-            done(share)
-            if share > 0.5:
-                raise KeyboardInterrupt
-
-        return tried(work, tasks, slots, done=some, **others)
-
-    with monkeypatch.context() as patch:
-        patch.setattr(rows_module, "each_kept", stopping)
-        assert run(command) == 130
-        assert f"stopped: what is done is kept in {out}, and the same command goes on" in capsys.readouterr().out
-    assert not (out / "results.json").exists() and steps_in(out / "cells" / "tube-5-joint.npz.unfinished") > 6
-    monkeypatch.setattr(LBSFitter, "fit_scan", lambda self, *a: fitted.append(self.variant) or fit_scan(self, *a))
-    monkeypatch.setattr("lbsfit_np.learning.loop.FirstFit.__call__", lambda self, task: fitted.append("first") or 1 / 0)
-    steps = steps_in(out / "cells" / "tube-5-joint.npz.unfinished")
-    assert run(command) == 0
-    found = json.loads((out / "results.json").read_text())["rigs"]["tube"]["seeds"]["5"]["joint"]
-    assert f"tube-5-joint.npz.unfinished has {steps} steps of a run that was stopped; those" in capsys.readouterr().out
-    text = (out / "README.md").read_text()
-    timed = "seconds", "jobs", "history", "commit"
-    assert {k: v for k, v in found.items() if k not in timed} == json.loads(
-        json.dumps({k: v for k, v in whole["joint"].items() if k not in timed})
-    )
-    assert found["seconds"] is None and "0.0 min for 0 of 1 rows" in text
-    assert fitted == ["joint"]  # the last of three
-    assert [path.name for path in (out / "cells").iterdir()] == ["tube-5-joint.npz"]
-
-
-def test_steps_are_gone_where_all_is_to_be_done_anew(tube_rig, tmp_path, monkeypatch, capsys):
-    small_is_few_and_fast(monkeypatch)
-    tube_rig.save(tmp_path / "tube.npz")
-    steps = tmp_path / "cells" / "tube-5-joint.npz.unfinished"
-    steps.mkdir(parents=True)
-    (steps / f"result-{32 * '0'}.npz").write_bytes(b"")
-    monkeypatch.setattr(run_module, "_cells", lambda *a: (_ for _ in ()).throw(KeyboardInterrupt))
-    command = [
-        "bench",
-        "study",
-        "--rig",
-        str(tmp_path / "tube.npz"),
-        "--rows",
-        "joint",
-        "--seeds",
-        "5",
-        "-o",
-        str(tmp_path),
-    ]
-    assert run(command) == 130 and steps_in(steps) == 1
-    assert run([*command, "--existing", "replace"]) == 130 and not steps.exists()
-    assert capsys.readouterr().out.endswith("and the same command without --existing replace goes on\n")

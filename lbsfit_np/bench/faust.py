@@ -23,7 +23,7 @@ from ..errors import FileError, brief, listed
 from .pairs import KINDS, pairs_bench
 from .truth import PairScan, Registrations, read_registrations
 
-__all__ = ["PAPER", "Faust", "challenge_files", "faust_bench", "faust_table", "read_faust", "write_challenge"]
+__all__ = ["PAPER", "Faust", "challenge_files", "challenge_left", "faust_bench", "faust_table", "read_faust", "write_challenge"]
 
 # The paper's table, "Correspondence results on FAUST testing set": (method, inter, intra), in cm; None where it has none.
 PAPER = (
@@ -293,8 +293,8 @@ def write_challenge(folder, found, fits, faces, *, on_pair=None):
     report, done, total = {}, 0, sum(map(len, found.challenges.values()))
     if on_pair is not None and total:
         on_pair(0, total)
-    for kind in KINDS:
-        _remove_challenge(folder, kind)
+    for path in challenge_left(folder):
+        path.unlink(missing_ok=True)
     for kind, (archive, files) in challenge_files(folder, found).items():
         (folder / f"challenge-{kind}").mkdir(exist_ok=True)
         written = []
@@ -312,12 +312,11 @@ def write_challenge(folder, found, fits, faces, *, on_pair=None):
     return report
 
 
-def _remove_challenge(folder, kind):
-    """What an earlier run has written, perhaps with other fits or for other pairs."""
-    (folder / f"challenge-{kind}.zip").unlink(missing_ok=True)
-    for path in (folder / f"challenge-{kind}").glob("*.txt"):
-        if _PAIR.fullmatch(path.stem):
-            path.unlink()
+def challenge_left(folder):
+    """The files that an earlier :func:`write_challenge` has left in a folder, perhaps of other fits or other pairs."""
+    archives = [folder / f"challenge-{kind}.zip" for kind in KINDS]
+    files = [path for kind in KINDS for path in (folder / f"challenge-{kind}").glob("*.txt") if _PAIR.fullmatch(path.stem)]
+    return [path for path in (*archives, *files) if path.is_file()]
 
 
 def _correspondences(a, b, fits, faces):

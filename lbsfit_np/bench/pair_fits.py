@@ -78,7 +78,17 @@ def made_files(folder):
 
 
 def fit_scans_of(
-    fitter, scans, folder, *, learn_from=(), settings=None, existing="resume", n_samples=None, jobs=1, reporter=None
+    fitter,
+    scans,
+    folder,
+    *,
+    learn_from=(),
+    settings=None,
+    existing="resume",
+    made_of_fits=(),
+    n_samples=None,
+    jobs=1,
+    reporter=None,
 ):
     """Fit scans, or take what is there.
 
@@ -95,6 +105,8 @@ def fit_scans_of(
     settings : dict, optional
         Plain data that fits depend on, beside the rig and the scans.
     existing : {"resume", "replace"}
+    made_of_fits : sequence of Path
+        Files that are removed with the fits where these are replaced, such as figures.
     n_samples : int, optional
         Of ``load_scan``.
     jobs : int, default 1
@@ -118,7 +130,7 @@ def fit_scans_of(
         before.check(record, folder)
     fits = Fits(folder)
     if existing == "replace":
-        for path in fit_files(folder, scans):
+        for path in (*fit_files(folder, scans), *made_of_fits):
             path.unlink(missing_ok=True)
         remove_checkpoint(checkpoint_in(folder))
     (folder / _FITS).mkdir(exist_ok=True)

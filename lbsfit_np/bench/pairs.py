@@ -39,6 +39,7 @@ def pairs_bench(
     unit="auto",
     settings=None,
     existing="resume",
+    made_of_fits=(),
     n_samples=None,
     jobs=1,
     reporter=None,
@@ -65,7 +66,7 @@ def pairs_bench(
         Of both.
     unit : {"auto", "m", "cm", "mm", "in"}
         Of the scans; "auto": what the scale of the fits says.
-    settings, existing, n_samples, jobs, reporter
+    settings, existing, made_of_fits, n_samples, jobs, reporter
         As for ``pair_fits.fit_scans_of``; ``reporter.measured(done, total)`` as well.
 
     Returns
@@ -85,8 +86,8 @@ def pairs_bench(
     if truth is not None and not any(pairs.values()):
         raise InputError("truth", "no two scans of which it knows the same places", "names that several scans have")
     learn_from, everyone = readable if learn else (), [*scans, *also]
-    given = {"settings": settings, "existing": existing, "n_samples": n_samples, "jobs": jobs, "reporter": reporter}
-    fits = fit_scans_of(fitter, everyone, folder, learn_from=learn_from, **given)
+    given = {"settings": settings, "existing": existing, "made_of_fits": made_of_fits, "n_samples": n_samples}
+    fits = fit_scans_of(fitter, everyone, folder, learn_from=learn_from, **given, jobs=jobs, reporter=reporter)
     measured = measure_pairs(
         scans, truth, fits, fitter.rig.faces, pairs, points=points, seed=seed, on_pair=getattr(reporter, "measured", None)
     )

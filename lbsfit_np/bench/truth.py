@@ -106,6 +106,16 @@ class Landmarks:
 
     def check(self, i, points):
         """Raise where scan i, with these points, does not fit the truth."""
+        given = {name: place for name, place in self.places[i].items() if not isinstance(place, int)}
+        places = np.array(list(given.values())).reshape(-1, 3)
+        far = _beyond(places, points)
+        if len(places) > 2 and _across(places) * _SMALL < _across(points):
+            far[:] = True
+        if far.any():
+            name = list(given)[np.argmax(far)]
+            where = f"{name!r} at {_said(given[name])} in line {self.lines[i].get(name, '?')}"
+            box = f"the scan goes from {_said(points.min(0))} to {_said(points.max(0))}"
+            raise InputError("truth", f"{where}, while {box}", "places on the scan", _FRAME)
         for name, place in self.places[i].items():
             if isinstance(place, int) and place >= len(points):
                 got = f"vertex {place} for {name!r} in line {self.lines[i][name]}"
@@ -152,7 +162,12 @@ class Registrations:
 
     def check(self, i, points):
         """Raise where scan i, with these points, does not fit the truth."""
-        known = self._reliable(i)
+        known, V = self._reliable(i), self.vertices[i]
+        # Half of the points may be of the floor, and most of the mesh where nothing was scanned.
+        if V is not None and (np.mean(_beyond(points, V)) > 0.5 or _across(points) * _SMALL < _across(V)):
+            box = f"the scan goes from {_said(points.min(0))} to {_said(points.max(0))}"
+            got = f"a registration from {_said(V.min(0))} to {_said(V.max(0))}, while {box}"
+            raise InputError("truth", got, "a mesh that lies on the scan", _FRAME)
         if known is not None and len(known) != len(points):
             raise InputError("truth", f"{len(known)} flags of reliable points", f"{len(points)}, one for each point of the scan")
         if known is not None and not known.any():
@@ -175,6 +190,26 @@ class Registrations:
 
     def _reliable(self, i):
         return self.reliable[i] if self.reliable else None
+
+
+# What is to be done about a truth that lies elsewhere.
+_FRAME = "Give it in the scan's own frame and unit."
+# What is smaller by more than this factor is in another unit.
+_SMALL = 200
+
+
+def _beyond(places, points):
+    """(k,) bool: places that are farther from the box of points than that is across, as those in another unit are."""
+    outside = places - np.clip(places, points.min(0), points.max(0))
+    return np.linalg.norm(outside, axis=1) > _across(points)
+
+
+def _across(points):
+    return np.linalg.norm(np.ptp(points, axis=0))
+
+
+def _said(place):
+    return "(" + ", ".join(f"{x:.4g}" for x in place) + ")"
 
 
 def read_registrations(paths, what="registrations"):

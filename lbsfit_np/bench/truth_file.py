@@ -4,7 +4,7 @@ import csv
 import math
 from pathlib import Path
 
-from ..errors import FileError, brief, did_you_mean, listed
+from ..errors import FileError, brief, counted, did_you_mean, listed
 from .pair_fits import made_files
 from .truth import Landmarks, PairScan, Registrations, VertexOrder, read_registrations
 
@@ -99,7 +99,7 @@ def _table(path):
         raise FileError(str(path), "content that is not UTF-8 text", "a table of scans", "Save it as CSV in UTF-8.") from None
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
     if len(lines) < 2:
-        raise FileError(str(path), f"{len(lines)} lines", f"a heading ({_FORMS}) and a row for each scan or place")
+        raise FileError(str(path), counted(len(lines), "line"), f"a heading ({_FORMS}) and a row for each scan or place")
     delimiter = max("\t;,", key=lines[0][1].count)
     table = []
     for k, line in lines:

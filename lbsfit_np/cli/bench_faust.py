@@ -50,7 +50,7 @@ def add_parser(benches):
 
 
 def _run(folder, values):
-    from ..bench.faust import challenge_files, faust_bench, faust_table, read_faust
+    from ..bench.faust import challenge_files, challenge_left, faust_bench, faust_table, read_faust
     from ..io.write import write_json
 
     found = read_faust(folder, most=values["scans"], learn=values["learn"])
@@ -66,7 +66,7 @@ def _run(folder, values):
 
     def work(progress):
         on_figures = functools.partial(write_json, out / pair_runs.RESULTS)
-        options = pair_runs.bench_keywords(values) | {"reporter": progress}
+        options = pair_runs.bench_keywords(values, out, challenge_left(out)) | {"reporter": progress}
         report, fits = faust_bench(fitter, found, out, on_figures=on_figures, **options)
         words = [faust_table(report, markdown=values["markdown"])]
         words += [_written(kind, written) for kind, written in report["challenge"].items()]

@@ -61,7 +61,7 @@ def _run(folder, values):
         say(f"note: {note}")
 
     def work(progress):
-        options = pair_runs.bench_keywords(values) | {"unit": values["unit"], "reporter": progress}
+        options = pair_runs.bench_keywords(values, out) | {"unit": values["unit"], "reporter": progress}
         report, fits = pairs_bench(fitter, scans, truth, out, **options)
         report["notes"] = notes
         return pair_runs.finished(out, report, pairs_table(report, markdown=values["markdown"]), fitter.rig, scans, fits, values)

@@ -1,10 +1,12 @@
 """What ``lbsfit bench study`` runs: the paper's study, its page and its pictures."""
 
+import re
 import time
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
-from ..errors import InputError, MissingExtraError
+from ..errors import FileError, InputError, MissingExtraError, counted
 from ..io.write import make_folder, remove_empty
 from .bench_runs import RESULTS, failures_code, made_results, numbers, read_results
 from .models import say_model_as_rig
@@ -19,10 +21,10 @@ _PAGE, _CELLS = "README.md", "cells"
 def run_study(values):
     """The study; the exit code."""
     from ..bench.study.page import console_table
-    from ..bench.study.run import cell_name, study
+    from ..bench.study.run import cell_name, joined, study
     from ..io.rigs import load_rig
     from ..io.write import write_json, write_npz
-    from ..learning.checkpoint import checkpoint_of, remove_checkpoint
+    from ..learning.checkpoint import checkpoint_of
 
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT, such as docs/study.")
@@ -38,7 +40,8 @@ def run_study(values):
         raise InputError("-o/--output", f"{folder}, which has another {_PAGE}", "a folder of the study's own", remedy)
     results = made_results(values)
     out, cells = results.parent, results.parent / _CELLS
-    resumed = values["existing"] == "resume" and results.exists()
+    replace, begun = values["existing"] == "replace", False
+    resumed = results.exists() and not replace
     if values["figures"] and find_spec("matplotlib") is None:
         say(f"note: {MissingExtraError('matplotlib', 'viz', 'drawing the figures')}; without it, all but these is done")
     progress = _StudyProgress()
@@ -47,12 +50,24 @@ def run_study(values):
     def steps(cell):
         return checkpoint_of(cells / f"{cell}.npz")
 
-    for folder in sorted(cells.glob(steps("*").name)):
-        (remove_checkpoint if values["existing"] == "replace" else say_steps)(folder)
+    def keep(report):
+        """Write the report with what a study beside this one has written meanwhile, such as of other seeds; returns it."""
+        report = joined(report, read_results(results)) if results.exists() else report
+        write_json(results, report)
+        return report
+
+    def on_begun(report, todo):
+        nonlocal begun
+        begun = True
+        if replace:
+            _remove_earlier(out, cells, results)
+            write_json(results, report)  # with it the same command goes on, stopped as soon as may be
+        for cell in todo:
+            say_steps(steps(cell))
 
     def on_cell(report, name, seed, row, arrays):
         write_npz(cells / f"{cell_name(name, seed, row)}.npz", **arrays)
-        write_json(results, report)
+        keep(report)
         progress.cell(name, seed, row, report["rigs"][name]["seeds"][str(seed)][row])
 
     try:
@@ -67,17 +82,19 @@ def run_study(values):
                 kept=lambda cell: (cells / f"{cell}.npz").exists(),
                 steps=steps,
                 progress=progress,
+                on_begun=on_begun,
                 on_cell=on_cell,
             )
     except KeyboardInterrupt:
         progress.close()
-        again = "the same command" + (" without --existing replace" if values["existing"] == "replace" else "")
-        say(f"stopped: what is done is kept in {out}, and {again} goes on")
+        if begun:
+            again = "the same command" + (" without --existing replace" if replace else "")
+            say(f"stopped: what is done is kept in {out}, and {again} goes on")
         raise
     finally:
         progress.close()
         remove_empty(made)
-    write_json(results, report)
+    keep(report)
     report = read_results(results)  # the page is of what is written, in its order
     written = _write_page(report, rigs, out, pictures=values["figures"])
     write_json(results, report)
@@ -85,6 +102,25 @@ def run_study(values):
     say(console_table(report, markdown=values["markdown"]))
     say(f"\n{written}")
     return failures_code(_failures(report))
+
+
+def _remove_earlier(out, cells, results):
+    """Remove what an earlier study has written, and say how much; what cannot be removed stays."""
+    from ..bench.study.rows import ROWS
+    from ..learning.checkpoint import checkpoint_of, remove_checkpoint
+
+    for folder in cells.glob(checkpoint_of("*.npz").name):
+        remove_checkpoint(folder)
+    if not results.exists():
+        return
+    drawn = []
+    with suppress(FileError):
+        drawn = [out / Path(file).name for file in read_results(results).get("captions", ()) if Path(file).suffix == ".png"]
+    rows = [file for file in cells.glob("*-*-*.npz") if re.fullmatch(rf".+-\d+-({'|'.join(ROWS)})", file.stem)]
+    for file in (results, out / _PAGE, *drawn, *rows):
+        with suppress(OSError):
+            file.unlink()
+    say(f"note: {counted(len(rows), 'row')} of earlier runs in {out} {'is' if len(rows) == 1 else 'are'} removed")
 
 
 def _failures(report):
@@ -151,4 +187,4 @@ class _StudyProgress(Progress):
         found = f"pose {entry['pose']:.4f}" if "pose" in entry else "nothing could be fitted"
         found += f", corre. {entry['corre']['mean']:.4f}" if entry.get("corre") else ""
         took = "" if entry["seconds"] is None else f"{span(entry['seconds'])}, "
-        self.line(f"{name}, seed {seed}, {row}: {found}; {took}{span(time.monotonic() - self._began)} in all")
+        self.line(f"{name}, seed {seed}, {row}: {found}; {took}{span(time.monotonic() - self._began)} in this run")

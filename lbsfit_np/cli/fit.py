@@ -68,7 +68,13 @@ OPTIONS = (
     Option("max-points", "points of a scan that take part in the optimisation; all are labelled", positive, 2500, metavar="N"),
     Option("pictures", "draw each fit, too, as NAME.png", bool, False),
     Option("segmenter", "a segmenter saved by Segmenter.save, instead of one trained here", metavar="FILE", is_path=True),
-    Option("training-scans", "synthetic scans for the segmenter; half as many for starts", positive, 4000, metavar="N"),
+    Option(
+        "training-scans",
+        "synthetic scans for the segmenter, in each round of learning, too; half as many for starts",
+        positive,
+        4000,
+        metavar="N",
+    ),
     Option(
         "training",
         "how these are made: a field of lbsfit_np.synthesis.Synthesis, such as noise=0.01 or one_sided=true; may be repeated",
@@ -327,6 +333,8 @@ def _fit(fitter, todo, subjects, values, on_result, progress):
     from ..learning.batch import fit_scans
 
     segmenter = getattr(fitter, "segmenter_", None)
+    if segmenter is not None:
+        progress.pretraining = "library"
     fit_scans(
         fitter,
         [functools.partial(read_scan, f.source, len(fitter.rig.parts), scan_options(values)) for f in todo],

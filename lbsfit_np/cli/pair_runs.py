@@ -100,8 +100,8 @@ def fitter_of(values):
     return LBSFitter(rig, **{name: values[name] for name in names}, n_jobs=values["jobs"], random_state=values["seed"])
 
 
-def bench_keywords(values):
-    """Keywords of ``pairs_bench`` and ``faust_bench``, by the values of the options and ``MEASURING``."""
+def bench_keywords(values, out, more=()):
+    """Keywords of ``pairs_bench`` and ``faust_bench``, by the options' values; ``more`` files in ``out`` are made of fits."""
     return {
         "learn": values["learn"],
         "most_pairs": values["pairs"],
@@ -109,6 +109,7 @@ def bench_keywords(values):
         "seed": values["seed"],
         "settings": _fit_settings(values),
         "existing": values["existing"],
+        "made_of_fits": (out / RESULTS, out / GALLERY, *more),
         "n_samples": values["samples"],
         "jobs": values["jobs"],
     }
@@ -128,11 +129,9 @@ def made_output(values, scans, inputs, more=()):
     read = [*(s.path for s in scans), *inputs, *(values[k] for k in ("rig", "card") if values[k] and values[k] != "none")]
     written = [out / RESULTS, out / GALLERY, *fit_files(out, scans), *more]
     # What this benchmark has left may be gone on with, or replaced; what somebody else has, only where people say so.
-    replace = values["existing"] == "replace"
-    check_outputs(written, out, inputs=read, existing="replace" if replace or has_record(out) else "error")
+    replaced = values["existing"] == "replace" or has_record(out)
+    check_outputs(written, out, inputs=read, existing="replace" if replaced else "error")
     make_folder(out)
-    for name in (RESULTS, GALLERY) if replace else ():  # figures of fits that are to be gone
-        (out / name).unlink(missing_ok=True)
     return out
 
 

@@ -1,5 +1,6 @@
 """Files written whole or not at all: each appears under its name only once it is complete."""
 
+import errno
 import json
 import os
 import secrets
@@ -12,7 +13,7 @@ import numpy as np
 from ..errors import FileError, InputError
 
 __all__ = [
-    *("atomic_path", "check_npz_name", "make_folder", "remove_empty"),
+    *("atomic_path", "check_folder", "check_npz_name", "make_folder", "remove_empty"),
     *("write_json", "write_mesh_ply", "write_npz", "write_points_ply"),
 ]
 
@@ -88,9 +89,32 @@ def make_folder(out):
         remove_empty(made)
         if isinstance(error, FileError):
             raise
-        why = getattr(error, "strerror", None) or error
-        raise FileError(str(out), f"a folder that cannot be made ({why})", "a folder to write to") from None
+        raise _cannot_make(out, error) from None
     return made
+
+
+def check_folder(path):
+    """See that a folder can be made and written to, without making it: others may be making the same.
+
+    Raises
+    ------
+    FileError
+        As :func:`make_folder`.
+    """
+    path = Path(path)
+    there = next((folder for folder in (path, *path.parents) if os.path.lexists(folder)), Path())
+    if not os.path.exists(there):  # a link to nothing
+        raise _cannot_make(there, FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST)))
+    if not os.path.isdir(there):
+        raise FileError(str(there), "a file", "a folder to write to, or a name for a new one")
+    try:
+        # Each name to be made, as the system looks no further than the first that is not there; and the path as a whole.
+        for folder in (*(there / name for name in path.parts[len(there.parts) :]), path):
+            with suppress(FileNotFoundError):  # and nothing else, such as a name too long or with NUL in it
+                os.lstat(folder)
+    except (OSError, ValueError) as error:
+        raise _cannot_make(path, error) from None
+    _check_writable(there)
 
 
 def remove_empty(folders):
@@ -98,6 +122,11 @@ def remove_empty(folders):
     for folder in folders:
         with suppress(OSError, ValueError):  # there is something in it, or it was never there
             folder.rmdir()
+
+
+def _cannot_make(folder, error):
+    why = getattr(error, "strerror", None) or error
+    return FileError(str(folder), f"a folder that cannot be made ({why})", "a folder to write to")
 
 
 def _check_writable(folder):

@@ -68,7 +68,7 @@ class Checkpoint:
 
 def _checked(folder):
     """The folder of a checkpoint as a Path, once it is known that files can be made there."""
-    from ..io.write import make_folder, remove_empty
+    from ..io.write import check_folder
 
     try:
         path = Path(folder)
@@ -77,7 +77,7 @@ def _checked(folder):
     if not str(folder):
         raise InputError("checkpoint", "an empty path", "the path of a folder, or None")
     try:
-        remove_empty(make_folder(path))  # it is there for good with the first step
+        check_folder(path)  # it is made with the first step
     except FileError as error:
         raise InputError("checkpoint", f"{error.argument}, {error.got}", error.expected, "Choose another folder.") from None
     return path

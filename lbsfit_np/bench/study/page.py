@@ -61,11 +61,11 @@ Columns of the tables; means over the test scans, the paper's figures in square 
 - **Corre.**: how far from its true place on scan B a point of scan A is carried by the two registrations: mean and percentiles
   over all points of all pairs of scans. **snapped**: the same after the step to the nearest point of B.
 - **vertices**: ‖registered − true vertices‖. **unfitted**: scans without a fit, which all these leave out. **s**: of learning
-  and all fits of the row, pretraining not counted; – of a row that was stopped and gone on with.
+  and all fits of the row, pretraining not counted; – of a row that found steps of a run that was stopped.
 
 Below each table: in the order of the ablations, ≈ stands between rows that are nearer to each other than 3 %; an order with such
 rows is level, and does not reach what was to be reached any more than one that is missed. The **template gap** is ‖U^d − U^gt‖,
-mean over the vertices in the rest pose, U^d grown by its fit's scale about the root joint, and the same with both moved to a
+mean over the vertices in the rest pose, U^d grown by its scale about the root joint, and the same with both moved to a
 common centre ("up to a shift"), as no scan shows where the rest pose stands; before is ‖U − U^gt‖.
 """
 
@@ -342,9 +342,19 @@ def _sizes(report):
     ]
     several = any(len(e["seeds"]) > 1 for e in report["rigs"].values())
     many = "Figures are means over the seeds, with their range. " if several else ""
+    fewer = [words for name, e in report["rigs"].items() for words in _with_fewer_seeds(name, e["seeds"])]
+    many += f"Fewer seeds: {'; '.join(fewer)}. " if fewer else ""
     return (
         f"Size `{report['size']}`; {'; '.join(sizes)}. {many}Lengths are in half sizes of the rig ([−1, 1]³)."
     )
+
+
+def _with_fewer_seeds(name, seeds):
+    """"hand, cd: 300 alone" of each row that not all seeds have."""
+    for row in ROWS:
+        has = [seed for seed, rows in seeds.items() if row in rows]
+        if 0 < len(has) < len(seeds):
+            yield f"{name}, {row}: {', '.join(has)}" + (" alone" if len(has) == 1 else "")
 
 
 def _protocol(report):
@@ -366,7 +376,8 @@ def _provenance(report):
     commit = f", commit{'s' if len(commits) > 1 else ''} {', '.join(commits)}" if commits else ""
     jobs = sorted({c["jobs"] for c in cells})
     of, timed = len(cells), _seconds(cells)
-    took = f"{sum(timed) / 60:.1f} min for {'all' if len(timed) == of else f'{len(timed)} of {of}'} rows"
+    rows = "all" if len(timed) == of else f"{len(timed)} of {of}"
+    took = f"{sum(timed) / 60:.1f} min for {rows} rows" if timed else "not timed"
     took += f", with {' or '.join(map(str, jobs))} process{'es' * (jobs != [1])}"
     known = "`results.json` beside this page has every figure."
     return f"---\n\nlbsfit_np {e['lbsfit_np']}{commit}; {versions}; {machine}; {took}. {known}"

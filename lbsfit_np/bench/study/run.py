@@ -2,7 +2,9 @@
 
 import hashlib
 import time
+from copy import deepcopy
 from dataclasses import asdict
+from itertools import product
 
 import numpy as np
 
@@ -18,7 +20,7 @@ from .local_optimum import along_path
 from .measures import Truth, measured
 from .rows import ROWS, Context
 
-__all__ = ["FIRST_SEED", "cell_name", "study"]
+__all__ = ["FIRST_SEED", "cell_name", "joined", "study"]
 
 # Of the scans, and those after it; nothing was tuned on them.
 FIRST_SEED = 300
@@ -36,6 +38,7 @@ def study(
     kept=lambda cell: True,
     steps=lambda cell: None,
     progress=None,
+    on_begun=None,
     on_cell=None,
 ):
     """Register the study's scans by each row, and measure.
@@ -56,8 +59,10 @@ def study(
     kept : callable (cell name) → bool, optional
         Whether the arrays of a cell of ``before`` are still there.
     steps : callable (cell name) → Path or None, optional
-        A folder for what a row that takes long has done so far; taken up by the next run, and removed when the rows are done.
+        A folder for what a row that takes long has done so far; taken up by the next run, and removed when the row is done.
     progress : callable (name, seed, row, share), optional
+    on_begun : callable (report, cells), optional
+        Once all has been checked and before any work, with the report to go on with and the names of the cells to be done.
     on_cell : callable (report, name, seed, row, arrays), optional
         After each row of each rig and seed, with the report so far and what is to be kept as :func:`cell_name`.
 
@@ -80,27 +85,54 @@ def study(
     progress = progress or (lambda name, seed, row, share: None)
     report = _begun(before, size, rigs) | {"complete": False, "environment": environment()}
     for name, rig in rigs.items():
-        entry = report["rigs"].setdefault(name, _described(rig, sizes[name]))
+        report["rigs"].setdefault(name, _described(rig, sizes[name]))
+    todo = {}
+    for name, seed in product(rigs, seeds):
+        done = report["rigs"][name]["seeds"].get(str(seed), {})
+        todo[name, seed] = [row for row in ROWS if row in rows and not (row in done and kept(cell_name(name, seed, row)))]
+        for row in done.keys() - todo[name, seed]:  # which a run may have been killed before it removed
+            _remove_steps(steps(cell_name(name, seed, row)))
+    if on_begun is not None:
+        on_begun(report, [cell_name(*of, row) for of, left in todo.items() for row in left])
+    for (name, seed), left in todo.items():
+        rig, entry = rigs[name], report["rigs"][name]
         if "local_optimum" not in entry:
             entry["local_optimum"] = along_path(rig)
-        for seed in seeds:
-            done = entry["seeds"].setdefault(str(seed), {})
-            todo = [row for row in ROWS if row in rows and not (row in done and kept(cell_name(name, seed, row)))]
-            if todo:
-                for row, cell, arrays in _cells(name, rig, sizes[name], seed, todo, jobs, progress, steps):
-                    done[row] = cell
-                    if on_cell is not None:
-                        on_cell(report, name, seed, row, arrays)
-            for folder in (steps(cell_name(name, seed, row)) for row in done):
-                if folder is not None:
-                    remove_checkpoint(folder)
-    report["complete"] = all(len({tuple(rows) for rows in _in_order(entry)}) == 1 for entry in report["rigs"].values())
+        for row, cell, arrays in _cells(name, rig, sizes[name], seed, left, jobs, progress, steps) if left else ():
+            entry["seeds"].setdefault(str(seed), {})[row] = cell
+            if on_cell is not None:
+                on_cell(report, name, seed, row, arrays)
+            _remove_steps(steps(cell_name(name, seed, row)))
+    report["complete"] = _complete(report)
     return report
 
 
-def _in_order(entry):
-    """The rows that each seed of a rig has."""
-    return [[row for row in ROWS if row in done] for done in entry["seeds"].values()]
+def joined(report, other):
+    """A report with the rigs, seeds and rows of another one of the same settings that it has not: of a run beside this one.
+
+    ``other`` counts for nothing where it is of another size, or of rigs, poses or people that are not the same.
+    """
+    out = deepcopy(report)
+    if any(other.get(key) != out[key] for key in ("benchmark", "size", "scan")):
+        return out
+    for name, theirs in other["rigs"].items():
+        ours = out["rigs"].setdefault(name, theirs)
+        if all(theirs.get(key) == ours[key] for key in ("digest", "poses", "people", "size")):
+            for seed, rows in theirs["seeds"].items():
+                ours["seeds"][seed] = rows | ours["seeds"].get(seed, {})
+            ours["seeds"] = {seed: ours["seeds"][seed] for seed in sorted(ours["seeds"], key=int)}
+    out["complete"] = out["complete"] and _complete(out)
+    return out
+
+
+def _complete(report):
+    """Whether the seeds of each rig have the same rows."""
+    return all(len({frozenset(done) for done in entry["seeds"].values()}) == 1 for entry in report["rigs"].values())
+
+
+def _remove_steps(folder):
+    if folder is not None:
+        remove_checkpoint(folder)
 
 
 def cell_name(name, seed, row):

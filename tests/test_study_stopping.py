@@ -1,0 +1,185 @@
+"""Runs of the study that are stopped in the middle of a row, that begin anew, and that fill one folder together."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from study_sizes import small_is_few_and_fast
+
+from lbsfit_np.bench.study import rows as rows_module
+from lbsfit_np.bench.study import run as run_module
+from lbsfit_np.bench.study.data import SIZES
+from lbsfit_np.bench.study.run import joined, study
+from lbsfit_np.cli import main as run
+from lbsfit_np.errors import FileError
+from lbsfit_np.io.write import write_npz
+from lbsfit_np.learning.checkpoint import steps_in
+from lbsfit_np.learning.fitter import LBSFitter
+
+
+@pytest.fixture
+def command(tube_rig, tmp_path, monkeypatch):
+    """A study of a few small scans of the tube, without rows."""
+    small_is_few_and_fast(monkeypatch)
+    tube_rig.save(tmp_path / "tube.npz")
+    out = ["-o", str(tmp_path / "out")]
+    return ["bench", "study", "--rig", str(tmp_path / "tube.npz"), "--seeds", "5", "--no-figures", *out, "--rows"]
+
+
+@pytest.fixture
+def run_stopped(monkeypatch):
+    """The command, stopped as by Ctrl-C when more than half of the test scans of a row are fitted; its exit code."""
+    tried = rows_module.each_kept
+
+    def stopping(work, tasks, slots, *, done, **others):
+        def some(share):
+            done(share)
+            if share > 0.5:
+                raise KeyboardInterrupt
+
+        return tried(work, tasks, slots, done=some, **others)
+
+    def stopped(arguments):
+        with monkeypatch.context() as patch:
+            patch.setattr(rows_module, "each_kept", stopping)
+            return run(arguments)
+
+    return stopped
+
+
+def _rows(out):
+    """Seed → row → its figures, as written."""
+    return json.loads((out / "results.json").read_text())["rigs"]["tube"]["seeds"]
+
+
+def _found(cell):
+    """Figures without what hangs on when and how they were made."""
+    return {k: v for k, v in cell.items() if k not in ("seconds", "jobs", "history", "commit")}
+
+
+def test_a_row_that_is_stopped_goes_on(command, run_stopped, tube_rig, tmp_path, monkeypatch, capsys):
+    """Nothing of it is done twice, its figures are those of a run at one go, and its steps are gone in the end."""
+    out, fitted, fit_scan = tmp_path / "out", [], LBSFitter.fit_scan
+    whole = study({"tube": tube_rig}, rows=("joint",), seeds=[5])["rigs"]["tube"]["seeds"]["5"]
+    assert run_stopped([*command, "joint"]) == 130
+    assert f"stopped: what is done is kept in {out}, and the same command goes on" in capsys.readouterr().out
+    assert not (out / "results.json").exists() and steps_in(out / "cells" / "tube-5-joint.npz.unfinished") > 6
+    monkeypatch.setattr(LBSFitter, "fit_scan", lambda self, *a: fitted.append(self.variant) or fit_scan(self, *a))
+    monkeypatch.setattr("lbsfit_np.learning.loop.FirstFit.__call__", lambda self, task: fitted.append("first") or 1 / 0)
+    steps = steps_in(out / "cells" / "tube-5-joint.npz.unfinished")
+    assert run([*command, "joint"]) == 0
+    assert f"tube-5-joint.npz.unfinished has {steps} steps of a run that was stopped; those" in capsys.readouterr().out
+    found = _rows(out)["5"]["joint"]
+    assert _found(found) == json.loads(json.dumps(_found(whole["joint"])))
+    text = (out / "README.md").read_text()
+    assert found["seconds"] is None and "; not timed, with 1 process." in text
+    assert fitted == ["joint"]  # the last of three
+    assert [path.name for path in (out / "cells").iterdir()] == ["tube-5-joint.npz"]
+
+
+def test_a_row_made_at_one_go_has_its_time(command, tmp_path):
+    assert run([*command, "cd"]) == 0
+    assert _rows(tmp_path / "out")["5"]["cd"]["seconds"] > 0
+    assert " min for all rows, " in (tmp_path / "out" / "README.md").read_text()
+
+
+def test_steps_of_another_model_are_not_taken(command, run_stopped, tmp_path, monkeypatch):
+    """With other training scans, what was fitted before is fitted again, as in a fresh folder."""
+    assert run_stopped([*command, "cd"]) == 130
+    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], training_scans=90))
+    for out in ("out", "fresh"):
+        assert run([*command, "cd", "-o", str(tmp_path / out)]) == 0
+    gone_on, fresh = (np.load(tmp_path / out / "cells" / "tube-5-cd.npz")["vertices"] for out in ("out", "fresh"))
+    np.testing.assert_array_equal(gone_on, fresh)
+
+
+def test_steps_stay_until_the_row_is_written(command, tmp_path, monkeypatch):
+    written = []
+
+    def full(path, /, **arrays):
+        written.append(path.name)
+        if path.name == "tube-5-cd.npz":
+            raise FileError(str(path), "an error while writing (No space left on device)", "a place that can be written to")
+        return write_npz(path, **arrays)
+
+    monkeypatch.setattr("lbsfit_np.io.write.write_npz", full)
+    assert run([*command, "cd"]) == 2 and "tube-5-cd.npz" in written
+    assert steps_in(tmp_path / "out" / "cells" / "tube-5-cd.npz.unfinished") >= 3
+
+
+def test_steps_are_announced_for_rows_that_are_to_be_done(command, run_stopped, tmp_path, monkeypatch, capsys):
+    """Not those of a row that is done, which are removed, nor of one that nobody asked for, which stay."""
+    cells = tmp_path / "out" / "cells"
+    assert run([*command, "oracle-fit"]) == 0 and run_stopped([*command, "cd"]) == 130
+    steps = steps_in(cells / "tube-5-cd.npz.unfinished")
+    (cells / "tube-5-oracle-fit.npz.unfinished").mkdir()
+    (cells / "tube-5-oracle-fit.npz.unfinished" / f"result-{32 * '0'}.npz").write_bytes(b"")
+    capsys.readouterr()
+    assert run([*command, "oracle-fit"]) == 0 and "of a run that was stopped" not in capsys.readouterr().out
+    assert {path.name for path in cells.iterdir()} == {"tube-5-oracle-fit.npz", "tube-5-cd.npz.unfinished"}
+    assert steps_in(cells / "tube-5-cd.npz.unfinished") == steps
+    assert run([*command, "cd,oracle-fit"]) == 0 and f"has {steps} steps of a run that was stopped" in capsys.readouterr().out
+
+
+def test_what_is_replaced_is_gone_before_anything_is_stopped(command, run_stopped, tmp_path, monkeypatch, capsys):
+    """So that the command that goes on does the new, not what was to be replaced; also of another size."""
+    out = tmp_path / "out"
+    assert run([*command, "cd,oracle-fit"]) == 0
+    (out / "mine.png").write_bytes(b"")
+    (out / "cells" / "mine-5.npz").write_bytes(b"")
+    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], pairs=2))
+    assert run([*command, "cd"]) == 2 and "other numbers of scans" in capsys.readouterr().err
+    assert run([*command, "nothing", "--existing", "replace"]) == 2 and len(_rows(out)["5"]) == 2 and (out / "README.md").exists()
+    assert run_stopped([*command, "cd", "--existing", "replace"]) == 130
+    said = capsys.readouterr().out
+    assert f"note: 2 rows of earlier runs in {out} are removed" in said
+    assert said.endswith("and the same command without --existing replace goes on\n")
+    assert _rows(out) == {} and not (out / "README.md").exists() and (out / "mine.png").exists()
+    steps = steps_in(out / "cells" / "tube-5-cd.npz.unfinished")
+    assert {path.name for path in (out / "cells").iterdir()} == {"tube-5-cd.npz.unfinished", "mine-5.npz"} and steps >= 2
+    assert run([*command, "cd"]) == 0 and f"has {steps} steps of a run that was stopped" in capsys.readouterr().out
+    assert list(_rows(out)["5"]) == ["cd"] and _rows(out)["5"]["cd"]["seconds"] is None
+
+
+def test_steps_are_gone_where_all_is_to_be_done_anew(command, tmp_path, monkeypatch, capsys):
+    steps = tmp_path / "out" / "cells" / "tube-5-joint.npz.unfinished"
+    steps.mkdir(parents=True)
+    (steps / f"result-{32 * '0'}.npz").write_bytes(b"")
+    monkeypatch.setattr(run_module, "_cells", lambda *a: (_ for _ in ()).throw(KeyboardInterrupt))
+    assert run([*command, "joint"]) == 130 and steps_in(steps) == 1
+    capsys.readouterr()
+    assert run([*command, "joint", "--existing", "replace"]) == 130 and not steps.exists()
+    said = capsys.readouterr().out
+    assert "of a run that was stopped" not in said and said.endswith("and the same command without --existing replace goes on\n")
+
+
+def test_two_studies_fill_one_folder(command, tmp_path, monkeypatch):
+    """What another run has written meanwhile, of another seed or row, stays."""
+    out, made = tmp_path / "out", run_module._cells
+
+    def with_another(name, rig, size, seed, rows, *others):
+        if seed == 5 and rows == ["cd"]:
+            assert run([*command, "oracle-fit", "--seeds", "5,6"]) == 0
+        yield from made(name, rig, size, seed, rows, *others)
+
+    monkeypatch.setattr(run_module, "_cells", with_another)
+    assert run([*command, "cd"]) == 0
+    assert {seed: set(rows) for seed, rows in _rows(out).items()} == {"5": {"cd", "oracle-fit"}, "6": {"oracle-fit"}}
+    assert not json.loads((out / "results.json").read_text())["complete"]
+    assert "Fewer seeds: tube, cd: 5 alone." in (out / "README.md").read_text()
+
+
+def test_reports_are_joined_where_they_are_of_the_same():
+    entry = {"digest": "a", "poses": "b", "people": "c", "size": {}}
+    ours = {"benchmark": "study", "size": "small", "scan": {}, "complete": True}
+    x, y = {"seeds": {"9": {"cd": 2}, "10": {"cd": 3}}}, {"seeds": {"9": {"cd": 4}}}
+    theirs = ours | {"rigs": {"x": entry | x, "y": entry | y}}
+    ours["rigs"] = {"x": entry | {"seeds": {"10": {"cd": 1}}}}
+    found = joined(ours, theirs)
+    assert list(found["rigs"]["x"]["seeds"].items()) == [("9", {"cd": 2}), ("10", {"cd": 1})] and found["complete"]
+    assert found["rigs"]["y"]["seeds"] == {"9": {"cd": 4}} and len(ours["rigs"]) == 1
+    assert joined(ours, theirs | {"size": "medium"}) == ours
+    for key in ("digest", "poses", "people", "size"):
+        other = {"x": entry | {key: "other", "seeds": {"9": {"cd": 2}}}}
+        assert joined(ours, theirs | {"rigs": other}) == ours
