@@ -13,7 +13,7 @@ from registered_sets import fits_are_given, learning_is_given, what_fits_are_tol
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.faust import PAPER, faust_table, read_faust
-from lbsfit_np.bench.pairs import choose_pairs, measure_pairs
+from lbsfit_np.bench.pairs import KINDS, choose_pairs, measure_pairs
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_mesh_ply, write_points_ply
 from lbsfit_np.synthesis import sample_surface
@@ -272,6 +272,12 @@ def test_the_options_reach_what_they_are_for(made, truth, body, tmp_path, run, m
     asked.clear()
     assert run(*_command(made, out, *options))[0] == 0 and asked == []
     assert run(*_command(made, out, *options, "--existing", "replace"))[0] == 0 and len(asked) == 9
+    (out / "challenge-intra" / "mine.txt").write_text("of somebody else")
+    assert (out / "challenge-intra.zip").exists() and len(list((out / "challenge-intra").iterdir())) > 1
+    fits_are_given(monkeypatch, given | {found.training[1].name: KeyboardInterrupt()})
+    assert run(*_command(made, out, *options, "--existing", "replace"))[0] == 130
+    assert {path.name for path in out.iterdir()} == {"fits", "fits.json", "challenge-intra", "challenge-inter"}
+    assert [path.name for kind in KINDS for path in (out / f"challenge-{kind}").iterdir()] == ["mine.txt"]
 
 
 def test_files_for_the_challenge_that_cannot_be_written_lose_no_figure(made, truth, tmp_path, run, monkeypatch):

@@ -95,6 +95,25 @@ def test_only_reliable_points_are_asked_for(tube_rig, meshes):
         Registrations(truth.vertices, tube_rig.faces, (flags & False, None, None)).check(0, meshes[0])
 
 
+def test_a_truth_that_lies_elsewhere(tube_rig, meshes):
+    """In another unit, or with a slip of the pen; not where a scan shows a part alone, or a floor as well."""
+    truth = Registrations(tuple(meshes), tube_rig.faces)
+    truth.check(0, meshes[0][:20])
+    truth.check(0, np.concatenate([meshes[0], meshes[0][:200] + [0, 0, 50 * tube_rig.size]]))
+    for unit in (1e-3, 1e3):
+        with pytest.raises(InputError, match="a registration from .* while the scan goes from .*in the scan's own"):
+            truth.check(0, unit * meshes[0])
+    places = {name: tuple(meshes[0][i]) for name, i in {"a": 0, "b": 100, "c": 241}.items()}
+    lines = {"a": 2, "b": 3, "c": 4}
+    Landmarks((places,), (lines,)).check(0, meshes[0][:20])
+    for unit in (1e-3, 1e3):
+        words = r"'[ab]' at \(.*\) in line [23], while the scan goes from .*expected places on the scan"
+        with pytest.raises(InputError, match=words):
+            Landmarks((places,), (lines,)).check(0, unit * meshes[0])
+    with pytest.raises(InputError, match=r"'b' at \(500, 0, 0\) in line 3"):
+        Landmarks((places | {"b": (500.0, 0.0, 0.0)},), (lines,)).check(0, meshes[0])
+
+
 def test_files_in_subfolders_and_the_table_among_them(folder, meshes, tube_rig):
     write_meshes(folder / "more", tube_rig, meshes)
     (folder / "truth.csv").write_text("scan,subject\nmore/s0,a\ns0.ply,b\nmore/s1.ply,a\n")

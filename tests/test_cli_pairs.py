@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import signal
 
 import numpy as np
@@ -15,6 +16,7 @@ from lbsfit_np.bench.truth import VertexOrder
 from lbsfit_np.bench.truth_file import read_truth
 from lbsfit_np.cli.pair_runs import PairsProgress
 from lbsfit_np.cli.progress import SILENCE
+from lbsfit_np.io.write import write_points_ply
 from lbsfit_np.learning.checkpoint import Checkpoint
 
 pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
@@ -58,6 +60,13 @@ def test_fits_one_by_one(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     assert report["gallery"] == ["s0"]
     code, out, err = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--seed", 1))
     assert code == 2 and "fits of seed 0; expected seed 1" in one_line(err)
+    other = shutil.copytree(pair_folder, tmp_path / "other")
+    write_points_ply(other / "s1.ply", pair_meshes[1][:50])
+    code, out, err = run(*_command(other, tmp_path / "out", "--no-learn", "--existing", "replace"))
+    assert code == 2 and "scans of 242 and 50 vertices" in one_line(err)
+    left = {path.name for path in (tmp_path / "out").iterdir()}  # what is refused takes nothing away
+    assert left == {"fits", "fits.json", "results.json", "gallery.png"}
+    assert json.loads((tmp_path / "out" / "results.json").read_text()) == report
 
 
 def test_the_options_reach_what_they_are_for(pair_folder, pair_scans, tmp_path, run, pair_meshes, tube_rig, monkeypatch):

@@ -351,6 +351,14 @@ def test_a_checkpoint_by_a_name_that_no_folder_can_have(name, why, make_learner,
     assert [path.name for path in tmp_path.iterdir()] == ["link"]
 
 
+def test_a_checkpoint_makes_nothing_before_its_first_step(tmp_path):
+    """Two runs may begin at once, in one new folder."""
+    slot = Checkpoint(tmp_path / "new" / "er").slot("result")
+    assert not list(tmp_path.iterdir())
+    slot.keep(1)
+    assert steps_in(tmp_path / "new" / "er") == 1
+
+
 def test_a_checkpoint_that_is_nowhere(make_learner, points):
     with pytest.raises(InputError, match="checkpoint: got an empty path; expected the path of a folder, or None"):
         make_learner().fit(points, checkpoint="")

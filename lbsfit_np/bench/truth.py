@@ -194,14 +194,15 @@ class Registrations:
 
 # What is to be done about a truth that lies elsewhere.
 _FRAME = "Give it in the scan's own frame and unit."
-# What is smaller by more than this factor is in another unit.
-_SMALL = 200
+# What is smaller by more than this factor is in another unit; so is what lies farther away than so many times its extent, as
+# a scan may show a small part of what the truth tells of.
+_SMALL, _FAR = 200, 10
 
 
 def _beyond(places, points):
-    """(k,) bool: places that are farther from the box of points than that is across, as those in another unit are."""
+    """(k,) bool: places that are as far from the box of points as those in another unit are."""
     outside = places - np.clip(places, points.min(0), points.max(0))
-    return np.linalg.norm(outside, axis=1) > _across(points)
+    return np.linalg.norm(outside, axis=1) > _FAR * _across(points)
 
 
 def _across(points):
