@@ -211,7 +211,8 @@ _OUTPUT_OR_TABLE = Option(
 )
 _MARKDOWN = Option("markdown", "print the table as Markdown", bool, False)
 _TABLE = (_MARKDOWN, Option("existing", "what to do where results exist already", default="error", choices=("error", "replace")))
-_RESUMING = Option("existing", "what to do with results of the same settings", default="resume", choices=("resume", "replace"))
+_EXISTING = "results that are there: go on with those of the same settings, or begin anew without any of them"
+_RESUMING = Option("existing", _EXISTING, default="resume", choices=("resume", "replace"))
 _TRAINING = tuple(o for o in OPTIONS if o.name in ("training-scans", "jobs"))
 
 
