@@ -126,7 +126,10 @@ def test_a_saved_segmenter(fitted, made, tube_rig, tmp_path, run, monkeypatch):
     fitter.segmenter_.save(tmp_path / "s.npz")
     monkeypatch.setattr("lbsfit_np.learning.pretraining.train_segmenter", None)  # not needed any more
     arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", "--segmenter", tmp_path / "s.npz", *QUICK)
-    assert run(*arguments)[0] == 0
+    monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path / "empty"))
+    monkeypatch.setattr("lbsfit_np.segmentation.cache._MEMORY", {})
+    code, out, _ = run(*arguments)
+    assert code == 0 and "poses to start from" in out and "training the segmenter" not in out
     assert (tmp_path / "out" / "one.mesh.ply").read_bytes() == (fitted[0] / "one.mesh.ply").read_bytes()
     code, _, err = run(*arguments[:4], tmp_path / "other", *arguments[5:], "--parts", "arm and fingers")
     assert code == 2 and "segmenter: got one that was trained on another rig" in one_line(err)
