@@ -191,7 +191,7 @@ class ScanFit:
             if labels is not None:
                 proba = np.eye(len(model.source.parts))[labels[rows]]
             elif self.segmenter is not None:
-                proba = self.segmenter.predict_proba(problem.X * model.half)
+                proba = self.segmenter.predict_proba(problem.X * model.half, views=1)
             search = Search(model, problem, proba, labels is not None, settings).start(theta0)
             if best is None or search.outcome.value < best[-1].outcome.value:
                 best = frame, problem, proba, search

@@ -211,7 +211,7 @@ class Scout:
 
     def _labels(self, problem):
         """What the segmenter says of the points."""
-        return self.segmenter.predict_proba(problem.X * self.model.half)
+        return self.segmenter.predict_proba(problem.X * self.model.half, views=1)
 
     def _with_proportions(self, runner):
         if self._shape is None:

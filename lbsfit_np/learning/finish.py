@@ -304,7 +304,7 @@ def _given(fitter, subject, x, a, settings, guess, theta0, known):
         problem = Problem(frame.inside(x), a)
         proba = known
         if known is None and fitter.segmenter_ is not None:
-            proba = fitter.segmenter_.predict_proba(problem.X * half)
+            proba = fitter.segmenter_.predict_proba(problem.X * half, views=1)
         poses = [] if theta0 is None else [theta0]
         state, value, _ = refit(problem, poses=poses, proba=known, labels_known=known is not None)
         if best is None or value < best.value:

@@ -60,7 +60,7 @@ class Labels:
     segmenter: object
 
     def __call__(self, points):
-        return self.segmenter.predict_proba(points)
+        return self.segmenter.predict_proba(points, views=1)
 
 
 @dataclass(frozen=True)
