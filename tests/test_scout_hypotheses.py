@@ -229,7 +229,7 @@ def test_the_better_one_of_labels_and_library_goes_on(tube_rig, right, monkeypat
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=41, poses=np.zeros((1, 4, 3)), **CLEAN)
     behind = np.zeros((2, 4, 3))
     behind[:, 0, 1] = np.pi
-    uniform = SimpleNamespace(predict_proba=lambda points: np.full((len(points), 4), 0.25))
+    uniform = SimpleNamespace(predict_proba=lambda points, views: np.full((len(points), 4), 0.25))
     poses = np.zeros((2, 4, 3)) if right == "library" else behind
     scout = _untrained(tube_rig, poses, effort="fast", segmenter=uniform, proportions=False)
 

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 from segmenter_training import ONE, TWO, in_parts, train_small
 from small_rigs import make_tube_data, make_tube_rig
 
@@ -27,6 +28,8 @@ from lbsfit_np.segmentation.segmenter import Segmenter
         (np.eye(3), {"scale": "2"}, "scale"),
         (np.eye(3), {"rows": [3]}, "rows: got numbers from 3 to 3; expected rows of the 3 points"),
         (np.eye(3), {"rows": [0.5]}, "rows: got float64"),
+        (np.eye(3), {"views": 2}, "views: got 2; expected 4, or 1"),
+        (np.eye(3), {"views": True}, "views: got True; expected 4, or 1"),
         (np.eye(3), {"rows": []}, r"rows: got .*shape \(0,\)"),
     ],
 )
@@ -61,6 +64,34 @@ def test_rows_are_a_choice_of_points(small_segmenter, tube_scan):
         np.testing.assert_allclose(
             s.predict_proba(tube_scan.points, rows=rows), s.predict_proba(tube_scan.points)[rows], atol=atol
         )
+
+
+def test_labels_are_the_mean_over_four_views(small_segmenter, tube_scan):
+    """Turned by a quarter of a radian each, about axes that are as far from each other as can be."""
+    axes = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
+    turned = [tube_scan.points @ Rotation.from_rotvec(0.25 * axis).as_matrix().T for axis in axes]
+    expected = np.mean([small_segmenter.predict_proba(points, views=1) for points in turned], axis=0)
+    found = small_segmenter.predict_proba(tube_scan.points)
+    np.testing.assert_allclose(found, expected, atol=1e-5)
+    assert np.abs(found - small_segmenter.predict_proba(tube_scan.points, views=1)).max() > 0.01
+    np.testing.assert_array_equal(small_segmenter.predict(tube_scan.points), found.argmax(axis=1))
+
+
+def test_views_are_worth_their_while(tube_fitter, tube_rig):
+    scans = lbs.synthesize(tube_rig, 32, random_state=79)
+    said = [[tube_fitter.segmenter_.predict(scan.points, views=views) == scan.labels for scan in scans] for views in (1, 4)]
+    assert np.mean(said[1]) > np.mean(said[0]) > 0.8
+
+
+@pytest.mark.parametrize("half, turn", [(0.0, 0.0), (0.3, 0.125), (1.2, 0.25)])
+def test_views_are_turned_as_scans_of_the_training_are(tube_rig, tube_scan, half, turn):
+    """By what the root's least free angle allows."""
+    lower, upper = tube_rig.lower.copy(), tube_rig.upper.copy()
+    lower[tube_rig.root], upper[tube_rig.root] = (-half, -2.0, -half), (half, 2.0, half)
+    s = train_small(replace(tube_rig, lower=lower, upper=upper))
+    assert s.turn == pytest.approx(turn)
+    alike = s.predict_proba(tube_scan.points) == s.predict_proba(tube_scan.points, views=1)
+    assert alike.all() == (turn == 0)
 
 
 @pytest.mark.parametrize("parts", [ONE, TWO])

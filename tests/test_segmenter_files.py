@@ -71,7 +71,7 @@ def _rewritten(path, **changes):
         {"lbsfit_np_segmenter": np.array("{")},
         {"lbsfit_np_segmenter": np.array(json.dumps({"format": 1}))},
         {"lbsfit_np_segmenter": np.array(json.dumps({"format": 999}))},
-        {"lbsfit_np_segmenter": np.array(json.dumps({"format": 2}))},
+        {"lbsfit_np_segmenter": np.array(json.dumps({"format": 3}))},
         {"lbsfit_np_segmenter": np.array(json.dumps([2]))},
         {"lbsfit_np_segmenter": np.array("[" * 100_000)},
         {"lbsfit_np_segmenter": np.array("2")},

@@ -57,14 +57,10 @@ def _new_scan(monkeypatch):
     return finish.fit_new(SimpleNamespace(regressor_=1), None, ("ann",), None, None, None)
 
 
-class _Stage:
-    predict_proba = None  # what it would be asked about is not made
-
-
 X = np.random.default_rng(0).random((40, 3))
 WORK = {
     "a stage": lambda _: train_stage(X, np.arange(40) % 2, 2, Training(epochs=1), 0, "a", _look),
-    "labels": lambda _: Segmenter.predict_proba(SimpleNamespace(half=1.0, stages=[_Stage], descriptor=_look), X),
+    "labels": lambda _: Segmenter.predict_proba(SimpleNamespace(half=1.0, turn=0.0, _proba=_look), X),
     "the regressor f": _regressor,
     "the loop": lambda _: Loop.run(SimpleNamespace(_first_fits=_look)),
     "a fit": lambda _: ScanFit.fit(SimpleNamespace(_fit=_look), X),

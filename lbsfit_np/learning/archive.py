@@ -12,15 +12,13 @@ import numpy as np
 
 from ..errors import FileError, InputError
 from ..losses.objective import LossWeights
-from ..segmentation.descriptors import Descriptor
 from ..segmentation.segmenter import Segmenter
-from ..segmentation.stage import Stage
 from ..starts.library import PoseLibrary
 
 __all__ = ["MODEL_KEY", "learned_arrays", "learned_digests", "model_digest", "read_fitter", "write_fitter"]
 
 MODEL_KEY = "lbsfit_np_model"
-_FORMAT = 2
+_FORMAT = 3
 _EXPECTED = "a model that was saved with LBSFitter.save or written by lbsfit learn"
 
 
@@ -57,13 +55,7 @@ def write_fitter(fitter, path):
     }
     segmenter, library = fitter.segmenter_, fitter.regressor_
     if segmenter is not None:
-        header["segmenter"] = {
-            "descriptor": asdict(segmenter.descriptor),
-            "n_parts": segmenter.n_parts,
-            "half": segmenter.half,
-            "rig_digest": segmenter.rig_digest,
-            "stages": len(segmenter.stages),
-        }
+        header["segmenter"] = segmenter.header()
     header["library"] = library is not None
     try:
         text = json.dumps(header, default=_plain)
@@ -110,9 +102,7 @@ def _arrays(fitter, templates):
 
 def learned_arrays(segmenter, library):
     """A segmenter and a library, or None in place of either, as the named arrays of a model file."""
-    arrays = {}
-    for k, stage in enumerate(() if segmenter is None else segmenter.stages):
-        arrays |= stage.arrays(f"model_stage_{k}")
+    arrays = {} if segmenter is None else segmenter.arrays("model_stage")
     return arrays | ({} if library is None else library.arrays("model_library"))
 
 
@@ -153,9 +143,7 @@ def read_fitter(path, make):
             raise ValueError("templates that do not fit the rig")
         segmenter = None
         if "segmenter" in header:
-            h = header["segmenter"]
-            stages = tuple(Stage.from_arrays(arrays, f"model_stage_{k}", h["n_parts"]) for k in range(h["stages"]))
-            segmenter = Segmenter(stages, Descriptor(**h["descriptor"]), h["n_parts"], h["half"], h["rig_digest"])
+            segmenter = Segmenter.from_arrays(header["segmenter"], arrays, "model_stage")
         library = PoseLibrary.from_arrays(arrays, "model_library") if header["library"] else None
         if library is not None and library.poses.shape[1:] != rig.lower.shape:
             raise ValueError("a library of poses of another rig")

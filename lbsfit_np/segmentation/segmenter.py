@@ -18,9 +18,11 @@ from .stage import Stage, Training, in_half_precision, train_stage
 
 __all__ = ["Segmenter", "jobs_of", "train_segmenter"]
 
-_FORMAT = 2
-# Turns of the copies of a scan that it is labelled by: 0.25 rad about the diagonals of a cube that are a tetrahedron's.
-_VIEWS = matrix_from_rotvec(0.25 / np.sqrt(3) * np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]))
+_FORMAT = 3
+# Axes about which the copies of a scan that it is labelled by are turned: a tetrahedron's, as far from each other as can be.
+_AXES = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
+# By how much, radians, and how far the root has to turn either way in training for that; less where it turns less.
+_TURN, _ROOT = 0.25, 0.6
 
 
 @dataclass(frozen=True)
@@ -37,6 +39,9 @@ class Segmenter:
         Half of the rig's size: what one descriptor unit is, in rig units.
     rig_digest : str
         ``Rig.digest`` of the welded rig that it was trained on.
+    turn : float
+        Radians by which the copies are turned that a scan is labelled by, see :meth:`predict_proba`; 0 where the root of the
+        rig does not turn, as no scan of the training was turned then.
     """
 
     stages: tuple
@@ -44,9 +49,12 @@ class Segmenter:
     n_parts: int
     half: float
     rig_digest: str
+    turn: float
 
     def __post_init__(self):
-        """Raise ValueError unless the stages fit the descriptor and each other."""
+        """Raise ValueError unless the stages fit the descriptor and each other, and the turn is one of training."""
+        if not 0 <= self.turn <= _TURN:
+            raise ValueError(f"views turned by {self.turn}")
         widths = [self.descriptor.size, self.descriptor.size + context_size(self.n_parts)]
         if not 1 <= len(self.stages) <= 2 or any(len(s.mean) != w for s, w in zip(self.stages, widths, strict=False)):
             raise ValueError("stages that do not fit the descriptor")
@@ -66,7 +74,8 @@ class Segmenter:
         rows : (k,) int array, optional
             Which points; all by default.
         views : {4, 1}
-            Copies; 1 is the scan as it is, in a quarter of the time, which fits take: their last steps know no labels.
+            Copies, each turned by ``turn``; 1 is the scan as it is, in a quarter of the time, which fits take: their last steps
+            know no labels.
 
         Returns
         -------
@@ -82,12 +91,12 @@ class Segmenter:
         if isinstance(scale, bool) or not isinstance(scale, Real) or not 0 < scale < np.inf:
             raise InputError("scale", brief(scale), "a positive finite number")
         rows = np.arange(len(points)) if rows is None else _checked_rows(rows, len(points))
-        if views not in (1, len(_VIEWS)) or isinstance(views, bool):
-            raise InputError("views", brief(views), f"{len(_VIEWS)}, or 1")
+        if isinstance(views, bool) or views not in (1, len(_AXES)):
+            raise InputError("views", brief(views), f"{len(_AXES)}, or 1")
         points = points / (scale * self.half)
-        if views == 1:
+        if views == 1 or not self.turn:
             return self._proba(points, rows)
-        return sum(self._proba(points @ turn.T, rows) for turn in _VIEWS) / len(_VIEWS)
+        return sum(self._proba(points @ R.T, rows) for R in matrix_from_rotvec(self.turn * _AXES)) / len(_AXES)
 
     def _proba(self, points, rows):
         """Probabilities of one view, in half sizes of the rig."""
@@ -113,18 +122,25 @@ class Segmenter:
         """Write as NPZ: arrays and one JSON text, no pickle; :meth:`load` executes nothing from it."""
         from ..io.write import write_npz
 
-        header = {
-            "format": _FORMAT,
-            "descriptor": asdict(self.descriptor),
-            "n_parts": self.n_parts,
-            "half": self.half,
-            "rig_digest": self.rig_digest,
-            "stages": len(self.stages),
-        }
-        arrays = {}
-        for k, stage in enumerate(self.stages):
-            arrays.update(stage.arrays(f"stage_{k}"))
-        write_npz(path, lbsfit_np_segmenter=np.array(json.dumps(header)), **arrays)
+        header = json.dumps({"format": _FORMAT} | self.header())
+        write_npz(path, lbsfit_np_segmenter=np.array(header), **self.arrays("stage"))
+
+    def header(self):
+        """All but the stages' arrays, as plain data for JSON."""
+        plain = {name: getattr(self, name) for name in ("n_parts", "half", "rig_digest", "turn")}
+        return plain | {"descriptor": asdict(self.descriptor), "stages": len(self.stages)}
+
+    def arrays(self, prefix):
+        """The stages as named arrays; :meth:`from_arrays` reads them back."""
+        return {name: a for k, stage in enumerate(self.stages) for name, a in stage.arrays(f"{prefix}_{k}").items()}
+
+    @classmethod
+    def from_arrays(cls, header, arrays, prefix):
+        """A segmenter from what :meth:`header` and :meth:`arrays` gave; KeyError, ValueError or such where broken."""
+        n_parts = int(header["n_parts"])
+        stages = tuple(Stage.from_arrays(arrays, f"{prefix}_{k}", n_parts) for k in range(int(header["stages"])))
+        half, turn = float(header["half"]), float(header["turn"])
+        return cls(stages, Descriptor(**header["descriptor"]), n_parts, half, header["rig_digest"], turn)
 
     @classmethod
     def load(cls, path):
@@ -137,9 +153,7 @@ class Segmenter:
             header = json.loads(str(arrays["lbsfit_np_segmenter"]))
             version = header["format"]
             if version == _FORMAT:
-                n_parts = int(header["n_parts"])
-                stages = tuple(Stage.from_arrays(arrays, f"stage_{k}", n_parts) for k in range(int(header["stages"])))
-                return cls(stages, Descriptor(**header["descriptor"]), n_parts, float(header["half"]), header["rig_digest"])
+                return cls.from_arrays(header, arrays, "stage")
         except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
             raise FileError(str(path), f"a file whose content does not fit ({error})", expected, "Train it again.") from None
         raise FileError(str(path), f"segmenter format {version}", f"format {_FORMAT}", "Train it again.")
@@ -204,7 +218,8 @@ def train_segmenter(
             start=start.stages[k] if start and k < len(start.stages) else None,
         )
         stages += (stage,)
-    return Segmenter(stages, descriptor, n_parts, half, rig.digest)
+    root = (rig.upper[rig.root] - rig.lower[rig.root]).min() / 2
+    return Segmenter(stages, descriptor, n_parts, half, rig.digest, _TURN * min(1.0, root / _ROOT))
 
 
 @dataclass(frozen=True)
