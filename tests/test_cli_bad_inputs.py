@@ -119,6 +119,15 @@ def test_missing_scans_are_said_before_a_missing_rig(tmp_path, run):
     assert code == 2 and one_line(err).startswith("lbsfit: error: SCAN: got a file that does not exist") and "no.ply" in err
 
 
+def test_a_lack_of_memory_says_what_takes_less(made, tmp_path, run, monkeypatch):
+    def full(*arguments, **options):
+        raise MemoryError
+
+    monkeypatch.setattr("lbsfit_np.learning.pretraining.train_segmenter", full)
+    code, _, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", "--training-scans", 41)
+    assert code == 2 and "out of memory; fewer training scans" in one_line(err) and "--training-scans, --jobs" in err
+
+
 def test_a_rig_is_no_scan(made, tmp_path, run):
     code, _, err = run("fit", made / "tube.npz", made / "tube.npz", "-o", tmp_path / "out", *QUICK)
     assert code == 1 and "a rig, or a model that was learned" in err and "expected a scan" in err

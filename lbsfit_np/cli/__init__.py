@@ -64,7 +64,8 @@ def main(argv=None):
         print(f"lbsfit: error: {where}{error.strerror or error}", file=sys.stderr)
         return 2
     except MemoryError:
-        print("lbsfit: error: out of memory", file=sys.stderr)
+        words = "fewer training scans, processes or points take less (--training-scans, --jobs, --samples)"
+        print(f"lbsfit: error: out of memory; {words}", file=sys.stderr)
         return 2
 
 
