@@ -119,6 +119,13 @@ def test_missing_scans_are_said_before_a_missing_rig(tmp_path, run):
     assert code == 2 and one_line(err).startswith("lbsfit: error: SCAN: got a file that does not exist") and "no.ply" in err
 
 
+def test_a_folder_is_told_what_is_in_it(made, tmp_path, run):
+    for name in ("a.XYZ", "b.XYZ", "c.obj", "notes.md", "more.md", "others.md"):
+        (tmp_path / name).write_text("")
+    _, _, err = run("fit", made / "tube.npz", tmp_path, "-o", tmp_path / "out")
+    assert one_line(err).endswith(f"Name the files in it, such as {tmp_path / '*.XYZ'}")
+
+
 def test_a_lack_of_memory_says_what_takes_less(made, tmp_path, run, monkeypatch):
     def full(*arguments, **options):
         raise MemoryError

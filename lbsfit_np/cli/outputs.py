@@ -284,7 +284,10 @@ def check_sources(sources):
         )
     folders = [s for s in sources if os.path.isdir(s)]
     if folders:
-        inside = os.path.join(folders[0], "*.ply")
+        from ..io.scans import SCAN_EXTENSIONS
+
+        endings = [path.suffix for path in sorted(Path(folders[0]).iterdir()) if path.suffix.lower() in SCAN_EXTENSIONS]
+        inside = os.path.join(folders[0], "*" + max(endings, key=endings.count, default=".ply"))
         raise InputError("SCAN", f"a folder: {listed(folders, 5)}", "scan files", f"Name the files in it, such as {inside}")
 
 
