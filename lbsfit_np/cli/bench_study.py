@@ -51,10 +51,10 @@ def run_study(values):
         return checkpoint_of(cells / f"{cell}.npz")
 
     def keep(report):
-        """Write the report with what a study beside this one has written meanwhile, such as of other seeds; returns it."""
-        report = joined(report, read_results(results)) if results.exists() else report
+        """Write the report with what a study beside this one has written meanwhile, such as of other seeds."""
+        with suppress(FileError):  # nothing there yet
+            report = joined(report, read_results(results))
         write_json(results, report)
-        return report
 
     def on_begun(report, todo):
         nonlocal begun
@@ -120,7 +120,8 @@ def _remove_earlier(out, cells, results):
     for file in (results, out / _PAGE, *drawn, *rows):
         with suppress(OSError):
             file.unlink()
-    say(f"note: {counted(len(rows), 'row')} of earlier runs in {out} {'is' if len(rows) == 1 else 'are'} removed")
+    if rows:
+        say(f"note: {counted(len(rows), 'row')} of earlier runs in {out} {'is' if len(rows) == 1 else 'are'} removed")
 
 
 def _failures(report):
