@@ -12,7 +12,7 @@ from lbsfit_np.bench.measure import recon
 from lbsfit_np.bench.study import data, free_form, oracle
 from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
-from lbsfit_np.bench.study.data import SCAN, Size
+from lbsfit_np.bench.study.data import SCAN, Size, sized, study_set
 from lbsfit_np.bench.study.free_form import Augmented, FromTemplate, best_free_form, taught
 from lbsfit_np.bench.study.measures import Registrations, template_gap
 from lbsfit_np.bench.study.oracle import OracleFit
@@ -238,7 +238,7 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     """All of them, as the command runs them, on few scans, those without pretraining first."""
     small_is_few_and_fast(monkeypatch)
     learned, fit = [], LBSFitter.fit
-    monkeypatch.setattr(LBSFitter, "fit", lambda self, *a, **k: learned.append(self.variant) or fit(self, *a, **k))
+    monkeypatch.setattr(LBSFitter, "fit", lambda self, *a, **k: learned.append(self) or fit(self, *a, **k))
     labels = {}
 
     def on_cell(report, name, seed, row, arrays):
@@ -248,6 +248,7 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     with monkeypatch.context() as patch:
         patch.setattr("lbsfit_np.learning.fitter.LBSFitter.pretrain", None)  # rows that need none do none
         first = study({"tube": tube_rig}, rows=alone, seeds=[5], on_cell=on_cell)
+    given = study_set(tube_rig, sized(tube_rig, "small"), 5)
     assert {"free-form", "oracle-labels", "oracle-fit"} < set(first["rigs"]["tube"]["seeds"]["5"]) == set(alone)
     cells = study({"tube": tube_rig}, seeds=[5], before=first, on_cell=on_cell)["rigs"]["tube"]["seeds"]["5"]
     assert list(cells) == [*alone, *(name for name in ROWS if name not in alone)]
@@ -258,7 +259,10 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     assert told == dict.fromkeys(ROWS, 0) | {"joint": 2, "pose-only": 2, "rand": 2}
     assert {row for row, cell in cells.items() if cell["gap"]} == {"joint", "pose-only", "rand", "cd"}
     assert len({cells[row]["accuracy"][0] for row in ("joint", "pose-only", "rand")}) == 1  # the same pretraining
-    assert learned == [row for row in ROWS if row in ("joint", "pose-only", "rand", "cd")]  # and different learning,
+    assert [f.variant for f in learned] == [row for row in ROWS if row in ("joint", "pose-only", "rand", "cd")]
+    for f in learned:  # and different learning,
+        said = [] if f.segmenter_ is None else [f.segmenter_.predict(s.points) for s in given.test]
+        assert np.array_equal(np.concatenate(said), labels[f.variant]) if said else labels[f.variant] is None
     assert not any(np.array_equal(labels[a], labels[b]) for a, b in combinations(("joint", "pose-only", "rand"), 2))
 
 

@@ -11,6 +11,7 @@ from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
 from lbsfit_np.bench.study.data import SIZES
 from lbsfit_np.bench.study.run import joined, study
+from lbsfit_np.cli import bench_study as cli_module
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_npz
@@ -167,6 +168,19 @@ def test_two_studies_fill_one_folder(command, tmp_path, monkeypatch):
     assert run([*command, "cd"]) == 0
     assert {seed: set(rows) for seed, rows in _rows(out).items()} == {"5": {"cd", "oracle-fit"}, "6": {"oracle-fit"}}
     assert not json.loads((out / "results.json").read_text())["complete"]
+    write_page = cli_module._write_page
+
+    def drawing(*a, **k):  # takes long enough for another run to come to its end
+        with monkeypatch.context() as patch:
+            patch.setattr(cli_module, "_write_page", write_page)
+            assert run([*command, "oracle-fit", "--seeds", "7"]) == 0
+        return write_page(*a, **k)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(cli_module, "_write_page", drawing)
+        assert run([*command, "cd"]) == 0
+    assert {seed: set(rows) for seed, rows in _rows(out).items()}["7"] == {"oracle-fit"}
+    assert run([*command, "cd"]) == 0
     assert "Fewer seeds: tube, cd: 5 alone." in (out / "README.md").read_text()
 
 

@@ -38,11 +38,9 @@ def pairs_bench(
     seed=0,
     unit="auto",
     settings=None,
-    existing="resume",
-    made_of_fits=(),
-    n_samples=None,
     jobs=1,
     reporter=None,
+    **options,
 ):
     """Fit scans and measure correspondences between them.
 
@@ -66,7 +64,7 @@ def pairs_bench(
         Of both.
     unit : {"auto", "m", "cm", "mm", "in"}
         Of the scans; "auto": what the scale of the fits says.
-    settings, existing, made_of_fits, n_samples, jobs, reporter
+    settings, jobs, reporter, **options
         As for ``pair_fits.fit_scans_of``; ``reporter.measured(done, total)`` as well.
 
     Returns
@@ -86,8 +84,8 @@ def pairs_bench(
     if truth is not None and not any(pairs.values()):
         raise InputError("truth", "no two scans of which it knows the same places", "names that several scans have")
     learn_from, everyone = readable if learn else (), [*scans, *also]
-    given = {"settings": settings, "existing": existing, "made_of_fits": made_of_fits, "n_samples": n_samples}
-    fits = fit_scans_of(fitter, everyone, folder, learn_from=learn_from, **given, jobs=jobs, reporter=reporter)
+    options |= {"settings": settings, "jobs": jobs, "reporter": reporter}
+    fits = fit_scans_of(fitter, everyone, folder, learn_from=learn_from, **options)
     measured = measure_pairs(
         scans, truth, fits, fitter.rig.faces, pairs, points=points, seed=seed, on_pair=getattr(reporter, "measured", None)
     )

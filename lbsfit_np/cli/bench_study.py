@@ -97,7 +97,7 @@ def run_study(values):
     keep(report)
     report = read_results(results)  # the page is of what is written, in its order
     written = _write_page(report, rigs, out, pictures=values["figures"])
-    write_json(results, report)
+    keep(report)
     say("")
     say(console_table(report, markdown=values["markdown"]))
     say(f"\n{written}")

@@ -8,6 +8,7 @@ import numpy as np
 from ...learning.archive import model_digest
 from ...learning.checkpoint import NO_CHECKPOINT, Checkpoint, each_kept
 from ...learning.variants import as_variant
+from ...workers import each
 from .data import study_set
 from .free_form import Augmented, FromTemplate, taught
 from .measures import Registrations, template_gap
@@ -143,14 +144,14 @@ def _free_form(c, fit, scans=None, start=0.0, end=1.0):
 def _learned(c, variant):
     from sklearn.base import clone
 
-    given, accuracy = c.given, []
+    given, said = c.given, []  # what the segmenter says of the test scans, before learning and after each round
     fitter = clone(c.fitter).set_params(variant=variant)
     fitter._pretrained = c.fitter._pretrained
     labels = as_variant(variant).labels
 
     def watch(k, segmenter):
         if labels:
-            accuracy.append(c.right(_said(segmenter, given.test)))
+            said.append(each(segmenter.predict, [s.points for s in given.test], jobs=c.jobs))
 
     def progress(stage, share, figures=None):
         if figures is not None:
@@ -169,10 +170,14 @@ def _learned(c, variant):
         deformed = [_in_scan_units(r.scale, rig.vertices + r.offsets, r.rest_joints[rig.root]) for r, _ in own]
         gap["test scans"] = template_gap(rig, deformed, [given.test.templates[k][0] for _, k in own])
     train = _of_results(rig, fitter.results_) if variant == "joint" else None
-    said = _said(fitter.segmenter_, given.test) if labels else None
-    kept = c.right(said) if labels else None
+    accuracy = [c.right(s) for s in said]
+    as_kept, kept_accuracy = None, None
+    if labels:  # of the round whose segmenter the fitter has
+        kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
+        as_kept, kept_accuracy = said[kept], accuracy[kept]
     stages = _stages(rig, results[:_STAGES]) if variant == "joint" else {}
-    return Found(_of_results(rig, results), train, said, _labels(results), accuracy, kept, gap, fitter.history_, stages, failures)
+    told = as_kept, _labels(results), accuracy, kept_accuracy
+    return Found(_of_results(rig, results), train, *told, gap, fitter.history_, stages, failures)
 
 
 def _in_scan_units(unit, template, root):
@@ -232,10 +237,6 @@ class _Tried:
             return self.work(task), None
         except LbsfitError as error:
             return None, str(error)
-
-
-def _said(segmenter, scans):
-    return [segmenter.predict(s.points) for s in scans]
 
 
 def _labels(results):
