@@ -10,6 +10,7 @@ from small_rigs import make_tube_data, make_tube_rig
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.tasks import Labels
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.segmentation.segmenter import Segmenter
 
@@ -75,6 +76,22 @@ def test_labels_are_the_mean_over_four_views(small_segmenter, tube_scan):
     np.testing.assert_allclose(found, expected, atol=1e-5)
     assert np.abs(found - small_segmenter.predict_proba(tube_scan.points, views=1)).max() > 0.01
     np.testing.assert_array_equal(small_segmenter.predict(tube_scan.points), found.argmax(axis=1))
+
+
+def test_fits_and_rounds_take_one_view(tube_fitter, tube_rig, tube_scan, monkeypatch):
+    """Four take a tenth more time for fits that are no better."""
+    asked, predict_proba = [], Segmenter.predict_proba
+
+    def asking(self, points, *, views=4, **options):
+        asked.append(views)
+        return predict_proba(self, points, views=views, **options)
+
+    monkeypatch.setattr(Segmenter, "predict_proba", asking)
+    for options in ({}, {"theta0": np.zeros((len(tube_rig.parents), 3))}):
+        tube_fitter.fit_scan(tube_scan.points, **options)
+    at_once = len(asked)
+    Labels(tube_fitter.segmenter_)(tube_scan.points)
+    assert at_once >= 2 and set(asked) == {1} and len(asked) == at_once + 1
 
 
 def test_views_are_worth_their_while(tube_fitter, tube_rig):

@@ -64,8 +64,8 @@ def main(argv=None):
         print(f"lbsfit: error: {where}{error.strerror or error}", file=sys.stderr)
         return 2
     except MemoryError:
-        words = "fewer training scans, processes or points take less (--training-scans, --jobs, --samples)"
-        print(f"lbsfit: error: out of memory; {words}", file=sys.stderr)
+        options = "--training-scans, --jobs, --samples, where there are such"
+        print(f"lbsfit: error: out of memory; fewer training scans, processes or points take less ({options})", file=sys.stderr)
         return 2
 
 

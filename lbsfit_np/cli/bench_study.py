@@ -52,7 +52,7 @@ def run_study(values):
 
     def keep(report):
         """Write the report with what a study beside this one has written meanwhile, such as of other seeds."""
-        with suppress(FileError):  # nothing there yet
+        with suppress(FileError):  # nothing there yet, or nothing that is a report
             report = joined(report, read_results(results))
         write_json(results, report)
 
