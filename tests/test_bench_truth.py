@@ -100,13 +100,13 @@ def test_a_truth_that_lies_elsewhere(tube_rig, meshes):
     truth = Registrations(tuple(meshes), tube_rig.faces)
     truth.check(0, meshes[0][:20])
     truth.check(0, np.concatenate([meshes[0], meshes[0][:200] + [0, 0, 50 * tube_rig.size]]))
-    for unit in (1e-3, 1e3):
+    for unit in (1e-3, 0.01, 100, 1e3):
         with pytest.raises(InputError, match="a registration from .* while the scan goes from .*in the scan's own"):
             truth.check(0, unit * meshes[0])
     places = {name: tuple(meshes[0][i]) for name, i in {"a": 0, "b": 100, "c": 241}.items()}
     lines = {"a": 2, "b": 3, "c": 4}
     Landmarks((places,), (lines,)).check(0, meshes[0][:20])
-    for unit in (1e-3, 1e3):
+    for unit in (1e-3, 0.01, 100, 1e3):
         words = r"'[ab]' at \(.*\) in line [23], while the scan goes from .*expected places on the scan"
         with pytest.raises(InputError, match=words):
             Landmarks((places,), (lines,)).check(0, unit * meshes[0])

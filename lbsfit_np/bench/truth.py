@@ -196,7 +196,7 @@ class Registrations:
 _FRAME = "Give it in the scan's own frame and unit."
 # What is smaller by more than this factor is in another unit; so is what lies farther away than so many times its extent, as
 # a scan may show a small part of what the truth tells of.
-_SMALL, _FAR = 200, 10
+_SMALL, _FAR = 50, 10
 
 
 def _beyond(places, points):
