@@ -124,6 +124,19 @@ def test_what_suits_other_scans_and_settings_is_taken_and_nothing_else(make_lear
     assert anew([few_scans[4].points, *points], max_points=300)[0] == n + 1  # points are drawn by the scans' numbers
 
 
+def test_variants_have_first_fits_in_common_and_nothing_else(make_learner, points, uninterrupted, done, tmp_path):
+    """Where all of them begin with labels; results are as without the others."""
+    n = len(points)
+    for variant, first, poses in (("rand", n, n), ("pose-only", 0, n), ("joint", 0, n), ("cd", n, n), ("rand", 0, 0)):
+        done.update(dict.fromkeys(done, 0))
+        checkpoint = Checkpoint(tmp_path / "own", first_fits=tmp_path / "common") if variant == "rand" else tmp_path / "common"
+        found = make_learner(variant=variant).fit(points, checkpoint=checkpoint)
+        assert (done["FirstFit"], done["Pose"]) == (first, poses), variant
+        if variant == "joint":
+            _assert_same(found, uninterrupted)
+    assert {path.name[:6] for path in (tmp_path / "own").iterdir()} == {"result", "round-"}
+
+
 @pytest.mark.parametrize(
     "changes", [{"up": "+z"}, {"forward": "+x"}, {"metres_per_unit": 0.5}, {"locked": [0, 0, 1, 0]}, {"poses": {}}]
 )

@@ -170,7 +170,7 @@ def test_what_cannot_be_fitted_has_a_reason(coarse_hand, quick, tmp_path, monkey
     tiny_study = study_set(coarse_hand, TINY, 300)
     given_points = [s.points for s in tiny_study.test]
     monkeypatch.setattr(rows_module.FromTemplate, "__call__", sometimes)
-    context = rows_module.Context(coarse_hand, tiny_study, TINY, 300, None, None, 1, lambda share: None)
+    context = rows_module.Context(coarse_hand, tiny_study, TINY, 300, None, None, None, 1, lambda share: None)
     found = ROWS["free-form"].find(context)
     assert list(found.test.fitted) == [True, False, True] and found.failures == {1: "points: got some; expected others."}
 

@@ -142,7 +142,7 @@ def _learned(rig, size, monkeypatch, *, units, scales):
     fitter = SimpleNamespace(**own, fit=lambda *given, **more: None, fit_scan=fit_scan)
     fitter.set_params = lambda **parameters: fitter
     monkeypatch.setattr("sklearn.base.clone", lambda fitter: fitter)
-    return given, ROWS["cd"].find(Context(rig, given, size, 5, fitter, None, 1, lambda share: None))
+    return given, ROWS["cd"].find(Context(rig, given, size, 5, fitter, None, None, 1, lambda share: None))
 
 
 def test_gaps_of_templates_are_in_the_rigs_unit_and_of_the_right_people(tube_rig, monkeypatch):
@@ -171,7 +171,7 @@ def test_three_times_the_data_is_more_people(tube_rig, monkeypatch):
 
     monkeypatch.setattr("lbsfit_np.bench.study.rows.taught", taught)
     shares = []
-    c = Context(tube_rig, given, size, 5, SimpleNamespace(random_state=7), None, 1, shares.append)
+    c = Context(tube_rig, given, size, 5, SimpleNamespace(random_state=7), None, None, 1, shares.append)
     one, three = (ROWS[row].find(c) for row in ("free-form-supervised", "free-form-supervised-3x"))
     assert [(rig is given.rig, len(points), seed) for rig, points, seed in seen] == [(True, 3, 7), (True, 9, 7)]
     assert all(np.array_equal(a, b) for a, b in zip(seen[0][1], seen[1][1]))

@@ -15,8 +15,10 @@ from lbsfit_np.cli import bench_study as cli_module
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_npz
+from lbsfit_np.learning import loop as loop_module
 from lbsfit_np.learning.checkpoint import steps_in
 from lbsfit_np.learning.fitter import LBSFitter
+from lbsfit_np.segmentation.segmenter import Segmenter
 
 
 @pytest.fixture
@@ -79,6 +81,42 @@ def test_a_row_that_is_stopped_goes_on(command, run_stopped, tube_rig, tmp_path,
     assert [path.name for path in (out / "cells").iterdir()] == ["tube-5-joint.npz"]
 
 
+def test_rows_that_learn_from_labels_have_first_fits_and_first_labels_in_common(command, tube_rig, tmp_path, monkeypatch):
+    rows, done = ("cd", "rand", "pose-only", "joint"), {"fits": 0, "labels": 0}
+    alone = {row: study({"tube": tube_rig}, rows=(row,), seeds=[5])["rigs"]["tube"]["seeds"]["5"][row] for row in rows}
+
+    def counted(owner, name, key):
+        call = getattr(owner, name)
+
+        def counting(*given, **more):
+            done[key] += 1
+            return call(*given, **more)
+
+        monkeypatch.setattr(owner, name, counting)
+
+    counted(loop_module.FirstFit, "__call__", "fits")
+    counted(Segmenter, "predict", "labels")
+    assert run([*command, ",".join(rows)]) == 0
+    size, rounds = SIZES["small"], sum(len(alone[row]["accuracy"]) - 1 for row in rows[1:])
+    assert done == {"fits": 2 * size.train, "labels": (1 + rounds) * size.test}  # cd has no labels, and fits of its own
+    found = _rows(tmp_path / "out")["5"]
+    for row in rows:
+        assert _found(found[row]) == json.loads(json.dumps(_found(alone[row]))), row
+        assert found[row]["seconds"] > 0
+    assert {path.name for path in (tmp_path / "out" / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in rows}
+
+
+def test_a_row_that_takes_first_fits_of_a_run_that_was_stopped_has_no_time(command, run_stopped, tmp_path):
+    """It has them for nothing, whichever row has made them; one that has no use of them is timed."""
+    kept = tmp_path / "out" / "cells" / "tube-5-first-fits.npz.unfinished"
+    assert run_stopped([*command, "rand"]) == 130 and steps_in(kept) == SIZES["small"].train
+    assert run([*command, "joint,oracle-labels"]) == 0
+    found = _rows(tmp_path / "out")["5"]
+    assert found["joint"]["seconds"] is None and found["oracle-labels"]["seconds"] > 0
+    assert steps_in(kept) == SIZES["small"].train  # as long as there are steps of rand, which is unfinished
+    assert run([*command, "rand"]) == 0 and not kept.exists()
+
+
 def test_a_row_made_at_one_go_has_its_time(command, tmp_path):
     assert run([*command, "cd"]) == 0
     assert _rows(tmp_path / "out")["5"]["cd"]["seconds"] > 0
@@ -118,7 +156,8 @@ def test_steps_are_announced_for_rows_that_are_to_be_done(command, run_stopped, 
     (cells / "tube-5-oracle-fit.npz.unfinished" / f"result-{32 * '0'}.npz").write_bytes(b"")
     capsys.readouterr()
     assert run([*command, "oracle-fit"]) == 0 and "of a run that was stopped" not in capsys.readouterr().out
-    assert {path.name for path in cells.iterdir()} == {"tube-5-oracle-fit.npz", "tube-5-cd.npz.unfinished"}
+    kept = {f"tube-5-{name}.npz.unfinished" for name in ("cd", "first-fits")}
+    assert {path.name for path in cells.iterdir()} == kept | {"tube-5-oracle-fit.npz"}
     assert steps_in(cells / "tube-5-cd.npz.unfinished") == steps
     assert run([*command, "cd,oracle-fit"]) == 0 and f"has {steps} steps of a run that was stopped" in capsys.readouterr().out
 
@@ -138,7 +177,8 @@ def test_what_is_replaced_is_gone_before_anything_is_stopped(command, run_stoppe
     assert said.endswith("and the same command without --existing replace goes on\n")
     assert _rows(out) == {} and not (out / "README.md").exists() and (out / "mine.png").exists()
     steps = steps_in(out / "cells" / "tube-5-cd.npz.unfinished")
-    assert {path.name for path in (out / "cells").iterdir()} == {"tube-5-cd.npz.unfinished", "mine-5.npz"} and steps >= 2
+    kept = {f"tube-5-{name}.npz.unfinished" for name in ("cd", "first-fits")}
+    assert {path.name for path in (out / "cells").iterdir()} == kept | {"mine-5.npz"} and steps >= 2
     assert run([*command, "cd"]) == 0 and f"has {steps} steps of a run that was stopped" in capsys.readouterr().out
     assert list(_rows(out)["5"]) == ["cd"] and _rows(out)["5"]["cd"]["seconds"] is None
 

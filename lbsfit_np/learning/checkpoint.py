@@ -22,12 +22,24 @@ from ..optimize.frame import Frame
 from ..optimize.state import State
 from ..workers import each
 
-__all__ = ["Checkpoint", "NO_CHECKPOINT", "checkpoint_of", "each_kept", "remove_checkpoint", "state_of_the_code", "steps_in"]
+__all__ = [
+    "Checkpoint",
+    "FIRST_FIT",
+    "NO_CHECKPOINT",
+    "as_checkpoint",
+    "checkpoint_of",
+    "each_kept",
+    "remove_checkpoint",
+    "state_of_the_code",
+    "steps_in",
+]
 
+# The step of one scan's fit by itself.
+FIRST_FIT = "first-fit"
 # Records that answers are made of.
 _RECORDS = {kind.__name__: kind for kind in (Frame, State, FitResult)}
 # Files that a checkpoint writes, and those that it was writing when a process was killed.
-_OURS = re.compile(r"(first-fit|round-\d+-\w+|result|free-form)-[0-9a-f]{32}\.npz|\..*\.tmp\.npz")
+_OURS = re.compile(rf"({FIRST_FIT}|round-\d+-\w+|result|free-form)-[0-9a-f]{{32}}\.npz|\..*\.tmp\.npz")
 
 
 class Checkpoint:
@@ -40,6 +52,8 @@ class Checkpoint:
     made_of : object, optional
         What all steps depend on, besides the package and the libraries that it computes with: numbers, text, arrays, and
         sparse matrices, tuples, lists, mappings and dataclasses of such.
+    first_fits : path-like or None, optional
+        Another folder for the fits of scans by themselves, which runs of several variants may have in common.
 
     Raises
     ------
@@ -47,15 +61,16 @@ class Checkpoint:
         ``folder`` is a file, no path, or where nothing can be written.
     """
 
-    def __init__(self, folder, made_of=()):
+    def __init__(self, folder, made_of=(), *, first_fits=None):
         self._folder = None if folder is None else _checked(folder)
+        self._first_fits = self._folder if first_fits is None else _checked(first_fits)
         self._key = "" if folder is None else _digest(state_of_the_code(), made_of)
         self._trouble = []  # shared by all that are narrowed from this one, to be told once
 
     def narrowed(self, made_of):
         """A checkpoint whose steps depend on more."""
         out = Checkpoint.__new__(Checkpoint)
-        out._folder, out._trouble = self._folder, self._trouble
+        out._folder, out._first_fits, out._trouble = self._folder, self._first_fits, self._trouble
         out._key = "" if self._folder is None else _digest(self._key, made_of)
         return out
 
@@ -63,7 +78,8 @@ class Checkpoint:
         """Where the answer of a step is kept that depends on this, too."""
         if self._folder is None:
             return _Slot(None, self._trouble)
-        return _Slot(self._folder / f"{step}-{_digest(self._key, step, made_of)[:32]}.npz", self._trouble)
+        folder = self._first_fits if step == FIRST_FIT else self._folder
+        return _Slot(folder / f"{step}-{_digest(self._key, step, made_of)[:32]}.npz", self._trouble)
 
 
 def _checked(folder):
@@ -84,6 +100,11 @@ def _checked(folder):
 
 
 NO_CHECKPOINT = Checkpoint(None)
+
+
+def as_checkpoint(given):
+    """A Checkpoint as it is; of a folder's path, or None, the one that keeps steps there, or none."""
+    return given if isinstance(given, Checkpoint) else Checkpoint(given)
 
 
 class _Slot:

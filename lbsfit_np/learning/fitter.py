@@ -12,7 +12,7 @@ from ..seeds import integer_seed
 from ..segmentation.segmenter import jobs_of
 from ..starts.turns import facing_of
 from .archive import learned_arrays, learned_digests, model_digest, read_fitter, write_fitter
-from .checkpoint import Checkpoint
+from .checkpoint import as_checkpoint
 from .collection import as_scans, in_words, read_collection
 from .finish import fit_free_form, fit_new, results_of, scan_fit
 from .loop import Loop, LoopSettings
@@ -180,9 +180,9 @@ class LBSFitter(BaseEstimator):
             Who was scanned, one id for each scan; one subject by default. The scans of a subject share a template.
         cache : bool, default False
             As in :meth:`pretrain`.
-        checkpoint : path-like, optional
+        checkpoint : path-like or Checkpoint, optional
             A folder that each step is kept in as it is done: after a stop, or a crash, the same call once more goes on from
-            there, to the same result. It stays when learning is over; delete it then. ``random_state`` has to be a seed.
+            there, to the same result, and other variants find first fits there. It stays; ``random_state`` has to be a seed.
         progress : callable (stage, share, figures=None), optional
             Called with the name of what is done and the share done in [0, 1]; after a round also with its entry of ``history_``.
         on_round : callable (k, segmenter), optional
@@ -205,7 +205,7 @@ class LBSFitter(BaseEstimator):
         if checkpoint is not None and not self._repeatable():
             got = f"random_state {brief(self.random_state)}, with which no run is made again"
             raise InputError("checkpoint", got, "a seed", "Pass random_state=0, say.")
-        checkpoint = Checkpoint(checkpoint)
+        checkpoint = as_checkpoint(checkpoint)
         variant, seed, facing = as_variant(self.variant), self._seed(), facing_of(self.rig, self.orientation, self.up)
         collection = read_collection(
             self.rig,
@@ -258,7 +258,7 @@ class LBSFitter(BaseEstimator):
 
     def _made_of(self, seed, segmenter=None, library=None):
         """What all steps of learning depend on; what only some do, the scans among it, comes with these."""
-        some = ("rig", "n_jobs", "rounds", "held_out", "sequence", "smooth", "random_state", "training")
+        some = ("rig", "n_jobs", "variant", "rounds", "held_out", "sequence", "smooth", "random_state", "training")
         parameters = {name: value for name, value in self.get_params(deep=False).items() if name not in some}
         pretrained = learned_arrays(segmenter, library)
         return self.rig, parameters, self._synthesis(), seed, pretrained

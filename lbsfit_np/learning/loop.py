@@ -26,7 +26,7 @@ from ..starts.library import PoseLibrary, build_library
 from ..starts.scale import same_size
 from ..threads import one_thread
 from ..workers import each, kept_processes
-from .checkpoint import NO_CHECKPOINT, each_kept
+from .checkpoint import FIRST_FIT, NO_CHECKPOINT, each_kept
 from .collection import HELD_OUT, LEARNED_FROM
 from .mixture import Mixture
 from .scales import check_scales, scale_warnings, units_apart
@@ -124,7 +124,8 @@ class Loop:
     on_round : callable (k, segmenter) or None, after each round
     on_kept : callable (Learned) or None, after each round that is to be kept unless a later one is
     checkpoint : Checkpoint
-        That depends on all of the above but for the collection, ``sequence``, ``smooth``, ``jobs`` and the number of rounds.
+        That depends on all of the above but for the collection, the variant, ``sequence``, ``smooth``, ``jobs`` and the number of
+        rounds.
     """
 
     def __init__(
@@ -159,9 +160,9 @@ class Loop:
         self.library, self.facing = library, facing
         self.coefficients = {}
         self.history = []
-        self._first_kept = checkpoint
+        self._first_kept = checkpoint.narrowed((variant.labels, variant.library))  # which is all that these hang on of a variant
         scans = [(m.index, m.points, m.rows, m.subject, m.held_out) for m in collection.members]
-        self._kept = self._first_kept.narrowed((sequence, scans))
+        self._kept = checkpoint.narrowed((variant, sequence, scans))
 
     @one_thread()
     @kept_processes()
@@ -202,7 +203,7 @@ class Loop:
         segmenter = self.segmenter if self.variant.labels else None
         work = FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library)
         tasks = [m.points[m.rows] for m in members]
-        answers = self._work(work, tasks, "first fits", [self._first_kept.slot("first-fit", points) for points in tasks])
+        answers = self._work(work, tasks, "first fits", [self._first_kept.slot(FIRST_FIT, points) for points in tasks])
         scales = {}
         for m, (frame, state, loss, proba) in zip(self.collection.members, answers, strict=True):
             m.proba, m.loss = proba, loss

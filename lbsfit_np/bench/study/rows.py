@@ -14,7 +14,7 @@ from .free_form import Augmented, FromTemplate, taught
 from .measures import Registrations, template_gap
 from .oracle import OracleFit
 
-__all__ = ["ROWS", "Context", "Found", "Row"]
+__all__ = ["ROWS", "Context", "Found", "Row", "said"]
 
 # Test scans that the figure of the steps of skinning chooses from.
 _STAGES = 60
@@ -95,12 +95,16 @@ class Context:
         Of the scans.
     fitter : LBSFitter
         Pretrained, where one of the rows asked for needs that.
+    labels_before : callable () → list of (n,) int arrays
+        What the segmenter says of the test scans' points before learning.
     right : callable (labels) → float
-        Share of the test scans' points that such labels, a list of (n,) int arrays, put into the right group of parts.
+        Share of these points that such labels put into the right group of parts.
     jobs : int
     progress : callable (share)
     steps : Path or None, default None
         A folder that what takes long is kept in step by step, as by ``LBSFitter.fit(checkpoint=)``.
+    first_fits : Path or None, default None
+        Another one, for the training scans' fits by themselves, which rows have in common.
     """
 
     source: object
@@ -108,10 +112,12 @@ class Context:
     size: object
     seed: int
     fitter: object
+    labels_before: Callable
     right: Callable
     jobs: int
     progress: Callable
     steps: object = None
+    first_fits: object = None
 
 
 # ---- baselines without skinning ----
@@ -144,22 +150,24 @@ def _free_form(c, fit, scans=None, start=0.0, end=1.0):
 def _learned(c, variant):
     from sklearn.base import clone
 
-    given, said = c.given, []  # what the segmenter says of the test scans, before learning and after each round
+    given, heard = c.given, []  # what the segmenter says of the test scans, before learning and after each round
     fitter = clone(c.fitter).set_params(variant=variant)
     fitter._pretrained = c.fitter._pretrained
     labels = as_variant(variant).labels
 
     def watch(k, segmenter):
         if labels:
-            said.append(each(segmenter.predict, [s.points for s in given.test], jobs=c.jobs))
+            heard.append(said(segmenter, given.test, c.jobs))
 
     def progress(stage, share, figures=None):
         if figures is not None:
             c.progress(0.8 * (figures["round"] + 1) / (fitter.rounds + 1))
 
-    watch(0, c.fitter.segmenter_)
+    if labels:
+        heard.append(c.labels_before())
     points = [s.points for s in given.train]
-    fitter.fit(points, given.train_subjects, checkpoint=c.steps, progress=progress, on_round=watch)
+    checkpoint = None if c.steps is None else Checkpoint(c.steps, first_fits=c.first_fits)
+    fitter.fit(points, given.train_subjects, checkpoint=checkpoint, progress=progress, on_round=watch)
     points, kept = [s.points for s in given.test], NO_CHECKPOINT if c.steps is None else Checkpoint(c.steps, model_digest(fitter))
     results, failures = _tried(c, fitter.fit_scan, points, lambda p: c.progress(0.8 + 0.2 * p), kept)
     rig = given.rig
@@ -170,14 +178,19 @@ def _learned(c, variant):
         deformed = [_in_scan_units(r.scale, rig.vertices + r.offsets, r.rest_joints[rig.root]) for r, _ in own]
         gap["test scans"] = template_gap(rig, deformed, [given.test.templates[k][0] for _, k in own])
     train = _of_results(rig, fitter.results_) if variant == "joint" else None
-    accuracy = [c.right(s) for s in said]
+    accuracy = [c.right(s) for s in heard]
     as_kept, kept_accuracy = None, None
     if labels:  # of the round whose segmenter the fitter has
         kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
-        as_kept, kept_accuracy = said[kept], accuracy[kept]
+        as_kept, kept_accuracy = heard[kept], accuracy[kept]
     stages = _stages(rig, results[:_STAGES]) if variant == "joint" else {}
     told = as_kept, _labels(results), accuracy, kept_accuracy
     return Found(_of_results(rig, results), train, *told, gap, fitter.history_, stages, failures)
+
+
+def said(segmenter, scans, jobs):
+    """The labels of scans by the segmenter alone."""
+    return each(segmenter.predict, [s.points for s in scans], jobs=jobs)
 
 
 def _in_scan_units(unit, template, root):

@@ -4,6 +4,7 @@ import hashlib
 import time
 from copy import deepcopy
 from dataclasses import asdict
+from functools import cache
 from itertools import product
 
 import numpy as np
@@ -18,12 +19,14 @@ from ..subjects import people_digest
 from .data import SCAN, kind_of, part_groups, sized, study_set
 from .local_optimum import along_path
 from .measures import Truth, measured
-from .rows import ROWS, Context
+from .rows import ROWS, Context, said
 
 __all__ = ["FIRST_SEED", "cell_name", "joined", "study"]
 
 # Of the scans, and those after it; nothing was tuned on them.
 FIRST_SEED = 300
+# Stands in the place of a row where steps are kept that several rows have in common: the training scans' fits by themselves.
+FIRST_FITS = "first-fits"
 
 
 @kept_processes()
@@ -93,7 +96,7 @@ def study(
         for row in done.keys() - todo[name, seed]:  # which a run may have been killed before it removed
             _remove_steps(steps(cell_name(name, seed, row)))
     if on_begun is not None:
-        on_begun(report, [cell_name(*of, row) for of, left in todo.items() for row in left])
+        on_begun(report, [cell_name(*of, row) for of, left in todo.items() if left for row in (FIRST_FITS, *left)])
     for (name, seed), left in todo.items():
         rig, entry = rigs[name], report["rigs"][name]
         if "local_optimum" not in entry:
@@ -103,6 +106,8 @@ def study(
             if on_cell is not None:
                 on_cell(report, name, seed, row, arrays)
             _remove_steps(steps(cell_name(name, seed, row)))
+        if not any(_has_steps(steps(cell_name(name, seed, row))) for row in ROWS):  # of rows that others do, or left
+            _remove_steps(steps(cell_name(name, seed, FIRST_FITS)))
     report["complete"] = _complete(report)
     return report
 
@@ -128,6 +133,10 @@ def joined(report, other):
 def _complete(report):
     """Whether the seeds of each rig have the same rows."""
     return all(len({frozenset(done) for done in entry["seeds"].values()}) == 1 for entry in report["rigs"].values())
+
+
+def _has_steps(folder):
+    return folder is not None and steps_in(folder) > 0
 
 
 def _remove_steps(folder):
@@ -171,23 +180,27 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
     given = study_set(rig, size, seed)
     groups = part_groups(given.rig)
 
-    def right(said):
+    def right(labels):
         """Share of the test scans' points in the right group of parts; None without scans."""
-        shares = [np.mean(groups[found] == groups[s.labels]) for found, s in zip(said, given.test) if found is not None]
+        shares = [np.mean(groups[found] == groups[s.labels]) for found, s in zip(labels, given.test) if found is not None]
         return float(np.mean(shares)) if shares else None
 
     parameters = {"training_scans": size.training_scans, "rounds": size.rounds, "n_jobs": jobs, "random_state": TRAINING_SEED}
     fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
     if any(ROWS[row].pretrained for row in rows):
         fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
+    before = cache(lambda: said(fitter.segmenter_, given.test, jobs))
     truth = Truth(given.rig, given.test, size.pairs, seed)
     train_truth = None
+    first_fits = steps(cell_name(name, seed, FIRST_FITS))
+    begun = _has_steps(first_fits)  # by a run that was stopped
     for row in rows:
         say = lambda share, row=row: progress(name, seed, row, share)  # noqa: E731
         folder = steps(cell_name(name, seed, row))
-        context = Context(rig, given, size, seed, fitter, right, jobs, say, folder)
-        gone_on, started = folder is not None and steps_in(folder) > 0, time.perf_counter()
+        context = Context(rig, given, size, seed, fitter, before, right, jobs, say, folder, first_fits)
+        gone_on, started = _has_steps(folder), time.perf_counter()
         found = ROWS[row].find(context)
+        gone_on |= begun and bool(found.history)
         seconds = None if gone_on else round(time.perf_counter() - started, 1)  # what went before was not timed
         entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "accuracy": found.accuracy, "gap": found.gap}
         entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history, "commit": environment()["commit"]}
