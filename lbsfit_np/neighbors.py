@@ -26,10 +26,11 @@ class PointIndex:
 
         self.points = points
         self.labels = labels
-        self._centre = points.mean(axis=0)
-        radius = np.abs(points - self._centre).max() if len(points) else 1.0
-        self._gap = _APART * max(float(radius), 1e-100)  # points at one place: apart still, once squared
-        self._present = None if labels is None else np.bincount(labels) > 0
+        if labels is not None:
+            self._centre = points.mean(axis=0)
+            radius = np.abs(points - self._centre).max() if len(points) else 1.0
+            self._gap = _APART * max(float(radius), 1e-100)  # points at one place: apart still, once squared
+            self._present = np.bincount(labels) > 0
         self._tree = cKDTree(self._apart(points, labels), balanced_tree=not moving, compact_nodes=not moving)
 
     def nearest(self, queries, labels=None):

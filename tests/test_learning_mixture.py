@@ -32,6 +32,12 @@ def test_half_the_training_poses_are_inferred_ones_with_noise(tube_rig, mixture)
     assert np.abs(noise).max() > 0.1
 
 
+def test_poses_are_those_of_the_scans(mixture):
+    for i in range(6):
+        np.testing.assert_array_equal(mixture.pose(i), mixture.scan(i).pose)
+    assert len({mixture.pose(i).tobytes() for i in range(6)}) == 6
+
+
 def test_training_scans_are_made_of_the_templates(tube_rig, people, mixture):
     made = [mixture.scan(i) for i in range(40)]
     which = [[np.array_equal(s.template, t.vertices) for t in people.values()] for s in made]

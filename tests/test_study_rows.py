@@ -231,6 +231,27 @@ def test_free_form_explains_the_scan_and_the_taught_one_starts_near_the_truth(ti
     assert off[0] < 0.5 * off[1]
 
 
+def test_the_scans_that_took_longest_go_first_and_answers_keep_their_places(monkeypatch):
+    """In the row after, so that not all processes wait for one; what failed has its number and why."""
+    asked, took, seconds, now = [], {}, {"a": 1, "b": 3, "c": 1, "d": 4}, [0]
+    monkeypatch.setattr(rows_module, "time", SimpleNamespace(perf_counter=lambda: now[0]))
+
+    def work(task):
+        asked.append(task)
+        now[0] += seconds[task]
+        if task in "cd":
+            raise InputError("points", task, "others")
+        return task.upper()
+
+    c = SimpleNamespace(jobs=1)
+    for order in ("abcd", "dbac"):
+        asked.clear()
+        results, failures = rows_module._tried(c, work, list("abcd"), lambda share: None, took=took)
+        assert results == ["A", "B", None, None] and "".join(asked) == order
+        assert failures == {2: "points: got c; expected others.", 3: "points: got d; expected others."}
+        assert list(failures) == [2, 3]
+
+
 # ---- all of them ----
 
 

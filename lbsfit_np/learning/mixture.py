@@ -44,8 +44,22 @@ class Mixture:
     random_state: int
     round: int
 
+    def pose(self, i):
+        """The i-th scan's Θ', (J, 3), before the settings turn it."""
+        return self._begun(i)[0]
+
     def scan(self, i):
         """The i-th SyntheticScan."""
+        rig, (pose, rng) = self.rig, self._begun(i)
+        if self.templates:
+            template = self.templates[rng.integers(len(self.templates))]
+            template = with_random_proportions(rig, _SHARE_OF_SHAPE * self.settings.shape, rng, template)
+        else:
+            template = with_random_proportions(rig, self.settings.shape, rng)
+        return synthesize_one(rig, pose, template, self.settings, rng)
+
+    def _begun(self, i):
+        """A scan's pose, and what the rest of it is drawn with."""
         rng = generator(self.random_state, "mixture", self.round, i)
         rig = self.rig
         pose = training_poses(rig, 1, rng)[0]
@@ -57,12 +71,7 @@ class Mixture:
             root = pose[rig.root].copy()
             pose = np.clip(pose, rig.lower, rig.upper)
             pose[rig.root] = root
-        if self.templates:
-            template = self.templates[rng.integers(len(self.templates))]
-            template = with_random_proportions(rig, _SHARE_OF_SHAPE * self.settings.shape, rng, template)
-        else:
-            template = with_random_proportions(rig, self.settings.shape, rng)
-        return synthesize_one(rig, pose, template, self.settings, rng)
+        return pose, rng
 
     def __call__(self, i):
         """(points, labels, units of the scan in a rig unit), as training s wants it."""

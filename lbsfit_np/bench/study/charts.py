@@ -24,10 +24,8 @@ def mixture(shown, path):
     if angles is None or not shown.train:
         return None
     inferred = np.stack([s.pose for s in shown.train])
-    bare = Synthesis(n_points=1, shape=0.0, noise=0.0, holes=0, density=0.0)  # the poses are wanted, not the scans
-    template = ((rig.vertices, rig.joints),)
     mixed, uniform = (
-        np.stack([Mixture(rig, bare, poses, template, 0, 1).scan(i).pose for i in range(_N_POSES)])
+        np.stack([Mixture(rig, Synthesis(), poses, (), 0, 1).pose(i) for i in range(_N_POSES)])
         for poses in (inferred, np.empty((0, *rig.lower.shape)))
     )
     # The first draw is the same in both: where poses differ, the mixture took an inferred one.

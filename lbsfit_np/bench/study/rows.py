@@ -1,5 +1,6 @@
 """The rows of the study: each a way of registering scans, from the free-form baselines to the whole loop and the oracle."""
 
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
@@ -105,6 +106,8 @@ class Context:
         A folder that what takes long is kept in step by step, as by ``LBSFitter.fit(checkpoint=)``.
     first_fits : Path or None, default None
         Another one, for the training scans' fits by themselves, which rows have in common.
+    took : dict of int to float
+        Seconds that test scans took in the row before that learned, by their numbers: the longest go first, lest all wait.
     """
 
     source: object
@@ -118,6 +121,7 @@ class Context:
     progress: Callable
     steps: object = None
     first_fits: object = None
+    took: dict = field(default_factory=dict)
 
 
 # ---- baselines without skinning ----
@@ -169,7 +173,7 @@ def _learned(c, variant):
     checkpoint = None if c.steps is None else Checkpoint(c.steps, first_fits=c.first_fits)
     fitter.fit(points, given.train_subjects, checkpoint=checkpoint, progress=progress, on_round=watch)
     points, kept = [s.points for s in given.test], NO_CHECKPOINT if c.steps is None else Checkpoint(c.steps, model_digest(fitter))
-    results, failures = _tried(c, fitter.fit_scan, points, lambda p: c.progress(0.8 + 0.2 * p), kept)
+    results, failures = _tried(c, fitter.fit_scan, points, lambda p: c.progress(0.8 + 0.2 * p), kept, c.took)
     rig = given.rig
     learned = [_in_scan_units(fitter.unit_[k], t.vertices, t.joints[rig.root]) for k, t in fitter.template_.items()]
     gap = {"subjects": template_gap(rig, learned, [given.train.templates[k][0] for k in fitter.template_])}
@@ -230,26 +234,33 @@ def _oracle_fit(c):
 # ---- registrations ----
 
 
-def _tried(c, work, tasks, done, kept=NO_CHECKPOINT):
+def _tried(c, work, tasks, done, kept=NO_CHECKPOINT, took=None):
     """What work makes of each task, None where it cannot; and why, by number. The checkpoint depends on the work."""
-    slots = [kept.slot("result", task) for task in tasks] if kept is not NO_CHECKPOINT else []
-    answers = each_kept(_Tried(work), tasks, slots, jobs=c.jobs, done=done)
-    return [answer for answer, _ in answers], {i: why for i, (_, why) in enumerate(answers) if why is not None}
+    took = {} if took is None else took
+    order = sorted(range(len(tasks)), key=lambda i: -took.get(i, 0.0))
+    slots = [kept.slot("result", tasks[i]) for i in order] if kept is not NO_CHECKPOINT else []
+    answers = each_kept(_Tried(work), [tasks[i] for i in order], slots, jobs=c.jobs, done=done)
+    found = dict(zip(order, answers, strict=True))
+    took.update({i: seconds for i, (_, _, seconds) in found.items()})
+    whys = {i: found[i][1] for i in range(len(tasks))}
+    return [found[i][0] for i in whys], {i: why for i, why in whys.items() if why is not None}
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """task → (what the work makes of it, None), or (None, why it cannot)."""
+    """task → (what the work makes of it, None, seconds), or (None, why it cannot, seconds)."""
 
     work: object
 
     def __call__(self, task):
         from ...errors import LbsfitError
 
+        started = time.perf_counter()
         try:
-            return self.work(task), None
+            answer, why = self.work(task), None
         except LbsfitError as error:
-            return None, str(error)
+            answer, why = None, str(error)
+        return answer, why, time.perf_counter() - started
 
 
 def _labels(results):
