@@ -67,6 +67,19 @@ def test_rows_are_a_choice_of_points(small_segmenter, tube_scan):
         )
 
 
+@pytest.mark.parametrize("far", [50.0, 1e9, 1e30, 1e300])
+@pytest.mark.parametrize("views", [4, 1])
+@pytest.mark.filterwarnings("error")
+def test_points_far_away_do_not_change_the_labels_of_the_others(small_segmenter, tube_scan, far, views):
+    """Wherever they stand in the scan: the second stage's sample of it leaves them out, as the voxels do."""
+    alone, n = small_segmenter.predict_proba(tube_scan.points, views=views), len(tube_scan.points)
+    places = 7.0 + far * np.array([[1.0, 0.0, 0.0], [0.0, -1.0, 1.0]])
+    for at in (0, n // 2, n):
+        found = small_segmenter.predict_proba(np.insert(tube_scan.points, at, places, axis=0), views=views)
+        np.testing.assert_allclose(np.delete(found, [at, at + 1], axis=0), alone, atol=1e-5)
+        np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-6)
+
+
 def test_labels_are_the_mean_over_four_views(small_segmenter, tube_scan):
     """Turned by a quarter of a radian each, about axes that are as far from each other as can be."""
     axes = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Descriptor", "VoxelGrid", "directions"]
+__all__ = ["Descriptor", "VoxelGrid", "directions", "within_reach"]
 
 # Empty margin around the scan's box, in voxels; probes beyond it are looked up at its border.
 _MARGIN = 6
@@ -80,6 +80,12 @@ def directions(n, seed):
     return d / np.linalg.norm(d, axis=1, keepdims=True)
 
 
+def within_reach(points):
+    """(n,) bool: which points lie no more than 3 from the median point along any axis; the nearest, where none does."""
+    away = np.abs(points - np.median(points, axis=0)).max(axis=1)
+    return away <= max(_REACH, away.min())
+
+
 class VoxelGrid:
     """Nearest occupied voxel of every voxel around a scan, each standing for the mean of its points.
 
@@ -101,8 +107,7 @@ class VoxelGrid:
     def __init__(self, points, voxel):
         from scipy.ndimage import distance_transform_edt
 
-        away = np.abs(points - np.median(points, axis=0)).max(axis=1)
-        points = points[away <= max(_REACH, away.min())]
+        points = points[within_reach(points)]
         self._voxel = voxel
         self._low = points.min(axis=0) - (_MARGIN + 0.5) * voxel  # half a voxel: on a border, rounding would choose the side
         self._shape = np.ceil((np.ptp(points, axis=0)) / voxel).astype(int) + 2 * _MARGIN + 2

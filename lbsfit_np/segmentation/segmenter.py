@@ -13,7 +13,7 @@ from ..seeds import generator
 from ..threads import one_thread
 from ..workers import each
 from .context import CONTEXT_POINTS, context, context_size
-from .descriptors import Descriptor
+from .descriptors import Descriptor, within_reach
 from .stage import Stage, Training, in_half_precision, train_stage
 
 __all__ = ["Segmenter", "jobs_of", "train_segmenter"]
@@ -23,6 +23,8 @@ _FORMAT = 3
 _AXES = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 # By how much, radians, and how far the root has to turn either way in training for that; less where it turns less.
 _TURN, _ROOT = 0.25, 0.6
+# Points further from the median, in half sizes of the rig, are as far as half precision tells.
+_FARTHEST = 6e4
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,10 @@ class Segmenter:
         rows = np.arange(len(points)) if rows is None else _checked_rows(rows, len(points))
         if isinstance(views, bool) or views not in (1, len(_AXES)):
             raise InputError("views", brief(views), f"{len(_AXES)}, or 1")
-        points = points / (scale * self.half)
+        with np.errstate(over="ignore"):
+            points = points / (scale * self.half)
+        middle = np.median(points, axis=0)
+        points = np.clip(points, middle - _FARTHEST, middle + _FARTHEST)
         if views == 1 or not self.turn:
             return self._proba(points, rows)
         return sum(self._proba(points @ R.T, rows) for R in matrix_from_rotvec(self.turn * _AXES)) / len(_AXES)
@@ -280,7 +285,9 @@ def jobs_of(n_jobs, random_state):
 def _in_context(points, rows, descriptor, first):
     """Descriptors of some points, with the context that the first stage gives them."""
     # Evenly spread rows of a scan in its own order: no randomness where one scan has to be labelled.
-    around = np.linspace(0, len(points) - 1, min(CONTEXT_POINTS, len(points))).astype(int)
+    # One that is far away would shift the centre of all.
+    near = np.flatnonzero(within_reach(points))
+    around = near[np.linspace(0, len(near) - 1, min(CONTEXT_POINTS, len(near))).astype(int)]
     own = descriptor(points, np.concatenate([rows, around]))
     proba = first.predict_proba(own)
     k = len(rows)
