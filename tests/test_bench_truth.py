@@ -114,6 +114,23 @@ def test_a_truth_that_lies_elsewhere(tube_rig, meshes):
         Landmarks((places | {"b": (500.0, 0.0, 0.0)},), (lines,)).check(0, meshes[0])
 
 
+def test_places_near_each_other_are_right_where_they_lie_on_the_scan(tube_rig, meshes):
+    """As in a face; also where a stray point makes the scan a hundred times as large. One or two places span nothing."""
+    scan = meshes[0]
+    near = np.linalg.norm(scan - scan[50], axis=1).argsort()[:3]
+    small = scan[50] + 0.05 * (scan[near] - scan[50])
+    stray = np.concatenate([scan, [scan[0] + [0, 0, 100 * np.linalg.norm(np.ptp(scan, axis=0))]]])
+    for places, points in ((small, scan), (scan[[0, 100, 241]], stray), (small[:2] + 0.3, scan), (small[:1] + 0.3, scan)):
+        given = {f"p{i}": tuple(place) for i, place in enumerate(places)}
+        Landmarks((given,), ({},)).check(0, points)
+    with pytest.raises(InputError, match="'p0' at .* in line 2"):
+        Landmarks(({f"p{i}": tuple(place + 0.3) for i, place in enumerate(small)},), ({"p0": 2},)).check(0, scan)
+
+
+def test_a_scan_without_a_registration_is_taken(tube_rig, meshes):
+    Registrations((None, meshes[1]), tube_rig.faces).check(0, meshes[0])
+
+
 def test_files_in_subfolders_and_the_table_among_them(folder, meshes, tube_rig):
     write_meshes(folder / "more", tube_rig, meshes)
     (folder / "truth.csv").write_text("scan,subject\nmore/s0,a\ns0.ply,b\nmore/s1.ply,a\n")

@@ -159,6 +159,31 @@ def test_gaps_of_templates_are_in_the_rigs_unit_and_of_the_right_people(tube_rig
         assert gap["after"] == pytest.approx(0, abs=1e-12) == gap["after, up to a shift"]
 
 
+def test_labels_are_those_of_the_round_that_is_kept(tube_rig, monkeypatch):
+    """Which need not be the last; before learning they are the pretrained segmenter's."""
+    size = Size(6, 4, 3, 2, 1, 1, 1, 1)
+    given = data.study_set(tube_rig, size, 5)
+    monkeypatch.setattr("sklearn.base.clone", lambda fitter: fitter)
+    monkeypatch.setattr(rows_module, "said", lambda segmenter, scans, jobs: [segmenter])
+
+    def fit(points, subjects, *, on_round, **more):
+        on_round(1, 0.7)
+        on_round(2, 0.6)
+
+    def fit_scan(points):
+        raise InputError("points", "some", "others")
+
+    k = int(given.train_subjects[0])
+    template = SimpleNamespace(vertices=tube_rig.vertices, joints=tube_rig.joints)
+    history = [{"round": i, "kept": i == 1} for i in range(3)]
+    own = {"template_": {k: template}, "unit_": {k: 1.0}, "history_": history, "_pretrained": None, "rounds": 2}
+    fitter = SimpleNamespace(**own, fit=fit, fit_scan=fit_scan)
+    fitter.set_params = lambda **parameters: fitter
+    c = Context(tube_rig, given, size, 5, fitter, lambda: [0.5], lambda labels: labels[0], 1, lambda share: None)
+    found = ROWS["rand"].find(c)
+    assert (found.accuracy, found.kept_accuracy, found.labels) == ([0.5, 0.7, 0.6], 0.7, [0.7])
+
+
 def test_three_times_the_data_is_more_people(tube_rig, monkeypatch):
     """The row without a number learns from the scans that are given, and is judged on these as well."""
     size, seen, fitted = Size(3, 2, 1, 1, 1, 1, 1, 1), [], []

@@ -106,6 +106,48 @@ def test_rows_that_learn_from_labels_have_first_fits_and_first_labels_in_common(
     assert {path.name for path in (tmp_path / "out" / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in rows}
 
 
+def test_first_fits_stay_while_a_row_that_is_begun_has_nothing_else(command, tmp_path, monkeypatch):
+    """Whatever is run meanwhile; what learns without labels has no part in them."""
+    cells, n, fitted = tmp_path / "out" / "cells", SIZES["small"].train, []
+
+    def stop(self, k, templates):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(loop_module.Loop, "_learn", stop)
+        assert run([*command, "joint"]) == 130
+        assert run([*command, "cd"]) == 130
+    assert steps_in(cells / "tube-5-first-fits.npz.unfinished") == n
+    assert run([*command, "oracle-labels,cd"]) == 0 and steps_in(cells / "tube-5-first-fits.npz.unfinished") == n
+    call = loop_module.FirstFit.__call__
+    monkeypatch.setattr(loop_module.FirstFit, "__call__", lambda self, task: fitted.append(task) or call(self, task))
+    assert run([*command, "joint"]) == 0 and not fitted
+    found = _rows(tmp_path / "out")["5"]
+    assert found["joint"]["seconds"] is None and found["cd"]["seconds"] is None
+    assert {path.name for path in cells.iterdir()} == {f"tube-5-{row}.npz" for row in ("joint", "cd", "oracle-labels")}
+
+
+def test_first_fits_without_labels_are_nobody_elses(command, run_stopped, tmp_path):
+    assert run_stopped([*command, "cd"]) == 130
+    assert run([*command, "joint"]) == 0 and _rows(tmp_path / "out")["5"]["joint"]["seconds"] > 0
+
+
+def test_what_was_replaced_beside_a_run_does_not_come_back(command, tmp_path, monkeypatch):
+    """It has the arrays of these rows no more."""
+    out, made = tmp_path / "out", run_module._cells
+    assert run([*command, "free-form"]) == 0
+
+    def with_another(name, rig, size, seed, rows, *others):
+        if rows == ["oracle-fit"]:
+            assert run([*command, "oracle-labels", "--existing", "replace"]) == 0
+        yield from made(name, rig, size, seed, rows, *others)
+
+    monkeypatch.setattr(run_module, "_cells", with_another)
+    assert run([*command, "oracle-fit"]) == 0
+    assert set(_rows(out)["5"]) == {"oracle-fit", "oracle-labels"}
+    assert {path.name for path in (out / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in ("oracle-fit", "oracle-labels")}
+
+
 def test_a_row_that_takes_first_fits_of_a_run_that_was_stopped_has_no_time(command, run_stopped, tmp_path):
     """It has them for nothing, whichever row has made them; one that has no use of them is timed."""
     kept = tmp_path / "out" / "cells" / "tube-5-first-fits.npz.unfinished"
@@ -156,8 +198,7 @@ def test_steps_are_announced_for_rows_that_are_to_be_done(command, run_stopped, 
     (cells / "tube-5-oracle-fit.npz.unfinished" / f"result-{32 * '0'}.npz").write_bytes(b"")
     capsys.readouterr()
     assert run([*command, "oracle-fit"]) == 0 and "of a run that was stopped" not in capsys.readouterr().out
-    kept = {f"tube-5-{name}.npz.unfinished" for name in ("cd", "first-fits")}
-    assert {path.name for path in cells.iterdir()} == kept | {"tube-5-oracle-fit.npz"}
+    assert {path.name for path in cells.iterdir()} == {"tube-5-oracle-fit.npz", "tube-5-cd.npz.unfinished"}
     assert steps_in(cells / "tube-5-cd.npz.unfinished") == steps
     assert run([*command, "cd,oracle-fit"]) == 0 and f"has {steps} steps of a run that was stopped" in capsys.readouterr().out
 
@@ -167,6 +208,9 @@ def test_what_is_replaced_is_gone_before_anything_is_stopped(command, run_stoppe
     out = tmp_path / "out"
     assert run([*command, "cd,oracle-fit"]) == 0
     (out / "mine.png").write_bytes(b"")
+    (out / "drawn.png").write_bytes(b"")
+    report = json.loads((out / "results.json").read_text())
+    (out / "results.json").write_text(json.dumps(report | {"captions": {"drawn.png": "A picture."}}))
     (out / "cells" / "mine-5.npz").write_bytes(b"")
     monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], pairs=2))
     assert run([*command, "cd"]) == 2 and "other numbers of scans" in capsys.readouterr().err
@@ -175,10 +219,10 @@ def test_what_is_replaced_is_gone_before_anything_is_stopped(command, run_stoppe
     said = capsys.readouterr().out
     assert f"note: 2 rows of earlier runs in {out} are removed" in said
     assert said.endswith("and the same command without --existing replace goes on\n")
-    assert _rows(out) == {} and not (out / "README.md").exists() and (out / "mine.png").exists()
+    assert _rows(out) == {} and not (out / "README.md").exists()
+    assert (out / "mine.png").exists() and not (out / "drawn.png").exists()
     steps = steps_in(out / "cells" / "tube-5-cd.npz.unfinished")
-    kept = {f"tube-5-{name}.npz.unfinished" for name in ("cd", "first-fits")}
-    assert {path.name for path in (out / "cells").iterdir()} == kept | {"mine-5.npz"} and steps >= 2
+    assert {path.name for path in (out / "cells").iterdir()} == {"tube-5-cd.npz.unfinished", "mine-5.npz"} and steps >= 2
     assert run([*command, "cd"]) == 0 and f"has {steps} steps of a run that was stopped" in capsys.readouterr().out
     assert list(_rows(out)["5"]) == ["cd"] and _rows(out)["5"]["cd"]["seconds"] is None
 

@@ -21,7 +21,7 @@ _PAGE, _CELLS = "README.md", "cells"
 def run_study(values):
     """The study; the exit code."""
     from ..bench.study.page import console_table
-    from ..bench.study.run import cell_name, joined, study
+    from ..bench.study.run import cell_name, joined, study, with_rows
     from ..io.rigs import load_rig
     from ..io.write import write_json, write_npz
     from ..learning.checkpoint import checkpoint_of
@@ -50,10 +50,10 @@ def run_study(values):
     def steps(cell):
         return checkpoint_of(cells / f"{cell}.npz")
 
-    def keep(report):
-        """Write the report with what a study beside this one has written meanwhile, such as of other seeds."""
+    def keep(report, *made):
+        """Write rows just made, (rig's name, seed, row) each, to what is there, as a study beside this one may have left it."""
         with suppress(FileError):  # nothing there yet, or nothing that is a report
-            report = joined(report, read_results(results))
+            report = joined(with_rows(report, made), read_results(results))
         write_json(results, report)
 
     def on_begun(report, todo):
@@ -67,7 +67,7 @@ def run_study(values):
 
     def on_cell(report, name, seed, row, arrays):
         write_npz(cells / f"{cell_name(name, seed, row)}.npz", **arrays)
-        keep(report)
+        keep(report, (name, seed, row))
         progress.cell(name, seed, row, report["rigs"][name]["seeds"][str(seed)][row])
 
     try:

@@ -105,7 +105,7 @@ class Context:
     steps : Path or None, default None
         A folder that what takes long is kept in step by step, as by ``LBSFitter.fit(checkpoint=)``.
     first_fits : Path or None, default None
-        Another one, for the training scans' fits by themselves, which rows have in common.
+        Another one, for the training scans' fits by themselves, which rows that learn from labels have in common.
     took : dict of int to float
         Seconds that test scans took in the row before that learned, by their numbers: the longest go first, lest all wait.
     """
@@ -170,7 +170,9 @@ def _learned(c, variant):
     if labels:
         heard.append(c.labels_before())
     points = [s.points for s in given.train]
-    checkpoint = None if c.steps is None else Checkpoint(c.steps, first_fits=c.first_fits)
+    checkpoint = None if c.steps is None else Checkpoint(c.steps, first_fits=c.first_fits if labels else None)
+    if labels and c.steps is not None:
+        c.steps.mkdir(parents=True, exist_ok=True)  # says that the row is begun, as long as only first fits are there
     fitter.fit(points, given.train_subjects, checkpoint=checkpoint, progress=progress, on_round=watch)
     points, kept = [s.points for s in given.test], NO_CHECKPOINT if c.steps is None else Checkpoint(c.steps, model_digest(fitter))
     results, failures = _tried(c, fitter.fit_scan, points, lambda p: c.progress(0.8 + 0.2 * p), kept, c.took)

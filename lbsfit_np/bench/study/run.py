@@ -21,7 +21,7 @@ from .local_optimum import along_path
 from .measures import Truth, measured
 from .rows import ROWS, Context, said
 
-__all__ = ["FIRST_SEED", "cell_name", "joined", "study"]
+__all__ = ["FIRST_SEED", "cell_name", "joined", "study", "with_rows"]
 
 # Of the scans, and those after it; nothing was tuned on them.
 FIRST_SEED = 300
@@ -106,10 +106,22 @@ def study(
             if on_cell is not None:
                 on_cell(report, name, seed, row, arrays)
             _remove_steps(steps(cell_name(name, seed, row)))
-        if not any(_has_steps(steps(cell_name(name, seed, row))) for row in ROWS):  # of rows that others do, or left
+        folders = [steps(cell_name(name, seed, row)) for row in ROWS]
+        if not any(folder is not None and folder.exists() for folder in folders):  # of rows that others do, or left
             _remove_steps(steps(cell_name(name, seed, FIRST_FITS)))
     report["complete"] = _complete(report)
     return report
+
+
+def with_rows(report, rows):
+    """A report with these of its rows alone, each a (rig's name, seed, row)."""
+    out = deepcopy(report)
+    for name, entry in out["rigs"].items():
+        for seed, done in list(entry["seeds"].items()):
+            entry["seeds"][seed] = {row: cell for row, cell in done.items() if (name, int(seed), row) in rows}
+            if not entry["seeds"][seed]:
+                del entry["seeds"][seed]
+    return out
 
 
 def joined(report, other):
@@ -200,7 +212,7 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
         context = Context(rig, given, size, seed, fitter, before, right, jobs, say, folder, first_fits, took)
         gone_on, started = _has_steps(folder), time.perf_counter()
         found = ROWS[row].find(context)
-        gone_on |= begun and bool(found.history)
+        gone_on |= begun and bool(found.accuracy)  # it learns from labels
         seconds = None if gone_on else round(time.perf_counter() - started, 1)  # what went before was not timed
         entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "accuracy": found.accuracy, "gap": found.gap}
         entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history, "commit": environment()["commit"]}
