@@ -81,9 +81,8 @@ def test_a_row_that_is_stopped_goes_on(command, run_stopped, tube_rig, tmp_path,
     assert [path.name for path in (out / "cells").iterdir()] == ["tube-5-joint.npz"]
 
 
-def test_rows_that_learn_from_labels_have_first_fits_and_first_labels_in_common(command, tube_rig, tmp_path, monkeypatch):
-    rows, done = ("cd", "rand", "pose-only", "joint"), {"fits": 0, "labels": 0}
-    alone = {row: study({"tube": tube_rig}, rows=(row,), seeds=[5])["rigs"]["tube"]["seeds"]["5"][row] for row in rows}
+def test_rows_that_learn_from_labels_have_first_fits_and_first_labels_in_common(command, tmp_path, monkeypatch):
+    done, out = {"fits": 0, "labels": 0}, tmp_path / "out"
 
     def counted(owner, name, key):
         call = getattr(owner, name)
@@ -96,40 +95,33 @@ def test_rows_that_learn_from_labels_have_first_fits_and_first_labels_in_common(
 
     counted(loop_module.FirstFit, "__call__", "fits")
     counted(Segmenter, "predict", "labels")
-    assert run([*command, ",".join(rows)]) == 0
-    size, rounds = SIZES["small"], sum(len(alone[row]["accuracy"]) - 1 for row in rows[1:])
-    assert done == {"fits": 2 * size.train, "labels": (1 + rounds) * size.test}  # cd has no labels, and fits of its own
-    found = _rows(tmp_path / "out")["5"]
-    for row in rows:
-        assert _found(found[row]) == json.loads(json.dumps(_found(alone[row]))), row
-        assert found[row]["seconds"] > 0
-    assert {path.name for path in (tmp_path / "out" / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in rows}
+    assert run([*command, "rand,joint"]) == 0
+    found, size = _rows(out)["5"], SIZES["small"]
+    rounds = sum(len(cell["accuracy"]) - 1 for cell in found.values())
+    assert done == {"fits": size.train, "labels": (1 + rounds) * size.test}
+    assert found["rand"]["seconds"] > 0 and found["joint"]["seconds"] > 0
+    assert {path.name for path in (out / "cells").iterdir()} == {"tube-5-rand.npz", "tube-5-joint.npz"}
 
 
-def test_first_fits_stay_while_a_row_that_is_begun_has_nothing_else(command, tmp_path, monkeypatch):
-    """Whatever is run meanwhile; what learns without labels has no part in them."""
-    cells, n, fitted = tmp_path / "out" / "cells", SIZES["small"].train, []
+def test_first_fits_stay_while_a_row_that_is_begun_has_nothing_else(command, run_stopped, tmp_path, monkeypatch):
+    """Whatever is run meanwhile. A row that takes them has no time of its own; what learns without labels has no part in them."""
+    cells, fitted, call = tmp_path / "out" / "cells", [], loop_module.FirstFit.__call__
+    kept = cells / "tube-5-first-fits.npz.unfinished"
 
     def stop(self, k, templates):
         raise KeyboardInterrupt
 
+    assert run_stopped([*command, "cd"]) == 130 and not kept.exists()
     with monkeypatch.context() as patch:
         patch.setattr(loop_module.Loop, "_learn", stop)
         assert run([*command, "joint"]) == 130
-        assert run([*command, "cd"]) == 130
-    assert steps_in(cells / "tube-5-first-fits.npz.unfinished") == n
-    assert run([*command, "oracle-labels,cd"]) == 0 and steps_in(cells / "tube-5-first-fits.npz.unfinished") == n
-    call = loop_module.FirstFit.__call__
     monkeypatch.setattr(loop_module.FirstFit, "__call__", lambda self, task: fitted.append(task) or call(self, task))
-    assert run([*command, "joint"]) == 0 and not fitted
+    assert run([*command, "rand,oracle-labels"]) == 0 and steps_in(kept) == SIZES["small"].train
     found = _rows(tmp_path / "out")["5"]
-    assert found["joint"]["seconds"] is None and found["cd"]["seconds"] is None
-    assert {path.name for path in cells.iterdir()} == {f"tube-5-{row}.npz" for row in ("joint", "cd", "oracle-labels")}
-
-
-def test_first_fits_without_labels_are_nobody_elses(command, run_stopped, tmp_path):
-    assert run_stopped([*command, "cd"]) == 130
-    assert run([*command, "joint"]) == 0 and _rows(tmp_path / "out")["5"]["joint"]["seconds"] > 0
+    assert found["rand"]["seconds"] is None and found["oracle-labels"]["seconds"] > 0
+    assert run([*command, "joint"]) == 0 and not fitted
+    names = {f"tube-5-{row}.npz" for row in ("joint", "rand", "oracle-labels")}
+    assert {path.name for path in cells.iterdir()} == names | {"tube-5-cd.npz.unfinished"}
 
 
 def test_what_was_replaced_beside_a_run_does_not_come_back(command, tmp_path, monkeypatch):
@@ -146,17 +138,6 @@ def test_what_was_replaced_beside_a_run_does_not_come_back(command, tmp_path, mo
     assert run([*command, "oracle-fit"]) == 0
     assert set(_rows(out)["5"]) == {"oracle-fit", "oracle-labels"}
     assert {path.name for path in (out / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in ("oracle-fit", "oracle-labels")}
-
-
-def test_a_row_that_takes_first_fits_of_a_run_that_was_stopped_has_no_time(command, run_stopped, tmp_path):
-    """It has them for nothing, whichever row has made them; one that has no use of them is timed."""
-    kept = tmp_path / "out" / "cells" / "tube-5-first-fits.npz.unfinished"
-    assert run_stopped([*command, "rand"]) == 130 and steps_in(kept) == SIZES["small"].train
-    assert run([*command, "joint,oracle-labels"]) == 0
-    found = _rows(tmp_path / "out")["5"]
-    assert found["joint"]["seconds"] is None and found["oracle-labels"]["seconds"] > 0
-    assert steps_in(kept) == SIZES["small"].train  # as long as there are steps of rand, which is unfinished
-    assert run([*command, "rand"]) == 0 and not kept.exists()
 
 
 def test_a_row_made_at_one_go_has_its_time(command, tmp_path):

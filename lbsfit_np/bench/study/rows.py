@@ -34,12 +34,15 @@ class Row:
     find : callable (Context) → Found
     pretrained : bool, default True
         Whether it needs what the fitter is pretrained with.
+    in_common : bool, default False
+        Whether its training scans' fits by themselves are those of other rows, too.
     """
 
     what: str
     paper: str | None
     find: Callable
     pretrained: bool = True
+    in_common: bool = False
 
 
 @dataclass(frozen=True)
@@ -291,9 +294,9 @@ ROWS = {
         False,
     ),
     "cd": Row("Chamfer alone, no labels", "LBS-AE_CD", lambda c: _learned(c, "cd")),
-    "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand")),
-    "pose-only": Row("segmenter from inferred poses, not templates", None, lambda c: _learned(c, "pose-only")),
-    "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint")),
+    "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand"), in_common=True),
+    "pose-only": Row("segmenter from inferred poses, not templates", None, lambda c: _learned(c, "pose-only"), in_common=True),
+    "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint"), in_common=True),
     "oracle-labels": Row("true labels given, scans one by one", None, _oracle_labels, False),
     "oracle-fit": Row("true correspondences given, scans one by one", None, _oracle_fit, False),
 }

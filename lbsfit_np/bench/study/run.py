@@ -106,7 +106,7 @@ def study(
             if on_cell is not None:
                 on_cell(report, name, seed, row, arrays)
             _remove_steps(steps(cell_name(name, seed, row)))
-        folders = [steps(cell_name(name, seed, row)) for row in ROWS]
+        folders = [steps(cell_name(name, seed, row)) for row in ROWS if ROWS[row].in_common]
         if not any(folder is not None and folder.exists() for folder in folders):  # of rows that others do, or left
             _remove_steps(steps(cell_name(name, seed, FIRST_FITS)))
     report["complete"] = _complete(report)
@@ -212,7 +212,7 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
         context = Context(rig, given, size, seed, fitter, before, right, jobs, say, folder, first_fits, took)
         gone_on, started = _has_steps(folder), time.perf_counter()
         found = ROWS[row].find(context)
-        gone_on |= begun and bool(found.accuracy)  # it learns from labels
+        gone_on |= begun and ROWS[row].in_common
         seconds = None if gone_on else round(time.perf_counter() - started, 1)  # what went before was not timed
         entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "accuracy": found.accuracy, "gap": found.gap}
         entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history, "commit": environment()["commit"]}
