@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from .errors import InputError
 from .threads import one_thread
 
-__all__ = ["Workers", "each", "kept_processes"]
+__all__ = ["Workers", "beside", "each", "kept_processes"]
 
 _READY = "ready"
 # In place of work for a process that is to end.
@@ -71,15 +71,40 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
         while len(answers) < len(tasks):
             while todo and workers.idle:
                 workers.give(todo.pop())
-            for (k, _), answer, death in workers.answers():
-                if death is not None:
-                    raise InputError("n_jobs", f"a process that ended ({death})", "processes that live", "Use fewer of them.")
-                answers[k], error = answer
-                if error is not None:
-                    raise error
-                answered(k, answers[k])
+            for k, answer in _come(workers):
+                answers[k] = answer
+                answered(k, answer)
                 done(len(answers) / len(tasks))
     return [answers[k] for k in range(len(tasks))]
+
+
+@contextmanager
+def beside(work, task):
+    """Have ``work(task)`` done in a process of its own while other work goes on here.
+
+    ``with beside(work, task) as answer:`` and in there ``answer()``, once, which waits for it. Work is picklable; its errors
+    pass on. InputError where the process was killed.
+    """
+    with Workers(_Caught(work), 1, argument="n_jobs") as workers:
+        workers.give((0, task))
+
+        def answer():
+            while not (come := list(_come(workers))):
+                pass  # it waits, first for word that the process is ready
+            return come[0][1]
+
+        yield answer
+
+
+def _come(workers):
+    """Wait for answers of ``_Caught`` work; (k, answer) of each that has come."""
+    for (k, _), answer, death in workers.answers():
+        if death is not None:
+            raise InputError("n_jobs", f"a process that ended ({death})", "processes that live", "Use fewer of them.")
+        answer, error = answer
+        if error is not None:
+            raise error
+        yield k, answer
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from lbsfit_np.bench.study import data, free_form, oracle
 from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
 from lbsfit_np.bench.study.data import SCAN, Size, sized, study_set
-from lbsfit_np.bench.study.free_form import Augmented, FromTemplate, best_free_form, taught
+from lbsfit_np.bench.study.free_form import Augmented, FreeForm, FromTemplate, best_free_form, taught
 from lbsfit_np.bench.study.measures import Registrations, template_gap
 from lbsfit_np.bench.study.oracle import OracleFit
 from lbsfit_np.bench.study.page import PAPER
@@ -61,7 +61,7 @@ def fitted(monkeypatch):
 
     def fit(rig, points, start):
         starts.append(start)
-        return SimpleNamespace(vertices=start, terms={"recon": float(start[0, 0])})
+        return FreeForm(start, rig.regressor @ start, float(start[0, 0]))
 
     monkeypatch.setattr(free_form, "_fitted", fit)
     return starts
@@ -69,9 +69,12 @@ def fitted(monkeypatch):
 
 def test_the_best_start_is_the_one_that_explains_most(tube_rig, fitted):
     candidates = [np.full(tube_rig.vertices.shape, x) for x in (3.0, 1.0, 2.0)]
-    vertices, joints = best_free_form(tube_rig, np.zeros((5, 3)), candidates)
-    assert len(fitted) == 3 and vertices is candidates[1]
-    assert joints == pytest.approx(np.ones(tube_rig.joints.shape))  # the regressor's, of vertices that are all in one place
+    found = best_free_form(tube_rig, np.zeros((5, 3)), candidates)
+    assert len(fitted) == 3 and found.vertices is candidates[1]
+    assert found.joints == pytest.approx(np.ones(tube_rig.joints.shape))  # the regressor's, of vertices that are all in one place
+    before = [FreeForm(None, None, recon) for recon in (0.9, 0.8, 1.1)]
+    assert best_free_form(tube_rig, np.zeros((5, 3)), candidates, before) is before[1]
+    assert best_free_form(tube_rig, np.zeros((5, 3)), candidates, before[2:]).vertices is candidates[1]
 
 
 def test_free_form_starts_from_the_template_and_the_augmented_one_from_poses_that_look_alike_too(tube_rig, fitted):
@@ -81,14 +84,31 @@ def test_free_form_starts_from_the_template_and_the_augmented_one_from_poses_tha
         asked.append((x, n))
         return poses[:n]
 
-    FromTemplate(tube_rig)(points)
+    on_template = FromTemplate(tube_rig)(points)
     assert [np.array_equal(start, tube_rig.vertices) for start in fitted] == [True]
-    fitted.clear()
-    Augmented(tube_rig, SimpleNamespace(nearest=nearest))(points)
-    ((x, n),) = asked
-    assert x is points and n == 3
-    for start, theta in zip(fitted, [np.zeros_like(poses[0]), *poses], strict=True):
-        np.testing.assert_allclose(start, tube_rig.pose(theta), atol=1e-12)
+    worst, best = replace(on_template, recon=9.0), replace(on_template, recon=-9.0)
+    for before in (worst, best, None):  # not made a second time
+        fitted.clear()
+        asked.clear()
+        found = Augmented(tube_rig, SimpleNamespace(nearest=nearest))((points, before))
+        ((x, n),) = asked
+        assert x is points and n == 3
+        for start, theta in zip(fitted, poses, strict=True):
+            np.testing.assert_allclose(start, tube_rig.pose(theta), atol=1e-12)
+        assert found is best if before is best else found.vertices is min(fitted, key=lambda V: V[0, 0])
+
+
+@pytest.mark.parametrize("rows", [("free-form", "free-form-augmented"), ("free-form-augmented", "free-form")])
+def test_fits_from_the_template_are_made_once_for_both_rows(tube_rig, fitted, rows):
+    scans, shares = [SimpleNamespace(points=np.full((5, 3), x)) for x in (1.0, 2.0)], []
+    library = SimpleNamespace(nearest=lambda x, n: tube_rig.lower[None])
+    c = SimpleNamespace(given=SimpleNamespace(rig=tube_rig, test=scans), fitter=SimpleNamespace(regressor_=library))
+    c.jobs, c.progress, c.from_template = 1, shares.append, []
+    found = {row: ROWS[row].find(c) for row in rows}
+    of_template = [start for start in fitted if np.array_equal(start, tube_rig.vertices)]
+    assert len(of_template) == 2 and len(fitted) == 4
+    np.testing.assert_array_equal(found["free-form"].test.vertices, of_template)
+    assert shares[-1] == max(shares) == 1.0
 
 
 def test_components_are_of_some_scans_and_the_regressor_learns_from_all(tube_rig, monkeypatch):
@@ -192,7 +212,7 @@ def test_three_times_the_data_is_more_people(tube_rig, monkeypatch):
 
     def taught(rig, scans, random_state):
         seen.append((rig, [s.points for s in scans], random_state))
-        return lambda points: fitted.append(points) or (tube_rig.vertices, tube_rig.joints)
+        return lambda points: fitted.append(points) or FreeForm(tube_rig.vertices, tube_rig.joints, 0.0)
 
     monkeypatch.setattr("lbsfit_np.bench.study.rows.taught", taught)
     shares = []
@@ -248,11 +268,11 @@ def test_the_objective_of_the_oracle_has_the_gradient_that_it_says(tiny_study):
 
 def test_free_form_explains_the_scan_and_the_taught_one_starts_near_the_truth(tiny_study):
     scan = tiny_study.train[1]
-    vertices, joints = FromTemplate(tiny_study.rig)(scan.points)
-    assert recon(scan.points, vertices) < 1.5 * recon(scan.points, scan.vertices)
-    assert vertices.shape == scan.vertices.shape and joints.shape == scan.joints.shape
-    learned, _ = taught(tiny_study.rig, tiny_study.train, 0)(scan.points)  # one that it was taught with
-    off = [np.linalg.norm(V - scan.vertices, axis=1).mean() for V in (learned, vertices)]
+    found = FromTemplate(tiny_study.rig)(scan.points)
+    assert recon(scan.points, found.vertices) < 1.5 * recon(scan.points, scan.vertices)
+    assert found.vertices.shape == scan.vertices.shape and found.joints.shape == scan.joints.shape
+    learned = taught(tiny_study.rig, tiny_study.train, 0)(scan.points)  # one that it was taught with
+    off = [np.linalg.norm(f.vertices - scan.vertices, axis=1).mean() for f in (learned, found)]
     assert off[0] < 0.5 * off[1]
 
 

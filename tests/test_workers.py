@@ -17,7 +17,7 @@ from lbsfit_np import workers
 from lbsfit_np.bench.study import run as study_run
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.loop import Loop
-from lbsfit_np.workers import Workers, each, kept_processes
+from lbsfit_np.workers import Workers, beside, each, kept_processes
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -41,6 +41,22 @@ def test_errors_of_tasks_pass_on(jobs):
 def test_a_process_that_dies_is_said():
     with pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
         each(_killed, [1, 2, 3], jobs=2)
+    with beside(_killed, 1) as answer, pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
+        answer()
+
+
+def test_work_beside_other_work():
+    with kept_processes():
+        with beside(_process, None) as answer:
+            others = set(each(_process, range(4), jobs=2))
+            mine = answer()
+        assert mine not in others | {os.getpid()}
+        assert mine in set(each(_process, range(6), jobs=3))  # kept for other work
+        with pytest.raises(ZeroDivisionError), beside(_inverse, 0) as answer:
+            answer()
+        with pytest.raises(KeyError), beside(_inverse_later, 100.0):  # it need not be waited for
+            raise KeyError
+    assert not active_children()
 
 
 def test_processes_are_kept_for_other_work():

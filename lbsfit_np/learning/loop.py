@@ -14,6 +14,7 @@ At the end the full objective gives each scan its residual on its subject's temp
 import time
 import warnings
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from ..segmentation.stage import Training
 from ..starts.library import PoseLibrary, build_library
 from ..starts.scale import same_size
 from ..threads import one_thread
-from ..workers import each, kept_processes
+from ..workers import beside, each, kept_processes
 from .checkpoint import FIRST_FIT, NO_CHECKPOINT, each_kept
 from .collection import HELD_OUT, LEARNED_FROM
 from .mixture import Mixture
@@ -266,23 +267,27 @@ class Loop:
         made = tuple((U[rows], J) for U, J in templates.values()) if v.deformed and k else ()
         return Mixture(rig, self.synthesis, poses, made, self.seed, k)
 
-    def _library(self, k, templates):
-        return build_library(
-            self._mixture(k, templates).scan,
-            self.settings.library_scans,
-            random_state=self.seed,
-            jobs=self.jobs,
-            progress=lambda p: self.progress("library of starts", p),
-        )
-
     def _learn(self, k, templates):
         """Train s on the round's mixture, and f and the library anew."""
+        kept = self._kept.slot(f"round-{k}-library")
+        known = kept.known(PoseLibrary)
+        build = partial(build_library, n_scans=self.settings.library_scans, random_state=self.seed)
+        scan, said = self._mixture(k, templates).scan, lambda p: self.progress("library of starts", p)
+        if known is not None or not self.variant.labels or self.jobs == 1:
+            self._learn_labels(k, templates)
+            self.library = known or kept.keep(build(scan, jobs=self.jobs, progress=said))
+            return
+        with beside(build, scan) as library:  # as s keeps but one core busy while its networks learn
+            self._learn_labels(k, templates)
+            said(0.0)
+            self.library = kept.keep(library())
+            said(1.0)
+
+    def _learn_labels(self, k, templates):
         if self.variant.labels:
             kept = self._kept.slot(f"round-{k}-segmenter")
             self.segmenter = kept.known(Segmenter) or kept.keep(self._trained(k, templates))
             self._label()
-        kept = self._kept.slot(f"round-{k}-library")
-        self.library = kept.known(PoseLibrary) or kept.keep(self._library(k, templates))
 
     def _trained(self, k, templates):
         return train_segmenter(
@@ -297,12 +302,11 @@ class Loop:
         )
 
     def _label(self):
-        if self.variant.labels:
-            work = Labels(self.segmenter)
-            found = self._work(work, [m.problem.X * self.model.half for m in self.collection.members], "labels")
-            for m, proba in zip(self.collection.members, found, strict=True):
-                m.proba = proba
-            self._follow()
+        work = Labels(self.segmenter)
+        found = self._work(work, [m.problem.X * self.model.half for m in self.collection.members], "labels")
+        for m, proba in zip(self.collection.members, found, strict=True):
+            m.proba = proba
+        self._follow()
 
     def _refit(self, k, templates):
         """Every pose again on its subject's template; returns how many new starts won."""

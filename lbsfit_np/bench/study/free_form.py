@@ -19,7 +19,7 @@ from ...skinning import skin
 from ...starts.look import look
 from ...threads import one_thread
 
-__all__ = ["Augmented", "FromTemplate", "Supervised", "best_free_form", "taught"]
+__all__ = ["Augmented", "FreeForm", "FromTemplate", "Supervised", "best_free_form", "taught"]
 
 # Synthetic scans that the augmented baseline starts from.
 _STARTS = 3
@@ -28,7 +28,25 @@ _COMPONENTS, _HIDDEN, _EPOCHS = 64, (256, 128), 300
 _OF_COMPONENTS = 2000
 
 
-def best_free_form(rig, points, starts):
+@dataclass(frozen=True)
+class FreeForm:
+    """What was found of a scan.
+
+    Attributes
+    ----------
+    vertices : (m, 3) array
+    joints : (J, 3) array
+        Of the joint regressor.
+    recon : float
+        √L_c, what it leaves unexplained.
+    """
+
+    vertices: np.ndarray
+    joints: np.ndarray
+    recon: float
+
+
+def best_free_form(rig, points, starts, others=()):
     """Vertices fitted to a scan from each of some starts; those with the least Chamfer distance.
 
     Parameters
@@ -38,29 +56,28 @@ def best_free_form(rig, points, starts):
         In the rig's unit.
     starts : iterable of (m, 3) arrays
         Vertices, in the scan's frame up to translation and scale.
+    others : iterable of FreeForm
+        That were found before, from other starts.
 
     Returns
     -------
-    vertices : (m, 3) array
-    joints : (J, 3) array
-        Of the joint regressor.
+    FreeForm
     """
-    found = [_fitted(rig, points, start) for start in starts]
-    best = min(found, key=lambda result: result.terms["recon"])
-    return best.vertices, rig.regressor @ best.vertices
+    return min([*others, *(_fitted(rig, points, start) for start in starts)], key=lambda found: found.recon)
 
 
 def _fitted(rig, points, start):
     model = Model(rig.with_template(start), half=rig.size / 2)
-    frame = Frame(points.mean(axis=0), model.half)
+    frame, rows = Frame(points.mean(axis=0), model.half), np.arange(len(points))
     with one_thread():
         problem = Problem(frame.inside(points))
-        return free_form(model, FitSettings(weights=LOOSE), problem, points, np.arange(len(points)), frame, time.perf_counter())
+        result = free_form(model, FitSettings(weights=LOOSE), problem, points, rows, frame, time.perf_counter())
+    return FreeForm(result.vertices, rig.regressor @ result.vertices, result.terms["recon"])
 
 
 @dataclass(frozen=True)
 class FromTemplate:
-    """points → (vertices, joints), from the template in its rest pose."""
+    """points → FreeForm, from the template in its rest pose."""
 
     rig: object
 
@@ -70,19 +87,20 @@ class FromTemplate:
 
 @dataclass(frozen=True)
 class Augmented:
-    """points → (vertices, joints), from the template and from poses of the library whose scans look alike."""
+    """(points, FreeForm from the template or None) → FreeForm: that, or from poses of the library whose scans look alike."""
 
     rig: object
     library: object
 
-    def __call__(self, points):
-        poses = self.library.nearest(points, _STARTS)
-        return best_free_form(self.rig, points, [self.rig.vertices, *(skin(self.rig, theta).vertices for theta in poses)])
+    def __call__(self, task):
+        points, from_template = task
+        starts = [skin(self.rig, theta).vertices for theta in self.library.nearest(points, _STARTS)]
+        return best_free_form(self.rig, points, starts, [] if from_template is None else [from_template])
 
 
 @dataclass(frozen=True)
 class Supervised:
-    """points → (vertices, joints), from what a regressor says that knows the true vertices of its training scans.
+    """points → FreeForm, from what a regressor says that knows the true vertices of its training scans.
 
     Attributes
     ----------

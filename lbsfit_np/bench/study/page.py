@@ -61,8 +61,9 @@ Columns of the tables; means over the test scans, the paper's figures in square 
 - **Corre.**: how far from its true place on scan B a point of scan A is carried by the two registrations: mean and percentiles
   over all points of all pairs of scans. **snapped**: the same after the step to the nearest point of B.
 - **vertices**: ‖registered − true vertices‖. **unfitted**: scans without a fit, which all these leave out. **s**: of learning
-  and all fits of the row, pretraining not counted; – of a row that found steps of a run that was stopped. Training scans'
-  fits by themselves are made once for all rows that learn from labels, and count in the first of these.
+  and all fits of the row, pretraining not counted; – of a row that found steps of a run that was stopped. What rows
+  of one run have in common counts in the first of these: the training scans' fits by themselves, where labels teach, and those
+  from the template without skinning.
 
 Below each table: in the order of the ablations, ≈ stands between rows that are nearer to each other than 3 %; an order with such
 rows is level, and does not reach what was to be reached any more than one that is missed. The **template gap** is ‖U^d − U^gt‖,

@@ -111,6 +111,8 @@ class Context:
         Another one, for the training scans' fits by themselves, which rows that learn from labels have in common.
     took : dict of int to float
         Seconds that test scans took in the row before that learned, by their numbers: the longest go first, lest all wait.
+    from_template : list
+        Empty until fits without skinning that start from the template are made of the test scans, which two rows need.
     """
 
     source: object
@@ -125,30 +127,44 @@ class Context:
     steps: object = None
     first_fits: object = None
     took: dict = field(default_factory=dict)
+    from_template: list = field(default_factory=list)
 
 
 # ---- baselines without skinning ----
 
 
 def _from_template(c):
-    return _free_form(c, FromTemplate(c.given.rig))
+    results, failures = _on_template(c)
+    return Found(_registrations(c.given.rig, results), failures=failures)
 
 
 def _augmented(c):
-    return _free_form(c, Augmented(c.given.rig, c.fitter.regressor_))
+    tasks = list(zip(_points(c.given.test), _on_template(c, 0.25)[0], strict=True))
+    return _free_form(c, Augmented(c.given.rig, c.fitter.regressor_), tasks, start=0.25)
+
+
+def _on_template(c, end=1.0):
+    """What ``_tried`` says of fits that start from the template, made once for the rows that need them."""
+    if not c.from_template:
+        work, points = FromTemplate(c.given.rig), _points(c.given.test)
+        c.from_template.extend(_tried(c, work, points, lambda p: c.progress(end * p)))
+    return c.from_template
 
 
 def _supervised(c, times=1):
     scans = c.given.train if times == 1 else study_set(c.source, c.size, c.seed, times=times).train
     fit = taught(c.given.rig, scans, c.fitter.random_state)
-    found = _free_form(c, fit, end=0.5 if times == 1 else 1.0)
-    return found if times > 1 else replace(found, train=_free_form(c, fit, c.given.train, start=0.5).test)
+    found = _free_form(c, fit, _points(c.given.test), end=0.5 if times == 1 else 1.0)
+    return found if times > 1 else replace(found, train=_free_form(c, fit, _points(c.given.train), start=0.5).test)
 
 
-def _free_form(c, fit, scans=None, start=0.0, end=1.0):
-    points = [s.points for s in (c.given.test if scans is None else scans)]
-    results, failures = _tried(c, fit, points, lambda p: c.progress(start + (end - start) * p))
+def _free_form(c, fit, tasks, start=0.0, end=1.0):
+    results, failures = _tried(c, fit, tasks, lambda p: c.progress(start + (end - start) * p))
     return Found(_registrations(c.given.rig, results), failures=failures)
+
+
+def _points(scans):
+    return [s.points for s in scans]
 
 
 # ---- the loop and its ablations ----
@@ -172,12 +188,11 @@ def _learned(c, variant):
 
     if labels:
         heard.append(c.labels_before())
-    points = [s.points for s in given.train]
     checkpoint = None if c.steps is None else Checkpoint(c.steps, first_fits=c.first_fits if labels else None)
     if labels and c.steps is not None:
         c.steps.mkdir(parents=True, exist_ok=True)  # says that the row is begun, as long as only first fits are there
-    fitter.fit(points, given.train_subjects, checkpoint=checkpoint, progress=progress, on_round=watch)
-    points, kept = [s.points for s in given.test], NO_CHECKPOINT if c.steps is None else Checkpoint(c.steps, model_digest(fitter))
+    fitter.fit(_points(given.train), given.train_subjects, checkpoint=checkpoint, progress=progress, on_round=watch)
+    points, kept = _points(given.test), NO_CHECKPOINT if c.steps is None else Checkpoint(c.steps, model_digest(fitter))
     results, failures = _tried(c, fitter.fit_scan, points, lambda p: c.progress(0.8 + 0.2 * p), kept, c.took)
     rig = given.rig
     learned = [_in_scan_units(fitter.unit_[k], t.vertices, t.joints[rig.root]) for k, t in fitter.template_.items()]
@@ -186,7 +201,7 @@ def _learned(c, variant):
     if own:
         deformed = [_in_scan_units(r.scale, rig.vertices + r.offsets, r.rest_joints[rig.root]) for r, _ in own]
         gap["test scans"] = template_gap(rig, deformed, [given.test.templates[k][0] for _, k in own])
-    train = _of_results(rig, fitter.results_) if variant == "joint" else None
+    train = _registrations(rig, fitter.results_) if variant == "joint" else None
     accuracy = [c.right(s) for s in heard]
     as_kept, kept_accuracy = None, None
     if labels:  # of the round whose segmenter the fitter has
@@ -194,12 +209,12 @@ def _learned(c, variant):
         as_kept, kept_accuracy = heard[kept], accuracy[kept]
     stages = _stages(rig, results[:_STAGES]) if variant == "joint" else {}
     told = as_kept, _labels(results), accuracy, kept_accuracy
-    return Found(_of_results(rig, results), train, *told, gap, fitter.history_, stages, failures)
+    return Found(_registrations(rig, results), train, *told, gap, fitter.history_, stages, failures)
 
 
 def said(segmenter, scans, jobs):
     """The labels of scans by the segmenter alone."""
-    return each(segmenter.predict, [s.points for s in scans], jobs=jobs)
+    return each(segmenter.predict, _points(scans), jobs=jobs)
 
 
 def _in_scan_units(unit, template, root):
@@ -219,7 +234,7 @@ def _stages(rig, results):
 
 def _oracle_labels(c):
     results, failures = _tried(c, _Labelled(c.fitter), [(s.points, s.labels) for s in c.given.test], c.progress)
-    return Found(_of_results(c.given.rig, results), failures=failures)
+    return Found(_registrations(c.given.rig, results), failures=failures)
 
 
 @dataclass(frozen=True)
@@ -233,7 +248,7 @@ class _Labelled:
 
 def _oracle_fit(c):
     results, failures = _tried(c, OracleFit(c.given.rig), c.given.test, c.progress)
-    return Found(_of_results(c.given.rig, results), failures=failures)
+    return Found(_registrations(c.given.rig, results), failures=failures)
 
 
 # ---- registrations ----
@@ -272,14 +287,10 @@ def _labels(results):
     return [None if r is None else r.labels for r in results]
 
 
-def _of_results(rig, results):
-    return _registrations(rig, [None if r is None else (r.vertices, r.joints) for r in results])
-
-
-def _registrations(rig, found):
-    """Of pairs of vertices and joints, or None."""
+def _registrations(rig, results):
+    """Of what has vertices and joints, or is None."""
     nothing = np.full(rig.vertices.shape, np.nan), np.full(rig.joints.shape, np.nan)
-    both = [nothing if one is None else one for one in found]
+    both = [nothing if r is None else (r.vertices, r.joints) for r in results]
     return Registrations(np.array([V for V, _ in both]), np.array([joints for _, joints in both]))
 
 

@@ -203,13 +203,13 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
         fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
     before = cache(lambda: said(fitter.segmenter_, given.test, jobs))
     truth = Truth(given.rig, given.test, size.pairs, seed)
-    train_truth, took = None, {}
+    train_truth, took, from_template = None, {}, []
     first_fits = steps(cell_name(name, seed, FIRST_FITS))
     begun = _has_steps(first_fits)  # by a run that was stopped
     for row in rows:
         say = lambda share, row=row: progress(name, seed, row, share)  # noqa: E731
         folder = steps(cell_name(name, seed, row))
-        context = Context(rig, given, size, seed, fitter, before, right, jobs, say, folder, first_fits, took)
+        context = Context(rig, given, size, seed, fitter, before, right, jobs, say, folder, first_fits, took, from_template)
         gone_on, started = _has_steps(folder), time.perf_counter()
         found = ROWS[row].find(context)
         gone_on |= begun and ROWS[row].in_common
