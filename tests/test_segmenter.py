@@ -80,6 +80,12 @@ def test_points_far_away_do_not_change_the_labels_of_the_others(small_segmenter,
         np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-6)
 
 
+def test_a_scan_far_from_the_origin_has_the_same_labels(small_segmenter, tube_scan):
+    """Such as millimetres in a frame of the world: what is far from the origin is not far from the scan."""
+    far = tube_scan.points + 3e6 * np.array([1.0, -1.0, 0.5])
+    np.testing.assert_allclose(small_segmenter.predict_proba(far), small_segmenter.predict_proba(tube_scan.points), atol=1e-4)
+
+
 def test_labels_are_the_mean_over_four_views(small_segmenter, tube_scan):
     """Turned by a quarter of a radian each, about axes that are as far from each other as can be."""
     axes = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
