@@ -79,19 +79,20 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
 
 
 @contextmanager
-def beside(work, task):
-    """Have ``work(task)`` done in a process of its own while other work goes on here.
+def beside(work):
+    """Have ``work()`` done in a process of its own while other work goes on here.
 
-    ``with beside(work, task) as answer:`` and in there ``answer()``, once, which waits for it. Work is picklable; its errors
-    pass on. InputError where the process was killed.
+    ``with beside(work) as answer:`` and in there ``answer()``, which waits for it. Work is picklable; its errors pass on.
+    InputError where the process was killed.
     """
-    with Workers(_Caught(work), 1, argument="n_jobs") as workers:
-        workers.give((0, task))
+    with Workers(_Caught(_Alone(work)), 1, argument="n_jobs") as workers:
+        workers.give((0, None))
+        found = []
 
         def answer():
-            while not (come := list(_come(workers))):
-                pass  # it waits, first for word that the process is ready
-            return come[0][1]
+            while not found:  # first comes word that the process is ready
+                found.extend(_come(workers))
+            return found[0][1]
 
         yield answer
 
@@ -105,6 +106,16 @@ def _come(workers):
         if error is not None:
             raise error
         yield k, answer
+
+
+@dataclass(frozen=True)
+class _Alone:
+    """Work without a task, as if it had one."""
+
+    work: object
+
+    def __call__(self, task):
+        return self.work()
 
 
 @dataclass(frozen=True)

@@ -75,7 +75,7 @@ def test_history_and_progress(learned_people):
     assert learned_people.history_[1]["recon"] < 1.2 * learned_people.history_[0]["recon"]
     assert 0 <= learned_people.history_[1]["new_starts_won"] <= 10
     stages = list(dict.fromkeys(stage for stage, *_ in learned_people.told))
-    expected = ["first fits", "round", "templates", "segmenter", "labels", "library of starts", "poses of scans", "results"]
+    expected = ["first fits", "round", "templates", "segmenter", "library of starts", "labels", "poses of scans", "results"]
     assert stages == expected
     assert all(0 < share <= 1 for _, share, *_ in learned_people.told)
     noted = [{key: value for key, value in h.items() if key != "kept"} for h in learned_people.history_]

@@ -1,5 +1,6 @@
 """Learning that was stopped goes on from what its checkpoint has, does nothing twice, and comes to the same end."""
 
+import time
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -102,6 +103,21 @@ def test_processes_find_what_one_has_kept(make_learner, points, uninterrupted, t
     assert steps_in(tmp_path) > kept
 
 
+def test_a_library_made_beside_the_segmenter_is_kept_as_soon_as_it_is_there(make_learner, points, tmp_path, monkeypatch):
+    def stopped(*given, **more):
+        until = time.monotonic() + 120
+        while not (there := list(tmp_path.glob("round-1-library-*.npz"))) and time.monotonic() < until:
+            time.sleep(0.05)
+        raise KeyboardInterrupt(len(there))
+
+    monkeypatch.setattr("lbsfit_np.learning.loop.train_segmenter", stopped)
+    with pytest.raises(KeyboardInterrupt, match="1"):
+        make_learner(n_jobs=2).fit(points, checkpoint=tmp_path)
+    monkeypatch.undo()
+    monkeypatch.setattr("lbsfit_np.learning.loop.build_library", lambda *given, **more: 1 / 0)  # not made again
+    make_learner().fit(points, checkpoint=tmp_path)
+
+
 def test_what_suits_other_scans_and_settings_is_taken_and_nothing_else(make_learner, few_scans, points, done, tmp_path):
     make_learner(variant="cd").fit(points, checkpoint=tmp_path)
 
@@ -129,7 +145,7 @@ def test_variants_have_first_fits_in_common_and_nothing_else(make_learner, point
     n = len(points)
     for variant, first, poses in (("rand", n, n), ("joint", 0, n), ("cd", n, n)):
         done.update(dict.fromkeys(done, 0))
-        checkpoint = Checkpoint(tmp_path / "own", first_fits=tmp_path / "common") if variant == "rand" else tmp_path / "common"
+        checkpoint = Checkpoint(tmp_path / "own", first_fits=tmp_path / "common") if variant != "cd" else tmp_path / "common"
         found = make_learner(variant=variant).fit(points, checkpoint=checkpoint)
         assert (done["FirstFit"], done["Pose"]) == (first, poses), variant
         if variant == "joint":

@@ -113,17 +113,6 @@ def test_fits_and_rounds_take_one_view(tube_fitter, tube_rig, tube_scan, monkeyp
     assert at_once >= 2 and set(asked) == {1} and len(asked) == at_once + 1
 
 
-def test_a_known_start_takes_one_view(learned_people, tube_scan, monkeypatch):
-    views, predict_proba = [], Segmenter.predict_proba
-
-    def told(self, points, **more):
-        views.append(more["views"])
-        return predict_proba(self, points, **more)
-
-    monkeypatch.setattr(Segmenter, "predict_proba", told)
-    learned_people.fit_scan(tube_scan.points, theta0=tube_scan.pose)
-    assert set(views) == {1}
-
 
 def test_views_are_worth_their_while(tube_fitter, tube_rig):
     scans = lbs.synthesize(tube_rig, 32, random_state=79)

@@ -21,6 +21,7 @@ from lbsfit_np.bench.study.rows import ROWS, Context, Found
 from lbsfit_np.bench.study.run import study
 from lbsfit_np.correspondence import surface_places
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.checkpoint import NO_CHECKPOINT, Checkpoint
 from lbsfit_np.learning.fitter import LBSFitter
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.synthesis import synthesize
@@ -276,7 +277,7 @@ def test_free_form_explains_the_scan_and_the_taught_one_starts_near_the_truth(ti
     assert off[0] < 0.5 * off[1]
 
 
-def test_the_scans_that_took_longest_go_first_and_answers_keep_their_places(monkeypatch):
+def test_the_scans_that_took_longest_go_first_and_answers_keep_their_places(tmp_path, monkeypatch):
     """In the row after, so that not all processes wait for one; what failed has its number and why."""
     asked, took, seconds, now = [], {}, {"a": 1, "b": 3, "c": 1, "d": 4}, [0]
     monkeypatch.setattr(rows_module, "time", SimpleNamespace(perf_counter=lambda: now[0]))
@@ -289,9 +290,12 @@ def test_the_scans_that_took_longest_go_first_and_answers_keep_their_places(monk
         return task.upper()
 
     c = SimpleNamespace(jobs=1)
-    for order in ("abcd", "dbac"):
+    for order, folder in (("abcd", None), ("dbac", None), ("dbac", tmp_path), ("", tmp_path)):
         asked.clear()
-        results, failures = rows_module._tried(c, work, list("abcd"), lambda share: None, took=took)
+        kept = Checkpoint(folder) if folder else NO_CHECKPOINT
+        if not order:
+            took.clear()  # what is kept is found by the task, in whatever order
+        results, failures = rows_module._tried(c, work, list("abcd"), lambda share: None, kept, took)
         assert results == ["A", "B", None, None] and "".join(asked) == order
         assert failures == {2: "points: got c; expected others.", 3: "points: got d; expected others."}
         assert list(failures) == [2, 3]

@@ -108,19 +108,21 @@ def test_first_fits_stay_while_a_row_that_is_begun_has_nothing_else(command, run
     cells, fitted, call = tmp_path / "out" / "cells", [], loop_module.FirstFit.__call__
     kept = cells / "tube-5-first-fits.npz.unfinished"
 
-    def stop(self, k, templates):
-        raise KeyboardInterrupt
+    def stop(self, task):
+        if steps_in(kept):
+            raise KeyboardInterrupt
+        return call(self, task)
 
     assert run_stopped([*command, "cd"]) == 130 and not kept.exists()
     with monkeypatch.context() as patch:
-        patch.setattr(loop_module.Loop, "_learn", stop)
+        patch.setattr(loop_module.FirstFit, "__call__", stop)
         assert run([*command, "joint"]) == 130
     monkeypatch.setattr(loop_module.FirstFit, "__call__", lambda self, task: fitted.append(task) or call(self, task))
-    assert run([*command, "rand,oracle-labels"]) == 0 and steps_in(kept) == SIZES["small"].train
+    assert run([*command, "rand,pose-only,oracle-labels"]) == 0 and steps_in(kept) == SIZES["small"].train
     found = _rows(tmp_path / "out")["5"]
-    assert found["rand"]["seconds"] is None and found["oracle-labels"]["seconds"] > 0
-    assert run([*command, "joint"]) == 0 and not fitted
-    names = {f"tube-5-{row}.npz" for row in ("joint", "rand", "oracle-labels")}
+    assert found["rand"]["seconds"] is None and found["pose-only"]["seconds"] > 0 and found["oracle-labels"]["seconds"] > 0
+    assert run([*command, "joint"]) == 0 and len(fitted) == SIZES["small"].train - 1
+    names = {f"tube-5-{row}.npz" for row in ("joint", "rand", "pose-only", "oracle-labels")}
     assert {path.name for path in cells.iterdir()} == names | {"tube-5-cd.npz.unfinished"}
 
 

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from functools import partial
 from multiprocessing import active_children
 from pathlib import Path
 from types import SimpleNamespace
@@ -41,21 +42,24 @@ def test_errors_of_tasks_pass_on(jobs):
 def test_a_process_that_dies_is_said():
     with pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
         each(_killed, [1, 2, 3], jobs=2)
-    with beside(_killed, 1) as answer, pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
+    with beside(partial(_killed, 1)) as answer, pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
         answer()
 
 
 def test_work_beside_other_work():
     with kept_processes():
-        with beside(_process, None) as answer:
+        with beside(partial(_process, None)) as answer:
             others = set(each(_process, range(4), jobs=2))
             mine = answer()
+            assert answer() == mine
         assert mine not in others | {os.getpid()}
         assert mine in set(each(_process, range(6), jobs=3))  # kept for other work
-        with pytest.raises(ZeroDivisionError), beside(_inverse, 0) as answer:
+        with pytest.raises(ZeroDivisionError), beside(partial(_inverse, 0)) as answer:
             answer()
-        with pytest.raises(KeyError), beside(_inverse_later, 100.0):  # it need not be waited for
+        with pytest.raises(KeyError), beside(partial(_inverse_later, 100.0)):  # it need not be waited for
             raise KeyError
+        with pytest.raises(InputError, match="n_jobs: got more than 1 with what cannot be sent"), beside(lambda: 0):
+            pass
     assert not active_children()
 
 

@@ -110,9 +110,10 @@ class Landmarks:
 
         given = {name: place for name, place in self.places[i].items() if not isinstance(place, int)}
         places = np.array(list(given.values())).reshape(-1, 3)
-        far = _beyond(places, points)
-        if len(places) > 2 and _across(places) * _SMALL < _across(points):  # or are they near each other, as in a face?
+        if len(places) > 2 and _across(places) * _SMALL < _across(points):  # right where they all lie on it, as in a face
             far = cKDTree(points).query(places)[0] * _SMALL > _across(points)
+        else:
+            far = _beyond(places, points)
         if far.any():
             name = list(given)[np.argmax(far)]
             where = f"{name!r} at {_said(given[name])} in line {self.lines[i].get(name, '?')}"

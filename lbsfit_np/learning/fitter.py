@@ -182,7 +182,7 @@ class LBSFitter(BaseEstimator):
             As in :meth:`pretrain`.
         checkpoint : path-like or Checkpoint, optional
             A folder that each step is kept in as it is done: after a stop, or a crash, the same call once more goes on from
-            there, to the same result, and other variants find first fits there. It stays; ``random_state`` has to be a seed.
+            there, to the same result; variants that learn from labels find each other's first fits. It needs a seed, and stays.
         progress : callable (stage, share, figures=None), optional
             Called with the name of what is done and the share done in [0, 1]; after a round also with its entry of ``history_``.
         on_round : callable (k, segmenter), optional

@@ -269,30 +269,27 @@ class Loop:
 
     def _learn(self, k, templates):
         """Train s on the round's mixture, and f and the library anew."""
-        kept = self._kept.slot(f"round-{k}-library")
-        known = kept.known(PoseLibrary)
-        build = partial(build_library, n_scans=self.settings.library_scans, random_state=self.seed)
-        scan, said = self._mixture(k, templates).scan, lambda p: self.progress("library of starts", p)
-        if known is not None or not self.variant.labels or self.jobs == 1:
-            self._learn_labels(k, templates)
-            self.library = known or kept.keep(build(scan, jobs=self.jobs, progress=said))
-            return
-        with beside(build, scan) as library:  # as s keeps but one core busy while its networks learn
-            self._learn_labels(k, templates)
-            said(0.0)
-            self.library = kept.keep(library())
-            said(1.0)
-
-    def _learn_labels(self, k, templates):
+        mixture = self._mixture(k, templates)
+        of_s, of_library = (self._kept.slot(f"round-{k}-{what}") for what in ("segmenter", "library"))
+        s, library = of_s.known(Segmenter) if self.variant.labels else None, of_library.known(PoseLibrary)
+        train = s is None and self.variant.labels
+        build = partial(build_library, mixture.scan, self.settings.library_scans, random_state=self.seed)
+        if train and library is None and self.jobs > 1:
+            with beside(partial(_kept, of_library, build)) as made:  # as s keeps but one core busy while its networks learn
+                s = of_s.keep(self._trained(mixture))
+                library = of_library.keep(made())  # which says, unlike the other process, where it cannot be kept
+                self.progress("library of starts", 1.0)
+        else:
+            s = of_s.keep(self._trained(mixture)) if train else s
+            library = library or of_library.keep(build(jobs=self.jobs, progress=lambda p: self.progress("library of starts", p)))
+        self.segmenter, self.library = s, library
         if self.variant.labels:
-            kept = self._kept.slot(f"round-{k}-segmenter")
-            self.segmenter = kept.known(Segmenter) or kept.keep(self._trained(k, templates))
             self._label()
 
-    def _trained(self, k, templates):
+    def _trained(self, mixture):
         return train_segmenter(
             self.rig.welded,
-            self._mixture(k, templates),
+            mixture,
             self.settings.round_scans,
             training=self.settings.training,
             random_state=self.seed,
@@ -332,8 +329,8 @@ class Loop:
         for _ in range(_SWEEPS):
             members = [m for m in self.collection.members if not m.apart and self._beside(m)]
             for m in members:
-                beside = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
-                m.prior = np.mean([m.state.theta, *beside], axis=0), self.smooth  # without its own, neighbours would swap places
+                others = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
+                m.prior = np.mean([m.state.theta, *others], axis=0), self.smooth  # without its own, neighbours would swap places
             tasks = [(m.subject, m.problem, m.state, m.prior) for m in members]
             work = SmoothPose(models, self.fit_settings.partial)
             states = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
@@ -379,3 +376,10 @@ class Loop:
         self.history.append(entry)
         self.progress("round", 1.0, entry)
         return entry["recon_held_out"]
+
+
+def _kept(slot, make):
+    """What is made, kept as soon as it is there, by the process that makes it."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return slot.keep(make())

@@ -14,7 +14,7 @@ from ..threads import one_thread
 from ..workers import each
 from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor, within_reach
-from .stage import Stage, Training, in_half_precision, train_stage
+from .stage import LARGEST, Stage, Training, in_half_precision, train_stage
 
 __all__ = ["Segmenter", "jobs_of", "train_segmenter"]
 
@@ -23,8 +23,6 @@ _FORMAT = 3
 _AXES = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 # By how much, radians, and how far the root has to turn either way in training for that; less where it turns less.
 _TURN, _ROOT = 0.25, 0.6
-# Points further from the median, in half sizes of the rig, are as far as half precision tells.
-_FARTHEST = 6e4
 
 
 @dataclass(frozen=True)
@@ -98,7 +96,7 @@ class Segmenter:
         with np.errstate(over="ignore"):
             points = points / (scale * self.half)
         middle = np.median(points, axis=0)
-        points = np.clip(points, middle - _FARTHEST, middle + _FARTHEST)
+        points = np.clip(points, middle - LARGEST, middle + LARGEST)  # further away is all the same
         if views == 1 or not self.turn:
             return self._proba(points, rows)
         return sum(self._proba(points @ R.T, rows) for R in matrix_from_rotvec(self.turn * _AXES)) / len(_AXES)

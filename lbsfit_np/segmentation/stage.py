@@ -9,7 +9,7 @@ from ..interrupts import passing_interrupts
 from ..seeds import generator, integer_seed
 from ..threads import one_thread
 
-__all__ = ["Stage", "Training", "in_half_precision", "train_stage"]
+__all__ = ["LARGEST", "Stage", "Training", "in_half_precision", "train_stage"]
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,8 @@ _CHUNKS = 4
 _BLOCK = 8192
 # Half precision's step near 1: what varies by less in training says nothing, and is not to be made large by standardising.
 _STEP = 2.0**-10
-_LARGEST = 6e4  # and what it can hold
+# What it can hold.
+LARGEST = 6e4
 
 
 @dataclass(frozen=True)
@@ -204,7 +205,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
 
 def in_half_precision(X):
     """Descriptions as a stage learns from them: a thousandth of a length is finer than the voxels, and takes half the memory."""
-    return np.clip(X, -_LARGEST, _LARGEST).astype(np.float16)
+    return np.clip(X, -LARGEST, LARGEST).astype(np.float16)
 
 
 def _moments(X):

@@ -260,10 +260,9 @@ def _tried(c, work, tasks, done, kept=NO_CHECKPOINT, took=None):
     order = sorted(range(len(tasks)), key=lambda i: -took.get(i, 0.0))
     slots = [kept.slot("result", tasks[i]) for i in order] if kept is not NO_CHECKPOINT else []
     answers = each_kept(_Tried(work), [tasks[i] for i in order], slots, jobs=c.jobs, done=done)
-    found = dict(zip(order, answers, strict=True))
+    found = dict(sorted(zip(order, answers, strict=True), key=lambda pair: pair[0]))
     took.update({i: seconds for i, (_, _, seconds) in found.items()})
-    whys = {i: found[i][1] for i in range(len(tasks))}
-    return [found[i][0] for i in whys], {i: why for i, why in whys.items() if why is not None}
+    return [answer for answer, _, _ in found.values()], {i: why for i, (_, why, _) in found.items() if why is not None}
 
 
 @dataclass(frozen=True)

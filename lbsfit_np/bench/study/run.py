@@ -3,7 +3,7 @@
 import hashlib
 import time
 from copy import deepcopy
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import cache
 from itertools import product
 
@@ -96,7 +96,7 @@ def study(
         for row in done.keys() - todo[name, seed]:  # which a run may have been killed before it removed
             _remove_steps(steps(cell_name(name, seed, row)))
     if on_begun is not None:
-        on_begun(report, [cell_name(*of, row) for of, left in todo.items() if left for row in (FIRST_FITS, *left)])
+        on_begun(report, [cell_name(*of, row) for of, left in todo.items() for row in (*_in_common(left), *left)])
     for (name, seed), left in todo.items():
         rig, entry = rigs[name], report["rigs"][name]
         if "local_optimum" not in entry:
@@ -145,6 +145,11 @@ def joined(report, other):
 def _complete(report):
     """Whether the seeds of each rig have the same rows."""
     return all(len({frozenset(done) for done in entry["seeds"].values()}) == 1 for entry in report["rigs"].values())
+
+
+def _in_common(rows):
+    """What takes the place of a row beside such rows."""
+    return [FIRST_FITS] if any(ROWS[row].in_common for row in rows) else []
 
 
 def _has_steps(folder):
@@ -203,16 +208,16 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
         fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
     before = cache(lambda: said(fitter.segmenter_, given.test, jobs))
     truth = Truth(given.rig, given.test, size.pairs, seed)
-    train_truth, took, from_template = None, {}, []
-    first_fits = steps(cell_name(name, seed, FIRST_FITS))
-    begun = _has_steps(first_fits)  # by a run that was stopped
+    train_truth, first_fits = None, steps(cell_name(name, seed, FIRST_FITS))
+    found_some = _has_steps(first_fits)  # of a run that was stopped
+    context = Context(rig, given, size, seed, fitter, before, right, jobs, lambda share: None, first_fits=first_fits)
     for row in rows:
         say = lambda share, row=row: progress(name, seed, row, share)  # noqa: E731
         folder = steps(cell_name(name, seed, row))
-        context = Context(rig, given, size, seed, fitter, before, right, jobs, say, folder, first_fits, took, from_template)
         gone_on, started = _has_steps(folder), time.perf_counter()
-        found = ROWS[row].find(context)
-        gone_on |= begun and ROWS[row].in_common
+        found = ROWS[row].find(replace(context, progress=say, steps=folder))
+        if ROWS[row].in_common:  # these count in the first row alone
+            gone_on, found_some = gone_on or found_some, False
         seconds = None if gone_on else round(time.perf_counter() - started, 1)  # what went before was not timed
         entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "accuracy": found.accuracy, "gap": found.gap}
         entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history, "commit": environment()["commit"]}
