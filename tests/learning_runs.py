@@ -9,7 +9,7 @@ from lbsfit_np.learning.variants import as_variant
 from lbsfit_np.starts.turns import Facing
 from lbsfit_np.synthesis import Synthesis
 
-SMALL = {"effort": "fast", "training_scans": 200, "training": {"n_points": 400}, "rounds": 1, "random_state": 0}
+SMALL = {"effort": "fast", "training_scans": 200, "training": {"n_points": 200}, "rounds": 1, "random_state": 0}
 SCANS = {"n_points": 400, "holes": 1, "density": 0.3}
 NAN = np.full((50, 3), np.nan)
 
@@ -37,7 +37,7 @@ def loop_over(rig, collection, variant, segmenter, library=None, **options):
         "facing": Facing(),
         "fit_settings": FitSettings(),
         "settings": LoopSettings.for_training(200, rounds=1),
-        "synthesis": Synthesis(n_points=400),
+        "synthesis": Synthesis(n_points=200),
         "joints": "follow",
         "sequence": False,
         "smooth": 0.0,

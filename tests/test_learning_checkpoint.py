@@ -238,7 +238,7 @@ def test_what_followed_from_labels_that_failed_is_not_taken(make_learner, points
 
 
 def test_stopped_in_the_second_round_labels_are_those_of_the_segmenter_that_is_kept(make_learner, points, done, tmp_path):
-    parameters, rounds = {"rounds": 2, "held_out": 0}, []
+    points, parameters, rounds = points[:2], {"rounds": 2, "held_out": 0}, []
     expected = make_learner(**parameters).fit(points)
 
     def stop(now, share, figures=None):
