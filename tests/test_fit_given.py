@@ -91,3 +91,15 @@ def test_a_scan_object_is_as_good_as_its_points(fitter, tube_scan):
         fitter.fit_scan(Scan(tube_scan.points), labels=tube_scan.labels),
         fitter.fit_scan(tube_scan.points, labels=tube_scan.labels),
     )
+
+
+@pytest.mark.parametrize("given", [("labels",), ("theta0",), ()])
+def test_surface_that_a_one_sided_scan_hides_takes_no_part_in_the_full_objective(given, tube_rig, fitter, monkeypatch):
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=40, n_points=600, one_sided=True)
+    known = {"labels": scan.labels, "theta0": scan.pose}
+    problems, full = [], Search.full
+    monkeypatch.setattr(Search, "full", lambda self, *given, **more: problems.append(self.problem) or full(self, *given, **more))
+    for partial in (True, False):
+        fitter.set_params(partial=partial).fit_scan(scan.points, **{name: known[name] for name in given})
+    hidden = [0.0 if p.v_weights is None else np.mean(p.v_weights == 0) for p in problems]
+    assert hidden[0] > 0.3 > hidden[1] and len(hidden) == 2

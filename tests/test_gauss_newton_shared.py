@@ -52,8 +52,11 @@ def test_many_poses_find_their_template_where_one_cannot(shifting, subject):
     assert _template_error(shifting, labelled[0].coefficients, c) < 0.5 * before
 
 
-def test_eliminated_unknowns_are_those_of_the_whole_system(shifting, subject):
-    """One step, and a longer one, against the solution of all unknowns at once: poses of three scans, and their one template."""
+def test_eliminated_unknowns_are_those_of_the_whole_system(shifting, subject, monkeypatch):
+    """One step, and a longer one, against the solution of all unknowns at once: poses of three scans, and their one template.
+
+    Where coefficients reach their bounds, poses go along with the step that these really take.
+    """
     c, truths, problems, _ = subject
     steps = GaussNewton(shifting, ridge=1e-4)
     layout = Layout(shifting.rig, ("pose", "translation"), len(c))
@@ -71,11 +74,17 @@ def test_eliminated_unknowns_are_those_of_the_whole_system(shifting, subject):
     H[3 * n :, 3 * n :] += np.diag(damping * np.diag(reduced)) + 1e-4 * np.eye(len(c))
     g[3 * n :] -= 1e-4 * states[0].coefficients
     x = np.linalg.solve(H, g)
-    for stretch in (1.0, 1.5):
+    start = states[0].coefficients
+    for stretch, most in ((1.0, 0.5), (1.5, 0.5), (1.5, 0.7 * np.abs(start + x[3 * n :]).max())):
+        monkeypatch.setattr("lbsfit_np.optimize.gauss_newton.MOST_PROPORTION", most)
         found = steps._step(states, made, np.arange(3), weights, layout, True, damping, stretch)
-        np.testing.assert_allclose(found[0].coefficients - states[0].coefficients, stretch * x[3 * n :], atol=1e-9)
+        dc = np.clip(start + stretch * x[3 * n :], -most, most) - start
+        assert np.allclose(dc, stretch * x[3 * n :]) == (most == 0.5)
+        np.testing.assert_allclose(found[0].coefficients - start, dc, atol=1e-9)
         for k, (before, after) in enumerate(zip(states, found)):
-            np.testing.assert_allclose(layout.pack(after) - layout.pack(before), stretch * x[k * n : (k + 1) * n], atol=1e-8)
+            own = slice(k * n, (k + 1) * n)
+            dx = np.linalg.solve(H[own, own], stretch * g[own] - H[own, 3 * n :] @ dc)
+            np.testing.assert_allclose(layout.pack(after), np.clip(layout.pack(before) + dx, *layout.bounds()), atol=1e-8)
 
 
 def test_a_scan_of_weight_0_stays_and_does_not_count(shifting, subject):

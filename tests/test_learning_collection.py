@@ -244,3 +244,5 @@ def test_large_scans_are_thinned_by_the_seed_and_their_number(tube_rig, clouds):
 def test_all_scans_get_the_unit_of_most(tube_rig, clouds):
     found = collected(tube_rig, [250 * c for c in clouds[:4]])
     assert {m.unit for m in found.members} == {250.0}  # millimetres, and the rig's unit is 0.25 m
+    folded = [0.3 * clouds[0], *clouds[1:4]]  # its own extent would be another unit's
+    assert {(m.unit, m.frame.unit) for m in collected(tube_rig, folded).members} == {(1.0, tube_rig.size / 2)}

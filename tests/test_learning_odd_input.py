@@ -86,6 +86,18 @@ def test_free_form_fits_that_fail_are_left_out(tube_rig, clouds, monkeypatch):
     assert list(fitter.failures_) == [0] and fitter.results_[0] is None and fitter.results_[3].status != "failed"
 
 
+def test_of_free_form_fits_that_are_stopped_no_result_of_before_is_left(tube_rig, clouds, monkeypatch):
+    fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": "free-form"}).fit(clouds[:2])
+
+    def interrupted(*given, **more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lbsfit_np.learning.fitter.fit_free_form", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        fitter.fit([*clouds[:3], clouds[0][:2]], ["a", "a", "b", "b"])
+    assert fitter.results_ == [None] * 4 and fitter.roles_ == ["learned from"] * 3 + [None] and list(fitter.failures_) == [3]
+
+
 def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds, monkeypatch, tmp_path):
     _failing(monkeypatch, tasks, "Pose", 399)
     with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
@@ -151,10 +163,16 @@ def test_failures_after_learning_say_what_the_scan_was_to_it(taught):
 # ---- wild points ----
 
 
-@pytest.mark.parametrize("wild", [[1e200, 0, 0], [1e308, -1e308, 0], [-1e30, 1e30, 1e30]])
-def test_one_wild_point_does_not_end_learning(wild, tube_rig, clouds):
-    fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([*clouds[:2], np.vstack([clouds[3], [wild]])])
+@pytest.mark.parametrize(
+    "wild, variant", [([1e200, 0, 0], "cd"), ([1e308, -1e308, 0], "cd"), ([-1e30, 1e30, 1e30], "cd"), ([9.0, 0, 0], "free-form")]
+)
+def test_one_wild_point_does_not_end_learning(wild, variant, tube_rig, clouds):
+    """It is left out, and the result says so; that of a new scan, too."""
+    spoiled = np.vstack([clouds[3], [wild]])
+    fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": variant}).fit([*clouds[:2], spoiled])
     assert not fitter.failures_ and len(fitter.results_[2].labels) == len(clouds[3]) + 1
+    told = [r.message for r in (*fitter.results_, fitter.fit_scan(spoiled))]
+    assert ["far from all others" in message for message in told] == [False, False, True, True], told
 
 
 def test_labels_of_points_near_and_far():

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..fitting.assemble import assemble
 from ..fitting.scan_fit import FitSettings
-from ..losses.objective import LossWeights
+from ..losses.objective import PLAIN
 from ..optimize.frame import Frame
 from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
@@ -18,7 +18,6 @@ from ..threads import one_thread
 
 __all__ = ["PlainChamfer"]
 
-_PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
 # Votes of the mesh for the points' labels, in half sizes; it is the fit alone that labels them.
 _SIGMA = 0.025
 
@@ -70,7 +69,7 @@ class PlainChamfer:
         start = model.rest()
         V, _ = model.pose(start)
         start = start.replace(translation=-V.vertices.mean(axis=0))
-        first = self._minimise(problem, model.coarse, start, _PLAIN, free, self.pose_iterations)
+        first = self._minimise(problem, model.coarse, start, PLAIN, free, self.pose_iterations)
         weights = settings.weights.replace(lam_s=0.0)
         free = (*free, "proportions", "residual")
         last = self._minimise(problem, model, first.state, weights, free, self.full_iterations)

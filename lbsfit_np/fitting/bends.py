@@ -75,8 +75,7 @@ class Bends:
         return state, value
 
     def _moved(self, problem, state, steps):
-        (state,), (value,) = self._steps.shared([problem], [state], free=self._free, iterations=steps)
-        return state, value + self._steps.ridge * float(state.coefficients @ state.coefficients)
+        return self._steps.with_proportions(problem, state, free=self._free, iterations=steps)
 
 
 def _changed(state, move):

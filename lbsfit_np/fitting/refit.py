@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..losses.objective import LossWeights
+from ..losses.objective import BOTH, PLAIN, STRUCTURED
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..optimize.problem import Problem
@@ -20,10 +20,6 @@ from .effort import Effort
 from .labels import refined_labels
 
 __all__ = ["LimbSearch", "Refit", "Runner", "distinct", "thinned"]
-
-_PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
-_BOTH = LossWeights(chamfer=1.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
-_STRUCTURED = LossWeights(chamfer=0.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
 
 # σ of the refined labels that lead a start from part centroids, in half sizes.
 _SIGMAS = (0.15, 0.07)
@@ -156,19 +152,11 @@ class Refit:
 
     def first_steps(self, runners):
         """All starts after a few steps that look far on few points; the best first."""
-        few, out = {}, []
-        for r in runners:
-            problem = few.setdefault(id(r.problem), thinned(r.problem, _FEW))
-            out.append(self._moved(self._far, problem, r, iterations=_FAR_STEPS))
-        return sorted(out, key=lambda r: r.value)
+        return self._all_moved(runners, self._far, _FEW, _FAR_STEPS)
 
     def last_steps(self, runners):
         """Starts after steps that look near; the best first."""
-        more, out = {}, []
-        for r in runners:
-            problem = more.setdefault(id(r.problem), thinned(r.problem, _MORE))
-            out.append(self._moved(self._near, problem, r, iterations=_NEAR_STEPS))
-        return sorted(out, key=lambda r: r.value)
+        return self._all_moved(runners, self._near, _MORE, _NEAR_STEPS)
 
     def with_other_limbs(self, runners, limbs):
         """The same with, where some limb is better off in another pose, what came of that; again while it helps.
@@ -227,10 +215,10 @@ class Refit:
 
             return minimise(evaluate, state, model.rig, free, max_iterations=steps, tolerance=2e-3).state
 
-        state = go(state, _STRUCTURED, labels, 30)
+        state = go(state, STRUCTURED, labels, 30)
         for sigma in () if labels_known else _SIGMAS:
             V = model.deformed(state).vertices
-            state = go(state, _BOTH, refined_labels(X, proba, V, model.labels, sigma, doubt=_DOUBT), 30)
+            state = go(state, BOTH, refined_labels(X, proba, V, model.labels, sigma, doubt=_DOUBT), 30)
         return state
 
     def _close(self, runners):
@@ -246,12 +234,18 @@ class Refit:
         kept = {id(r) for group in own for r in group}
         return [r for r in runners if id(r) in kept]
 
+    def _all_moved(self, runners, steps, points, iterations):
+        problems = {id(r.problem): r.problem for r in runners}
+        problems = {key: thinned(problem, points) for key, problem in problems.items()}
+        moved = [self._moved(steps, problems[id(r.problem)], r, iterations=iterations) for r in runners]
+        return sorted(moved, key=lambda r: r.value)
+
     def _moved(self, steps, problem, runner, **options):
         state, value = steps.pose(problem, runner.state, free=self.free, **options)
         return Runner(runner.problem, state, runner.name, value)
 
     def _chamfer(self, problem, state):
-        return problem.evaluate(self.model.coarse, state, _PLAIN).value
+        return problem.evaluate(self.model.coarse, state, PLAIN).value
 
     def _mine(self, state):
         """A state of another model as one of this: its template is this model's."""

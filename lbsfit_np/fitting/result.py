@@ -56,7 +56,7 @@ class FitResult:
     evidence : dict of str to float
         What the probability rests on, each in [0, 1] and near 0 where nothing is wrong; see docs/fitting.md.
     evaluations : int
-        Evaluations of an objective, over all stages.
+        Evaluations of an objective by L-BFGS in the stages of this pose; those of hypotheses are not counted.
     seconds : float
     parts : tuple of str
     rig_digest : str

@@ -136,13 +136,13 @@ class ScanFit:
         a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
         if theta0 is None and labels is None:
             found = found or self.scout(points[rows], a)
-            frame, problem, proba = found.frame, found.problem, found.proba
+            frame, problem, proba, state, before = found.frame, found.problem, found.proba, found.state, 0
             rivals = {"value": found.value, "rivals": found.rivals}
-            search = Search(model, shown_problem(model, problem, found.state, settings.partial), proba, False, settings)
-            search.full(found.state)
         else:
-            frame, problem, proba, search = self._given(points, rows, a, guess, theta0, labels)
+            frame, problem, proba, state, before = self._given(points, rows, a, guess, theta0, labels)
             rivals = {}
+        with_partner = shown_problem(model, problem, state, settings.partial)
+        search = Search(model, with_partner, proba, labels is not None, settings).full(state)
         last = search.outcome
         if settings.polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface.
@@ -162,7 +162,7 @@ class ScanFit:
             evaluation=problem.evaluate(model, last.state, settings.weights, search.labels),
             proba=proba,
             labels=labels,
-            evaluations=search.evaluations,
+            evaluations=before + search.evaluations,
             note=left_out,
             found=(unit, stands),
             further=further_words(settings, self.facing) if theta0 is None and labels is None else (),
@@ -177,7 +177,10 @@ class ScanFit:
         return Refit(self.model, free, partial=self.settings.partial)
 
     def _given(self, points, rows, a, scale, theta0, labels):
-        """The search from a given start, which says how the scan is turned, or with known labels, which tell it."""
+        """Where a given start, which says how the scan is turned, or known labels, which tell it, lead before the full objective.
+
+        Frame, problem, probabilities of the parts, state, and how many evaluations that took.
+        """
         model, settings = self.model, self.settings
         centre = points[rows].mean(axis=0)
         best, turns = None, some_turns(self.facing.turns)
@@ -196,7 +199,7 @@ class ScanFit:
             if best is None or search.outcome.value < best[-1].outcome.value:
                 best = frame, problem, proba, search
         frame, problem, proba, search = best
-        return frame, problem, proba, search.full(search.pose())
+        return frame, problem, proba, search.pose(), search.evaluations
 
 
 def stands_words(facing, rig, frame, theta):

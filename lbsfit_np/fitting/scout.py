@@ -51,7 +51,7 @@ class Found:
     proba : (n, n_parts) array or None
         What the segmenter says of the points, seen in that frame.
     value : float
-        E of ``optimize.gauss_newton`` at the state.
+        What the state leaves unexplained: E of ``optimize.gauss_newton`` where a scout has found it, L_c on learned templates.
     rivals : tuple of float
         The same of other poses that were found.
     """
@@ -221,8 +221,7 @@ class Scout:
 
     def _to_the_end(self, problem, state):
         """The last steps of a pose, of the template's proportions as well where they are looked for; what they make smaller."""
-        (state,), (value,) = self._shape.shared([problem], [state], free=self._free, iterations=self.settings.polish)
-        return state, value + self._shape.ridge * float(state.coefficients @ state.coefficients)
+        return self._shape.with_proportions(problem, state, free=self._free, iterations=self.settings.polish)
 
     def _joints(self, runner):
         return runner.name.outside(self.model.deformed(runner.state).joints)

@@ -2,20 +2,13 @@
 
 import numpy as np
 
-from ..losses.objective import LossWeights
+from ..losses.objective import BOTH, PLAIN, STRUCTURED
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..starts.parts import start_from_parts
 from .labels import refined_labels
 
 __all__ = ["Search"]
-
-# The first pose goes by the labels alone: the plain term would hold it where it happens to stand. Later pose stages use
-# both; the undeformed template's own term is not needed before there are offsets.
-_STRUCTURED = LossWeights(chamfer=0.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
-_BOTH = LossWeights(chamfer=1.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
-# Once the basin is right, labels only hold the pose back: borders between parts are where they err, and joints lie there.
-_PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
 
 
 class Search:
@@ -52,14 +45,14 @@ class Search:
         if self.proba is None:
             centre = X.mean(axis=0) if a is None else a @ X
             given = given.replace(translation=centre - self.model.areas @ self.model.deformed(given).vertices)
-            self.outcome = self._minimise(given, _PLAIN, ("pose", "translation"), model)
+            self.outcome = self._minimise(given, PLAIN, ("pose", "translation"), model)
             return self
         if theta0 is None:
             start = start_from_parts(model, X, self.proba, x_weights=a)
         else:
             start = start_from_parts(model, X, self.proba, x_weights=a, state=given, free=("translation",))
         self.evaluations += start.evaluations
-        self.outcome = self._minimise(start.state, _STRUCTURED, ("pose", "translation"), model)
+        self.outcome = self._minimise(start.state, STRUCTURED, ("pose", "translation"), model)
         return self
 
     def pose(self):
@@ -67,11 +60,11 @@ class Search:
         state = self.outcome.state
         for sigma in () if self.proba is None else self.settings.refinements:
             self._relabel(state, sigma)
-            state = self._minimise(state, _BOTH, ("pose", *self.place, "proportions"), self.model.coarse).state
+            state = self._minimise(state, BOTH, ("pose", *self.place, "proportions"), self.model.coarse).state
         if not self.labels_known:  # known labels are right, and more than the plain term knows
             state = self._minimise(
                 state,
-                _PLAIN,
+                PLAIN,
                 ("pose", *self.place, "proportions"),
                 self.model.coarse,
                 max_iterations=self.settings.plain_iterations,
@@ -99,8 +92,7 @@ class Search:
         steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02, partial=self.settings.partial)
         labels = [self.labels] if self.labels_known else None
         free = ("pose", *self.place)
-        states, _ = steps.shared([self.problem], [state], free=free, labels=labels, iterations=self.settings.polish)
-        return states[0]
+        return steps.with_proportions(self.problem, state, free=free, labels=labels, iterations=self.settings.polish)[0]
 
     def _relabel(self, state, sigma):
         """Labels by the segmenter's word and the distance to the parts as they stand."""

@@ -3,10 +3,11 @@
 One scan cannot say whether a finger is longer or the knuckle further up; twenty poses can. First Levenberg–Marquardt solves
 for all poses together with the proportions and shifts of the joints; then the skin moves along its normals:
 
-    min_h Σ_i a_i ρ'_i (n_i · (x_i − p_i − Σ_k β_ik B_k ν_k h_k))² + λ ‖K h‖² + μ ‖h‖²,
+    min_h 1/N Σ_i a_i ρ'_i (n_i · (x_i − p_i − Σ_k β_ik B_k ν_k h_k))² + λ ‖K h‖² + μ Σ_k A_k h_k²,
 
-h the height of each vertex along the template's normal ν, p_i = Σ_k β_ik v_k the surface point nearest to scan point x_i, B the
-blended rotation. Heights cannot slide along the surface, as free offsets do, which lowers the loss and makes the mesh worse.
+N the number of scans, h the height of each vertex along the template's normal ν, p_i = Σ_k β_ik v_k the surface point nearest to
+scan point x_i, B the blended rotation with the scale, A_k the vertex's share of the area. Heights cannot slide along the surface,
+as free offsets do, which lowers the loss and makes the mesh worse.
 """
 
 from dataclasses import dataclass

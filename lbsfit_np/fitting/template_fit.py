@@ -7,7 +7,6 @@ from functools import cached_property
 import numpy as np
 
 from ..optimize.gauss_newton import GaussNewton
-from ..optimize.lbfgs import Outcome
 from .assemble import assemble
 from .confidence import shown_problem
 from .refit import Refit
@@ -53,8 +52,8 @@ class TemplateFit:
         steps, place = self._steps, () if self.settings.scale == "fixed" else ("scale",)
         options = {"free": ("pose", "translation", *place), "iterations": self.settings.polish}
         _, same = steps.pose(problem, state, **options)
-        (other,), (value,) = steps.shared([problem], [state], **options)
-        return 1.0 - (value + steps.ridge * float(other.coefficients @ other.coefficients)) / max(same, np.finfo(float).tiny)
+        _, other = steps.with_proportions(problem, state, **options)
+        return 1.0 - other / max(same, np.finfo(float).tiny)
 
     def finish(
         self,
@@ -104,18 +103,13 @@ class TemplateFit:
         """
         started = time.perf_counter() if started is None else started
         model, settings = self.model, self.settings
-        n_parts = len(self.rig.parts)
-        weights = settings.weights if proba is not None else settings.weights.replace(lam_s=0.0)
-        settings = replace(settings, weights=weights)
-        given = np.full((len(rows), n_parts), 1.0 / n_parts) if proba is None else proba
         with_partner = shown_problem(model, problem, state, settings.partial)
-        search = Search(model, with_partner, given, labels_known is not None, settings)
+        search = Search(model, with_partner, proba, labels_known is not None, settings)
         search.full(state, free=("pose", "translation", "residual"))
-        outcome = search.outcome
         # The residual takes what the template lacks; the pose is better known by distances to the surface.
-        known = given.argmax(axis=1) if labels_known is not None else None
-        pose = self.refit.polish(problem, outcome.state, labels=known, prior=prior)
-        outcome = Outcome(pose, outcome.value, outcome.converged, outcome.message, outcome.evaluations)
+        known = None if labels_known is None else labels_known[rows]
+        pose = self.refit.polish(problem, search.outcome.state, labels=known, prior=prior)
+        outcome = replace(search.outcome, state=pose)
         return assemble(
             self.rig,
             model,

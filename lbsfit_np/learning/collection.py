@@ -4,7 +4,7 @@ import itertools
 import os
 import warnings
 from collections.abc import Mapping, Set
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -59,10 +59,22 @@ class Member:
         The normalised frame; its turn is found by the first fit.
     subject : object
         Its subject's id.
+    unit : float
+        Scan units in a rig unit, as far as is known.
+    left_out : str
+        Which of its points take no part, in words.
     name : str
         What errors call it: the file where it came from one, else the index.
     held_out : bool
         Held out of learning, to tell when to stop.
+    problem : Problem or None
+        Its points in the frame.
+    proba : (k, n_parts) array or None
+        What s says of them.
+    state : State or None
+        Where its last fit has put it.
+    loss : float
+        L_c there.
     prior : ((J, 3) array, float) or None
         In a smoothed sequence, the angles that the pose is drawn to, and how much.
     doubt : str
@@ -81,6 +93,7 @@ class Member:
     frame: Frame
     subject: object
     unit: float = 1.0
+    left_out: str = ""
     name: str = ""
     held_out: bool = False
     problem: Problem = None
@@ -290,19 +303,19 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             scan = source() if callable(source) else source
             points = check_points(scan, minimum=len(rig.parts))
             rng = generator(random_state, "thin", i)
-            rows, _, unit = taking_part(points, rig, most=max_points, rng=rng, scale=scale, up=up)
+            rows, left_out, unit = taking_part(points, rig, most=max_points, rng=rng, scale=scale, up=up)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             collection.failures[i] = in_words(error)
             continue
         path = getattr(scan, "path", None)
         name = f"{i}" if path is None else f"{path}"
         frame = Frame(points[rows].mean(axis=0), unit * rig.size / 2)
-        member = Member(i, points, rows, frame, subject, unit, name=name)
+        member = Member(i, points, rows, frame, subject, unit, left_out, name)
         collection.members.append(member)
     if not collection.members:
         first = next(iter(collection.failures.values()))
         raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be read")
-    _check_units(collection, scale)
+    _check_units(collection, rig.size / 2)
     _hold_out(collection, held_out, random_state)
     return collection
 
@@ -343,7 +356,7 @@ def mixed_units(got):
     return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
 
 
-def _check_units(collection, scale):
+def _check_units(collection, half):
     """All members get the unit that most of them are in; leave a few out that are in another, and refuse a mixture."""
     extents = np.array([extent(m.points[m.rows]) for m in collection.members])
     odd = odd_ones(extents, _ONE_UNIT)
@@ -361,7 +374,7 @@ def _check_units(collection, scale):
     collection.members = [m for i, m in enumerate(collection.members) if i not in odd]
     unit = float(np.median([m.unit for m in collection.members]))
     for m in collection.members:
-        m.unit = unit
+        m.unit, m.frame = unit, replace(m.frame, unit=unit * half)
 
 
 def _count(share, n):

@@ -134,7 +134,8 @@ class _Finish(_OnTemplates):
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         place |= {"proportions": fit.proportions(m.problem, m.state), "further": self.further}
-        result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=m.role, found=(unit,), **place)
+        note = "; ".join(filter(None, [m.role, m.left_out]))
+        result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, found=(unit,), **place)
         if m.own is None and result.status == "ok":  # then only first fits were wrong
             m = replace(m, doubt="")
         return _with_doubt(m, replace(result, subject=str(m.subject)))
@@ -217,7 +218,7 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
         unit = guess if subjects is None else _unit(guess, fitter.unit_[subjects[0]], settings) or guess
         frame = Frame(x.mean(axis=0), unit * half)
-        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started)
+        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started, left_out)
     known = None if labels is None else np.eye(len(rig.parts))[labels[rows]]
     seen = None
     if theta0 is not None or labels is not None:
@@ -390,11 +391,11 @@ class _FreeForm:
     settings: object
 
     def __call__(self, m):
-        result = free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter())
+        result = free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter(), m.left_out)
         return _with_doubt(m, result)
 
 
-def free_form(model, settings, problem, points, rows, frame, started):
+def free_form(model, settings, problem, points, rows, frame, started, left_out=""):
     """One scan fitted without skinning: place and scale of the model's template, then its vertices; a FitResult."""
     weights = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=settings.weights.lam_lap)
     weights = weights.replace(laplacian=settings.weights.laplacian, squared=settings.weights.squared)
@@ -428,7 +429,7 @@ def free_form(model, settings, problem, points, rows, frame, started):
         sigma=settings.refinements[-1],
         evaluation=evaluation,
         evaluations=place_only.evaluations + outcome.evaluations,
-        note=f"free-form, no skinning: joints stay at rest; {unit}",
+        note="; ".join(filter(None, ["free-form, no skinning: joints stay at rest", unit, left_out])),
         started=started,
         judged=False,
     )

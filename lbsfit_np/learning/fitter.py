@@ -161,7 +161,7 @@ class LBSFitter(BaseEstimator):
         share = LIBRARY_TIME if train else 1.0
         made_of = self.rig, self._synthesis(), self.training_scans
         options = {"random_state": self._seed(), "cache": cache and self._repeatable()}
-        library = pretrain_library(*made_of, progress=lambda p: progress(share * p), jobs=self._jobs(), **options)
+        library = pretrain_library(*made_of, progress=lambda p: progress(share * p), jobs=jobs_of(self.n_jobs, None), **options)
         if train:
             options |= {"n_jobs": self.n_jobs, "progress": lambda p: progress(share + (1 - share) * p)}
             segmenter = pretrain_segmenter(*made_of, **options)
@@ -219,12 +219,13 @@ class LBSFitter(BaseEstimator):
         )
         collection.warn(stacklevel=2)
         progress = progress or (lambda stage, share, figures=None: None)
-        settings, jobs = self._fit_settings(), self._jobs()
+        settings, jobs = self._fit_settings(), jobs_of(self.n_jobs, None)
         if not variant.skinning:
             self.segmenter_ = self.regressor_ = None
             self.template_ = dict.fromkeys(collection.subjects, self.rig)
             self.unit_ = {s: collection.of(s)[0].unit for s in collection.subjects}
-            self.history_, self._learned_with = [], learned_with(self)
+            self.history_, self._learned_with, self.results_ = [], learned_with(self), [None] * collection.n
+            self._set_aside(collection)
             kept = checkpoint.narrowed(self._made_of(seed))
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress, checkpoint=kept)
             return self._finished(collection, results)
@@ -431,9 +432,6 @@ class LBSFitter(BaseEstimator):
         if self._repeatable():
             return self.random_state
         return integer_seed(self.random_state, "fitter")
-
-    def _jobs(self):
-        return jobs_of(self.n_jobs, self._seed())
 
     def _model(self):
         """The rig made ready, kept until ``rig`` or ``joints`` change."""

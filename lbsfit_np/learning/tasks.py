@@ -10,13 +10,11 @@ from ..fitting.effort import EFFORTS
 from ..fitting.refit import LimbSearch, Refit
 from ..fitting.scout import Scout
 from ..fitting.template import TemplateSettings, shared_template
-from ..losses.objective import LossWeights
+from ..losses.objective import PLAIN
 from ..optimize.model import Model
 from ..starts.limbs import LimbPoses
 
 __all__ = ["FirstFit", "Labels", "Pose", "SmoothPose", "Template"]
-
-_PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
 
 
 @dataclass(frozen=True)
@@ -36,7 +34,7 @@ class FirstFit:
 
     def __call__(self, points):
         found = self._scout(points)
-        loss = found.problem.evaluate(self.model.coarse, found.state, _PLAIN).value
+        loss = found.problem.evaluate(self.model.coarse, found.state, PLAIN).value
         return found.frame, found.state, _finite(loss), found.proba
 
 

@@ -9,7 +9,7 @@ from .checks import check_number, check_same_length, check_set
 from .composite import composite_chamfer, composite_structured_chamfer
 from .laplacian import laplacian_offsets, laplacian_posed
 
-__all__ = ["PRESETS", "LossWeights", "objective"]
+__all__ = ["BOTH", "PLAIN", "PRESETS", "STRUCTURED", "LossWeights", "objective"]
 
 
 @dataclass(frozen=True)
@@ -54,6 +54,14 @@ PRESETS = {
     "paper": LossWeights(),
     "default": LossWeights(lam=0.1, lam_s=0.3, lam_lap=0.3, laplacian="offsets", squared=True),
 }
+
+
+# Of the stages before there are offsets, which need no term of the undeformed template. The first pose goes by the labels
+# alone: the plain term would hold it where it happens to stand. Once the basin is right, labels only hold the pose back:
+# borders between parts are where they err, and joints lie there.
+STRUCTURED = LossWeights(chamfer=0.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
+BOTH = LossWeights(chamfer=1.0, lam=0.0, lam_s=1.0, lam_lap=0.0)
+PLAIN = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=0.0)
 
 
 def as_weights(weights):

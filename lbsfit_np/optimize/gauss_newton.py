@@ -19,7 +19,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from .jacobian import vertex_motion
-from .state import Layout
+from .state import MOST_PROPORTION, Layout
 from .surface import closest_on_mesh, faces_around, faces_at, summed_normals
 
 __all__ = ["GaussNewton", "shown"]
@@ -96,7 +96,7 @@ class GaussNewton:
         -------
         state : State
         value : float
-            E without the ridge.
+            E without the ridge, with the prior.
         """
         states, values = self._minimise([problem], [state], [labels], np.ones(1), free, False, iterations, prior)
         return states[0], float(values[0])
@@ -119,10 +119,15 @@ class GaussNewton:
         -------
         states : list of State
         values : (k,) array
-            E of each scan without the ridge.
+            E of each scan without the ridge; NaN where a scan does not count.
         """
         weights = np.ones(len(problems)) if scan_weights is None else np.asarray(scan_weights, dtype=float)
         return self._minimise(problems, states, labels or [None] * len(problems), weights / weights.sum(), free, True, iterations)
+
+    def with_proportions(self, problem, state, **options):
+        """One scan's pose with coefficients of its own: (state, E with the ridge); options of :meth:`shared`."""
+        (state,), (value,) = self.shared([problem], [state], **options)
+        return state, value + self.ridge * float(state.coefficients @ state.coefficients)
 
     # ---- the steps ----
 
@@ -225,8 +230,8 @@ class GaussNewton:
         if shared:
             Hc[np.diag_indices_from(Hc)] += damping * Hc.diagonal() + self.ridge
             dc = stretch * np.linalg.solve(Hc, gc - self.ridge * c)
-            c = np.clip(c + dc, -0.5, 0.5)
-            out = [s.replace(coefficients=c) for s in out]
+            dc = np.clip(dc, -MOST_PROPORTION - c, MOST_PROPORTION - c)  # before the poses go along with it
+            out = [s.replace(coefficients=np.clip(c + dc, -MOST_PROPORTION, MOST_PROPORTION)) for s in out]
         for i, x, free, solved in own:
             step = np.zeros(n)
             step[free] = stretch * solved[:, -1] - solved[:, :-1] @ dc

@@ -46,16 +46,16 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-5):
     layout = Layout(rig, free, len(state.coefficients))
     state = layout.inside(state)
     best = [np.inf, state]
-    finite = True
-    # The optimiser's own test compares a decrease with max(|f|, 1): in units of the first value it means the same whatever the
-    # weights and the scale.
-    first = abs(evaluate(state).value)
-    unit = first if 0 < first < np.inf else 1.0
+    finite, unit = True, None
 
     def fun(x):
-        nonlocal finite
+        nonlocal finite, unit
         s = layout.unpack(x, state)
         e = evaluate(s)
+        if unit is None:
+            # The optimiser's own test compares a decrease with max(|f|, 1): in units of the first value it means the same
+            # whatever the weights and the scale.
+            unit = abs(e.value) if 0 < abs(e.value) < np.inf else 1.0
         finite = finite and bool(np.isfinite(e.value))
         if e.value < best[0]:
             best[:] = e.value, s
@@ -74,4 +74,4 @@ def minimise(evaluate, state, rig, free, *, max_iterations, tolerance=1e-5):
     message = result.message if isinstance(result.message, str) else result.message.decode()
     if not finite:
         message = "the objective is not finite"
-    return Outcome(best[1], float(best[0]), converged, message, int(result.nfev) + 1)
+    return Outcome(best[1], float(best[0]), converged, message, int(result.nfev))

@@ -4,7 +4,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["Layout", "State"]
+__all__ = ["Layout", "MOST_PROPORTION", "State"]
+
+# Of a coefficient of the proportions, either way.
+MOST_PROPORTION = 0.5
 
 
 @dataclass(frozen=True)
@@ -115,11 +118,11 @@ class Layout:
         )
 
     def bounds(self):
-        """(lower, upper) of x: joint limits on the pose, a factor of 3 on the scale, ±0.5 on proportions."""
+        """(lower, upper) of x: joint limits on the pose, a factor of 3 on the scale, ±``MOST_PROPORTION`` on proportions."""
         lower, upper = np.full(self.size, -np.inf), np.full(self.size, np.inf)
         if "pose" in self._spans:
             lower[self._spans["pose"]], upper[self._spans["pose"]] = self._limits
-        for block, most in (("scale", np.log(3.0)), ("proportions", 0.5)):
+        for block, most in (("scale", np.log(3.0)), ("proportions", MOST_PROPORTION)):
             if block in self._spans:
                 lower[self._spans[block]], upper[self._spans[block]] = -most, most
         return lower, upper
