@@ -44,8 +44,6 @@ def cotangent_matrix(vertices, faces):
         rows += [i, j, i, j]
         cols += [j, i, i, j]
         vals += [-half_cot, -half_cot, half_cot, half_cot]
-    if not rows:
-        return sparse.csr_array((m, m))
     K = sparse.coo_array((np.concatenate(vals), (np.concatenate(rows), np.concatenate(cols))), shape=(m, m))
     return sparse.csr_array(K)
 
