@@ -21,7 +21,7 @@ from .refit import Refit
 from .scout import Scout
 from .search import Search
 
-__all__ = ["FitSettings", "ScanFit", "further_words", "stands_words"]
+__all__ = ["FitSettings", "ScanFit", "further_words", "given_views", "stands_words"]
 
 
 @dataclass(frozen=True)
@@ -181,25 +181,54 @@ class ScanFit:
 
         Frame, problem, probabilities of the parts, state, and how many evaluations that took.
         """
-        model, settings = self.model, self.settings
-        centre = points[rows].mean(axis=0)
-        best, turns = None, some_turns(self.facing.turns)
-        if theta0 is not None:  # in a frame that is turned along, the segmenter sees the scan as it has learned it
-            turns = root_turn(model.source, theta0)[None]
-            theta0 = turned_root(model.source, theta0, turns[0].T)
-        for turn in turns:
-            frame = Frame(centre, scale * model.half, turn)
-            problem = Problem(frame.inside(points[rows]), a)
-            proba = None
-            if labels is not None:
-                proba = np.eye(len(model.source.parts))[labels[rows]]
-            elif self.segmenter is not None:
-                proba = self.segmenter.predict_proba(problem.X * model.half, views=1)
-            search = Search(model, problem, proba, labels is not None, settings).start(theta0)
+        model, best = self.model, None
+        known = None if labels is None else np.eye(len(model.source.parts))[labels[rows]]
+        for frame, problem, proba, theta in given_views(
+            model.source, self.facing, points[rows], a, scale, self.segmenter, theta0, known
+        ):
+            search = Search(model, problem, proba, labels is not None, self.settings).start(theta)
             if best is None or search.outcome.value < best[-1].outcome.value:
                 best = frame, problem, proba, search
         frame, problem, proba, search = best
         return frame, problem, proba, search.pose(), search.evaluations
+
+
+def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, known):
+    """A scan turned back as a given start says, or by some turns, among which known labels tell the right one.
+
+    Parameters
+    ----------
+    rig : Rig
+    facing : Facing
+    x : (k, 3) array
+        Points that take part.
+    x_weights : (k,) array or None
+    unit : float
+        Scan units in a rig unit.
+    segmenter : Segmenter or None
+    theta0 : (J, 3) array or None
+        The start's angles in the scan's frame.
+    known : (k, n_parts) array or None
+        Known labels as zeros and ones.
+
+    Yields
+    ------
+    frame : Frame
+    problem : Problem
+    proba : (k, n_parts) array or None
+        The known labels, else what the segmenter says of the points in that frame.
+    theta0 : (J, 3) array or None
+        The start's angles in that frame.
+    """
+    half, turns = rig.size / 2, some_turns(facing.turns)
+    if theta0 is not None:  # in a frame that is turned along, the segmenter sees the scan as it has learned it
+        turns = root_turn(rig, theta0)[None]
+        theta0 = turned_root(rig, theta0, turns[0].T)
+    for turn in turns:
+        frame = Frame(x.mean(axis=0), unit * half, turn)
+        problem = Problem(frame.inside(x), x_weights)
+        asked = known is None and segmenter is not None
+        yield frame, problem, segmenter.predict_proba(problem.X * half, views=1) if asked else known, theta0
 
 
 def stands_words(facing, rig, frame, theta):

@@ -9,18 +9,18 @@ import numpy as np
 from ..errors import InputError
 from ..fitting.assemble import assemble
 from ..fitting.confidence import SOMEBODY_ELSE
-from ..fitting.scan_fit import FitSettings, ScanFit, further_words, stands_words
+from ..fitting.scan_fit import FitSettings, ScanFit, further_words, given_views, stands_words
 from ..fitting.scout import Found, Scout
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import PRESETS, LossWeights
-from ..optimize.frame import Frame, root_turn, turned_root
+from ..optimize.frame import Frame
 from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.clean import taking_part
 from ..starts.scale import extent_doubt, reference_scale, same_size, unit_note
-from ..starts.turns import facing_of, some_turns
+from ..starts.turns import facing_of
 from ..threads import one_thread
 from .checkpoint import NO_CHECKPOINT
 from .variants import as_variant
@@ -292,21 +292,13 @@ def _on_template(fitter, subject, seen, settings):
 
 def _given(fitter, subject, x, a, settings, guess, theta0, known):
     """A scan with a start, which says how it is turned, or with known labels, which tell it."""
-    unit, half = _unit(guess, fitter.unit_[subject], settings), fitter.rig.size / 2
+    unit = _unit(guess, fitter.unit_[subject], settings)
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
         refit = refit.freeing(("pose", "translation", "scale"))
-    best, turns = None, some_turns(_facing(fitter).turns)
-    if theta0 is not None:
-        turns = root_turn(fitter.rig, theta0)[None]
-        theta0 = turned_root(fitter.rig, theta0, turns[0].T)
-    for turn in turns:
-        frame = Frame(x.mean(axis=0), (unit or guess) * half, turn)
-        problem = Problem(frame.inside(x), a)
-        proba = known
-        if known is None and fitter.segmenter_ is not None:
-            proba = fitter.segmenter_.predict_proba(problem.X * half, views=1)
-        poses = [] if theta0 is None else [theta0]
+    best, place = None, (fitter.rig, _facing(fitter), x, a, unit or guess)
+    for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, known):
+        poses = [] if theta is None else [theta]
         state, value, _ = refit(problem, poses=poses, proba=known, labels_known=known is not None)
         if best is None or value < best.value:
             best = Found(frame, problem, state, proba, value, ())
