@@ -320,7 +320,9 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
         first = study({"tube": tube_rig}, rows=alone, seeds=[5], on_cell=on_cell)
     given = study_set(tube_rig, sized(tube_rig, "small"), 5)
     assert {"free-form", "oracle-labels", "oracle-fit"} < set(first["rigs"]["tube"]["seeds"]["5"]) == set(alone)
-    cells = study({"tube": tube_rig}, seeds=[5], before=first, on_cell=on_cell)["rigs"]["tube"]["seeds"]["5"]
+    shares, told = {}, lambda name, seed, row, share: shares.setdefault(row, []).append(share)
+    report = study({"tube": tube_rig}, seeds=[5], before=first, on_cell=on_cell, progress=told)
+    cells = report["rigs"]["tube"]["seeds"]["5"]
     assert list(cells) == [*alone, *(name for name in ROWS if name not in alone)]
     assert not any(cell["unfitted"] for cell in cells.values())
     assert min(cells, key=lambda row: cells[row]["pose"]) == "oracle-fit"
@@ -329,6 +331,9 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     assert told == dict.fromkeys(ROWS, 0) | {"joint": 2, "pose-only": 2, "rand": 2}
     assert {row for row, cell in cells.items() if cell["gap"]} == {"joint", "pose-only", "rand", "cd"}
     assert len({cells[row]["accuracy"][0] for row in ("joint", "pose-only", "rand")}) == 1  # the same pretraining
+    for row in ("joint", "pose-only", "rand", "cd"):  # first fits, a round, and fits of the test scans
+        steps = [sum(low < share <= high for share in shares[row]) for low, high in ((0.0, 0.4), (0.4, 0.8), (0.8, 1.0))]
+        assert shares[row] == sorted(shares[row]) and steps[0] >= 4 and steps[1] >= 5 and steps[2] >= 3, row
     assert [f.variant for f in learned] == [row for row in ROWS if row in ("joint", "pose-only", "rand", "cd")]
     for f in learned:  # and different learning,
         said = [] if f.segmenter_ is None else [f.segmenter_.predict(s.points) for s in given.test]

@@ -169,6 +169,16 @@ def _points(scans):
 
 # ---- the loop and its ablations ----
 
+# When stages of learning begin and end, as shares of a round's time.
+_OF_A_ROUND = {
+    "first fits": (0.0, 1.0),
+    "templates": (0.0, 0.05),
+    "segmenter": (0.05, 0.55),
+    "library of starts": (0.55, 0.6),
+    "labels": (0.6, 0.65),
+    "poses of scans": (0.65, 1.0),
+}
+
 
 def _learned(c, variant):
     from sklearn.base import clone
@@ -182,9 +192,14 @@ def _learned(c, variant):
         if labels:
             heard.append(said(segmenter, given.test, c.jobs))
 
+    done = 0  # rounds, the first fits as one
+
     def progress(stage, share, figures=None):
+        nonlocal done
         if figures is not None:
-            c.progress(0.8 * (figures["round"] + 1) / (fitter.rounds + 1))
+            done, share = figures["round"] + 1, 0.0
+        begin, end = _OF_A_ROUND.get(stage, (0.0, 0.0))
+        c.progress(0.8 * (done + begin + (end - begin) * share) / (fitter.rounds + 1))
 
     if labels:
         heard.append(c.labels_before())
