@@ -64,7 +64,7 @@ def _assembled(rig, model, turn, *, changed, seed=0, sigma=0.025, **options):
         sigma=sigma,
         evaluation=problem.evaluate(model, state, PRESETS["default"]),
         evaluations=1,
-        note="a note",
+        notes=["a note", ""],
         started=time.perf_counter(),
         **options,
     )
@@ -152,7 +152,7 @@ def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
     V = model.pose(state)[0].vertices
     X = V[V[:, 2] > np.median(V[:, 2])] + [0.0, 0.15, 0.0]
     problem, frame = Problem(X), Frame(np.zeros(3), 1.0, np.eye(3))
-    more = {"sigma": 0.025, "evaluations": 1, "note": "", "started": 0.0, "rows": np.arange(len(X)), "points": X}
+    more = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "rows": np.arange(len(X)), "points": X}
     evaluation = problem.evaluate(model, state, PRESETS["default"])
     outcome = Outcome(state, 0.0, True, "", 1)
     r = assemble(rig, model, problem, outcome, frame=frame, evaluation=evaluation, partial=partial, **more)
@@ -162,7 +162,7 @@ def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
 def _at_rest(model, X, *, state=None, x_weights=None, proba=None, **options):
     """The result of points in the normalised frame, which is the scan's."""
     state, problem = state or model.rest(), Problem(X, x_weights)
-    given = {"sigma": 0.025, "evaluations": 1, "note": "", "started": 0.0, "rows": np.arange(len(X)), "points": X}
+    given = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "rows": np.arange(len(X)), "points": X}
     given |= {"frame": Frame(np.zeros(3), 1.0), "evaluation": problem.evaluate(model, state, PRESETS["default"])}
     return assemble(model.source, model, problem, Outcome(state, 0.0, True, "", 1), proba=proba, **(given | options))
 
@@ -223,7 +223,7 @@ def test_a_fit_that_is_not_finite_has_failed_and_found_nothing(rigs, judged):
     model, further = Model(rigs["tube"]), ("effort looks further",)
     X = model.pose(model.rest())[0].vertices
     wild = replace(Problem(X).evaluate(model, model.rest(), PRESETS["default"]), value=np.nan)
-    r = _at_rest(model, X, evaluation=wild, note="a note", found=("in inches", ""), further=further, judged=judged)
+    r = _at_rest(model, X, evaluation=wild, notes=["a note", ""], found=("in inches", ""), further=further, judged=judged)
     assert (r.status, r.probability, r.evidence) == ("failed", 0.0, {})
     assert r.message == "it is not finite; check the scan for wild points; a note"
 
@@ -235,7 +235,7 @@ def test_a_turn_that_was_found_is_in_the_root_alone(rigs):
     state = model.rest()
     X = model.pose(state)[0].vertices
     problem, frame = Problem(X), Frame(np.zeros(3), 1.0, turn)
-    more = {"sigma": 0.025, "evaluations": 1, "note": "", "started": 0.0, "rows": np.arange(len(X)), "points": frame.outside(X)}
+    more = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "rows": np.arange(len(X)), "points": frame.outside(X)}
     evaluation = problem.evaluate(model, state, PRESETS["default"])
     r = assemble(rig, model, problem, Outcome(state, 0.0, True, "", 1), frame=frame, evaluation=evaluation, **more)
     F = rig.frames[rig.root]

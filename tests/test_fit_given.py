@@ -7,6 +7,7 @@ import pytest
 from fit_checks import assert_same, mean_error
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.search import Search
 from lbsfit_np.optimize.model import Model
@@ -52,6 +53,20 @@ def test_given_labels_are_kept(fitter, tube_scan):
     assert (r.confidence == 1).all()
     assert not hasattr(fitter, "segmenter_")  # nobody asked s
     assert not np.shares_memory(r.labels, labels) and (labels == given).all() and labels.flags.writeable
+
+
+@pytest.mark.parametrize("start", [False, True])
+def test_known_labels_are_nobody_elses(start, tube_rig, tube_fitter, learned_people, people_scans, monkeypatch):
+    """A segmenter that is there is not asked for what is known, which the last steps go by, too."""
+    monkeypatch.setattr("lbsfit_np.segmentation.segmenter.Segmenter.predict_proba", None)
+    last, polish = [], Refit.polish
+    monkeypatch.setattr(Refit, "polish", lambda self, *a, **known: last.append(known["labels"]) or polish(self, *a, **known))
+    s = people_scans[12]
+    given = {"labels": s.labels} | ({"theta0": s.pose} if start else {})
+    for fitter, more in ((tube_fitter, {}), (learned_people, {"subject": "ann"})):
+        r = fitter.fit_scan(s.points, **given, **more)
+        assert mean_error(tube_rig, r.joints, s.joints) < 0.05 and (r.labels == s.labels).all()
+        assert (last.pop() == s.labels).all() and not last
 
 
 def test_weights_of_0_leave_clutter_out(tube_rig, tube_fitter, tube_scan):

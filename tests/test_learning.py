@@ -14,7 +14,7 @@ from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning import finish
 from lbsfit_np.learning.checkpoint import NO_CHECKPOINT
 from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection
-from lbsfit_np.learning.loop import Loop
+from lbsfit_np.learning.loop import Loop, LoopSettings
 from lbsfit_np.losses import cotangent_matrix
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.rotations import matrix_from_rotvec
@@ -80,6 +80,12 @@ def test_history_and_progress(learned_people):
     assert all(0 < share <= 1 for _, share, *_ in learned_people.told)
     noted = [{key: value for key, value in h.items() if key != "kept"} for h in learned_people.history_]
     assert [a[2] for a in learned_people.told if a[0] == "round"] == noted
+
+
+@pytest.mark.parametrize(("training_scans", "round_scans", "library_scans"), [(4000, 4000, 1500), (800, 800, 300), (2, 100, 100)])
+def test_rounds_train_on_as_many_scans_as_pretraining(training_scans, round_scans, library_scans):
+    settings = LoopSettings.for_training(training_scans, rounds=3)
+    assert (settings.round_scans, settings.library_scans, settings.rounds) == (round_scans, library_scans, 3)
 
 
 def test_the_segmenter_goes_on_from_the_pretrained_one(learned_people, unlearned):

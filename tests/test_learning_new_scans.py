@@ -175,7 +175,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     monkeypatch.setattr(finish, "_on_template", on_template)
     monkeypatch.setattr(finish, "_template_fit", lambda *made_of: SimpleNamespace(proportions=lambda *of: 0.0, finish=finish_fit))
     assert finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message == "seen"
-    assert f"on the template of subject {better!r}" in told["note"]
+    assert f"on the template of subject {better!r}" in told["notes"]
     assert told["value"] == {"ann": ann, "bob": bob}[better][0]
     for alone["status"] in ("suspect", "failed"):  # who knows the subject may help
         asks = finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message
@@ -223,7 +223,7 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     made = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
     told = made.found
     assert made.subject == "ann"
-    assert "on the template of subject 'ann'" in told["note"] and told.get("further", ()) == (() if given else FASTER)
+    assert "on the template of subject 'ann'" in told["notes"] and told.get("further", ()) == (() if given else FASTER)
     assert told["found"] == ("scan and rig are in one unit", "" if given else "the scan stands along +z")
 
 

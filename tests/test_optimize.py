@@ -187,6 +187,29 @@ def test_it_stops_at_the_limits_and_leaves_the_root_free(tube_rig):
     np.testing.assert_array_equal(start.theta, 0.0)
 
 
+@pytest.mark.parametrize("factor", [1e-9, 1.0, 1e9])
+def test_what_has_converged_does_not_hang_on_the_objectives_unit(factor, tube_rig):
+    """Nor what is counted: each evaluation once."""
+    model = Model(tube_rig)
+    problem = Problem(model.pose(_state(model, 2))[0].vertices)
+
+    def count(unit):
+        calls = []
+
+        def evaluate(s):
+            calls.append(s)
+            e = problem.evaluate(model, s, LossWeights(lam=0.0, lam_lap=0.0))
+            gradients = {name: unit * getattr(e, name) for name in ("value", "theta", "translation", "scale")}
+            return SimpleNamespace(**gradients, coefficients=e.coefficients, residual=e.residual)
+
+        outcome = minimise(evaluate, model.rest(), model.rig, ALL[:3], max_iterations=200, tolerance=1e-3)
+        assert outcome.converged and outcome.evaluations == len(calls)
+        return len(calls)
+
+    plain, other = count(1.0), count(factor)
+    assert 3 < plain < 60 and abs(other - plain) < 3, (plain, other)
+
+
 def test_running_out_of_iterations_is_not_convergence(tube_rig):
     model = Model(tube_rig)
     problem = Problem(model.pose(_state(model, 2))[0].vertices)
@@ -200,15 +223,16 @@ def test_running_out_of_iterations_is_not_convergence(tube_rig):
     assert not outcome.converged and "ITERATIONS" in outcome.message.upper()
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
 @pytest.mark.parametrize("good", [0, 3])
-def test_an_objective_that_is_not_finite_is_said(tube_rig, good):
+def test_an_objective_that_is_not_finite_is_said(tube_rig, good, bad):
     inner, calls = _quadratic(np.full((4, 3), 0.1)), []
 
     def evaluate(s):
         e = inner(s)
         calls.append(e.value)
         if len(calls) > good:
-            e.value = np.nan
+            e.value = bad
         return e
 
     start = State(np.zeros((4, 3)), np.zeros(3), 1.0, np.zeros(0), None)

@@ -112,7 +112,6 @@ def test_ctrl_c_ends_the_processes_without_their_tracebacks(tmp_path):
         stderr=subprocess.PIPE,
         text=True,
         start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # background jobs of a shell ignore it
     )
     assert process.stdout.readline() == "going\n"
     os.killpg(process.pid, signal.SIGINT)  # as a terminal does: to all processes

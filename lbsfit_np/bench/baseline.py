@@ -84,7 +84,7 @@ class PlainChamfer:
             sigma=_SIGMA,
             evaluation=problem.evaluate(model, last.state, weights, ridge=settings.ridge),
             evaluations=first.evaluations + last.evaluations,
-            note=reference.note,
+            notes=[reference.note],
             started=started,
         )
 

@@ -28,7 +28,7 @@ def assemble(
     sigma,
     evaluation,
     evaluations,
-    note,
+    notes,
     started,
     proba=None,
     labels=None,
@@ -62,8 +62,8 @@ def assemble(
     evaluation : Evaluation
         The full objective at the end.
     evaluations : int
-    note : str
-        Added to the message.
+    notes : sequence of str
+        Added to the message; an empty one is none.
     started : float
         ``time.perf_counter()`` at the start.
     proba : (k, n_parts) array, optional
@@ -153,7 +153,7 @@ def assemble(
         terms=dict(evaluation.terms, total=evaluation.value, recon=recon),
         converged=last.converged,
         status=status,
-        message="; ".join(filter(None, [reason, note, *found])),
+        message="; ".join(filter(None, [reason, *notes, *found])),
         probability=probability,
         evidence=evidence,
         evaluations=evaluations,

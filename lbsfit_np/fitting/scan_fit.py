@@ -163,7 +163,7 @@ class ScanFit:
             proba=proba,
             labels=labels,
             evaluations=before + search.evaluations,
-            note=left_out,
+            notes=[left_out],
             found=(unit, stands),
             further=further_words(settings, self.facing) if theta0 is None and labels is None else (),
             started=started,
@@ -182,10 +182,9 @@ class ScanFit:
         Frame, problem, probabilities of the parts, state, and how many evaluations that took.
         """
         model, best = self.model, None
-        known = None if labels is None else np.eye(len(model.source.parts))[labels[rows]]
-        for frame, problem, proba, theta in given_views(
-            model.source, self.facing, points[rows], a, scale, self.segmenter, theta0, known
-        ):
+        known = None if labels is None else labels[rows]
+        place = model.source, self.facing, points[rows], a, scale
+        for frame, problem, proba, theta in given_views(*place, self.segmenter, theta0, known):
             search = Search(model, problem, proba, labels is not None, self.settings).start(theta)
             if best is None or search.outcome.value < best[-1].outcome.value:
                 best = frame, problem, proba, search
@@ -193,7 +192,7 @@ class ScanFit:
         return frame, problem, proba, search.pose(), search.evaluations
 
 
-def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, known):
+def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels):
     """A scan turned back as a given start says, or by some turns, among which known labels tell the right one.
 
     Parameters
@@ -208,19 +207,20 @@ def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, known):
     segmenter : Segmenter or None
     theta0 : (J, 3) array or None
         The start's angles in the scan's frame.
-    known : (k, n_parts) array or None
-        Known labels as zeros and ones.
+    labels : (k,) int array or None
+        Known ones.
 
     Yields
     ------
     frame : Frame
     problem : Problem
     proba : (k, n_parts) array or None
-        The known labels, else what the segmenter says of the points in that frame.
+        Zeros and ones of known labels, else what the segmenter says of the points in that frame.
     theta0 : (J, 3) array or None
         The start's angles in that frame.
     """
     half, turns = rig.size / 2, some_turns(facing.turns)
+    known = None if labels is None else np.eye(len(rig.parts))[labels]
     if theta0 is not None:  # in a frame that is turned along, the segmenter sees the scan as it has learned it
         turns = root_turn(rig, theta0)[None]
         theta0 = turned_root(rig, theta0, turns[0].T)

@@ -51,7 +51,7 @@ class Found:
     proba : (n, n_parts) array or None
         What the segmenter says of the points, seen in that frame.
     value : float
-        What the state leaves unexplained: E of ``optimize.gauss_newton`` where a scout has found it, L_c on learned templates.
+        What the state leaves unexplained: E of ``optimize.gauss_newton`` where a scout has found it, L_c where a refit has.
     rivals : tuple of float
         The same of other poses that were found.
     """

@@ -69,7 +69,7 @@ class TemplateFit:
         value=None,
         rivals=(),
         proportions=0.0,
-        note="",
+        notes=(),
         found=(),
         further=(),
         started=None,
@@ -92,9 +92,8 @@ class TemplateFit:
         labels_known : (n,) int array, optional
         prior : ((J, 3) array, float), optional
             As in ``GaussNewton.pose``.
-        value, rivals, proportions, found, further
+        value, rivals, proportions, notes, found, further
             As for :func:`~lbsfit_np.fitting.assemble.assemble`.
-        note : str
         started : float, optional
 
         Returns
@@ -123,7 +122,7 @@ class TemplateFit:
             proba=proba,
             labels=labels_known,
             evaluations=search.evaluations,
-            note=note,
+            notes=notes,
             found=found,
             further=further,
             started=started,

@@ -134,8 +134,8 @@ class _Finish(_OnTemplates):
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
         place |= {"proportions": fit.proportions(m.problem, m.state), "further": self.further}
-        note = "; ".join(filter(None, [m.role, m.left_out]))
-        result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, note=note, found=(unit,), **place)
+        place |= {"notes": [m.role, m.left_out], "found": (unit,)}
+        result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, **place)
         if m.own is None and result.status == "ok":  # then only first fits were wrong
             m = replace(m, doubt="")
         return _with_doubt(m, replace(result, subject=str(m.subject)))
@@ -219,8 +219,7 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
         unit = guess if subjects is None else _unit(guess, fitter.unit_[subjects[0]], settings) or guess
         frame = Frame(x.mean(axis=0), unit * half)
         return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started, left_out)
-    known = None if labels is None else np.eye(len(rig.parts))[labels[rows]]
-    seen = None
+    seen, known = None, None if labels is None else labels[rows]
     if theta0 is not None or labels is not None:
         found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
     elif len(subjects) == 1:
@@ -229,7 +228,7 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
         seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a)
         found = [(s, _on_template(fitter, s, seen, settings)) for s in subjects]
     subject, best = min(found, key=lambda f: f[1].value * f[1].frame.unit**2)  # values go by the square of the frame's unit
-    note = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
+    whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
     proportions = fit.proportions(best.problem, best.state)
     if anyone and proportions > SOMEBODY_ELSE:
@@ -241,13 +240,12 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
-    note = "; ".join(filter(None, [note, left_out]))
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
-    place |= {"proportions": proportions, "found": (unit, stands)}
+    place |= {"proportions": proportions, "notes": [whose, left_out], "found": (unit, stands)}
     another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
     if theta0 is None and labels is None and not another:
         place["further"] = further_words(settings, _facing(fitter))
-    result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, note=note, started=started, **place)
+    result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, started=started, **place)
     result = replace(result, subject=str(subject))
     if another and result.status != "ok":
         without = "without subject (--subject, or its line of --subjects, which may be wrong)"
@@ -290,16 +288,16 @@ def _on_template(fitter, subject, seen, settings):
     return Found(replace(seen.frame, unit=seen.frame.unit * ratio), problem, state, seen.proba, value, rivals)
 
 
-def _given(fitter, subject, x, a, settings, guess, theta0, known):
+def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     """A scan with a start, which says how it is turned, or with known labels, which tell it."""
     unit = _unit(guess, fitter.unit_[subject], settings)
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
         refit = refit.freeing(("pose", "translation", "scale"))
     best, place = None, (fitter.rig, _facing(fitter), x, a, unit or guess)
-    for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, known):
+    for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, labels):
         poses = [] if theta is None else [theta]
-        state, value, _ = refit(problem, poses=poses, proba=known, labels_known=known is not None)
+        state, value, _ = refit(problem, poses=poses, proba=None if labels is None else proba, labels_known=labels is not None)
         if best is None or value < best.value:
             best = Found(frame, problem, state, proba, value, ())
     return best
@@ -421,7 +419,8 @@ def free_form(model, settings, problem, points, rows, frame, started, left_out="
         sigma=settings.refinements[-1],
         evaluation=evaluation,
         evaluations=place_only.evaluations + outcome.evaluations,
-        note="; ".join(filter(None, ["free-form, no skinning: joints stay at rest", unit, left_out])),
+        notes=["free-form, no skinning: joints stay at rest", left_out],
+        found=(unit,),
         started=started,
         judged=False,
     )

@@ -230,8 +230,9 @@ class GaussNewton:
         if shared:
             Hc[np.diag_indices_from(Hc)] += damping * Hc.diagonal() + self.ridge
             dc = stretch * np.linalg.solve(Hc, gc - self.ridge * c)
-            dc = np.clip(dc, -MOST_PROPORTION - c, MOST_PROPORTION - c)  # before the poses go along with it
-            out = [s.replace(coefficients=np.clip(c + dc, -MOST_PROPORTION, MOST_PROPORTION)) for s in out]
+            new = np.clip(c + dc, -MOST_PROPORTION, MOST_PROPORTION)
+            dc = new - c  # before the poses go along with it
+            out = [s.replace(coefficients=new) for s in out]
         for i, x, free, solved in own:
             step = np.zeros(n)
             step[free] = stretch * solved[:, -1] - solved[:, :-1] @ dc

@@ -79,7 +79,7 @@ class OracleFit:
             sigma=self.settings.refinements[-1],
             evaluation=problem.evaluate(model, last.state, self.settings.weights.replace(lam_s=0.0)),
             evaluations=pose.evaluations + last.evaluations,
-            note="true correspondences",
+            notes=["true correspondences"],
             started=started,
             labels=scan.labels,
         )

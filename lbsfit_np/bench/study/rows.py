@@ -169,9 +169,11 @@ def _points(scans):
 
 # ---- the loop and its ablations ----
 
-# When stages of learning begin and end, as shares of a round's time.
+# Where stages of learning begin and end, roughly, as shares of a round's time with labels; first fits, and the results at the
+# end, count as a round each.
 _OF_A_ROUND = {
     "first fits": (0.0, 1.0),
+    "results": (0.0, 1.0),
     "templates": (0.0, 0.05),
     "segmenter": (0.05, 0.55),
     "library of starts": (0.55, 0.6),
@@ -192,14 +194,16 @@ def _learned(c, variant):
         if labels:
             heard.append(said(segmenter, given.test, c.jobs))
 
-    done = 0  # rounds, the first fits as one
+    done, last = 0, fitter.rounds + 1  # rounds, the first fits as one
 
     def progress(stage, share, figures=None):
         nonlocal done
         if figures is not None:
             done, share = figures["round"] + 1, 0.0
+        if stage == "results":
+            done = last  # with fewer rounds, too
         begin, end = _OF_A_ROUND.get(stage, (0.0, 0.0))
-        c.progress(0.8 * (done + begin + (end - begin) * share) / (fitter.rounds + 1))
+        c.progress(0.8 * (done + begin + (end - begin) * share) / (last + 1))
 
     if labels:
         heard.append(c.labels_before())
