@@ -205,6 +205,22 @@ def test_another_rig_or_up_axis_is_a_matter_of_failed_fits(rigs, status, monkeyp
         assert r.message == reason
 
 
+@pytest.mark.parametrize(
+    ("given", "asks"),
+    [
+        ((), ", and does the scan stand as orientation and up say (--orientation, --up)?"),
+        (("theta0",), ", and is theta0 right?"),
+        (("labels",), ", are labels right, and does the scan stand as orientation and up say (--orientation, --up)?"),
+        (("theta0", "labels"), ", and are theta0 and labels right?"),
+    ],
+)
+def test_a_fit_that_has_failed_asks_about_what_was_given(given, asks, rigs, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("failed", "a reason"))
+    model = Model(rigs["tube"])
+    r = _at_rest(model, model.pose(model.rest())[0].vertices, given=given)
+    assert r.message.startswith(f"a reason; is it the right rig{asks}")
+
+
 @pytest.mark.parametrize("status", ["ok", "suspect", "failed"])
 @pytest.mark.parametrize("further", [("effort looks further",), ()])
 def test_what_a_failed_fit_found_is_said_with_reserve_and_what_would_look_further(rigs, status, further, monkeypatch):

@@ -1,5 +1,7 @@
 """The progress of ``lbsfit learn`` with the time left, and its help."""
 
+import os
+import struct
 import warnings
 from types import SimpleNamespace
 
@@ -12,6 +14,7 @@ from lbsfit_np.errors import counted
 from lbsfit_np.io.columns import ODD_X
 
 pytestmark = pytest.mark.usefixtures("own_cache")
+_TERMINALS = ("fcntl", "pty", "termios")
 
 
 class _Clock:
@@ -57,8 +60,8 @@ def test_rounds_with_the_time_left(terminal, capsys):
 @pytest.fixture
 def drawn_at_once(monkeypatch):
     """Bars that are drawn at every step, however fast these are."""
-    bar = progress._bar
-    monkeypatch.setattr(progress, "_bar", lambda **options: bar(mininterval=0, miniters=0, **options))
+    bar = progress.bar
+    monkeypatch.setattr(progress, "bar", lambda **options: bar(mininterval=0, miniters=0, **options))
 
 
 @pytest.mark.parametrize("terminal", [False, True])
@@ -173,6 +176,22 @@ def test_a_warning_closes_the_bar(capsys, monkeypatch):
     monkeypatch.setattr(warnings, "showwarning", lambda message, *more: told.append((str(message), shown._bar is None)))
     learn._learn(SimpleNamespace(fit=fit), SimpleNamespace(sources=[]), None, shown, None)
     assert told == [("odd", True)]
+
+
+@pytest.mark.parametrize("columns", [0, 60])
+def test_a_terminal_that_does_not_tell_its_width_has_a_bar_too(columns, monkeypatch):
+    fcntl, pty, termios = (pytest.importorskip(name, reason="terminals of this system are others") for name in _TERMINALS)
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24 if columns else 0, columns, 0, 0))
+    with os.fdopen(ours, "rb", 0) as seen, os.fdopen(theirs, "w") as terminal:
+        monkeypatch.setattr("sys.stderr", terminal)
+        progress.bar(total=4, desc="doing", initial=2).close()
+        monkeypatch.undo()
+        shown = b""
+        while not shown.endswith(b"\n"):
+            shown += seen.read(1000)
+    longest = max(shown.decode().split("\r"), key=len).rstrip()
+    assert longest.startswith("doing:  50%|") and (columns or 80) - 1 <= len(longest) <= (columns or 80)
 
 
 def test_rounds_that_hold_nothing_out(capsys):

@@ -1,5 +1,6 @@
 """What a fit can be given besides points: a start, labels, weights of points."""
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -53,6 +54,23 @@ def test_given_labels_are_kept(fitter, tube_scan):
     assert (r.confidence == 1).all()
     assert not hasattr(fitter, "segmenter_")  # nobody asked s
     assert not np.shares_memory(r.labels, labels) and (labels == given).all() and labels.flags.writeable
+
+
+def test_a_start_that_is_right_is_not_lost_to_labels_that_are_wrong(tube_rig, tube_fitter, tube_scan, monkeypatch):
+    wrong = np.eye(4)[(tube_scan.labels + 1) % 4]
+    monkeypatch.setattr(type(tube_fitter.segmenter_), "predict_proba", lambda self, points, **options: wrong)
+    r = tube_fitter.fit_scan(tube_scan.points, theta0=tube_scan.pose)
+    assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.05
+
+
+@pytest.mark.parametrize("theta0", [False, True])
+@pytest.mark.parametrize("labels", [False, True])
+def test_a_fit_that_has_failed_names_what_was_given(theta0, labels, fitter, learned_people, tube_scan, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("failed", "a reason"))
+    given = ({"theta0": tube_scan.pose} if theta0 else {}) | ({"labels": tube_scan.labels} if labels else {})
+    for fit in (fitter.fit_scan, partial(learned_people.fit_scan, subject="ann")):
+        message = fit(tube_scan.points, **given).message
+        assert [name in message for name in ("theta0", "labels", "--orientation")] == [theta0, labels, not theta0]
 
 
 @pytest.mark.parametrize("start", [False, True])
@@ -114,7 +132,7 @@ def test_surface_that_a_one_sided_scan_hides_takes_no_part_in_the_full_objective
     known = {"labels": scan.labels, "theta0": scan.pose}
     problems, full = [], Search.full
     monkeypatch.setattr(Search, "full", lambda self, *given, **more: problems.append(self.problem) or full(self, *given, **more))
-    for partial in (True, False):
-        fitter.set_params(partial=partial).fit_scan(scan.points, **{name: known[name] for name in given})
+    for one_side in (True, False):
+        fitter.set_params(partial=one_side).fit_scan(scan.points, **{name: known[name] for name in given})
     hidden = [0.0 if p.v_weights is None else np.mean(p.v_weights == 0) for p in problems]
     assert hidden[0] > 0.3 > hidden[1] and len(hidden) == 2

@@ -1,13 +1,12 @@
 """What the commands of ``lbsfit bench`` run, and what they say while they do."""
 
 import json
-import sys
 from pathlib import Path
 
 from ..errors import FileError, InputError
 from ..io.write import make_folder
 from .outputs import check_outputs
-from .progress import LearningProgress, Progress, say
+from .progress import LearningProgress, Progress, bar, say
 
 __all__ = [
     *("RESULTS", "failures_code", "made_results", "numbers", "read_results"),
@@ -222,9 +221,7 @@ class _BenchProgress(Progress):
         if not self.terminal:
             return
         if self._bar is None:
-            from tqdm import tqdm
-
-            self._bar = tqdm(total=total, desc=f"seed {seed}, {what}", unit="scan", leave=False, file=sys.stderr)
+            self._bar = bar(total=total, desc=f"seed {seed}, {what}", unit="scan", leave=False)
         self._bar.update(done - self._bar.n)
 
     def row(self, report, row, seed):

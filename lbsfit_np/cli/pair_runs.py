@@ -12,7 +12,7 @@ from .fit import RIG_OPTIONS, load_rig_with
 from .learn import OPTIONS as LEARN_OPTIONS
 from .outputs import check_outputs
 from .parsing import Option, add_options, formatter, natural, positive, settings
-from .progress import SILENCE, LearningProgress, Progress, say
+from .progress import SILENCE, LearningProgress, Progress, bar, say
 from .stopping import exit_code, say_steps, terminable
 
 __all__ = [
@@ -280,11 +280,7 @@ class PairsProgress(Progress):
                 self._told = self._clock()
             return
         if self._bar is None:
-            import sys
-
-            from tqdm import tqdm
-
-            self._bar = tqdm(total=total, desc=doing, unit="pair", leave=False, file=sys.stderr)
+            self._bar = bar(total=total, desc=doing, unit="pair", leave=False)
         self._bar.update(done - self._bar.n)
         if done == total:
             self.close()

@@ -1,5 +1,6 @@
 """Progress for people: a bar on a terminal, plain lines elsewhere."""
 
+import os
 import re
 import sys
 import time
@@ -7,7 +8,7 @@ import time
 from ..errors import counted
 from ..io.columns import ODD_X
 
-__all__ = ["SILENCE", "LearningProgress", "Progress", "of_all", "percentage_bar", "say", "span"]
+__all__ = ["SILENCE", "LearningProgress", "Progress", "bar", "of_all", "percentage_bar", "say", "span"]
 
 # What the stages of LBSFitter.fit do, in words; others are called by their names.
 _STAGES = {
@@ -20,6 +21,8 @@ _STAGES = {
 }
 # Seconds, at least, between lines about one stage where there is no bar.
 SILENCE = 60
+# Of a terminal that does not tell.
+_COLUMNS, _ROWS = 80, 24
 
 
 def say(text):
@@ -85,7 +88,7 @@ class Progress:
             if self._bar is None:  # before the training, whose bar comes first
                 return
         if self._bar is None:
-            self._bar = _bar(total=self.total, initial=self.done - 1, desc="scans", unit="scan")
+            self._bar = bar(total=self.total, initial=self.done - 1, desc="scans", unit="scan")
         self._bar.set_postfix_str(entry["name"], refresh=False)
         self._bar.update()
 
@@ -176,7 +179,7 @@ class LearningProgress:
             words = f"round {self.round} of at most {self.rounds}: {words}"
         if self.terminal:
             form = "{desc} {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
-            self._bar = _bar(total=100, leave=False, desc=words, bar_format=form, postfix=self._left_in_words())
+            self._bar = bar(total=100, leave=False, desc=words, bar_format=form, postfix=self._left_in_words())
         else:
             print(words, flush=True)
 
@@ -233,10 +236,17 @@ def span(seconds):
 
 def percentage_bar(words):
     """A bar on standard error that goes to 100."""
-    return _bar(total=100, leave=False, desc=words, bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}")
+    return bar(total=100, leave=False, desc=words, bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}")
 
 
-def _bar(**options):
+def bar(**options):
+    """A bar on standard error, with tqdm's options."""
     from tqdm import tqdm
 
+    try:
+        told = os.get_terminal_size(sys.stderr.fileno()).columns
+    except (OSError, ValueError):  # no terminal
+        told = None
+    if told == 0:  # those without a window, such as scripts have, in which tqdm shows nothing
+        options |= {"ncols": _COLUMNS, "nrows": _ROWS}
     return tqdm(file=sys.stderr, **options)

@@ -39,6 +39,7 @@ def assemble(
     judged=True,
     found=(),
     further=(),
+    given=(),
 ):
     """The fit in the scan's frame and on the rig's original vertices, with a label for every point.
 
@@ -81,6 +82,8 @@ def assemble(
         nothing.
     further : sequence of str
         What a fit in doubt says would look further.
+    given : sequence of {"theta0", "labels"}
+        What the caller knew of the pose, which one that has failed asks about.
     judged : bool, default True
         False where the vertices say nothing of the pose: then there is no evidence, the probability is 0, and what is finite is
         "ok".
@@ -133,7 +136,7 @@ def assemble(
         if status != "ok":
             reason = "; ".join([reason, *further])
         if status == "failed":
-            reason += "; is it the right rig, and does the scan stand as orientation and up say (--orientation, --up)?"
+            reason += f"; {_asked(given)}"
         if status != "ok" and not partial and evidence["unreached"] > _HARDLY_REACHED:
             reason += "; if the scan shows one side only, say so with partial (--partial)"
     if not finite:
@@ -161,3 +164,13 @@ def assemble(
         parts=rig.parts,
         rig_digest=rig.digest,
     )
+
+
+def _asked(given):
+    """What may be wrong of a fit that has failed, as a question."""
+    asked = ["is it the right rig"]
+    if given:
+        asked.append(f"{'are' if 'labels' in given else 'is'} {' and '.join(given)} right")
+    if "theta0" not in given:  # which says how the scan is turned
+        asked.append("does the scan stand as orientation and up say (--orientation, --up)")
+    return f"{', '.join(asked[:-1])}, and {asked[-1]}?"

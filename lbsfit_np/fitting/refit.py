@@ -16,6 +16,7 @@ from ..optimize.problem import Problem
 from ..optimize.state import State
 from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
+from ..starts.place import placed
 from .effort import Effort
 from .labels import refined_labels
 
@@ -86,7 +87,7 @@ class Refit:
     """
 
     def __init__(self, model, free=("pose", "translation"), *, partial=False):
-        self.model, self.free = model, free
+        self.model, self.free, self.partial = model, free, partial
         near = {"reach": _NEAR, "tangential": 0.02, "partial": partial}
         self._far = GaussNewton(model, reach=_FAR, vertices=_FAR_VERTICES, partial=partial)
         self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
@@ -199,8 +200,7 @@ class Refit:
 
     def placed(self, problem, theta, scale=1.0):
         """The State of a pose Θ of some scale put where the scan is."""
-        state = self.model.rest().replace(theta=np.array(theta, dtype=float), scale=scale)
-        return state.replace(translation=_centroid(problem) - self.model.areas @ self.model.deformed(state).vertices)
+        return placed(self.model, problem, theta, scale, partial=self.partial)
 
     def from_parts(self, problem, proba, labels_known=False):
         """The State from inverse kinematics on the parts' centroids, then by the labels, ever closer."""
@@ -250,10 +250,6 @@ class Refit:
     def _mine(self, state):
         """A state of another model as one of this: its template is this model's."""
         return state.replace(coefficients=np.zeros(self.model.n_coefficients), residual=None)
-
-
-def _centroid(problem):
-    return problem.X.mean(axis=0) if problem.x_weights is None else problem.x_weights @ problem.X
 
 
 def distinct(runners, joints, alike):

@@ -17,11 +17,11 @@ from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
 from ..threads import one_thread
 from .assemble import assemble
 from .confidence import shown_problem
-from .refit import Refit
+from .refit import Refit, Runner
 from .scout import Scout
 from .search import Search
 
-__all__ = ["FitSettings", "ScanFit", "further_words", "given_views", "stands_words"]
+__all__ = ["FitSettings", "ScanFit", "further_words", "given_names", "given_views", "stands_words"]
 
 
 @dataclass(frozen=True)
@@ -134,7 +134,8 @@ class ScanFit:
         model, settings = self.model, self.settings
         rows, left_out, guess = self.taking_part(points, point_weights, random_state)
         a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
-        if theta0 is None and labels is None:
+        given = given_names(theta0, labels)
+        if not given:
             found = found or self.scout(points[rows], a)
             frame, problem, proba, state, before = found.frame, found.problem, found.proba, found.state, 0
             rivals = {"value": found.value, "rivals": found.rivals}
@@ -165,7 +166,8 @@ class ScanFit:
             evaluations=before + search.evaluations,
             notes=[left_out],
             found=(unit, stands),
-            further=further_words(settings, self.facing) if theta0 is None and labels is None else (),
+            further=() if given else further_words(settings, self.facing),
+            given=given,
             started=started,
             partial=settings.partial,
             **rivals,
@@ -187,9 +189,18 @@ class ScanFit:
         for frame, problem, proba, theta in given_views(*place, self.segmenter, theta0, known):
             search = Search(model, problem, proba, labels is not None, self.settings).start(theta)
             if best is None or search.outcome.value < best[-1].outcome.value:
-                best = frame, problem, proba, search
-        frame, problem, proba, search = best
-        return frame, problem, proba, search.pose(), search.evaluations
+                best = frame, problem, proba, theta, search
+        frame, problem, proba, theta, search = best
+        others = []
+        if theta0 is not None and labels is None:  # what the segmenter says may lead away from a start that is right
+            placed = Runner(problem, self._refit.placed(problem, theta))
+            others = [end.state for end in self._refit.race([placed])]
+        return frame, problem, proba, search.pose(others), search.evaluations
+
+
+def given_names(theta0, labels):
+    """Which of these a caller has given, by their names."""
+    return [name for name, value in (("theta0", theta0), ("labels", labels)) if value is not None]
 
 
 def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels):

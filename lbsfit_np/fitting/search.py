@@ -6,6 +6,7 @@ from ..losses.objective import BOTH, PLAIN, STRUCTURED
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..starts.parts import start_from_parts
+from ..starts.place import placed
 from .labels import refined_labels
 
 __all__ = ["Search"]
@@ -39,24 +40,25 @@ class Search:
         Without labels the whole is brought to the scan.
         """
         model, X, a = self.model.coarse, self.problem.X, self.problem.x_weights
-        given = self.model.rest()
-        if theta0 is not None:
-            given = given.replace(theta=np.array(theta0, dtype=float))
         if self.proba is None:
-            centre = X.mean(axis=0) if a is None else a @ X
-            given = given.replace(translation=centre - self.model.areas @ self.model.deformed(given).vertices)
+            theta0 = self.model.rest().theta if theta0 is None else theta0
+            given = placed(self.model, self.problem, theta0, partial=self.settings.partial)
             self.outcome = self._minimise(given, PLAIN, ("pose", "translation"), model)
             return self
         if theta0 is None:
             start = start_from_parts(model, X, self.proba, x_weights=a)
         else:
+            given = self.model.rest().replace(theta=np.array(theta0, dtype=float))
             start = start_from_parts(model, X, self.proba, x_weights=a, state=given, free=("translation",))
         self.evaluations += start.evaluations
         self.outcome = self._minimise(start.state, STRUCTURED, ("pose", "translation"), model)
         return self
 
-    def pose(self):
-        """After :meth:`start`, the stages before the full objective: the State with pose, place and proportions."""
+    def pose(self, others=()):
+        """After :meth:`start`, the stages before the full objective: the State with pose, place and proportions.
+
+        Of ``others``, States, the last of these stages goes on as well; what leaves the least unexplained is taken.
+        """
         state = self.outcome.state
         for sigma in () if self.proba is None else self.settings.refinements:
             self._relabel(state, sigma)
@@ -70,7 +72,7 @@ class Search:
                 max_iterations=self.settings.plain_iterations,
                 tolerance=self.settings.full_tolerance,
             ).state
-        return self._polished(state)
+        return self._polished([state, *others])
 
     def full(self, state, free=None):
         """The full objective, from where the pose stages ended; returns self."""
@@ -85,14 +87,15 @@ class Search:
         )
         return self
 
-    def _polished(self, state):
-        """Levenberg–Marquardt on pose and proportions: exact where L-BFGS on the Chamfer distance creeps."""
+    def _polished(self, states):
+        """Levenberg–Marquardt on pose and proportions: exact where L-BFGS on the Chamfer distance creeps. The best of some."""
         if not self.settings.polish:
-            return state
+            return states[0]
         steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02, partial=self.settings.partial)
         labels = [self.labels] if self.labels_known else None
         free = ("pose", *self.place)
-        return steps.with_proportions(self.problem, state, free=free, labels=labels, iterations=self.settings.polish)[0]
+        options = {"free": free, "labels": labels, "iterations": self.settings.polish}
+        return min((steps.with_proportions(self.problem, state, **options) for state in states), key=lambda found: found[1])[0]
 
     def _relabel(self, state, sigma):
         """Labels by the segmenter's word and the distance to the parts as they stand."""

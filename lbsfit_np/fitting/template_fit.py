@@ -72,6 +72,7 @@ class TemplateFit:
         notes=(),
         found=(),
         further=(),
+        given=(),
         started=None,
     ):
         """The full objective from a pose that was found, and the result.
@@ -92,7 +93,7 @@ class TemplateFit:
         labels_known : (n,) int array, optional
         prior : ((J, 3) array, float), optional
             As in ``GaussNewton.pose``.
-        value, rivals, proportions, notes, found, further
+        value, rivals, proportions, notes, found, further, given
             As for :func:`~lbsfit_np.fitting.assemble.assemble`.
         started : float, optional
 
@@ -125,6 +126,7 @@ class TemplateFit:
             notes=notes,
             found=found,
             further=further,
+            given=given,
             started=started,
             value=value,
             rivals=rivals,

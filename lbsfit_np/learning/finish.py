@@ -9,7 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..fitting.assemble import assemble
 from ..fitting.confidence import SOMEBODY_ELSE
-from ..fitting.scan_fit import FitSettings, ScanFit, further_words, given_views, stands_words
+from ..fitting.scan_fit import FitSettings, ScanFit, further_words, given_names, given_views, stands_words
 from ..fitting.scout import Found, Scout
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import PRESETS, LossWeights
@@ -219,8 +219,8 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
         unit = guess if subjects is None else _unit(guess, fitter.unit_[subjects[0]], settings) or guess
         frame = Frame(x.mean(axis=0), unit * half)
         return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started, left_out)
-    seen, known = None, None if labels is None else labels[rows]
-    if theta0 is not None or labels is not None:
+    seen, known, given = None, None if labels is None else labels[rows], given_names(theta0, labels)
+    if given:
         found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
     elif len(subjects) == 1:
         found = [(s, _scouted(fitter, s, x, a, settings)) for s in subjects]
@@ -233,17 +233,17 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     proportions = fit.proportions(best.problem, best.state)
     if anyone and proportions > SOMEBODY_ELSE:
         # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
-        given = {"theta0": theta0, "labels": labels, "point_weights": point_weights, "random_state": seed}
-        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **given, found=seen)
+        known = {"theta0": theta0, "labels": labels, "point_weights": point_weights, "random_state": seed}
+        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **known, found=seen)
         nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
-    place |= {"proportions": proportions, "notes": [whose, left_out], "found": (unit, stands)}
+    place |= {"proportions": proportions, "notes": [whose, left_out], "found": (unit, stands), "given": given}
     another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
-    if theta0 is None and labels is None and not another:
+    if not given and not another:
         place["further"] = further_words(settings, _facing(fitter))
     result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, started=started, **place)
     result = replace(result, subject=str(subject))

@@ -1,0 +1,66 @@
+"""Where a template in a known pose is put that a scan shows."""
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import Refit
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.starts.place import placed
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def model():
+    return Model(lbs.load_rig("hand-coarse"))
+
+
+@pytest.fixture(scope="module")
+def views(model):
+    """(problem, pose, where the origin of the rig is) of a view of one side of a hand in its own shape."""
+    out = []
+    for s in lbs.synthesize(model.source, 8, poses="natural", random_state=2, n_points=600, shape=0.0, one_sided=True):
+        centre = s.points.mean(axis=0) + [0.3, 0.0, -0.1]  # a frame may have any origin
+        out.append((Problem((s.points - centre) / model.half), s.pose, (s.translation - centre) / model.half))
+    return out
+
+
+def _away(model, views, **options):
+    put = [placed(model, problem, theta, **options).translation - where for problem, theta, where in views]
+    return np.linalg.norm(put, axis=1)
+
+
+def test_a_view_of_one_side_is_put_where_that_side_is(model, views):
+    whole, side = _away(model, views), _away(model, views, partial=True)
+    assert np.median(whole) > 0.15
+    assert np.median(side) < 0.4 * np.median(whole) and side.max() < 0.6 * whole.max()
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_weights_and_order_of_points_are_minded(weighted, model, views):
+    problem, theta, _ = views[0]
+    n, near = len(problem.X), np.repeat(problem.X, 3, axis=0) + [0.0, 0.0, 0.3]
+    weights = np.r_[np.full(n, 1.0 / n), np.zeros(3 * n)] if weighted else None
+    given = Problem(np.vstack([problem.X, near]) if weighted else problem.X[::-1], weights)
+    alone, found = (placed(model, p, theta, partial=True).translation for p in (problem, given))
+    np.testing.assert_allclose(found, alone, atol=1e-12)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1.2])
+def test_a_whole_scan_has_the_centroid_of_the_surface(scale, model):
+    (s,) = lbs.synthesize(model.source, 1, random_state=0, n_points=300)
+    problem = Problem(s.points / model.half)
+    state = placed(model, problem, s.pose, scale)
+    assert state.scale == scale and (state.theta == s.pose).all() and state.theta is not s.pose
+    np.testing.assert_allclose(model.areas @ model.deformed(state).vertices, problem.X.mean(axis=0), atol=1e-12)
+
+
+def test_a_known_pose_finds_its_place_in_a_view_of_one_side(model, views):
+    refit = Refit(model, partial=True)
+    for problem, theta, where in views:
+        state, _, which = refit(problem, poses=[theta])
+        truth = model.rest().replace(theta=theta, translation=where)
+        off = np.linalg.norm(model.deformed(state).joints - model.deformed(truth).joints, axis=1)
+        assert which == 0 and np.median(off) < 0.03  # a finger that the view hides may be anywhere
