@@ -9,6 +9,7 @@ from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.clean import clean_rows
 from lbsfit_np.starts.floor import off_floor
 from lbsfit_np.starts.scale import reference_scale
+from lbsfit_np.starts.turns import any_side_up, facing_of
 
 UP = np.array([0.0, 1.0, 0.0])
 
@@ -30,7 +31,7 @@ def _kept(points, **options):
 def test_a_floor_goes_and_the_body_stays(hand, share):
     found = 0
     for scan in lbs.synthesize(hand, 10, poses="natural", random_state=1, floor=share):
-        kept, body = _kept(scan.points, up=UP), scan.labels >= 0
+        kept, body = _kept(scan.points, ups=[UP]), scan.labels >= 0
         assert (body & ~kept).sum() < 0.06 * body.sum()
         found += (~body & kept).sum() < 0.05 * (~body).sum()
     assert found >= 9
@@ -42,7 +43,7 @@ def test_a_floor_goes_from_among_clutter(hand, share):
     found = 0
     for scan in lbs.synthesize(hand, 10, poses="natural", random_state=1, floor=share, clutter=0.1):
         body = int((scan.labels >= 0).sum())
-        kept = _kept(scan.points, up=UP)
+        kept = _kept(scan.points, ups=[UP])
         assert kept[:body].mean() > 0.94
         found += kept[round(1.1 * body) :].mean() < 0.05  # the floor comes last
     assert found >= 9
@@ -56,8 +57,8 @@ def test_one_side_of_a_body_is_no_floor(hand):
 
 def test_a_scan_without_a_floor_stays_whole(hand):
     for scan in lbs.synthesize(hand, 20, poses="mixed", random_state=2):
-        assert _kept(scan.points, up=UP).all() and _kept(scan.points).all()
-        assert _kept(1000.0 * scan.points + 5e4, up=UP).all()
+        assert _kept(scan.points, ups=facing_of(hand, "upright").floors).all() and _kept(scan.points).all()
+        assert _kept(1000.0 * scan.points + 5e4, ups=[UP]).all()
 
 
 def test_a_wall_is_found_where_any_side_may_be_down(hand):
@@ -65,14 +66,14 @@ def test_a_wall_is_found_where_any_side_may_be_down(hand):
     turned = scan.points @ matrix_from_rotvec(np.array([1.4, 0.2, -0.5])).T
     kept, body = _kept(turned), scan.labels >= 0
     assert kept[body].mean() > 0.94 and kept[~body].mean() < 0.05
-    assert _kept(turned, up=UP).all()  # where up is known, walls are not looked for
+    assert _kept(turned, ups=[UP]).all()  # where up is known, walls are not looked for
 
 
 @pytest.mark.parametrize("degrees, stays", [(0, False), (15, False), (35, True), (50, True)])
 @pytest.mark.parametrize("axis", [[1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
 def test_where_up_is_known_a_slope_is_no_floor(hand, axis, degrees, stays):
     (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1, floor=1.0)
-    kept = _kept(scan.points @ matrix_from_rotvec(np.radians(degrees) * np.array(axis)).T, up=UP)
+    kept = _kept(scan.points @ matrix_from_rotvec(np.radians(degrees) * np.array(axis)).T, ups=[UP])
     assert kept.all() if stays else kept[scan.labels < 0].mean() < 0.05
 
 
@@ -92,7 +93,7 @@ def test_the_plane_is_that_of_all_its_points(seed):
     edges[:50, 0], edges[50:, 2] = np.sign(edges[:50, 0]), np.sign(edges[50:, 2])
     edges[:, 1] = rng.permutation(np.linspace(0.01, 0.06, 100))
     points = np.vstack([_on_a_table(1500, noise=0.005, seed=seed), edges])
-    kept = _kept(points, up=UP)
+    kept = _kept(points, ups=[UP])
     assert not kept[:2000].any() and kept[2000:3500].all() and 0.2 < kept[3500:].mean() < 0.8
     assert points[~kept, 1].max() < points[kept, 1].min()
 
@@ -101,32 +102,62 @@ def test_the_plane_is_that_of_all_its_points(seed):
 def test_of_a_scan_that_is_all_but_a_plane_nothing_is_left_out(n_above, goes):
     """More than nine tenths of the points: what would be left is no body."""
     points = _on_a_table(n_above)
-    assert _kept(points, up=UP)[:2000].any() != goes
+    assert _kept(points, ups=[UP])[:2000].any() != goes
     assert _kept(points).all() != goes
 
 
 def test_given_rows_are_kept_to(hand):
     (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1, floor=1.0)
-    rows, dropped = off_floor(scan.points, np.arange(0, len(scan.points), 2), up=UP)
+    rows, dropped = off_floor(scan.points, np.arange(0, len(scan.points), 2), ups=[UP])
     assert dropped > 1000 and (rows % 2 == 0).all()
 
 
 @pytest.mark.parametrize("points", [np.zeros((100, 3)), np.eye(3), np.column_stack([np.arange(80.0), np.zeros((80, 2))])])
 def test_points_without_extent_pass(points):
-    assert _kept(points).all() and _kept(points, up=UP).all()
+    assert _kept(points).all() and _kept(points, ups=[UP]).all()
+
+
+@pytest.mark.parametrize("axis", range(6))
+def test_where_up_is_but_likely_a_floor_may_be_below_another_axis(axis, hand):
+    facing = facing_of(hand, "upright")
+    turn = next(t for t in any_side_up(np.eye(3)[None], facing.up) if np.allclose(t @ UP, facing.floors[axis]))
+    for scan in lbs.synthesize(hand, 4, poses="natural", random_state=1, floor=0.4):
+        kept, body = _kept(scan.points @ turn.T, ups=facing.floors), scan.labels >= 0
+        assert (body & kept).sum() > 0.94 * body.sum() and (~body & kept).sum() < 0.05 * (~body).sum()
+        kept_below_up = _kept(scan.points @ turn.T, ups=facing.floors[:1])
+        assert kept_below_up.all() == (axis > 0)
+
+
+def test_a_floor_below_the_likely_axis_is_taken_before_a_wall_and_the_larger_of_two_walls(hand):
+    (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1)
+    low, high = scan.points.min(axis=0), scan.points.max(axis=0)
+    rng, middle = np.random.default_rng(0), (low + high) / 2
+
+    def plane(axis, n):
+        x = middle + 1.5 * np.ptp(scan.points, axis=0).max() * rng.uniform(-0.5, 0.5, (n, 3))
+        x[:, axis] = low[axis] - 0.01 * hand.size
+        return x[(x > low - 0.011 * hand.size).all(axis=1)]  # above the other planes
+
+    floor, small, large = plane(1, 3000), plane(0, 3000), plane(2, 6000)
+    sides = facing_of(hand, "upright").floors
+    for planes, gone in (((small, floor), floor), ((small, large), large)):
+        points = np.vstack([scan.points, *planes])
+        kept = _kept(points, ups=sides)
+        ends = np.cumsum([len(scan.points), *map(len, planes)])
+        assert [part.mean() < 0.1 for part in np.split(kept, ends[:-1])[1:]] == [plane is gone for plane in planes]
 
 
 def test_clean_rows_says_what_it_left_out(hand):
     (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1, floor=1.0)
     points = np.vstack([scan.points, [[9.0, 9.0, 9.0]]])
-    rows, note = clean_rows(points, np.arange(len(points)), up=UP)
+    rows, note = clean_rows(points, np.arange(len(points)), ups=[UP])
     assert len(points) - 1 not in rows
     assert "1 point far from all others left out" in note and note.endswith("points of a floor left out")
     (plain,) = lbs.synthesize(hand, 1, poses="natural", random_state=1)
-    rows, note = clean_rows(plain.points, np.arange(len(plain.points)), up=UP)
+    rows, note = clean_rows(plain.points, np.arange(len(plain.points)), ups=[UP])
     assert note == "" and len(rows) == len(plain.points)
-    assert clean_rows(plain.points, np.arange(0, len(plain.points), 2), up=UP)[1] == ""
-    rows, note = clean_rows(points, np.arange(0, len(points), 2), up=UP)  # its counts are not of the whole scan
+    assert clean_rows(plain.points, np.arange(0, len(plain.points), 2), ups=[UP])[1] == ""
+    rows, note = clean_rows(points, np.arange(0, len(points), 2), ups=[UP])  # its counts are not of the whole scan
     assert note.endswith(f"points of a floor left out (of {(len(points) + 1) // 2} that were looked at)")
 
 
@@ -137,7 +168,7 @@ def test_a_wide_floor_says_nothing_of_the_unit(hand):
     across = 3 * hand.size * rng.uniform(-0.5, 0.5, (4000, 2))
     floor = np.column_stack([across[:, 0], np.full(4000, scan.points[:, 1].min()), across[:, 1]])
     points = np.vstack([scan.points, floor])
-    rows, _ = clean_rows(points, np.arange(len(points)), up=UP)
+    rows, _ = clean_rows(points, np.arange(len(points)), ups=[UP])
     assert reference_scale(points[rows], hand, "fixed").scale == reference_scale(scan.points, hand, "estimate").scale == 1.0
     with pytest.raises(InputError, match="scale: got 'fixed' for a scan whose extent is"):
         reference_scale(points, hand, "fixed")
@@ -148,14 +179,20 @@ class _Told(BaseException):
 
 
 @pytest.mark.parametrize(
-    "up, orientation, side", [("+z", "upright", [0, 0, 1]), (None, "aligned", [0, 1, 0]), (None, "any", None)]
+    "up, orientation, sides",
+    [
+        ("+z", "upright", [[0, 0, 1]]),
+        (None, "aligned", [[0, 1, 0]]),
+        (None, "upright", [[0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0], [0, 0, 1], [0, 0, -1]]),
+        (None, "any", None),
+    ],
 )
 @pytest.mark.parametrize("what", ["fit of one scan", "fit of a new scan", "learning"])
-def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, orientation, side, monkeypatch):
+def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, orientation, sides, monkeypatch):
     points, labels = tube_scan.points, tube_scan.labels
 
-    def spy(points, rows, *, up=None):
-        raise _Told(up)
+    def spy(points, rows, *, ups=None):
+        raise _Told(ups)
 
     monkeypatch.setattr("lbsfit_np.starts.clean.clean_rows", spy)
     fitter.set_params(up=up, orientation=orientation)
@@ -166,4 +203,4 @@ def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, o
             fitter.set_params(variant="free-form").fit_scan(points)
         else:
             fitter.fit_scan(points, labels=labels)
-    np.testing.assert_array_equal(told.value.args[0], side)
+    np.testing.assert_array_equal(told.value.args[0], sides)

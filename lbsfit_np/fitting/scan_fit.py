@@ -127,7 +127,7 @@ class ScanFit:
     def taking_part(self, points, point_weights=None, random_state=None):
         """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
         settings, rng = self.settings, generator(random_state, "thin")
-        limits = {"most": settings.max_points, "scale": settings.scale, "up": self.facing.up}
+        limits = {"most": settings.max_points, "scale": settings.scale, "ups": self.facing.floors}
         return taking_part(points, self.model.source, rng=rng, point_weights=point_weights, **limits)
 
     def _fit(self, points, theta0, labels, point_weights, random_state, started, found):

@@ -265,7 +265,7 @@ def as_scans(scans):
     return scans
 
 
-def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state, up=None):
+def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state, ups=None):
     """Read and check the scans of a collection.
 
     Parameters
@@ -278,7 +278,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     held_out : float
         Share of the scans to hold out, at least one where positive.
     scale : {"estimate", "fixed"}
-    up : (3,) array, optional
+    ups : sequence of (3,) arrays, optional
         As for ``starts.clean.taking_part``.
     random_state : int
 
@@ -303,7 +303,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             scan = source() if callable(source) else source
             points = check_points(scan, minimum=len(rig.parts))
             rng = generator(random_state, "thin", i)
-            rows, left_out, unit = taking_part(points, rig, most=max_points, rng=rng, scale=scale, up=up)
+            rows, left_out, unit = taking_part(points, rig, most=max_points, rng=rng, scale=scale, ups=ups)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             collection.failures[i] = in_words(error)
             continue

@@ -211,7 +211,7 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
 def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     started, seed = time.perf_counter(), fitter._seed()
     rig, settings, half = fitter.rig, fitter._fit_settings(), fitter.rig.size / 2
-    limits = {"most": settings.max_points, "scale": settings.scale, "up": _facing(fitter).up}
+    limits = {"most": settings.max_points, "scale": settings.scale, "ups": _facing(fitter).floors}
     rows, left_out, guess = taking_part(points, rig, rng=generator(seed, "thin"), point_weights=point_weights, **limits)
     x = points[rows]
     a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()

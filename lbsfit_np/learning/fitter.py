@@ -214,7 +214,7 @@ class LBSFitter(BaseEstimator):
             max_points=self.max_points,
             held_out=self.held_out if variant.skinning else 0.0,
             scale=self.scale,
-            up=facing.up,
+            ups=facing.floors,
             random_state=seed,
         )
         collection.warn(stacklevel=2)

@@ -9,7 +9,7 @@ from .scale import checked_extent, near_rows, reference_scale
 __all__ = ["clean_rows", "taking_part"]
 
 
-def taking_part(points, rig, *, most, rng, scale, up=None, point_weights=None):
+def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None):
     """What of a scan its fit looks at.
 
     Parameters
@@ -21,7 +21,7 @@ def taking_part(points, rig, *, most, rng, scale, up=None, point_weights=None):
     rng : numpy.random.Generator
     scale : {"estimate", "fixed"}
         As for :func:`~lbsfit_np.starts.scale.reference_scale`.
-    up : (3,) array, optional
+    ups : sequence of (3,) arrays, optional
         As for :func:`clean_rows`.
     point_weights : (n,) array, optional
         Points of weight 0 never take part.
@@ -46,18 +46,18 @@ def taking_part(points, rig, *, most, rng, scale, up=None, point_weights=None):
         raise InputError("point_weights", "all zeros", "at least one positive weight")
     if len(rows) > most:
         rows = np.sort(rng.choice(rows, most, replace=False))
-    rows, left_out = clean_rows(points, rows, up=up)
+    rows, left_out = clean_rows(points, rows, ups=ups)
     return rows, left_out, reference_scale(points[rows], rig, scale).scale
 
 
-def clean_rows(points, rows, *, up=None):
+def clean_rows(points, rows, *, ups=None):
     """Rows of a scan that take part in a fit.
 
     Parameters
     ----------
     points : (n, 3) array
     rows : (k,) int array
-    up : (3,) array, optional
+    ups : sequence of (3,) arrays, optional
         As for :func:`~lbsfit_np.starts.floor.off_floor`.
 
     Returns
@@ -74,7 +74,7 @@ def clean_rows(points, rows, *, up=None):
     checked_extent(points[rows])
     looked_at = f" (of {len(rows)} that were looked at)" if len(rows) < len(points) else ""
     rows, wild = near_rows(points, rows)
-    rows, floor = off_floor(points, rows, up=up)
+    rows, floor = off_floor(points, rows, ups=ups)
     told = (wild, "far from all others"), (floor, "of a floor")
     notes = [f"{n} point{'' if n == 1 else 's'} {where} left out" for n, where in told if n]
     return rows, "; ".join(notes) + (looked_at if notes else "")

@@ -19,16 +19,16 @@ _LEAST, _BEYOND = 0.08, 0.4
 _SQUARE = 0.04
 
 
-def off_floor(points, rows, *, up=None):
+def off_floor(points, rows, *, ups=None):
     """Rows of a scan without those of a floor.
 
     Parameters
     ----------
     points : (n, 3) array
     rows : (k,) int array
-    up : (3,) array, optional
-        A unit vector: only planes below all else and within 20 degrees of the horizontal are looked for; by default planes on
-        any side.
+    ups : sequence of (3,) arrays, optional
+        Unit vectors that may be up: only planes below all else and within 20 degrees of the horizontal are looked for, by the
+        first one, then by the others, of whose planes the largest is taken. By default planes on any side.
 
     Returns
     -------
@@ -41,6 +41,15 @@ def off_floor(points, rows, *, up=None):
     if len(x) < 50 or not size > 0:
         return rows, 0
     x = (x - np.median(x, axis=0)) / size
+    on = _floor(x, None if ups is None else ups[0])
+    if ups is not None and not on.any():
+        on = max((_floor(x, up) for up in ups[1:]), key=np.count_nonzero, default=on)
+    return rows[~on], int(on.sum())
+
+
+def _floor(x, up):
+    """(k,) bool: which points of a scan, of extent 1 about the origin, are of a floor below ``up``, or on any side."""
+    none = np.zeros(len(x), dtype=bool)
     rng = np.random.default_rng(0)  # the same planes for the same points
     some = x if up is None else x[x @ up <= np.quantile(x @ up, 0.5)]
     a, b, c = (some[rng.integers(len(some), size=_TRIES)] for _ in range(3))
@@ -57,7 +66,7 @@ def off_floor(points, rows, *, up=None):
         fits &= normal @ up > _UPRIGHT
     support = np.where(fits, (np.abs(height) < _THICK).mean(axis=0), 0.0)
     if not len(support) or support.max() < _LEAST:
-        return rows, 0
+        return none
     best = int(support.argmax())
     n, origin = normal[best], a[best]
     for _ in range(3):  # the plane of all its points
@@ -66,11 +75,11 @@ def off_floor(points, rows, *, up=None):
         n = np.linalg.svd(x[on] - origin, full_matrices=False)[2][2]
         n = n if ((x - origin) @ n).mean() > 0 else -n
     if up is not None and n @ up <= _UPRIGHT:
-        return rows, 0
+        return none
     on = (x - origin) @ n < 1.5 * _THICK
     if on.mean() < _LEAST or on.mean() > 0.9 or _share_beyond(x, on, n) < _BEYOND:
-        return rows, 0
-    return rows[~on], int(on.sum())
+        return none
+    return on
 
 
 def _share_beyond(x, on, n):

@@ -38,6 +38,13 @@ class Facing:
     open_up: bool = False
     told: bool = False
 
+    @property
+    def floors(self):
+        """Directions that may be up where there is a floor, the likeliest first; None where any may."""
+        if self.up is None:
+            return None
+        return _sides(self.up) if self.open_up else self.up[None]
+
 
 def facing_of(rig, orientation, up=None):
     """The turns that a fitter's parameters leave open.
@@ -70,8 +77,12 @@ def facing_of(rig, orientation, up=None):
 
 def any_side_up(turns, up):
     """(6 R, 3, 3) the turns as they are, then with each other coordinate axis of the scan, either way, for the up axis."""
-    sides = np.concatenate([up[None], -up[None], *(np.stack([e, -e]) for e in np.eye(3)[up == 0])])
-    return np.concatenate([_turn_from(up, side) @ turns for side in sides])
+    return np.concatenate([_turn_from(up, side) @ turns for side in _sides(up)])
+
+
+def _sides(up):
+    """(6, 3) the coordinate axes, either way, one of which comes first."""
+    return np.concatenate([up[None], -up[None], *(np.stack([e, -e]) for e in np.eye(3)[up == 0])])
 
 
 def stands_note(turn, up):
