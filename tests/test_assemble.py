@@ -11,7 +11,8 @@ import lbsfit_np as lbs
 from lbsfit_np.fitting.assemble import assemble
 from lbsfit_np.fitting.confidence import evidence_of
 from lbsfit_np.fitting.labels import labels_from_mesh
-from lbsfit_np.losses.objective import PRESETS
+from lbsfit_np.losses.chamfer import chamfer
+from lbsfit_np.losses.objective import PRESETS, objective
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.lbfgs import Outcome
 from lbsfit_np.optimize.model import Model
@@ -62,11 +63,10 @@ def _assembled(rig, model, turn, *, changed, seed=0, sigma=0.025, **options):
         rows=np.arange(len(X)),
         frame=frame,
         sigma=sigma,
-        evaluation=problem.evaluate(model, state, PRESETS["default"]),
         evaluations=1,
         notes=["a note", ""],
         started=time.perf_counter(),
-        **options,
+        **({"weights": PRESETS["default"]} | options),
     )
     return result, state, frame
 
@@ -153,9 +153,8 @@ def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
     X = V[V[:, 2] > np.median(V[:, 2])] + [0.0, 0.15, 0.0]
     problem, frame = Problem(X), Frame(np.zeros(3), 1.0, np.eye(3))
     more = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "rows": np.arange(len(X)), "points": X}
-    evaluation = problem.evaluate(model, state, PRESETS["default"])
-    outcome = Outcome(state, 0.0, True, "", 1)
-    r = assemble(rig, model, problem, outcome, frame=frame, evaluation=evaluation, partial=partial, **more)
+    weights, outcome = PRESETS["default"], Outcome(state, 0.0, True, "", 1)
+    r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, partial=partial, **more)
     assert r.status != "ok" and ("one side only" in r.message) != partial
 
 
@@ -163,7 +162,7 @@ def _at_rest(model, X, *, state=None, x_weights=None, proba=None, **options):
     """The result of points in the normalised frame, which is the scan's."""
     state, problem = state or model.rest(), Problem(X, x_weights)
     given = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "rows": np.arange(len(X)), "points": X}
-    given |= {"frame": Frame(np.zeros(3), 1.0), "evaluation": problem.evaluate(model, state, PRESETS["default"])}
+    given |= {"frame": Frame(np.zeros(3), 1.0), "weights": PRESETS["default"]}
     return assemble(model.source, model, problem, Outcome(state, 0.0, True, "", 1), proba=proba, **(given | options))
 
 
@@ -234,14 +233,33 @@ def test_what_a_failed_fit_found_is_said_with_reserve_and_what_would_look_furthe
     assert "if it were right" not in r.message
 
 
-@pytest.mark.parametrize("judged", [True, False])
-def test_a_fit_that_is_not_finite_has_failed_and_found_nothing(rigs, judged):
+@pytest.mark.parametrize("weights", ["paper", "default"])
+@pytest.mark.parametrize("name", ["tube", "tube with seams", "hand"])
+def test_terms_are_those_of_what_comes_out(name, weights, rigs):
+    """Whoever has the points and the result finds them again, in half sizes of the posed rig, whatever the frame was."""
+    rig, weights = rigs[name], PRESETS[weights]
+    model = Model(rig)
+    x_labels = np.arange(len(model.labels)) % len(rig.parts)
+    r, _, _ = _assembled(rig, model, TURNS["any"], changed=True, seed=3, weights=weights, x_labels=x_labels)
+    unit, first = r.scale * rig.size / 2, np.unique(rig.weld, return_index=True)[1]
+    points = r.vertices[first] / unit  # those of the scan lie on the mesh
+    V = rig.pose(r.pose, r.translation, r.scale)[first] / unit
+    U_d, K = (rig.vertices + r.offsets)[first] / (rig.size / 2), model.K
+    offsets = U_d - model.rig.vertices
+    own = objective(points, points, V, weights=weights, x_labels=x_labels, v_labels=model.labels, offsets=offsets, K=K)
+    assert r.terms == pytest.approx(own.terms | {"total": own.value, "recon": np.sqrt(chamfer(points, points)[0])}, rel=1e-9)
+    assert own.terms["chamfer"] > 1e-4 and own.terms["structured"] > 1e-4
+
+
+@pytest.mark.parametrize("judged, wild", [(True, np.nan), (False, np.nan), (True, 1e200)])
+def test_a_fit_that_is_not_finite_has_failed_and_found_nothing(rigs, judged, wild):
     model, further = Model(rigs["tube"]), ("effort looks further",)
     X = model.pose(model.rest())[0].vertices
-    wild = replace(Problem(X).evaluate(model, model.rest(), PRESETS["default"]), value=np.nan)
-    r = _at_rest(model, X, evaluation=wild, notes=["a note", ""], found=("in inches", ""), further=further, judged=judged)
+    wild = model.rest().replace(translation=np.array([0.0, wild, 0.0]))
+    r = _at_rest(model, X, state=wild, notes=["a note", ""], found=("in inches", ""), further=further, judged=judged)
     assert (r.status, r.probability, r.evidence) == ("failed", 0.0, {})
     assert r.message == "it is not finite; check the scan for wild points; a note"
+    assert not np.isfinite(r.vertices).any() and not np.isfinite(r.terms["total"]) and not r.confidence.any()
 
 
 def test_a_turn_that_was_found_is_in_the_root_alone(rigs):
@@ -252,8 +270,8 @@ def test_a_turn_that_was_found_is_in_the_root_alone(rigs):
     X = model.pose(state)[0].vertices
     problem, frame = Problem(X), Frame(np.zeros(3), 1.0, turn)
     more = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "rows": np.arange(len(X)), "points": frame.outside(X)}
-    evaluation = problem.evaluate(model, state, PRESETS["default"])
-    r = assemble(rig, model, problem, Outcome(state, 0.0, True, "", 1), frame=frame, evaluation=evaluation, **more)
+    weights = PRESETS["default"]
+    r = assemble(rig, model, problem, Outcome(state, 0.0, True, "", 1), frame=frame, weights=weights, **more)
     F = rig.frames[rig.root]
     np.testing.assert_allclose(r.pose[rig.root], rotvec_from_matrix(F.T @ turn @ F), atol=1e-12)
     np.testing.assert_array_equal(np.delete(r.pose, rig.root, axis=0), np.delete(state.theta, rig.root, axis=0))

@@ -1,5 +1,6 @@
 """Learning from a collection: fits of many scans together beat fits of each by itself."""
 
+import pickle
 import re
 from dataclasses import replace
 from types import SimpleNamespace
@@ -230,3 +231,14 @@ def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, f
     assert all(np.array_equal(m.state.theta, theta) for m, theta in zip(loop.collection.members, best, strict=True))
     assert not all(map(np.array_equal, best, last))
     np.testing.assert_array_equal(fitter.template_[0].vertices, templates[0][0][0])
+
+
+def test_what_is_kept_of_a_scan_grows_by_little_more_than_its_points(tube_rig, unlearned, few_scans):
+    """Thousands of bodies fit into memory: probabilities are of half precision, search structures are made when needed."""
+    collection = collected(tube_rig, [s.points for s in few_scans])
+    loop_over(tube_rig, collection, "joint", unlearned.segmenter_, unlearned.regressor_).run()
+    for m in collection.members:
+        n = len(m.rows)
+        points, rows, proba = 2 * 3 * 8 * n, 8 * n, 2 * len(tube_rig.parts) * n
+        assert len(pickle.dumps(m)) < points + rows + proba + 8000
+        assert m.proba.dtype == np.float16 and m.problem is not m.problem

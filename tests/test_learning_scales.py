@@ -190,7 +190,7 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, un
     m, half = _in_doubt(tube_rig, few_scans[0], unit), tube_rig.size / 2
     _, theta, proba = m.own
     anew, as_is = SimpleNamespace(name="anew", scale=1.1), SimpleNamespace(name="gone on", scale=1.0)
-    as_it_is, asked = m.problem, []
+    as_it_is, asked = m.X, []
 
     class Fake:
         def __init__(self, free, *answer):
@@ -204,22 +204,22 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, un
             return Fake(free, anew, value)
 
         def polish(self, problem, state):
-            assert problem is as_it_is and state is as_is and "scale" in self.free
+            assert problem.X is as_it_is and state is as_is and "scale" in self.free
             return SimpleNamespace(scale=1.3)
 
     fit = SimpleNamespace(model=SimpleNamespace(half=half), refit=Fake("own", as_is, 0.02))
     size = finish._size(m, fit)
     (free, problem, states, poses, given), (freed, own, no_states, angles, parts) = asked
-    assert (free, states, poses) == ("own", ["as it is"], []) and problem is as_it_is and given is m.proba
+    assert (free, states, poses) == ("own", ["as it is"], []) and problem.X is as_it_is and given is m.proba
     assert set(freed) == {"pose", "translation", "scale"} and no_states == [] and angles[0] is theta and parts is proba
-    np.testing.assert_allclose(own.X, as_it_is.X / 2.54)
+    np.testing.assert_allclose(own.X, as_it_is / 2.54)
     # 0.01 squared half sizes of its own unit are 0.0645 of the subject's.
     assert (size.state, size.own) == (as_is, anew if wins else None)
     assert size.scale == pytest.approx((1.1 * 2.54 if wins else 1.3) * unit)
     best = finish._in_its_unit(m, fit, size, 0.9 * unit)
     expected = 2.54 * unit if wins else unit
     assert (best.state, best.unit, best.frame.unit) == (anew if wins else as_is, expected, expected * half)
-    np.testing.assert_array_equal(best.problem.X, own.X if wins else as_it_is.X)
+    np.testing.assert_array_equal(best.X, own.X if wins else as_it_is)
     assert best.proba is (proba if wins else m.proba)
     assert m.state == "as it is" and m.unit == unit
     doubt = "it has 3.1 times the scale of its subject's others: in another unit, or somebody else's?"

@@ -8,6 +8,7 @@ import lbsfit_np as lbs
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.optimize.frame import nearest_root
+from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
@@ -119,7 +120,7 @@ def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch
 
     monkeypatch.setattr("lbsfit_np.learning.loop.each", each)
     loop._smooth({0: (tube_rig.vertices, tube_rig.joints)})
-    model, problem, state, prior, found = done[0]
-    one_side, whole = (Refit(model, partial=p).polish(problem, state, prior=prior).theta for p in (True, False))
+    model, X, state, prior, found = done[0]
+    one_side, whole = (Refit(model, partial=p).polish(Problem(X), state, prior=prior).theta for p in (True, False))
     np.testing.assert_array_equal(found.theta, one_side)
     assert np.abs(one_side - whole).max() > 1e-3

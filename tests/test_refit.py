@@ -99,7 +99,7 @@ def test_limbs_in_other_poses_bring_two_exchanged_fingers_home(model, refit, cas
 def test_poses_of_a_round_have_other_limbs_where_variants_have_a_library(library, home, model, case, poses):
     known = SimpleNamespace(poses=poses, regress=lambda X: case.bad[0])
     work = Pose({"ann": model}, FitSettings(), known, 0, library)
-    state, _, _ = work(("ann", case.problem, case.swap, [], None))
+    state, _, _ = work(("ann", case.problem.X, case.swap, [], None))
     assert (case.error(model, state) < 0.008) == home
 
 
@@ -112,7 +112,7 @@ def test_poses_of_a_round_are_looked_for_as_settings_say(effort, partial, rig, m
     monkeypatch.setattr(Refit, "__call__", lambda self, *scan, limbs, **more: asked.append((self, limbs)) or (state, 0.1, 0))
     work = Pose(models, FitSettings(effort=effort, partial=partial), known, 0, True)
     for subject in ("bob", "ann", "bob"):
-        work((subject, Problem(rig.vertices), state, [], None))
+        work((subject, rig.vertices, state, [], None))
         refit, limbs = asked[-1]
         assert refit.model is limbs.poses.model is models[subject]
         assert refit._last.partial == partial and limbs.effort is EFFORTS[effort]

@@ -109,7 +109,7 @@ def test_fits_and_rounds_take_one_view(tube_fitter, tube_rig, tube_scan, monkeyp
     for options in ({}, {"theta0": np.zeros((len(tube_rig.parents), 3))}):
         tube_fitter.fit_scan(tube_scan.points, **options)
     at_once = len(asked)
-    Labels(tube_fitter.segmenter_)(tube_scan.points)
+    Labels(tube_fitter.segmenter_)(tube_scan.points / tube_fitter.segmenter_.half)
     assert at_once >= 2 and set(asked) == {1} and len(asked) == at_once + 1
 
 

@@ -114,15 +114,17 @@ def test_the_poses_truth_has_the_regressors_joints(tube_rig):
 def test_points_and_pairs_are_drawn_anew_for_each_seed(tube_rig):
     scans = synthesize(tube_rig, 5, random_state=2, n_points=POINTS + 200, holes=0)
     one, again, other = (Truth(tube_rig, scans, 7, seed) for seed in (1, 1, 2))
-    assert all(np.array_equal(a, b) for a, b in zip(one.points, again.points)) and np.array_equal(one.pairs, again.pairs)
+    assert all(np.array_equal(one.points[i], again.points[i]) for i in one.points) and np.array_equal(one.pairs, again.pairs)
     assert not np.array_equal(one.pairs, other.pairs)
     every = np.array([(a, b) for a in range(5) for b in range(5) if a != b])
     for truth in (one, other):
         assert len(set(map(tuple, truth.pairs))) == 7 and set(map(tuple, truth.pairs)) < set(map(tuple, every))
         assert not np.array_equal(truth.pairs, every[:7])
-        for points, scan in zip(truth.points, scans):
-            assert points.shape == (POINTS, 3) and not np.array_equal(points, scan.points[:POINTS])
-    assert not any(np.array_equal(np.sort(a, axis=0), np.sort(b, axis=0)) for a, b in zip(one.points, other.points))
+        assert set(truth.points) == set(truth.places) == set(truth.pairs.ravel().tolist())  # of others nothing is kept
+        for i, points in truth.points.items():
+            assert points.shape == (POINTS, 3) and not np.array_equal(points, scans[i].points[:POINTS])
+    both = one.points.keys() & other.points.keys()
+    assert both and not any(np.array_equal(np.sort(one.points[i], axis=0), np.sort(other.points[i], axis=0)) for i in both)
 
 
 def test_the_truth_has_no_errors(coarse_hand, tiny_study):

@@ -82,7 +82,7 @@ class PlainChamfer:
             rows=rows,
             frame=frame,
             sigma=_SIGMA,
-            evaluation=problem.evaluate(model, last.state, weights, ridge=settings.ridge),
+            weights=weights,
             evaluations=first.evaluations + last.evaluations,
             notes=[reference.note],
             started=started,

@@ -5,6 +5,7 @@ import time
 import numpy as np
 
 from ..losses.chamfer import chamfer
+from ..losses.objective import objective
 from ..optimize.frame import turned_root
 from .confidence import evidence_of, probability_of, verdict_of
 from .labels import labels_from_mesh
@@ -26,10 +27,11 @@ def assemble(
     rows,
     frame,
     sigma,
-    evaluation,
+    weights,
     evaluations,
     notes,
     started,
+    x_labels=None,
     proba=None,
     labels=None,
     value=None,
@@ -60,13 +62,15 @@ def assemble(
         Of the problem.
     sigma : float
         Of the vertices' votes for labels, in the normalised frame.
-    evaluation : Evaluation
-        The full objective at the end.
+    weights : LossWeights
+        Of the full objective, for its terms.
     evaluations : int
     notes : sequence of str
         Added to the message; an empty one is none.
     started : float
         ``time.perf_counter()`` at the start.
+    x_labels : (k,) int array, optional
+        Parts of the problem's points that the structured term goes by; without them it is left out.
     proba : (k, n_parts) array, optional
         The segmenter's probabilities, which count for the labels.
     labels : (n,) int array, optional
@@ -103,16 +107,20 @@ def assemble(
     scale = float(state.scale * frame.unit / model.half)
     pose = turned_root(rig, state.theta, frame.turn)
     place = pose, translation, scale, offsets
-    V = model.deformed(state).vertices
-    if labels is None:
+    V, nothing = model.deformed(state).vertices, np.full(rig.vertices.shape, np.nan)
+    with np.errstate(over="ignore"):
+        finite = bool(np.isfinite(np.square(V).sum()))  # distances to it, too
+    terms = _terms(model, problem, state, weights, x_labels, pivot, frame.turn) if finite else {"total": np.nan, "recon": np.nan}
+    finite = bool(np.isfinite(terms["total"]))
+    if not finite and labels is None:
+        labels, confidence = np.zeros(len(points), dtype=int), np.zeros(len(points))
+    elif labels is None:
         known = {} if proba is None else {"proba": proba, "proba_points": points[rows]}
         labels, confidence = labels_from_mesh(
             points, frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit, **known
         )
     else:
         labels, confidence = labels.copy(), np.ones(len(points))
-    recon = float(np.sqrt(chamfer(problem.X, V, x_weights=problem.x_weights, x_index=problem.x_index)[0]))
-    finite = bool(np.isfinite(evaluation.value)) and bool(np.isfinite(V).all())
     evidence, probability, status, reason = {}, 0.0, "failed", "it is not finite; check the scan for wild points"
     if finite and not judged:
         status, reason = "ok", ""
@@ -149,11 +157,11 @@ def assemble(
         scale=scale,
         offsets=offsets,
         rest_joints=np.array(rest_joints),
-        vertices=rig.pose(*place, joints=rest_joints),
-        joints=rig.pose_joints(*place, joints=rest_joints),
+        vertices=rig.pose(*place, joints=rest_joints) if finite else nothing,
+        joints=rig.pose_joints(*place, joints=rest_joints) if finite else np.full(rig.joints.shape, np.nan),
         labels=labels,
         confidence=confidence,
-        terms=dict(evaluation.terms, total=evaluation.value, recon=recon),
+        terms=terms,
         converged=last.converged,
         status=status,
         message="; ".join(filter(None, [reason, *notes, *found])),
@@ -164,6 +172,20 @@ def assemble(
         parts=rig.parts,
         rig_digest=rig.digest,
     )
+
+
+def _terms(model, problem, state, weights, x_labels, pivot, turn):
+    """The terms of what comes out, in half sizes of the posed rig: who has the result alone finds the same."""
+    Vd, V = (posed.vertices for posed in model.pose(state))
+    # The result has one translation, that of U^d, and the frame turns about the root joint, which U has elsewhere.
+    away = pivot - model.rig.joints[model.rig.root]
+    V = V + state.scale * (away - turn.T @ away)
+    X, Vd, V = problem.X / state.scale, Vd / state.scale, V / state.scale
+    sides = {"x_weights": problem.x_weights, "v_weights": problem.v_weights}
+    own, K = model.offsets(state), model.K if weights.lam_lap else None
+    offsets = np.zeros_like(Vd) if own is None else own
+    L = objective(X, Vd, V, weights=weights, x_labels=x_labels, v_labels=model.labels, offsets=offsets, K=K, **sides)
+    return L.terms | {"total": L.value, "recon": float(np.sqrt(chamfer(X, Vd, x_weights=problem.x_weights)[0]))}
 
 
 def _asked(given):

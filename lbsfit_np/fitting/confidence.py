@@ -10,7 +10,7 @@ import numpy as np
 from ..neighbors import PointIndex
 from ..optimize.gauss_newton import shown
 from ..optimize.problem import Problem
-from ..optimize.surface import closest_on_mesh, faces_around, vertex_normals
+from ..optimize.surface import Surface, vertex_normals
 
 __all__ = ["EVIDENCE", "REGRESSED", "SOMEBODY_ELSE", "evidence_of", "logarithms", "probability_of", "shown_problem", "verdict_of"]
 
@@ -105,9 +105,9 @@ def evidence_of(
     w = np.full(len(X), 1.0 / len(X)) if x_weights is None else x_weights / x_weights.sum()
     on = PointIndex(vertices).nearest(X)
     away = ((X - vertices[on]) ** 2).sum(axis=1)
-    around = faces_around(rig.faces, len(vertices))
-    with_face = np.flatnonzero(around[on, 0] >= 0)
-    there = closest_on_mesh(X[with_face], on[with_face], vertices, rig.faces, around)
+    surface = Surface(rig.vertices, rig.faces)
+    with_face = np.flatnonzero(np.isin(on, surface.rows))
+    there = surface.closest(X[with_face], on[with_face], vertices)
     away[with_face] = np.minimum(away[with_face], ((X[with_face] - there.points) ** 2).sum(axis=1))
     index = PointIndex(X)
     to_X = index.nearest(vertices)

@@ -202,6 +202,15 @@ class Refit:
         """The State of a pose Θ of some scale put where the scan is."""
         return placed(self.model, problem, theta, scale, partial=self.partial)
 
+    def in_place(self, problem, theta):
+        """The State of a pose Θ that is known, put where the scan is and then moved there as it is.
+
+        Holes and uneven density shift a scan's centroid by a tenth of its size and more: from there steps that also bend joints
+        may lead away from a pose that is right.
+        """
+        place = tuple(block for block in self.free if block != "pose")
+        return self._far.pose(problem, self.placed(problem, theta), free=place, iterations=_FAR_STEPS)[0]
+
     def from_parts(self, problem, proba, labels_known=False):
         """The State from inverse kinematics on the parts' centroids, then by the labels, ever closer."""
         model, X = self.model.coarse, problem.X

@@ -43,7 +43,7 @@ class FitResult:
     confidence : (n,) array
         Of each label, in [0, 1].
     terms : dict of str to float
-        Loss terms at the end, in units where the template's longest half-extent is 1: "chamfer" L_{c²,λ}, "structured"
+        Loss terms of this result, in units of ``scale`` · half, half being half the rig's size: "chamfer" L_{c²,λ}, "structured"
         L_{s²,λ}, "laplacian" L_lap (each before its weight), "total" the weighted sum, "recon" √L_c(X, V^d).
     converged : bool
         Whether the last stage ended by its tolerance rather than by its iteration limit.

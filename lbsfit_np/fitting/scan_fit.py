@@ -160,7 +160,8 @@ class ScanFit:
             rows=rows,
             frame=frame,
             sigma=settings.refinements[-1],
-            evaluation=problem.evaluate(model, last.state, settings.weights, search.labels),
+            weights=settings.weights,
+            x_labels=search.labels,
             proba=proba,
             labels=labels,
             evaluations=before + search.evaluations,
@@ -193,8 +194,8 @@ class ScanFit:
         frame, problem, proba, theta, search = best
         others = []
         if theta0 is not None and labels is None:  # what the segmenter says may lead away from a start that is right
-            placed = Runner(problem, self._refit.placed(problem, theta))
-            others = [end.state for end in self._refit.race([placed])]
+            known = Runner(problem, self._refit.in_place(problem, theta))
+            others = [end.state for end in [known, *self._refit.race([known])]]
         return frame, problem, proba, search.pose(others), search.evaluations
 
 

@@ -17,7 +17,7 @@ from scipy import sparse
 
 from ..losses.laplacian import cotangent_matrix
 from ..optimize.gauss_newton import GaussNewton
-from ..optimize.surface import closest_on_mesh, faces_around, vertex_normals
+from ..optimize.surface import Surface, vertex_normals
 from .labels import refined_labels
 
 __all__ = ["TemplateSettings", "shared_template"]
@@ -110,8 +110,7 @@ def _heights(model, U, J, problems, states, settings):
     """(m, 3): how the skin moves along its normals, the joints where they are."""
     rig = model.rig
     m = len(U)
-    around = faces_around(rig.faces, m)
-    surface = np.flatnonzero(around[:, 0] >= 0)
+    surface = Surface(rig.vertices, rig.faces)
     normals = vertex_normals(U, rig.faces)
     K = cotangent_matrix(U, rig.faces)
     prior = sparse.csc_array(settings.smooth * (K.T @ K) + settings.small * sparse.diags_array(model.areas))
@@ -119,7 +118,7 @@ def _heights(model, U, J, problems, states, settings):
     for _ in range(settings.rounds):
         H, g = sparse.csr_array((m, m)), np.zeros(m)
         for problem, state in zip(problems, states):
-            A, r, w = _rows(model, U, J, h, normals, problem, state, surface, around, settings.reach)
+            A, r, w = _rows(model, U, J, h, normals, problem, state, surface, settings.reach)
             H = H + A.T @ (A * w[:, None])
             g += A.T @ (w * r)
         n = len(problems)
@@ -127,7 +126,7 @@ def _heights(model, U, J, problems, states, settings):
     return h[:, None] * normals
 
 
-def _rows(model, U, J, h, normals, problem, state, surface, around, reach):
+def _rows(model, U, J, h, normals, problem, state, surface, reach):
     """One scan's equations for the heights: rows (n, m), residuals and weights."""
     from scipy.spatial import cKDTree
 
@@ -143,7 +142,7 @@ def _rows(model, U, J, h, normals, problem, state, surface, around, reach):
         joint_offsets=J - rig.joints,
     )
     V, X = posed.vertices, problem.X
-    on = closest_on_mesh(X, surface[cKDTree(V[surface]).query(X)[1]], V, rig.faces, around)
+    on = surface.closest(X, surface.rows[cKDTree(V[surface.rows]).query(X)[1]], V)
     r = np.einsum("na,na->n", X - on.points, on.normals)
     e2 = np.einsum("na,na->n", X - on.points, X - on.points)
     a = np.full(len(X), 1.0 / len(X)) if problem.x_weights is None else problem.x_weights

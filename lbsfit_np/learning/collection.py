@@ -67,10 +67,10 @@ class Member:
         What errors call it: the file where it came from one, else the index.
     held_out : bool
         Held out of learning, to tell when to stop.
-    problem : Problem or None
-        Its points in the frame.
+    X : (k, 3) array or None
+        The points that take part, in the frame.
     proba : (k, n_parts) array or None
-        What s says of them.
+        What s says of them, in half precision.
     state : State or None
         Where its last fit has put it.
     loss : float
@@ -96,7 +96,7 @@ class Member:
     left_out: str = ""
     name: str = ""
     held_out: bool = False
-    problem: Problem = None
+    X: np.ndarray = None
     proba: np.ndarray = None
     state: object = None
     loss: float = np.inf
@@ -105,6 +105,11 @@ class Member:
     apart: bool = False
     ratio: float = 1.0
     own: tuple = None
+
+    @property
+    def problem(self):
+        """The points in the frame, made ready anew: kept for thousands of scans, what is ready would fill memory."""
+        return Problem(self.X)
 
     @property
     def role(self):
@@ -125,7 +130,7 @@ class Member:
         """
         self.unit = unit
         self.frame = Frame(self.frame.centre, unit * half, self.frame.turn if turn is None else turn)
-        self.problem = Problem(self.frame.inside(self.points[self.rows]))
+        self.X = self.frame.inside(self.points[self.rows])
 
 
 @dataclass

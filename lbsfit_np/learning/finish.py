@@ -23,6 +23,7 @@ from ..starts.scale import extent_doubt, reference_scale, same_size, unit_note
 from ..starts.turns import facing_of
 from ..threads import one_thread
 from .checkpoint import NO_CHECKPOINT
+from .tasks import in_full
 from .variants import as_variant
 
 __all__ = ["LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
@@ -57,15 +58,10 @@ def results_of(rig, templates, joints, collection, settings, facing, *, jobs, pr
     kept = []
     for m, size, others in tasks:
         on = templates[m.subject]
-        kept.append(checkpoint.slot("result", (_as_it_is(m), size, others, on.vertices, on.joints, further)))
+        kept.append(checkpoint.slot("result", (m, size, others, on.vertices, on.joints, further)))
     work = _Finish(rig, models, settings, further)
     done = {"jobs": jobs, "done": lambda p: progress("results", share + (1 - share) * p)}
     return collection.in_order(collection.work(work, tasks, **done, kept=kept, taught=True))
-
-
-def _as_it_is(member):
-    """All of a member that its result depends on: the problem is but points and frame made ready."""
-    return replace(member, problem=None)
 
 
 def _others(members, sizes):
@@ -133,9 +129,10 @@ class _Finish(_OnTemplates):
             m = _in_its_unit(m, fit, size, others)
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
         place = {"points": m.points, "rows": m.rows, "frame": m.frame}
-        place |= {"proportions": fit.proportions(m.problem, m.state), "further": self.further}
+        problem = m.problem
+        place |= {"proportions": fit.proportions(problem, m.state), "further": self.further}
         place |= {"notes": [m.role, m.left_out], "found": (unit,)}
-        result = fit.finish(m.problem, m.state, proba=m.proba, prior=m.prior, **place)
+        result = fit.finish(problem, m.state, proba=in_full(m.proba), prior=m.prior, **place)
         if m.own is None and result.status == "ok":  # then only first fits were wrong
             m = replace(m, doubt="")
         return _with_doubt(m, replace(result, subject=str(m.subject)))
@@ -147,14 +144,14 @@ def _with_doubt(m, result):
 
 def _size(m, fit):
     """The _Size of a scan: from its first fit, too, where that had another."""
-    anew, state = fit.refit.freeing(("pose", "translation", "scale")), m.state
+    anew, problem, state = fit.refit.freeing(("pose", "translation", "scale")), m.problem, m.state
     if m.own is not None:
         own = _as_first_fitted(m, fit)
-        state, value, _ = fit.refit(m.problem, [m.state], proba=m.proba)
-        free, free_value, _ = anew(own.problem, poses=[m.own[1]], proba=own.proba)
+        state, value, _ = fit.refit(problem, [m.state], proba=in_full(m.proba))
+        free, free_value, _ = anew(own.problem, poses=[m.own[1]], proba=in_full(own.proba))
         if free_value * own.frame.unit**2 < value * m.frame.unit**2:  # values go by the square of the frame's unit
             return _Size(free.scale * own.unit, state, free)
-    return _Size(anew.polish(m.problem, state).scale * m.unit, state)
+    return _Size(anew.polish(problem, state).scale * m.unit, state)
 
 
 def _as_first_fitted(m, fit):
@@ -282,7 +279,7 @@ def _on_template(fitter, subject, seen, settings):
     refit = _template_fit(fitter, subject, settings).refit
     if learned is None:
         refit = refit.freeing(("pose", "translation", "scale"))
-    state, value, _ = refit(problem, poses=[seen.state.theta], proba=seen.proba)
+    state, value, _ = refit(problem, [refit.in_place(problem, seen.state.theta)], proba=seen.proba)
     # What the others would leave unexplained if this template helped them as much.
     rivals = tuple(value * r / max(seen.value, np.finfo(float).tiny) for r in seen.rivals)
     return Found(replace(seen.frame, unit=seen.frame.unit * ratio), problem, state, seen.proba, value, rivals)
@@ -296,8 +293,9 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
         refit = refit.freeing(("pose", "translation", "scale"))
     best, place = None, (fitter.rig, _facing(fitter), x, a, unit or guess)
     for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, labels):
-        poses = [] if theta is None else [theta]
-        state, value, _ = refit(problem, poses=poses, proba=None if labels is None else proba, labels_known=labels is not None)
+        # Steps from the start itself compete with those that look far, which may lead away from one that is right.
+        states = [] if theta is None else [refit.in_place(problem, theta)]
+        state, value, _ = refit(problem, states, proba=None if labels is None else proba, labels_known=labels is not None)
         if best is None or value < best.value:
             best = Found(frame, problem, state, proba, value, ())
     return best
@@ -370,7 +368,7 @@ def fit_free_form(model, collection, settings, *, jobs, progress, checkpoint=NO_
         own = reference_scale(m.points[m.rows], model.source, settings.scale).scale if m.doubt else m.unit
         m.use_frame(own, model.half)
     work = _FreeForm(model, settings)
-    kept = [checkpoint.slot("free-form", _as_it_is(m)) for m in collection.members]
+    kept = [checkpoint.slot("free-form", m) for m in collection.members]
     answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p), kept=kept)
     return collection.in_order(answers)
 
@@ -405,7 +403,6 @@ def free_form(model, settings, problem, points, rows, frame, started, left_out="
     # Chamfer shrinks a resting template onto a posed scan: its scale says nothing of the unit, so the offsets take it up.
     grown = outcome.state.scale * (model.rig.vertices + outcome.state.residual)
     outcome = replace(outcome, state=outcome.state.replace(scale=1.0, residual=grown - model.rig.vertices))
-    evaluation = problem.evaluate(model, outcome.state, weights)
     unit = unit_note(frame.unit / model.half, model.source, settings.scale, guessed=True)
     # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
     return assemble(
@@ -417,7 +414,7 @@ def free_form(model, settings, problem, points, rows, frame, started, left_out="
         rows=rows,
         frame=frame,
         sigma=settings.refinements[-1],
-        evaluation=evaluation,
+        weights=weights,
         evaluations=place_only.evaluations + outcome.evaluations,
         notes=["free-form, no skinning: joints stay at rest", left_out],
         found=(unit,),

@@ -168,7 +168,7 @@ class Loop:
     @one_thread()
     @kept_processes()
     def run(self):
-        """All rounds; returns Learned, and leaves in each member its state, problem and loss."""
+        """All rounds; returns Learned, and leaves in each member its state, points in the frame and loss."""
         started = time.perf_counter()
         self._first_fits()
         self._note(0, started, {})
@@ -245,7 +245,7 @@ class Loop:
             c = self.coefficients[subject]
             tasks.append(
                 (
-                    [m.problem for m in learning],
+                    [m.X for m in learning],
                     [m.state.replace(coefficients=c, residual=None) for m in learning],
                     np.array([m.loss for m in learning]),
                     [m.proba for m in learning] if self.variant.labels else None,
@@ -300,7 +300,7 @@ class Loop:
 
     def _label(self):
         work = Labels(self.segmenter)
-        found = self._work(work, [m.problem.X * self.model.half for m in self.collection.members], "labels")
+        found = self._work(work, [m.X for m in self.collection.members], "labels")
         for m, proba in zip(self.collection.members, found, strict=True):
             m.proba = proba
         self._follow()
@@ -310,7 +310,7 @@ class Loop:
         members = self.collection.members
         neighbours = self.settings.neighbours if self.variant.library else 0
         work = Pose(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
-        tasks = [(m.subject, m.problem, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
+        tasks = [(m.subject, m.X, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
         answers = self._work(work, tasks, "poses of scans", [self._kept.slot(f"round-{k}-pose", m.index) for m in members])
         won = 0
         for m, (state, loss, which) in zip(self.collection.members, answers, strict=True):
@@ -331,7 +331,7 @@ class Loop:
             for m in members:
                 others = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
                 m.prior = np.mean([m.state.theta, *others], axis=0), self.smooth  # without its own, neighbours would swap places
-            tasks = [(m.subject, m.problem, m.state, m.prior) for m in members]
+            tasks = [(m.subject, m.X, m.state, m.prior) for m in members]
             work = SmoothPose(models, self.fit_settings.partial)
             states = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
             for m, state in zip(members, states):

@@ -12,14 +12,18 @@ from ..fitting.scout import Scout
 from ..fitting.template import TemplateSettings, shared_template
 from ..losses.objective import PLAIN
 from ..optimize.model import Model
+from ..optimize.problem import Problem
 from ..starts.limbs import LimbPoses
 
-__all__ = ["FirstFit", "Labels", "Pose", "SmoothPose", "Template"]
+__all__ = ["FirstFit", "Labels", "Pose", "SmoothPose", "Template", "in_full"]
 
 
 @dataclass(frozen=True)
 class FirstFit:
-    """Points of a scan → (Frame, State, L_c, probabilities or None), of the scan by itself on the rig's own template."""
+    """Points of a scan → (Frame, State, L_c, probabilities or None), of the scan by itself on the rig's own template.
+
+    Probabilities are of half precision, in which they are kept: of thousands of scans they are the most of what is.
+    """
 
     model: Model
     settings: object
@@ -35,35 +39,37 @@ class FirstFit:
     def __call__(self, points):
         found = self._scout(points)
         loss = found.problem.evaluate(self.model.coarse, found.state, PLAIN).value
-        return found.frame, found.state, _finite(loss), found.proba
+        return found.frame, found.state, _finite(loss), _short(found.proba)
 
 
 @dataclass(frozen=True)
 class Template:
-    """Problems, states, losses and probabilities of a subject's scans → what ``shared_template`` finds."""
+    """Points, states, losses and probabilities of a subject's scans → what ``shared_template`` finds."""
 
     model: Model
     partial: bool
 
     def __call__(self, task):
-        problems, states, losses, proba = task
-        settings = TemplateSettings(partial=self.partial)
-        return shared_template(self.model, problems, states, losses, proba=proba, settings=settings)
+        points, states, losses, proba = task
+        problems, known = [Problem(X) for X in points], {"settings": TemplateSettings(partial=self.partial)}
+        if proba is not None:
+            known["proba"] = [in_full(p) for p in proba]
+        return shared_template(self.model, problems, states, losses, **known)
 
 
 @dataclass(frozen=True)
 class Labels:
-    """Points of a scan → probabilities of the parts."""
+    """Points of a scan in its frame → probabilities of the parts, in half precision."""
 
     segmenter: object
 
-    def __call__(self, points):
-        return self.segmenter.predict_proba(points, views=1)
+    def __call__(self, X):
+        return _short(self.segmenter.predict_proba(X * self.segmenter.half, views=1))
 
 
 @dataclass(frozen=True)
 class Pose:
-    """(Subject, problem, state, neighbours' poses, probabilities) → (state, L_c, which start won; 0 for the last pose).
+    """(Subject, points, state, neighbours' poses, probabilities) → (state, L_c, which start won; 0 for the last pose).
 
     Attributes
     ----------
@@ -93,18 +99,18 @@ class Pose:
         return Refit(model, partial=self.settings.partial), limbs
 
     def __call__(self, task):
-        subject, problem, state, beside, proba = task
+        subject, X, state, beside, proba = task
         refit, limbs = self._of(subject)
-        poses = [*beside, self.library.regress(problem.X)]
+        poses = [*beside, self.library.regress(X)]
         if self.neighbours:
-            poses += list(self.library.nearest(problem.X, self.neighbours))
-        state, loss, which = refit(problem, [state], poses=poses, proba=proba, limbs=limbs)
+            poses += list(self.library.nearest(X, self.neighbours))
+        state, loss, which = refit(Problem(X), [state], poses=poses, proba=in_full(proba), limbs=limbs)
         return state, _finite(loss), which
 
 
 @dataclass(frozen=True)
 class SmoothPose:
-    """(Subject, problem, state, prior) → the state drawn to the prior, a pose Θ and its weight."""
+    """(Subject, points, state, prior) → the state drawn to the prior, a pose Θ and its weight."""
 
     models: dict
     partial: bool
@@ -114,8 +120,17 @@ class SmoothPose:
         return cache(lambda subject: Refit(self.models[subject], partial=self.partial))  # prepared once in each process
 
     def __call__(self, task):
-        subject, problem, state, prior = task
-        return self._refit(subject).polish(problem, state, prior=prior)
+        subject, X, state, prior = task
+        return self._refit(subject).polish(Problem(X), state, prior=prior)
+
+
+def _short(proba):
+    return None if proba is None else proba.astype(np.float16)
+
+
+def in_full(proba):
+    """Probabilities as fits compute with them, of those that are kept of a scan; None of None."""
+    return None if proba is None else np.asarray(proba, float)
 
 
 def _finite(loss):

@@ -20,7 +20,7 @@ from scipy.sparse import csr_array
 
 from .jacobian import vertex_motion
 from .state import MOST_PROPORTION, Layout
-from .surface import closest_on_mesh, faces_around, faces_at, summed_normals
+from .surface import Surface, faces_at, summed_normals
 
 __all__ = ["GaussNewton", "shown"]
 
@@ -66,10 +66,10 @@ class GaussNewton:
         self.model, self.tangential, self.reach, self.ridge, self.tolerance = model, tangential, reach, ridge, tolerance
         self.partial = partial
         rig = model.rig
-        self._around = faces_around(rig.faces, len(rig.vertices))
-        self._surface = np.flatnonzero(self._around[:, 0] >= 0)  # what has no face has no side to pull on
-        few = farthest_points(rig.vertices[self._surface], vertices) if len(self._surface) > vertices else slice(None)
-        self._pulling = self._surface[few]
+        self._surface = Surface(rig.vertices, rig.faces, model.labels)
+        rows = self._surface.rows  # what has no face has no side to pull on
+        few = farthest_points(rig.vertices[rows], vertices) if len(rows) > vertices else slice(None)
+        self._pulling = rows[few]
         pulls = np.zeros(len(rig.vertices), dtype=bool)
         pulls[self._pulling] = True
         self._pulling_faces = rig.faces[pulls[rig.faces].any(axis=1)]
@@ -167,13 +167,13 @@ class GaussNewton:
         return states, values
 
     def _normal_equations(self, problem, state, labels, layout, shared):
-        model, rig = self.model, self.model.rig
+        model = self.model
         posed = model.deformed(state)
         V, X = posed.vertices, problem.X
         a = np.full(len(X), 1.0 / len(X)) if problem.x_weights is None else problem.x_weights
         nearest, known = self._nearest(X, V, labels)
         X, a = X[known], a[known]
-        on = closest_on_mesh(X, nearest, V, rig.faces, self._around)
+        on = self._surface.closest(X, nearest, V, None if labels is None else labels[known])
         r, normals, weights, pulling = X - on.points, on.normals, a, self._pulling[:0]
         if labels is None:
             pulling = self._pulling
@@ -196,7 +196,7 @@ class GaussNewton:
         """(nearest vertex of the points that have one, which points these are)."""
         from ..neighbors import PointIndex
 
-        s = self._surface
+        s = self._surface.rows
         if labels is None:
             return s[PointIndex(V[s], moving=True).nearest(X)], slice(None)
         nearest = PointIndex(V[s], self.model.labels[s], moving=True).nearest(X, labels)

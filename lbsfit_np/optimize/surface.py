@@ -4,7 +4,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Closest", "closest_on_mesh", "faces_around", "faces_at", "summed_normals", "vertex_normals"]
+from ..neighbors import PointIndex
+
+__all__ = ["Closest", "Surface", "closest_on_mesh", "faces_around", "faces_at", "summed_normals", "vertex_normals"]
+
+# Triangles with a longer edge than this, half sizes, are looked for by points on them, too, about so far apart; on each edge of a
+# triangle there are at most so many.
+_LONG, _MOST = 0.08, 12
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,95 @@ class Closest:
     barycentric: np.ndarray
     points: np.ndarray
     normals: np.ndarray
+
+
+class Surface:
+    """The triangles of a mesh, however it is posed, and where to look for the closest one.
+
+    That mostly touches the nearest vertex. Where triangles are long, as on meshes of few vertices, it may not: there points on
+    them are looked for as well, and the triangles beside the one that the nearest is on.
+
+    Parameters
+    ----------
+    vertices : (m, 3) array
+        At rest, in half sizes of the rig.
+    faces : (F, 3) int array
+    labels : (m,) int array, optional
+        Parts of the vertices.
+
+    Attributes
+    ----------
+    rows : (k,) int array
+        Vertices that have a face.
+    """
+
+    def __init__(self, vertices, faces, labels=None):
+        self.faces, self._around = faces, faces_around(faces, len(vertices))
+        self.rows = np.flatnonzero(self._around[:, 0] >= 0)
+        self._face, self._barycentric = _on_long_faces(vertices, faces)
+        if len(self._face):
+            self._beside = _faces_beside(faces)
+            corner = self._barycentric.argmax(axis=1)
+            self._labels = None if labels is None else labels[faces[self._face, corner]]
+
+    def closest(self, X, nearest, V, labels=None):
+        """The closest surface point of each query.
+
+        Parameters
+        ----------
+        X : (n, 3) array
+        nearest : (n,) int array
+            Of ``rows``, the nearest; with labels, the nearest of the query's part.
+        V : (m, 3) array
+            The vertices as posed.
+        labels : (n,) int array, optional
+            Parts of the queries: triangles elsewhere are not looked for.
+
+        Returns
+        -------
+        Closest
+        """
+        if not len(self._face) or not len(X):
+            return closest_on_mesh(X, nearest, V, self.faces, self._around)
+        points = np.einsum("pk,pka->pa", self._barycentric, V[self.faces[self._face]])
+        index = PointIndex(points, moving=True) if labels is None else PointIndex(points, self._labels, moving=True)
+        found = index.nearest(X) if labels is None else index.nearest(X, labels)
+        table = self._around[nearest]
+        beside = np.where(found[:, None] < 0, table[:, :1], self._beside[self._face[found]])  # −1: none of that part
+        return closest_on_mesh(X, np.arange(len(X)), V, self.faces, np.hstack([beside, table]))
+
+
+def _on_long_faces(vertices, faces):
+    """(p,) faces and (p, 3) barycentric: the centres of the equal triangles that each long one is divided into."""
+    corners = vertices[faces]
+    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
+    parts = np.minimum(np.ceil(longest / _LONG).astype(int), _MOST)
+    face, barycentric = [np.empty(0, dtype=int)], [np.empty((0, 3))]
+    for n in np.unique(parts[parts > 1]):
+        rows, own = np.flatnonzero(parts == n), _centres(n)
+        face.append(np.repeat(rows, len(own)))
+        barycentric.append(np.tile(own, (len(rows), 1)))
+    return np.concatenate(face), np.concatenate(barycentric)
+
+
+def _centres(n):
+    """(n², 3) barycentric centres of the equal triangles that one with its edges divided by n consists of."""
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+    standing = np.column_stack([i, j, n - 1 - i - j]) + 1 / 3
+    hanging = np.column_stack([i, j, n - 2 - i - j]) + 2 / 3
+    return np.concatenate([standing[i + j < n], hanging[i + j < n - 1]]) / n
+
+
+def _faces_beside(faces):
+    """(F, 4) int: each face, and those that share an edge with it, the face itself where there is none."""
+    beside = np.tile(np.arange(len(faces))[:, None], (1, 4))
+    edges = np.sort(np.stack([faces, np.roll(faces, -1, axis=1)], axis=2), axis=2).reshape(-1, 2)
+    order = np.lexsort(edges.T)
+    one, two = order[:-1], order[1:]
+    same = (edges[one] == edges[two]).all(axis=1)
+    one, two = one[same], two[same]
+    beside[one // 3, 1 + one % 3], beside[two // 3, 1 + two % 3] = two // 3, one // 3
+    return beside
 
 
 def faces_around(faces, m):

@@ -22,18 +22,18 @@ class Registrations:
 
     Attributes
     ----------
-    vertices : (N, m, 3) array
+    vertices : list of (m, 3) arrays
         In the scans' frame; NaN for a scan that could not be fitted.
-    joints : (N, J, 3) array
+    joints : list of (J, 3) arrays
     """
 
-    vertices: np.ndarray
-    joints: np.ndarray
+    vertices: list
+    joints: list
 
     @property
     def fitted(self):
         """(N,) bool."""
-        return np.isfinite(self.vertices).all(axis=(1, 2))
+        return np.array([np.isfinite(V).all() for V in self.vertices])
 
 
 class Truth:
@@ -52,14 +52,16 @@ class Truth:
     def __init__(self, rig, scans, pairs, seed):
         self.rig, self.scans, self.half = rig, scans, rig.size / 2
         self.recon, self.pose = np.empty(len(scans)), np.empty(len(scans))
-        self.points, self.places = [], []
+        self.pairs = _pairs(len(scans), pairs, generator(seed, "study", "pairs"))
+        self.points, self.places, paired = {}, {}, set(self.pairs.ravel().tolist())
         rng = generator(seed, "study", "points")
         for i, s in enumerate(scans):
             self.recon[i] = recon(s.points, s.vertices) / self.half
             self.pose[i] = _regressed(rig, s) / self.half
-            self.points.append(s.points[rng.choice(len(s.points), min(POINTS, len(s.points)), replace=False)])
-            self.places.append(_places(self.points[i], s.vertices, rig))
-        self.pairs = _pairs(len(scans), pairs, generator(seed, "study", "pairs"))
+            chosen = rng.choice(len(s.points), min(POINTS, len(s.points)), replace=False)
+            if i in paired:
+                self.points[i] = s.points[chosen]
+                self.places[i] = _places(self.points[i], s.vertices, rig)
 
 
 def measured(truth, registrations):

@@ -77,7 +77,7 @@ class OracleFit:
             rows=np.arange(len(points)),
             frame=frame,
             sigma=self.settings.refinements[-1],
-            evaluation=problem.evaluate(model, last.state, self.settings.weights.replace(lam_s=0.0)),
+            weights=self.settings.weights.replace(lam_s=0.0),
             evaluations=pose.evaluations + last.evaluations,
             notes=["true correspondences"],
             started=started,

@@ -309,7 +309,7 @@ def _registrations(rig, results):
     """Of what has vertices and joints, or is None."""
     nothing = np.full(rig.vertices.shape, np.nan), np.full(rig.joints.shape, np.nan)
     both = [nothing if r is None else (r.vertices, r.joints) for r in results]
-    return Registrations(np.array([V for V, _ in both]), np.array([joints for _, joints in both]))
+    return Registrations([V for V, _ in both], [joints for _, joints in both])
 
 
 ROWS = {

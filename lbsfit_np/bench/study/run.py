@@ -234,7 +234,7 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
 
 def _arrays(found):
     """What pictures need, small."""
-    out = {"vertices": found.test.vertices.astype(np.float32), "joints": found.test.joints.astype(np.float32)}
+    out = {"vertices": np.array(found.test.vertices, np.float32), "joints": np.array(found.test.joints, np.float32)}
     out |= {name: array.astype(np.float32) for name, array in found.stages.items()}
     if found.labels is not None:
         out["labels"] = np.concatenate(found.labels).astype(np.int16)
