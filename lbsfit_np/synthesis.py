@@ -118,6 +118,11 @@ class SyntheticScan:
         The posed changed template, true positions of the rig's vertices.
     joints : (J, 3) array
         True posed joint positions.
+    triangle : (n,) int array
+        Row of rig.faces that each point was drawn on; −1 for clutter and floor.
+    barycentric : (n, 3) array
+        Where on it, which noise moves no point from: ``vertices[rig.faces[triangle]]``, weighted so, is the point without noise,
+        and any other mesh of these faces has the same place. 0 for clutter and floor.
     """
 
     points: np.ndarray
@@ -129,6 +134,8 @@ class SyntheticScan:
     template_joints: np.ndarray
     vertices: np.ndarray
     joints: np.ndarray
+    triangle: np.ndarray
+    barycentric: np.ndarray
 
 
 def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=None, **settings):
@@ -363,7 +370,8 @@ def synthesize_one(rig, pose, template, settings, rng):
         points, triangle, bary = sample_surface(vertices, rig.faces, n, rng, density=settings.density)
     labels = rig.vertex_labels[rig.faces[triangle, bary.argmax(axis=1)]]
     keep = _outside_holes(points, half * scale, settings, rng)
-    points, labels = points[keep][: settings.n_points], labels[keep][: settings.n_points]
+    keep = keep[: settings.n_points]
+    points, labels, triangle, bary = points[keep], labels[keep], triangle[keep], bary[keep]
     noise = settings.noise * half * scale
     points = points + noise * rng.standard_normal(points.shape)
     others = np.empty((0, 3))
@@ -371,8 +379,10 @@ def synthesize_one(rig, pose, template, settings, rng):
         others = clutter(points, settings.clutter, rng)
     if settings.floor:
         others = np.concatenate([others, floor(points, settings.floor, (vertices @ up).min(), up, noise, rng)])
-    points, labels = np.concatenate([points, others]), np.concatenate([labels, np.full(len(others), -1)])
-    return SyntheticScan(points, labels, pose, np.zeros(3), scale, U, J, vertices, joints)
+    nowhere = np.full(len(others), -1)
+    points, labels, triangle = (np.concatenate(a) for a in ([points, others], [labels, nowhere], [triangle, nowhere]))
+    bary = np.concatenate([bary, np.zeros((len(others), 3))])
+    return SyntheticScan(points, labels, pose, np.zeros(3), scale, U, J, vertices, joints, triangle, bary)
 
 
 def _with_rest(rig, U, J):

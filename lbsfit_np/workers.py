@@ -250,6 +250,9 @@ class _Worker:
     def __init__(self):
         import multiprocessing
 
+        if getattr(multiprocessing.current_process(), "_inheriting", False):
+            # A script without the guard, which every process runs again: the first one says what is wrong, once.
+            raise SystemExit(1)
         context = multiprocessing.get_context("spawn")  # a fork of a process with BLAS threads may hang
         self.connection, theirs = context.Pipe()
         self.process = context.Process(target=_serve, args=(theirs,), daemon=True)

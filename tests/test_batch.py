@@ -175,6 +175,7 @@ def test_a_script_without_a_main_guard_is_told_so(tmp_path):
     )
     assert "InputError: jobs: got worker processes that end before they begin" in done.stderr
     assert 'if __name__ == "__main__":' in done.stderr
+    assert done.stderr.count("Traceback") == 1 and "freeze_support" not in done.stderr  # and not by each process
 
 
 @POSIX

@@ -5,7 +5,7 @@ import pytest
 from posed_samples import state_within
 
 from lbsfit_np.optimize.model import Model
-from lbsfit_np.optimize.surface import closest_on_mesh, faces_around, vertex_normals
+from lbsfit_np.optimize.surface import Surface, closest_on_mesh, faces_around, vertex_normals
 from lbsfit_np.synthesis import sample_surface
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -105,3 +105,36 @@ def test_normals_of_vertices():
     n = vertex_normals(V, faces)
     np.testing.assert_allclose(n[[0, 1, 3]], [[2**-0.5, 0, 2**-0.5], [0, 0, 1], [1, 0, 0]], atol=1e-15)
     np.testing.assert_array_equal(n[4], 0.0)
+
+
+@pytest.mark.parametrize("labelled", [False, True])
+def test_on_long_triangles_the_closest_point_is_found_as_well(labelled):
+    """A posed prism of six long sides: most points' nearest vertex is at no triangle that they are on."""
+    corner = np.array([[np.cos(t), np.sin(t)] for t in np.arange(6) * np.pi / 3]) * 0.15
+    rings = [np.column_stack([corner, np.full(6, z)]) for z in (-1.0, -0.2, 1.0)]
+    rest = np.vstack(rings)
+    sides = [(k + i, k + (i + 1) % 6) for k in (0, 6) for i in range(6)]
+    faces = np.array([f for i, j in sides for f in ((i, j, i + 6), (j, j + 6, i + 6))])
+    labels = np.repeat([0, 0, 1], 6)
+    surface, rng = Surface(rest, faces, labels), np.random.default_rng(0)
+    V = 1.1 * rest @ np.linalg.qr(rng.standard_normal((3, 3)))[0] + 0.02 * rng.standard_normal(rest.shape)
+    on_skin, triangle, _ = sample_surface(V, faces, 200, rng)
+    X = on_skin + 0.01 * rng.standard_normal((200, 3))
+    x_labels = labels[faces[triangle]].max(axis=1)  # triangles between the parts are of the second
+    allowed = [np.flatnonzero(labels == p) if labelled else surface.rows for p in x_labels]
+    nearest = np.array([rows[((V[rows] - x) ** 2).sum(axis=1).argmin()] for x, rows in zip(X, allowed)])
+    found = np.linalg.norm(X - surface.closest(X, nearest, V, x_labels if labelled else None).points, axis=1)
+    expected = np.array([_brute(x, V[faces]) for x in X])
+    assert np.isclose(found, expected, atol=1e-9).mean() > (0.9 if labelled else 0.99)
+    alone = np.linalg.norm(X - closest_on_mesh(X, nearest, V, faces, faces_around(faces, len(V))).points, axis=1)
+    assert (found <= alone + 1e-12).all() and np.isclose(alone, expected, atol=1e-9).mean() < 0.9
+
+
+def test_meshes_of_short_triangles_are_looked_at_as_before(tube):
+    """No point on them is needed."""
+    V, faces = tube.pose(state_within(tube, 4))[0].vertices, tube.rig.faces
+    X = sample_surface(V, faces, 100, np.random.default_rng(1))[0]
+    nearest = np.array([((V - x) ** 2).sum(axis=1).argmin() for x in X])
+    short = Surface(0.1 * tube.rig.vertices, faces).closest(X, nearest, V)
+    expected = closest_on_mesh(X, nearest, V, faces, faces_around(faces, len(V)))
+    np.testing.assert_array_equal(short.points, expected.points)

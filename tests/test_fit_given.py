@@ -136,3 +136,26 @@ def test_surface_that_a_one_sided_scan_hides_takes_no_part_in_the_full_objective
         fitter.set_params(partial=one_side).fit_scan(scan.points, **{name: known[name] for name in given})
     hidden = [0.0 if p.v_weights is None else np.mean(p.v_weights == 0) for p in problems]
     assert hidden[0] > 0.3 > hidden[1] and len(hidden) == 2
+
+
+@pytest.mark.parametrize("start", [False, True])
+def test_labels_may_be_known_of_some_points_alone(start, tube_rig, tube_fitter, learned_people, people_scans):
+    """Those that are known are kept, and the mesh says the others."""
+    s = people_scans[12]
+    labels = np.where(np.arange(len(s.labels)) % 3 > 0, s.labels, -1)
+    given = {"labels": labels} | ({"theta0": s.pose} if start else {})
+    for fitter, more in ((tube_fitter, {}), (learned_people, {"subject": "ann"})):
+        r = fitter.fit_scan(s.points, **given, **more)
+        known = labels >= 0
+        assert mean_error(tube_rig, r.joints, s.joints) < 0.05 and (r.labels[known] == s.labels[known]).all()
+        assert (r.confidence[known] == 1).all() and (r.labels[~known] == s.labels[~known]).mean() > 0.9
+        assert r.evidence["disagreement"] < 0.1 and r.confidence[~known].min() < 1
+
+
+def test_few_known_labels_are_enough_to_tell_the_pose(tube_rig, tube_fitter, tube_scan):
+    """Ten points of each part lead to the pose; all points then have their say."""
+    labels = np.full(len(tube_scan.labels), -1)
+    for p in range(4):
+        labels[np.flatnonzero(tube_scan.labels == p)[:10]] = p
+    r = tube_fitter.fit_scan(tube_scan.points, labels=labels)
+    assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.05 and r.status == "ok"

@@ -64,3 +64,28 @@ def test_a_known_pose_finds_its_place_in_a_view_of_one_side(model, views):
         truth = model.rest().replace(theta=theta, translation=where)
         off = np.linalg.norm(model.deformed(state).joints - model.deformed(truth).joints, axis=1)
         assert which == 0 and np.median(off) < 0.03  # a finger that the view hides may be anywhere
+
+
+def test_a_known_pose_is_moved_to_where_it_is_before_joints_bend(model):
+    """Of hands whose scans are dense here and thin there; with the true place they are where they belong."""
+    refit, off, near = Refit(model), [], []
+    for s in lbs.synthesize(model.source, 6, poses="natural", random_state=3, n_points=600, shape=0.0, density=1.5):
+        centre = s.points.mean(axis=0)
+        problem, true = Problem((s.points - centre) / model.half), (s.joints - centre) / model.half
+        for state, out in ((refit.placed(problem, s.pose), off), (refit.in_place(problem, s.pose), near)):
+            np.testing.assert_array_equal(state.theta, s.pose)
+            out.append(np.linalg.norm(model.deformed(state).joints - true, axis=1).mean())
+    assert np.median(off) > 0.15 and max(near) < 0.02
+
+
+def test_a_start_that_is_right_is_not_lost_on_a_learned_template(model):
+    """Nor on the way there: steps that look far bend fingers into their neighbours."""
+    from lbsfit_np.learning.finish import _given
+
+    scans = lbs.synthesize(model.source, 6, poses="natural", random_state=3, n_points=600, shape=0.0, density=1.5)
+    fitter = lbs.LBSFitter(model.source, orientation="aligned", random_state=0)
+    fitter.template_, fitter.unit_, fitter.segmenter_ = {0: model.source}, {0: 1.0}, None
+    for s in scans:
+        found = _given(fitter, 0, s.points, None, fitter._fit_settings(), 1.0, s.pose, None)
+        joints = found.frame.outside(model.deformed(found.state).joints)
+        assert np.linalg.norm(joints - s.joints, axis=1).mean() / model.half < 0.01

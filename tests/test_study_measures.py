@@ -22,7 +22,8 @@ def _scan(rig, theta, template=None, points=None):
     posed = {"offsets": U - rig.vertices, "joints": J}
     vertices, joints = (of(theta, **posed) for of in (rig.pose, rig.pose_joints))
     points = vertices.copy() if points is None else points
-    return SyntheticScan(points, np.zeros(len(points), int), theta, np.zeros(3), 1.0, U, J, vertices, joints)
+    none = np.zeros(len(points), int)
+    return SyntheticScan(points, none, theta, np.zeros(3), 1.0, U, J, vertices, joints, none - 1, np.zeros((len(points), 3)))
 
 
 @pytest.fixture(scope="module")

@@ -395,3 +395,17 @@ def test_no_scans_is_an_empty_list(tube_rig):
 def test_the_name_of_a_rig_is_no_rig():
     with pytest.raises(InputError, match="rig: got 'hand'; expected a Rig. load_rig"):
         lbs.synthesize("hand", 1)
+
+
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_each_point_knows_its_place_on_the_mesh(one_sided, tube_rig):
+    """Without noise the place is the point; clutter and floor have none."""
+    settings = {"random_state": 4, "holes": 1, "clutter": 0.1, "floor": 0.1, "one_sided": one_sided}
+    clean, noisy = (lbs.synthesize(tube_rig, 1, noise=noise, **settings)[0] for noise in (0.0, 0.01))
+    body = clean.labels >= 0
+    corners = clean.vertices[tube_rig.faces[clean.triangle[body]]]
+    np.testing.assert_allclose(np.einsum("nk,nka->na", clean.barycentric[body], corners), clean.points[body], atol=1e-12)
+    np.testing.assert_array_equal(noisy.triangle[noisy.labels >= 0], clean.triangle[body])
+    assert (clean.triangle[~body] == -1).all() and not clean.barycentric[~body].any() and 0 < (~body).sum() < body.sum()
+    corner = tube_rig.faces[clean.triangle[body], clean.barycentric[body].argmax(axis=1)]
+    np.testing.assert_array_equal(clean.labels[body], tube_rig.vertex_labels[corner])

@@ -74,7 +74,7 @@ def assemble(
     proba : (k, n_parts) array, optional
         The segmenter's probabilities, which count for the labels.
     labels : (n,) int array, optional
-        Known ones; else the mesh and ``proba`` say.
+        Known ones; where they are −1 the mesh says, and without any the mesh and ``proba``.
     value : float, optional
     rivals : sequence of float
         What the pose, and others that are not it, left unexplained, as in ``confidence.evidence_of``.
@@ -121,6 +121,10 @@ def assemble(
         )
     else:
         labels, confidence = labels.copy(), np.ones(len(points))
+        unknown = labels < 0
+        if unknown.any() and finite:
+            own = labels_from_mesh(points[unknown], frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit)
+            labels[unknown], confidence[unknown] = own
     evidence, probability, status, reason = {}, 0.0, "failed", "it is not finite; check the scan for wild points"
     if finite and not judged:
         status, reason = "ok", ""

@@ -133,7 +133,7 @@ def evidence_of(
         "unreached": float(a @ rho_v / max(a.sum(), 1e-12)),
         "part_unexplained": of_points[0],
         "part_unreached": of_surface[0],
-        "disagreement": 0.0 if proba is None else float(max(0.0, 1.0 - w @ proba[np.arange(len(X)), parts])),
+        "disagreement": 0.0 if proba is None else _disagreement(w, proba, parts),
         "rival": float(min(1.0, value / min(rivals))) if len(rivals) and value is not None and min(rivals) > 0 else 0.0,
         "at_limits": 0.0 if theta is None else _at_limits(rig, theta),
         "sparse": float(min(1.0, _bending(rig).sum() * (w**2).sum())),  # 1 ÷ Σw² points that weigh the same are as good
@@ -206,6 +206,12 @@ def _worst(parts, weights, rho):
     share, sums = np.bincount(parts, weights), np.bincount(parts, weights * rho)
     of = np.where(share > _PART, sums / np.maximum(share, 1e-300), 0.0)
     return (float(of.max()), int(of.argmax())) if of.max() > 0 else (0.0, -1)
+
+
+def _disagreement(w, proba, parts):
+    """1 − mean probability of the mesh's parts, over the points of which anything is said."""
+    w = w * proba.any(axis=1)
+    return float(max(0.0, 1.0 - w @ proba[np.arange(len(parts)), parts] / w.sum())) if w.sum() > 0 else 0.0
 
 
 def _bending(rig):

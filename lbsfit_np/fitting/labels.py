@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["refined_labels", "labels_from_mesh"]
+__all__ = ["labels_from_mesh", "one_hot", "parts_of", "refined_labels"]
 
 # A part that the segmenter excludes is not quite impossible: the fitted mesh may know better.
 _FLOOR = 1e-3
@@ -12,6 +12,16 @@ _TEMPER = 0.5
 _FARTHEST = 1e6
 # Points further from all vertices than so many σ, and so many times the vertices' own distance from each other, are of no part.
 _OFF, _SPACINGS = 4.0, 3.0
+
+
+def one_hot(labels, n_parts):
+    """(n, n_parts) probabilities of known labels, zeros and ones; all 0 where the label is −1, not known."""
+    return np.vstack([np.eye(n_parts), np.zeros(n_parts)])[labels]
+
+
+def parts_of(proba):
+    """(n,) int: the most probable part of each point; n_parts, which no vertex has, where all are 0."""
+    return np.where(proba.any(axis=1), proba.argmax(axis=1), proba.shape[1])
 
 
 def refined_labels(X, proba, V, v_labels, sigma, *, doubt=0.0):

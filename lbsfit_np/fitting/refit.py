@@ -18,7 +18,7 @@ from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
 from .effort import Effort
-from .labels import refined_labels
+from .labels import parts_of, refined_labels
 
 __all__ = ["LimbSearch", "Refit", "Runner", "distinct", "thinned"]
 
@@ -106,8 +106,8 @@ class Refit:
         proba : (n, n_parts) array, optional
             Probabilities of the parts; they give one more start.
         labels_known : bool, default False
-            The probabilities are known labels, which the steps go by: from the first start alone, or from the one that the
-            labels give where there is no other.
+            The probabilities are known labels, zeros and ones, all 0 where one is not known. The steps go by them: from the
+            first start alone, or from the one that the labels give where there is no other.
         limbs : LimbSearch, optional
             Tried where labels are not known.
 
@@ -122,9 +122,11 @@ class Refit:
         starts = [self._mine(s) for s in states] + [self.placed(problem, theta) for theta in poses]
         if labels_known:
             start = starts[0] if starts else self.from_parts(problem, proba, True)
-            labels = proba.argmax(axis=1)
+            labels = parts_of(proba)
             state, _ = self._far.pose(problem, start, free=self.free, labels=labels, iterations=_FAR_STEPS)
             state, _ = self._last.pose(problem, state, free=self.free, labels=labels, iterations=_NEAR_STEPS)
+            if (labels == proba.shape[1]).any():  # points of which it is not known have their say now
+                state = self.polish(problem, state)
             return state, self._chamfer(problem, state), 0
         if proba is not None:
             starts.append(self.from_parts(problem, proba, False))
@@ -209,13 +211,13 @@ class Refit:
         may lead away from a pose that is right.
         """
         place = tuple(block for block in self.free if block != "pose")
-        return self._far.pose(problem, self.placed(problem, theta), free=place, iterations=_FAR_STEPS)[0]
+        return self._far.pose(problem, self.placed(problem, theta), free=place, iterations=2 * _FAR_STEPS)[0]
 
     def from_parts(self, problem, proba, labels_known=False):
         """The State from inverse kinematics on the parts' centroids, then by the labels, ever closer."""
         model, X = self.model.coarse, problem.X
         state = start_from_parts(model, X, proba, x_weights=problem.x_weights).state
-        labels = proba.argmax(axis=1)
+        labels = parts_of(proba)
         free = self.free
 
         def go(state, weights, labels, steps):

@@ -1,4 +1,4 @@
-"""FitResult: all that one fit found, immutable, saved without pickle."""
+"""FitResult: all that one fit found, saved without pickle."""
 
 import json
 from dataclasses import dataclass
@@ -89,10 +89,6 @@ class FitResult:
     rig_digest: str
     model_digest: str = ""
     subject: str = ""
-
-    def __post_init__(self):
-        for name in _ARRAYS:
-            getattr(self, name).flags.writeable = False
 
     def __repr__(self):
         message = self.message if len(self.message) <= _SHORT else f"{self.message[:_SHORT]}…"

@@ -4,8 +4,6 @@ import time
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import numpy as np
-
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
@@ -17,6 +15,7 @@ from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
 from ..threads import one_thread
 from .assemble import assemble
 from .confidence import shown_problem
+from .labels import one_hot
 from .refit import Refit, Runner
 from .scout import Scout
 from .search import Search
@@ -110,7 +109,7 @@ class ScanFit:
         theta0 : (J, 3) array, optional
             A pose to start from instead of the searched ones.
         labels : (n,) int array, optional
-            Known parts; they are kept as they are.
+            Known parts, which are kept as they are; −1 where one is not known.
         point_weights : (n,) array, optional
         random_state : int or None
         found : Found, optional
@@ -147,7 +146,7 @@ class ScanFit:
         last = search.outcome
         if settings.polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface.
-            known = None if labels is None else labels[rows]
+            known = None if labels is None or labels[rows].min() < 0 else labels[rows]
             last = replace(last, state=self._refit.polish(problem, last.state, labels=known))
         stands = stands_words(self.facing, model.source, frame, last.state.theta) if theta0 is None else ""
         unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
@@ -220,7 +219,7 @@ def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels):
     theta0 : (J, 3) array or None
         The start's angles in the scan's frame.
     labels : (k,) int array or None
-        Known ones.
+        Known ones, −1 where one is not known.
 
     Yields
     ------
@@ -232,7 +231,7 @@ def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels):
         The start's angles in that frame.
     """
     half, turns = rig.size / 2, some_turns(facing.turns)
-    known = None if labels is None else np.eye(len(rig.parts))[labels]
+    known = None if labels is None else one_hot(labels, len(rig.parts))
     if theta0 is not None:  # in a frame that is turned along, the segmenter sees the scan as it has learned it
         turns = root_turn(rig, theta0)[None]
         theta0 = turned_root(rig, theta0, turns[0].T)
@@ -247,9 +246,12 @@ def stands_words(facing, rig, frame, theta):
     """In words, which way a scan stands that was found to be fitted so, where that is another than said, or than the rig's."""
     if facing.told:
         return contradicts_note(frame.turn @ root_turn(rig, theta) @ up_axis(rig), facing.up)
-    if not facing.open_up or not stands_note(frame.turn, facing.up):
+    if not facing.open_up:
         return ""
-    return stands_note(frame.turn @ root_turn(rig, theta), facing.up)  # what was found under another axis may but lean
+    turn = frame.turn @ root_turn(rig, theta)  # what was found under another axis may but lean, and the other way round
+    if not stands_note(frame.turn, facing.up) and not contradicts_note(turn @ facing.up, facing.up):
+        return ""
+    return stands_note(turn, facing.up)
 
 
 def further_words(settings, facing):

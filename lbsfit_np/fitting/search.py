@@ -7,7 +7,7 @@ from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
-from .labels import refined_labels
+from .labels import parts_of, refined_labels
 
 __all__ = ["Search"]
 
@@ -20,7 +20,7 @@ class Search:
     model : Model
     problem : Problem
     proba : (n, n_parts) array or None
-        The segmenter's probabilities, or known labels as zeros and ones; None leaves the structured term out.
+        The segmenter's probabilities, or known labels as ``labels.one_hot``; None leaves the structured term out.
     labels_known : bool
         Known labels are never refined.
     settings : FitSettings
@@ -29,7 +29,9 @@ class Search:
     def __init__(self, model, problem, proba, labels_known, settings):
         self.model, self.problem, self.proba, self.settings = model, problem, proba, settings
         self.labels_known = labels_known
-        self.labels = None if proba is None else proba.argmax(axis=1)
+        self.labels = None if proba is None else parts_of(proba)
+        # Then the plain term knows no more than they do.
+        self._all_known = labels_known and bool((self.labels < proba.shape[1]).all())
         self.place = ("translation",) if settings.scale == "fixed" else ("translation", "scale")
         self.evaluations = 0
         self.outcome = None
@@ -63,7 +65,7 @@ class Search:
         for sigma in () if self.proba is None else self.settings.refinements:
             self._relabel(state, sigma)
             state = self._minimise(state, BOTH, ("pose", *self.place, "proportions"), self.model.coarse).state
-        if not self.labels_known:  # known labels are right, and more than the plain term knows
+        if not self._all_known:
             state = self._minimise(
                 state,
                 PLAIN,
@@ -92,7 +94,7 @@ class Search:
         if not self.settings.polish:
             return states[0]
         steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02, partial=self.settings.partial)
-        labels = [self.labels] if self.labels_known else None
+        labels = [self.labels] if self._all_known else None
         free = ("pose", *self.place)
         options = {"free": free, "labels": labels, "iterations": self.settings.polish}
         return min((steps.with_proportions(self.problem, state, **options) for state in states), key=lambda found: found[1])[0]

@@ -107,7 +107,7 @@ class TemplateFit:
         search = Search(model, with_partner, proba, labels_known is not None, settings)
         search.full(state, free=("pose", "translation", "residual"))
         # The residual takes what the template lacks; the pose is better known by distances to the surface.
-        known = None if labels_known is None else labels_known[rows]
+        known = None if labels_known is None or labels_known[rows].min() < 0 else labels_known[rows]
         pose = self.refit.polish(problem, search.outcome.state, labels=known, prior=prior)
         outcome = replace(search.outcome, state=pose)
         return assemble(

@@ -347,7 +347,7 @@ class LBSFitter(BaseEstimator):
         theta0 : (J, 3) array, optional
             A known start, radians.
         labels : (n,) int array, optional
-            Known parts of the points, which index ``rig.parts``.
+            Known parts of the points, which index ``rig.parts``; −1 where one is not known.
         point_weights : (n,) array, optional
             Non-negative; 0 leaves a point out of the fit.
 

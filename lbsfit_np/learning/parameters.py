@@ -165,11 +165,16 @@ def _checked_labels(labels, n, parts):
     check_unmasked("labels", labels)
     labels = np.asarray(labels)
     if labels.shape != (n,):
-        raise InputError("labels", f"shape {labels.shape}", f"shape ({n},), one for each point")
+        of_parts = labels.shape == (n, len(parts))
+        remedy = "Of probabilities pass the most probable parts: proba.argmax(axis=1)." if of_parts else None
+        raise InputError("labels", f"shape {labels.shape}", f"shape ({n},), one for each point", remedy)
     if labels.dtype.kind not in "iu":
         raise InputError("labels", f"values of type {labels.dtype}", "integers that index rig.parts")
-    bad = np.flatnonzero((labels < 0) | (labels >= len(parts)))
+    bad = np.flatnonzero((labels < -1) | (labels >= len(parts)))
     if len(bad):
         got = f"{labels[bad[0]]} at index {bad[0]}"
-        raise InputError("labels", got, f"integers from 0 to {len(parts) - 1}, which index rig.parts")
+        expected = f"integers from 0 to {len(parts) - 1}, which index rig.parts, or -1 where the part is not known"
+        raise InputError("labels", got, expected)
+    if (labels < 0).all():
+        raise InputError("labels", "-1 for all points", "the parts of some points at least", "Leave labels out.")
     return labels.astype(int)

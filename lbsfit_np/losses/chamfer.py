@@ -40,7 +40,7 @@ def chamfer(X, V, *, x_weights=None, v_weights=None, x_index=None):
     x_weights, v_weights = check_weights("x_weights", x_weights, len(X)), check_weights("v_weights", v_weights, len(V))
     if x_index is None:
         x_index = PointIndex(X)
-    check_index("x_index", x_index, X, labelled=False)
+    check_index("x_index", x_index, X)
     to_V = PointIndex(V, moving=True).nearest(X)
     to_X = x_index.nearest(V)
     return one_sided_terms(X, V, to_V, to_X, x_weights, v_weights)

@@ -6,6 +6,7 @@ from numbers import Real
 import numpy as np
 
 from ..errors import InputError, brief, check_unmasked, not_finite
+from ..neighbors import PointIndex
 
 __all__ = ["check_index", "check_labels", "check_number", "check_same_length", "check_set", "check_weights"]
 
@@ -74,13 +75,18 @@ def check_weights(argument, value, n):
     return a
 
 
-def check_index(argument, index, points, labelled):
-    """Raise unless a search structure is over as many points, with labels exactly where they are needed."""
+def check_index(argument, index, points, labels=None):
+    """Raise unless a search structure is over these points, with these labels or without any."""
+    if not isinstance(index, PointIndex):
+        raise InputError(argument, f"a {type(index).__name__}", "a lbsfit_np.neighbors.PointIndex over X, or None")
     if len(index.points) != len(points):
         raise InputError(argument, f"a PointIndex over {len(index.points)} points", f"one over the {len(points)} points of X")
-    if (index.labels is not None) != labelled:
-        got, expected = ("without", "with") if labelled else ("with", "without")
+    if (index.labels is None) != (labels is None):
+        got, expected = ("with", "without") if labels is None else ("without", "with")
         raise InputError(argument, f"a PointIndex {got} labels", f"one {expected} labels")
+    for what, own, given in (("points", index.points, points), ("labels", index.labels, labels)):
+        if own is not given and not np.array_equal(own, given):
+            raise InputError(argument, f"a PointIndex over other {what} than X has", f"one over these {what}", "Build it anew.")
 
 
 def check_number(argument, value):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..errors import InputError, check_unmasked
+from ..errors import InputError, check_unmasked, not_finite
 
 __all__ = ["loopback"]
 
@@ -27,7 +27,7 @@ def loopback(predicted, theta):
     Raises
     ------
     InputError
-        Wrong or different shapes, an empty batch, masked entries.
+        Wrong or different shapes, an empty batch, masked entries, numbers that are not finite.
     """
     check_unmasked("predicted", predicted)
     check_unmasked("theta", theta)
@@ -39,6 +39,9 @@ def loopback(predicted, theta):
         raise InputError("predicted", f"shape {predicted.shape}", "shape (J, 3) or (B, J, 3)")
     if theta.shape != predicted.shape:
         raise InputError("theta", f"shape {theta.shape}", f"shape {predicted.shape}, as predicted has")
+    for name, value in (("predicted", predicted), ("theta", theta)):
+        if not np.isfinite(value).all():
+            raise InputError(name, not_finite(int((~np.isfinite(value)).sum()), "value"), "finite numbers")
     away = predicted - theta
     batch = len(away) if away.ndim == 3 else 1
     return float(np.vdot(away, away)) / batch, (2.0 / batch) * away

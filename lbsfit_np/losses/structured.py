@@ -44,7 +44,7 @@ def structured_chamfer(X, V, x_labels, v_labels, *, x_weights=None, v_weights=No
     x_weights, v_weights = check_weights("x_weights", x_weights, len(X)), check_weights("v_weights", v_weights, len(V))
     if x_index is None:
         x_index = PointIndex(X, x_labels)
-    check_index("x_index", x_index, X, labelled=True)
+    check_index("x_index", x_index, X, x_labels)
     to_V = PointIndex(V, v_labels, moving=True).nearest(X, x_labels)
     to_X = x_index.nearest(V, v_labels)
     return one_sided_terms(X, V, to_V, to_X, x_weights, v_weights)
