@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, did_you_mean
 from .checks import check_number, check_same_length, check_set
 from .composite import composite_chamfer, composite_structured_chamfer
 from .laplacian import laplacian_offsets, laplacian_posed
@@ -46,7 +46,11 @@ class LossWeights:
             raise InputError("laplacian", repr(self.laplacian), "'posed' or 'offsets'")
 
     def replace(self, **changes):
-        """The same weights but for some."""
+        """The same weights but for some; InputError for a name that is none."""
+        known = self.__dataclass_fields__
+        for name in changes:
+            if name not in known:
+                raise InputError(name, "a weight that is not known", f"one of {', '.join(known)}", did_you_mean(name, known))
         return replace(self, **changes)
 
 

@@ -21,6 +21,7 @@ from .checks import (
     check_tree,
     check_weights,
 )
+from .clips import poses_of_clips
 from .frames import bone_frames, child_directions
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, derived_limits
 from .partition import check_partition, partition_names
@@ -80,7 +81,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     if state.merged_now.any():
         weights = _merged_weights(weights, parents, state.merged)
     lower, upper = _limits(report, data, root, names, frames, turned, state, card, notes)
-    poses, smpl_rest = _library(report, data, names, parents, turned, state, notes)
+    poses, smpl_rest = _library(report, data, names, parents, root, turned, state, notes)
     shapes = check_shapes(report, data.shapes, len(vertices), len(names))
 
     partitions = _partitions(report, data, names, card)
@@ -349,17 +350,21 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
     return lower, upper
 
 
-def _library(report, data, names, parents, turned, state, notes):
-    """The natural poses about the rig's axes, without turns of joints that do not turn; and ``smpl_rest``.
+def _library(report, data, names, parents, root, turned, state, notes):
+    """The natural poses about the rig's axes, the file's or else its animations', without turns of joints that do not turn;
+    and ``smpl_rest``.
 
     Both say how joints turn relative to their parents: where a card gives other parents they mean nothing any more.
     """
-    poses = check_poses(report, data.poses, names)
+    poses, still = check_poses(report, data.poses, names), state.merged | state.locked
+    if not poses and data.animated is not None and np.array_equal(parents, data.parents):
+        poses = poses_of_clips(report.array("animated", data.animated, (None, len(names), 3)), root, still)
+        if poses:
+            notes.append(f"the file has no natural poses: {len(poses)} were taken from its animations")
     rest = None if data.smpl_rest is None else check_rotations(report, "smpl_rest", data.smpl_rest, names)
     if (poses or rest is not None) and not np.array_equal(parents, data.parents):
         notes.append("the file's natural poses and its relation to SMPL are left out, as the card changes the hierarchy")
         return {}, None
-    still = state.merged | state.locked
     for name, theta in poses.items():
         if turned is not None:
             theta = np.einsum("jab,jb->ja", turned, theta)
