@@ -298,7 +298,7 @@ def test_of_a_large_scan_each_point_keeps_its_colour(tube_rig, tube_scan, tube_r
 
     rows = np.arange(70_000)
     labels = rows * 4 // len(rows)
-    result = replace(tube_result, labels=labels, pose=np.zeros((4, 3)))
+    result = replace(tube_result, labels=labels, confidence=np.ones(len(rows)), pose=np.zeros((4, 3)))
     points = drawn_items(tube_rig, np.column_stack([rows, 0 * rows, 0 * rows]), result)[0][0]
     shown = points.points[:, 0].round().astype(int)
     assert len(shown) == 30_000 and shown[0] == 0 and shown[-1] == 69_999
@@ -334,3 +334,17 @@ def test_a_rig_that_says_less_is_drawn_as_well(tube_rig, tube_scan, tube_result,
 
     calls = drawn_items(replace(tube_rig, up=up, forward=forward), tube_scan.points, tube_result)
     assert {(how["up"], how["forward"]) for _, how in calls} == {seen}
+
+
+def test_points_of_a_floor_have_the_colour_of_no_part(tube_rig, tube_scan, tube_result, drawn_items):
+    """Nor does a floor as wide as a hall make the body tiny."""
+    from dataclasses import replace
+
+    n, rng = len(tube_scan.points), np.random.default_rng(0)
+    floor = np.column_stack([rng.uniform(-50, 50, n), np.full(n, tube_scan.points[:, 1].min()), rng.uniform(-50, 50, n)])
+    points, off = np.vstack([tube_scan.points, floor]), np.zeros(n)
+    both = replace(tube_result, labels=np.tile(tube_result.labels, 2), confidence=np.r_[tube_result.confidence, off])
+    ((drawn, how), *_) = drawn_items(tube_rig, points, both)
+    np.testing.assert_array_equal(drawn.colors[:n], part_colors(4)[tube_result.labels])
+    assert (np.ptp(drawn.colors[n:], axis=1) == 0).all() and (drawn.colors[n:] > 150).all()
+    assert np.ptp(how["frame"], axis=0).max() < 2.5 * np.ptp(tube_result.vertices, axis=0).max()

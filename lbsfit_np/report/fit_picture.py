@@ -11,6 +11,9 @@ __all__ = ["fit_picture"]
 _VIEWS = ("front", "oblique")
 # Of a larger scan, so many points are drawn.
 _MOST_POINTS = 30_000
+# Labels of less confidence are of points off the mesh, such as a floor's: they have a colour of no part. The picture ends so far
+# from the mesh, as a share of its extent.
+_OFF, _OFF_COLOR, _ROOM = 0.05, (205, 205, 205), 0.6
 
 
 def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
@@ -31,19 +34,22 @@ def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
     Returns
     -------
     (h, w, 3) uint8 array
-        From left to right the scan coloured by the parts found, the true mesh, the registered mesh in the same colours; the first
-        line seen from the front, the second obliquely. All turned back as the rig stands, so that subjects are seen from their
-        own front however their scans lie.
+        From left to right the scan coloured by the parts found, grey where it is off the mesh, the true mesh, the registered
+        mesh in the same colours; the first line seen from the front, the second obliquely. All turned back as the rig stands,
+        so that subjects are seen from their own front however their scans lie.
     """
     turn, colors = root_turn(rig, result.pose), part_colors(len(rig.parts))
     rows = np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(int)
     found = result.vertices @ turn
-    items = [Points(np.asarray(points)[rows] @ turn, colors[result.labels[rows]])]
+    shown = np.where(result.confidence[rows, None] < _OFF, np.array(_OFF_COLOR, colors.dtype), colors[result.labels[rows]])
+    items = [Points(np.asarray(points)[rows] @ turn, shown)]
     if truth is not None:
         items.append(Mesh(truth @ turn, rig.faces))
     items.append(Mesh(found, rig.faces, colors[rig.vertex_labels]))
-    # What of the scan lies off the mesh is to be seen, too, but for single wild points.
+    # What of the scan lies off the mesh is to be seen, too, but for single wild points and all of a wide floor.
     around = np.clip(items[0].points, *np.percentile(items[0].points, [1, 99], axis=0))
+    room = _ROOM * np.ptp(found, axis=0).max()
+    around = np.clip(around, found.min(axis=0) - room, found.max(axis=0) + room)
     frame = np.vstack([found, around] if truth is None else [found, around, truth @ turn])
     up = rig.up or "+y"
     forward = None if rig.forward and rig.forward[-1] == up[-1] else rig.forward  # where up is but assumed
