@@ -159,3 +159,12 @@ def test_few_known_labels_are_enough_to_tell_the_pose(tube_rig, tube_fitter, tub
         labels[np.flatnonzero(tube_scan.labels == p)[:10]] = p
     r = tube_fitter.fit_scan(tube_scan.points, labels=labels)
     assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.05 and r.status == "ok"
+
+
+def test_labels_of_no_point_that_takes_part_are_named(tube_rig, tube_scan):
+    """Thinning has left them out."""
+    labels = np.full(len(tube_scan.labels), -1)
+    labels[7] = 0
+    thin = lbs.LBSFitter(tube_rig, max_points=20, random_state=0)
+    with pytest.raises(lbs.InputError, match="labels: got -1 for all of the 20 points that take part .* a larger max_points"):
+        thin.fit_scan(tube_scan.points, labels=labels)

@@ -4,6 +4,7 @@ import time
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+from ..errors import InputError
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
@@ -221,6 +222,11 @@ def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels):
     labels : (k,) int array or None
         Known ones, −1 where one is not known.
 
+    Raises
+    ------
+    InputError
+        No label of these points is known.
+
     Yields
     ------
     frame : Frame
@@ -231,6 +237,9 @@ def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels):
         The start's angles in that frame.
     """
     half, turns = rig.size / 2, some_turns(facing.turns)
+    if labels is not None and labels.max() < 0:
+        got = f"-1 for all of the {len(labels)} points that take part in the fit"
+        raise InputError("labels", got, "the parts of some of them", "Label more points, or pass a larger max_points.")
     known = None if labels is None else one_hot(labels, len(rig.parts))
     if theta0 is not None:  # in a frame that is turned along, the segmenter sees the scan as it has learned it
         turns = root_turn(rig, theta0)[None]
