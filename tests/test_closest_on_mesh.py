@@ -135,6 +135,6 @@ def test_meshes_of_short_triangles_are_looked_at_as_before(tube):
     V, faces = tube.pose(state_within(tube, 4))[0].vertices, tube.rig.faces
     X = sample_surface(V, faces, 100, np.random.default_rng(1))[0]
     nearest = np.array([((V - x) ** 2).sum(axis=1).argmin() for x in X])
-    short = Surface(0.1 * tube.rig.vertices, faces).closest(X, nearest, V)
+    short = Surface(tube.rig.vertices, faces).closest(X, nearest, V)
     expected = closest_on_mesh(X, nearest, V, faces, faces_around(faces, len(V)))
     np.testing.assert_array_equal(short.points, expected.points)
