@@ -8,7 +8,7 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.effort import EFFORTS
-from lbsfit_np.fitting.refit import LimbSearch, Refit, Runner, thinned
+from lbsfit_np.fitting.refit import LimbSearch, Refit, Runner
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning.tasks import Pose
 from lbsfit_np.losses import chamfer
@@ -116,6 +116,7 @@ def test_poses_of_a_round_are_looked_for_as_settings_say(effort, partial, rig, m
         refit, limbs = asked[-1]
         assert refit.model is limbs.poses.model is models[subject]
         assert refit._last.partial == partial and limbs.effort is EFFORTS[effort]
+        assert (refit._bends is None) == (effort == "fast")
     assert asked[0][0] is asked[2][0] and asked[0][1] is asked[2][1]  # made ready once
 
 
@@ -248,6 +249,38 @@ def test_other_unknowns_can_be_freed(model, refit, case):
     bigger = Problem(1.1 * case.problem.X)
     assert other(bigger, poses=[case.near])[0].scale == pytest.approx(1.1, abs=0.015)
     assert refit(bigger, poses=[case.near])[0].scale == 1.0
+    bending = Refit(model, bends=True)
+    other = bending.freeing(("pose", "scale"))
+    for of in (bending, other):
+        assert of._bends._free == of.free and of._bends._to_the_end.__self__ is of
+    assert other._bends._steps is bending._bends._steps  # made ready once
+
+
+def test_other_bends_are_tried_of_what_has_won(model, case, monkeypatch):
+    refit, asked, other = Refit(model, bends=True), [], case.truth.replace(scale=0.9)
+    monkeypatch.setattr(refit, "_bends", lambda *given: asked.append(given) or (other, 0.0))
+    state, value, which = refit(case.problem, [case.swap], poses=[case.near])
+    ((problem, best, left),) = asked
+    assert state is other and which == 1 and value == pytest.approx(chamfer(case.problem.X, model.pose(other)[0].vertices)[0])
+    assert problem is case.problem and case.error(model, best) < 0.01 and left == refit.to_the_end(problem, best, iterations=0)[1]
+    asked.clear()
+    refit(case.problem, [case.truth], proba=case.proba, labels_known=True)  # labels say where all points are
+    assert not asked
+
+
+def test_a_foot_that_points_the_wrong_way_is_turned():
+    rig = lbs.load_rig("body-coarse")
+    model, ankle = Model(rig), rig.joint_names.index("left_ankle")
+    (s,) = lbs.synthesize(rig, poses="natural", random_state=5, shape=0.0, n_points=900)
+    centre, theta = s.points.mean(axis=0), s.pose.copy()
+    theta[ankle, 0] = max(theta[ankle, 0] - 1.2, rig.lower[ankle, 0])
+    refit, problem = Refit(model, bends=True), Problem((s.points - centre) / model.half)
+    wrong = model.rest().replace(theta=theta, translation=(s.translation - centre) / model.half)
+    stuck, value = refit.to_the_end(problem, wrong)
+    assert np.linalg.norm(stuck.theta[ankle] - s.pose[ankle]) > 0.7
+    state, least = refit._bends(problem, stuck, value)
+    assert least < 0.95 * value and np.linalg.norm(state.theta[ankle] - s.pose[ankle]) < 0.2
+    assert state.scale == 1.0 and not state.coefficients.any()
 
 
 def test_the_value_is_the_plain_chamfer_distance(model, refit, case):
@@ -330,12 +363,12 @@ def test_a_large_scan_gives_what_a_thinned_one_gives(rig, model, refit, case):
 def test_fewer_points_keep_their_weights():
     rng = np.random.default_rng(0)
     X, w = rng.random((2000, 3)), rng.random(2000)
-    few = thinned(Problem(X, w / w.sum()), 700)
+    few = Problem(X, w / w.sum()).thinned(700)
     rows = [int(np.flatnonzero((X == x).all(axis=1))[0]) for x in few.X]
     assert len(set(rows)) == 700 and few.x_weights.sum() == pytest.approx(1.0)
     np.testing.assert_allclose(few.x_weights, w[rows] / w[rows].sum())
     small = Problem(X[:700])
-    assert thinned(small, 700) is small and thinned(Problem(X), 700).x_weights is None
+    assert small.thinned(700) is small and Problem(X).thinned(700).x_weights is None
 
 
 def test_poses_are_put_where_the_scan_is(rig, model, refit, case):

@@ -267,7 +267,7 @@ def _only_finals(scout, runners, left, monkeypatch):
     for step, answer in (("_runners", runners), ("_facings", [])):
         monkeypatch.setattr(scout, step, lambda *given, answer=answer: answer)
     monkeypatch.setattr(scout, "_distinct", lambda given: given)
-    monkeypatch.setattr(scout, "_with_proportions", lambda r: replace(r, value=next(left)))
+    monkeypatch.setattr(scout, "_ended", lambda r: replace(r, value=next(left)))
 
 
 @pytest.mark.parametrize("effort, finals, tried", [("fast", 1, False), ("balanced", 2, True), ("thorough", 2, True)])
@@ -291,14 +291,15 @@ def test_other_bends_are_tried_of_the_best_one(tube_rig, effort, finals, tried, 
 
 
 def test_bends_are_tried_under_what_is_known(tube_rig):
-    """Of scans of one side, of a scale that is known; not where vertices alone are to tell, or without proportions."""
+    """Of scans of one side, of a scale that is known, of a template that is known; not where vertices alone are to tell."""
     known = {"scale": "fixed", "partial": True, "polish_ridge": 7e-5}
     scout = _untrained(tube_rig)
     scout = Scout(scout.model, scout.library, scout.facing, None, FitSettings(**known))
     assert scout._bends._free == scout._free == ("pose", "translation")
     assert scout._bends._steps.partial and scout._bends._steps.ridge == scout._shape.ridge == 7e-5
-    for settings, options in ((FitSettings(polish=0), {}), (FitSettings(), {"proportions": False})):
-        assert Scout(scout.model, scout.library, scout.facing, None, settings, **options)._bends is None
+    scout = Scout(scout.model, scout.library, scout.facing, None, FitSettings(**known), proportions=False)
+    assert scout._shape is None and scout._bends._steps.partial and not scout._bends._proportions
+    assert Scout(scout.model, scout.library, scout.facing, None, FitSettings(polish=0))._bends is None
 
 
 @pytest.mark.parametrize("orientation, halves", [("aligned", ""), ("upright", "y"), ("any", "yxz")])

@@ -2,15 +2,17 @@
 
 As long as proportions are unknown, a finger of the template that is longer than the person's is fitted with its tip folded.
 Proportions that are found afterwards fit the folded tip, and no step leads out of that: the way goes through poses that are
-worse. So each bent joint is straightened, or its bend given to a neighbour; a few steps are gone from there, proportions
-included, and what leaves less unexplained is kept.
+worse. Where the template is known, a hand or a head that looks the wrong way is as hard to turn, and moves the joints too little
+to count as another pose of its limb. So each bent joint is straightened, or its bend given to a neighbour; a few steps are gone
+from there, and what leaves less unexplained is kept.
 """
+
+import copy
 
 import numpy as np
 
 from ..optimize.gauss_newton import GaussNewton
 from ..rig.chains import bones
-from .refit import thinned
 
 __all__ = ["Bends", "other_bends"]
 
@@ -25,7 +27,7 @@ _BETTER = 0.995
 
 
 class Bends:
-    """Tries other bends of the poses of a model, which are found together with its proportions.
+    """Tries other bends of the poses of a model.
 
     Parameters
     ----------
@@ -33,12 +35,14 @@ class Bends:
     free : collection of {"pose", "translation", "scale"}
     to_the_end : callable (problem, state) → (State, float)
         Steps on all points; the value is what is to be small.
+    proportions : bool, default True
+        Whether the template's proportions are found as well, or are known.
     **options
         Of the ``GaussNewton`` that compares.
     """
 
-    def __init__(self, model, free, to_the_end, **options):
-        self.model, self._free, self._to_the_end = model, free, to_the_end
+    def __init__(self, model, free, to_the_end, *, proportions=True, **options):
+        self.model, self._free, self._to_the_end, self._proportions = model, free, to_the_end, proportions
         self._steps = GaussNewton(model, vertices=_VERTICES, **options)
 
     def __call__(self, problem, state, value):
@@ -57,7 +61,7 @@ class Bends:
         state : State
         value : float
         """
-        few = thinned(problem, _POINTS)
+        few = problem.thinned(_POINTS)
         moves = other_bends(self.model.rig, state.theta)
         while moves:
             _, own = self._moved(few, state, _FIRST_STEPS + _OTHER_STEPS)
@@ -75,7 +79,14 @@ class Bends:
         return state, value
 
     def _moved(self, problem, state, steps):
-        return self._steps.with_proportions(problem, state, free=self._free, iterations=steps)
+        steps_of = self._steps.with_proportions if self._proportions else self._steps.pose
+        return steps_of(problem, state, free=self._free, iterations=steps)
+
+    def freeing(self, free, to_the_end):
+        """The same, for other unknowns; what is prepared of the model is shared."""
+        other = copy.copy(self)
+        other._free, other._to_the_end = free, to_the_end
+        return other
 
 
 def _changed(state, move):

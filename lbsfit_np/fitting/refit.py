@@ -17,10 +17,11 @@ from ..optimize.state import State
 from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
+from .bends import Bends
 from .effort import Effort
 from .labels import parts_of, refined_labels
 
-__all__ = ["LimbSearch", "Refit", "Runner", "distinct", "thinned"]
+__all__ = ["LimbSearch", "Refit", "Runner", "distinct"]
 
 # σ of the refined labels that lead a start from part centroids, in half sizes.
 _SIGMAS = (0.15, 0.07)
@@ -84,14 +85,17 @@ class Refit:
     free : collection of {"pose", "translation", "scale"}, default pose and translation
     partial : bool, default False
         Whether scans show one side only.
+    bends : bool, default False
+        Whether other bends of joints are tried in the end.
     """
 
-    def __init__(self, model, free=("pose", "translation"), *, partial=False):
+    def __init__(self, model, free=("pose", "translation"), *, partial=False, bends=False):
         self.model, self.free, self.partial = model, free, partial
         near = {"reach": _NEAR, "tangential": 0.02, "partial": partial}
         self._far = GaussNewton(model, reach=_FAR, vertices=_FAR_VERTICES, partial=partial)
         self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
         self._last = GaussNewton(model, **near)
+        self._bends = Bends(model, free, self.to_the_end, proportions=False, **near) if bends else None
 
     def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None):
         """The best pose found.
@@ -136,7 +140,10 @@ class Refit:
         # On few points a wrong pose may look as good; a pose that was known is not lost to one that looks better there.
         # Of poses that are as good the known one wins.
         best = min((self._moved(self._last, problem, r) for r in [*runners[: len(states)], *ends]), key=lambda r: r.value)
-        return best.state, self._chamfer(problem, best.state), best.name
+        state = best.state
+        if self._bends:
+            state, _ = self._bends(problem, state, best.value)
+        return state, self._chamfer(problem, state), best.name
 
     def race(self, runners, survivors=_SURVIVORS):
         """All starts a few steps, the best of them to the end.
@@ -194,11 +201,16 @@ class Refit:
         """The same, for other unknowns; what is prepared of the model is shared."""
         other = copy.copy(self)
         other.free = free
+        other._bends = self._bends and self._bends.freeing(free, other.to_the_end)
         return other
 
     def polish(self, problem, state, **options):
         """The last steps alone, on all points; options of :meth:`GaussNewton.pose`."""
-        return self._last.pose(problem, state, free=self.free, **options)[0]
+        return self.to_the_end(problem, state, **options)[0]
+
+    def to_the_end(self, problem, state, **options):
+        """The same with the value E that they have made smaller."""
+        return self._last.pose(problem, state, free=self.free, **options)
 
     def placed(self, problem, theta, scale=1.0):
         """The State of a pose Θ of some scale put where the scan is."""
@@ -247,7 +259,7 @@ class Refit:
 
     def _all_moved(self, runners, steps, points, iterations):
         problems = {id(r.problem): r.problem for r in runners}
-        problems = {key: thinned(problem, points) for key, problem in problems.items()}
+        problems = {key: problem.thinned(points) for key, problem in problems.items()}
         moved = [self._moved(steps, problems[id(r.problem)], r, iterations=iterations) for r in runners]
         return sorted(moved, key=lambda r: r.value)
 
@@ -282,13 +294,3 @@ def distinct(runners, joints, alike):
             out.append(r)
             known.append(own)
     return out
-
-
-def thinned(problem, most):
-    """The problem on fewer points, evenly taken: scans have no order that this could follow."""
-    n = len(problem.X)
-    if n <= most:
-        return problem
-    rows = np.linspace(0, n - 1, most).astype(int)
-    a = None if problem.x_weights is None else problem.x_weights[rows] / problem.x_weights[rows].sum()
-    return Problem(problem.X[rows], a)

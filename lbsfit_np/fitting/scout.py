@@ -22,7 +22,7 @@ from ..starts.turns import any_side_up
 from .bends import Bends
 from .confidence import evidence_of, probability_of
 from .effort import EFFORTS
-from .refit import LimbSearch, Refit, Runner, distinct, thinned
+from .refit import LimbSearch, Refit, Runner, distinct
 
 __all__ = ["Found", "Scout"]
 
@@ -95,9 +95,10 @@ class Scout:
         self._flips = [up] if facing.up is not None else [up, *np.eye(3)[up == 0]]
         self._limbs = LimbPoses(model, library.poses)
         self._shape = self._bends = None
-        if proportions and settings.polish:
+        if settings.polish:
             steps = {"ridge": settings.polish_ridge, "tangential": 0.02, "partial": settings.partial}
-            self._shape, self._bends = GaussNewton(model, **steps), Bends(model, self._free, self._to_the_end, **steps)
+            self._shape = GaussNewton(model, **steps) if proportions else None
+            self._bends = Bends(model, self._free, self._to_the_end, proportions=proportions, **steps)
 
     def __call__(self, points, x_weights=None):
         """Look at one scan.
@@ -133,7 +134,7 @@ class Scout:
         ends = refit.last_steps(runners[: effort.survivors])
         near = self._distinct(refit.with_other_limbs(ends, LimbSearch(self._limbs, effort)) if self.nearest else ends)
         close = [r for r in near[: effort.finals] if r.value <= _RIVAL * near[0].value]
-        finals = list(map(self._with_proportions, close))
+        finals = list(map(self._ended, close))
         # What the others would leave unexplained if proportions helped them as much as the best.
         helped = min((e.value, e.value / max(r.value, 1e-300)) for e, r in zip(finals, close, strict=True))[1]
         finals.sort(key=lambda r: r.value)
@@ -206,21 +207,21 @@ class Scout:
     def _labelled(self, points, x_weights, frame):
         """A start from what the segmenter says in one frame."""
         problem = Problem(frame.inside(points), x_weights)
-        few = thinned(problem, _LABELLED)
+        few = problem.thinned(_LABELLED)
         return Runner(problem, self._refit.from_parts(few, self._labels(few)), frame)
 
     def _labels(self, problem):
         """What the segmenter says of the points."""
         return self.segmenter.predict_proba(problem.X * self.model.half, views=1)
 
-    def _with_proportions(self, runner):
-        if self._shape is None:
-            return replace(runner, state=self._refit.polish(runner.problem, runner.state))
+    def _ended(self, runner):
         state, value = self._to_the_end(runner.problem, runner.state)
         return replace(runner, state=state, value=value)
 
     def _to_the_end(self, problem, state):
         """The last steps of a pose, of the template's proportions as well where they are looked for; what they make smaller."""
+        if self._shape is None:
+            return self._refit.to_the_end(problem, state)
         return self._shape.with_proportions(problem, state, free=self._free, iterations=self.settings.polish)
 
     def _joints(self, runner):

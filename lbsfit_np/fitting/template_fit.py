@@ -9,6 +9,7 @@ import numpy as np
 from ..optimize.gauss_newton import GaussNewton
 from .assemble import assemble
 from .confidence import shown_problem
+from .effort import EFFORTS
 from .refit import Refit
 from .search import Search
 
@@ -29,7 +30,7 @@ class TemplateFit:
 
     def __init__(self, rig, model, settings):
         self.rig, self.model, self.settings = rig, model, settings
-        self.refit = Refit(model, partial=settings.partial)
+        self.refit = Refit(model, partial=settings.partial, bends=EFFORTS[settings.effort].bends)
 
     @cached_property
     def _steps(self):

@@ -93,10 +93,10 @@ class Pose:
         return cache(self._made)  # once in each process
 
     def _made(self, subject):
-        model, limbs = self.models[subject], None
+        model, limbs, effort = self.models[subject], None, EFFORTS[self.settings.effort]
         if self.other_limbs:
-            limbs = LimbSearch(LimbPoses(model, self.library.poses), EFFORTS[self.settings.effort])
-        return Refit(model, partial=self.settings.partial), limbs
+            limbs = LimbSearch(LimbPoses(model, self.library.poses), effort)
+        return Refit(model, partial=self.settings.partial, bends=effort.bends), limbs
 
     def __call__(self, task):
         subject, X, state, beside, proba = task

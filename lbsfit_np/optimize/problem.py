@@ -47,6 +47,15 @@ class Problem:
         self.v_weights = v_weights
         self._part_index = None, None
 
+    def thinned(self, most):
+        """The problem on at most so many points, evenly taken: scans have no order that this could follow."""
+        n = len(self.X)
+        if n <= most:
+            return self
+        rows = np.linspace(0, n - 1, most).astype(int)
+        a = None if self.x_weights is None else self.x_weights[rows] / self.x_weights[rows].sum()
+        return Problem(self.X[rows], a)
+
     @cached_property
     def x_index(self):
         """The search structure over the points, without labels."""
