@@ -1,6 +1,6 @@
 """Fit rigged meshes to point clouds: joint angles, a registered mesh and part labels. NumPy, SciPy, scikit-learn, trimesh."""
 
-import importlib
+import importlib as _importlib
 
 __version__ = "0.1.0"
 
@@ -32,11 +32,11 @@ def __getattr__(name):
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     home = _HOMES[name]
     if home is None:
-        return importlib.import_module(f".{name}", __name__)
-    value = getattr(importlib.import_module(f".{home}", __name__), name)
+        return _importlib.import_module(f".{name}", __name__)
+    value = getattr(_importlib.import_module(f".{home}", __name__), name)
     globals()[name] = value
     return value
 
 
 def __dir__():
-    return sorted([*globals(), *_HOMES])
+    return sorted({*globals(), *_HOMES})

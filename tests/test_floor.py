@@ -1,12 +1,15 @@
 """Floors are taken out of scans; bodies are not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.finish import scan_fit
 from lbsfit_np.rotations import matrix_from_rotvec
-from lbsfit_np.starts.clean import clean_rows
+from lbsfit_np.starts.clean import clean_rows, taking_part
 from lbsfit_np.starts.floor import off_floor
 from lbsfit_np.starts.scale import reference_scale
 from lbsfit_np.starts.turns import any_side_up, facing_of
@@ -204,3 +207,58 @@ def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, o
         else:
             fitter.fit_scan(points, labels=labels)
     np.testing.assert_array_equal(told.value.args[0], sides)
+
+
+def _part(points, rig, most=100_000, seed=0, **options):
+    rows, note, _ = taking_part(points, rig, most=most, rng=np.random.default_rng(seed), scale="estimate", **options)
+    return rows, note
+
+
+@pytest.mark.parametrize("where", ["zeros", "first point"])
+def test_points_in_one_place_take_no_part(where, hand):
+    """Pixels without depth, or what fills a cloud up; where each point is there as often, they are as good as once."""
+    (scan,) = lbs.synthesize(hand, random_state=1, n_points=1000)
+    filled = np.vstack([scan.points, np.tile(np.zeros(3) if where == "zeros" else scan.points[0], (9000, 1))])
+    rows, note = _part(filled[::-1], hand)
+    assert (10_000 - 1 - rows < 1000).all() and len(rows) >= 990
+    assert note.startswith(f"{9000 + (where != 'zeros')} identical points left out")
+    for n in (1, 30):
+        again, note = _part(np.tile(scan.points, (n, 1)), hand)
+        assert len(again) > 0.99 * n * 1000 and "identical" not in note
+
+
+def test_as_many_points_of_the_body_are_drawn_as_are_wanted(hand):
+    (scan,) = lbs.synthesize(hand, poses="natural", random_state=1, n_points=4000, floor=1.5)
+    body = np.flatnonzero(scan.labels >= 0)
+    for most in (500, 1000):
+        rows, note = _part(scan.points, hand, most, ups=[UP])
+        assert len(rows) == most and np.isin(rows, body).mean() > 0.97 and "of a floor left out" in note
+    drawn, note = _part(scan.points[body], hand, 1000, ups=[UP])
+    np.testing.assert_array_equal(drawn, np.sort(np.random.default_rng(0).choice(len(body), 1000, replace=False)))
+    assert note == ""
+
+
+@pytest.mark.parametrize(
+    "status, probabilities, kept", [("failed", (0.1, 0.9), 1), ("suspect", (0.5, 0.2), 0), ("ok", (0.9, 0.99), 0)]
+)
+def test_a_floor_below_another_axis_may_be_a_side_of_the_body(status, probabilities, kept, tube_rig, tube_fitter, monkeypatch):
+    """Where the fit without it is in doubt it is tried with it; what the rig stands on stays a floor."""
+    fit, fits = scan_fit(tube_fitter), []
+
+    def one(points, theta0, labels, point_weights, part, started, found):
+        fits.append(part)
+        return SimpleNamespace(status=status, probability=probabilities[len(fits) - 1], part=part)
+
+    monkeypatch.setattr(fit, "_fit", one)
+    (scan,) = lbs.synthesize(tube_rig, random_state=5, n_points=400, shape=0.0)
+    rng, size = np.random.default_rng(0), np.ptp(scan.points, axis=0).max()
+    for axis, tries in ((2, 1 if status == "ok" else 2), (1, 1)):
+        wall = scan.points.mean(axis=0) + 2 * size * (rng.random((500, 3)) - 0.5)
+        wall[:, axis] = scan.points[:, axis].min() - 0.02 * size
+        fits.clear()
+        found = fit.fit(np.vstack([scan.points, wall]), random_state=0)
+        assert len(fits) == tries and found.part is fits[kept if tries == 2 else 0]
+        assert "of a floor" in fits[0][1] and (tries == 1 or "of a floor" not in fits[1][1])
+    fits.clear()
+    fit.fit(np.vstack([scan.points, wall[:, [0, 2, 1]]]), random_state=0, theta0=np.zeros((4, 3)))
+    assert len(fits) == 1

@@ -5,6 +5,7 @@ import pytest
 from learning_runs import collected, loop_over, mean_gap
 
 import lbsfit_np as lbs
+from lbsfit_np.cli.sequences import order_note
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.optimize.frame import nearest_root
@@ -124,3 +125,28 @@ def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch
     one_side, whole = (Refit(model, partial=p).polish(Problem(X), state, prior=prior).theta for p in (True, False))
     np.testing.assert_array_equal(found.theta, one_side)
     assert np.abs(one_side - whole).max() > 1e-3
+
+
+@pytest.mark.parametrize(
+    "names, said",
+    [
+        (["f_1.ply", "f_2.ply", "f_10.ply"], ""),
+        (["f_1.ply", "f_10.ply", "f_2.ply"], "f_2.ply is given after f_10.ply"),
+        (["a/9.ply", "b/1.ply", "ann1_9_x.ply", "bob1_8_x.ply", "walk.ply"], ""),  # each has numbers of its own
+        (["ann1_9_x.ply", "bob1_8_x.ply", "ann1_8_x.ply"], "ann1_8_x.ply is given after ann1_9_x.ply"),
+        (["001.ply", "002.ply", "2.pcd"], ""),
+    ],
+)
+def test_files_out_of_order_are_told(names, said):
+    note = order_note(names)
+    assert note.startswith(said) and bool(note) == bool(said)
+
+
+def test_learn_says_that_files_are_out_of_order(tmp_path, tube_rig, run):
+    tube_rig.save(tmp_path / "tube.npz")
+    names = [tmp_path / f"f{k}.npy" for k in (10, 9)]
+    for name in names:
+        np.save(name, np.zeros((2, 3)))
+    told = {flag: run("learn", tmp_path / "tube.npz", *names, "-o", tmp_path / "m.npz", *flag) for flag in ((), ("--sequence",))}
+    for flag, (code, out, err) in told.items():
+        assert code == 2 and ("f9.npy is given after f10.npy" in out + err) == bool(flag)

@@ -53,6 +53,14 @@ def test_upright_turns_stand_on_the_rigs_up_axis(tube_rig, up, axis):
     assert _between(every[:, None], turns[None]).min(axis=1).max() <= np.radians(7.51)
 
 
+def test_who_faces_a_camera_is_aligned():
+    """One whose y points down and z away from it: up is −y, and the front, +z of the rig, looks back along its z."""
+    rig = lbs.load_rig("body-coarse")
+    turn = facing_of(rig, "aligned", "-y").turns[0]
+    np.testing.assert_allclose(turn, np.diag([1.0, -1.0, -1.0]), atol=1e-12)
+    np.testing.assert_allclose(facing_of(replace(rig, up="+x"), "aligned", "-x").turns[0], np.diag([-1.0, 1.0, -1.0]), atol=1e-12)
+
+
 @pytest.mark.parametrize("orientation", ["aligned", "upright"])
 @pytest.mark.parametrize("up", AXES)
 def test_turns_lead_to_the_scans_up_axis(tube_rig, orientation, up):

@@ -18,6 +18,7 @@ from .models import about_model, is_model
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, of_all, say, span
 from .reading import Reading
+from .sequences import order_note
 from .stopped_learning import is_result_of, results_so_far, stopped_early
 from .stopping import exit_code, say_steps, terminable
 from .subjects import SUBJECT_FILES, check_no_table, read_subjects
@@ -92,7 +93,7 @@ examples:
 
 A scan that cannot be used is named with the reason and left out. The model appears when it is complete, or, after Ctrl-C,
 with what the rounds until then have learned; an input is never overwritten. Until it is complete the steps done are kept in
-MODEL.unfinished: after a stop or a crash the same command goes on from there, also with more scans at its end. The
+MODEL.npz.unfinished: after a stop or a crash the same command goes on from there, also with more scans at its end. The
 segmenter's first training is kept in $LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans,
 how many fits are ok, suspect or failed, and a table of those that are not ok, see lbsfit fit --help.
 Exit code: 0 learned, and all scans could be used, also where some were held out or not learned from, 1 some could not be used, or
@@ -147,6 +148,8 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
     rig = load_rig_with(rig_path, values)
     values = _without_unused(values)
+    if values["sequence"] and (note := order_note(scans)):
+        say(f"note: {note}")
     fitter = _fitter(rig, values)
     check_parameters(fitter)  # before a folder is made
     folders = make_folder(model.parent)

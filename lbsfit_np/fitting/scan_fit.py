@@ -122,17 +122,29 @@ class ScanFit:
         """
         started = time.perf_counter()
         with one_thread():  # threads on arrays this small cost more than they give
-            return self._fit(points, theta0, labels, point_weights, random_state, started, found)
+            of = points, point_weights, random_state
+            taking_part = self.taking_part(*of)
+            result = self._fit(points, theta0, labels, point_weights, taking_part, started, found)
+            if result.status != "ok" and found is None and not given_names(theta0, labels):
+                # What lay below another axis than the rig's may be a flat side of the body: a palm, not a floor.
+                with_it = self.taking_part(*of, floors=slice(1))
+                if with_it[1] != taking_part[1]:
+                    other = self._fit(points, None, None, point_weights, with_it, started, None)
+                    result = max(result, other, key=lambda r: r.probability)
+            return result
 
-    def taking_part(self, points, point_weights=None, random_state=None):
-        """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
-        settings, rng = self.settings, generator(random_state, "thin")
-        limits = {"most": settings.max_points, "scale": settings.scale, "ups": self.facing.floors}
+    def taking_part(self, points, point_weights=None, random_state=None, *, floors=slice(None)):
+        """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`.
+
+        ``floors`` are those of the facing's axes below which floors are looked for.
+        """
+        settings, rng, ups = self.settings, generator(random_state, "thin"), self.facing.floors
+        limits = {"most": settings.max_points, "scale": settings.scale, "ups": None if ups is None else ups[floors]}
         return taking_part(points, self.model.source, rng=rng, point_weights=point_weights, **limits)
 
-    def _fit(self, points, theta0, labels, point_weights, random_state, started, found):
+    def _fit(self, points, theta0, labels, point_weights, taking_part, started, found):
         model, settings = self.model, self.settings
-        rows, left_out, guess = self.taking_part(points, point_weights, random_state)
+        rows, left_out, guess = taking_part
         a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
         given = given_names(theta0, labels)
         if not given:

@@ -77,11 +77,18 @@ def read_table(path):
     return cloud
 
 
+# A picture has at least so many rows and columns, and at most so many times as many of one as of the other.
+_PICTURE, _LONG = 64, 4
+
+
 def read_npy(path):
     """Read an (n, 3) or (n, 6+) array, or a structured one with fields x, y, z; see :func:`read_table` for further columns."""
     array = npz.read_npy(path)
     if array.dtype.names:
         return cloud_from_columns(path, "fields", array.dtype.names, lambda k: array.reshape(-1)[array.dtype.names[k]])
+    if array.ndim == 2 and _PICTURE <= min(array.shape) and max(array.shape) <= _LONG * min(array.shape):
+        got = f"an array of shape {array.shape}, which looks like a depth image"
+        raise FileError(str(path), got, "points of shape (n, 3)", "Convert each pixel to x, y, z with the camera's intrinsics.")
     if array.ndim == 2 and array.shape[1] > 3 and array.shape[0] != 3 and array.dtype.kind in "iuf":
         return _unnamed(array, *_IN_ARRAYS)
     return CloudData(array)

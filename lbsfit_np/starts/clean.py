@@ -1,4 +1,4 @@
-"""What of a scan is the body: wild points and floors are left out before anything is measured."""
+"""What of a scan is the body: pixels without depth, wild points and floors are left out before anything is measured."""
 
 import numpy as np
 
@@ -7,6 +7,12 @@ from .floor import off_floor
 from .scale import checked_extent, near_rows, reference_scale
 
 __all__ = ["clean_rows", "taking_part"]
+
+# So many points in one place, as a share of all and against what is usual in the scan, are no surface: cameras write pixels
+# without depth as zeros, and programs fill a cloud up with its first point.
+_LEAST, _SHARE, _TIMES = 20, 0.005, 20
+# Where fewer of the points that were drawn are of the body than this share of those wanted, more are drawn.
+_ENOUGH = 0.8
 
 
 def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None):
@@ -44,10 +50,26 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None):
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if not len(rows):
         raise InputError("point_weights", "all zeros", "at least one positive weight")
-    if len(rows) > most:
-        rows = np.sort(rng.choice(rows, most, replace=False))
-    rows, left_out = clean_rows(points, rows, ups=ups)
-    return rows, left_out, reference_scale(points[rows], rig, scale).scale
+    rows, same = _in_places_of_their_own(points, rows)
+    drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
+    kept, left_out = clean_rows(points, drawn, ups=ups)
+    if len(drawn) < len(rows) and len(kept) < _ENOUGH * most:
+        more = min(len(rows), int(most * most / max(len(kept), most // 10)))
+        kept, left_out = clean_rows(points, np.sort(rng.choice(rows, more, replace=False)), ups=ups)
+        if len(kept) > most:
+            kept = np.sort(rng.choice(kept, most, replace=False))
+    told = f"{same} identical points left out" if same else ""
+    return kept, "; ".join(filter(None, (told, left_out))), reference_scale(points[kept], rig, scale).scale
+
+
+def _in_places_of_their_own(points, rows):
+    """The rows without those of places that have very many points, and how many these are."""
+    x, y, z = points[rows].T
+    mixed = np.sqrt(2.0) * x + np.sqrt(3.0) * y + np.sqrt(5.0) * z  # one number a place, to sort by
+    _, place, count = np.unique(mixed, return_inverse=True, return_counts=True)
+    many = (count >= max(_LEAST, _SHARE * len(rows))) & (count >= _TIMES * np.median(count))
+    there = many[place]
+    return rows[~there], int(there.sum())
 
 
 def clean_rows(points, rows, *, ups=None):

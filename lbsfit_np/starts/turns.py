@@ -108,9 +108,13 @@ def _axis_name(along):
 
 
 def _turn_from(a, b):
-    """The rotation that takes one coordinate axis, either way, to another by the shortest way."""
+    """The rotation that takes one coordinate axis, either way, to another by the shortest way.
+
+    To the opposite one it is the half turn that cameras and graphics programs differ by, about x, with the front turned, too: who
+    faces a camera whose y points down and z away from it faces −z. About y where x is the axis.
+    """
     if a @ b < -0.5:
-        return matrix_from_rotvec(np.pi * np.roll(np.abs(a), 1))
+        return matrix_from_rotvec(np.pi * np.eye(3)[1 if a[0] else 0])
     return matrix_from_rotvec(np.arccos(np.clip(a @ b, -1, 1)) * np.cross(a, b))
 
 
