@@ -21,6 +21,7 @@ from lbsfit_np.learning.collection import (
     most_failed,
     odd_ones,
 )
+from lbsfit_np.starts.turns import facing_of
 
 
 @pytest.fixture(scope="module")
@@ -246,3 +247,22 @@ def test_all_scans_get_the_unit_of_most(tube_rig, clouds):
     assert {m.unit for m in found.members} == {250.0}  # millimetres, and the rig's unit is 0.25 m
     folded = [0.3 * clouds[0], *clouds[1:4]]  # its own extent would be another unit's
     assert {(m.unit, m.frame.unit) for m in collected(tube_rig, folded).members} == {(1.0, tube_rig.size / 2)}
+
+
+@pytest.mark.parametrize("walls, kept", [(1, True), (2, False), (4, False)])
+def test_a_floor_below_another_axis_is_one_where_half_of_the_scans_have_it(walls, kept, tube_rig):
+    """Else it is taken for a side of the body; what the rig stands on is a floor of each by itself."""
+    scans, rng = lbs.synthesize(tube_rig, 4, random_state=5, n_points=400, shape=0.0), np.random.default_rng(0)
+    ups = facing_of(tube_rig, "upright").floors
+    for axis, stays in ((2, kept), (1, False)):
+        clouds = [s.points for s in scans]
+        for i in range(walls):
+            size = np.ptp(clouds[i], axis=0).max()
+            wall = clouds[i].mean(axis=0) + 2 * size * (rng.random((500, 3)) - 0.5)
+            wall[:, axis] = clouds[i][:, axis].min() - 0.02 * size
+            clouds[i] = np.vstack([clouds[i], wall])
+        members = collected(tube_rig, clouds, held_out=0.0, ups=ups).members
+        for m, points in zip(members, clouds, strict=True):
+            floor = len(points) > 400 and not stays
+            assert ("of a floor" in m.left_out) == floor and len(m.rows) == pytest.approx(400 if floor else len(points), abs=15)
+            np.testing.assert_allclose(m.frame.centre, m.points[m.rows].mean(axis=0))

@@ -303,12 +303,15 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     subjects = [0] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
     check_ids(subjects)
     collection = Collection(len(scans))
+
+    def looked_at(i, points, ups):
+        return taking_part(points, rig, most=max_points, rng=generator(random_state, "thin", i), scale=scale, ups=ups)
+
     for i, (source, subject) in enumerate(zip(scans, subjects)):
         try:
             scan = source() if callable(source) else source
             points = check_points(scan, minimum=len(rig.parts))
-            rng = generator(random_state, "thin", i)
-            rows, left_out, unit = taking_part(points, rig, most=max_points, rng=rng, scale=scale, ups=ups)
+            rows, left_out, unit = looked_at(i, points, ups)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             collection.failures[i] = in_words(error)
             continue
@@ -317,12 +320,26 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
         frame = Frame(points[rows].mean(axis=0), unit * rig.size / 2)
         member = Member(i, points, rows, frame, subject, unit, left_out, name)
         collection.members.append(member)
+    if ups is not None and len(ups) > 1:
+        _keep_odd_floors(collection, rig.size / 2, lambda m: looked_at(m.index, m.points, ups[:1]))
     if not collection.members:
         first = next(iter(collection.failures.values()))
         raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be read")
     _check_units(collection, rig.size / 2)
     _hold_out(collection, held_out, random_state)
     return collection
+
+
+def _keep_odd_floors(collection, half, looked_at):
+    """Floors below another axis than the rig's are such where at least half of the scans have one, else flat sides of bodies."""
+    with_floor = [m for m in collection.members if "of a floor" in m.left_out]
+    others = [(m, looked_at(m)) for m in with_floor]
+    odd = [(m, found) for m, found in others if "of a floor" not in found[1]]
+    if 2 * len(odd) >= len(collection.members):
+        return
+    for m, (rows, left_out, unit) in odd:
+        m.rows, m.left_out, m.unit = rows, left_out, unit
+        m.frame = Frame(m.points[rows].mean(axis=0), unit * half)
 
 
 def most_failed(statuses, roles):
