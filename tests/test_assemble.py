@@ -145,7 +145,7 @@ def test_the_segmenters_word_counts_for_labels_and_as_evidence(rigs):
 
 @pytest.mark.parametrize("partial", [False, True])
 def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
-    """Half of the points, from one side, and a pose that is wrong."""
+    """Half of the points, from one side, and a pose that is wrong, or right."""
     rig = rigs["hand"]
     model = Model(rig)
     state = model.rest()
@@ -156,6 +156,12 @@ def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
     weights, outcome = PRESETS["default"], Outcome(state, 0.0, True, "", 1)
     r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, partial=partial, **more)
     assert r.status != "ok" and ("one side only" in r.message) != partial
+    outcome = Outcome(state.replace(translation=np.array([0.0, 0.15, 0.0])), 0.0, True, "", 1)
+    r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, partial=partial, **more)
+    assert r.status == "ok" and r.message.startswith("much of the surface has no points near it: if the scan") != partial
+    if not partial:
+        more |= {"points": V, "rows": np.arange(len(V))}
+        assert assemble(rig, model, Problem(V), replace(outcome, state=state), frame=frame, weights=weights, **more).message == ""
 
 
 def _at_rest(model, X, *, state=None, x_weights=None, proba=None, **options):

@@ -149,8 +149,9 @@ def assemble(
             reason = "; ".join([reason, *further])
         if status == "failed":
             reason += f"; {_asked(given)}"
-        if status != "ok" and not partial and evidence["unreached"] > _HARDLY_REACHED:
-            reason += "; if the scan shows one side only, say so with partial (--partial)"
+        if not partial and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
+            words = "if the scan shows one side only, say so with partial (--partial)"
+            reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
     if not finite:
         found = ()
     elif status == "failed" and any(found):
