@@ -125,7 +125,7 @@ class ScanFit:
             of = points, point_weights, random_state
             taking_part = self.taking_part(*of)
             result = self._fit(points, theta0, labels, point_weights, taking_part, started, found)
-            if result.status != "ok" and found is None and not given_names(theta0, labels):
+            if result.status != "ok" and "of a floor" in taking_part[1] and found is None and not given_names(theta0, labels):
                 # What lay below another axis than the rig's may be a flat side of the body: a palm, not a floor.
                 with_it = self.taking_part(*of, floors=slice(1))
                 if with_it[1] != taking_part[1]:
