@@ -63,7 +63,7 @@ WORK = {
     "labels": lambda _: Segmenter.predict_proba(SimpleNamespace(half=1.0, turn=0.0, _proba=_look), X),
     "the regressor f": _regressor,
     "the loop": lambda _: Loop.run(SimpleNamespace(_first_fits=_look)),
-    "a fit": lambda _: ScanFit.fit(SimpleNamespace(taking_part=_look), X),
+    "a fit": lambda _: ScanFit.fit(SimpleNamespace(taking_part=lambda *of: None, _fit=_look), X),
     "a new scan": _new_scan,
     "tasks": lambda _: each(_look, [0]),
     "the oracle": lambda _: OracleFit.__call__(SimpleNamespace(_fit=_look), None),

@@ -222,8 +222,11 @@ class Refit:
         Holes and uneven density shift a scan's centroid by a tenth of its size and more: from there steps that also bend joints
         may lead away from a pose that is right.
         """
-        place = tuple(block for block in self.free if block != "pose")
-        return self._far.pose(problem, self.placed(problem, theta), free=place, iterations=2 * _FAR_STEPS)[0]
+        place, state = tuple(block for block in self.free if block != "pose"), self.placed(problem, theta)
+        # Steps that look far are drawn aside by what a hole leaves without points; those that look near are not.
+        for steps, iterations in ((self._far, 2 * _FAR_STEPS), (self._near, _NEAR_STEPS)):
+            state, _ = steps.pose(problem, state, free=place, iterations=iterations)
+        return state
 
     def from_parts(self, problem, proba, labels_known=False):
         """The State from inverse kinematics on the parts' centroids, then by the labels, ever closer."""
