@@ -7,6 +7,7 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning import finish
 from lbsfit_np.learning.finish import scan_fit
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.clean import clean_rows, taking_part
@@ -23,7 +24,7 @@ def hand():
 
 
 def _kept(points, **options):
-    rows, dropped = off_floor(points, np.arange(len(points)), **options)
+    rows, dropped, _ = off_floor(points, np.arange(len(points)), **options)
     kept = np.zeros(len(points), dtype=bool)
     kept[rows] = True
     assert dropped == (~kept).sum()
@@ -111,7 +112,7 @@ def test_of_a_scan_that_is_all_but_a_plane_nothing_is_left_out(n_above, goes):
 
 def test_given_rows_are_kept_to(hand):
     (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1, floor=1.0)
-    rows, dropped = off_floor(scan.points, np.arange(0, len(scan.points), 2), ups=[UP])
+    rows, dropped, _ = off_floor(scan.points, np.arange(0, len(scan.points), 2), ups=[UP])
     assert dropped > 1000 and (rows % 2 == 0).all()
 
 
@@ -153,14 +154,14 @@ def test_a_floor_below_the_likely_axis_is_taken_before_a_wall_and_the_larger_of_
 def test_clean_rows_says_what_it_left_out(hand):
     (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1, floor=1.0)
     points = np.vstack([scan.points, [[9.0, 9.0, 9.0]]])
-    rows, note = clean_rows(points, np.arange(len(points)), ups=[UP])
+    rows, note, _ = clean_rows(points, np.arange(len(points)), ups=[UP])
     assert len(points) - 1 not in rows
     assert "1 point far from all others left out" in note and note.endswith("points of a floor left out")
     (plain,) = lbs.synthesize(hand, 1, poses="natural", random_state=1)
-    rows, note = clean_rows(plain.points, np.arange(len(plain.points)), ups=[UP])
+    rows, note, _ = clean_rows(plain.points, np.arange(len(plain.points)), ups=[UP])
     assert note == "" and len(rows) == len(plain.points)
     assert clean_rows(plain.points, np.arange(0, len(plain.points), 2), ups=[UP])[1] == ""
-    rows, note = clean_rows(points, np.arange(0, len(points), 2), ups=[UP])  # its counts are not of the whole scan
+    rows, note, _ = clean_rows(points, np.arange(0, len(points), 2), ups=[UP])  # its counts are not of the whole scan
     assert note.endswith(f"points of a floor left out (of {(len(points) + 1) // 2} that were looked at)")
 
 
@@ -171,7 +172,7 @@ def test_a_wide_floor_says_nothing_of_the_unit(hand):
     across = 3 * hand.size * rng.uniform(-0.5, 0.5, (4000, 2))
     floor = np.column_stack([across[:, 0], np.full(4000, scan.points[:, 1].min()), across[:, 1]])
     points = np.vstack([scan.points, floor])
-    rows, _ = clean_rows(points, np.arange(len(points)), ups=[UP])
+    rows, *_ = clean_rows(points, np.arange(len(points)), ups=[UP])
     assert reference_scale(points[rows], hand, "fixed").scale == reference_scale(scan.points, hand, "estimate").scale == 1.0
     with pytest.raises(InputError, match="scale: got 'fixed' for a scan whose extent is"):
         reference_scale(points, hand, "fixed")
@@ -210,8 +211,8 @@ def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, o
 
 
 def _part(points, rig, most=100_000, seed=0, **options):
-    rows, note, _ = taking_part(points, rig, most=most, rng=np.random.default_rng(seed), scale="estimate", **options)
-    return rows, note
+    part = taking_part(points, rig, most=most, rng=np.random.default_rng(seed), scale="estimate", **options)
+    return part.rows, part.left_out
 
 
 @pytest.mark.parametrize("where", ["zeros", "first point"])
@@ -241,24 +242,34 @@ def test_as_many_points_of_the_body_are_drawn_as_are_wanted(hand):
 @pytest.mark.parametrize(
     "status, probabilities, kept", [("failed", (0.1, 0.9), 1), ("suspect", (0.5, 0.2), 0), ("ok", (0.9, 0.99), 0)]
 )
-def test_a_floor_below_another_axis_may_be_a_side_of_the_body(status, probabilities, kept, tube_rig, tube_fitter, monkeypatch):
-    """Where the fit without it is in doubt it is tried with it; what the rig stands on stays a floor."""
-    fit, fits = scan_fit(tube_fitter), []
+@pytest.mark.parametrize("learned", [False, True])
+def test_a_floor_below_another_axis_may_be_a_side_of_the_body(
+    learned, status, probabilities, kept, tube_rig, tube_fitter, monkeypatch
+):
+    """Where the fit without it is in doubt it is tried with it, after learning too; what the rig stands on stays a floor."""
+    fits = []
 
-    def one(points, theta0, labels, point_weights, part, started, found):
+    def one(part):
         fits.append(part)
         return SimpleNamespace(status=status, probability=probabilities[len(fits) - 1], part=part)
 
-    monkeypatch.setattr(fit, "_fit", one)
+    fit, known = scan_fit(tube_fitter), {"theta0": None, "labels": None, "point_weights": None}
+    monkeypatch.setattr(fit, "_fit", lambda points, theta0, labels, point_weights, part, started, found: one(part))
+    monkeypatch.setattr(finish, "_fit_new", lambda fitter, points, part, *_: one(part))
+
+    def fitted(points, **given):
+        fits.clear()
+        given = known | given
+        return finish.fit_new(tube_fitter, points, ("ann",), **given) if learned else fit.fit(points, random_state=0, **given)
+
     (scan,) = lbs.synthesize(tube_rig, random_state=5, n_points=400, shape=0.0)
     rng, size = np.random.default_rng(0), np.ptp(scan.points, axis=0).max()
     for axis, tries in ((2, 1 if status == "ok" else 2), (1, 1)):
         wall = scan.points.mean(axis=0) + 2 * size * (rng.random((500, 3)) - 0.5)
         wall[:, axis] = scan.points[:, axis].min() - 0.02 * size
-        fits.clear()
-        found = fit.fit(np.vstack([scan.points, wall]), random_state=0)
+        found = fitted(np.vstack([scan.points, wall]))
         assert len(fits) == tries and found.part is fits[kept if tries == 2 else 0]
-        assert "of a floor" in fits[0][1] and (tries == 1 or "of a floor" not in fits[1][1])
-    fits.clear()
-    fit.fit(np.vstack([scan.points, wall[:, [0, 2, 1]]]), random_state=0, theta0=np.zeros((4, 3)))
+        assert "of a floor" in fits[0].left_out and fits[0].floor_elsewhere == (axis == 2)
+        assert tries == 1 or "of a floor" not in fits[1].left_out
+    fitted(np.vstack([scan.points, wall[:, [0, 2, 1]]]), theta0=np.zeros((4, 3)))
     assert len(fits) == 1

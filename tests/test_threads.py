@@ -53,8 +53,11 @@ def _baseline(monkeypatch):
 
 
 def _new_scan(monkeypatch):
-    monkeypatch.setattr(finish, "_fit_new", _look)
-    return finish.fit_new(SimpleNamespace(regressor_=1), None, ("ann",), None, None, None)
+    monkeypatch.setattr(finish, "taking_part", _look)
+    monkeypatch.setattr(finish, "_facing", lambda fitter: SimpleNamespace(floors=None))
+    settings = SimpleNamespace(max_points=1, scale="fixed")
+    fitter = SimpleNamespace(regressor_=1, rig=None, _seed=lambda: 0, _fit_settings=lambda: settings)
+    return finish.fit_new(fitter, None, ("ann",), None, None, None)
 
 
 X = np.random.default_rng(0).random((40, 3))
@@ -63,7 +66,7 @@ WORK = {
     "labels": lambda _: Segmenter.predict_proba(SimpleNamespace(half=1.0, turn=0.0, _proba=_look), X),
     "the regressor f": _regressor,
     "the loop": lambda _: Loop.run(SimpleNamespace(_first_fits=_look)),
-    "a fit": lambda _: ScanFit.fit(SimpleNamespace(taking_part=lambda *of: None, _fit=_look), X),
+    "a fit": lambda _: ScanFit.fit(SimpleNamespace(taking_part=_look, facing=SimpleNamespace(floors=None)), X),
     "a new scan": _new_scan,
     "tasks": lambda _: each(_look, [0]),
     "the oracle": lambda _: OracleFit.__call__(SimpleNamespace(_fit=_look), None),

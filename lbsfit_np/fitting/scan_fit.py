@@ -21,7 +21,7 @@ from .refit import Refit, Runner
 from .scout import Scout
 from .search import Search
 
-__all__ = ["FitSettings", "ScanFit", "further_words", "given_names", "given_views", "stands_words"]
+__all__ = ["FitSettings", "ScanFit", "further_words", "given_names", "given_views", "stands_words", "with_floor_or_without"]
 
 
 @dataclass(frozen=True)
@@ -100,7 +100,7 @@ class ScanFit:
         """The Scout of these settings."""
         return Scout(self.model, self.library, self.facing, self.segmenter, self.settings, nearest=self.nearest)
 
-    def fit(self, points, *, theta0=None, labels=None, point_weights=None, random_state=None, found=None):
+    def fit(self, points, *, theta0=None, labels=None, point_weights=None, random_state=None, part=None, found=None):
         """Fit one scan.
 
         Parameters
@@ -113,8 +113,10 @@ class ScanFit:
             Known parts, which are kept as they are; −1 where one is not known.
         point_weights : (n,) array, optional
         random_state : int or None
+        part : TakingPart, optional
+            What of the scan takes part, where that is known already.
         found : Found, optional
-            What the scout said of this scan, where it was asked already, with the same points taking part.
+            What the scout said of what takes part, where it was asked already.
 
         Returns
         -------
@@ -122,29 +124,24 @@ class ScanFit:
         """
         started = time.perf_counter()
         with one_thread():  # threads on arrays this small cost more than they give
-            of = points, point_weights, random_state
-            taking_part = self.taking_part(*of)
-            result = self._fit(points, theta0, labels, point_weights, taking_part, started, found)
-            if result.status != "ok" and "of a floor" in taking_part[1] and found is None and not given_names(theta0, labels):
-                # What lay below another axis than the rig's may be a flat side of the body: a palm, not a floor.
-                with_it = self.taking_part(*of, floors=slice(1))
-                if with_it[1] != taking_part[1]:
-                    other = self._fit(points, None, None, point_weights, with_it, started, None)
-                    result = max(result, other, key=lambda r: r.probability)
-            return result
+            if part is not None:
+                return self._fit(points, theta0, labels, point_weights, part, started, found)
+            return with_floor_or_without(
+                lambda ups: self.taking_part(points, point_weights, random_state, ups=ups),
+                lambda part: self._fit(points, theta0, labels, point_weights, part, started, found),
+                self.facing.floors,
+                again=found is None and not given_names(theta0, labels),
+            )
 
-    def taking_part(self, points, point_weights=None, random_state=None, *, floors=slice(None)):
-        """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`.
-
-        ``floors`` are those of the facing's axes below which floors are looked for.
-        """
-        settings, rng, ups = self.settings, generator(random_state, "thin"), self.facing.floors
-        limits = {"most": settings.max_points, "scale": settings.scale, "ups": None if ups is None else ups[floors]}
+    def taking_part(self, points, point_weights=None, random_state=None, *, ups=None):
+        """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
+        limits = {"most": self.settings.max_points, "scale": self.settings.scale, "ups": ups}
+        rng = generator(random_state, "thin")
         return taking_part(points, self.model.source, rng=rng, point_weights=point_weights, **limits)
 
-    def _fit(self, points, theta0, labels, point_weights, taking_part, started, found):
+    def _fit(self, points, theta0, labels, point_weights, part, started, found):
         model, settings = self.model, self.settings
-        rows, left_out, guess = taking_part
+        rows, guess = part.rows, part.scale
         a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
         given = given_names(theta0, labels)
         if not given:
@@ -177,7 +174,7 @@ class ScanFit:
             proba=proba,
             labels=labels,
             evaluations=before + search.evaluations,
-            notes=[left_out],
+            notes=[part.left_out],
             found=(unit, stands),
             further=() if given else further_words(settings, self.facing),
             given=given,
@@ -209,6 +206,27 @@ class ScanFit:
             known = Runner(problem, self._refit.in_place(problem, theta))
             others = [end.state for end in [known, *self._refit.race([known])]]
         return frame, problem, proba, search.pose(others), search.evaluations
+
+
+def with_floor_or_without(taking_part, fit, ups, *, again=True):
+    """The fit of a scan; where it is in doubt, with what may be no floor taking part, too, and the likelier of the two.
+
+    A floor below another axis than the likeliest may be a flat side of the body, such as a palm that faces the camera.
+
+    Parameters
+    ----------
+    taking_part : callable (ups) → TakingPart
+    fit : callable (TakingPart) → FitResult
+    ups : (k, 3) array or None
+        Directions that may be up where there is a floor, the likeliest first; None where any may.
+    again : bool, default True
+        False for the first fit alone.
+    """
+    part = taking_part(ups)
+    result = fit(part)
+    if not again or result.status == "ok" or not part.floor_elsewhere:
+        return result
+    return max(result, fit(taking_part(ups[:1])), key=lambda r: r.probability)
 
 
 def given_names(theta0, labels):

@@ -302,7 +302,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
         raise InputError("scans", "none", "one or more scans")
     subjects = [0] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
     check_ids(subjects)
-    collection = Collection(len(scans))
+    collection, parts = Collection(len(scans)), {}
 
     def looked_at(i, points, ups):
         return taking_part(points, rig, most=max_points, rng=generator(random_state, "thin", i), scale=scale, ups=ups)
@@ -311,35 +311,25 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
         try:
             scan = source() if callable(source) else source
             points = check_points(scan, minimum=len(rig.parts))
-            rows, left_out, unit = looked_at(i, points, ups)
+            part = looked_at(i, points, ups)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             collection.failures[i] = in_words(error)
             continue
         path = getattr(scan, "path", None)
         name = f"{i}" if path is None else f"{path}"
-        frame = Frame(points[rows].mean(axis=0), unit * rig.size / 2)
-        member = Member(i, points, rows, frame, subject, unit, left_out, name)
-        collection.members.append(member)
-    if ups is not None and len(ups) > 1:
-        _keep_odd_floors(collection, rig.size / 2, lambda m: looked_at(m.index, m.points, ups[:1]))
+        parts[i] = points, part, subject, name
+    elsewhere = [i for i, (_, part, *_) in parts.items() if part.floor_elsewhere]
+    if 2 * len(elsewhere) < len(parts):  # too few for floors: flat sides of bodies, such as palms
+        parts |= {i: (parts[i][0], looked_at(i, parts[i][0], ups[:1]), *parts[i][2:]) for i in elsewhere}
+    for i, (points, part, subject, name) in parts.items():
+        frame = Frame(points[part.rows].mean(axis=0), part.scale * rig.size / 2)
+        collection.members.append(Member(i, points, part.rows, frame, subject, part.scale, part.left_out, name))
     if not collection.members:
         first = next(iter(collection.failures.values()))
         raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be read")
     _check_units(collection, rig.size / 2)
     _hold_out(collection, held_out, random_state)
     return collection
-
-
-def _keep_odd_floors(collection, half, looked_at):
-    """Floors below another axis than the rig's are such where at least half of the scans have one, else flat sides of bodies."""
-    with_floor = [m for m in collection.members if "of a floor" in m.left_out]
-    others = [(m, looked_at(m)) for m in with_floor]
-    odd = [(m, found) for m, found in others if "of a floor" not in found[1]]
-    if 2 * len(odd) >= len(collection.members):
-        return
-    for m, (rows, left_out, unit) in odd:
-        m.rows, m.left_out, m.unit = rows, left_out, unit
-        m.frame = Frame(m.points[rows].mean(axis=0), unit * half)
 
 
 def most_failed(statuses, roles):

@@ -9,7 +9,15 @@ import numpy as np
 from ..errors import InputError
 from ..fitting.assemble import assemble
 from ..fitting.confidence import SOMEBODY_ELSE
-from ..fitting.scan_fit import FitSettings, ScanFit, further_words, given_names, given_views, stands_words
+from ..fitting.scan_fit import (
+    FitSettings,
+    ScanFit,
+    further_words,
+    given_names,
+    given_views,
+    stands_words,
+    with_floor_or_without,
+)
 from ..fitting.scout import Found, Scout
 from ..fitting.template_fit import TemplateFit
 from ..losses.objective import PRESETS, LossWeights
@@ -201,15 +209,21 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
                 expected = "None: in the variant 'free-form' vertices move freely, without pose or parts"
                 raise InputError(name, f"a {type(value).__name__}", expected, "Leave it out, or choose another variant.")
 
+    started = time.perf_counter()
     with one_thread():
-        return _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone)
+        seed, settings = fitter._seed(), fitter._fit_settings()
+        limits = {"most": settings.max_points, "scale": settings.scale, "point_weights": point_weights}
+        return with_floor_or_without(
+            lambda ups: taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, **limits),
+            lambda part: _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started),
+            _facing(fitter).floors,
+            again=not given_names(theta0, labels),
+        )
 
 
-def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
-    started, seed = time.perf_counter(), fitter._seed()
-    rig, settings, half = fitter.rig, fitter._fit_settings(), fitter.rig.size / 2
-    limits = {"most": settings.max_points, "scale": settings.scale, "ups": _facing(fitter).floors}
-    rows, left_out, guess = taking_part(points, rig, rng=generator(seed, "thin"), point_weights=point_weights, **limits)
+def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started):
+    rig, half = fitter.rig, fitter.rig.size / 2
+    rows, left_out, guess = part.rows, part.left_out, part.scale
     x = points[rows]
     a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
@@ -230,8 +244,8 @@ def _fit_new(fitter, points, subjects, theta0, labels, point_weights, anyone):
     proportions = fit.proportions(best.problem, best.state)
     if anyone and proportions > SOMEBODY_ELSE:
         # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
-        known = {"theta0": theta0, "labels": labels, "point_weights": point_weights, "random_state": seed}
-        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **known, found=seen)
+        known = {"theta0": theta0, "labels": labels, "point_weights": point_weights}
+        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **known, part=part, found=seen)
         nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)

@@ -387,7 +387,8 @@ class LBSFitter(BaseEstimator):
     def _check_alone(self, points, point_weights=None):
         """Raise InputError, before anything is trained, where the fit of a scan by itself would."""
         seed = 0 if isinstance(self.random_state, np.random.Generator) else self.random_state  # which drawing would advance
-        scan_fit(self).taking_part(points, point_weights, seed)
+        fit = scan_fit(self)
+        fit.taking_part(points, point_weights, seed, ups=fit.facing.floors)
 
     def _is_pretrained(self):
         """Whether there is all that fits of scans by themselves need."""

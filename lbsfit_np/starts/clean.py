@@ -1,18 +1,42 @@
 """What of a scan is the body: pixels without depth, wild points and floors are left out before anything is measured."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..errors import InputError
 from .floor import off_floor
 from .scale import checked_extent, near_rows, reference_scale
 
-__all__ = ["clean_rows", "taking_part"]
+__all__ = ["TakingPart", "clean_rows", "taking_part"]
 
 # So many points in one place, as a share of all and against what is usual in the scan, are no surface: cameras write pixels
 # without depth as zeros, and programs fill a cloud up with its first point.
 _LEAST, _SHARE, _TIMES = 20, 0.005, 20
 # Where fewer of the points that were drawn are of the body than this share of those wanted, more are drawn.
 _ENOUGH = 0.8
+
+
+@dataclass(frozen=True)
+class TakingPart:
+    """What of a scan its fit looks at.
+
+    Attributes
+    ----------
+    rows : int array
+        Points that take part.
+    left_out : str
+        Which do not, in words.
+    scale : float
+        How many of the scan's units a rig unit seems to have.
+    floor_elsewhere : bool
+        Whether a floor is left out that lies below another axis than the likeliest; it may be a flat side of the body.
+    """
+
+    rows: np.ndarray
+    left_out: str
+    scale: float
+    floor_elsewhere: bool
 
 
 def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None):
@@ -34,12 +58,7 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None):
 
     Returns
     -------
-    rows : int array
-        Points that take part.
-    left_out : str
-        Which do not, in words.
-    scale : float
-        How many of the scan's units a rig unit seems to have.
+    TakingPart
 
     Raises
     ------
@@ -52,14 +71,15 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None):
         raise InputError("point_weights", "all zeros", "at least one positive weight")
     rows, same = _in_places_of_their_own(points, rows)
     drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
-    kept, left_out = clean_rows(points, drawn, ups=ups)
+    kept, left_out, elsewhere = clean_rows(points, drawn, ups=ups)
     if len(drawn) < len(rows) and len(kept) < _ENOUGH * most:
         more = min(len(rows), int(most * most / max(len(kept), most // 10)))
-        kept, left_out = clean_rows(points, np.sort(rng.choice(rows, more, replace=False)), ups=ups)
+        kept, left_out, elsewhere = clean_rows(points, np.sort(rng.choice(rows, more, replace=False)), ups=ups)
         if len(kept) > most:
             kept = np.sort(rng.choice(kept, most, replace=False))
     told = f"{same} identical points left out" if same else ""
-    return kept, "; ".join(filter(None, (told, left_out))), reference_scale(points[kept], rig, scale).scale
+    words = "; ".join(filter(None, (told, left_out)))
+    return TakingPart(kept, words, reference_scale(points[kept], rig, scale).scale, elsewhere)
 
 
 def _in_places_of_their_own(points, rows):
@@ -87,6 +107,8 @@ def clean_rows(points, rows, *, ups=None):
     rows : int array
     note : str
         What was left out, in words; empty where all take part.
+    elsewhere : bool
+        As :func:`~lbsfit_np.starts.floor.off_floor` says of a floor.
 
     Raises
     ------
@@ -96,7 +118,7 @@ def clean_rows(points, rows, *, ups=None):
     checked_extent(points[rows])
     looked_at = f" (of {len(rows)} that were looked at)" if len(rows) < len(points) else ""
     rows, wild = near_rows(points, rows)
-    rows, floor = off_floor(points, rows, ups=ups)
+    rows, floor, elsewhere = off_floor(points, rows, ups=ups)
     told = (wild, "far from all others"), (floor, "of a floor")
     notes = [f"{n} point{'' if n == 1 else 's'} {where} left out" for n, where in told if n]
-    return rows, "; ".join(notes) + (looked_at if notes else "")
+    return rows, "; ".join(notes) + (looked_at if notes else ""), elsewhere

@@ -35,16 +35,19 @@ def off_floor(points, rows, *, ups=None):
     rows : int array
         All where there is no such plane.
     dropped : int
+    elsewhere : bool
+        Whether the plane lies below another of ``ups`` than the first one.
     """
     x = points[rows]
     size = np.ptp(np.percentile(x, [2, 98], axis=0), axis=0).max()
     if len(x) < 50 or not size > 0:
-        return rows, 0
+        return rows, 0, False
     x = (x - np.median(x, axis=0)) / size
-    on = _floor(x, None if ups is None else ups[0])
+    on, elsewhere = _floor(x, None if ups is None else ups[0]), False
     if ups is not None and not on.any():
         on = max((_floor(x, up) for up in ups[1:]), key=np.count_nonzero, default=on)
-    return rows[~on], int(on.sum())
+        elsewhere = bool(on.any())
+    return rows[~on], int(on.sum()), elsewhere
 
 
 def _floor(x, up):
