@@ -226,6 +226,16 @@ def test_a_fit_that_has_failed_asks_about_what_was_given(given, asks, rigs, monk
     assert r.message.startswith(f"a reason; is it the right rig{asks}")
 
 
+def test_a_fit_that_has_failed_asks_about_other_things(rigs, monkeypatch):
+    """Where many points beside a part are not explained."""
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("failed", "a reason"))
+    model = Model(rigs["tube"])
+    V = model.pose(model.rest())[0].vertices
+    beside = V[:60] + [1.0, 0.0, 0.0]
+    for points, asks in ((V, False), (np.vstack([V, beside]), True)):
+        assert ("nothing in the scan but the body" in _at_rest(model, points).message) == asks
+
+
 @pytest.mark.parametrize("status", ["ok", "suspect", "failed"])
 @pytest.mark.parametrize("further", [("effort looks further",), ()])
 def test_what_a_failed_fit_found_is_said_with_reserve_and_what_would_look_further(rigs, status, further, monkeypatch):

@@ -85,7 +85,8 @@ def _from_truth(rig, points, truth, settings, **known):
     frame = Frame(np.zeros(3), model.half)
     state = model.rest().replace(theta=truth.pose)
     found = {"proba": None, "value": 1.0, "rivals": ()} | known
-    return ScanFit(model, settings).fit(points, found=Found(frame, Problem(frame.inside(points)), state, **found))
+    fit = ScanFit(model, settings)
+    return fit.fit(points, part=fit.taking_part(points), found=Found(frame, Problem(frame.inside(points)), state, **found))
 
 
 def test_what_the_scout_has_seen_is_evidence(tube_rig):

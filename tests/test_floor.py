@@ -1,6 +1,7 @@
 """Floors are taken out of scans; bodies are not."""
 
-from types import SimpleNamespace
+import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -195,7 +196,7 @@ class _Told(BaseException):
 def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, orientation, sides, monkeypatch):
     points, labels = tube_scan.points, tube_scan.labels
 
-    def spy(points, rows, *, ups=None):
+    def spy(points, rows, *, ups=None, body=None):
         raise _Told(ups)
 
     monkeypatch.setattr("lbsfit_np.starts.clean.clean_rows", spy)
@@ -239,37 +240,92 @@ def test_as_many_points_of_the_body_are_drawn_as_are_wanted(hand):
     assert note == ""
 
 
-@pytest.mark.parametrize(
-    "status, probabilities, kept", [("failed", (0.1, 0.9), 1), ("suspect", (0.5, 0.2), 0), ("ok", (0.9, 0.99), 0)]
-)
-@pytest.mark.parametrize("learned", [False, True])
-def test_a_floor_below_another_axis_may_be_a_side_of_the_body(
-    learned, status, probabilities, kept, tube_rig, tube_fitter, monkeypatch
-):
-    """Where the fit without it is in doubt it is tried with it, after learning too; what the rig stands on stays a floor."""
-    fits = []
+@pytest.fixture(params=["by itself", "after learning"])
+def fitted(request, tube_fitter, tube_result, monkeypatch):
+    """Points, and what else is known of them → (result, all that took part) of fits that end with the ``outcomes`` given."""
+    fits, outcomes = [], []
 
     def one(part):
         fits.append(part)
-        return SimpleNamespace(status=status, probability=probabilities[len(fits) - 1], part=part)
+        status, probability = outcomes[len(fits) - 1]
+        known = {"message": f"fit {len(fits)}", "evaluations": 10 * len(fits), "seconds": float(len(fits))}
+        return replace(tube_result, status=status, probability=probability, **known)
 
-    fit, known = scan_fit(tube_fitter), {"theta0": None, "labels": None, "point_weights": None}
-    monkeypatch.setattr(fit, "_fit", lambda points, theta0, labels, point_weights, part, started, found: one(part))
-    monkeypatch.setattr(finish, "_fit_new", lambda fitter, points, part, *_: one(part))
-
-    def fitted(points, **given):
+    def fit_of(points, ends, *, scale="estimate", **given):
         fits.clear()
-        given = known | given
-        return finish.fit_new(tube_fitter, points, ("ann",), **given) if learned else fit.fit(points, random_state=0, **given)
+        outcomes[:] = ends
+        fitter = copy.copy(tube_fitter).set_params(scale=scale)
+        given = {"theta0": None, "labels": None, "point_weights": None} | given
+        if request.param == "after learning":
+            monkeypatch.setattr(finish, "_fit_new", lambda fitter, points, part, *_: one(part))
+            return finish.fit_new(fitter, points, ("ann",), **given), list(fits)
+        fit = scan_fit(fitter)
+        monkeypatch.setattr(fit, "_fit", lambda points, theta0, labels, point_weights, part, *_: one(part))
+        return fit.fit(points, random_state=0, **given), list(fits)
 
-    (scan,) = lbs.synthesize(tube_rig, random_state=5, n_points=400, shape=0.0)
-    rng, size = np.random.default_rng(0), np.ptp(scan.points, axis=0).max()
-    for axis, tries in ((2, 1 if status == "ok" else 2), (1, 1)):
-        wall = scan.points.mean(axis=0) + 2 * size * (rng.random((500, 3)) - 0.5)
-        wall[:, axis] = scan.points[:, axis].min() - 0.02 * size
-        found = fitted(np.vstack([scan.points, wall]))
-        assert len(fits) == tries and found.part is fits[kept if tries == 2 else 0]
-        assert "of a floor" in fits[0].left_out and fits[0].floor_elsewhere == (axis == 2)
-        assert tries == 1 or "of a floor" not in fits[1].left_out
-    fitted(np.vstack([scan.points, wall[:, [0, 2, 1]]]), theta0=np.zeros((4, 3)))
-    assert len(fits) == 1
+    return fit_of
+
+
+def _before_a_wall(rig, axis=2, width=2.0):
+    """A scan, and how many of its points are the body's; below the axis a wall, so many times as wide as the body."""
+    (scan,) = lbs.synthesize(rig, random_state=5, n_points=400, shape=0.0)
+    size = np.ptp(scan.points, axis=0).max()
+    wall = scan.points.mean(axis=0) + width * size * (np.random.default_rng(0).random((500, 3)) - 0.5)
+    wall[:, axis] = scan.points[:, axis].min() - 0.02 * size
+    return np.vstack([scan.points, wall]), len(scan.points)
+
+
+@pytest.mark.parametrize(
+    "ends, tries, kept, said",
+    [
+        ([("failed", 0.1), ("ok", 0.9)], 2, 2, "; a flat side that might be a floor takes part, as the fit is likelier with it"),
+        ([("suspect", 0.5), ("suspect", 0.2)], 2, 1, "; with the points of that floor it is no likelier"),
+        ([("ok", 0.9), ("ok", 0.99)], 1, 1, ""),
+    ],
+)
+@pytest.mark.parametrize("given", [(), ("theta0",), ("labels",)])
+def test_a_floor_below_another_axis_may_be_a_side_of_the_body(given, ends, tries, kept, said, tube_rig, fitted):
+    """Where the fit without it is in doubt it is tried with it, after learning too; what the rig stands on stays a floor."""
+    points, _ = _before_a_wall(tube_rig)
+    known = {"theta0": np.zeros((4, 3)), "labels": np.full(len(points), -1)}
+    result, fits = fitted(points, ends, **{name: known[name] for name in given})
+    assert len(fits) == tries and result.message == f"fit {kept}{said}" and result.probability == ends[kept - 1][1]
+    assert (result.seconds, result.evaluations) == ((2.0, 30) if tries == 2 else (1.0, 10))
+    assert "of a floor" in fits[0].left_out and fits[0].floor_elsewhere
+    assert tries == 1 or fits[1].left_out == ""
+    result, fits = fitted(_before_a_wall(tube_rig, axis=1)[0], ends)
+    assert len(fits) == 1 and "of a floor" in fits[0].left_out and not fits[0].floor_elsewhere and result.message == "fit 1"
+
+
+def test_a_wall_that_cannot_take_part_does_not_take_the_fit_away(tube_rig, fitted):
+    """With it the scan is in no unit of the rig's."""
+    points, _ = _before_a_wall(tube_rig, width=6.0)
+    result, fits = fitted(points, [("suspect", 0.4)], scale="fixed")
+    assert len(fits) == 1 and result.message == "fit 1" and "of a floor" in fits[0].left_out
+
+
+def test_points_with_a_known_part_are_of_no_floor(tube_rig, fitted):
+    points, n = _before_a_wall(tube_rig, axis=1)
+    labels = np.full(len(points), -1)
+    labels[: n + 100] = 0
+    _, (part,) = fitted(points, [("ok", 0.9)], labels=labels)
+    assert np.isin(np.arange(n + 100), part.rows).all() and len(part.rows) < n + 150
+
+
+def test_a_place_is_told_by_all_its_coordinates_and_how_many_points_are_usual():
+    """Columns of points, and a scan of few places, have no place with far more points than others."""
+    rng, rig = np.random.default_rng(0), lbs.load_rig("hand-coarse")
+    (scan,) = lbs.synthesize(rig, poses="natural", random_state=1, n_points=2000)
+    for axis in range(3):
+        columns = scan.points.copy()
+        columns[:, axis] = np.round(columns[:, axis], 1)
+        assert "identical" not in _part(columns, rig)[1]
+    few = scan.points[rng.choice(2000, 100, replace=False)]
+    rows, note = _part(np.repeat(few, 30, axis=0), rig)
+    assert len(rows) > 2900 and "identical" not in note
+
+
+@pytest.mark.filterwarnings("error")
+def test_what_is_too_large_is_told_by_its_extent(hand):
+    with pytest.raises(InputError, match="points: got an extent of"):
+        _part(1e308 * np.random.default_rng(0).uniform(-1, 1, (500, 3)), hand)

@@ -266,3 +266,28 @@ def test_a_floor_below_another_axis_is_one_where_half_of_the_scans_have_it(walls
             floor = len(points) > 400 and not stays
             assert ("of a floor" in m.left_out) == floor and len(m.rows) == pytest.approx(400 if floor else len(points), abs=15)
             np.testing.assert_allclose(m.frame.centre, m.points[m.rows].mean(axis=0))
+
+
+def test_floors_below_several_axes_are_counted_by_axis(tube_rig):
+    """Two walls each below one of two axes, of four scans, are floors; one each is a side of the body."""
+    scans, rng = lbs.synthesize(tube_rig, 4, random_state=5, n_points=400, shape=0.0), np.random.default_rng(0)
+    for axes, left_out in (((0, 0, 2, 2), 4), ((0, 2, None, None), 0)):
+        clouds = []
+        for scan, axis in zip(scans, axes, strict=True):
+            size = np.ptp(scan.points, axis=0).max()
+            wall = scan.points.mean(axis=0) + 2 * size * (rng.random((500, 3)) - 0.5)
+            if axis is not None:
+                wall[:, axis] = scan.points[:, axis].min() - 0.02 * size
+            clouds.append(np.vstack([scan.points, wall[: 0 if axis is None else None]]))
+        members = collected(tube_rig, clouds, held_out=0.0, ups=facing_of(tube_rig, "upright").floors).members
+        assert sum("of a floor" in m.left_out for m in members) == left_out
+
+
+def test_a_wall_that_cannot_take_part_stays_a_floor(tube_rig):
+    """A scan that is in the rig's unit but for a wide wall neither ends the learning nor is lost."""
+    clouds = [s.points for s in lbs.synthesize(tube_rig, 4, random_state=5, n_points=400, shape=0.0)]
+    wall = clouds[0].mean(axis=0) + 6 * np.ptp(clouds[0], axis=0).max() * (np.random.default_rng(0).random((500, 3)) - 0.5)
+    wall[:, 2] = clouds[0][:, 2].min() - 0.02
+    clouds[0] = np.vstack([clouds[0], wall])
+    found = collected(tube_rig, clouds, held_out=0.0, scale="fixed", ups=facing_of(tube_rig, "upright").floors)
+    assert not found.failures and len(found.members) == 4 and "of a floor" in found.members[0].left_out

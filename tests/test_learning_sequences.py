@@ -135,11 +135,22 @@ def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch
         (["a/9.ply", "b/1.ply", "ann1_9_x.ply", "bob1_8_x.ply", "walk.ply"], ""),  # each has numbers of its own
         (["ann1_9_x.ply", "bob1_8_x.ply", "ann1_8_x.ply"], "ann1_8_x.ply is given after ann1_9_x.ply"),
         (["001.ply", "002.ply", "2.pcd"], ""),
+        (["10_cam0.ply", "9_cam0.ply"], "9_cam0.ply is given after 10_cam0.ply"),
+        (["f_10_v2.ply", "f_9_v2.ply"], "f_9_v2.ply is given after f_10_v2.ply"),
+        (["t_0.10.ply", "t_0.9.ply", "t_1.05.ply"], ""),  # fractions
+        (["s2_f1.ply", "s2_f2.ply", "s1_f1.ply"], ""),  # one take after the other
+        (["a_x.ply", "b_1.ply", "a_2.ply", "b_0.ply"], "b_0.ply is given after b_1.ply"),
     ],
 )
 def test_files_out_of_order_are_told(names, said):
     note = order_note(names)
     assert note.startswith(said) and bool(note) == bool(said)
+
+
+def test_files_are_in_order_by_subject():
+    names = ["f_3.ply", "f_1.ply", "f_4.ply", "f_2.ply"]
+    assert order_note(names) and not order_note(names, ["ann", "bob", "ann", "bob"])
+    assert order_note(names, ["ann", "bob", "bob", "ann"]).startswith("f_2.ply is given after f_3.ply")
 
 
 def test_learn_says_that_files_are_out_of_order(tmp_path, tube_rig, run):

@@ -10,6 +10,7 @@ import lbsfit_np as lbs
 from lbsfit_np.fitting.effort import EFFORTS
 from lbsfit_np.fitting.refit import LimbSearch, Refit, Runner
 from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.template_fit import TemplateFit
 from lbsfit_np.learning.tasks import Pose
 from lbsfit_np.losses import chamfer
 from lbsfit_np.optimize.model import Model
@@ -109,15 +110,23 @@ def test_poses_of_a_round_are_looked_for_as_settings_say(effort, partial, rig, m
     models = {"ann": model, "bob": Model(rig.with_template(1.1 * rig.vertices))}
     known = SimpleNamespace(poses=np.zeros((2, *rig.lower.shape)), regress=lambda X: rig.lower)
     asked, state = [], model.rest()
-    monkeypatch.setattr(Refit, "__call__", lambda self, *scan, limbs, **more: asked.append((self, limbs)) or (state, 0.1, 0))
+    proba = np.full((len(rig.vertices), len(rig.parts)), 1 / len(rig.parts), dtype=np.float16)  # as they are kept
+    monkeypatch.setattr(Refit, "__call__", lambda self, *_, limbs, **more: asked.append((self, limbs, more)) or (state, 0.1, 0))
     work = Pose(models, FitSettings(effort=effort, partial=partial), known, 0, True)
     for subject in ("bob", "ann", "bob"):
-        work((subject, rig.vertices, state, [], None))
-        refit, limbs = asked[-1]
+        work((subject, rig.vertices, state, [], proba))
+        refit, limbs, more = asked[-1]
+        assert more["proba"].dtype == np.float64
         assert refit.model is limbs.poses.model is models[subject]
         assert refit._last.partial == partial and limbs.effort is EFFORTS[effort]
         assert (refit._bends is None) == (effort == "fast")
     assert asked[0][0] is asked[2][0] and asked[0][1] is asked[2][1]  # made ready once
+
+
+@pytest.mark.parametrize("effort, partial", [("fast", True), ("balanced", False)])
+def test_fits_after_learning_try_other_bends_as_effort_says(effort, partial, rig, model):
+    fit = TemplateFit(rig, model, FitSettings(effort=effort, partial=partial))
+    assert fit.refit.model is model and fit.refit._last.partial == partial and (fit.refit._bends is None) == (effort == "fast")
 
 
 @pytest.mark.parametrize("left, generations", [(0.98, 3), (0.995, 1)])

@@ -39,6 +39,12 @@ def test_joints_that_do_not_turn_are_at_rest(swing):
     assert poses_of_clips(swing[:0], 0, still) == poses_of_clips(np.zeros((5, 4, 3)), 0, still) == {}
 
 
+def test_half_a_turn_either_way_is_one_pose():
+    frames = np.zeros((2, 4, 3))
+    frames[:, 1, 0] = 3.1, -3.1
+    assert len(poses_of_clips(frames, 0, np.zeros(4, dtype=bool))) == 1
+
+
 def test_there_are_not_too_many():
     frames = np.random.default_rng(0).uniform(-1, 1, (200, 4, 3))
     assert len(poses_of_clips(frames, 0, np.zeros(4, dtype=bool))) == 24

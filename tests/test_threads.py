@@ -53,7 +53,8 @@ def _baseline(monkeypatch):
 
 
 def _new_scan(monkeypatch):
-    monkeypatch.setattr(finish, "taking_part", _look)
+    monkeypatch.setattr(finish, "taking_part", lambda *of, **more: None)
+    monkeypatch.setattr(finish, "_fit_new", _look)
     monkeypatch.setattr(finish, "_facing", lambda fitter: SimpleNamespace(floors=None))
     settings = SimpleNamespace(max_points=1, scale="fixed")
     fitter = SimpleNamespace(regressor_=1, rig=None, _seed=lambda: 0, _fit_settings=lambda: settings)
@@ -66,7 +67,10 @@ WORK = {
     "labels": lambda _: Segmenter.predict_proba(SimpleNamespace(half=1.0, turn=0.0, _proba=_look), X),
     "the regressor f": _regressor,
     "the loop": lambda _: Loop.run(SimpleNamespace(_first_fits=_look)),
-    "a fit": lambda _: ScanFit.fit(SimpleNamespace(taking_part=_look, facing=SimpleNamespace(floors=None)), X),
+    "a fit": lambda _: ScanFit.fit(
+        SimpleNamespace(taking_part=lambda *of, **more: None, _fit=_look, facing=SimpleNamespace(floors=None)), X
+    ),
+    "what takes part": lambda _: ScanFit.fit(SimpleNamespace(taking_part=_look, facing=SimpleNamespace(floors=None)), X),
     "a new scan": _new_scan,
     "tasks": lambda _: each(_look, [0]),
     "the oracle": lambda _: OracleFit.__call__(SimpleNamespace(_fit=_look), None),

@@ -148,7 +148,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
     rig = load_rig_with(rig_path, values)
     values = _without_unused(values)
-    if values["sequence"] and (note := order_note(scans)):
+    if values["sequence"] and (note := order_note(scans, subjects)):
         say(f"note: {note}")
     fitter = _fitter(rig, values)
     check_parameters(fitter)  # before a folder is made

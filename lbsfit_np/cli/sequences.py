@@ -1,22 +1,27 @@
 """Scans in order of time, as their names tell it."""
 
 import re
+from decimal import Decimal
 from pathlib import Path
 
 __all__ = ["order_note"]
 
+_NUMBER = re.compile(r"\d+\.\d+|\d+")
 
-def order_note(paths):
-    """In words, that numbered files are not in order of their numbers, as shells sort names by their text; else empty."""
+
+def order_note(paths, subjects=None):
+    """In words, that numbered files are not in order of their numbers, as shells sort names by their text; else empty.
+
+    Compared is each file with the last of the same subject, folder and name but for its numbers, where one number differs.
+    """
     last = {}
-    for path in map(Path, paths):
-        found = re.fullmatch(r"(.*?)(\d+)(\D*)", path.stem)
-        if not found:
-            continue
-        like, number = (path.parent, found[1], found[3]), int(found[2])
-        before, name = last.get(like, (-1, ""))
-        if number < before:
-            advice = "Shells sort names by their text; $(ls -v ...) gives them by number"
+    for path, subject in zip(map(Path, paths), subjects or [None] * len(paths), strict=True):
+        numbers = [Decimal(number) for number in _NUMBER.findall(path.stem)]
+        like = subject, path.parent, _NUMBER.sub("0", path.stem)
+        before, name = last.get(like, (numbers, ""))
+        changed = [(old, new) for old, new in zip(before, numbers, strict=True) if old != new]
+        if len(changed) == 1 and changed[0][1] < changed[0][0]:
+            advice = "Shells sort names by their text; $(ls -v ...) gives them by number on Linux"
             return f"{path.name} is given after {name}, which is no order of numbers. {advice}."
-        last[like] = number, path.name
+        last[like] = numbers, path.name
     return ""

@@ -15,6 +15,8 @@ __all__ = ["assemble"]
 
 # Of the surface, where more than this share is far from all points, they may be of one side only.
 _HARDLY_REACHED = 0.1
+# Where this share of a part's points is not explained, they may be of another thing.
+_FOREIGN = 0.15
 
 
 def assemble(
@@ -148,7 +150,7 @@ def assemble(
         if status != "ok":
             reason = "; ".join([reason, *further])
         if status == "failed":
-            reason += f"; {_asked(given)}"
+            reason += f"; {_asked(given, evidence)}"
         if not partial and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
             words = "if the scan shows one side only, say so with partial (--partial)"
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
@@ -193,9 +195,11 @@ def _terms(model, problem, state, weights, x_labels, pivot, turn):
     return L.terms | {"total": L.value, "recon": float(np.sqrt(chamfer(X, Vd, x_weights=problem.x_weights)[0]))}
 
 
-def _asked(given):
+def _asked(given, evidence):
     """What may be wrong of a fit that has failed, as a question."""
     asked = ["is it the right rig"]
+    if evidence["part_unexplained"] > _FOREIGN:
+        asked.append("is there nothing in the scan but the body, floors, walls and single points")
     if given:
         asked.append(f"{'are' if 'labels' in given else 'is'} {' and '.join(given)} right")
     if "theta0" not in given:  # which says how the scan is turned

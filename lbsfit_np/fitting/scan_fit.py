@@ -24,6 +24,11 @@ from .search import Search
 __all__ = ["FitSettings", "ScanFit", "further_words", "given_names", "given_views", "stands_words", "with_floor_or_without"]
 
 
+# Of a plane below another axis than the likeliest that was taken for a floor at first.
+_FLOOR = "with the points of that floor it is no likelier"
+_NO_FLOOR = "a flat side that might be a floor takes part, as the fit is likelier with it"
+
+
 @dataclass(frozen=True)
 class FitSettings:
     """How a scan is fitted. Lengths in half sizes of the rig.
@@ -114,9 +119,9 @@ class ScanFit:
         point_weights : (n,) array, optional
         random_state : int or None
         part : TakingPart, optional
-            What of the scan takes part, where that is known already.
+            What of the scan takes part, where that is known already: then this is fitted, no more and no less.
         found : Found, optional
-            What the scout said of what takes part, where it was asked already.
+            What the scout said of that, where it was asked already.
 
         Returns
         -------
@@ -127,17 +132,16 @@ class ScanFit:
             if part is not None:
                 return self._fit(points, theta0, labels, point_weights, part, started, found)
             return with_floor_or_without(
-                lambda ups: self.taking_part(points, point_weights, random_state, ups=ups),
-                lambda part: self._fit(points, theta0, labels, point_weights, part, started, found),
+                lambda ups: self.taking_part(points, point_weights, random_state, ups=ups, labels=labels),
+                lambda part: self._fit(points, theta0, labels, point_weights, part, started, None),
                 self.facing.floors,
-                again=found is None and not given_names(theta0, labels),
             )
 
-    def taking_part(self, points, point_weights=None, random_state=None, *, ups=None):
+    def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, labels=None):
         """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
+        known = {"point_weights": point_weights, "labels": labels}
         limits = {"most": self.settings.max_points, "scale": self.settings.scale, "ups": ups}
-        rng = generator(random_state, "thin")
-        return taking_part(points, self.model.source, rng=rng, point_weights=point_weights, **limits)
+        return taking_part(points, self.model.source, rng=generator(random_state, "thin"), **limits, **known)
 
     def _fit(self, points, theta0, labels, point_weights, part, started, found):
         model, settings = self.model, self.settings
@@ -208,7 +212,7 @@ class ScanFit:
         return frame, problem, proba, search.pose(others), search.evaluations
 
 
-def with_floor_or_without(taking_part, fit, ups, *, again=True):
+def with_floor_or_without(taking_part, fit, ups):
     """The fit of a scan; where it is in doubt, with what may be no floor taking part, too, and the likelier of the two.
 
     A floor below another axis than the likeliest may be a flat side of the body, such as a palm that faces the camera.
@@ -217,16 +221,26 @@ def with_floor_or_without(taking_part, fit, ups, *, again=True):
     ----------
     taking_part : callable (ups) → TakingPart
     fit : callable (TakingPart) → FitResult
+        Seconds go on from where the first fit began.
     ups : (k, 3) array or None
         Directions that may be up where there is a floor, the likeliest first; None where any may.
-    again : bool, default True
-        False for the first fit alone.
+
+    Returns
+    -------
+    FitResult
+        With the seconds and the evaluations of both.
     """
     part = taking_part(ups)
     result = fit(part)
-    if not again or result.status == "ok" or not part.floor_elsewhere:
+    if result.status == "ok" or not part.floor_elsewhere:
         return result
-    return max(result, fit(taking_part(ups[:1])), key=lambda r: r.probability)
+    try:
+        other = fit(taking_part(ups[:1]))
+    except InputError:  # of a wide wall: with it the scan is none that can be worked with
+        return result
+    both = {"seconds": other.seconds, "evaluations": result.evaluations + other.evaluations}
+    best, words = (result, _FLOOR) if result.probability >= other.probability else (other, _NO_FLOOR)
+    return replace(best, message=f"{best.message}; {words}", **both)
 
 
 def given_names(theta0, labels):

@@ -4,6 +4,7 @@ import itertools
 import os
 import warnings
 from collections.abc import Mapping, Set
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -302,7 +303,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
         raise InputError("scans", "none", "one or more scans")
     subjects = [0] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
     check_ids(subjects)
-    collection, parts = Collection(len(scans)), {}
+    collection, found = Collection(len(scans)), {}
 
     def looked_at(i, points, ups):
         return taking_part(points, rig, most=max_points, rng=generator(random_state, "thin", i), scale=scale, ups=ups)
@@ -316,12 +317,12 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             collection.failures[i] = in_words(error)
             continue
         path = getattr(scan, "path", None)
-        name = f"{i}" if path is None else f"{path}"
-        parts[i] = points, part, subject, name
-    elsewhere = [i for i, (_, part, *_) in parts.items() if part.floor_elsewhere]
-    if 2 * len(elsewhere) < len(parts):  # too few for floors: flat sides of bodies, such as palms
-        parts |= {i: (parts[i][0], looked_at(i, parts[i][0], ups[:1]), *parts[i][2:]) for i in elsewhere}
-    for i, (points, part, subject, name) in parts.items():
+        found[i] = points, subject, f"{i}" if path is None else f"{path}", part
+    for i, (points, subject, name, part) in found.items():
+        alike = sum(other.below == part.below for *_, other in found.values())
+        if part.floor_elsewhere and 2 * alike < len(found):  # too few for a floor: flat sides of bodies, such as palms
+            with suppress(InputError):  # a wide wall, with which the scan is none that can be worked with
+                part = looked_at(i, points, ups[:1])
         frame = Frame(points[part.rows].mean(axis=0), part.scale * rig.size / 2)
         collection.members.append(Member(i, points, part.rows, frame, subject, part.scale, part.left_out, name))
     if not collection.members:

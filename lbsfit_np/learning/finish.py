@@ -212,12 +212,11 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
     started = time.perf_counter()
     with one_thread():
         seed, settings = fitter._seed(), fitter._fit_settings()
-        limits = {"most": settings.max_points, "scale": settings.scale, "point_weights": point_weights}
+        limits = {"most": settings.max_points, "scale": settings.scale, "point_weights": point_weights, "labels": labels}
         return with_floor_or_without(
             lambda ups: taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, **limits),
             lambda part: _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started),
             _facing(fitter).floors,
-            again=not given_names(theta0, labels),
         )
 
 

@@ -1,10 +1,12 @@
 """Natural poses for rigs whose files have none: frames of their animations that differ."""
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 __all__ = ["poses_of_clips"]
 
-# Frames whose angles are all nearer than this, radians, are one pose; the rest pose is one, too. So many are taken at most.
+# Frames of which no joint is turned against the other's by more than this, radians, are one pose; the rest pose is one, too. So
+# many are taken at most.
 _ALIKE, _MOST = 0.2, 24
 
 
@@ -30,9 +32,11 @@ def poses_of_clips(animated, root, still):
     frames = np.array(animated, dtype=float)
     frames[:, root] = 0.0
     frames[:, still] = 0.0
-    away = np.abs(frames).max(axis=(1, 2), initial=0.0)
+    turns = Rotation.from_rotvec(frames.reshape(-1, 3))
+    away = turns.magnitude().reshape(frames.shape[:2]).max(axis=1, initial=0.0)
     chosen = []
     while len(chosen) < _MOST and away.size and away.max() > _ALIKE:
         chosen.append(int(away.argmax()))
-        away = np.minimum(away, np.abs(frames - frames[chosen[-1]]).max(axis=(1, 2)))
+        between = Rotation.from_rotvec(np.tile(frames[chosen[-1]], (len(frames), 1))).inv() * turns
+        away = np.minimum(away, between.magnitude().reshape(frames.shape[:2]).max(axis=1))
     return {f"animation {n + 1}": frames[k] for n, k in enumerate(sorted(chosen))}

@@ -29,17 +29,22 @@ class TakingPart:
         Which do not, in words.
     scale : float
         How many of the scan's units a rig unit seems to have.
-    floor_elsewhere : bool
-        Whether a floor is left out that lies below another axis than the likeliest; it may be a flat side of the body.
+    below : int or None
+        Which of the directions that may be up a floor lies below that is left out.
     """
 
     rows: np.ndarray
     left_out: str
     scale: float
-    floor_elsewhere: bool
+    below: int | None
+
+    @property
+    def floor_elsewhere(self):
+        """Whether a floor is left out below another axis than the likeliest; it may be a flat side of the body."""
+        return bool(self.below)
 
 
-def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None):
+def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, labels=None):
     """What of a scan its fit looks at.
 
     Parameters
@@ -55,6 +60,8 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None):
         As for :func:`clean_rows`.
     point_weights : (n,) array, optional
         Points of weight 0 never take part.
+    labels : (n,) int array, optional
+        Known parts: what has one is of no floor; −1 where one is not known.
 
     Returns
     -------
@@ -71,35 +78,37 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None):
         raise InputError("point_weights", "all zeros", "at least one positive weight")
     rows, same = _in_places_of_their_own(points, rows)
     drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
-    kept, left_out, elsewhere = clean_rows(points, drawn, ups=ups)
+    sides = {"ups": ups, "body": None if labels is None else labels >= 0}
+    kept, left_out, below = clean_rows(points, drawn, **sides)
     if len(drawn) < len(rows) and len(kept) < _ENOUGH * most:
         more = min(len(rows), int(most * most / max(len(kept), most // 10)))
-        kept, left_out, elsewhere = clean_rows(points, np.sort(rng.choice(rows, more, replace=False)), ups=ups)
+        kept, left_out, below = clean_rows(points, np.sort(rng.choice(rows, more, replace=False)), **sides)
         if len(kept) > most:
             kept = np.sort(rng.choice(kept, most, replace=False))
     told = f"{same} identical points left out" if same else ""
     words = "; ".join(filter(None, (told, left_out)))
-    return TakingPart(kept, words, reference_scale(points[kept], rig, scale).scale, elsewhere)
+    return TakingPart(kept, words, reference_scale(points[kept], rig, scale).scale, below)
 
 
 def _in_places_of_their_own(points, rows):
     """The rows without those of places that have very many points, and how many these are."""
     x, y, z = points[rows].T
-    mixed = np.sqrt(2.0) * x + np.sqrt(3.0) * y + np.sqrt(5.0) * z  # one number a place, to sort by
+    with np.errstate(over="ignore", invalid="ignore"):  # what is too large to be worked with is told of its extent
+        mixed = np.sqrt(2.0) * x + np.sqrt(3.0) * y + np.sqrt(5.0) * z  # one number a place, to sort by
     _, place, count = np.unique(mixed, return_inverse=True, return_counts=True)
     many = (count >= max(_LEAST, _SHARE * len(rows))) & (count >= _TIMES * np.median(count))
     there = many[place]
     return rows[~there], int(there.sum())
 
 
-def clean_rows(points, rows, *, ups=None):
+def clean_rows(points, rows, *, ups=None, body=None):
     """Rows of a scan that take part in a fit.
 
     Parameters
     ----------
     points : (n, 3) array
     rows : (k,) int array
-    ups : sequence of (3,) arrays, optional
+    ups, body
         As for :func:`~lbsfit_np.starts.floor.off_floor`.
 
     Returns
@@ -107,7 +116,7 @@ def clean_rows(points, rows, *, ups=None):
     rows : int array
     note : str
         What was left out, in words; empty where all take part.
-    elsewhere : bool
+    below : int or None
         As :func:`~lbsfit_np.starts.floor.off_floor` says of a floor.
 
     Raises
@@ -118,7 +127,7 @@ def clean_rows(points, rows, *, ups=None):
     checked_extent(points[rows])
     looked_at = f" (of {len(rows)} that were looked at)" if len(rows) < len(points) else ""
     rows, wild = near_rows(points, rows)
-    rows, floor, elsewhere = off_floor(points, rows, ups=ups)
+    rows, floor, below = off_floor(points, rows, ups=ups, body=body)
     told = (wild, "far from all others"), (floor, "of a floor")
     notes = [f"{n} point{'' if n == 1 else 's'} {where} left out" for n, where in told if n]
-    return rows, "; ".join(notes) + (looked_at if notes else ""), elsewhere
+    return rows, "; ".join(notes) + (looked_at if notes else ""), below

@@ -19,7 +19,7 @@ _LEAST, _BEYOND = 0.08, 0.4
 _SQUARE = 0.04
 
 
-def off_floor(points, rows, *, ups=None):
+def off_floor(points, rows, *, ups=None, body=None):
     """Rows of a scan without those of a floor.
 
     Parameters
@@ -29,25 +29,29 @@ def off_floor(points, rows, *, ups=None):
     ups : sequence of (3,) arrays, optional
         Unit vectors that may be up: only planes below all else and within 20 degrees of the horizontal are looked for, by the
         first one, then by the others, of whose planes the largest is taken. By default planes on any side.
+    body : (n,) bool array, optional
+        Points that are known to be none of a floor's.
 
     Returns
     -------
     rows : int array
         All where there is no such plane.
     dropped : int
-    elsewhere : bool
-        Whether the plane lies below another of ``ups`` than the first one.
+    below : int or None
+        Which of ``ups`` the plane lies below; None without a plane, and where it may lie anywhere.
     """
     x = points[rows]
     size = np.ptp(np.percentile(x, [2, 98], axis=0), axis=0).max()
     if len(x) < 50 or not size > 0:
-        return rows, 0, False
+        return rows, 0, None
     x = (x - np.median(x, axis=0)) / size
-    on, elsewhere = _floor(x, None if ups is None else ups[0]), False
+    on, below = _floor(x, None if ups is None else ups[0]), 0
     if ups is not None and not on.any():
-        on = max((_floor(x, up) for up in ups[1:]), key=np.count_nonzero, default=on)
-        elsewhere = bool(on.any())
-    return rows[~on], int(on.sum()), elsewhere
+        others = [(k, _floor(x, up)) for k, up in enumerate(ups)][1:]
+        below, on = max(others, key=lambda other: np.count_nonzero(other[1]), default=(0, on))
+    if body is not None:
+        on &= ~body[rows]
+    return rows[~on], int(on.sum()), below if ups is not None and on.any() else None
 
 
 def _floor(x, up):
