@@ -1,7 +1,6 @@
 """Natural poses for rigs whose files have none: frames of their animations that differ."""
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 __all__ = ["poses_of_clips"]
 
@@ -29,6 +28,8 @@ def poses_of_clips(animated, root, still):
     dict of str to (J, 3) array
         "animation 1" and so on, in the order of the frames; none where no joint turns.
     """
+    from scipy.spatial.transform import Rotation
+
     frames = np.array(animated, dtype=float)
     frames[:, root] = 0.0
     frames[:, still] = 0.0
