@@ -13,7 +13,8 @@ TRAINING = ("--training-scans", "40")  # enough for the four parts of the tube
 QUICK = (*TRAINING, "--effort", "fast")
 QUICK_LEARNING = (*QUICK, "--rounds", "1")
 HAND = "hand-coarse"
-ARRAYS = ("pose", "translation", "scale", "offsets", "rest_joints", "vertices", "joints", "labels", "confidence", "terms")
+ARRAYS = ("pose", "translation", "scale", "offsets", "rest_joints", "vertices", "joints", "joint_std", "labels", "confidence")
+ARRAYS += ("terms",)
 
 _PACKAGE_PARENT = str(Path(lbs.__file__).resolve().parents[1])
 _HEAVY = ("scipy", "sklearn", "trimesh", "tqdm", "matplotlib", "multiprocessing")

@@ -37,6 +37,7 @@ def result_of(rig, vertices, n, status="ok", scale=1.0, recon=0.01):
         rest_joints=zeros.copy(),
         vertices=np.array(vertices, dtype=float),
         joints=zeros.copy(),
+        joint_std=np.full(J, np.nan),
         labels=np.zeros(n, dtype=int),
         confidence=np.ones(n),
         terms={"recon": recon},

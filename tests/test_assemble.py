@@ -226,6 +226,24 @@ def test_a_fit_that_has_failed_asks_about_what_was_given(given, asks, rigs, monk
     assert r.message.startswith(f"a reason; is it the right rig{asks}")
 
 
+def test_joints_that_are_guesses_are_named_the_worst_first(rigs):
+    """In the scan's unit; those that do not turn are none; at most six."""
+    rig = rigs["hand"]
+    model, J = Model(rig), len(rig.parents)
+    V, std = model.pose(model.rest())[0].vertices, np.full(J, 0.039)
+    frame = Frame(np.zeros(3), 5.0)
+    r = _at_rest(model, V, joint_std=std, frame=frame, points=5 * V)
+    np.testing.assert_allclose(r.joint_std, 5 * std)
+    assert "joint_std" not in r.message  # 2 % of the size are 0.04 half sizes
+    std[[3, 5]] = 0.041, 0.2
+    named = f"hardly any points tell where these joints are, see joint_std: {rig.joint_names[5]}, {rig.joint_names[3]}"
+    r = _at_rest(model, V, joint_std=std, frame=frame, points=5 * V)
+    assert r.message == named
+    r = _at_rest(model, V, joint_std=np.linspace(0.1, 0.2, J))
+    assert r.message.endswith(f"{', '.join(rig.joint_names[: J - 7 : -1])} and {J - 6} more")
+    assert np.isnan(_at_rest(model, V).joint_std).all()
+
+
 def test_a_fit_that_has_failed_asks_about_other_things(rigs, monkeypatch):
     """Where many points beside a part are not explained."""
     monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("failed", "a reason"))

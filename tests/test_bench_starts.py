@@ -180,7 +180,8 @@ class Known:
             raise InputError("points", "nothing", "something")
         joints = truth.joints + np.array([miss * self.rig.size * truth.scale, 0, 0])
         told = {"status": "ok", "message": "", "seconds": 0.5, "probability": self.probable[(self.fitted - 1) % 4]}
-        return SimpleNamespace(joints=joints, scale=truth.scale, evidence={}, **told)
+        std = np.full(len(joints), 0.01 * truth.scale)
+        return SimpleNamespace(joints=joints, joint_std=std, scale=truth.scale, evidence={}, **told)
 
 
 @pytest.fixture
@@ -249,7 +250,8 @@ def test_hidden_joints_do_not_count(known, monkeypatch):
     monkeypatch.setattr(module, "starts_scan", lambda *arguments: scan)
     joints = scan.joints.copy()
     joints[rig.part_of_joint == hidden] += 10.0
-    found = SimpleNamespace(joints=joints, scale=1.0, status="ok", message="", seconds=1.0, probability=0.5, evidence={})
+    told = {"status": "ok", "message": "", "seconds": 1.0, "probability": 0.5, "evidence": {}}
+    found = SimpleNamespace(joints=joints, joint_std=np.full(len(joints), np.nan), scale=1.0, **told)
     fitter = SimpleNamespace(fit_scan=lambda points: found)
     assert module._OneScan(rig, "partial", 3, "own", fitter)(0)["joint_error"] == 0.0
     assert module._OneScan(rig, "turned", 3, "own", fitter)(0)["joint_error"] > 0.1
@@ -300,6 +302,27 @@ def test_one_percent_of_false_alarms():
 def test_without_failures_there_is_nothing_to_tell():
     known = module._confidence(_report({"0.3": [(0.001, 0.9)]}))
     assert known["auc"] is None and known["caught"] is None
+
+
+def test_joints_of_right_fits_that_are_wrong_are_told_or_not():
+    errors, std = [0.001, 0.03, 0.06, 0.2], [0.001, 0.021, 0.01, 0.3]
+    report = _report({"0.3": [(0.001, 0.9)] * 3})
+    for scan, status in zip(report["rigs"]["hand"]["rows"]["0.3"]["fits"]["own"]["scans"], ("ok", "suspect", "ok")):
+        scan |= {"status": status, "each_error": errors, "each_std": std}
+    found = {"joints": 8, "wrong": 4, "wrong_told": 0.5, "right_called_guesses": 0.5, "within_two_std": 0.75}
+    assert module._confidence(report)["joints"] == found
+    assert module._confidence(_report({"0.3": [(0.001, 0.9)]}))["joints"] is None
+
+
+def test_joints_are_said_of_all_that_move(body):
+    """In shares of the size; where no precision is known, as of plain Chamfer, nothing."""
+    scan = starts_scan(body, "unit", 0, 3)
+    off, std = np.zeros((len(body.parents), 3)), np.full(len(body.parents), 0.02 * body.size * scan.scale)
+    off[:, 1] = 0.1 * body.size * scan.scale
+    one = module._OneScan(body, "unit", 3, "own", None)
+    each = one._each_joint(SimpleNamespace(joints=scan.joints + off, joint_std=std), scan)
+    assert each == {"each_error": [0.1] * body.moving.sum(), "each_std": [0.02] * body.moving.sum()}
+    assert one._each_joint(SimpleNamespace(joints=scan.joints, joint_std=np.nan * std), scan) == {}
 
 
 # ---- going on ----

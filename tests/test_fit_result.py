@@ -25,6 +25,7 @@ def test_fields_and_shapes(tube_rig, tube_result, tube_scan):
         "rest_joints": (J, 3),
         "vertices": (m, 3),
         "joints": (J, 3),
+        "joint_std": (J,),
         "labels": (n,),
         "confidence": (n,),
     }

@@ -6,7 +6,7 @@ from posed_samples import state_within
 from scipy import sparse
 
 import lbsfit_np as lbs
-from lbsfit_np.optimize.jacobian import vertex_motion
+from lbsfit_np.optimize.jacobian import joint_motion, vertex_motion
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.state import Layout
 
@@ -45,6 +45,19 @@ def test_the_jacobian_is_that_of_differences(request, rig, options, block, resid
     assert np.abs(columns).max() > 0.01
 
 
+@pytest.mark.parametrize("blocks", [("pose",), ("pose", "translation", "scale"), ("translation",)])
+def test_joints_move_as_differences_say(hand, blocks):
+    model = Model(hand)
+    rng = np.random.default_rng(3)
+    state = state_within(model, 1).replace(scale=1.2, coefficients=0.1 * rng.standard_normal(model.n_coefficients))
+    state.theta[model.rig.root] = [1.9, -1.0, 0.7]
+    turning = Layout(model.rig, ("pose",), 0).turning
+    motion = joint_motion(state, model.deformed(state), blocks, turning)
+    columns = np.concatenate([_columns(model, state, slice(None), block, turning, of="joints") for block in blocks], axis=2)
+    np.testing.assert_allclose(motion.dense(), columns, rtol=0, atol=1e-6 * np.abs(columns).max())
+    np.testing.assert_allclose(motion.dense(), _dense(motion), rtol=0, atol=1e-12)
+
+
 def _dense(motion):
     """(n, 3, p): a pull on a single place gives its row of J as g."""
     n = len(motion.arms)
@@ -53,9 +66,9 @@ def _dense(motion):
     return np.array(rows).reshape(n, 3, -1)
 
 
-def _columns(model, state, rows, block, turning, h=1e-5):
+def _columns(model, state, rows, block, turning, h=1e-5, of="vertices"):
     def moved(change):
-        return model.pose(change)[0].vertices[rows]
+        return getattr(model.pose(change)[0], of)[rows]
 
     columns = []
     if block == "pose":

@@ -156,7 +156,7 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
     ],
 )
 def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, better, monkeypatch):
-    """(value in the normalised frame, scan units in a rig unit) of each: a value goes by the square of the frame's unit."""
+    """(E in the normalised frame, scan units in a rig unit) of each: it goes by the square of the frame's unit."""
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
     fitter = lbs.LBSFitter(tube_rig, random_state=0)
     fitter.template_, fitter.unit_ = people, {"ann": ann[1], "bob": bob[1]}
@@ -164,8 +164,9 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     seen, told, alone = _seen(tube_rig, scan), {}, {"status": "ok"}
 
     def on_template(fitter, subject, seen, settings):
-        value, unit = {"ann": ann, "bob": bob}[subject]
-        return replace(seen, value=value, frame=replace(seen.frame, unit=unit * tube_rig.size / 2))
+        left, unit = {"ann": ann, "bob": bob}[subject]
+        state = seen.state.replace(scale=left)
+        return replace(seen, value=2 * left, state=state, frame=replace(seen.frame, unit=unit * tube_rig.size / 2))
 
     def finish_fit(problem, state, **place):
         told.update(place)
@@ -173,10 +174,12 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
 
     monkeypatch.setattr(finish, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a: seen))
     monkeypatch.setattr(finish, "_on_template", on_template)
-    monkeypatch.setattr(finish, "_template_fit", lambda *made_of: SimpleNamespace(proportions=lambda *of: 0.0, finish=finish_fit))
+    refit = SimpleNamespace(left=lambda problem, state: state.scale)
+    fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=finish_fit, refit=refit)
+    monkeypatch.setattr(finish, "_template_fit", lambda *made_of: fit)
     assert finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message == "seen"
     assert f"on the template of subject {better!r}" in told["notes"]
-    assert told["value"] == {"ann": ann, "bob": bob}[better][0]
+    assert told["value"] == 2 * {"ann": ann, "bob": bob}[better][0]
     for alone["status"] in ("suspect", "failed"):  # who knows the subject may help
         asks = finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message
         assert asks == "seen" + ASKS
@@ -184,6 +187,25 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     assert finish.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message == "seen"
 
 
+def test_views_of_one_side_are_compared_by_what_they_show(tube_rig):
+    """What a view does not show is less of a slim person: by both ways of the Chamfer distance she would have been nearer."""
+    own = tube_rig.vertices, tube_rig.joints
+    slim = tube_rig.vertices * [0.8, 1.0, 0.8], tube_rig.joints
+    fitter = lbs.LBSFitter(tube_rig, random_state=0, partial=True)
+    fitter.template_, fitter.unit_ = {"own": tube_rig, "slim": tube_rig.with_template(*slim)}, {"own": 1.0, "slim": 1.0}
+    settings, found = fitter._fit_settings(), {}
+    (scan,) = lbs.synthesize(tube_rig, 1, templates=[own], random_state=3, n_points=800, one_sided=True, holes=0, shape=0.0)
+    seen = _seen(tube_rig, scan)
+    for subject in fitter.template_:
+        refit = finish._template_fit(fitter, subject, settings).refit
+        state, value, _ = refit(seen.problem, [refit._mine(seen.state)])
+        found[subject] = replace(seen, state=state, value=value)
+    assert found["slim"].value < found["own"].value
+    left = {subject: finish._left(fitter, subject, f, settings) for subject, f in found.items()}
+    assert left["own"] < 0.7 * left["slim"]
+
+
+LEFT = SimpleNamespace(left=lambda problem, state: 0.0)
 FASTER = ("effort 'balanced' (--effort balanced) looks further",)
 
 
@@ -201,7 +223,7 @@ def test_a_scan_of_somebody_else_than_named_is_told_to_leave_the_name_out(status
         return _Alone("odd", _seen(tube_rig, scan), status=status)
 
     for proportions in (0.9, 0.0):
-        fit = SimpleNamespace(proportions=lambda *of, p=proportions: p, finish=finished)
+        fit = SimpleNamespace(proportions=lambda *of, p=proportions: p, finish=finished, refit=LEFT)
         monkeypatch.setattr(finish, "_template_fit", lambda *made_of, fit=fit: fit)
         message = finish.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message
         words = "; without subject (--subject, or its line of --subjects, which may be wrong) the template that suits it best is "
@@ -218,7 +240,7 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     for look in ("_scouted", "_given"):
         monkeypatch.setattr(finish, look, lambda *known: _seen(tube_rig, scan))
     monkeypatch.setattr(finish, "stands_words", lambda *known: "the scan stands along +z")
-    fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=lambda problem, state, **place: _Alone("", place))
+    fit = SimpleNamespace(proportions=lambda *of: 0.0, refit=LEFT, finish=lambda problem, state, **place: _Alone("", place))
     monkeypatch.setattr(finish, "_template_fit", lambda *made_of: fit)
     made = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
     told = made.found

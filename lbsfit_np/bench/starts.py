@@ -10,6 +10,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from ..errors import InputError, in_words
+from ..fitting.assemble import GUESS
 from ..io.rigs import load_rig
 from .baseline import PlainChamfer
 from .conditions import CONDITIONS, SEEN, conditions_of, starts_scan
@@ -41,6 +42,8 @@ _FALSE_ALARMS = 0.01
 # What FitResult.probability is the probability of: an error below this share of the size.
 PROBABLE = 0.015
 _BINS = 5
+# A joint further off than this share of the size is wrong; fits are to say of it that it is a guess.
+_WRONG = 0.05
 
 
 def starts_bench(
@@ -181,6 +184,7 @@ class _OneScan:
             "scan": i,
             "joint_error": joint_error(result.joints, scan.joints, counted) / (self.rig.size * scan.scale),
             "joints": int(counted.sum()),
+            **self._each_joint(result, scan),
             "scale_error": float(result.scale / scan.scale - 1),
             "probability": result.probability,
             "evidence": result.evidence,
@@ -188,6 +192,13 @@ class _OneScan:
             "message": result.message,
             "seconds": result.seconds,
         }
+
+    def _each_joint(self, result, scan):
+        """Of the joints that move, hidden ones too, in shares of the size; nothing where no ``joint_std`` is known."""
+        lengths = {"each_error": np.linalg.norm(result.joints - scan.joints, axis=1), "each_std": result.joint_std}
+        if not np.isfinite(result.joint_std).all():
+            return {}
+        return {key: (of[self.rig.moving] / (self.rig.size * scan.scale)).round(6).tolist() for key, of in lengths.items()}
 
     def _fitted(self, scan):
         if self.fit == "oracle":
@@ -246,7 +257,24 @@ def _confidence(report):
         out["auc"] = float(roc_auc_score(wrong, -p))
         false_alarms, caught, _ = roc_curve(wrong, -p, drop_intermediate=False)
         out["caught"] = float(caught[false_alarms <= _FALSE_ALARMS].max())
-    return out
+    return out | {"joints": _joint_confidence(report)}
+
+
+def _joint_confidence(report):
+    """Of the joints of fits that call themselves right: whether ``joint_std`` tells those that are wrong; None without any."""
+    rows = [row["fits"].get("own", {}).get("scans", ()) for entry in report["rigs"].values() for row in entry["rows"].values()]
+    sure = [scan for scans in rows for scan in scans if scan.get("status") == "ok" and "each_std" in scan]
+    if not sure:
+        return None
+    error, std = (np.concatenate([scan[key] for scan in sure]) for key in ("each_error", "each_std"))
+    wrong, guess = error > _WRONG, std > GUESS
+    return {
+        "joints": len(error),
+        "wrong": int(wrong.sum()),
+        "wrong_told": float(guess[wrong].mean()) if wrong.any() else None,
+        "right_called_guesses": float(guess[~wrong].mean()) if not wrong.all() else None,
+        "within_two_std": float((error <= 2 * std).mean()),
+    }
 
 
 def _calibration(p, exact):
@@ -298,12 +326,21 @@ def _legend(report):
         "Reached: share of the scans whose mean joint error is at most 1.5 % (* 3 %) of the rig's size. Median and 95th",
         "percentile: of these errors, in % of the size. Further columns: the same share for other ways of fitting.",
     ]
-    known = report["confidence"]
-    if known is not None and known["auc"] is not None:
+    known = report["confidence"] or {"auc": None}
+    if known["auc"] is not None:
         lines += [
             f"{known['failures']} of {known['scans']} fits failed. Told by the fits' own probability: area under the ROC curve "
             f"{known['auc']:.3f} (goal {AIM_AUC:g}),",
             f"{100 * known['caught']:.0f} % of the failures caught at {100 * _FALSE_ALARMS:g} % false alarms "
             f"(goal {100 * AIM_CAUGHT:.0f} %).",
+        ]
+    joints = known.get("joints")
+    if joints is not None:
+        told = "" if not joints["wrong"] else f", {100 * joints['wrong_told']:.0f} % of them called guesses by joint_std"
+        lines += [
+            f"Of {joints['joints']} joints, hidden ones too, of fits that call themselves right {joints['wrong']} are off by",
+            f"more than {100 * _WRONG:g} % of the size{told};",
+            f"of the others {100 * joints['right_called_guesses']:.1f} % are. Within twice their joint_std are "
+            f"{100 * joints['within_two_std']:.0f} % of all.",
         ]
     return "\n".join(lines)

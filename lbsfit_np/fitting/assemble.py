@@ -11,10 +11,13 @@ from .confidence import evidence_of, probability_of, verdict_of
 from .labels import labels_from_mesh
 from .result import FitResult
 
-__all__ = ["assemble"]
+__all__ = ["GUESS", "assemble"]
 
 # Of the surface, where more than this share is far from all points, they may be of one side only.
 _HARDLY_REACHED = 0.1
+# A joint is a guess whose place is known to less than this, a share of the rig's size; so many are named.
+GUESS = 0.02
+_MOST_NAMED = 6
 # Where this share of a part's points is not explained, they may be of another thing.
 _FOREIGN = 0.15
 
@@ -36,6 +39,7 @@ def assemble(
     x_labels=None,
     proba=None,
     labels=None,
+    joint_std=None,
     value=None,
     rivals=(),
     partial=False,
@@ -77,6 +81,8 @@ def assemble(
         The segmenter's probabilities, which count for the labels.
     labels : (n,) int array, optional
         Known ones; where they are −1 the mesh says, and without any the mesh and ``proba``.
+    joint_std : (J,) array, optional
+        How precisely the scan tells each joint's place, in the normalised frame.
     value : float, optional
     rivals : sequence of float
         What the pose, and others that are not it, left unexplained, as in ``confidence.evidence_of``.
@@ -154,6 +160,7 @@ def assemble(
         if not partial and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
             words = "if the scan shows one side only, say so with partial (--partial)"
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
+    std = np.full(len(rig.parents), np.nan) if joint_std is None or not finite else joint_std * frame.unit
     if not finite:
         found = ()
     elif status == "failed" and any(found):
@@ -166,12 +173,13 @@ def assemble(
         rest_joints=np.array(rest_joints),
         vertices=rig.pose(*place, joints=rest_joints) if finite else nothing,
         joints=rig.pose_joints(*place, joints=rest_joints) if finite else np.full(rig.joints.shape, np.nan),
+        joint_std=std,
         labels=labels,
         confidence=confidence,
         terms=terms,
         converged=last.converged,
         status=status,
-        message="; ".join(filter(None, [reason, *notes, *found])),
+        message="; ".join(filter(None, [reason, _guessed(rig, std / (scale * rig.size)), *notes, *found])),
         probability=probability,
         evidence=evidence,
         evaluations=evaluations,
@@ -193,6 +201,16 @@ def _terms(model, problem, state, weights, x_labels, pivot, turn):
     offsets = np.zeros_like(Vd) if own is None else own
     L = objective(X, Vd, V, weights=weights, x_labels=x_labels, v_labels=model.labels, offsets=offsets, K=K, **sides)
     return L.terms | {"total": L.value, "recon": float(np.sqrt(chamfer(X, Vd, x_weights=problem.x_weights)[0]))}
+
+
+def _guessed(rig, std):
+    """Which joints are guesses, in words, by how precisely they are told in shares of the rig's size; the worst first."""
+    rows = np.flatnonzero(rig.moving & (std > GUESS))
+    if not len(rows):
+        return ""
+    names = [rig.joint_names[j] for j in rows[np.argsort(-std[rows], kind="stable")]]
+    more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
+    return f"hardly any points tell where these joints are, see joint_std: {', '.join(names[:_MOST_NAMED])}{more}"
 
 
 def _asked(given, evidence):

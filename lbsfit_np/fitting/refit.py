@@ -12,6 +12,7 @@ import numpy as np
 from ..losses.objective import BOTH, PLAIN, STRUCTURED
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
+from ..optimize.precision import joint_std
 from ..optimize.problem import Problem
 from ..optimize.state import State
 from ..starts.limbs import LimbPoses
@@ -211,6 +212,14 @@ class Refit:
     def to_the_end(self, problem, state, **options):
         """The same with the value E that they have made smaller."""
         return self._last.pose(problem, state, free=self.free, **options)
+
+    def left(self, problem, state):
+        """What a pose leaves unexplained, E of ``optimize.gauss_newton``: of one side, of what that shows, as L_c does not."""
+        return self.to_the_end(problem, state, iterations=0)[1]
+
+    def joint_std(self, problem, state, proba=None):
+        """How precisely the scan tells each posed joint's place, see :func:`~lbsfit_np.optimize.precision.joint_std`."""
+        return joint_std(self._last, problem, state, free=self.free, proba=proba)
 
     def placed(self, problem, theta, scale=1.0):
         """The State of a pose Θ of some scale put where the scan is."""

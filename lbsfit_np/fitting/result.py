@@ -9,9 +9,9 @@ from ..errors import FileError
 
 __all__ = ["FitResult"]
 
-_FORMAT = 4
+_FORMAT = 5
 _SHORT = 80  # letters of the message in repr
-_ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "labels", "confidence")
+_ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "joint_std", "labels", "confidence")
 _SCALARS = ("scale", "converged", "status", "message", "evaluations", "probability", "seconds")
 _SCALARS += ("rig_digest", "model_digest", "subject")
 
@@ -38,6 +38,10 @@ class FitResult:
         The registered mesh in the scan's frame and unit: the rig's vertices in their order.
     joints : (J, 3) array
         Posed joint positions, in the scan's frame and unit.
+    joint_std : (J,) array
+        How precisely the scan tells each of them where the fit is about right: the root of the mean squared distance that is to
+        be expected, in the scan's unit (``optimize.precision``). Large where hardly any points hang on a joint, which then is a
+        guess. NaN where it is not known: in free-form fits.
     labels : (n,) int array
         Part of every scan point; indexes ``parts``.
     confidence : (n,) array
@@ -75,6 +79,7 @@ class FitResult:
     rest_joints: np.ndarray
     vertices: np.ndarray
     joints: np.ndarray
+    joint_std: np.ndarray
     labels: np.ndarray
     confidence: np.ndarray
     terms: dict
@@ -99,10 +104,9 @@ class FitResult:
         """Write as NPZ, atomically; the name must end in ``.npz``.
 
         Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``rest_joints``, ``vertices``, ``joints``,
-        ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``probability``, ``evaluations``,
-        ``seconds``, ``rig_digest``, ``model_digest``, ``subject`` as 0-d arrays; ``parts`` as text; ``terms`` and ``evidence`` as
-        JSON text;
-        ``lbsfit_np_result``, the format's number.
+        ``joint_std``, ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``probability``,
+        ``evaluations``, ``seconds``, ``rig_digest``, ``model_digest``, ``subject`` as 0-d arrays; ``parts`` as text; ``terms``
+        and ``evidence`` as JSON text; ``lbsfit_np_result``, the format's number.
         """
         from ..io.write import check_npz_name, write_npz
 
@@ -153,6 +157,7 @@ def _check(fields, terms, evidence):
         "rest_joints": (J, 3),
         "vertices": (m, 3),
         "joints": (J, 3),
+        "joint_std": (J,),
         "labels": (n,),
         "confidence": (n,),
     }

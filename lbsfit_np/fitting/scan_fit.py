@@ -177,6 +177,7 @@ class ScanFit:
             x_labels=search.labels,
             proba=proba,
             labels=labels,
+            joint_std=self._refit.joint_std(with_partner, last.state, proba),
             evaluations=before + search.evaluations,
             notes=[part.left_out],
             found=(unit, stands),

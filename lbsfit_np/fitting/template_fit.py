@@ -124,6 +124,7 @@ class TemplateFit:
             x_labels=search.labels,
             proba=proba,
             labels=labels_known,
+            joint_std=self.refit.joint_std(with_partner, pose, proba),
             evaluations=search.evaluations,
             notes=notes,
             found=found,

@@ -237,7 +237,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     else:  # one look for all, on the rig's own template with proportions
         seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a)
         found = [(s, _on_template(fitter, s, seen, settings)) for s in subjects]
-    subject, best = min(found, key=lambda f: f[1].value * f[1].frame.unit**2)  # values go by the square of the frame's unit
+    subject, best = min(found, key=lambda f: _left(fitter, *f, settings))
     whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
     proportions = fit.proportions(best.problem, best.state)
@@ -261,6 +261,11 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         without = "without subject (--subject, or its line of --subjects, which may be wrong)"
         return replace(result, message=f"{result.message}; {without} the template that suits it best is taken")
     return _asking(result, subjects)
+
+
+def _left(fitter, subject, found, settings):
+    """What a fit on a subject's template leaves unexplained, in the scan's unit squared."""
+    return _template_fit(fitter, subject, settings).refit.left(found.problem, found.state) * found.frame.unit**2
 
 
 def _asking(result, subjects):
@@ -304,13 +309,14 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
         refit = refit.freeing(("pose", "translation", "scale"))
-    best, place = None, (fitter.rig, _facing(fitter), x, a, unit or guess)
+    best, least, place = None, np.inf, (fitter.rig, _facing(fitter), x, a, unit or guess)
     for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, labels):
         # Steps from the start itself compete with those that look far, which may lead away from one that is right.
         states = [] if theta is None else [refit.in_place(problem, theta)]
         state, value, _ = refit(problem, states, proba=None if labels is None else proba, labels_known=labels is not None)
-        if best is None or value < best.value:
-            best = Found(frame, problem, state, proba, value, ())
+        left = refit.left(problem, state)
+        if best is None or left < least:
+            best, least = Found(frame, problem, state, proba, value, ()), left
     return best
 
 

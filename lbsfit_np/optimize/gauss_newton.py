@@ -124,6 +124,31 @@ class GaussNewton:
         weights = np.ones(len(problems)) if scan_weights is None else np.asarray(scan_weights, dtype=float)
         return self._minimise(problems, states, labels or [None] * len(problems), weights / weights.sum(), free, True, iterations)
 
+    def told_by_points(self, problem, state, *, free=("pose", "translation"), proba=None):
+        """What the scan's points alone tell of a pose, by the curvature of E: where few of them hang on an unknown, little.
+
+        Parameters
+        ----------
+        problem : Problem
+        state : State
+        free : collection of {"pose", "translation", "scale"}
+        proba : (n, n_parts) array, optional
+            Of the parts; a point counts as much as it is likely to be of the part that is nearest to it, and fully where its
+            row is 0.
+
+        Returns
+        -------
+        H : (p, p) array
+            Jᵀ W J of the unknowns, W with the points' weights, which sum to 1, and what ρ leaves of them.
+        left : float
+            What E leaves of the points: about the mean square of their distances from the surface.
+        layout : Layout
+            Of the unknowns.
+        """
+        layout = Layout(self.model.rig, free, self.model.n_coefficients)
+        made = self._normal_equations(problem, state, None, layout, False, of_vertices=False, proba=proba)
+        return made.H, made.value, layout
+
     def with_proportions(self, problem, state, **options):
         """One scan's pose with coefficients of its own: (state, E with the ridge); options of :meth:`shared`."""
         (state,), (value,) = self.shared([problem], [state], **options)
@@ -166,16 +191,18 @@ class GaussNewton:
         values[used] = [m.value for m in made]
         return states, values
 
-    def _normal_equations(self, problem, state, labels, layout, shared):
+    def _normal_equations(self, problem, state, labels, layout, shared, *, of_vertices=True, proba=None):
         model = self.model
         posed = model.deformed(state)
         V, X = posed.vertices, problem.X
         a = np.full(len(X), 1.0 / len(X)) if problem.x_weights is None else problem.x_weights
         nearest, known = self._nearest(X, V, labels)
         X, a = X[known], a[known]
+        if proba is not None:
+            a = a * np.where(proba.any(axis=1), proba[np.arange(len(X)), model.labels[nearest]], 1.0)
         on = self._surface.closest(X, nearest, V, None if labels is None else labels[known])
         r, normals, weights, pulling = X - on.points, on.normals, a, self._pulling[:0]
-        if labels is None:
+        if labels is None and of_vertices:
             pulling = self._pulling
             to_X = problem.x_index.nearest(V[pulling])
             facing, pull = summed_normals(V, self._pulling_faces, self._pulling_at), self._pull_weights

@@ -16,7 +16,7 @@ import numpy as np
 
 from ..rotations import left_jacobian
 
-__all__ = ["VertexMotion", "vertex_motion"]
+__all__ = ["VertexMotion", "joint_motion", "vertex_motion"]
 
 _I = np.eye(3)
 # (a, b, c): coordinate a of a cross product x × y is x_b y_c − x_c y_b.
@@ -49,6 +49,11 @@ class VertexMotion:
         k, n = places.shape
         arms, plain = ((places @ x.reshape(n, 3 * x.shape[2])).reshape(k, 3, x.shape[2]) for x in (self.arms, self.plain))
         return replace(self, arms=arms, plain=plain)
+
+    def dense(self):
+        """(n, 3, t + q): the derivatives, the angles' columns first."""
+        turned = np.cross(self.omega.T[None], self.arms[:, :, self.joint].transpose(0, 2, 1)).transpose(0, 2, 1)
+        return np.concatenate([turned, self.plain], axis=2)
 
     def normal_equations(self, r, normals, weights, tangential):
         """H = Σ_i w_i J_iᵀ M_i J_i and g = Σ_i w_i J_iᵀ M_i r_i, with J_i = ∂v_i/∂x and M_i = n_i n_iᵀ + τ I.
@@ -128,19 +133,40 @@ def vertex_motion(model, state, posed, rows, blocks, turning):
     turning = turning if "pose" in blocks else np.zeros_like(turning)
     columns = [plain[block]() for block in blocks if block != "pose"]
     columns = np.concatenate(columns, axis=2) if columns else np.empty((len(rows), 3, 0))
-    return VertexMotion(*_turns(posed, rows, turning), columns)
+    return VertexMotion(*_turns(posed, posed.rig.weights[rows].toarray(), posed.rest[rows], turning), columns)
 
 
-def _turns(posed, rows, turning):
-    """Arms, ω, and whose each angle is."""
+def joint_motion(state, posed, blocks, turning):
+    """∂P/∂x of the posed joints.
+
+    Parameters
+    ----------
+    state, posed, turning
+        As for :func:`vertex_motion`.
+    blocks : sequence of {"pose", "translation", "scale"}
+
+    Returns
+    -------
+    VertexMotion
+        Of J places.
+    """
+    n = len(posed.joints)
+    moved = posed.joints - state.translation
+    plain = {"translation": np.broadcast_to(_I, (n, 3, 3)), "scale": (moved / state.scale)[:, :, None]}
+    turning = turning if "pose" in blocks else np.zeros_like(turning)
+    columns = np.concatenate([np.empty((n, 3, 0)), *(plain[block] for block in blocks if block != "pose")], axis=2)
+    return VertexMotion(*_turns(posed, np.eye(n), posed.rest_joints, turning), columns)  # a joint hangs on itself alone
+
+
+def _turns(posed, w, u, turning):
+    """Arms, ω, and whose each angle is, of points (n, 3) of the rest pose with weights (n, J)."""
     rig, A = posed.rig, posed.A
     joint, axis = np.nonzero(turning)
     turned, of = np.unique(joint, return_inverse=True)
-    w, u = rig.weights[rows].toarray(), posed.rest[rows]
     shift = posed.unscaled_joints - (A @ posed.rest_joints[:, :, None])[:, :, 0]
     below = _subtrees(rig.parents)[turned]
     hanging, at = w @ below.T, posed.unscaled_joints[turned]
-    arms = np.empty((len(rows), 3, len(turned)))
+    arms = np.empty((len(u), 3, len(turned)))
     for a in range(3):
         np.matmul((u @ A[:, a].T + shift[:, a]) * w, below.T, out=arms[:, a])
         arms[:, a] -= hanging * at[:, a]

@@ -1,0 +1,52 @@
+"""How precisely a scan tells where the joints of a pose are."""
+
+import numpy as np
+
+from .jacobian import joint_motion
+
+__all__ = ["joint_std"]
+
+# Points near each other lie off the surface together, where the shape is not quite the template's: only so many of them tell
+# something of their own, however many there are. Found on scans with known truth, see docs/fitting.md.
+_INDEPENDENT = 35
+# No scan is nearer to its template than this, half sizes.
+_LEAST_NOISE = 0.002
+# Before the scan is looked at, radians: an angle has any value within its limits, or any at all. Half sizes; shares of the scale.
+_ALL_ROUND, _ANYWHERE, _ANY_SCALE = 2 * np.pi, 1.0, 0.3
+
+
+def joint_std(steps, problem, state, *, free=("pose", "translation"), proba=None):
+    """The standard deviation of each posed joint's place, as the scan's points tell it where the pose is about right.
+
+    The curvature H of what the points leave unexplained says how well they hold each unknown, and what they leave how far they
+    can be trusted; joint limits say what is possible where no point tells: Σ = (n/σ² H + D)⁻¹ is the unknowns' covariance (the
+    Laplace approximation of their posterior), and P Σ Pᵀ with P = ∂joint/∂unknowns that of a joint's place.
+
+    Parameters
+    ----------
+    steps : GaussNewton
+    problem : Problem
+        Weights of 0 for what is no point of the body.
+    state : State
+        Where the fit has ended.
+    free : collection of {"pose", "translation", "scale"}
+        What was looked for.
+    proba : (n, n_parts) array, optional
+        Probabilities of the points' parts: those that the mesh has in another part tell nothing of it; rows of 0 say nothing.
+
+    Returns
+    -------
+    (J,) array
+        Root of the mean squared distance, half sizes.
+    """
+    H, left, layout = steps.told_by_points(problem, state, free=free, proba=proba)
+    rig, turning = steps.model.rig, layout.turning
+    a = problem.x_weights
+    n = len(problem.X) if a is None else 1.0 / float(((a / a.sum()) ** 2).sum())
+    width = np.minimum(np.where(np.isfinite(rig.upper - rig.lower), rig.upper - rig.lower, _ALL_ROUND), _ALL_ROUND)
+    width[rig.root] = _ALL_ROUND
+    spread = {"pose": width[turning] / np.sqrt(12), "translation": np.full(3, _ANYWHERE), "scale": np.full(1, _ANY_SCALE)}
+    D = np.concatenate([spread[block] for block in layout.blocks]) ** -2.0
+    C = np.linalg.inv(min(n, _INDEPENDENT) / max(left, _LEAST_NOISE**2) * H + np.diag(D))
+    P = joint_motion(state, steps.model.deformed(state), layout.blocks, turning).dense()
+    return np.sqrt(np.maximum(np.einsum("jap,pq,jaq->j", P, C, P), 0.0))
