@@ -226,7 +226,7 @@ def test_a_fit_that_has_failed_asks_about_what_was_given(given, asks, rigs, monk
     assert r.message.startswith(f"a reason; is it the right rig{asks}")
 
 
-def test_joints_that_are_guesses_are_named_the_worst_first(rigs):
+def test_joints_that_are_guesses_are_named_the_worst_first(rigs, monkeypatch):
     """In the scan's unit; those that do not turn are none; at most six."""
     rig = rigs["hand"]
     model, J = Model(rig), len(rig.parents)
@@ -242,6 +242,8 @@ def test_joints_that_are_guesses_are_named_the_worst_first(rigs):
     r = _at_rest(model, V, joint_std=np.linspace(0.1, 0.2, J))
     assert r.message.endswith(f"{', '.join(rig.joint_names[: J - 7 : -1])} and {J - 6} more")
     assert np.isnan(_at_rest(model, V).joint_std).all()
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("failed", "a reason"))
+    assert "joint_std" not in _at_rest(model, V, joint_std=std).message  # of a pose that is wrong all are
 
 
 def test_a_fit_that_has_failed_asks_about_other_things(rigs, monkeypatch):

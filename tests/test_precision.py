@@ -72,6 +72,21 @@ def test_points_of_other_parts_tell_nothing(tube, steps):
     assert joint_std(steps, problem, state, proba=proba)[3] > 5 * whole[3]
 
 
+def test_a_fit_that_is_not_finite_tells_nothing(tube, steps):
+    state = tube.rest()
+    problem = Problem(tube.rig.vertices)
+    assert np.isnan(joint_std(steps, problem, state.replace(translation=np.array([np.nan, 0.0, 0.0])))).all()
+
+
+def test_points_that_count_half_are_as_noisy(tube, steps):
+    state = state_within(tube, 3, 0.5)
+    problem, _ = _noisy(tube, state, 300, 0.01, 0)
+    half = steps.told_by_points(problem, state, proba=np.full((300, 4), 0.5))
+    whole = steps.told_by_points(problem, state)
+    np.testing.assert_allclose(half[0], 0.5 * whole[0])
+    assert half[1] == pytest.approx(whole[1])
+
+
 def test_it_falls_with_noise_and_with_points_until_they_tell_the_same(tube, steps):
     state = state_within(tube, 3, 0.5)
     few, some, many = (joint_std(steps, _noisy(tube, state, n, 0.01, 0)[0], state) for n in (15, 60, 300))

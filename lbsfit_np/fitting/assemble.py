@@ -161,6 +161,7 @@ def assemble(
             words = "if the scan shows one side only, say so with partial (--partial)"
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
     std = np.full(len(rig.parents), np.nan) if joint_std is None or not finite else joint_std * frame.unit
+    guessed = "" if status == "failed" else _guessed(rig, std / (scale * rig.size))  # it is of a pose that is about right
     if not finite:
         found = ()
     elif status == "failed" and any(found):
@@ -179,7 +180,7 @@ def assemble(
         terms=terms,
         converged=last.converged,
         status=status,
-        message="; ".join(filter(None, [reason, _guessed(rig, std / (scale * rig.size)), *notes, *found])),
+        message="; ".join(filter(None, [reason, guessed, *notes, *found])),
         probability=probability,
         evidence=evidence,
         evaluations=evaluations,

@@ -3,6 +3,7 @@
 import itertools
 import os
 import warnings
+from collections import Counter
 from collections.abc import Mapping, Set
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -318,9 +319,9 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             continue
         path = getattr(scan, "path", None)
         found[i] = points, subject, f"{i}" if path is None else f"{path}", part
+    below = Counter(part.below for *_, part in found.values())
     for i, (points, subject, name, part) in found.items():
-        alike = sum(other.below == part.below for *_, other in found.values())
-        if part.floor_elsewhere and 2 * alike < len(found):  # too few for a floor: flat sides of bodies, such as palms
+        if part.floor_elsewhere and 2 * below[part.below] < len(found):  # too few: flat sides of bodies, such as palms
             with suppress(InputError):  # a wide wall, with which the scan is none that can be worked with
                 part = looked_at(i, points, ups[:1])
         frame = Frame(points[part.rows].mean(axis=0), part.scale * rig.size / 2)

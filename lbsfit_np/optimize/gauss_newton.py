@@ -139,15 +139,15 @@ class GaussNewton:
         Returns
         -------
         H : (p, p) array
-            Jᵀ W J of the unknowns, W with the points' weights, which sum to 1, and what ρ leaves of them.
+            Jᵀ W J of the unknowns, W with the points' weights, which sum to 1 without ``proba``, and what ρ leaves of them.
         left : float
-            What E leaves of the points: about the mean square of their distances from the surface.
+            What E leaves of the points, ÷ their weights: about the mean square of their distances from the surface.
         layout : Layout
             Of the unknowns.
         """
         layout = Layout(self.model.rig, free, self.model.n_coefficients)
         made = self._normal_equations(problem, state, None, layout, False, of_vertices=False, proba=proba)
-        return made.H, made.value, layout
+        return made.H, made.value / max(made.weight, np.finfo(float).tiny), layout
 
     def with_proportions(self, problem, state, **options):
         """One scan's pose with coefficients of its own: (state, E with the ridge); options of :meth:`shared`."""
@@ -314,7 +314,7 @@ class _Normal:
         along = np.einsum("na,na->n", r, normals)
         e2 = along**2 + tangential * np.einsum("na,na->n", r, r)
         near = 1.0 / (1.0 + e2 / reach**2)
-        self.value = float(weights @ (e2 * near))
+        self.value, self.weight = float(weights @ (e2 * near)), float(weights.sum())
         self._made_of = motion, (r, normals, weights * near**2, tangential)  # dρ/de² = near²
         self._held = []
 

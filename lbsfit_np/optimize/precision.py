@@ -37,8 +37,11 @@ def joint_std(steps, problem, state, *, free=("pose", "translation"), proba=None
     Returns
     -------
     (J,) array
-        Root of the mean squared distance, half sizes.
+        Root of the mean squared distance, half sizes; NaN where the fit is not finite.
     """
+    posed = steps.model.deformed(state)
+    if not np.isfinite(posed.vertices).all():
+        return np.full(len(posed.joints), np.nan)
     H, left, layout = steps.told_by_points(problem, state, free=free, proba=proba)
     rig, turning = steps.model.rig, layout.turning
     a = problem.x_weights
@@ -48,5 +51,5 @@ def joint_std(steps, problem, state, *, free=("pose", "translation"), proba=None
     spread = {"pose": width[turning] / np.sqrt(12), "translation": np.full(3, _ANYWHERE), "scale": np.full(1, _ANY_SCALE)}
     D = np.concatenate([spread[block] for block in layout.blocks]) ** -2.0
     C = np.linalg.inv(min(n, _INDEPENDENT) / max(left, _LEAST_NOISE**2) * H + np.diag(D))
-    P = joint_motion(state, steps.model.deformed(state), layout.blocks, turning).dense()
+    P = joint_motion(state, posed, layout.blocks, turning).dense()
     return np.sqrt(np.maximum(np.einsum("jap,pq,jaq->j", P, C, P), 0.0))
