@@ -175,7 +175,8 @@ def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
     X = model.pose(state)[0].vertices
     seen = Found(frame, Problem(X), state, None, 0.0, ())
     fit = ScanFit(model, FitSettings(effort="fast", polish=0, full_iterations=3), facing=facing_of(tube_rig, "upright", up))
-    r = fit.fit(frame.outside(X), found=seen)
+    points = frame.outside(X)
+    r = fit.fit(points, part=fit.taking_part(points), found=seen)
     assert r.status == "ok"
     assert ("the scan stands along its +z axis" in r.message) == ("stands" in r.message) == told
     assert ("though up says '+y'" in r.message) == (told and up is not None) == ("spares the search" not in r.message and told)
@@ -210,7 +211,8 @@ def test_a_fit_in_doubt_tells_what_would_look_further(tube_rig, effort, up, word
     X = model.pose(state)[0].vertices
     settings = FitSettings(effort=effort, polish=0, full_iterations=3)
     fit = ScanFit(model, settings, facing=facing_of(tube_rig, "upright", up))
-    r = fit.fit(frame.outside(X), found=Found(frame, Problem(X), state, None, 0.0, ()))
+    points = frame.outside(X)
+    r = fit.fit(points, part=fit.taking_part(points), found=Found(frame, Problem(X), state, None, 0.0, ()))
     assert r.message.startswith("odd; " + words) == (status != "ok")
     assert ("looks further" in r.message or "are tried" in r.message) == (status != "ok" and bool(words))
     started = fit.fit(frame.outside(X), theta0=np.zeros((4, 3)))  # which is not searched for

@@ -121,7 +121,7 @@ class ScanFit:
         part : TakingPart, optional
             What of the scan takes part, where that is known already: then this is fitted, no more and no less.
         found : Found, optional
-            What the scout said of that, where it was asked already.
+            What the scout said of that ``part``, where it was asked already.
 
         Returns
         -------
