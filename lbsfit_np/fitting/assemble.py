@@ -7,7 +7,7 @@ import numpy as np
 from ..losses.chamfer import chamfer
 from ..losses.objective import objective
 from ..optimize.frame import turned_root
-from .confidence import evidence_of, probability_of, verdict_of
+from .confidence import MISFIT, evidence_of, probability_of, verdict_of
 from .labels import labels_from_mesh
 from .result import FitResult
 
@@ -18,8 +18,6 @@ _HARDLY_REACHED = 0.1
 # A joint is a guess whose place is known to less than this, a share of the rig's size; so many are named.
 GUESS = 0.02
 _MOST_NAMED = 6
-# Where this share of a part's points is not explained, they may be of another thing.
-_FOREIGN = 0.15
 
 
 def assemble(
@@ -217,7 +215,7 @@ def _guessed(rig, std):
 def _asked(given, evidence):
     """What may be wrong of a fit that has failed, as a question."""
     asked = ["is it the right rig"]
-    if evidence["part_unexplained"] > _FOREIGN:
+    if evidence["part_unexplained"] > MISFIT:  # these points may be of another thing
         asked.append("is there nothing in the scan but the body, floors, walls and single points")
     if given:
         asked.append(f"{'are' if 'labels' in given else 'is'} {' and '.join(given)} right")

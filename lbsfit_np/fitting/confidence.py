@@ -12,7 +12,17 @@ from ..optimize.gauss_newton import shown
 from ..optimize.problem import Problem
 from ..optimize.surface import Surface, vertex_normals
 
-__all__ = ["EVIDENCE", "REGRESSED", "SOMEBODY_ELSE", "evidence_of", "logarithms", "probability_of", "shown_problem", "verdict_of"]
+__all__ = [
+    "EVIDENCE",
+    "MISFIT",
+    "REGRESSED",
+    "SOMEBODY_ELSE",
+    "evidence_of",
+    "logarithms",
+    "probability_of",
+    "shown_problem",
+    "verdict_of",
+]
 
 # What a fit is judged by; docs/fitting.md has the same list. The regression is on all but the last, which only fits on learned
 # templates have.
@@ -24,6 +34,8 @@ REGRESSED = EVIDENCE[:-1]
 # Where other proportions than a template's leave less unexplained by more than this share, the scan is of somebody else. Of 30
 # scans on their subject's template the share was 0.15 at most; on a template of three people it was above this for 27 of 30.
 SOMEBODY_ELSE = 0.2
+# From where on a part does not fit, of "part_unexplained".
+MISFIT = 0.15
 # s of ρ(d²) = d² / (d² + s²): distances of about this count half, in half sizes of the rig.
 _SCALE = 0.05
 # Of noise, distances up to so many medians are no fault of the pose; of sparse points, surface that is nearer than their spacing
@@ -307,7 +319,7 @@ _WORDS = {
     "distance": (_NOT_THE_RIG, "points lie far from the mesh"),
     "unexplained": (0.03, "{value:.0%} of the points are not explained"),
     "unreached": (0.12, "{value:.0%} of the model is not reached by points"),
-    "part_unexplained": (0.15, "part {part} does not fit"),
+    "part_unexplained": (MISFIT, "part {part} does not fit"),
     "part_unreached": (0.4, "part {part} has no points"),
     "disagreement": (0.35, "labels and mesh disagree on {value:.0%} of the points"),
     "rival": (0.6, "another pose explains the scan nearly as well"),

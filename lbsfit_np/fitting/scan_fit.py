@@ -236,9 +236,10 @@ def with_floor_or_without(taking_part, fit, ups):
     if result.status == "ok" or not part.floor_elsewhere:
         return result
     try:
-        other = fit(taking_part(ups[:1]))
+        whole = taking_part(ups[:1])
     except InputError:  # of a wide wall: with it the scan is none that can be worked with
         return result
+    other = fit(whole)
     both = {"seconds": other.seconds, "evaluations": result.evaluations + other.evaluations}
     best, words = (result, _FLOOR) if result.probability >= other.probability else (other, _NO_FLOOR)
     return replace(best, message=f"{best.message}; {words}", **both)
