@@ -52,7 +52,8 @@ joints, vertices, templates and labels with the truth. OUT gets results.json, af
 
 _STARTS = """\
 Scan bundled rigs under the conditions that fits have to bear, fit these scans, and compare with the truth: the share of scans
-whose mean joint error is at most 1.5 % (in some rows 3 %) of the rig's size, and whether the fits know which ones are not.
+whose mean joint error is at most 1.5 % (in some rows 3 %) of the rig's size, whether the fits know which ones
+are not, and whether joint_std tells the joints that are wrong.
 
 Rows: 0.3, 0.6 and 1.0 rad a joint, facing known; natural poses under any turn about the up axis (turned) and any rotation
 (rotated), in an unknown unit and scale (unit), seen from one side (partial), with clutter, noise and holes (dirty); touching
