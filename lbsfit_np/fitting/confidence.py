@@ -8,9 +8,9 @@ their logarithms, calibrated on scans with known truth (``lbsfit bench starts``)
 import numpy as np
 
 from ..neighbors import PointIndex
-from ..optimize.gauss_newton import shown
 from ..optimize.problem import Problem
 from ..optimize.surface import Surface, vertex_normals
+from ..optimize.visibility import shown
 
 __all__ = [
     "EVIDENCE",
@@ -131,7 +131,7 @@ def evidence_of(
     seen = np.ones(len(vertices), dtype=bool)
     if partial:
         normals = vertex_normals(vertices, rig.faces)
-        seen = shown(normals, normals[on], to_X)
+        seen = shown(vertices, normals, X, normals[on], to_X)
     typical = float(np.sqrt(_median(away, w)))
     away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
     rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
@@ -177,7 +177,7 @@ def shown_problem(model, problem, state, partial):
     v_kept = back < max(_PARTNER, 4 * np.median(back))
     if partial:
         normals = vertex_normals(V, model.rig.faces)
-        v_kept &= shown(normals, normals[on], to_X)
+        v_kept &= shown(V, normals, problem.X, normals[on], to_X)
     if (x_kept.all() and v_kept.all()) or v_kept.mean() < _LEAST_SEEN:
         return problem
     a = problem.x_weights if problem.x_weights is not None else np.full(len(problem.X), 1.0 / len(problem.X))

@@ -21,12 +21,9 @@ from scipy.sparse import csr_array
 from .jacobian import vertex_motion
 from .state import MOST_PROPORTION, Layout
 from .surface import Surface, faces_at, summed_normals
+from .visibility import shown
 
-__all__ = ["GaussNewton", "shown"]
-
-# A vertex whose normal is at more than about 70 degrees to the camera's direction, or to the surface at its nearest point, is
-# on a side that the scan does not show, or on the rim, where points are few and not its own.
-_FACING = 0.35
+__all__ = ["GaussNewton"]
 
 # The damping at the start; it falls by _EASE after a step that helped and grows by _STIFFEN after one that did not. Below
 # _SOFTEST it would change hardly any step, and would have to grow in vain, an evaluation each time, before it does again.
@@ -207,7 +204,7 @@ class GaussNewton:
             to_X = problem.x_index.nearest(V[pulling])
             facing, pull = summed_normals(V, self._pulling_faces, self._pulling_at), self._pull_weights
             if self.partial:
-                pull = np.where(shown(facing, on.normals, to_X), pull, 0.0)
+                pull = np.where(shown(V[pulling], facing, X, on.normals, to_X), pull, 0.0)
                 pull = pull / max(pull.sum(), np.finfo(float).tiny)
             r, weights = np.vstack([r, problem.X[to_X] - V[pulling]]), np.concatenate([weights, pull])
             normals = np.vstack([normals, facing])
@@ -266,23 +263,6 @@ class GaussNewton:
             x = np.clip(x + np.clip(step, -_LONGEST_TURN, _LONGEST_TURN), *layout.bounds())
             out[i] = layout.unpack(x, out[i])
         return out
-
-
-def shown(normals, at_points, to_X):
-    """(v,) bool: vertices that a one-sided scan can show.
-
-    Parameters
-    ----------
-    normals : (v, 3) array
-        Of the vertices.
-    at_points : (n, 3) array
-        Normals of the mesh where the scan's points lie on it; their mean says where the camera was.
-    to_X : (v,) int array
-        Each vertex's nearest point.
-    """
-    camera = at_points.mean(axis=0)
-    camera = camera / max(np.linalg.norm(camera), np.finfo(float).tiny)
-    return (normals @ camera > _FACING) & (np.einsum("va,va->v", normals, at_points[to_X]) > _FACING)
 
 
 def _places(on, pulling, m):

@@ -1,0 +1,101 @@
+"""What one depth camera shows of a mesh: where it was, and what is behind what it has seen."""
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.optimize.surface import vertex_normals
+from lbsfit_np.optimize.visibility import camera_direction, shown
+from lbsfit_np.sensor import View, sample_surface
+
+
+def _views(rig, n):
+    """Posed meshes in half sizes, each seen by a known camera: (V, camera, points that it sees, normals there)."""
+    rng = np.random.default_rng(11)
+    for scan in lbs.synthesize(rig, n, poses="natural", random_state=12, shape=0.0, scale=0.0, turn=0.0):
+        V = scan.vertices / (rig.size / 2)
+        camera = rng.standard_normal(3)
+        camera /= np.linalg.norm(camera)
+        points, triangle, _ = sample_surface(V, rig.faces, 6000, rng)
+        seen = View(V, rig.faces, camera).sees(points, triangle)
+        a, b, c = (V[rig.faces[triangle[seen], k]] for k in range(3))
+        normals = np.cross(b - a, c - a)
+        yield V, camera, points[seen], normals / np.linalg.norm(normals, axis=1, keepdims=True)
+
+
+def _angle(a, b):
+    return np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1.0, 1.0)))
+
+
+@pytest.mark.parametrize("which", ["hand-coarse", "body-coarse"])
+def test_the_camera_is_where_all_that_is_seen_faces(which):
+    """The mean normal leans to where there is more surface: on a body seen from the side, to its breast."""
+    of_mean, of_all = [], []
+    for _, camera, _, normals in _views(lbs.load_rig(which), 12):
+        of_mean.append(_angle(normals.mean(axis=0), camera))
+        of_all.append(_angle(camera_direction(normals), camera))
+    assert np.median(of_all) < 7 and max(of_all) < 20
+    assert np.median(of_all) < 0.6 * np.median(of_mean)
+
+
+def test_surface_with_normals_of_one_kind_is_faced():
+    normal = np.array([0.0, 0.6, 0.8])
+    np.testing.assert_allclose(camera_direction(np.tile(normal, (5, 1))), normal, atol=1e-12)
+    assert np.isfinite(camera_direction(np.array([[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0]]))).all()
+
+
+def _plate(z, half):
+    side = np.linspace(-half, half, round(half / 0.02) + 1)
+    x, y = np.meshgrid(side, side)
+    return np.stack([x.ravel(), y.ravel(), np.full(x.size, z)], axis=1)
+
+
+@pytest.mark.parametrize("turned", [np.eye(3), np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]])
+@pytest.mark.parametrize("gap,hides", [(0.3, True), (0.04, False)])
+def test_what_is_behind_a_point_of_the_scan_is_not_shown(turned, gap, hides):
+    """A trunk behind an arm: what is right behind it cannot be seen, but the cloth or the skin that lies close to it may be."""
+    back, arm = _plate(0.0, 0.5), _plate(gap, 0.16)
+    covered = (np.abs(back[:, :2]) < 0.16 - 1e-9).all(axis=1)
+    beside = (np.abs(back[:, :2]) > 0.16 + 0.05).any(axis=1)
+    X, V = np.concatenate([back[beside], arm]) @ turned.T, back @ turned.T
+    up = turned @ [0.0, 0.0, 1.0]
+    to_X = np.linalg.norm(V[:, None] - X, axis=2).argmin(axis=1)
+    found = shown(V, np.tile(up, (len(V), 1)), X, np.tile(up, (len(X), 1)), to_X)
+    assert found[beside].all()
+    assert found[covered].all() != hides and found[covered].any() != hides
+    # Where the scan has nothing beside the arm, nothing says that what is there is behind it.
+    found = shown(V, np.tile(up, (len(V), 1)), arm @ turned.T, np.tile(up, (len(arm), 1)), np.zeros(len(V), dtype=int))
+    assert found[beside].all()
+
+
+def test_sides_that_look_away_are_not_shown():
+    plate = _plate(0.0, 0.3)
+    up = np.tile([0.0, 0.0, 1.0], (len(plate), 1))
+    own = np.arange(len(plate))
+    assert shown(plate, up, plate, up, own).all()
+    assert not shown(plate, -up, plate, up, own).any()
+    steep = np.tile([np.sin(np.radians(75)), 0.0, np.cos(np.radians(75))], (len(plate), 1))
+    assert not shown(plate, steep, plate, up, own).any()
+    # The nearest point is on a fold's other side, whose surface looks another way.
+    fold = up.copy()
+    fold[0] = [1.0, 0.0, 0.0]
+    assert not shown(plate, up, plate, fold, np.zeros(len(plate), dtype=int)).any()
+
+
+@pytest.mark.parametrize("which", ["hand-coarse", "body-coarse"])
+def test_little_is_taken_for_shown_that_the_camera_does_not_see(which):
+    rig = lbs.load_rig(which)
+    wrong, missed = [], []
+    for V, camera, X, at_points in _views(rig, 12):
+        normals = vertex_normals(V, rig.faces)
+        to_X = np.linalg.norm(V[:, None] - X, axis=2).argmin(axis=1)
+        found = shown(V, normals, X, at_points, to_X)
+        # A vertex is seen where the camera sees the middle of a triangle at it.
+        seen = np.zeros(len(V), dtype=bool)
+        middles = V[rig.faces].mean(axis=1)
+        seen[rig.faces[View(V, rig.faces, camera).sees(middles, np.arange(len(middles)))]] = True
+        faced = seen & (normals @ camera > 0.5)
+        wrong.append((found & ~seen).sum() / found.sum())
+        missed.append((faced & ~found).sum() / faced.sum())
+    assert np.mean(wrong) < 0.04
+    assert np.mean(missed) < 0.15
