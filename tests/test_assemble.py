@@ -241,6 +241,8 @@ def test_joints_that_are_guesses_are_named_the_worst_first(rigs, monkeypatch):
     assert r.message == named
     r = _at_rest(model, V, joint_std=np.linspace(0.1, 0.2, J))
     assert r.message.endswith(f"{', '.join(rig.joint_names[: J - 7 : -1])} and {J - 6} more")
+    r = _at_rest(model, V, joint_std=np.where(np.arange(J) < J - 6, 0.0, 0.1))
+    assert r.message.endswith(f": {', '.join(rig.joint_names[J - 6 :])}")
     assert np.isnan(_at_rest(model, V).joint_std).all()
     monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("failed", "a reason"))
     assert "joint_std" not in _at_rest(model, V, joint_std=std).message  # of a pose that is wrong all are

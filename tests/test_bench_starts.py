@@ -304,27 +304,6 @@ def test_without_failures_there_is_nothing_to_tell():
     assert known["auc"] is None and known["caught"] is None
 
 
-def test_joints_of_right_fits_that_are_wrong_are_told_or_not():
-    errors, std = [0.001, 0.03, 0.06, 0.2], [0.001, 0.021, 0.01, 0.3]
-    report = _report({"0.3": [(0.001, 0.9)] * 3})
-    for scan, status in zip(report["rigs"]["hand"]["rows"]["0.3"]["fits"]["own"]["scans"], ("ok", "suspect", "ok")):
-        scan |= {"status": status, "each_error": errors, "each_std": std}
-    found = {"joints": 8, "wrong": 4, "wrong_told": 0.5, "right_called_guesses": 0.5, "within_two_std": 0.75}
-    assert module._confidence(report)["joints"] == found
-    assert module._confidence(_report({"0.3": [(0.001, 0.9)]}))["joints"] is None
-
-
-def test_joints_are_said_of_all_that_move(body):
-    """In shares of the size; where no precision is known, as of plain Chamfer, nothing."""
-    scan = starts_scan(body, "unit", 0, 3)
-    off, std = np.zeros((len(body.parents), 3)), np.full(len(body.parents), 0.02 * body.size * scan.scale)
-    off[:, 1] = 0.1 * body.size * scan.scale
-    one = module._OneScan(body, "unit", 3, "own", None)
-    each = one._each_joint(SimpleNamespace(joints=scan.joints + off, joint_std=std), scan)
-    assert each == {"each_error": [0.1] * body.moving.sum(), "each_std": [0.02] * body.moving.sum()}
-    assert one._each_joint(SimpleNamespace(joints=scan.joints, joint_std=np.nan * std), scan) == {}
-
-
 # ---- going on ----
 
 

@@ -1,6 +1,7 @@
 """Floors are taken out of scans; bodies are not."""
 
 import copy
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -129,6 +130,7 @@ def test_where_up_is_but_likely_a_floor_may_be_below_another_axis(axis, hand):
     for scan in lbs.synthesize(hand, 4, poses="natural", random_state=1, floor=0.4):
         kept, body = _kept(scan.points @ turn.T, ups=facing.floors), scan.labels >= 0
         assert (body & kept).sum() > 0.94 * body.sum() and (~body & kept).sum() < 0.05 * (~body).sum()
+        assert off_floor(scan.points @ turn.T, np.arange(len(body)), ups=facing.floors)[2] == axis
         kept_below_up = _kept(scan.points @ turn.T, ups=facing.floors[:1])
         assert kept_below_up.all() == (axis > 0)
 
@@ -229,12 +231,25 @@ def test_points_in_one_place_take_no_part(where, hand):
         assert len(again) > 0.99 * n * 1000 and "identical" not in note
 
 
+def test_where_hardly_any_other_points_are_left_no_pose_is_guessed(hand):
+    few, parts = lbs.synthesize(hand, random_state=1, n_points=20)[0].points, len(hand.parts)
+    for n in (5, 1):
+        filled = np.vstack([few[:n], few[:n] + 1e-3, np.zeros((9000, 3))])
+        words = f"got {2 * n} points that may be of the body (9000 identical points left out); expected at least {parts} points"
+        with pytest.raises(InputError, match=re.escape(words)):
+            _part(filled, hand)
+    assert len(_part(few[:5], hand)[0]) == 5  # others say when there are too few to begin with
+
+
 def test_as_many_points_of_the_body_are_drawn_as_are_wanted(hand):
     (scan,) = lbs.synthesize(hand, poses="natural", random_state=1, n_points=4000, floor=1.5)
     body = np.flatnonzero(scan.labels >= 0)
     for most in (500, 1000):
         rows, note = _part(scan.points, hand, most, ups=[UP])
         assert len(rows) == most and np.isin(rows, body).mean() > 0.97 and "of a floor left out" in note
+    labels = np.where((scan.labels >= 0) | (np.arange(len(scan.points)) % 5 == 0), 0, -1)  # known of some of the floor's
+    rows, _ = _part(scan.points, hand, 1000, ups=[UP], labels=labels)
+    assert len(rows) == 1000 and (labels[rows] == 0).mean() > 0.97 and (~np.isin(rows, body)).mean() > 0.15
     drawn, note = _part(scan.points[body], hand, 1000, ups=[UP])
     np.testing.assert_array_equal(drawn, np.sort(np.random.default_rng(0).choice(len(body), 1000, replace=False)))
     assert note == ""
@@ -295,6 +310,30 @@ def test_a_floor_below_another_axis_may_be_a_side_of_the_body(given, ends, tries
     assert tries == 1 or fits[1].left_out == ""
     result, fits = fitted(_before_a_wall(tube_rig, axis=1)[0], ends)
     assert len(fits) == 1 and "of a floor" in fits[0].left_out and not fits[0].floor_elsewhere and result.message == "fit 1"
+
+
+@pytest.mark.parametrize("random_state", [5, None, "a generator"])
+def test_a_second_look_is_at_the_same_points(random_state, tube_rig, tube_result, monkeypatch):
+    """What differs between the two is the floor alone; where a seed is given, every time."""
+    points, looked_at = np.tile(_before_a_wall(tube_rig)[0], (2, 1)) + 1e-3 * np.random.default_rng(1).random((1800, 3)), []
+    fit = scan_fit(lbs.LBSFitter(tube_rig, max_points=300))
+
+    def taking(points, rig, *, rng, **more):
+        looked_at.append(rng.random())
+        return taking_part(points, rig, rng=rng, **more)
+
+    monkeypatch.setattr("lbsfit_np.fitting.scan_fit.taking_part", taking)
+    monkeypatch.setattr(fit, "_fit", lambda *given: replace(tube_result, status="suspect"))
+    given = np.random.default_rng(5) if random_state == "a generator" else random_state
+    for _ in range(2):
+        fit.fit(points, random_state=given)
+    first, second, *again = looked_at
+    assert first == second and again[0] == again[1] and (again[0] == first) == (random_state == 5)
+
+
+def test_what_was_found_is_of_what_took_part(tube_rig, tube_scan):
+    with pytest.raises(TypeError, match="found is of a part"):
+        scan_fit(lbs.LBSFitter(tube_rig)).fit(tube_scan.points, found=object())
 
 
 def test_a_wall_that_cannot_take_part_does_not_take_the_fit_away(tube_rig, fitted):

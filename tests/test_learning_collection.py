@@ -268,6 +268,17 @@ def test_a_floor_below_another_axis_is_one_where_half_of_the_scans_have_it(walls
             np.testing.assert_allclose(m.frame.centre, m.points[m.rows].mean(axis=0))
 
 
+def test_floors_are_counted_among_the_scans_that_can_be_used(tube_rig):
+    """One of two has it, however many more are broken."""
+    clouds = [s.points for s in lbs.synthesize(tube_rig, 2, random_state=5, n_points=400, shape=0.0)]
+    wall = clouds[0].mean(axis=0) + 2 * np.ptp(clouds[0], axis=0).max() * (np.random.default_rng(0).random((500, 3)) - 0.5)
+    wall[:, 2] = clouds[0][:, 2].min() - 0.02
+    broken = [np.full((5, 3), np.nan)] * 3
+    scans = [np.vstack([clouds[0], wall]), clouds[1], *broken]
+    found = collected(tube_rig, scans, held_out=0.0, ups=facing_of(tube_rig, "upright").floors)
+    assert len(found.failures) == 3 and "of a floor" in found.members[0].left_out
+
+
 def test_floors_below_several_axes_are_counted_by_axis(tube_rig):
     """Two walls each below one of two axes, of four scans, are floors; one each is a side of the body."""
     scans, rng = lbs.synthesize(tube_rig, 4, random_state=5, n_points=400, shape=0.0), np.random.default_rng(0)

@@ -13,6 +13,7 @@ from learning_runs import NAN, SMALL, mean_gap
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.confidence import SOMEBODY_ELSE
+from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Found
 from lbsfit_np.fitting.template_fit import TemplateFit
@@ -123,24 +124,30 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
     fitter = lbs.LBSFitter(tube_rig, random_state=0)
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
     fitter.segmenter_, fitter.regressor_ = None, object()
-    seen, looks, alone = _seen(tube_rig, scan), [], {"status": "ok"}
+    seen, looks, alone, given = _seen(tube_rig, scan), [], {"status": "ok"}, {}
 
     def look(points, x_weights):
         looks.append(points)
         return seen
 
-    by_itself = SimpleNamespace(scout=look, fit=lambda points, found, **given: _Alone("by itself", found, **alone))
+    def fit(points, found, **more):
+        given.update(more)
+        return _Alone("by itself", found, **alone)
+
+    by_itself = SimpleNamespace(scout=look, fit=fit)
     monkeypatch.setattr(finish, "scan_fit", lambda *made_of: by_itself)
     monkeypatch.setattr(finish, "_scouted", lambda fitter, subject, x, a, settings: look(x, a))
     monkeypatch.setattr(TemplateFit, "proportions", lambda *known: 0.21 if somebody_else else 0.19)
-    r = finish.fit_new(fitter, scan.points, list(people), None, None, None)
-    assert len(looks) == 1
+    wild = np.vstack([scan.points, [[99.0, 0.0, 0.0]]])  # which takes no part
+    r = finish.fit_new(fitter, wild, list(people), None, None, None)
+    assert len(looks) == 1 and len(looks[0]) == 300
     if not somebody_else:
         assert f"on the template of subject {whose!r}" in r.message
         return
     words = "by itself; proportions of its own explain it much better than {}: somebody else?"
     several = words.format(f"that of {whose!r}, the nearest one")
     assert r.found is seen and r.message == several  # what was seen is not looked for again
+    np.testing.assert_array_equal(given["part"].rows, np.arange(300))
     for alone["status"] in ("suspect", "failed"):
         assert finish.fit_new(fitter, scan.points, list(people), None, None, None).message == several + ASKS
     fitter.template_ = {"ann": people["ann"]}
@@ -247,6 +254,51 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     assert made.subject == "ann"
     assert "on the template of subject 'ann'" in told["notes"] and told.get("further", ()) == (() if given else FASTER)
     assert told["found"] == ("scan and rig are in one unit", "" if given else "the scan stands along +z")
+
+
+@pytest.mark.parametrize("given", [(), ("theta0",)])
+@pytest.mark.parametrize("subject", ["ann", None])
+@pytest.mark.parametrize("factor", [1.0, 250.0])
+def test_joints_are_told_as_precisely_as_what_was_looked_for_allows(learned_people, people_scans, factor, subject, given):
+    """A scale that was found leaves joints less certain than the subject's own."""
+    scan, looked_for = people_scans[10], []
+    known = dict.fromkeys(given, scan.pose)
+
+    class Spied(Refit):
+        def joint_std(self, *told):
+            looked_for.append(self.free)
+            return super().joint_std(*told)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("lbsfit_np.fitting.template_fit.Refit", Spied)
+        fitter = copy.copy(learned_people)
+        fitter.__dict__.pop("_prepared", None)
+        r = fitter.fit_scan(factor * scan.points, subject=subject, **known)
+    assert looked_for == [("pose", "translation", *(("scale",) if factor > 1 else ()))]
+    assert np.isfinite(r.joint_std).all() and r.subject == "ann"
+
+
+def test_of_views_from_several_sides_the_one_that_leaves_least_is_taken(tube_rig, people, monkeypatch):
+    """By what a view shows, which the value of a refit does not tell."""
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter.template_, fitter.unit_, fitter.segmenter_ = people, dict.fromkeys(people, 1.0), None
+    seen, ends = _seen(tube_rig, scan), iter([("first", 0.1), ("second", 0.3), ("third", 0.2)])
+
+    class Fake:
+        free = ("pose", "translation")
+
+        def __call__(self, problem, states, **known):
+            return (*next(ends), 0)
+
+        def left(self, problem, state):
+            return {"first": 0.5, "second": 0.1, "third": 0.4}[state]
+
+    monkeypatch.setattr(finish, "_template_fit", lambda *known: SimpleNamespace(refit=Fake()))
+    views = [(seen.frame, seen.problem, None, None)] * 3
+    monkeypatch.setattr(finish, "given_views", lambda *known: views)
+    best = finish._given(fitter, "ann", scan.points, None, FitSettings(), 1.0, None, scan.labels)
+    assert (best.state, best.value, best.free) == ("second", 0.3, Fake.free)
 
 
 @pytest.mark.parametrize("factor, known", [(1.3, True), (1 / 1.3, True), (1.4, False), (1 / 1.4, False), (50.0, False)])

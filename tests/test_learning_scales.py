@@ -266,8 +266,8 @@ def test_scans_that_are_set_apart_are_nobodys_others():
 def test_a_doubt_that_has_come_to_nothing_is_not_said_of_a_fit_that_is_ok(status, home, said, tube_rig, few_scans, monkeypatch):
     (m,) = collected(tube_rig, [few_scans[0].points], held_out=0).members
     m.doubt, m.own = "odd", "own"
-    m.state = SimpleNamespace(scale=1.0)
-    kept = replace(m, own=None if home else "own")
+    m.state, own, looked_for = SimpleNamespace(scale=1.0), SimpleNamespace(scale=1.0), []
+    kept = replace(m, own=None) if home else replace(m, state=own)
     monkeypatch.setattr(finish, "_in_its_unit", lambda *given: kept)
 
     @dataclass(frozen=True)
@@ -276,10 +276,16 @@ def test_a_doubt_that_has_come_to_nothing_is_not_said_of_a_fit_that_is_ok(status
         status: str = ""
         subject: str = ""
 
-    fit = SimpleNamespace(proportions=lambda *given: 0.0, finish=lambda *given, **more: Result(status=status))
+    def finished(*given, free, **more):
+        looked_for.append(set(free))
+        return Result(status=status)
+
+    fit = SimpleNamespace(proportions=lambda *given: 0.0, finish=finished)
     work = finish._Finish(tube_rig, {}, SimpleNamespace(scale="estimate"), ())
     work.__dict__["_fit"] = lambda subject: fit
-    assert work((m, "size", 1.0)).message == ("odd; done" if said else "done")
+    assert work((m, finish._Size(1.0, m.state, own), 1.0)).message == ("odd; done" if said else "done")
+    # A scale of its own was looked for where it has one.
+    assert looked_for == [{"pose", "translation"} if home else {"pose", "translation", "scale"}]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])

@@ -138,6 +138,12 @@ def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch
         (["10_cam0.ply", "9_cam0.ply"], "9_cam0.ply is given after 10_cam0.ply"),
         (["f_10_v2.ply", "f_9_v2.ply"], "f_9_v2.ply is given after f_10_v2.ply"),
         (["t_0.10.ply", "t_0.9.ply", "t_1.05.ply"], ""),  # fractions
+        (["t_0.9.ply", "t_0.10.ply"], ""),  # or the tenth after the ninth
+        (["t_10.5.ply", "t_9.7.ply"], "t_9.7.ply is given after t_10.5.ply"),
+        (["t_-2.ply", "t_-1.ply", "t_0.ply"], ""),
+        (["t_1e-3.ply", "t_1e-2.ply", "t_2e+1.ply"], ""),
+        (["f-10.ply", "f-9.ply"], "f-9.ply is given after f-10.ply"),  # a dash, no minus
+        (["1e99999999999999999999.ply", "1e99999999999999999998.ply"], "1e99999999999999999998.ply is given after"),
         (["s2_f1.ply", "s2_f2.ply", "s1_f1.ply"], ""),  # one take after the other
         (["a_x.ply", "b_1.ply", "a_2.ply", "b_0.ply"], "b_0.ply is given after b_1.ply"),
     ],

@@ -337,10 +337,11 @@ def _legend(report):
     joints = known.get("joints")
     if joints is not None:
         told = "" if not joints["wrong"] else f", {100 * joints['wrong_told']:.0f} % of them called guesses by joint_std"
+        others = joints["right_called_guesses"]
+        told += "." if others is None else f";\nof the others {100 * others:.1f} % are."
         lines += [
             f"Of {joints['joints']} joints, hidden ones too, of fits that call themselves right {joints['wrong']} are off by",
-            f"more than {100 * _WRONG:g} % of the size{told};",
-            f"of the others {100 * joints['right_called_guesses']:.1f} % are. Within twice their joint_std are "
+            f"more than {100 * _WRONG:g} % of the size{told} Within twice their joint_std are "
             f"{100 * joints['within_two_std']:.0f} % of all.",
         ]
     return "\n".join(lines)

@@ -6,22 +6,26 @@ from pathlib import Path
 
 __all__ = ["order_note"]
 
-_NUMBER = re.compile(r"\d+\.\d+|\d+")
+# A minus is no dash between words: nothing that is a letter or a digit is before it. Exponents are short, so that no hash is one.
+_NUMBER = re.compile(r"(?:(?<![^\W_])-)?\d+(?:\.\d+)?(?:[eE][+-]?\d{1,2}(?!\d))?")
+_DIGITS = re.compile(r"\d+")
 
 
 def order_note(paths, subjects=None):
     """In words, that numbered files are not in order of their numbers, as shells sort names by their text; else empty.
 
-    Compared is each file with the last of the same subject, folder and name but for its numbers, where one number differs.
+    Compared is each file with the last of the same subject, folder and name but for its numbers, where one number differs. 1.10
+    may be a time before 1.9, or the tenth of something after the ninth: only what is no order by either is told.
     """
     last = {}
     for path, subject in zip(map(Path, paths), subjects or [None] * len(paths), strict=True):
         numbers = [Decimal(number) for number in _NUMBER.findall(path.stem)]
+        digits = [int(number) for number in _DIGITS.findall(path.stem)]
         like = subject, path.parent, _NUMBER.sub("0", path.stem)
-        before, name = last.get(like, (numbers, ""))
+        before, digits_before, name = last.get(like, (numbers, digits, ""))
         changed = [(old, new) for old, new in zip(before, numbers, strict=True) if old != new]
-        if len(changed) == 1 and changed[0][1] < changed[0][0]:
+        if len(changed) == 1 and changed[0][1] < changed[0][0] and digits < digits_before:
             advice = "Shells sort names by their text; $(ls -v ...) gives them by number on Linux"
             return f"{path.name} is given after {name}, which is no order of numbers. {advice}."
-        last[like] = numbers, path.name
+        last[like] = numbers, digits, path.name
     return ""

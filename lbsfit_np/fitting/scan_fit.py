@@ -4,12 +4,14 @@ import time
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
+import numpy as np
+
 from ..errors import InputError
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
 from ..rig.frames import up_axis
-from ..seeds import generator
+from ..seeds import generator, integer_seed
 from ..starts.clean import taking_part
 from ..starts.scale import unit_note
 from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
@@ -121,13 +123,17 @@ class ScanFit:
         part : TakingPart, optional
             What of the scan takes part, where that is known already: then this is fitted, no more and no less.
         found : Found, optional
-            What the scout said of that ``part``, where it was asked already.
+            What the scout said of that ``part``, where it was asked already; only with a ``part``.
 
         Returns
         -------
         FitResult
         """
         started = time.perf_counter()
+        if found is not None and part is None:
+            raise TypeError("found is of a part: give that, too")
+        if not isinstance(random_state, (int, np.integer)):
+            random_state = integer_seed(random_state)  # a second look draws the same points
         with one_thread():  # threads on arrays this small cost more than they give
             if part is not None:
                 return self._fit(points, theta0, labels, point_weights, part, started, found)

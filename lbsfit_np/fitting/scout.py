@@ -54,6 +54,8 @@ class Found:
         What the state leaves unexplained: E of ``optimize.gauss_newton`` where a scout has found it, L_c where a refit has.
     rivals : tuple of float
         The same of other poses that were found.
+    free : tuple of {"pose", "translation", "scale"}
+        What was looked for.
     """
 
     frame: Frame
@@ -62,6 +64,7 @@ class Found:
     proba: np.ndarray
     value: float
     rivals: tuple
+    free: tuple = ("pose", "translation", "scale")
 
 
 class Scout:
@@ -145,7 +148,7 @@ class Scout:
         best, *others = self._resized([*finals, *others], finals[0])
         seen = None if self.segmenter is None else self._labels(best.problem)
         rivals = tuple(r.value for r in others)
-        return Found(best.name, best.problem, best.state, seen, best.value, rivals)
+        return Found(best.name, best.problem, best.state, seen, best.value, rivals, self._free)
 
     def _probability(self, found):
         """That the pose is right, by what is known of it before the full objective."""

@@ -64,6 +64,7 @@ class TemplateFit:
         points,
         rows,
         frame,
+        free=("pose", "translation"),
         proba=None,
         labels_known=None,
         prior=None,
@@ -89,6 +90,8 @@ class TemplateFit:
             Those of the problem.
         frame : Frame
             Of the problem.
+        free : tuple of {"pose", "translation", "scale"}
+            What was looked for.
         proba : (k, n_parts) array, optional
             Without it the structured term is left out.
         labels_known : (n,) int array, optional
@@ -124,7 +127,7 @@ class TemplateFit:
             x_labels=search.labels,
             proba=proba,
             labels=labels_known,
-            joint_std=self.refit.joint_std(with_partner, pose, proba),
+            joint_std=self.refit.freeing(free).joint_std(with_partner, pose, proba),
             evaluations=search.evaluations,
             notes=notes,
             found=found,

@@ -40,6 +40,8 @@ __all__ = ["LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan
 # the least joint and vertex errors on the study's tuning seed 5, in so many steps.
 LOOSE = PRESETS["default"].replace(lam_lap=0.01)
 _LOOSE_STEPS = {"max_iterations": 200, "tolerance": 1e-4}
+# What is looked for where the unit is known, and where it is not.
+_IN_UNIT, _SIZED = ("pose", "translation"), ("pose", "translation", "scale")
 # Share of the time that is taken by the scales of scans whose subject has one in doubt.
 _SIZES = 0.2
 
@@ -135,8 +137,9 @@ class _Finish(_OnTemplates):
         fit = self._fit(m.subject)
         if m.own is not None:
             m = _in_its_unit(m, fit, size, others)
+        free = _SIZED if size is not None and m.state is size.own else _IN_UNIT
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
-        place = {"points": m.points, "rows": m.rows, "frame": m.frame}
+        place = {"points": m.points, "rows": m.rows, "frame": m.frame, "free": free}
         problem = m.problem
         place |= {"proportions": fit.proportions(problem, m.state), "further": self.further}
         place |= {"notes": [m.role, m.left_out], "found": (unit,)}
@@ -152,7 +155,7 @@ def _with_doubt(m, result):
 
 def _size(m, fit):
     """The _Size of a scan: from its first fit, too, where that had another."""
-    anew, problem, state = fit.refit.freeing(("pose", "translation", "scale")), m.problem, m.state
+    anew, problem, state = fit.refit.freeing(_SIZED), m.problem, m.state
     if m.own is not None:
         own = _as_first_fitted(m, fit)
         state, value, _ = fit.refit(problem, [m.state], proba=in_full(m.proba))
@@ -251,7 +254,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
-    place |= {"proportions": proportions, "notes": [whose, left_out], "found": (unit, stands), "given": given}
+    place |= {"proportions": proportions, "notes": [whose, left_out], "found": (unit, stands), "given": given, "free": best.free}
     another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
     if not given and not another:
         place["further"] = further_words(settings, _facing(fitter))
@@ -296,11 +299,11 @@ def _on_template(fitter, subject, seen, settings):
     problem = Problem(seen.problem.X / ratio, seen.problem.x_weights)
     refit = _template_fit(fitter, subject, settings).refit
     if learned is None:
-        refit = refit.freeing(("pose", "translation", "scale"))
+        refit = refit.freeing(_SIZED)
     state, value, _ = refit(problem, [refit.in_place(problem, seen.state.theta)], proba=seen.proba)
     # What the others would leave unexplained if this template helped them as much.
     rivals = tuple(value * r / max(seen.value, np.finfo(float).tiny) for r in seen.rivals)
-    return Found(replace(seen.frame, unit=seen.frame.unit * ratio), problem, state, seen.proba, value, rivals)
+    return Found(replace(seen.frame, unit=seen.frame.unit * ratio), problem, state, seen.proba, value, rivals, refit.free)
 
 
 def _given(fitter, subject, x, a, settings, guess, theta0, labels):
@@ -308,7 +311,7 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     unit = _unit(guess, fitter.unit_[subject], settings)
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
-        refit = refit.freeing(("pose", "translation", "scale"))
+        refit = refit.freeing(_SIZED)
     best, least, place = None, np.inf, (fitter.rig, _facing(fitter), x, a, unit or guess)
     for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, labels):
         # Steps from the start itself compete with those that look far, which may lead away from one that is right.
@@ -316,7 +319,7 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
         state, value, _ = refit(problem, states, proba=None if labels is None else proba, labels_known=labels is not None)
         left = refit.left(problem, state)
         if best is None or left < least:
-            best, least = Found(frame, problem, state, proba, value, ()), left
+            best, least = Found(frame, problem, state, proba, value, (), refit.free), left
     return best
 
 

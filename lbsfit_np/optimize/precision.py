@@ -46,7 +46,7 @@ def joint_std(steps, problem, state, *, free=("pose", "translation"), proba=None
     rig, turning = steps.model.rig, layout.turning
     a = problem.x_weights
     n = len(problem.X) if a is None else 1.0 / float(((a / a.sum()) ** 2).sum())
-    width = np.minimum(np.where(np.isfinite(rig.upper - rig.lower), rig.upper - rig.lower, _ALL_ROUND), _ALL_ROUND)
+    width = np.minimum(rig.upper - rig.lower, _ALL_ROUND)
     width[rig.root] = _ALL_ROUND
     spread = {"pose": width[turning] / np.sqrt(12), "translation": np.full(3, _ANYWHERE), "scale": np.full(1, _ANY_SCALE)}
     D = np.concatenate([spread[block] for block in layout.blocks]) ** -2.0

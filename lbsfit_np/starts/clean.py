@@ -70,8 +70,8 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, 
     Raises
     ------
     InputError
-        Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed"; weights
-        that are all 0.
+        Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed"; fewer
+        points that take part than the rig has parts; weights that are all 0.
     """
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if not len(rows):
@@ -87,17 +87,20 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, 
             kept = np.sort(rng.choice(kept, most, replace=False))
     told = f"{same} identical points left out" if same else ""
     words = "; ".join(filter(None, (told, left_out)))
+    if words and len(kept) < len(rig.parts):
+        got = f"{len(kept)} point{'' if len(kept) == 1 else 's'} that may be of the body ({words})"
+        raise InputError("points", got, f"at least {len(rig.parts)} points, one a part")
     return TakingPart(kept, words, reference_scale(points[kept], rig, scale).scale, below)
 
 
 def _in_places_of_their_own(points, rows):
     """The rows without those of places that have very many points, and how many these are."""
     x, y, z = points[rows].T
-    with np.errstate(over="ignore", invalid="ignore"):  # what is too large to be worked with is told of its extent
+    with np.errstate(over="ignore", invalid="ignore"):
         mixed = np.sqrt(2.0) * x + np.sqrt(3.0) * y + np.sqrt(5.0) * z  # one number a place, to sort by
     _, place, count = np.unique(mixed, return_inverse=True, return_counts=True)
     many = (count >= max(_LEAST, _SHARE * len(rows))) & (count >= _TIMES * np.median(count))
-    there = many[place]
+    there = many[place] & np.isfinite(mixed)  # what is too large to be worked with is told of its extent
     return rows[~there], int(there.sum())
 
 
