@@ -78,7 +78,7 @@ def read_table(path):
 
 
 # A picture has at least so many rows and columns, and at most so many times as many of one as of the other.
-_PICTURE, _LONG = 64, 4
+_PICTURE, _LONG = 48, 4
 
 
 def read_npy(path):
