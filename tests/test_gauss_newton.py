@@ -226,6 +226,30 @@ def test_a_prior_draws_angles_to_where_they_are_wanted(tube):
     np.testing.assert_allclose(value, steps.pose(problem, truth, iterations=0)[1] + 2.0 * 0.3**2, rtol=1e-12)
 
 
+def test_a_prior_may_hold_some_angles_and_couple_others(tube):
+    """One weight is that of all; with weights that go together, one angle off draws the other along."""
+    truth = state_within(tube, 5, 0.5)
+    problem, _ = sampled(tube, truth)
+    steps, turning = GaussNewton(tube), Layout(tube.rig, ("pose",), 0).turning
+    t = int(turning.sum())
+    wanted = truth.theta.copy()
+    wanted[3, 0] += 0.3
+    one, same = (steps.pose(problem, truth, prior=(wanted, w))[0].theta for w in (1e-2, 1e-2 * np.eye(t)))
+    np.testing.assert_array_equal(one, same)
+    k, other = np.cumsum(turning.ravel()).reshape(turning.shape)[[3, 2], [0, 0]] - 1
+    weights = np.zeros((t, t))
+    weights[k, k] = weights[other, other] = 1e-2
+    weights[k, other] = weights[other, k] = -0.9e-2
+    _, value = steps.pose(problem, truth, prior=(wanted, weights), iterations=0)
+    assert value == pytest.approx(steps.pose(problem, truth, iterations=0)[1] + 1e-2 * 0.3**2, rel=1e-12)
+    apart = np.diag(np.diag(weights))
+    plain, coupled = (steps.pose(problem, truth, prior=(wanted, w), iterations=30)[0].theta for w in (apart, weights))
+    # −0.9 of the weight between them: what the first is off, the other is wanted to be off, too.
+    assert plain[3, 0] - truth.theta[3, 0] > 0.1 and coupled[2, 0] - plain[2, 0] < -0.01
+    held = steps.pose(problem, truth.replace(theta=wanted), prior=(wanted, 10.0 * np.eye(t)), iterations=30)[0]
+    assert np.abs(held.theta - wanted)[turning].max() < 2e-3
+
+
 def test_labels_that_no_vertex_has_are_left_out(tube):
     truth = state_within(tube, 6, 0.7)
     start = near(tube, truth, 6)

@@ -12,7 +12,7 @@ from learning_runs import GIVEN, IDS, WHOLE, collected, loop_over, mean_gap
 import lbsfit_np as lbs
 from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.fitting.scan_fit import FitSettings
-from lbsfit_np.learning import finish
+from lbsfit_np.learning import finish, free_form
 from lbsfit_np.learning.checkpoint import NO_CHECKPOINT
 from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection
 from lbsfit_np.learning.loop import Loop, LoopSettings
@@ -160,12 +160,12 @@ def test_a_free_form_scan_whose_extent_is_not_the_others_says_so_and_has_its_own
 
 @pytest.mark.parametrize("scale, doubted", [("estimate", [False, True]), ("fixed", [False, False])])
 def test_extents_raise_no_doubt_of_free_form_fits_whose_scale_is_fixed(scale, doubted, tube_rig, few_scans, monkeypatch):
-    monkeypatch.setattr(finish._FreeForm, "__call__", lambda self, m: bool(m.doubt))
+    monkeypatch.setattr(free_form._FreeForm, "__call__", lambda self, m: bool(m.doubt))
     collection = collected(tube_rig, [few_scans[0].points, 3.0 * few_scans[1].points], held_out=0)
     for m in collection.members:
         m.unit = 1.0
     options = {"jobs": 1, "progress": lambda *told: None}
-    assert finish.fit_free_form(Model(tube_rig), collection, FitSettings(scale=scale), **options) == doubted
+    assert free_form.fit_free_form(Model(tube_rig), collection, FitSettings(scale=scale), **options) == doubted
 
 
 def test_another_scan_tells_when_to_stop_where_the_one_held_out_is_in_another_unit(tube_rig, few_scans, monkeypatch):

@@ -34,6 +34,8 @@ def test_saved_and_loaded_fits_are_the_same(learned_people, saved, people_scans)
     ours, theirs = again.get_params(), learned_people.get_params()
     assert {k: v for k, v in ours.items() if k != "rig"} == {k: v for k, v in theirs.items() if k != "rig"}
     assert again.history_ == learned_people.history_ and again.unit_ == learned_people.unit_
+    np.testing.assert_array_equal(again.pose_prior_.mean, learned_people.pose_prior_.mean)
+    np.testing.assert_array_equal(again.pose_prior_.precision, learned_people.pose_prior_.precision)
     for name, template in learned_people.template_.items():
         np.testing.assert_array_equal(again.template_[name].vertices, template.vertices)
         np.testing.assert_array_equal(again.template_[name].joints, template.joints)
@@ -105,6 +107,8 @@ def test_a_model_that_lacks_something_is_one_clear_error(saved, tmp_path, lost):
         ("model_vertices", lambda a: a[:, :5]),
         ("model_joints", lambda a: a[:1]),
         ("model_library_poses", lambda a: a[:, :2]),
+        ("model_prior_mean", lambda a: a[:2]),
+        ("model_prior_precision", lambda a: a[:2, :2]),
         ("model_library_looks", lambda a: a[:, :7]),
         ("model_library_bias_0", lambda a: a[:3]),
         ("lbsfit_np_model", lambda a: np.array(str(a).replace('"format": ', '"format": 9'))),

@@ -123,7 +123,7 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
     (scan,) = lbs.synthesize(tube_rig, 1, templates=[template], random_state=3, n_points=300)
     fitter = lbs.LBSFitter(tube_rig, random_state=0)
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
-    fitter.segmenter_, fitter.regressor_ = None, object()
+    fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     seen, looks, alone, given = _seen(tube_rig, scan), [], {"status": "ok"}, {}
 
     def look(points, x_weights):
@@ -167,7 +167,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
     fitter = lbs.LBSFitter(tube_rig, random_state=0)
     fitter.template_, fitter.unit_ = people, {"ann": ann[1], "bob": bob[1]}
-    fitter.segmenter_, fitter.regressor_ = None, object()
+    fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     seen, told, alone = _seen(tube_rig, scan), {}, {"status": "ok"}
 
     def on_template(fitter, subject, seen, settings):
@@ -221,7 +221,7 @@ def test_a_scan_of_somebody_else_than_named_is_told_to_leave_the_name_out(status
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
     fitter = lbs.LBSFitter(tube_rig, random_state=0, effort="fast")
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
-    fitter.segmenter_, fitter.regressor_ = None, object()
+    fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     monkeypatch.setattr(finish, "_scouted", lambda *known: _seen(tube_rig, scan))
     given = []
 
@@ -243,7 +243,7 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
     fitter = lbs.LBSFitter(tube_rig, random_state=0, effort="fast")
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
-    fitter.segmenter_, fitter.regressor_ = None, object()
+    fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     for look in ("_scouted", "_given"):
         monkeypatch.setattr(finish, look, lambda *known: _seen(tube_rig, scan))
     monkeypatch.setattr(finish, "stands_words", lambda *known: "the scan stands along +z")

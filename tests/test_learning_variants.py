@@ -22,6 +22,7 @@ def test_variants_are_the_papers():
     assert rand.labels and not rand.inferred_poses and not rand.deformed
     assert not cd.labels and not cd.library and cd.skinning
     assert not free.skinning and not free.labels
+    assert [v.prior for v in VARIANTS.values()] == [True, True, False, False, False]
 
 
 @pytest.mark.parametrize("name", ["best", "", None])
@@ -66,6 +67,7 @@ def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, v
     else:
         assert error < 0.05 and mean_gap(tube_rig, [new], [people_scans[12]]) < 0.06
         assert (fitter.segmenter_ is None) == (variant == "cd") and len(fitter.history_) == 2
+    assert (fitter.pose_prior_ is not None) == (variant == "pose-only")
     if variant in ("cd", "free-form"):
         assert "structured" not in fitter.results_[0].terms and "structured" not in new.terms
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..losses.objective import BOTH, PLAIN, STRUCTURED
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
-from ..optimize.precision import joint_std
+from ..optimize.precision import joint_std, told_angles
 from ..optimize.problem import Problem
 from ..optimize.state import State
 from ..starts.limbs import LimbPoses
@@ -220,6 +220,10 @@ class Refit:
     def joint_std(self, problem, state, proba=None):
         """How precisely the scan tells each posed joint's place, see :func:`~lbsfit_np.optimize.precision.joint_std`."""
         return joint_std(self._last, problem, state, free=self.free, proba=proba)
+
+    def told_angles(self, problem, state):
+        """How precisely the scan tells the angles, and σ²/n, see :func:`~lbsfit_np.optimize.precision.told_angles`."""
+        return told_angles(self._last, problem, state, free=self.free)
 
     def placed(self, problem, theta, scale=1.0):
         """The State of a pose Θ of some scale put where the scan is."""

@@ -23,7 +23,17 @@ from .refit import Refit, Runner
 from .scout import Scout
 from .search import Search
 
-__all__ = ["FitSettings", "ScanFit", "further_words", "given_names", "given_views", "stands_words", "with_floor_or_without"]
+__all__ = [
+    "FitSettings",
+    "ScanFit",
+    "all_points",
+    "further_words",
+    "given_names",
+    "given_views",
+    "shares",
+    "stands_words",
+    "with_floor_or_without",
+]
 
 
 # Of a plane below another axis than the likeliest that was taken for a floor at first.
@@ -45,7 +55,8 @@ class FitSettings:
     partial : bool
         Whether scans show one side only.
     max_points : int
-        Points that take part in the optimisation; a larger scan is thinned by the seed.
+        Points that take part in the optimisation; a larger scan is thinned by the seed. The last steps of a pose look at up to
+        four times as many.
     pose_iterations, plain_iterations, full_iterations : int
         L-BFGS iterations, at most, of each pose stage, of the last pose stage, which has the plain term only, and of the
         full stage.
@@ -152,7 +163,7 @@ class ScanFit:
     def _fit(self, points, theta0, labels, point_weights, part, started, found):
         model, settings = self.model, self.settings
         rows, guess = part.rows, part.scale
-        a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
+        a = shares(point_weights, rows)
         given = given_names(theta0, labels)
         if not given:
             found = found or self.scout(points[rows], a)
@@ -165,9 +176,10 @@ class ScanFit:
         search = Search(model, with_partner, proba, labels is not None, settings).full(state)
         last = search.outcome
         if settings.polish:
-            # The residual takes what the template lacks; the pose is better known by distances to the surface.
-            known = None if labels is None or labels[rows].min() < 0 else labels[rows]
-            last = replace(last, state=self._refit.polish(problem, last.state, labels=known))
+            # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
+            every, dense = all_points(points, part, point_weights, frame, problem)
+            known = None if labels is None or labels[every].min() < 0 else labels[every]
+            last = replace(last, state=self._refit.polish(dense, last.state, labels=known))
         stands = stands_words(self.facing, model.source, frame, last.state.theta) if theta0 is None else ""
         unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
         return assemble(
@@ -217,6 +229,28 @@ class ScanFit:
             known = Runner(problem, self._refit.in_place(problem, theta))
             others = [end.state for end in [known, *self._refit.race([known])]]
         return frame, problem, proba, search.pose(others), search.evaluations
+
+
+def all_points(points, part, point_weights, frame, problem):
+    """What the last steps look at: rows (d,) of all points of the body, as far as they are looked at, and their Problem.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    part : TakingPart
+    point_weights : (n,) array or None
+    frame : Frame
+    problem : Problem
+        Of ``part.rows`` in that frame, which is taken where there are no more.
+    """
+    if not len(part.more):
+        return part.rows, problem
+    return part.every, Problem(frame.inside(points[part.every]), shares(point_weights, part.every))
+
+
+def shares(point_weights, rows):
+    """Weights of some points as shares of 1; None without any."""
+    return None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
 
 
 def with_floor_or_without(taking_part, fit, ups):

@@ -62,7 +62,7 @@ class TemplateSettings:
     partial: bool = False
 
 
-def shared_template(model, problems, states, losses, *, proba=None, settings=None):
+def shared_template(model, problems, states, losses, *, proba=None, dense=None, settings=None):
     """The template of one subject from the scans' poses as they are.
 
     Parameters
@@ -77,6 +77,8 @@ def shared_template(model, problems, states, losses, *, proba=None, settings=Non
         How well each scan is explained; those far from the median are left out.
     proba : list of (n, n_parts) arrays, optional
         The segmenter's probabilities; without them no labels are used.
+    dense : list of Problem, optional
+        The same scans with more of their points, for all steps without labels.
     settings : TemplateSettings, optional
 
     Returns
@@ -89,6 +91,7 @@ def shared_template(model, problems, states, losses, *, proba=None, settings=Non
     """
     settings = settings or TemplateSettings()
     keep = np.flatnonzero(np.asarray(losses) <= settings.worst * np.median(losses))
+    dense = [(problems if dense is None else dense)[i] for i in keep]
     problems, states = [problems[i] for i in keep], [states[i] for i in keep]
     steps = GaussNewton(model, reach=settings.reach, tangential=0.02, ridge=settings.ridge, partial=settings.partial)
     if proba is not None:
@@ -98,11 +101,11 @@ def shared_template(model, problems, states, losses, *, proba=None, settings=Non
                 for i, p, s in zip(keep, problems, states)
             ]
             states, _ = steps.shared(problems, states, labels=labels, iterations=settings.labelled_steps)
-    states, _ = steps.shared(problems, states, iterations=settings.steps)
+    states, _ = steps.shared(dense, states, iterations=settings.steps)
     state = states[0]
     U = model.rig.vertices + model.offsets(state) if state.coefficients.any() else model.rig.vertices
     J = model.rig.joints + model.joint_offsets(state)
-    U = U + _heights(model, U, J, problems, states, settings)
+    U = U + _heights(model, U, J, dense, states, settings)
     return U * model.half, J * model.half, state.coefficients
 
 

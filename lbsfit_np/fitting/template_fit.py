@@ -68,6 +68,7 @@ class TemplateFit:
         proba=None,
         labels_known=None,
         prior=None,
+        dense=None,
         value=None,
         rivals=(),
         proportions=0.0,
@@ -95,8 +96,10 @@ class TemplateFit:
         proba : (k, n_parts) array, optional
             Without it the structured term is left out.
         labels_known : (n,) int array, optional
-        prior : ((J, 3) array, float), optional
+        prior : ((J, 3) array, float or (t, t) array), optional
             As in ``GaussNewton.pose``.
+        dense : (every (d,) int array, Problem), optional
+            All points that the last steps look at, in the same frame; those of ``rows`` by default.
         value, rivals, proportions, notes, found, further, given
             As for :func:`~lbsfit_np.fitting.assemble.assemble`.
         started : float, optional
@@ -111,8 +114,9 @@ class TemplateFit:
         search = Search(model, with_partner, proba, labels_known is not None, settings)
         search.full(state, free=("pose", "translation", "residual"))
         # The residual takes what the template lacks; the pose is better known by distances to the surface.
-        known = None if labels_known is None or labels_known[rows].min() < 0 else labels_known[rows]
-        pose = self.refit.polish(problem, search.outcome.state, labels=known, prior=prior)
+        every, last = (rows, problem) if dense is None else dense
+        known = None if labels_known is None or labels_known[every].min() < 0 else labels_known[every]
+        pose = self.refit.polish(last, search.outcome.state, labels=known, prior=prior)
         outcome = replace(search.outcome, state=pose)
         return assemble(
             self.rig,

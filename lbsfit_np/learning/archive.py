@@ -12,13 +12,15 @@ import numpy as np
 
 from ..errors import FileError, InputError
 from ..losses.objective import LossWeights
+from ..optimize.state import Layout
 from ..segmentation.segmenter import Segmenter
 from ..starts.library import PoseLibrary
+from .pose_prior import PosePrior
 
 __all__ = ["MODEL_KEY", "learned_arrays", "learned_digests", "model_digest", "read_fitter", "write_fitter"]
 
 MODEL_KEY = "lbsfit_np_model"
-_FORMAT = 3
+_FORMAT = 4
 _EXPECTED = "a model that was saved with LBSFitter.save or written by lbsfit learn"
 
 
@@ -56,7 +58,7 @@ def write_fitter(fitter, path):
     segmenter, library = fitter.segmenter_, fitter.regressor_
     if segmenter is not None:
         header["segmenter"] = segmenter.header()
-    header["library"] = library is not None
+    header["library"], header["pose_prior"] = library is not None, fitter.pose_prior_ is not None
     try:
         text = json.dumps(header, default=_plain)
     except TypeError as error:
@@ -92,11 +94,13 @@ def learned_digests(fitter):
 
 
 def _arrays(fitter, templates):
-    """Templates, and the fitter's segmenter and library, as the named arrays of a model file."""
+    """Templates, and the fitter's segmenter, library and prior of poses, as the named arrays of a model file."""
     arrays = {
         "model_vertices": np.array([t.vertices for t in templates]),
         "model_joints": np.array([t.joints for t in templates]),
     }
+    if (prior := fitter.pose_prior_) is not None:
+        arrays |= {"model_prior_mean": prior.mean, "model_prior_precision": prior.precision}
     return arrays | learned_arrays(fitter.segmenter_, fitter.regressor_)
 
 
@@ -147,11 +151,18 @@ def read_fitter(path, make):
         library = PoseLibrary.from_arrays(arrays, "model_library") if header["library"] else None
         if library is not None and library.poses.shape[1:] != rig.lower.shape:
             raise ValueError("a library of poses of another rig")
+        prior = None
+        if header["pose_prior"]:
+            prior = PosePrior(arrays["model_prior_mean"], arrays["model_prior_precision"])
+            t = int(Layout(rig, ("pose",), 0).turning.sum())
+            if prior.mean.shape != rig.lower.shape or prior.precision.shape != (t, t):
+                raise ValueError("a prior of poses of another rig")
         fields = {
             "template_": {s: rig.with_template(u, j) for s, u, j in zip(subjects, U, J, strict=True)},
             "unit_": dict(zip(subjects, map(float, header["units"]), strict=True)),
             "segmenter_": segmenter,
             "regressor_": library,
+            "pose_prior_": prior,
             "history_": header["history"],
         }
         return make(rig, parameters, fields)

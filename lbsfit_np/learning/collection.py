@@ -32,6 +32,7 @@ __all__ = [
     "most_failed",
     "odd_ones",
     "read_collection",
+    "with_doubt",
 ]
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
@@ -57,6 +58,8 @@ class Member:
     points : (n, 3) array
     rows : (k,) int array
         Points that take part in the optimisation.
+    more : (l,) int array
+        Further ones, which the last steps of a pose and templates look at as well.
     frame : Frame
         The normalised frame; its turn is found by the first fit.
     subject : object
@@ -77,8 +80,8 @@ class Member:
         Where its last fit has put it.
     loss : float
         L_c there.
-    prior : ((J, 3) array, float) or None
-        In a smoothed sequence, the angles that the pose is drawn to, and how much.
+    prior : ((J, 3) array, (t, t) array) or None
+        The angles that the pose is drawn to, and how much, as ``GaussNewton.pose`` takes it.
     doubt : str
         What its result says first. Both of a subject's only two scans have it, in the same words.
     apart : bool
@@ -103,6 +106,7 @@ class Member:
     state: object = None
     loss: float = np.inf
     prior: tuple = None
+    more: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     doubt: str = ""
     apart: bool = False
     ratio: float = 1.0
@@ -112,6 +116,16 @@ class Member:
     def problem(self):
         """The points in the frame, made ready anew: kept for thousands of scans, what is ready would fill memory."""
         return Problem(self.X)
+
+    @property
+    def every(self):
+        """Rows of all points that the last steps look at."""
+        return np.union1d(self.rows, self.more)
+
+    @property
+    def dense_X(self):
+        """These points in the frame."""
+        return self.frame.inside(self.points[self.every]) if len(self.more) else self.X
 
     @property
     def role(self):
@@ -325,13 +339,19 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             with suppress(InputError):  # a wide wall, with which the scan is none that can be worked with
                 part = looked_at(i, points, ups[:1])
         frame = Frame(points[part.rows].mean(axis=0), part.scale * rig.size / 2)
-        collection.members.append(Member(i, points, part.rows, frame, subject, part.scale, part.left_out, name))
+        known = {"unit": part.scale, "left_out": part.left_out, "name": name, "more": part.more}
+        collection.members.append(Member(i, points, part.rows, frame, subject, **known))
     if not collection.members:
         first = next(iter(collection.failures.values()))
         raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be read")
     _check_units(collection, rig.size / 2)
     _hold_out(collection, held_out, random_state)
     return collection
+
+
+def with_doubt(member, result):
+    """A result that says first what is doubted of its scan."""
+    return replace(result, message=f"{member.doubt}; {result.message}") if member.doubt else result
 
 
 def most_failed(statuses, roles):

@@ -7,39 +7,36 @@ from functools import cache, cached_property
 import numpy as np
 
 from ..errors import InputError
-from ..fitting.assemble import assemble
 from ..fitting.confidence import SOMEBODY_ELSE
 from ..fitting.scan_fit import (
     FitSettings,
     ScanFit,
+    all_points,
     further_words,
     given_names,
     given_views,
+    shares,
     stands_words,
     with_floor_or_without,
 )
 from ..fitting.scout import Found, Scout
 from ..fitting.template_fit import TemplateFit
-from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame
-from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..seeds import generator
 from ..starts.clean import taking_part
-from ..starts.scale import extent_doubt, reference_scale, same_size, unit_note
+from ..starts.scale import same_size, unit_note
 from ..starts.turns import facing_of
 from ..threads import one_thread
 from .checkpoint import NO_CHECKPOINT
+from .collection import with_doubt
+from .free_form import free_form
 from .tasks import in_full
 from .variants import as_variant
 
-__all__ = ["LOOSE", "fit_free_form", "fit_new", "free_form", "results_of", "scan_fit"]
+__all__ = ["fit_new", "results_of", "scan_fit"]
 
-# Free vertices have all of a pose to make, and are rougher than offsets. Of λ_lap from 0.3, the fits' own, to 0.003 this one left
-# the least joint and vertex errors on the study's tuning seed 5, in so many steps.
-LOOSE = PRESETS["default"].replace(lam_lap=0.01)
-_LOOSE_STEPS = {"max_iterations": 200, "tolerance": 1e-4}
 # What is looked for where the unit is known, and where it is not.
 _IN_UNIT, _SIZED = ("pose", "translation"), ("pose", "translation", "scale")
 # Share of the time that is taken by the scales of scans whose subject has one in doubt.
@@ -143,14 +140,11 @@ class _Finish(_OnTemplates):
         problem = m.problem
         place |= {"proportions": fit.proportions(problem, m.state), "further": self.further}
         place |= {"notes": [m.role, m.left_out], "found": (unit,)}
-        result = fit.finish(problem, m.state, proba=in_full(m.proba), prior=m.prior, **place)
+        place |= {"prior": m.prior, "dense": (m.every, Problem(m.dense_X) if len(m.more) else problem)}
+        result = fit.finish(problem, m.state, proba=in_full(m.proba), **place)
         if m.own is None and result.status == "ok":  # then only first fits were wrong
             m = replace(m, doubt="")
-        return _with_doubt(m, replace(result, subject=str(m.subject)))
-
-
-def _with_doubt(m, result):
-    return replace(result, message=f"{m.doubt}; {result.message}") if m.doubt else result
+        return with_doubt(m, replace(result, subject=str(m.subject)))
 
 
 def _size(m, fit):
@@ -227,7 +221,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     rig, half = fitter.rig, fitter.rig.size / 2
     rows, left_out, guess = part.rows, part.left_out, part.scale
     x = points[rows]
-    a = None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
+    a = shares(point_weights, rows)
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
         unit = guess if subjects is None else _unit(guess, fitter.unit_[subjects[0]], settings) or guess
         frame = Frame(x.mean(axis=0), unit * half)
@@ -258,6 +252,9 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
     if not given and not another:
         place["further"] = further_words(settings, _facing(fitter))
+    place["dense"] = all_points(points, part, point_weights, best.frame, best.problem)
+    if fitter.pose_prior_ is not None:
+        place["prior"] = fitter.pose_prior_.of(fit.refit.told_angles(place["dense"][1], best.state)[1])
     result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, started=started, **place)
     result = replace(result, subject=str(subject))
     if another and result.status != "ok":
@@ -372,74 +369,3 @@ def _kept(fitter, key, made_of, make):
 
 def _alike(a, b):
     return a is b or (isinstance(a, (str, float, FitSettings)) and a == b)
-
-
-# ---- the free-form baseline ----
-
-
-def fit_free_form(model, collection, settings, *, jobs, progress, checkpoint=NO_CHECKPOINT):
-    """Scans fitted without skinning: the template's vertices move freely under Chamfer and Laplacian.
-
-    Returns
-    -------
-    list of FitResult or None
-    """
-    for m in collection.members:
-        if settings.scale != "fixed":
-            m.doubt = extent_doubt(m.points[m.rows], model.source, m.unit)
-        own = reference_scale(m.points[m.rows], model.source, settings.scale).scale if m.doubt else m.unit
-        m.use_frame(own, model.half)
-    work = _FreeForm(model, settings)
-    kept = [checkpoint.slot("free-form", m) for m in collection.members]
-    answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p), kept=kept)
-    return collection.in_order(answers)
-
-
-@dataclass(frozen=True)
-class _FreeForm:
-    model: Model
-    settings: object
-
-    def __call__(self, m):
-        result = free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter(), m.left_out)
-        return _with_doubt(m, result)
-
-
-def free_form(model, settings, problem, points, rows, frame, started, left_out=""):
-    """One scan fitted without skinning: place and scale of the model's template, then its vertices; a FitResult."""
-    weights = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=settings.weights.lam_lap)
-    weights = weights.replace(laplacian=settings.weights.laplacian, squared=settings.weights.squared)
-    state = model.rest()
-    state = state.replace(translation=problem.X.mean(axis=0) - model.areas @ model.rig.vertices)
-    place = ("translation",) if settings.scale == "fixed" else ("translation", "scale")
-    place_only = minimise(
-        lambda s: problem.evaluate(model, s, weights), state, model.rig, place, max_iterations=settings.pose_iterations
-    )
-    outcome = minimise(
-        lambda s: problem.evaluate(model, s, weights),
-        place_only.state,
-        model.rig,
-        (*place, "residual"),
-        **_LOOSE_STEPS,
-    )
-    # Chamfer shrinks a resting template onto a posed scan: its scale says nothing of the unit, so the offsets take it up.
-    grown = outcome.state.scale * (model.rig.vertices + outcome.state.residual)
-    outcome = replace(outcome, state=outcome.state.replace(scale=1.0, residual=grown - model.rig.vertices))
-    unit = unit_note(frame.unit / model.half, model.source, settings.scale, guessed=True)
-    # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
-    return assemble(
-        model.source,
-        model,
-        problem,
-        outcome,
-        points=points,
-        rows=rows,
-        frame=frame,
-        sigma=settings.refinements[-1],
-        weights=weights,
-        evaluations=place_only.evaluations + outcome.evaluations,
-        notes=["free-form, no skinning: joints stay at rest", left_out],
-        found=(unit,),
-        started=started,
-        judged=False,
-    )

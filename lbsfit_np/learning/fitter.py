@@ -14,7 +14,8 @@ from ..starts.turns import facing_of
 from .archive import learned_arrays, learned_digests, model_digest, read_fitter, write_fitter
 from .checkpoint import as_checkpoint
 from .collection import as_scans, in_words, read_collection
-from .finish import fit_free_form, fit_new, results_of, scan_fit
+from .finish import fit_new, results_of, scan_fit
+from .free_form import fit_free_form
 from .loop import Loop, LoopSettings
 from .parameters import check_callables, check_parameters, check_same, check_scan, check_segmenter, fit_settings, learned_with
 from .pretraining import LIBRARY_TIME, pretrain_library, pretrain_segmenter
@@ -79,6 +80,8 @@ class LBSFitter(BaseEstimator):
         After :meth:`fit`, as all below: the rig on each subject's own template. Ids are those that it was given; 0 without any.
     unit_ : dict of id to float
         Scan units in a rig unit.
+    pose_prior_ : PosePrior or None
+        How angles vary among the poses learned from, which holds those that a scan leaves open.
     results_ : list of FitResult or None
         Of each scan; None where it could not be used.
     failures_ : dict of int to str
@@ -86,8 +89,7 @@ class LBSFitter(BaseEstimator):
     roles_ : list of str or None
         Of each scan: "learned from", "held out of learning" or "not learned from"; None where it could not be used.
     history_ : list of dict
-        One entry a round, round 0 the fits of the scans by themselves: "recon" and "recon_held_out" (mean √L_c of the scans
-        that teach and of those held out, half sizes of the rig), "new_starts_won", "seconds", "kept" (of one round).
+        One entry a round, see docs/learning-method.md.
     """
 
     def __init__(
@@ -221,7 +223,7 @@ class LBSFitter(BaseEstimator):
         progress = progress or (lambda stage, share, figures=None: None)
         settings, jobs = self._fit_settings(), jobs_of(self.n_jobs, None)
         if not variant.skinning:
-            self.segmenter_ = self.regressor_ = None
+            self.segmenter_ = self.regressor_ = self.pose_prior_ = None
             self.template_ = dict.fromkeys(collection.subjects, self.rig)
             self.unit_ = {s: collection.of(s)[0].unit for s in collection.subjects}
             self.history_, self._learned_with, self.results_ = [], learned_with(self), [None] * collection.n
@@ -266,7 +268,7 @@ class LBSFitter(BaseEstimator):
 
     def _take(self, learned, collection):
         """Have what was learned, as yet without results: what a round has learned stays where a later one is stopped."""
-        self.segmenter_, self.regressor_ = learned.segmenter, learned.library
+        self.segmenter_, self.regressor_, self.pose_prior_ = learned.segmenter, learned.library, learned.pose_prior
         self.template_ = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
         self.unit_, self.history_, self._learned_with = learned.units, learned.history, learned_with(self)
         self.results_ = [None] * collection.n
@@ -430,9 +432,7 @@ class LBSFitter(BaseEstimator):
 
     def _seed(self):
         """One whole number for all that is random; a Generator or None gives another one each time."""
-        if self._repeatable():
-            return self.random_state
-        return integer_seed(self.random_state, "fitter")
+        return self.random_state if self._repeatable() else integer_seed(self.random_state, "fitter")
 
     def _model(self):
         """The rig made ready, kept until ``rig`` or ``joints`` change."""

@@ -5,7 +5,7 @@ After pretraining and a first fit of each scan by itself, a round does this:
 1. each subject's template from the poses of its scans (``fitting.template``), scans that are explained badly left out;
 2. training scans from the mixture Θ' on these templates (``mixture``); s is trained on, f and the library of starts anew;
 3. the labels of all scans; every pose again, from its last one, from labels, from f and from the library, then with other
-   poses for limbs that are better off so (``fitting.refit``);
+   poses for limbs that are better off so (``fitting.refit``), and drawn to what all tell of poses (``pose_prior``);
 4. the loss on the scans held out: rounds end when it no longer falls.
 
 At the end the full objective gives each scan its residual on its subject's template.
@@ -21,6 +21,7 @@ import numpy as np
 from ..fitting.template import TemplateSettings
 from ..optimize.frame import nearest_root, turned_root
 from ..optimize.model import Model
+from ..optimize.state import Layout
 from ..segmentation.segmenter import Segmenter, train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import PoseLibrary, build_library
@@ -30,15 +31,20 @@ from ..workers import beside, each, kept_processes
 from .checkpoint import FIRST_FIT, NO_CHECKPOINT, each_kept
 from .collection import HELD_OUT, LEARNED_FROM
 from .mixture import Mixture
+from .pose_prior import joined, looked_at, pose_prior
 from .scales import check_scales, scale_warnings, units_apart
-from .tasks import FirstFit, Labels, Pose, SmoothPose, Template
+from .tasks import Drawn, FirstFit, Labels, Pose, Template, Told
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
 # Scales nearer to 1 than this factor are a matter of people's size, others of units.
 _SIZE = 1.3
+# Share of the time that poses take, before they are drawn to each other.
+_SEARCH = 0.8
 # Of the smoothing of a sequence.
 _SWEEPS = 3
+# Points of a subject's scans that its template is found from, at most, where a scan has more than take part in its fit.
+_OF_A_TEMPLATE = 100_000
 
 
 @dataclass(frozen=True)
@@ -86,6 +92,7 @@ class Learned:
         Scan units in a rig unit.
     segmenter : Segmenter or None
     library : PoseLibrary
+    pose_prior : PosePrior or None
     history : list of dict
     """
 
@@ -93,6 +100,7 @@ class Learned:
     units: dict
     segmenter: object
     library: object
+    pose_prior: object
     history: list
 
 
@@ -160,6 +168,7 @@ class Loop:
         self.shifting = Model(rig, joints, shifts=TemplateSettings().shifts if joints == "follow" else 0.0)
         self.library, self.facing = library, facing
         self.coefficients = {}
+        self.pose_prior = None
         self.history = []
         self._first_kept = checkpoint.narrowed((variant.labels, variant.library))  # which is all that these hang on of a variant
         scans = [(m.index, m.points, m.rows, m.subject, m.held_out) for m in collection.members]
@@ -178,6 +187,7 @@ class Loop:
             templates = self._templates(k)
             self._learn(k, templates)
             won = self._refit(k, templates)
+            self._draw(k, templates)
             value = self._note(k, began, {"new_starts_won": won})
             self.on_round(k, self.segmenter)
             fallen = value is None or value < best * (1 - self.settings.improvement)
@@ -185,11 +195,11 @@ class Loop:
             if fallen or value < best * (1 + self.settings.improvement) or learned is None:
                 best, learned = value, self._learned(k, templates)  # one that has not fallen is the last
                 self.on_kept(learned)
-                best_members = {m.index: (m.state, m.loss, m.proba) for m in self.collection.members}
+                best_members = {m.index: (m.state, m.loss, m.proba, m.prior) for m in self.collection.members}
             if not fallen:
                 break
         for member in self.collection.members:
-            member.state, member.loss, member.proba = best_members[member.index]
+            member.state, member.loss, member.proba, member.prior = best_members[member.index]
         if self.sequence and self.smooth:
             self._smooth(learned.templates)
         return replace(learned, history=self._history(learned.history[-1]["round"]))
@@ -246,6 +256,7 @@ class Loop:
             tasks.append(
                 (
                     [m.X for m in learning],
+                    [self._for_template(m, len(learning)) for m in learning],
                     [m.state.replace(coefficients=c, residual=None) for m in learning],
                     np.array([m.loss for m in learning]),
                     [m.proba for m in learning] if self.variant.labels else None,
@@ -258,6 +269,12 @@ class Loop:
         templates = {s: (np.ascontiguousarray(U[weld]), J) for s, (U, J, _) in zip(subjects, found)}
         self.coefficients = {s: c for s, (_, _, c) in zip(subjects, found)}
         return templates
+
+    @staticmethod
+    def _for_template(member, n):
+        """Points of a scan that its subject's template is found from, with n scans of it."""
+        most, dense = max(len(member.X), _OF_A_TEMPLATE // n), member.dense_X
+        return dense if len(dense) <= most else dense[np.linspace(0, len(dense) - 1, most).astype(int)]
 
     def _mixture(self, k, templates):
         v, rig = self.variant, self.rig.welded
@@ -311,7 +328,8 @@ class Loop:
         neighbours = self.settings.neighbours if self.variant.library else 0
         work = Pose(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
         tasks = [(m.subject, m.X, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
-        answers = self._work(work, tasks, "poses of scans", [self._kept.slot(f"round-{k}-pose", m.index) for m in members])
+        kept = [self._kept.slot(f"round-{k}-pose", m.index) for m in members]
+        answers = self._work(work, tasks, "poses of scans", kept, (0.0, _SEARCH if self.variant.prior else 1.0))
         won = 0
         for m, (state, loss, which) in zip(self.collection.members, answers, strict=True):
             won += which > 0
@@ -319,27 +337,60 @@ class Loop:
         self._follow()
         return won
 
+    def _draw(self, k, templates):
+        """Every pose as its scan tells it by all its points, and where that leaves it open, as the others' poses do."""
+        if not self.variant.prior:
+            return
+        models, partial = self._models(templates), self.fit_settings.partial
+        learning = self.collection.with_role(LEARNED_FROM)
+        asked = {learning[i].index for i in looked_at(len(learning))}
+
+        def slots(step):
+            return [self._kept.slot(f"round-{k}-{step}", m.index) for m in self.collection.members]
+
+        tasks = [(m.subject, m.dense_X, m.state, m.index in asked) for m in self.collection.members]
+        told = self._work(Told(models, partial), tasks, "poses of scans", slots("told"), (_SEARCH, (1 + _SEARCH) / 2))
+        known = [(state.theta, C) for state, _, C in told if C is not None]
+        turning = Layout(self.rig, ("pose",), 0).turning
+        self.pose_prior = pose_prior(*zip(*known), turning, self.rig.root) if known else None
+        if self.pose_prior is None:
+            return
+        for m, (_, noise, _) in zip(self.collection.members, told, strict=True):
+            m.prior = self.pose_prior.of(noise)
+        tasks = [(m.subject, m.dense_X, t[0], m.prior) for m, t in zip(self.collection.members, told, strict=True)]
+        states = self._work(Drawn(models, partial), tasks, "poses of scans", slots("drawn"), ((1 + _SEARCH) / 2, 1.0))
+        for m, state in zip(self.collection.members, states, strict=True):
+            m.state = state
+        self._follow()
+
     def _follow(self):
         """What is kept from here on depends on what fits have found, and for whom."""
         self._kept = self._kept.narrowed([(m.index, m.state, m.loss, m.held_out) for m in self.collection.members])
 
     def _smooth(self, templates):
         """A few sweeps that draw each pose towards the mean of its neighbours' and its own, as the sweep before left them."""
-        models = self._models(templates)
+        models, turning = self._models(templates), Layout(self.rig, ("pose",), 0).turning
+        known = {m.index: m.prior for m in self.collection.members}
         for _ in range(_SWEEPS):
             members = [m for m in self.collection.members if not m.apart and self._beside(m)]
             for m in members:
                 others = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
-                m.prior = np.mean([m.state.theta, *others], axis=0), self.smooth  # without its own, neighbours would swap places
-            tasks = [(m.subject, m.X, m.state, m.prior) for m in members]
-            work = SmoothPose(models, self.fit_settings.partial)
+                wanted = np.mean([m.state.theta, *others], axis=0)  # without its own, neighbours would swap places
+                m.prior = joined(known[m.index], (wanted, self.smooth), turning)
+            tasks = [(m.subject, m.dense_X, m.state, m.prior) for m in members]
+            work = Drawn(models, self.fit_settings.partial)
             states = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
             for m, state in zip(members, states):
                 m.state = state
 
-    def _work(self, work, tasks, stage, kept=()):
-        """The members' answers; those who fail are members no more."""
-        return self.collection.work(work, tasks, jobs=self.jobs, done=lambda p: self.progress(stage, p), kept=kept)
+    def _work(self, work, tasks, stage, kept=(), span=(0.0, 1.0)):
+        """The members' answers; those who fail are members no more. The work takes this span of the stage's time."""
+        start, end = span
+
+        def done(share):
+            self.progress(stage, start + (end - start) * share)
+
+        return self.collection.work(work, tasks, jobs=self.jobs, done=done, kept=kept)
 
     def _models(self, templates):
         return {s: Model(self.rig.with_template(*t), self.joints, half=self.model.half) for s, t in templates.items()}
@@ -356,7 +407,8 @@ class Loop:
     def _learned(self, k, templates):
         """What is learned if round k is kept; without the subjects whose scans have all failed."""
         units = {s: self.collection.of(s)[0].unit for s in self.collection.subjects}
-        return Learned({s: templates[s] for s in units}, units, self.segmenter, self.library, self._history(k))
+        templates = {s: templates[s] for s in units}
+        return Learned(templates, units, self.segmenter, self.library, self.pose_prior, self._history(k))
 
     def _history(self, kept):
         return [entry | {"kept": entry["round"] == kept} for entry in self.history]

@@ -15,7 +15,7 @@ from ..segmentation.segmenter import Segmenter, jobs_of
 from ..skinning import JOINT_MODES
 from ..starts.turns import ORIENTATIONS
 from ..synthesis import Synthesis
-from .finish import LOOSE
+from .free_form import LOOSE
 from .variants import as_variant
 
 __all__ = [

@@ -15,7 +15,7 @@ from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..starts.limbs import LimbPoses
 
-__all__ = ["FirstFit", "Labels", "Pose", "SmoothPose", "Template", "in_full"]
+__all__ = ["Drawn", "FirstFit", "Labels", "Pose", "Template", "Told", "in_full"]
 
 
 @dataclass(frozen=True)
@@ -44,14 +44,15 @@ class FirstFit:
 
 @dataclass(frozen=True)
 class Template:
-    """Points, states, losses and probabilities of a subject's scans → what ``shared_template`` finds."""
+    """Points, more points, states, losses and probabilities of a subject's scans → what ``shared_template`` finds."""
 
     model: Model
     partial: bool
 
     def __call__(self, task):
-        points, states, losses, proba = task
+        points, dense, states, losses, proba = task
         problems, known = [Problem(X) for X in points], {"settings": TemplateSettings(partial=self.partial)}
+        known["dense"] = [p if more is X else Problem(more) for p, X, more in zip(problems, points, dense)]
         if proba is not None:
             known["proba"] = [in_full(p) for p in proba]
         return shared_template(self.model, problems, states, losses, **known)
@@ -109,15 +110,30 @@ class Pose:
 
 
 @dataclass(frozen=True)
-class SmoothPose:
-    """(Subject, points, state, prior) → the state drawn to the prior, a pose Θ and its weight."""
-
+class _LastSteps:
     models: dict
     partial: bool
 
     @cached_property
     def _refit(self):
         return cache(lambda subject: Refit(self.models[subject], partial=self.partial))  # prepared once in each process
+
+
+@dataclass(frozen=True)
+class Told(_LastSteps):
+    """(Subject, points, state, whether C is wanted) → (state after the last steps, σ²/n, C or None) of ``told_angles``."""
+
+    def __call__(self, task):
+        subject, X, state, wanted = task
+        refit, problem = self._refit(subject), Problem(X)
+        state = refit.polish(problem, state)
+        C, noise = refit.told_angles(problem, state)
+        return state, noise, C if wanted else None
+
+
+@dataclass(frozen=True)
+class Drawn(_LastSteps):
+    """(Subject, points, state, prior) → the state drawn to the prior, as ``GaussNewton.pose`` takes it."""
 
     def __call__(self, task):
         subject, X, state, prior = task

@@ -27,6 +27,8 @@ class Variant:
         Training scans are made of the subjects' templates; else of the rig's, with random proportions.
     library : bool
         Starts from synthesised poses that look like the scan, beside the regressor's.
+    prior : bool
+        Each pose is drawn to what all tell of poses, as far as its own scan leaves it open.
     skinning : bool
         False: no joints at all, vertices move freely.
     """
@@ -36,6 +38,7 @@ class Variant:
     inferred_poses: bool = True
     deformed: bool = True
     library: bool = True
+    prior: bool = True
     skinning: bool = True
 
 
@@ -44,9 +47,9 @@ VARIANTS = {
     for v in (
         Variant("joint"),
         Variant("pose-only", deformed=False),
-        Variant("rand", inferred_poses=False, deformed=False),
-        Variant("cd", labels=False, library=False),
-        Variant("free-form", labels=False, inferred_poses=False, deformed=False, library=False, skinning=False),
+        Variant("rand", inferred_poses=False, deformed=False, prior=False),
+        Variant("cd", labels=False, library=False, prior=False),
+        Variant("free-form", labels=False, inferred_poses=False, deformed=False, library=False, prior=False, skinning=False),
     )
 }
 

@@ -23,7 +23,7 @@ from .state import MOST_PROPORTION, Layout
 from .surface import Surface, faces_at, summed_normals
 from .visibility import shown
 
-__all__ = ["GaussNewton"]
+__all__ = ["GaussNewton", "as_weights"]
 
 # The damping at the start; it falls by _EASE after a step that helped and grows by _STIFFEN after one that did not. Below
 # _SOFTEST it would change hardly any step, and would have to grow in vain, an evaluation each time, before it does again.
@@ -86,8 +86,9 @@ class GaussNewton:
             Where given, points look only at surface of their own part, and vertices do not pull; points with a label that no
             vertex has are left out.
         iterations : int
-        prior : ((J, 3) array, float), optional
-            Angles Θ⁰ and a weight ω: adds ω ‖Θ − Θ⁰‖², such as for a pose between its neighbours' in a sequence.
+        prior : ((J, 3) array, float or (t, t) array), optional
+            Angles Θ⁰ and weights Ω of the t angles that turn, in the order of ``np.argwhere(Layout.turning)``, or one for all:
+            adds (Θ − Θ⁰)ᵀ Ω (Θ − Θ⁰), such as for what is known of poses, or for one between its neighbours' in a sequence.
 
         Returns
         -------
@@ -161,7 +162,7 @@ class GaussNewton:
         def measure(states):
             made = [self._normal_equations(problems[i], states[i], labels[i], layout, shared) for i in used]
             if prior is not None:
-                made[0].hold(states[0].theta - prior[0], prior[1], layout.turning)
+                made[0].hold((states[0].theta - prior[0])[layout.turning], as_weights(prior[1], layout.turning))
             c = states[0].coefficients
             total = float(weights[used] @ [m.value for m in made]) + (self.ridge * float(c @ c) if shared else 0.0)
             return made, total
@@ -265,6 +266,11 @@ class GaussNewton:
         return out
 
 
+def as_weights(weights, turning):
+    """(t, t) weights of the angles that turn, where one number may stand for all."""
+    return weights if np.ndim(weights) == 2 else weights * np.eye(int(turning.sum()))
+
+
 def _places(on, pulling, m):
     """Vertices that points of the mesh, and vertices besides, hang on, and how: (r,) rows, and (k, r) sparse weights."""
     n, v = len(on.corners), len(pulling)
@@ -298,10 +304,10 @@ class _Normal:
         self._made_of = motion, (r, normals, weights * near**2, tangential)  # dρ/de² = near²
         self._held = []
 
-    def hold(self, away, weight, turning):
-        """Angles that are ``away`` (J, 3) from where they are wanted; the pose's columns come first."""
-        self._held.append((away[turning], weight))
-        self.value += weight * float(away[turning] @ away[turning])
+    def hold(self, away, weights):
+        """Angles that are ``away`` (t,) from where they are wanted, by weights (t, t); the pose's columns come first."""
+        self._held.append((weights, weights @ away))
+        self.value += float(away @ weights @ away)
 
     @property
     def H(self):
@@ -317,8 +323,8 @@ class _Normal:
     def _equations(self):
         motion, residuals = self._made_of
         H, g = motion().normal_equations(*residuals)
-        for away, weight in self._held:
-            n = len(away)
-            H[np.arange(n), np.arange(n)] += weight
-            g[:n] -= weight * away
+        for weights, pull in self._held:
+            n = len(pull)
+            H[:n, :n] += weights
+            g[:n] -= pull
         return H, g

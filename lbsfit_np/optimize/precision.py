@@ -1,14 +1,15 @@
-"""How precisely a scan tells where the joints of a pose are."""
+"""How precisely a scan tells a pose: its angles, and where its joints are."""
 
 import numpy as np
 
 from .jacobian import joint_motion
 
-__all__ = ["joint_std"]
+__all__ = ["joint_std", "told_angles"]
 
 # Points near each other lie off the surface together, where the shape is not quite the template's: only so many of them tell
-# something of their own, however many there are. Found on scans with known truth, see docs/fitting.md.
-_INDEPENDENT = 35
+# something of their own, however many there are. Found on scans with known truth, see docs/fitting.md. Where the template is
+# known from many scans it is more of them.
+_INDEPENDENT, _ON_KNOWN = 35, 300
 # No scan is nearer to its template than this, half sizes.
 _LEAST_NOISE = 0.002
 # Before the scan is looked at, radians: an angle has any value within its limits, or any at all. Half sizes; shares of the scale.
@@ -18,9 +19,7 @@ _ALL_ROUND, _ANYWHERE, _ANY_SCALE = 2 * np.pi, 1.0, 0.3
 def joint_std(steps, problem, state, *, free=("pose", "translation"), proba=None):
     """The standard deviation of each posed joint's place, as the scan's points tell it where the pose is about right.
 
-    The curvature H of what the points leave unexplained says how well they hold each unknown, and what they leave how far they
-    can be trusted; joint limits say what is possible where no point tells: Σ = (n/σ² H + D)⁻¹ is the unknowns' covariance (the
-    Laplace approximation of their posterior), and P Σ Pᵀ with P = ∂joint/∂unknowns that of a joint's place.
+    P Σ Pᵀ, with Σ the unknowns' covariance and P = ∂joint/∂unknowns.
 
     Parameters
     ----------
@@ -42,14 +41,44 @@ def joint_std(steps, problem, state, *, free=("pose", "translation"), proba=None
     posed = steps.model.deformed(state)
     if not np.isfinite(posed.vertices).all():
         return np.full(len(posed.joints), np.nan)
+    C, _, layout = _covariance(steps, problem, state, free, _INDEPENDENT, proba)
+    P = joint_motion(state, posed, layout.blocks, layout.turning).dense()
+    return np.sqrt(np.maximum(np.einsum("jap,pq,jaq->j", P, C, P), 0.0))
+
+
+def told_angles(steps, problem, state, *, free=("pose", "translation")):
+    """How precisely a scan tells the angles of a pose on a template that is known.
+
+    Parameters
+    ----------
+    steps, problem, state, free
+        As for :func:`joint_std`.
+
+    Returns
+    -------
+    (t, t) array
+        Covariance of the angles that turn, radians squared.
+    noise : float
+        σ²/n: what the square of an angle's distance from a prior's mean, in its standard deviations, counts against E.
+    """
+    C, noise, layout = _covariance(steps, problem, state, free, _ON_KNOWN)
+    t = int(layout.turning.sum())  # they come first
+    return C[:t, :t], noise
+
+
+def _covariance(steps, problem, state, free, independent, proba=None):
+    """The unknowns' covariance where a fit has ended, σ²/n, and their Layout.
+
+    The curvature H of what the points leave unexplained says how well they hold each unknown, and what they leave how far they
+    can be trusted; joint limits say what is possible where no point tells: Σ = (n/σ² H + D)⁻¹, the Laplace approximation of the
+    posterior.
+    """
     H, left, layout = steps.told_by_points(problem, state, free=free, proba=proba)
-    rig, turning = steps.model.rig, layout.turning
-    a = problem.x_weights
+    rig, a = steps.model.rig, problem.x_weights
     n = len(problem.X) if a is None else 1.0 / float(((a / a.sum()) ** 2).sum())
     width = np.minimum(rig.upper - rig.lower, _ALL_ROUND)
     width[rig.root] = _ALL_ROUND
-    spread = {"pose": width[turning] / np.sqrt(12), "translation": np.full(3, _ANYWHERE), "scale": np.full(1, _ANY_SCALE)}
+    spread = {"pose": width[layout.turning] / np.sqrt(12), "translation": np.full(3, _ANYWHERE), "scale": np.full(1, _ANY_SCALE)}
     D = np.concatenate([spread[block] for block in layout.blocks]) ** -2.0
-    C = np.linalg.inv(min(n, _INDEPENDENT) / max(left, _LEAST_NOISE**2) * H + np.diag(D))
-    P = joint_motion(state, posed, layout.blocks, turning).dense()
-    return np.sqrt(np.maximum(np.einsum("jap,pq,jaq->j", P, C, P), 0.0))
+    noise = max(left, _LEAST_NOISE**2) / min(n, independent)
+    return np.linalg.inv(H / noise + np.diag(D)), noise, layout

@@ -15,6 +15,8 @@ __all__ = ["TakingPart", "clean_rows", "taking_part"]
 _LEAST, _SHARE, _TIMES = 20, 0.005, 20
 # Where fewer of the points that were drawn are of the body than this share of those wanted, more are drawn.
 _ENOUGH = 0.8
+# The last steps look at so many times as many points, where there are as many.
+_LAST = 4
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,8 @@ class TakingPart:
     ----------
     rows : int array
         Points that take part.
+    more : int array
+        Further ones of the body, which the last steps look at as well; none where all take part.
     left_out : str
         Which do not, in words.
     scale : float
@@ -34,9 +38,15 @@ class TakingPart:
     """
 
     rows: np.ndarray
+    more: np.ndarray
     left_out: str
     scale: float
     below: int | None
+
+    @property
+    def every(self):
+        """Rows of the points that the last steps look at, in order."""
+        return np.union1d(self.rows, self.more)
 
     @property
     def floor_elsewhere(self):
@@ -79,18 +89,38 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, 
     rows, same = _in_places_of_their_own(points, rows)
     drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
     sides = {"ups": ups, "body": None if labels is None else labels >= 0}
-    kept, left_out, below = clean_rows(points, drawn, **sides)
-    if len(drawn) < len(rows) and len(kept) < _ENOUGH * most:
-        more = min(len(rows), int(most * most / max(len(kept), most // 10)))
-        kept, left_out, below = clean_rows(points, np.sort(rng.choice(rows, more, replace=False)), **sides)
-        if len(kept) > most:
-            kept = np.sort(rng.choice(kept, most, replace=False))
+    body, left_out, below = clean_rows(points, drawn, **sides)
+    if len(drawn) < len(rows) and len(body) < _ENOUGH * most:
+        enough = min(len(rows), int(most * most / max(len(body), most // 10)))
+        drawn = np.sort(rng.choice(rows, enough, replace=False))
+        body, left_out, below = clean_rows(points, drawn, **sides)
+    kept = body if len(body) <= most else np.sort(rng.choice(body, most, replace=False))
     told = f"{same} identical points left out" if same else ""
     words = "; ".join(filter(None, (told, left_out)))
     if words and len(kept) < len(rig.parts):
         got = f"{len(kept)} point{'' if len(kept) == 1 else 's'} that may be of the body ({words})"
         raise InputError("points", got, f"at least {len(rig.parts)} points, one a part")
-    return TakingPart(kept, words, reference_scale(points[kept], rig, scale).scale, below)
+    dropped = np.setdiff1d(drawn, body, assume_unique=True)
+    others = np.setdiff1d(rows, np.union1d(kept, dropped), assume_unique=True)
+    more = _alike(points, kept, dropped, others, (_LAST - 1) * most, rng)
+    return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale).scale, below)
+
+
+def _alike(points, kept, dropped, others, most, rng):
+    """Some of the other rows, at most so many: those as near to a row that was kept as these are to each other.
+
+    What lies nearer to one that was dropped, or is far from all, may be of what that is of.
+    """
+    from scipy.spatial import cKDTree
+
+    if not len(others) or len(kept) < 2:
+        return others[:0]
+    others = others if len(others) <= most else np.sort(rng.choice(others, most, replace=False))
+    tree = cKDTree(points[kept])
+    apart = tree.query(points[kept], k=2)[0][:, 1].max()
+    away = tree.query(points[others])[0]
+    beside = cKDTree(points[dropped]).query(points[others])[0] if len(dropped) else np.inf
+    return others[(away <= apart) & (away < beside)]
 
 
 def _in_places_of_their_own(points, rows):

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...fitting.scan_fit import FitSettings
-from ...learning.finish import LOOSE, free_form
+from ...learning.free_form import LOOSE, free_form
 from ...optimize.frame import Frame
 from ...optimize.model import Model
 from ...optimize.problem import Problem

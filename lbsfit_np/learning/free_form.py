@@ -1,0 +1,87 @@
+"""The free-form baseline: no skinning, the template's vertices move freely under Chamfer and Laplacian."""
+
+import time
+from dataclasses import dataclass, replace
+
+from ..fitting.assemble import assemble
+from ..losses.objective import PRESETS, LossWeights
+from ..optimize.lbfgs import minimise
+from ..optimize.model import Model
+from ..starts.scale import extent_doubt, reference_scale, unit_note
+from .checkpoint import NO_CHECKPOINT
+from .collection import with_doubt
+
+__all__ = ["LOOSE", "fit_free_form", "free_form"]
+
+# Free vertices have all of a pose to make, and are rougher than offsets. Of λ_lap from 0.3, the fits' own, to 0.003 this one left
+# the least joint and vertex errors on the study's tuning seed 5, in so many steps.
+LOOSE = PRESETS["default"].replace(lam_lap=0.01)
+_LOOSE_STEPS = {"max_iterations": 200, "tolerance": 1e-4}
+
+
+def fit_free_form(model, collection, settings, *, jobs, progress, checkpoint=NO_CHECKPOINT):
+    """Scans fitted without skinning: the template's vertices move freely under Chamfer and Laplacian.
+
+    Returns
+    -------
+    list of FitResult or None
+    """
+    for m in collection.members:
+        if settings.scale != "fixed":
+            m.doubt = extent_doubt(m.points[m.rows], model.source, m.unit)
+        own = reference_scale(m.points[m.rows], model.source, settings.scale).scale if m.doubt else m.unit
+        m.use_frame(own, model.half)
+    work = _FreeForm(model, settings)
+    kept = [checkpoint.slot("free-form", m) for m in collection.members]
+    answers = collection.work(work, collection.members, jobs=jobs, done=lambda p: progress("free-form fits", p), kept=kept)
+    return collection.in_order(answers)
+
+
+@dataclass(frozen=True)
+class _FreeForm:
+    model: Model
+    settings: object
+
+    def __call__(self, m):
+        result = free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter(), m.left_out)
+        return with_doubt(m, result)
+
+
+def free_form(model, settings, problem, points, rows, frame, started, left_out=""):
+    """One scan fitted without skinning: place and scale of the model's template, then its vertices; a FitResult."""
+    weights = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=settings.weights.lam_lap)
+    weights = weights.replace(laplacian=settings.weights.laplacian, squared=settings.weights.squared)
+    state = model.rest()
+    state = state.replace(translation=problem.X.mean(axis=0) - model.areas @ model.rig.vertices)
+    place = ("translation",) if settings.scale == "fixed" else ("translation", "scale")
+    place_only = minimise(
+        lambda s: problem.evaluate(model, s, weights), state, model.rig, place, max_iterations=settings.pose_iterations
+    )
+    outcome = minimise(
+        lambda s: problem.evaluate(model, s, weights),
+        place_only.state,
+        model.rig,
+        (*place, "residual"),
+        **_LOOSE_STEPS,
+    )
+    # Chamfer shrinks a resting template onto a posed scan: its scale says nothing of the unit, so the offsets take it up.
+    grown = outcome.state.scale * (model.rig.vertices + outcome.state.residual)
+    outcome = replace(outcome, state=outcome.state.replace(scale=1.0, residual=grown - model.rig.vertices))
+    unit = unit_note(frame.unit / model.half, model.source, settings.scale, guessed=True)
+    # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
+    return assemble(
+        model.source,
+        model,
+        problem,
+        outcome,
+        points=points,
+        rows=rows,
+        frame=frame,
+        sigma=settings.refinements[-1],
+        weights=weights,
+        evaluations=place_only.evaluations + outcome.evaluations,
+        notes=["free-form, no skinning: joints stay at rest", left_out],
+        found=(unit,),
+        started=started,
+        judged=False,
+    )

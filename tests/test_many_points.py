@@ -1,0 +1,101 @@
+"""Scans of more points than take part in the search: which of the others the last steps look at, and what that brings."""
+
+import numpy as np
+import pytest
+from learning_runs import collected, mean_gap
+
+import lbsfit_np as lbs
+from lbsfit_np.fitting import scan_fit
+from lbsfit_np.fitting.template import shared_template
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.starts.clean import taking_part
+
+MOST = 400
+
+
+def _part(points, rig, seed=0, **options):
+    return taking_part(points, rig, most=MOST, rng=np.random.default_rng(seed), scale="estimate", **options)
+
+
+@pytest.mark.parametrize("n, more", [(MOST, 0), (1000, 600), (4000, 3 * MOST)])
+def test_the_last_steps_look_at_up_to_four_times_as_many_points(n, more, tube_rig):
+    (scan,) = lbs.synthesize(tube_rig, random_state=1, n_points=n, density=0.0)
+    part = _part(scan.points, tube_rig)
+    assert len(part.rows) == MOST and 0.98 * more <= len(part.more) <= more
+    assert not np.intersect1d(part.rows, part.more).size
+    np.testing.assert_array_equal(part.every, np.sort([*part.rows, *part.more]))
+    np.testing.assert_array_equal(part.more, _part(scan.points, tube_rig).more)
+    if n == 4000:
+        assert not np.array_equal(part.more, _part(scan.points, tube_rig, seed=1).more)
+
+
+def test_no_more_points_come_of_a_floor_or_from_elsewhere(tube_rig):
+    """Nor those that weigh nothing."""
+    rng = np.random.default_rng(2)
+    (scan,) = lbs.synthesize(tube_rig, random_state=1, n_points=3000)
+    low = scan.points[:, 1].min()
+    floor = np.column_stack([rng.uniform(-2, 2, 3000), low + 0.005 * rng.standard_normal(3000), rng.uniform(-2, 2, 3000)])
+    wild = np.array([[50.0, 0.0, 0.0], [0.0, 1e200, 0.0]] * 20) * rng.uniform(0.5, 1.5, (40, 1))
+    points, weights = np.vstack([scan.points, floor, wild]), np.ones(6040)
+    weights[:1000] = 0.0
+    part = _part(points, tube_rig, ups=np.array([[0.0, 1.0, 0.0]]), point_weights=weights)
+    assert "of a floor" in part.left_out and len(part.more) > MOST
+    assert np.mean(part.more >= 3000) < 0.02 and part.more.max() < 6000 and part.every.min() >= 1000
+
+
+def test_more_points_tell_the_pose_better(tube_rig, tube_fitter, monkeypatch):
+    """Scans of 4,000 noisy points, of which 400 take part in the search."""
+    scans = lbs.synthesize(tube_rig, 8, random_state=5, n_points=4000, noise=0.02, shape=0.0)
+    fitter = lbs.LBSFitter(tube_rig, max_points=MOST, effort="fast", random_state=0)
+    fitter.segmenter_, fitter.regressor_ = tube_fitter.segmenter_, tube_fitter.regressor_
+    with_all = [fitter.fit_scan(s.points) for s in scans]
+    monkeypatch.setattr(scan_fit, "all_points", lambda points, part, weights, frame, problem: (part.rows, problem))
+    without = [fitter.fit_scan(s.points) for s in scans]
+    assert mean_gap(tube_rig, with_all, scans) < 0.85 * mean_gap(tube_rig, without, scans)
+
+
+def test_known_labels_and_weights_of_more_points_count(tube_rig, monkeypatch):
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=5, n_points=2000)
+    told = {}
+
+    def polish(self, problem, state, *, labels=None, **more):
+        told.update(n=len(problem.X), labels=labels, weights=problem.x_weights)
+        return state
+
+    monkeypatch.setattr("lbsfit_np.fitting.refit.Refit.polish", polish)
+    weights = np.linspace(1.0, 3.0, 2000)
+    fitter = lbs.LBSFitter(tube_rig, max_points=MOST, random_state=0)
+    fitter.fit_scan(scan.points, labels=scan.labels, point_weights=weights)
+    assert told["n"] == len(told["labels"]) == len(told["weights"]) > 3 * MOST
+    assert told["weights"].sum() == pytest.approx(1.0) and told["weights"].max() > 2 * told["weights"].min()
+    part = _part(scan.points, tube_rig, labels=scan.labels, point_weights=weights)
+    assert np.bincount(told["labels"]).sum() == told["n"] and part.more.size
+
+
+def test_templates_and_last_poses_of_a_collection_see_more_points(tube_rig):
+    scans = lbs.synthesize(tube_rig, 3, random_state=5, n_points=2000)
+    collection = collected(tube_rig, [s.points for s in scans], max_points=MOST, held_out=0)
+    m = collection.members[0]
+    assert len(m.X if m.X is not None else m.rows) == MOST and len(m.every) > 3 * MOST
+    m.use_frame(1.0, tube_rig.size / 2)
+    assert len(m.X) == MOST and len(m.dense_X) == len(m.every)
+    np.testing.assert_allclose(m.dense_X[np.searchsorted(m.every, m.rows)], m.X)
+
+
+def test_a_template_of_more_points_is_nearer_to_the_true_one(tube_rig):
+    model = Model(tube_rig, shifts=0.1)
+    person = tube_rig.subject(3, amount=1.0)
+    scans = lbs.synthesize(
+        tube_rig, 6, templates=[(person.vertices, person.joints)], random_state=4, n_points=4000, noise=0.03, shape=0.0
+    )
+    half = tube_rig.size / 2
+    states = [model.rest().replace(theta=s.pose, translation=s.translation / half) for s in scans]
+    dense = [Problem(s.points / half) for s in scans]
+    few = [p.thinned(300) for p in dense]
+    gaps = []
+    for known in ({}, {"dense": dense}):
+        U, _, _ = shared_template(model, few, states, np.ones(6), **known)
+        away = U[tube_rig.weld] - person.vertices
+        gaps.append(np.linalg.norm(away - away.mean(axis=0), axis=1).mean())
+    assert gaps[1] < 0.8 * gaps[0]
