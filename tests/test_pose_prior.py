@@ -3,7 +3,12 @@
 import numpy as np
 import pytest
 
-from lbsfit_np.learning.pose_prior import joined, looked_at, pose_prior
+import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import Refit
+from lbsfit_np.learning.pose_prior import drawn, joined, looked_at, pose_prior
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.state import Layout
 
 TURNING = np.array([[1, 1, 1], [1, 0, 1], [0, 1, 0], [0, 0, 0]], dtype=bool)
 ROOT = 0
@@ -87,3 +92,59 @@ def test_two_priors_in_one_are_their_sum_but_for_a_constant():
     np.testing.assert_allclose(differences, differences[0])
     np.testing.assert_allclose(both[0][ROOT], other[0][ROOT])
     assert joined(None, other, TURNING) is other and joined(one, None, TURNING) is one
+
+
+def _poses_like(rig, n, seed, *, spread=0.1):
+    """Poses near one, in which the first joint's first angle and the next one's go together."""
+    rng = np.random.default_rng(seed)
+    turning = Layout(rig, ("pose",), 0).turning
+    middle = np.clip((rig.lower + rig.upper) / 2, rig.lower, rig.upper)
+    poses = middle + spread * rng.standard_normal((n, *turning.shape)) * turning
+    poses[:, rig.root] = rng.uniform(-1, 1, (n, 3))
+    return np.clip(poses, rig.lower, rig.upper), turning
+
+
+def test_a_joint_that_is_unusual_is_put_where_the_rest_would_have_it():
+    _, poses, told, *_ = _made(400, 5, np.array([0.01, 0.01, 0.01]))
+    prior = pose_prior(poses, told, TURNING, ROOT)
+    theta = prior.mean.copy()
+    assert prior.usual(theta, TURNING) == []
+    theta[ROOT] = 3.0  # turns of the whole are never unusual
+    assert prior.usual(theta, TURNING) == []
+    theta[2, 1] += 0.5  # ten standard deviations
+    (other,) = prior.usual(theta, TURNING)
+    np.testing.assert_allclose(np.delete(other, 2, axis=0), np.delete(theta, 2, axis=0))
+    # E[c | a, b] of a Gaussian, by blocks of its covariance; c is the third angle.
+    T = np.linalg.inv(prior.precision[3:, 3:])
+    a = (theta - prior.mean)[TURNING][3:5]
+    assert other[2, 1] == pytest.approx(prior.mean[2, 1] + T[2, :2] @ np.linalg.solve(T[:2, :2], a))
+    theta[1, 0] += 2.0
+    assert len(prior.usual(theta, TURNING)) == 2
+    assert not np.isclose(prior.usual(theta, TURNING)[0][1, 0], theta[1, 0])  # the more unusual one first
+
+
+def test_a_joint_in_a_wrong_minimum_comes_home_where_other_poses_tell(tube_rig):
+    """From a pose with one joint far off, whose own scan's steps lead nowhere."""
+    poses, turning = _poses_like(tube_rig, 60, 1, spread=0.05)
+    refit = Refit(Model(tube_rig))
+    half, t = tube_rig.size / 2, int(turning.sum())
+    prior = pose_prior(poses, [np.eye(t) * 1e-5] * 60, turning, tube_rig.root)
+    homes = drawn_home = plain_home = 0
+    for k in range(6):
+        theta = poses[k].copy()
+        theta[tube_rig.root] = 0.0
+        (scan,) = lbs.synthesize(tube_rig, poses=[theta], random_state=k, n_points=500, shape=0.0, holes=0)
+        problem = Problem(scan.points / half)
+        true = Model(tube_rig).rest().replace(theta=scan.pose, translation=scan.translation / half)
+        wrong = true.replace(theta=np.where(np.arange(len(theta))[:, None] == 2, tube_rig.lower, scan.pose))
+        alone = refit.polish(problem, wrong)
+        _, noise = refit.told_angles(problem, alone)
+        found = drawn(refit, problem, alone, prior, noise)
+        away = [np.abs(s.theta - scan.pose)[1:].max() for s in (alone, found)]
+        homes += 1
+        plain_home += away[0] < 0.15
+        drawn_home += away[1] < 0.15
+        again = drawn(refit, problem, found, prior, noise)
+        np.testing.assert_allclose(again.theta, found.theta, atol=0.02)
+    assert drawn_home == homes
+    assert plain_home <= homes - 2

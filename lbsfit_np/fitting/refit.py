@@ -14,7 +14,7 @@ from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..optimize.precision import joint_std, told_angles
 from ..optimize.problem import Problem
-from ..optimize.state import State
+from ..optimize.state import Layout, State
 from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
@@ -97,6 +97,11 @@ class Refit:
         self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
         self._last = GaussNewton(model, **near)
         self._bends = Bends(model, free, self.to_the_end, proportions=False, **near) if bends else None
+
+    @property
+    def turning(self):
+        """(J, 3) bool: the angles that turn."""
+        return Layout(self.model.rig, ("pose",), 0).turning
 
     def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None):
         """The best pose found.

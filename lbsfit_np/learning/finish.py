@@ -32,6 +32,7 @@ from ..threads import one_thread
 from .checkpoint import NO_CHECKPOINT
 from .collection import with_doubt
 from .free_form import free_form
+from .pose_prior import drawn
 from .tasks import in_full
 from .variants import as_variant
 
@@ -253,9 +254,12 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if not given and not another:
         place["further"] = further_words(settings, _facing(fitter))
     place["dense"] = all_points(points, part, point_weights, best.frame, best.problem)
-    if fitter.pose_prior_ is not None:
-        place["prior"] = fitter.pose_prior_.of(fit.refit.told_angles(place["dense"][1], best.state)[1])
-    result = fit.finish(best.problem, best.state, proba=best.proba, labels_known=labels, started=started, **place)
+    state = best.state
+    if (prior := fitter.pose_prior_) is not None:
+        dense = place["dense"][1]
+        _, noise = fit.refit.told_angles(dense, state)
+        state, place["prior"] = drawn(fit.refit, dense, state, prior, noise), prior.of(noise)
+    result = fit.finish(best.problem, state, proba=best.proba, labels_known=labels, started=started, **place)
     result = replace(result, subject=str(subject))
     if another and result.status != "ok":
         without = "without subject (--subject, or its line of --subjects, which may be wrong)"

@@ -33,7 +33,7 @@ from .collection import HELD_OUT, LEARNED_FROM
 from .mixture import Mixture
 from .pose_prior import joined, looked_at, pose_prior
 from .scales import check_scales, scale_warnings, units_apart
-from .tasks import Drawn, FirstFit, Labels, Pose, Template, Told
+from .tasks import Drawn, FirstFit, Held, Labels, Pose, Template, Told
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
@@ -355,10 +355,12 @@ class Loop:
         self.pose_prior = pose_prior(*zip(*known), turning, self.rig.root) if known else None
         if self.pose_prior is None:
             return
-        for m, (_, noise, _) in zip(self.collection.members, told, strict=True):
+        tasks = []
+        for m, (state, noise, _) in zip(self.collection.members, told, strict=True):
             m.prior = self.pose_prior.of(noise)
-        tasks = [(m.subject, m.dense_X, t[0], m.prior) for m, t in zip(self.collection.members, told, strict=True)]
-        states = self._work(Drawn(models, partial), tasks, "poses of scans", slots("drawn"), ((1 + _SEARCH) / 2, 1.0))
+            tasks.append((m.subject, m.dense_X, state, noise))
+        work = Drawn(models, partial, self.pose_prior)
+        states = self._work(work, tasks, "poses of scans", slots("drawn"), ((1 + _SEARCH) / 2, 1.0))
         for m, state in zip(self.collection.members, states, strict=True):
             m.state = state
         self._follow()
@@ -378,7 +380,7 @@ class Loop:
                 wanted = np.mean([m.state.theta, *others], axis=0)  # without its own, neighbours would swap places
                 m.prior = joined(known[m.index], (wanted, self.smooth), turning)
             tasks = [(m.subject, m.dense_X, m.state, m.prior) for m in members]
-            work = Drawn(models, self.fit_settings.partial)
+            work = Held(models, self.fit_settings.partial)
             states = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
             for m, state in zip(members, states):
                 m.state = state

@@ -3,7 +3,8 @@
 How far a forearm is twisted, hardly any point tells: what is found varies more than people move. Of many scans it is known how
 much: where scan i tells its angles with the covariance C_i, and angles vary among poses by N(μ, T), found ones vary by T + C_i.
 μ and T are those that make what was found most likely (by EM), and each pose is drawn towards μ as far as its own scan leaves it
-open: E + σ²/n (Θ − μ)ᵀ T⁻¹ (Θ − μ) in place of E. Angles that points tell stay where these put them.
+open: E + σ²/n (Θ − μ)ᵀ T⁻¹ (Θ − μ) in place of E. Angles that points tell stay where these put them. A joint that is turned as
+hardly any other pose has it is tried as the rest of its pose would have it: a hand that looks the wrong way is a minimum of E.
 """
 
 from dataclasses import dataclass
@@ -12,7 +13,7 @@ import numpy as np
 
 from ..optimize.gauss_newton import as_weights
 
-__all__ = ["PosePrior", "joined", "looked_at", "pose_prior"]
+__all__ = ["PosePrior", "drawn", "joined", "looked_at", "pose_prior"]
 
 # Scans that are looked at, at most, evenly taken; steps of EM.
 _MOST, _STEPS = 400, 40
@@ -22,6 +23,9 @@ _BEFORE, _SPREAD = 1.0, 0.3
 _APART = 60.0
 # Fewer poses tell nothing of how poses vary.
 _LEAST = 3
+# A joint is unusual that is so many standard deviations from where the rest of its pose would have it; what is kept leaves less
+# than this share; so many times, at most, others are looked for.
+_UNUSUAL, _BETTER, _TIMES = 2.0, 0.995, 4
 
 
 @dataclass(frozen=True)
@@ -42,6 +46,62 @@ class PosePrior:
     def of(self, noise):
         """The prior of one scan, as ``GaussNewton.pose`` takes it; σ²/n says how much E counts."""
         return self.mean, noise * self.precision
+
+    def usual(self, theta, turning):
+        """Poses in which one unusual joint is as the rest would have it, E[Θ_j | other joints]; the most unusual first.
+
+        Parameters
+        ----------
+        theta : (J, 3) array
+        turning : (J, 3) bool array
+
+        Returns
+        -------
+        list of (J, 3) array
+        """
+        joint, away, out = np.nonzero(turning)[0], (theta - self.mean)[turning], []
+        pull = self.precision @ away
+        for j in np.unique(joint):
+            own = joint == j
+            P = self.precision[np.ix_(own, own)]
+            if not P.any():
+                continue  # the root
+            off = np.linalg.solve(P, pull[own])  # of the joint, from where the others would have it
+            if (far := float(off @ P @ off)) > _UNUSUAL**2:
+                other = theta.copy()
+                other[j, turning[j]] -= off
+                out.append((far, other))
+        return [other for _, other in sorted(out, key=lambda found: -found[0])]
+
+
+def drawn(refit, problem, state, prior, noise):
+    """A pose drawn to what others tell of it, unusual joints tried as the rest would have them.
+
+    Parameters
+    ----------
+    refit : Refit
+        Of the pose's template.
+    problem : Problem
+    state : State
+    prior : PosePrior
+    noise : float
+        σ²/n of ``told_angles``.
+
+    Returns
+    -------
+    State
+    """
+    turning, known = refit.turning, {"prior": prior.of(noise)}
+    state, value = refit.to_the_end(problem, state, **known)
+    for _ in range(_TIMES):
+        for theta in prior.usual(state.theta, turning):
+            other, left = refit.to_the_end(problem, state.replace(theta=theta), **known)
+            if left < _BETTER * value:
+                state, value = other, left
+                break
+        else:
+            break
+    return state
 
 
 def looked_at(n):

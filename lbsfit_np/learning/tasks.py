@@ -14,8 +14,9 @@ from ..losses.objective import PLAIN
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..starts.limbs import LimbPoses
+from .pose_prior import drawn
 
-__all__ = ["Drawn", "FirstFit", "Labels", "Pose", "Template", "Told", "in_full"]
+__all__ = ["Drawn", "FirstFit", "Held", "Labels", "Pose", "Template", "Told", "in_full"]
 
 
 @dataclass(frozen=True)
@@ -133,7 +134,18 @@ class Told(_LastSteps):
 
 @dataclass(frozen=True)
 class Drawn(_LastSteps):
-    """(Subject, points, state, prior) → the state drawn to the prior, as ``GaussNewton.pose`` takes it."""
+    """(Subject, points, state, σ²/n) → the state drawn to what all poses tell of it."""
+
+    prior: object
+
+    def __call__(self, task):
+        subject, X, state, noise = task
+        return drawn(self._refit(subject), Problem(X), state, self.prior, noise)
+
+
+@dataclass(frozen=True)
+class Held(_LastSteps):
+    """(Subject, points, state, prior) → the state after the last steps, with a prior as ``GaussNewton.pose`` takes it."""
 
     def __call__(self, task):
         subject, X, state, prior = task
