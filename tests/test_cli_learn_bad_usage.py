@@ -164,16 +164,16 @@ def test_whatever_is_wrong_with_one_scan_is_its_failure_alone(tubes, tmp_path, r
 
 
 def test_a_scan_that_fails_on_the_way_is_named_and_left_out(tubes, tmp_path, run, monkeypatch):
-    from lbsfit_np.learning import finish
+    from lbsfit_np.learning import free_form
 
-    call = finish._FreeForm.__call__
+    call = free_form._FreeForm.__call__
 
     def careless(self, member):
         if member.index == 1:
             raise ZeroDivisionError("nobody foresaw this")
         return call(self, member)
 
-    monkeypatch.setattr(finish._FreeForm, "__call__", careless)
+    monkeypatch.setattr(free_form._FreeForm, "__call__", careless)
     options = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--variant", "free-form")
     code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *options)
     assert code == 1 and err.startswith("t1: failed: ZeroDivisionError: nobody foresaw this\n")

@@ -16,6 +16,8 @@ from lbsfit_np.learning import finish, free_form
 from lbsfit_np.learning.checkpoint import NO_CHECKPOINT
 from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection
 from lbsfit_np.learning.loop import Loop, LoopSettings
+from lbsfit_np.learning.pose_prior import pose_prior
+from lbsfit_np.learning.tasks import Drawn
 from lbsfit_np.losses import cotangent_matrix
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.rotations import matrix_from_rotvec
@@ -189,7 +191,7 @@ def test_a_learned_fit_in_doubt_tells_what_would_look_further(effort, tube_rig, 
     m.use_frame(1.0, tube_rig.size / 2)
     m.state = Model(tube_rig).rest()
     settings = FitSettings(effort=effort, full_iterations=1)
-    given = tube_rig, {0: tube_rig}, "follow", collection, settings, Facing()
+    given = tube_rig, {0: tube_rig}, "follow", collection, settings, Facing(), None
     (r,) = finish.results_of(*given, jobs=1, progress=lambda *told: None)
     assert ("effort 'balanced' (--effort balanced) looks further" in r.message) == (effort == "fast")
 
@@ -242,3 +244,48 @@ def test_what_is_kept_of_a_scan_grows_by_little_more_than_its_points(tube_rig, u
         points, rows, proba = 2 * 3 * 8 * n, 8 * n, 2 * len(tube_rig.parts) * n
         assert len(pickle.dumps(m)) < points + rows + proba + 8000
         assert m.proba.dtype == np.float16 and m.problem is not m.problem
+
+
+def test_what_poses_tell_of_each_is_of_those_that_teach_and_of_the_round_that_is_kept(make_learner, few_scans, monkeypatch):
+    """Poses of scans held out are drawn, too, but tell nothing; a round that is not kept leaves nothing behind."""
+    values, made, drawn_to, states, noted, make = iter([0.4, 0.6]), [], [], [], Loop._note, pose_prior
+    left = {}
+
+    def note(self, k, began, more):
+        noted(self, k, began, more)
+        left[k] = [(m.state, m.loss) for m in self.collection.members]
+        return 1.0 if k == 0 else next(values)
+
+    def prior(poses, told, turning, root):
+        made.append((len(poses), make(poses, told, turning, root)))
+        return made[-1][1]
+
+    def drawing(self, task):
+        state, loss = draw(self, task)
+        drawn_to.append((self.prior, task[-1]))
+        states.append((state, loss))
+        return state, loss
+
+    draw = Drawn.__call__
+    monkeypatch.setattr(Drawn, "__call__", drawing)
+    monkeypatch.setattr(Loop, "_note", note)
+    monkeypatch.setattr("lbsfit_np.learning.loop.pose_prior", prior)
+    finished, finish_one = [], finish.prior_of
+    monkeypatch.setattr(finish, "prior_of", lambda p, noise, *more: finished.append((p, noise)) or finish_one(p, noise, *more))
+    fitter = make_learner(rounds=3, held_out=0.2).fit([s.points for s in few_scans])
+    assert [n for n, _ in made] == [4, 4] and len(drawn_to) == 10
+    assert [h["kept"] for h in fitter.history_] == [False, True, False]
+    assert fitter.pose_prior_ is made[0][1]
+    assert finished == drawn_to[:5] and all(noise > 0 for _, noise in finished)
+    for k, drawn in ((1, states[:5]), (2, states[5:])):  # poses, and what they leave, are those that were drawn
+        assert all(a[0] is b[0] and a[1] == b[1] for a, b in zip(left[k], drawn, strict=True))
+
+
+def test_new_scans_are_drawn_to_what_was_learned_of_poses_unless_labels_are_known(learned_people, people_scans, monkeypatch):
+    scan, told = people_scans[12], []
+    monkeypatch.setattr(finish, "drawn", lambda refit, problem, state, prior, noise: told.append((prior, noise)) or state)
+    learned_people.fit_scan(scan.points, subject="ann", labels=scan.labels)
+    assert told == []
+    learned_people.fit_scan(scan.points, subject="ann")
+    ((prior, noise),) = told
+    assert prior is learned_people.pose_prior_ and noise > 0

@@ -10,12 +10,12 @@ import pytest
 
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.fitting.result import FitResult
-from lbsfit_np.learning import finish, loop
+from lbsfit_np.learning import finish, free_form, loop
 from lbsfit_np.learning.checkpoint import Checkpoint, each_kept, remove_checkpoint, steps_in
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.state import State
 
-WORK = {"FirstFit": loop, "Template": loop, "Pose": loop, "_Finish": finish, "_FreeForm": finish}
+WORK = {"FirstFit": loop, "Template": loop, "Pose": loop, "Told": loop, "Drawn": loop, "_Finish": finish, "_FreeForm": free_form}
 
 
 @pytest.fixture
@@ -78,7 +78,9 @@ def test_a_run_that_is_stopped_again_and_again_does_nothing_twice(make_learner, 
         ("first fits", 1.0, {"FirstFit": n}),
         ("templates", 1.0, {"Template": 1}),
         ("library of starts", 1.0, {"train_segmenter": 1}),
-        ("poses of scans", 0.75, {"build_library": 1, "Pose": 3}),
+        ("poses of scans", 0.6, {"build_library": 1, "Pose": 3}),
+        ("poses of scans", 0.85, {"Pose": n, "Told": 2}),
+        ("poses of scans", 0.95, {"Told": n, "Drawn": 2}),
         ("results", 0.5, {"Pose": n, "_Finish": 2}),
     ):
         with pytest.raises(KeyboardInterrupt):
@@ -86,7 +88,7 @@ def test_a_run_that_is_stopped_again_and_again_does_nothing_twice(make_learner, 
         assert {key: done[key] for key in so_far} == so_far, stage
     found = make_learner().fit(points, checkpoint=tmp_path / "kept")
     once = {"Template": 1, "train_segmenter": 1, "build_library": 1}
-    assert done == {"FirstFit": n, "Pose": n, "_Finish": n, "_FreeForm": 0} | once
+    assert done == {"FirstFit": n, "Pose": n, "Told": n, "Drawn": n, "_Finish": n, "_FreeForm": 0} | once
     _assert_same(found, uninterrupted)
     before = dict(done)
     again = make_learner().fit(points, checkpoint=tmp_path / "kept")  # a second time nothing is left to do

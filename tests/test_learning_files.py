@@ -109,6 +109,7 @@ def test_a_model_that_lacks_something_is_one_clear_error(saved, tmp_path, lost):
         ("model_library_poses", lambda a: a[:, :2]),
         ("model_prior_mean", lambda a: a[:2]),
         ("model_prior_precision", lambda a: a[:2, :2]),
+        ("model_prior_precision", lambda a: np.full_like(a, np.nan)),
         ("model_library_looks", lambda a: a[:, :7]),
         ("model_library_bias_0", lambda a: a[:3]),
         ("lbsfit_np_model", lambda a: np.array(str(a).replace('"format": ', '"format": 9'))),

@@ -280,8 +280,8 @@ def test_a_doubt_that_has_come_to_nothing_is_not_said_of_a_fit_that_is_ok(status
         looked_for.append(set(free))
         return Result(status=status)
 
-    fit = SimpleNamespace(proportions=lambda *given: 0.0, finish=finished)
-    work = finish._Finish(tube_rig, {}, SimpleNamespace(scale="estimate"), ())
+    fit = SimpleNamespace(proportions=lambda *given: 0.0, finish=finished, refit=SimpleNamespace(turning=None))
+    work = finish._Finish(tube_rig, {}, SimpleNamespace(scale="estimate"), (), None)
     work.__dict__["_fit"] = lambda subject: fit
     assert work((m, finish._Size(1.0, m.state, own), 1.0)).message == ("odd; done" if said else "done")
     # A scale of its own was looked for where it has one.
@@ -300,7 +300,8 @@ def test_all_scans_of_a_subject_in_doubt_are_measured_on_its_template(jobs, tube
     collection.members[1].own = 1.4, np.zeros((4, 3)), None
     others, measured = finish._others, []
     monkeypatch.setattr(finish, "_others", lambda members, sizes: measured.extend(sizes) or others(members, sizes))
-    told, given = [], (tube_rig, {"a": tube_rig, "b": tube_rig}, "follow", collection, FitSettings(full_iterations=1), Facing())
+    told, settings = [], FitSettings(full_iterations=1)
+    given = tube_rig, {"a": tube_rig, "b": tube_rig}, "follow", collection, settings, Facing(), None
     results = finish.results_of(*given, jobs=jobs, progress=lambda stage, share: told.append((stage, share)))
     assert [size is not None for size in measured] == [True, True, True, False]
     assert all(results) and {stage for stage, _ in told} == {"results"}
@@ -316,7 +317,7 @@ def test_a_result_hangs_on_the_scales_of_its_subjects_others(tube_rig, few_scans
     call = finish._Finish.__call__
     monkeypatch.setattr(finish._Finish, "__call__", lambda self, task: made.append(task[0].index) or call(self, task))
     subject = collection.members[0].subject
-    given = tube_rig, {subject: tube_rig}, "follow", collection, FitSettings(full_iterations=1), Facing()
+    given = tube_rig, {subject: tube_rig}, "follow", collection, FitSettings(full_iterations=1), Facing(), None
     options = {"jobs": 1, "progress": lambda stage, share: None, "checkpoint": Checkpoint(tmp_path)}
     for others, anew in (([1.0, 1.0, 1.0], [0, 1, 2]), ([1.0, 1.0, 1.0], []), ([1.0, 1.4, 1.0], [1])):
         made.clear()

@@ -85,9 +85,9 @@ def test_smoothing_looks_at_turns_as_the_scan_itself_writes_them(tube_rig, few_s
         m.state.theta[0] = (3.0 if k % 2 else -3.2) * axis
     loop, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
     monkeypatch.setattr("lbsfit_np.learning.loop.each", lambda work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
-    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)})
+    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
     assert asked
-    for _, _, state, (wanted, weight) in asked:
+    for _, _, state, (wanted, weight), _ in asked:
         assert weight == 1e-3 and np.linalg.norm(wanted[0] - state.theta[0]) < 0.1
 
 
@@ -99,8 +99,8 @@ def test_scans_that_are_not_learned_from_neither_smooth_nor_are_smoothed(tube_ri
     collection.members[1].apart = True
     loop, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
     monkeypatch.setattr("lbsfit_np.learning.loop.each", lambda work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
-    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)})
-    wanted = {round(state.theta[1, 0], 3): wanted[1, 0] for _, _, state, (wanted, _) in asked}
+    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
+    wanted = {round(state.theta[1, 0], 3): wanted[1, 0] for _, _, state, (wanted, _), _ in asked}
     assert 0.1 not in wanted and collection.members[1].prior is None
     assert wanted[0.0] == pytest.approx(0.1) and wanted[0.2] == pytest.approx((0.2 + 0.0 + 0.3) / 3)
 
@@ -120,8 +120,8 @@ def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch
         return [state for *_, state in done[-len(tasks) :]]
 
     monkeypatch.setattr("lbsfit_np.learning.loop.each", each)
-    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)})
-    model, X, state, prior, found = done[0]
+    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
+    model, X, state, prior, _, found = done[0]
     one_side, whole = (Refit(model, partial=p).polish(Problem(X), state, prior=prior).theta for p in (True, False))
     np.testing.assert_array_equal(found.theta, one_side)
     assert np.abs(one_side - whole).max() > 1e-3

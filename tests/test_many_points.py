@@ -7,6 +7,8 @@ from learning_runs import collected, mean_gap
 import lbsfit_np as lbs
 from lbsfit_np.fitting import scan_fit
 from lbsfit_np.fitting.template import shared_template
+from lbsfit_np.fitting.template_fit import TemplateFit
+from lbsfit_np.learning.tasks import Drawn, Pose, Template, Told
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.starts.clean import taking_part
@@ -64,23 +66,70 @@ def test_known_labels_and_weights_of_more_points_count(tube_rig, monkeypatch):
         return state
 
     monkeypatch.setattr("lbsfit_np.fitting.refit.Refit.polish", polish)
+    looked_at = []
+
+    def looking(*given, **more):
+        looked_at.append(taking_part(*given, **more))
+        return looked_at[-1]
+
+    monkeypatch.setattr(scan_fit, "taking_part", looking)
     weights = np.linspace(1.0, 3.0, 2000)
     fitter = lbs.LBSFitter(tube_rig, max_points=MOST, random_state=0)
     fitter.fit_scan(scan.points, labels=scan.labels, point_weights=weights)
-    assert told["n"] == len(told["labels"]) == len(told["weights"]) > 3 * MOST
-    assert told["weights"].sum() == pytest.approx(1.0) and told["weights"].max() > 2 * told["weights"].min()
-    part = _part(scan.points, tube_rig, labels=scan.labels, point_weights=weights)
-    assert np.bincount(told["labels"]).sum() == told["n"] and part.more.size
+    every = looked_at[-1].every
+    assert told["n"] == len(every) > 3 * MOST
+    np.testing.assert_array_equal(told["labels"], scan.labels[every])
+    np.testing.assert_allclose(told["weights"], weights[every] / weights[every].sum())
 
 
-def test_templates_and_last_poses_of_a_collection_see_more_points(tube_rig):
+def test_where_all_labels_are_known_of_what_takes_part_those_of_more_points_are_known(tube_rig):
+    """A point of which it is not known would have all steps go without labels."""
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=5, n_points=2000)
+    rows = _part(scan.points, tube_rig).rows
+    labels = scan.labels.copy()
+    labels[np.setdiff1d(np.arange(2000), rows)[::2]] = -1
+    part = _part(scan.points, tube_rig, labels=labels)
+    np.testing.assert_array_equal(part.rows, rows)
+    assert len(part.more) > MOST and labels[part.every].min() >= 0
+    labels[rows[0]] = -1  # then they go without anyway
+    assert (labels[_part(scan.points, tube_rig, labels=labels).more] < 0).any()
+
+
+def test_scans_of_a_collection_have_more_points_in_their_frame(tube_rig):
     scans = lbs.synthesize(tube_rig, 3, random_state=5, n_points=2000)
     collection = collected(tube_rig, [s.points for s in scans], max_points=MOST, held_out=0)
     m = collection.members[0]
-    assert len(m.X if m.X is not None else m.rows) == MOST and len(m.every) > 3 * MOST
     m.use_frame(1.0, tube_rig.size / 2)
-    assert len(m.X) == MOST and len(m.dense_X) == len(m.every)
+    assert len(m.X) == MOST and len(m.dense_X) == len(m.every) > 3 * MOST
     np.testing.assert_allclose(m.dense_X[np.searchsorted(m.every, m.rows)], m.X)
+
+
+def test_templates_and_last_poses_of_learning_and_after_it_see_more_points(make_learner, few_scans, monkeypatch):
+    seen = {}
+
+    def watch(owner, name, what):
+        call = getattr(owner, name)
+
+        def watching(self, *given, **more):
+            seen.setdefault(name if name != "__call__" else owner.__name__, []).append(what(*given, **more))
+            return call(self, *given, **more)
+
+        monkeypatch.setattr(owner, name, watching)
+
+    watch(Template, "__call__", lambda task: [len(X) for X in task[1]])
+    watch(Told, "__call__", lambda task: len(task[1]))
+    watch(Drawn, "__call__", lambda task: (len(task[1]), len(task[2])))
+    watch(Pose, "__call__", lambda task: len(task[1]))
+    watch(TemplateFit, "finish", lambda problem, state, *, dense, **more: (len(problem.X), len(dense[0]), len(dense[1].X)))
+    n = [len(s.points) for s in few_scans]
+    fitter = make_learner(max_points=150).fit([s.points for s in few_scans[:4]])
+    (of_template,) = seen["Template"]
+    assert len(of_template) == 3 and min(of_template) > 300 and set(seen["Pose"]) == {150}  # one is held out
+    assert min(seen["Told"]) > 300 and all(few == 150 and many > 300 for few, many in seen["Drawn"])
+    assert all(few == 150 and 300 < rows == many <= max(n) for few, rows, many in seen["finish"]) and len(seen["finish"]) == 4
+    fitter.fit_scan(few_scans[4].points)
+    few, rows, many = seen["finish"][-1]
+    assert len(seen["finish"]) == 5 and few == 150 and 300 < rows == many
 
 
 def test_a_template_of_more_points_is_nearer_to_the_true_one(tube_rig):

@@ -5,7 +5,8 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.refit import Refit
-from lbsfit_np.learning.pose_prior import drawn, joined, looked_at, pose_prior
+from lbsfit_np.learning.pose_prior import PosePrior, drawn, looked_at, pose_prior, prior_of
+from lbsfit_np.learning.tasks import Held
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import Layout
@@ -75,13 +76,30 @@ def test_of_very_many_poses_some_are_looked_at():
     assert len(some) == 400 and some[0] == 0 and some[-1] == 22999 and (np.diff(some) > 50).all()
 
 
+def test_smoothing_holds_what_all_poses_tell_as_well(tube_rig):
+    poses, turning = _poses_like(tube_rig, 40, 2)
+    t = int(turning.sum())
+    prior = pose_prior(poses, [np.eye(t) * 1e-4] * 40, turning, tube_rig.root)
+    (scan,) = lbs.synthesize(tube_rig, poses=[poses[0]], random_state=1, n_points=300, shape=0.0)
+    model, X = Model(tube_rig), scan.points / (tube_rig.size / 2)
+    state = model.rest().replace(theta=scan.pose, translation=scan.translation / (tube_rig.size / 2))
+    wanted = state.theta + 0.2, 1e-3
+    refit = Refit(model)
+    for noise in (0.0, 1e-3):
+        found = Held({0: model}, False, prior)((0, X, state, wanted, noise))
+        expected = refit.polish(Problem(X), state, prior=prior_of(prior, noise, turning, wanted))
+        np.testing.assert_array_equal(found.theta, expected.theta)
+    assert np.abs(found.theta - refit.polish(Problem(X), state, prior=wanted).theta).max() > 1e-3
+
+
 def test_two_priors_in_one_are_their_sum_but_for_a_constant():
     rng = np.random.default_rng(4)
     A = rng.standard_normal((6, 6))
-    one = rng.standard_normal(TURNING.shape), A @ A.T
-    one[1][:3] = one[1][:, :3] = 0.0  # the root's
-    other = rng.standard_normal(TURNING.shape), 0.7
-    both = joined(one, other, TURNING)
+    prior = PosePrior(rng.standard_normal(TURNING.shape), A @ A.T)
+    prior.precision[:3] = prior.precision[:, :3] = 0.0  # the root's
+    one, other = prior.of(0.3), (rng.standard_normal(TURNING.shape), 0.7)
+    np.testing.assert_array_equal(one[1], 0.3 * prior.precision)
+    both = prior_of(prior, 0.3, TURNING, other)
 
     def value(prior, theta):
         away = (theta - prior[0])[TURNING]
@@ -91,11 +109,13 @@ def test_two_priors_in_one_are_their_sum_but_for_a_constant():
     differences = [value(both, theta) - value(one, theta) - value(other, theta) for theta in poses]
     np.testing.assert_allclose(differences, differences[0])
     np.testing.assert_allclose(both[0][ROOT], other[0][ROOT])
-    assert joined(None, other, TURNING) is other and joined(one, None, TURNING) is one
+    assert prior_of(None, 0.3, TURNING, other) is other and prior_of(prior, 0.0, TURNING, other) is other
+    np.testing.assert_array_equal(prior_of(prior, 0.3, TURNING)[1], one[1])
+    assert prior_of(None, 0.3, TURNING) is None and prior_of(prior, 0.0, TURNING) is None
 
 
 def _poses_like(rig, n, seed, *, spread=0.1):
-    """Poses near one, in which the first joint's first angle and the next one's go together."""
+    """Poses near one, each angle by itself."""
     rng = np.random.default_rng(seed)
     turning = Layout(rig, ("pose",), 0).turning
     middle = np.clip((rig.lower + rig.upper) / 2, rig.lower, rig.upper)

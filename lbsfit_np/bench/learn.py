@@ -331,8 +331,8 @@ def learn_table(report, *, markdown=False):
     unit = "cm" if report["unit"] == "cm" else "half sizes of the rig"
     legend = (
         f"Mean over seeds ({len(seeds)}), {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
-        f"of the segmenter alone on {n // 3} scans that nobody learned from. Seconds of first fits, with which learning begins,\n"
-        "count in the first variant that learns from labels."
+        f"of the segmenter alone on {n // 3} scans that nobody learned from. Of variants that learn from labels the first one\n"
+        "that a run has done of a seed has the seconds of first fits, which the others take."
     )
     for seed in every:
         lacking = [row for row, of in rows.items() if seed not in of]

@@ -137,7 +137,7 @@ class Refit:
             state, _ = self._last.pose(problem, state, free=self.free, labels=labels, iterations=_NEAR_STEPS)
             if (labels == proba.shape[1]).any():  # points of which it is not known have their say now
                 state = self.polish(problem, state)
-            return state, self._chamfer(problem, state), 0
+            return state, self.chamfer(problem, state), 0
         if proba is not None:
             starts.append(self.from_parts(problem, proba, False))
         runners = [Runner(problem, s, k) for k, s in enumerate(starts)]
@@ -149,7 +149,7 @@ class Refit:
         state = best.state
         if self._bends:
             state, _ = self._bends(problem, state, best.value)
-        return state, self._chamfer(problem, state), best.name
+        return state, self.chamfer(problem, state), best.name
 
     def race(self, runners, survivors=_SURVIVORS):
         """All starts a few steps, the best of them to the end.
@@ -288,7 +288,8 @@ class Refit:
         state, value = steps.pose(problem, runner.state, free=self.free, **options)
         return Runner(runner.problem, state, runner.name, value)
 
-    def _chamfer(self, problem, state):
+    def chamfer(self, problem, state):
+        """L_c(X, V), squared half sizes."""
         return problem.evaluate(self.model.coarse, state, PLAIN).value
 
     def _mine(self, state):

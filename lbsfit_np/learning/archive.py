@@ -157,6 +157,8 @@ def read_fitter(path, make):
             t = int(Layout(rig, ("pose",), 0).turning.sum())
             if prior.mean.shape != rig.lower.shape or prior.precision.shape != (t, t):
                 raise ValueError("a prior of poses of another rig")
+            if not (np.isfinite(prior.mean).all() and np.isfinite(prior.precision).all()):
+                raise ValueError("a prior of poses that is not finite")
         fields = {
             "template_": {s: rig.with_template(u, j) for s, u, j in zip(subjects, U, J, strict=True)},
             "unit_": dict(zip(subjects, map(float, header["units"]), strict=True)),

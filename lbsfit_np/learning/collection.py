@@ -80,8 +80,10 @@ class Member:
         Where its last fit has put it.
     loss : float
         L_c there.
-    prior : ((J, 3) array, (t, t) array) or None
-        The angles that the pose is drawn to, and how much, as ``GaussNewton.pose`` takes it.
+    prior : ((J, 3) array, float) or None
+        In a smoothed sequence, the angles that the pose is drawn to, and how much.
+    noise : float
+        σ²/n of its points, by which what all poses tell of each counts; 0: not at all.
     doubt : str
         What its result says first. Both of a subject's only two scans have it, in the same words.
     apart : bool
@@ -106,6 +108,7 @@ class Member:
     state: object = None
     loss: float = np.inf
     prior: tuple = None
+    noise: float = 0.0
     more: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     doubt: str = ""
     apart: bool = False

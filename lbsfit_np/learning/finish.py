@@ -32,7 +32,7 @@ from ..threads import one_thread
 from .checkpoint import NO_CHECKPOINT
 from .collection import with_doubt
 from .free_form import free_form
-from .pose_prior import drawn
+from .pose_prior import drawn, prior_of
 from .tasks import in_full
 from .variants import as_variant
 
@@ -44,7 +44,7 @@ _IN_UNIT, _SIZED = ("pose", "translation"), ("pose", "translation", "scale")
 _SIZES = 0.2
 
 
-def results_of(rig, templates, joints, collection, settings, facing, *, jobs, progress, checkpoint=NO_CHECKPOINT):
+def results_of(rig, templates, joints, collection, settings, facing, prior, *, jobs, progress, checkpoint=NO_CHECKPOINT):
     """The results of the scans that the loop has left poses of; those that the checkpoint has are not made again.
 
     Returns
@@ -66,8 +66,8 @@ def results_of(rig, templates, joints, collection, settings, facing, *, jobs, pr
     kept = []
     for m, size, others in tasks:
         on = templates[m.subject]
-        kept.append(checkpoint.slot("result", (m, size, others, on.vertices, on.joints, further)))
-    work = _Finish(rig, models, settings, further)
+        kept.append(checkpoint.slot("result", (m, size, others, on.vertices, on.joints, further, prior)))
+    work = _Finish(rig, models, settings, further, prior)
     done = {"jobs": jobs, "done": lambda p: progress("results", share + (1 - share) * p)}
     return collection.in_order(collection.work(work, tasks, **done, kept=kept, taught=True))
 
@@ -129,6 +129,7 @@ class _Finish(_OnTemplates):
     """(Scan, its _Size or None, its others' scale) → its result."""
 
     further: tuple
+    prior: object
 
     def __call__(self, task):
         m, size, others = task
@@ -141,7 +142,8 @@ class _Finish(_OnTemplates):
         problem = m.problem
         place |= {"proportions": fit.proportions(problem, m.state), "further": self.further}
         place |= {"notes": [m.role, m.left_out], "found": (unit,)}
-        place |= {"prior": m.prior, "dense": (m.every, Problem(m.dense_X) if len(m.more) else problem)}
+        place["dense"] = m.every, Problem(m.dense_X) if len(m.more) else problem
+        place["prior"] = prior_of(self.prior, m.noise, fit.refit.turning, m.prior)
         result = fit.finish(problem, m.state, proba=in_full(m.proba), **place)
         if m.own is None and result.status == "ok":  # then only first fits were wrong
             m = replace(m, doubt="")
@@ -182,8 +184,8 @@ def _in_its_unit(m, fit, size, others):
     doubt = m.doubt or f"{words}, or somebody else's?"
     if m.apart and not same_size(size.scale, others):  # nearer to the truth than the first fit's, which its doubt has so far
         doubt = f"{words}? Convert it and learn again"
-    # Neighbours' poses were found in the subject's unit.
-    return replace(_as_first_fitted(m, fit), state=size.own, doubt=doubt, prior=None)
+    # Neighbours' poses were found in the subject's unit, and what its points tell.
+    return replace(_as_first_fitted(m, fit), state=size.own, doubt=doubt, prior=None, noise=0.0)
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):
@@ -255,8 +257,8 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         place["further"] = further_words(settings, _facing(fitter))
     place["dense"] = all_points(points, part, point_weights, best.frame, best.problem)
     state = best.state
-    if (prior := fitter.pose_prior_) is not None:
-        dense = place["dense"][1]
+    if (prior := fitter.pose_prior_) is not None and labels is None:  # with known labels the pose goes by these
+        _, dense = place["dense"]
         _, noise = fit.refit.told_angles(dense, state)
         state, place["prior"] = drawn(fit.refit, dense, state, prior, noise), prior.of(noise)
     result = fit.finish(best.problem, state, proba=best.proba, labels_known=labels, started=started, **place)

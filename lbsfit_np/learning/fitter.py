@@ -255,7 +255,7 @@ class LBSFitter(BaseEstimator):
             checkpoint=checkpoint,
         )
         self._take(loop.run(), collection)
-        made_of = self.rig, self.template_, self.joints, collection, settings, facing
+        made_of = self.rig, self.template_, self.joints, collection, settings, facing, self.pose_prior_
         results = results_of(*made_of, jobs=jobs, progress=progress, checkpoint=checkpoint)
         return self._finished(collection, results)
 

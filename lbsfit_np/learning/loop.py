@@ -31,7 +31,7 @@ from ..workers import beside, each, kept_processes
 from .checkpoint import FIRST_FIT, NO_CHECKPOINT, each_kept
 from .collection import HELD_OUT, LEARNED_FROM
 from .mixture import Mixture
-from .pose_prior import joined, looked_at, pose_prior
+from .pose_prior import looked_at, pose_prior
 from .scales import check_scales, scale_warnings, units_apart
 from .tasks import Drawn, FirstFit, Held, Labels, Pose, Template, Told
 
@@ -195,13 +195,13 @@ class Loop:
             if fallen or value < best * (1 + self.settings.improvement) or learned is None:
                 best, learned = value, self._learned(k, templates)  # one that has not fallen is the last
                 self.on_kept(learned)
-                best_members = {m.index: (m.state, m.loss, m.proba, m.prior) for m in self.collection.members}
+                best_members = {m.index: (m.state, m.loss, m.proba, m.noise) for m in self.collection.members}
             if not fallen:
                 break
         for member in self.collection.members:
-            member.state, member.loss, member.proba, member.prior = best_members[member.index]
+            member.state, member.loss, member.proba, member.noise = best_members[member.index]
         if self.sequence and self.smooth:
-            self._smooth(learned.templates)
+            self._smooth(learned.templates, learned.pose_prior)
         return replace(learned, history=self._history(learned.history[-1]["round"]))
 
     # ---- the steps ----
@@ -345,42 +345,38 @@ class Loop:
         learning = self.collection.with_role(LEARNED_FROM)
         asked = {learning[i].index for i in looked_at(len(learning))}
 
-        def slots(step):
-            return [self._kept.slot(f"round-{k}-{step}", m.index) for m in self.collection.members]
+        def slots(step, *made_of):
+            return [self._kept.slot(f"round-{k}-{step}", (m.index, *made_of)) for m in self.collection.members]
 
         tasks = [(m.subject, m.dense_X, m.state, m.index in asked) for m in self.collection.members]
         told = self._work(Told(models, partial), tasks, "poses of scans", slots("told"), (_SEARCH, (1 + _SEARCH) / 2))
         known = [(state.theta, C) for state, _, C in told if C is not None]
         turning = Layout(self.rig, ("pose",), 0).turning
         self.pose_prior = pose_prior(*zip(*known), turning, self.rig.root) if known else None
-        if self.pose_prior is None:
-            return
         tasks = []
         for m, (state, noise, _) in zip(self.collection.members, told, strict=True):
-            m.prior = self.pose_prior.of(noise)
-            tasks.append((m.subject, m.dense_X, state, noise))
+            m.noise = noise
+            tasks.append((m.subject, m.X, m.dense_X, state, noise))
         work = Drawn(models, partial, self.pose_prior)
-        states = self._work(work, tasks, "poses of scans", slots("drawn"), ((1 + _SEARCH) / 2, 1.0))
-        for m, state in zip(self.collection.members, states, strict=True):
-            m.state = state
+        answers = self._work(work, tasks, "poses of scans", slots("drawn", self.pose_prior), ((1 + _SEARCH) / 2, 1.0))
+        for m, (state, loss) in zip(self.collection.members, answers, strict=True):
+            m.state, m.loss = state, loss
         self._follow()
 
     def _follow(self):
         """What is kept from here on depends on what fits have found, and for whom."""
         self._kept = self._kept.narrowed([(m.index, m.state, m.loss, m.held_out) for m in self.collection.members])
 
-    def _smooth(self, templates):
+    def _smooth(self, templates, pose_prior):
         """A few sweeps that draw each pose towards the mean of its neighbours' and its own, as the sweep before left them."""
-        models, turning = self._models(templates), Layout(self.rig, ("pose",), 0).turning
-        known = {m.index: m.prior for m in self.collection.members}
+        models = self._models(templates)
         for _ in range(_SWEEPS):
             members = [m for m in self.collection.members if not m.apart and self._beside(m)]
             for m in members:
                 others = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
-                wanted = np.mean([m.state.theta, *others], axis=0)  # without its own, neighbours would swap places
-                m.prior = joined(known[m.index], (wanted, self.smooth), turning)
-            tasks = [(m.subject, m.dense_X, m.state, m.prior) for m in members]
-            work = Held(models, self.fit_settings.partial)
+                m.prior = np.mean([m.state.theta, *others], axis=0), self.smooth  # without its own, neighbours would swap places
+            tasks = [(m.subject, m.dense_X, m.state, m.prior, m.noise) for m in members]
+            work = Held(models, self.fit_settings.partial, pose_prior)
             states = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
             for m, state in zip(members, states):
                 m.state = state

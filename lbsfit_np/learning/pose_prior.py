@@ -13,7 +13,7 @@ import numpy as np
 
 from ..optimize.gauss_newton import as_weights
 
-__all__ = ["PosePrior", "drawn", "joined", "looked_at", "pose_prior"]
+__all__ = ["PosePrior", "drawn", "looked_at", "pose_prior", "prior_of"]
 
 # Scans that are looked at, at most, evenly taken; steps of EM.
 _MOST, _STEPS = 400, 40
@@ -23,9 +23,10 @@ _BEFORE, _SPREAD = 1.0, 0.3
 _APART = 60.0
 # Fewer poses tell nothing of how poses vary.
 _LEAST = 3
-# A joint is unusual that is so many standard deviations from where the rest of its pose would have it; what is kept leaves less
-# than this share; so many times, at most, others are looked for.
-_UNUSUAL, _BETTER, _TIMES = 2.0, 0.995, 4
+# A joint is unusual that is further from where the rest of its pose would have it than 95 % of joints with one, two or three
+# axes are: squared, in standard deviations. What is kept is better by so much of what an angle counts that is off by one; so many
+# times, at most, others are looked for.
+_UNUSUAL, _BETTER, _TIMES = (3.84, 5.99, 7.81), 3.0, 4
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,10 @@ class PosePrior:
     precision: np.ndarray
 
     def of(self, noise):
-        """The prior of one scan, as ``GaussNewton.pose`` takes it; σ²/n says how much E counts."""
+        """The prior of one scan, as ``GaussNewton.pose`` takes it; σ²/n says how much E counts.
+
+        σ² is of the points. E has vertices as well, so that poses are drawn less than the points alone would let them.
+        """
         return self.mean, noise * self.precision
 
     def usual(self, theta, turning):
@@ -67,7 +71,7 @@ class PosePrior:
             if not P.any():
                 continue  # the root
             off = np.linalg.solve(P, pull[own])  # of the joint, from where the others would have it
-            if (far := float(off @ P @ off)) > _UNUSUAL**2:
+            if (far := float(off @ P @ off) / _UNUSUAL[len(off) - 1]) > 1.0:
                 other = theta.copy()
                 other[j, turning[j]] -= off
                 out.append((far, other))
@@ -96,7 +100,7 @@ def drawn(refit, problem, state, prior, noise):
     for _ in range(_TIMES):
         for theta in prior.usual(state.theta, turning):
             other, left = refit.to_the_end(problem, state.replace(theta=theta), **known)
-            if left < _BETTER * value:
+            if left < value - _BETTER * noise:
                 state, value = other, left
                 break
         else:
@@ -109,14 +113,25 @@ def looked_at(n):
     return np.unique(np.linspace(0, n - 1, min(n, _MOST)).astype(int))
 
 
-def joined(one, other, turning):
-    """Two priors as ``GaussNewton.pose`` takes them in one: the sum of both but for a constant; either may be None."""
-    if one is None or other is None:
-        return one or other
-    pairs = [(theta[turning], as_weights(weights, turning)) for theta, weights in (one, other)]
-    weights = sum(W for _, W in pairs)
-    theta = one[0].copy()
-    theta[turning] = np.linalg.lstsq(weights, sum(W @ wanted for wanted, W in pairs), rcond=None)[0]
+def prior_of(prior, noise, turning, wanted=None):
+    """What holds one pose, as ``GaussNewton.pose`` takes it, or None.
+
+    Parameters
+    ----------
+    prior : PosePrior or None
+    noise : float
+        σ²/n of the pose's scan; 0 where the prior does not count.
+    turning : (J, 3) bool array
+    wanted : ((J, 3) array, float), optional
+        Angles to be drawn to besides, and their weight: what comes out is the sum of both but for a constant.
+    """
+    if prior is None or not noise:
+        return wanted
+    if wanted is None:
+        return prior.of(noise)
+    pairs = [(theta[turning], as_weights(weights, turning)) for theta, weights in (prior.of(noise), wanted)]
+    weights, theta = sum(W for _, W in pairs), prior.mean.copy()
+    theta[turning] = np.linalg.solve(weights, sum(W @ angles for angles, W in pairs))
     return theta, weights
 
 

@@ -14,7 +14,7 @@ from ..losses.objective import PLAIN
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..starts.limbs import LimbPoses
-from .pose_prior import drawn
+from .pose_prior import drawn, prior_of
 
 __all__ = ["Drawn", "FirstFit", "Held", "Labels", "Pose", "Template", "Told", "in_full"]
 
@@ -134,22 +134,27 @@ class Told(_LastSteps):
 
 @dataclass(frozen=True)
 class Drawn(_LastSteps):
-    """(Subject, points, state, σ²/n) → the state drawn to what all poses tell of it."""
+    """(Subject, points, more points, state, σ²/n) → (the state drawn to what all poses tell of it, L_c of the points)."""
 
     prior: object
 
     def __call__(self, task):
-        subject, X, state, noise = task
-        return drawn(self._refit(subject), Problem(X), state, self.prior, noise)
+        subject, X, dense, state, noise = task
+        refit = self._refit(subject)
+        state = state if self.prior is None else drawn(refit, Problem(dense), state, self.prior, noise)
+        return state, _finite(refit.chamfer(Problem(X), state))
 
 
 @dataclass(frozen=True)
 class Held(_LastSteps):
-    """(Subject, points, state, prior) → the state after the last steps, with a prior as ``GaussNewton.pose`` takes it."""
+    """(Subject, points, state, wanted angles and their weight, σ²/n) → the state drawn there, and to what all poses tell."""
+
+    prior: object
 
     def __call__(self, task):
-        subject, X, state, prior = task
-        return self._refit(subject).polish(Problem(X), state, prior=prior)
+        subject, X, state, wanted, noise = task
+        refit = self._refit(subject)
+        return refit.polish(Problem(X), state, prior=prior_of(self.prior, noise, refit.turning, wanted))
 
 
 def _short(proba):

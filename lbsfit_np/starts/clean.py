@@ -102,6 +102,8 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, 
         raise InputError("points", got, f"at least {len(rig.parts)} points, one a part")
     dropped = np.setdiff1d(drawn, body, assume_unique=True)
     others = np.setdiff1d(rows, np.union1d(kept, dropped), assume_unique=True)
+    if labels is not None and labels[kept].min() >= 0:  # where steps go by labels, they go by all
+        others = others[labels[others] >= 0]
     more = _alike(points, kept, dropped, others, (_LAST - 1) * most, rng)
     return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale).scale, below)
 
