@@ -146,7 +146,7 @@ def test_gaps_of_templates_are_after_over_before():
     text = page(report, {})
     assert "template gap of the people learned from ÷ before 0.250 (goal ≤ 0.5)" in text
     assert "of the test scans, of other people, one scan each, 0.200 (goal ≤ 0.5)" in text
-    assert "had 250 synthetic scans before learning" in text
+    assert "had 200 synthetic scans before learning" in text
     assert "template gap of the people learned from ÷ before, up to a shift 0.400 (goal ≤ 0.5)" in text
 
     def plain(line):
