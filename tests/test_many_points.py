@@ -148,3 +148,15 @@ def test_a_template_of_more_points_is_nearer_to_the_true_one(tube_rig):
         away = U[tube_rig.weld] - person.vertices
         gaps.append(np.linalg.norm(away - away.mean(axis=0), axis=1).mean())
     assert gaps[1] < 0.8 * gaps[0]
+
+
+@pytest.mark.parametrize("most, more", [(150, True), (2500, False)])
+def test_variants_without_a_prior_go_on_with_more_points_where_there_are_more(most, more, make_learner, few_scans, monkeypatch):
+    """Else what they lack beside others would be points, not what all poses tell."""
+    drawn = []
+    monkeypatch.setattr("lbsfit_np.learning.tasks.drawn", lambda *given: drawn.append(given))
+    polished, polish = [], Told.__call__
+    monkeypatch.setattr(Told, "__call__", lambda self, task: polished.append(len(task[1])) or polish(self, task))
+    fitter = make_learner(variant="cd", max_points=most).fit([s.points for s in few_scans[:3]])
+    assert (len(polished) == 3 and min(polished) > 300) if more else not polished
+    assert not drawn and fitter.pose_prior_ is None

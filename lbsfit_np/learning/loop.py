@@ -5,7 +5,7 @@ After pretraining and a first fit of each scan by itself, a round does this:
 1. each subject's template from the poses of its scans (``fitting.template``), scans that are explained badly left out;
 2. training scans from the mixture Θ' on these templates (``mixture``); s is trained on, f and the library of starts anew;
 3. the labels of all scans; every pose again, from its last one, from labels, from f and from the library, then with other
-   poses for limbs that are better off so (``fitting.refit``), and drawn to what all tell of poses (``pose_prior``);
+   poses for limbs that are better off so (``fitting.refit``), with more points, and drawn to what all poses tell (``pose_prior``);
 4. the loss on the scans held out: rounds end when it no longer falls.
 
 At the end the full objective gives each scan its residual on its subject's template.
@@ -187,7 +187,7 @@ class Loop:
             templates = self._templates(k)
             self._learn(k, templates)
             won = self._refit(k, templates)
-            self._draw(k, templates)
+            self._last_steps(k, templates)
             value = self._note(k, began, {"new_starts_won": won})
             self.on_round(k, self.segmenter)
             fallen = value is None or value < best * (1 - self.settings.improvement)
@@ -329,7 +329,7 @@ class Loop:
         work = Pose(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
         tasks = [(m.subject, m.X, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
         kept = [self._kept.slot(f"round-{k}-pose", m.index) for m in members]
-        answers = self._work(work, tasks, "poses of scans", kept, (0.0, _SEARCH if self.variant.prior else 1.0))
+        answers = self._work(work, tasks, "poses of scans", kept, (0.0, _SEARCH if self._goes_on else 1.0))
         won = 0
         for m, (state, loss, which) in zip(self.collection.members, answers, strict=True):
             won += which > 0
@@ -337,13 +337,18 @@ class Loop:
         self._follow()
         return won
 
-    def _draw(self, k, templates):
+    @property
+    def _goes_on(self):
+        """Whether poses go further steps once they are found."""
+        return self.variant.prior or any(len(m.more) for m in self.collection.members)
+
+    def _last_steps(self, k, templates):
         """Every pose as its scan tells it by all its points, and where that leaves it open, as the others' poses do."""
-        if not self.variant.prior:
+        if not self._goes_on:
             return
         models, partial = self._models(templates), self.fit_settings.partial
         learning = self.collection.with_role(LEARNED_FROM)
-        asked = {learning[i].index for i in looked_at(len(learning))}
+        asked = {learning[i].index for i in looked_at(len(learning))} if self.variant.prior else ()
 
         def slots(step, *made_of):
             return [self._kept.slot(f"round-{k}-{step}", (m.index, *made_of)) for m in self.collection.members]
