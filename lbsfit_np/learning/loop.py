@@ -5,7 +5,7 @@ After pretraining and a first fit of each scan by itself, a round does this:
 1. each subject's template from the poses of its scans (``fitting.template``), scans that are explained badly left out;
 2. training scans from the mixture Θ' on these templates (``mixture``); s is trained on, f and the library of starts anew;
 3. the labels of all scans; every pose again, from its last one, from labels, from f and from the library, then with other
-   poses for limbs that are better off so (``fitting.refit``), with more points, and drawn to what all poses tell (``pose_prior``);
+   poses for limbs that are better off so (``fitting.refit``), with more points, drawn to what all poses tell (``pose_prior``);
 4. the loss on the scans held out: rounds end when it no longer falls.
 
 At the end the full objective gives each scan its residual on its subject's template.
