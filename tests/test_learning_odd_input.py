@@ -9,7 +9,7 @@ import pytest
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.labels import labels_from_mesh
-from lbsfit_np.learning import finish, tasks
+from lbsfit_np.learning import finish, free_form, tasks
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.collection import Collection, Member, read_collection
 from lbsfit_np.learning.training import training_settings
@@ -80,7 +80,7 @@ def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube
 
 
 def test_free_form_fits_that_fail_are_left_out(tube_rig, clouds, monkeypatch):
-    _failing(monkeypatch, finish, "_FreeForm", 399)
+    _failing(monkeypatch, free_form, "_FreeForm", 399)
     with pytest.warns(UserWarning, match="scan 0: ZeroDivisionError"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": "free-form"}).fit([clouds[0][:399], *clouds[1:]])
     assert list(fitter.failures_) == [0] and fitter.results_[0] is None and fitter.results_[3].status != "failed"

@@ -198,7 +198,7 @@ def test_a_pose_that_was_known_is_not_lost_to_one_that_looks_better_on_few_point
     states = [case.truth] if known else []
     state, value, which = refit(case.problem, states, poses=[case.swap.theta])
     assert (case.error(model, state) < 0.02) == known and which == (0 if known else "swap")
-    assert value == pytest.approx(refit._chamfer(case.problem, state))
+    assert value == pytest.approx(refit.chamfer(case.problem, state))
 
 
 @pytest.mark.parametrize("more, looked_at", [(1.25, True), (1.35, False)])

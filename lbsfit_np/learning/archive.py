@@ -58,7 +58,7 @@ def write_fitter(fitter, path):
     segmenter, library = fitter.segmenter_, fitter.regressor_
     if segmenter is not None:
         header["segmenter"] = segmenter.header()
-    header["library"], header["pose_prior"] = library is not None, fitter.pose_prior_ is not None
+    header["library"], header["pose_prior"] = library is not None, getattr(fitter, "pose_prior_", None) is not None
     try:
         text = json.dumps(header, default=_plain)
     except TypeError as error:
@@ -99,7 +99,7 @@ def _arrays(fitter, templates):
         "model_vertices": np.array([t.vertices for t in templates]),
         "model_joints": np.array([t.joints for t in templates]),
     }
-    if (prior := fitter.pose_prior_) is not None:
+    if (prior := getattr(fitter, "pose_prior_", None)) is not None:
         arrays |= {"model_prior_mean": prior.mean, "model_prior_precision": prior.precision}
     return arrays | learned_arrays(fitter.segmenter_, fitter.regressor_)
 

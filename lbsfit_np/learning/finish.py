@@ -257,7 +257,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         place["further"] = further_words(settings, _facing(fitter))
     place["dense"] = all_points(points, part, point_weights, best.frame, best.problem)
     state = best.state
-    if (prior := fitter.pose_prior_) is not None and labels is None:  # with known labels the pose goes by these
+    if (prior := getattr(fitter, "pose_prior_", None)) is not None and labels is None:  # with known labels the pose goes by these
         _, dense = place["dense"]
         _, noise = fit.refit.told_angles(dense, state)
         state, place["prior"] = drawn(fit.refit, dense, state, prior, noise), prior.of(noise)
