@@ -438,3 +438,19 @@ def test_what_cannot_be_removed_stays_and_is_no_error(tmp_path, monkeypatch):
         patch.setattr(Path, "unlink", denied)
         remove_checkpoint(tmp_path / "kept")
     assert steps_in(tmp_path / "kept") == 1
+
+
+def test_poses_drawn_to_what_fewer_scans_told_are_not_taken(make_learner, points, uninterrupted, tmp_path, monkeypatch):
+    """Those of a round that had lost a scan once its poses were found, before what all tell was known."""
+    call, failed = loop.Told.__call__, []
+
+    def failing_once(self, task):
+        if task[-1] and not failed:
+            failed.append(task)
+            raise MemoryError("for once")
+        return call(self, task)
+
+    with monkeypatch.context() as patch, pytest.warns(UserWarning, match="for once"):
+        patch.setattr(loop.Told, "__call__", failing_once)
+        assert None in make_learner().fit(points, checkpoint=tmp_path).results_
+    _assert_same(make_learner().fit(points, checkpoint=tmp_path), uninterrupted)

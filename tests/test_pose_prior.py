@@ -168,3 +168,28 @@ def test_a_joint_in_a_wrong_minimum_comes_home_where_other_poses_tell(tube_rig):
         np.testing.assert_allclose(again.theta, found.theta, atol=0.02)
     assert drawn_home == homes
     assert plain_home <= homes - 2
+
+
+@pytest.mark.parametrize("gain, taken", [(-1.0, False), (1.0, False), (5.0, True)])
+def test_an_unusual_joint_stays_unless_another_place_is_clearly_better(gain, taken):
+    """By more than 3 σ²/n; what is tried is not believed because it is usual."""
+    _, poses, told, *_ = _made(400, 5, np.array([0.01, 0.01, 0.01]))
+    prior, noise = pose_prior(poses, told, TURNING, ROOT), 0.01
+    theta = prior.mean.copy()
+    theta[2, 1] += 0.5
+
+    class Pose:
+        def __init__(self, theta):
+            self.theta = theta
+
+        def replace(self, *, theta):
+            return Pose(theta)
+
+    class Steps:
+        turning = TURNING
+
+        def to_the_end(self, problem, state, *, prior):
+            return state, 1.0 if state is began else 1.0 - gain * noise
+
+    began = Pose(theta)
+    assert (drawn(Steps(), None, began, prior, noise) is not began) == taken
