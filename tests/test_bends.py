@@ -45,7 +45,9 @@ def _joint(rig, name):
 
 def _scan(rig, model, theta, coefficients):
     """Points of somebody with other proportions in a pose, and the state that made them."""
-    state = model.rest().replace(theta=theta, coefficients=coefficients)
+    own = model.rest().coefficients
+    own[: model.n_proportions] = coefficients
+    state = model.rest().replace(theta=theta, coefficients=own)
     rng = np.random.default_rng(0)
     V = model.pose(state)[0].vertices
     p = V[rig.faces[rng.choice(len(rig.faces), 1200, p=_areas(V, rig.faces))]]

@@ -250,6 +250,20 @@ def test_a_prior_may_hold_some_angles_and_couple_others(tube):
     assert np.abs(held.theta - wanted)[turning].max() < 2e-3
 
 
+def test_a_prior_holds_a_pose_whose_proportions_are_found_as_well(tube):
+    truth = state_within(tube, 5, 0.5)
+    problem, _ = sampled(tube, truth)
+    steps = GaussNewton(tube)
+    wanted = truth.theta.copy()
+    wanted[3, 0] += 0.3
+    _, plain = steps.with_proportions(problem, truth, iterations=0)
+    _, value = steps.with_proportions(problem, truth, iterations=0, prior=(wanted, 2.0))
+    assert value == pytest.approx(plain + 2.0 * 0.3**2, rel=1e-12)
+    held, left = steps.with_proportions(problem, truth, iterations=30, prior=(wanted, 10.0))
+    assert abs(held.theta[3, 0] - wanted[3, 0]) < 2e-3 and left < value
+    assert np.abs(held.coefficients - truth.coefficients).max() > 1e-3  # what the pose may not explain, they do
+
+
 def test_labels_that_no_vertex_has_are_left_out(tube):
     truth = state_within(tube, 6, 0.7)
     start = near(tube, truth, 6)

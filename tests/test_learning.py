@@ -126,7 +126,7 @@ def test_people_of_another_size_stay_where_they_are(tube_rig, unlearned):
         true = m.frame.inside(size * s.vertices)
         assert np.linalg.norm((posed.vertices - true).mean(axis=0)) < 0.1
     c = loop.coefficients[0]
-    assert (c[: loop.model.n_coefficients] > 0.05).all() and not c[loop.model.n_coefficients :].any()
+    assert (c[: loop.model.n_proportions] > 0.05).all() and not c[loop.model.n_proportions :].any()
 
 
 def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans):

@@ -12,15 +12,18 @@ from learning_runs import NAN, SMALL, mean_gap
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.fitting import scan_fit
 from lbsfit_np.fitting.confidence import SOMEBODY_ELSE
 from lbsfit_np.fitting.refit import Refit
-from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
 from lbsfit_np.fitting.scout import Found
 from lbsfit_np.fitting.template_fit import TemplateFit
 from lbsfit_np.learning import finish
+from lbsfit_np.learning.pose_prior import pose_prior
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.state import Layout
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
@@ -50,6 +53,52 @@ def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_p
     named = [learned_people.fit_scan(s.points, subject="ann") for s in scans]
     assert all("of somebody else than this template?" in r.message and r.status != "ok" for r in named)
     assert mean_gap(tube_rig, found, scans, "vertices") < 0.8 * mean_gap(tube_rig, named, scans, "vertices")
+
+
+def test_scans_of_somebody_else_are_drawn_to_what_was_learned_of_poses_unless_labels_are_known(
+    tube_rig, learned_people, people_scans, monkeypatch
+):
+    """Pose and proportions together, and the pose again in the end."""
+    told, held, draw, polish = [], [], scan_fit.drawn, Refit.polish
+
+    def drawing(steps, problem, state, prior, noise):
+        found = draw(steps, problem, state, prior, noise)
+        told.append((prior, noise, state, found))
+        return found
+
+    def polishing(self, problem, state, *, prior=None, **known):
+        held.append(prior)
+        return polish(self, problem, state, prior=prior, **known)
+
+    monkeypatch.setattr(TemplateFit, "proportions", lambda *known: 1.0)  # all are somebody else's
+    monkeypatch.setattr(scan_fit, "drawn", drawing)
+    monkeypatch.setattr(Refit, "polish", polishing)
+    scan = people_scans[12]
+    learned_people.fit_scan(scan.points, labels=scan.labels)
+    assert not told and held[-1] is None
+    for known in ({}, {"theta0": scan.pose}):
+        learned_people.fit_scan(scan.points, **known)
+        prior, noise, before, after = told.pop()
+        assert prior is learned_people.pose_prior_ and noise > 0 and not told
+        assert np.abs(after.coefficients - before.coefficients).max() > 0 < np.abs(after.theta - before.theta).max()
+        np.testing.assert_array_equal(held[-1][1], prior.of(noise)[1])
+    monkeypatch.setattr(learned_people, "pose_prior_", None)
+    learned_people.fit_scan(scan.points)
+    assert not told and held[-1] is None
+
+
+def test_scans_of_somebody_else_are_nearer_to_the_truth_for_what_was_learned_of_poses(tube_rig, tube_fitter):
+    """Poses that vary little in all joints but one; 150 noisy points each."""
+    rng, turning = np.random.default_rng(2), Layout(tube_rig, ("pose",), 0).turning
+    spread = np.where(np.arange(len(turning)) == 1, 0.3, 0.05)[:, None]
+    poses = np.clip(spread * rng.standard_normal((72, *turning.shape)) * turning, tube_rig.lower, tube_rig.upper)
+    prior = pose_prior(poses[:60], [np.eye(int(turning.sum())) * 1e-4] * 60, turning, tube_rig.root)
+    scans = lbs.synthesize(tube_rig, 12, poses=list(poses[60:]), random_state=5, n_points=150, noise=0.02, shape=0.05)
+    known, gaps = {"segmenter": tube_fitter.segmenter_, "library": tube_fitter.regressor_}, []
+    for given in (None, prior):
+        fit = ScanFit(Model(tube_rig), prior=given, **known)
+        gaps.append(mean_gap(tube_rig, [fit.fit(s.points, random_state=0) for s in scans], scans, "vertices"))
+    assert gaps[1] < 0.95 * gaps[0]
 
 
 def test_several_people_that_pass_for_one_are_noticed(tube_rig, make_learner, learned_people, people_scans):

@@ -148,11 +148,11 @@ def test_gradient_of_the_thinned_rig(body):
 
     e = problem.evaluate(model, state, weights, model.labels[::9])
     gradient = layout.gradient(state, e.theta, e.translation, e.scale, e.coefficients, e.residual)
-    x, h = layout.pack(state), 1e-6
+    x, h = layout.pack(state), 1e-8  # a longer way crosses ties between nearest vertices
     for _ in range(10):
         d = rng.standard_normal(layout.size)
         slope = (value(x + h * d) - value(x - h * d)) / (2 * h)
-        assert abs(slope - gradient @ d) < 1e-5 * np.linalg.norm(gradient)
+        assert abs(slope - gradient @ d) < 1e-6 * np.linalg.norm(gradient)
 
 
 def test_a_model_is_the_rig_with_a_longest_half_extent_of_1(tube_rig):

@@ -9,7 +9,9 @@ from small_rigs import make_tube_data
 
 import lbsfit_np
 from lbsfit_np.io.rigs import load_rig
+from lbsfit_np.optimize.model import Model
 from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rig.chains import bones
 
 CARDS = Path(lbsfit_np.__file__).parent / "bench" / "cards"
 
@@ -75,6 +77,35 @@ def test_a_longer_forearm_carries_its_fingers_along(tube_rig):
     assert (moved[:2] == 0).all()
     tips = rig.weights.toarray()[:, 2] == 1
     np.testing.assert_allclose(family.offsets(c)[tips], np.broadcast_to(moved[2], (tips.sum(), 3)), atol=1e-14)
+
+
+def test_girths_widen_the_skin_of_their_bone_alone(rig):
+    """One for each coefficient that widens; of a bone that nothing hangs beside, what that does to its own skin."""
+    family = rig.proportions
+    wide = np.flatnonzero(~family.length)
+    assert family.girths.shape == (len(rig.vertices), 3, len(wide))
+    bone, w = bones(rig), rig.weights.toarray()
+    for g, q in enumerate(wide):
+        own = w[:, bone == family.owner[q]].sum(axis=1)
+        assert not family.girths[own == 0, :, g].any()
+        fully = own == own.max() if own.max() == 1 else own > 1
+        # Where the bone has all of the skin, only what the joint itself moves tells the two apart.
+        both = family.basis[fully, :, q] - family.joints[family.owner[q], :, q]
+        np.testing.assert_allclose(family.girths[fully, :, g], both, atol=1e-12 * rig.size)
+    np.testing.assert_allclose(rig.scaled(10.0).proportions.girths, 10 * family.girths, atol=1e-11 * rig.size)
+
+
+def test_the_joints_of_a_model_stay_where_girths_widen_it(rig):
+    for joints in ("follow", "fixed"):
+        model = Model(rig, joints, shifts=0.1)
+        n, g = model.n_proportions, rig.proportions.girths.shape[2]
+        assert model.n_coefficients == n + g + model._shifts.shape[1]
+        c = model.rest().coefficients
+        c[n : n + g] = 0.2
+        state = model.rest().replace(coefficients=c)
+        assert not model.joint_offsets(state).any()
+        expected = rig.scaled(1 / model.half).proportions.girths.sum(axis=2) * 0.2
+        np.testing.assert_allclose(model.offsets(state), expected, atol=1e-12)
 
 
 def test_a_thicker_finger_keeps_its_length(tube_rig):

@@ -115,6 +115,23 @@ def test_a_subject_that_the_family_does_not_hold(hand_case):
     assert case.gap(U, case.U) < case.gap(without_heights, case.U)
 
 
+def test_a_fat_palm_leaves_the_knuckles_where_they_are():
+    """People are wide of flesh as well as of bone; were their joints to move along, knuckles would lie beside the fingers."""
+    rig = lbs.load_rig("hand-coarse")
+    family = rig.proportions
+    palm = int(np.argmax(np.bincount(family.owner)))
+    fat = 0.25 * family.girths[:, :, family.owner[~family.length] == palm].sum(axis=2)
+    case = Case(rig, (rig.vertices + fat, rig.joints), 8, noise=0.004)
+    knuckles = np.flatnonzero((rig.parents == palm) & rig.moving)
+    _, J, _ = case.found(proba=case.proba)
+    without = Model(rig, shifts=TemplateSettings().shifts)
+    without.basis = without.basis.copy()
+    without.basis[:, without.n_proportions :] = 0.0
+    _, other, _ = case.found(without, proba=case.proba)
+    away = [np.linalg.norm((found - rig.joints)[knuckles], axis=1).mean() / case.half for found in (J, other)]
+    assert away[0] < 0.5 * away[1]
+
+
 def test_more_scans_tell_more(tube_case):
     few, many = (tube_case.found(rows=slice(n))[0] for n in (1, 8))
     assert tube_case.gap(many, tube_case.U) < 0.7 * tube_case.gap(few, tube_case.U)

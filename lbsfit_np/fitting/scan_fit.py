@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InputError
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
+from ..optimize.gauss_newton import GaussNewton
 from ..optimize.problem import Problem
 from ..rig.frames import up_axis
 from ..seeds import generator, integer_seed
@@ -18,6 +19,7 @@ from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
 from ..threads import one_thread
 from .assemble import assemble
 from .confidence import shown_problem
+from .drawn import drawn
 from .labels import one_hot
 from .refit import Refit, Runner
 from .scout import Scout
@@ -106,11 +108,13 @@ class ScanFit:
         How scans may be turned; by default they face the rig's way.
     nearest : bool, default True
         Whether the library's poses are starts, as for ``Scout``.
+    prior : PosePrior, optional
+        What is known of poses, which they are drawn to unless labels are known; only where ``settings.polish`` is not 0.
     """
 
-    def __init__(self, model, settings=None, *, segmenter=None, library=None, facing=None, nearest=True):
+    def __init__(self, model, settings=None, *, segmenter=None, library=None, facing=None, nearest=True, prior=None):
         self.model, self.settings = model, settings or FitSettings()
-        self.segmenter, self.library, self.nearest = segmenter, library, nearest
+        self.segmenter, self.library, self.nearest, self.prior = segmenter, library, nearest, prior
         self.facing = facing or Facing()
 
     @cached_property
@@ -172,14 +176,15 @@ class ScanFit:
         else:
             frame, problem, proba, state, before = self._given(points, rows, a, guess, theta0, labels)
             rivals = {}
+        every, dense = all_points(points, part, point_weights, frame, problem)
+        if settings.polish:
+            state, known = self._last_steps(problem, dense, state, None if labels is None else labels[every])
         with_partner = shown_problem(model, problem, state, settings.partial)
         search = Search(model, with_partner, proba, labels is not None, settings).full(state)
         last = search.outcome
         if settings.polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
-            every, dense = all_points(points, part, point_weights, frame, problem)
-            known = None if labels is None or labels[every].min() < 0 else labels[every]
-            last = replace(last, state=self._refit.polish(dense, last.state, labels=known))
+            last = replace(last, state=self._refit.polish(dense, last.state, **known))
         stands = stands_words(self.facing, model.source, frame, last.state.theta) if theta0 is None else ""
         unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
         return assemble(
@@ -206,10 +211,27 @@ class ScanFit:
             **rivals,
         )
 
+    def _last_steps(self, problem, dense, state, labels):
+        """The state with pose and proportions by all points, and what else its pose goes by, now and later.
+
+        Either labels, where all are known, or what is known of poses.
+        """
+        if labels is not None and labels.min() < 0:
+            return state, {}
+        if labels is None and self.prior is not None:
+            _, noise = self._refit.told_angles(dense, state)
+            return drawn(self._with_proportions, dense, state, self.prior, noise), {"prior": self.prior.of(noise)}
+        known = {"labels": labels}
+        return state if dense is problem else self._with_proportions.to_the_end(dense, state, **known)[0], known
+
     @cached_property
     def _refit(self):
         free = ("pose", "translation") if self.settings.scale == "fixed" else ("pose", "translation", "scale")
         return Refit(self.model, free, partial=self.settings.partial)
+
+    @cached_property
+    def _with_proportions(self):
+        return _WithProportions(self.model, self.settings, self._refit)
 
     def _given(self, points, rows, a, scale, theta0, labels):
         """Where a given start, which says how the scan is turned, or known labels, which tell it, lead before the full objective.
@@ -229,6 +251,19 @@ class ScanFit:
             known = Runner(problem, self._refit.in_place(problem, theta))
             others = [end.state for end in [known, *self._refit.race([known])]]
         return frame, problem, proba, search.pose(others), search.evaluations
+
+
+class _WithProportions:
+    """The last steps of a pose and of proportions that go with it."""
+
+    def __init__(self, model, settings, refit):
+        self.turning, self._free, self._iterations = refit.turning, refit.free, settings.polish
+        self._steps = GaussNewton(model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
+
+    def to_the_end(self, problem, state, *, labels=None, prior=None):
+        """The state and what it leaves unexplained, with the prior's part."""
+        options = {"labels": None if labels is None else [labels], "prior": prior}
+        return self._steps.with_proportions(problem, state, free=self._free, iterations=self._iterations, **options)
 
 
 def all_points(points, part, point_weights, frame, problem):

@@ -11,11 +11,11 @@ from dataclasses import asdict
 import numpy as np
 
 from ..errors import FileError, InputError
+from ..fitting.drawn import PosePrior
 from ..losses.objective import LossWeights
 from ..optimize.state import Layout
 from ..segmentation.segmenter import Segmenter
 from ..starts.library import PoseLibrary
-from .pose_prior import PosePrior
 
 __all__ = ["MODEL_KEY", "learned_arrays", "learned_digests", "model_digest", "read_fitter", "write_fitter"]
 

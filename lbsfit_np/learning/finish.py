@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..fitting.confidence import SOMEBODY_ELSE
+from ..fitting.drawn import drawn, prior_of
 from ..fitting.scan_fit import (
     FitSettings,
     ScanFit,
@@ -32,7 +33,6 @@ from ..threads import one_thread
 from .checkpoint import NO_CHECKPOINT
 from .collection import with_doubt
 from .free_form import free_form
-from .pose_prior import drawn, prior_of
 from .tasks import in_full
 from .variants import as_variant
 
@@ -344,12 +344,13 @@ def _template_fit(fitter, subject, settings):
 
 def scan_fit(fitter, segmenter=None, library=None):
     """Fits of scans by themselves, with what was pretrained."""
-    model, settings = fitter._model(), fitter._fit_settings()
+    model, settings, prior = fitter._model(), fitter._fit_settings(), getattr(fitter, "pose_prior_", None)
     nearest = as_variant(fitter.variant).library
-    made_of = model, settings, _facing_words(fitter), segmenter, library, nearest
+    made_of = model, settings, _facing_words(fitter), segmenter, library, nearest, prior
 
     def make():
-        return ScanFit(model, settings, segmenter=segmenter, library=library, facing=_facing(fitter), nearest=nearest)
+        known = {"segmenter": segmenter, "library": library, "prior": prior}
+        return ScanFit(model, settings, facing=_facing(fitter), nearest=nearest, **known)
 
     return _kept(fitter, (None, "scan fit"), made_of, make)
 

@@ -233,7 +233,7 @@ class Loop:
             scale = float(np.median(scales[subject])) if self.fit_settings.scale == "estimate" else 1.0
             size, unit = (scale / guess, guess) if 1 / _SIZE < scale / guess < _SIZE else (1.0, scale)
             c = np.zeros(self.shifting.n_coefficients)
-            c[: self.model.n_coefficients] = size - 1.0
+            c[: self.model.n_proportions] = size - 1.0
             self.coefficients[subject] = c
             for words in scale_warnings(self.collection.of(subject)):
                 warnings.warn(words, stacklevel=2)

@@ -2,18 +2,14 @@
 
 How far a forearm is twisted, hardly any point tells: what is found varies more than people move. Of many scans it is known how
 much: where scan i tells its angles with the covariance C_i, and angles vary among poses by N(μ, T), found ones vary by T + C_i.
-μ and T are those that make what was found most likely (by EM), and each pose is drawn towards μ as far as its own scan leaves it
-open: E + σ²/n (Θ − μ)ᵀ T⁻¹ (Θ − μ) in place of E. Angles that points tell stay where these put them. A joint that is turned as
-hardly any other pose has it is tried as the rest of its pose would have it: a hand that looks the wrong way is a minimum of E.
+μ and T are those that make what was found most likely, by EM. ``fitting.drawn`` says what poses are drawn to by them.
 """
-
-from dataclasses import dataclass
 
 import numpy as np
 
-from ..optimize.gauss_newton import as_weights
+from ..fitting.drawn import PosePrior
 
-__all__ = ["PosePrior", "drawn", "looked_at", "pose_prior", "prior_of"]
+__all__ = ["looked_at", "pose_prior"]
 
 # Scans that are looked at, at most, evenly taken; steps of EM.
 _MOST, _STEPS = 400, 40
@@ -23,116 +19,11 @@ _BEFORE, _SPREAD = 1.0, 0.3
 _APART = 60.0
 # Fewer poses tell nothing of how poses vary.
 _LEAST = 3
-# A joint is unusual that is further from where the rest of its pose would have it than 95 % of joints with one, two or three
-# axes are: squared, in standard deviations. What is kept is better by so much of what an angle counts that is off by one; so many
-# times, at most, others are looked for.
-_UNUSUAL, _BETTER, _TIMES = (3.84, 5.99, 7.81), 3.0, 4
-
-
-@dataclass(frozen=True)
-class PosePrior:
-    """Θ ~ N(μ, T); the root's turn is as likely as any other.
-
-    Attributes
-    ----------
-    mean : (J, 3) array
-        μ, radians.
-    precision : (t, t) array
-        T⁻¹ of the angles that turn, in the order of ``np.argwhere(Layout.turning)``; zeros for the root's.
-    """
-
-    mean: np.ndarray
-    precision: np.ndarray
-
-    def of(self, noise):
-        """The prior of one scan, as ``GaussNewton.pose`` takes it; σ²/n says how much E counts.
-
-        σ² is of the points. E has vertices as well, so that poses are drawn less than the points alone would let them.
-        """
-        return self.mean, noise * self.precision
-
-    def usual(self, theta, turning):
-        """Poses in which one unusual joint is as the rest would have it, E[Θ_j | other joints]; the most unusual first.
-
-        Parameters
-        ----------
-        theta : (J, 3) array
-        turning : (J, 3) bool array
-
-        Returns
-        -------
-        list of (J, 3) array
-        """
-        joint, away, out = np.nonzero(turning)[0], (theta - self.mean)[turning], []
-        pull = self.precision @ away
-        for j in np.unique(joint):
-            own = joint == j
-            P = self.precision[np.ix_(own, own)]
-            if not P.any():
-                continue  # the root
-            off = np.linalg.solve(P, pull[own])  # of the joint, from where the others would have it
-            if (far := float(off @ P @ off) / _UNUSUAL[len(off) - 1]) > 1.0:
-                other = theta.copy()
-                other[j, turning[j]] -= off
-                out.append((far, other))
-        return [other for _, other in sorted(out, key=lambda found: -found[0])]
-
-
-def drawn(refit, problem, state, prior, noise):
-    """A pose drawn to what others tell of it, unusual joints tried as the rest would have them.
-
-    Parameters
-    ----------
-    refit : Refit
-        Of the pose's template.
-    problem : Problem
-    state : State
-    prior : PosePrior
-    noise : float
-        σ²/n of ``told_angles``.
-
-    Returns
-    -------
-    State
-    """
-    turning, known = refit.turning, {"prior": prior.of(noise)}
-    state, value = refit.to_the_end(problem, state, **known)
-    for _ in range(_TIMES):
-        for theta in prior.usual(state.theta, turning):
-            other, left = refit.to_the_end(problem, state.replace(theta=theta), **known)
-            if left < value - _BETTER * noise:
-                state, value = other, left
-                break
-        else:
-            break
-    return state
 
 
 def looked_at(n):
     """Which of n scans the prior is made from, (k,) int, at most 400."""
     return np.unique(np.linspace(0, n - 1, min(n, _MOST)).astype(int))
-
-
-def prior_of(prior, noise, turning, wanted=None):
-    """What holds one pose, as ``GaussNewton.pose`` takes it, or None.
-
-    Parameters
-    ----------
-    prior : PosePrior or None
-    noise : float
-        σ²/n of the pose's scan; 0 where the prior does not count.
-    turning : (J, 3) bool array
-    wanted : ((J, 3) array, float), optional
-        Angles to be drawn to besides, and their weight: what comes out is the sum of both but for a constant.
-    """
-    if prior is None or not noise:
-        return wanted
-    if wanted is None:
-        return prior.of(noise)
-    pairs = [(theta[turning], as_weights(weights, turning)) for theta, weights in (prior.of(noise), wanted)]
-    weights, theta = sum(W for _, W in pairs), prior.mean.copy()
-    theta[turning] = np.linalg.solve(weights, sum(W @ angles for angles, W in pairs))
-    return theta, weights
 
 
 def pose_prior(poses, told, turning, root):

@@ -6,6 +6,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from ..errors import InputError
+from ..fitting.drawn import drawn, prior_of
 from ..fitting.effort import EFFORTS
 from ..fitting.refit import LimbSearch, Refit
 from ..fitting.scout import Scout
@@ -14,7 +15,6 @@ from ..losses.objective import PLAIN
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..starts.limbs import LimbPoses
-from .pose_prior import drawn, prior_of
 
 __all__ = ["Drawn", "FirstFit", "Held", "Labels", "Pose", "Template", "Told", "in_full"]
 

@@ -99,7 +99,9 @@ class GaussNewton:
         states, values = self._minimise([problem], [state], [labels], np.ones(1), free, False, iterations, prior)
         return states[0], float(values[0])
 
-    def shared(self, problems, states, *, free=("pose", "translation"), labels=None, scan_weights=None, iterations=12):
+    def shared(
+        self, problems, states, *, free=("pose", "translation"), labels=None, scan_weights=None, iterations=12, prior=None
+    ):
         """The poses of several scans of one subject together with the coefficients of their one template.
 
         Parameters
@@ -112,6 +114,8 @@ class GaussNewton:
         labels : list of (n,) int arrays, optional
         scan_weights : (k,) array, optional
             How much each scan counts for the template; 0 leaves its pose where it is.
+        prior
+            As in :meth:`pose`, of a single scan.
 
         Returns
         -------
@@ -120,7 +124,8 @@ class GaussNewton:
             E of each scan without the ridge; NaN where a scan does not count.
         """
         weights = np.ones(len(problems)) if scan_weights is None else np.asarray(scan_weights, dtype=float)
-        return self._minimise(problems, states, labels or [None] * len(problems), weights / weights.sum(), free, True, iterations)
+        labels = labels or [None] * len(problems)
+        return self._minimise(problems, states, labels, weights / weights.sum(), free, True, iterations, prior)
 
     def told_by_points(self, problem, state, *, free=("pose", "translation"), proba=None):
         """What the scan's points alone tell of a pose, by the curvature of E: where few of them hang on an unknown, little.

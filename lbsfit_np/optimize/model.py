@@ -23,6 +23,7 @@ class Model:
     ----------
     rig : Rig
     joints : {"follow", "fixed"}, default "follow"
+        Whether rest joints follow the skin, by the regressor; girths move none either way.
     shifts : float, default 0
         Where positive, the family has three more coefficients a joint below the root, which move its rest position alone by
         this many half sizes a unit. One scan cannot tell where in the flesh a joint lies; many poses of one subject can.
@@ -39,19 +40,20 @@ class Model:
         self.labels = self.rig.vertex_labels
         family = self.rig.proportions
         self._shifts = _shifts(self.rig, shifts) if shifts else np.empty((3 * len(rig.parents), 0))
-        basis = family.basis.reshape(-1, family.basis.shape[2])
-        self.basis = np.hstack([basis, np.zeros((len(basis), self._shifts.shape[1]))])
+        self.n_proportions = family.basis.shape[2]
+        moves_skin = [b.reshape(3 * len(b), b.shape[2]) for b in (family.basis, family.girths)]
+        self.basis = np.hstack([*moves_skin, np.zeros((len(moves_skin[0]), self._shifts.shape[1]))])
         self.n_coefficients = self.basis.shape[1]
         self._whole = True
 
     @cached_property
     def joint_basis(self):
-        """(3J, k): how the rest joints move with the coefficients: R b_k, or a shift of their own."""
-        k = self.n_coefficients - self._shifts.shape[1]
-        if not self.follow:
-            return np.hstack([np.zeros((len(self._shifts), k)), self._shifts])
-        moved = self.rig.regressor @ self.basis[:, :k].reshape(len(self.rig.vertices), -1)
-        return np.hstack([moved.reshape(-1, k), self._shifts])
+        """(3J, k): how the rest joints move with the coefficients: R b_k of proportions, or a shift of their own."""
+        k, moved = self.n_proportions, np.zeros((len(self._shifts), self.n_coefficients))
+        if self.follow:
+            moved[:, :k] = (self.rig.regressor @ self.basis[:, :k].reshape(len(self.rig.vertices), -1)).reshape(-1, k)
+        moved[:, self.n_coefficients - self._shifts.shape[1] :] = self._shifts
+        return moved
 
     @cached_property
     def K(self):
@@ -79,7 +81,8 @@ class Model:
 
         nearest = cKDTree(self.rig.vertices[rows]).query(self.rig.vertices)[1]
         thin = object.__new__(Model)
-        thin.source, thin.half, thin.follow, thin.n_coefficients = self.source, self.half, self.follow, self.n_coefficients
+        thin.source, thin.half, thin.follow = self.source, self.half, self.follow
+        thin.n_coefficients, thin.n_proportions = self.n_coefficients, self.n_proportions
         thin.rig = replace(
             self.rig,
             vertices=self.rig.vertices[rows],

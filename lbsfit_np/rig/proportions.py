@@ -1,11 +1,13 @@
-"""Proportions: how long, broad and thick each bone is, as a linear family of templates of any rig.
+"""Proportions: how long, broad and thick each bone is, and the flesh about it, as a linear family of templates of any rig.
 
 Each moving joint j stretches what it carries about its own rest position: along its bone by 1 + ℓ_j, across it by 1 + τ_j
 (a joint with several children, such as a palm, has two factors across), and its descendants move along:
 
     J'_c = J'_p + B_p (J_c − J_p),   U'_i = Σ_j w_ij (J'_j + B_j (u_i − J_j)),   B_j = I + Σ_k c_jk e_jk e_jkᵀ.
 
-Both are linear in the coefficients c, so U' = U + Σ_k c_k b_k with a fixed basis b.
+Both are linear in the coefficients c, so U' = U + Σ_k c_k b_k with a fixed basis b. People are wide of bone or of flesh: a broad
+palm has its knuckles further apart, a fat one has not. Girths widen the skin across each bone as above, and leave all joints, and
+what hangs on them, where they are.
 """
 
 from dataclasses import dataclass
@@ -31,12 +33,15 @@ class Proportions:
         Which coefficients stretch along a bone; the others widen across it.
     owner : (k,) int array
         The joint that each coefficient stretches about.
+    girths : (m, 3, g) array
+        Displacement of the vertices for a unit of each girth, one for each coefficient that widens, in their order.
     """
 
     basis: np.ndarray
     joints: np.ndarray
     length: np.ndarray
     owner: np.ndarray
+    girths: np.ndarray
 
     def offsets(self, coefficients):
         """(m, 3): U' − U."""
@@ -82,7 +87,12 @@ def proportions(rig):
         arm = rig.vertices[rows] - rig.joints[j]
         basis[rows] += w[:, None, None] * (joints[j] + np.einsum("abk,ib->iak", stretch[j], arm))
     length = np.array([kind == "length" for _, _, kind in axes], dtype=bool)
-    return Proportions(basis, joints, length, np.array([j for j, _, _ in axes], dtype=int))
+    owner = np.array([j for j, _, _ in axes], dtype=int)
+    girths = np.zeros((m, 3, int((~length).sum())))
+    for g, q in enumerate(np.flatnonzero(~length)):
+        j = owner[q]
+        girths[:, :, g] = weight[:, j, None] * ((rig.vertices - rig.joints[j]) @ stretch[j, :, :, q])
+    return Proportions(basis, joints, length, owner, girths)
 
 
 def _axes(rig, j, bone, weight):
