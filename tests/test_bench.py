@@ -231,7 +231,8 @@ def test_the_baseline_recovers_a_pose_near_rest(tube_rig):
     unit = tube_rig.size / 2
     assert joint_error(fit.joints, scan.joints * 1000 + [5, 6, 7], tube_rig.moving) / 1000 < 0.03 * unit
     assert vertex_error(fit.vertices, scan.vertices * 1000 + [5, 6, 7]) / 1000 < 0.03 * unit
-    np.testing.assert_allclose(tube_rig.pose(fit.pose, fit.translation, fit.scale, fit.offsets), fit.vertices, rtol=1e-9)
+    again = tube_rig.pose(fit.pose, fit.translation, fit.scale, fit.offsets, joints=fit.rest_joints)
+    np.testing.assert_allclose(again, fit.vertices, rtol=1e-9)
     assert fit.status == "ok" and fit.evaluations > 5 and label_accuracy(fit.labels, scan.labels) > 0.85
     at_rest = tube_rig.joints + scan.points.mean(axis=0) - tube_rig.vertices.mean(axis=0)
     assert joint_error(at_rest, scan.joints, tube_rig.moving) > 0.05 * unit
@@ -268,7 +269,7 @@ def test_lengths_are_in_half_sizes_and_true_labels_help(ran, hand):
     assert report["rig_units_in_a_unit"] == pytest.approx(hand.size / 2)
     scan = {row: content["seeds"]["7"]["mean"] for row, content in report["rows"].items()}
     for measure, most in (("joint_error", 0.045), ("vertex_error", 0.06), ("recon", 0.06)):
-        assert 0.01 < scan["oracle"][measure] < most
+        assert 0.005 < scan["oracle"][measure] < most
     assert 0.03 < scan["own"]["recon_truth"] < 0.06
     assert scan["oracle"]["joint_error"] < scan["own"]["joint_error"]
     assert scan["paper"]["segmenter_labels"] == scan["own"]["segmenter_labels"]
