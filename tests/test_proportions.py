@@ -79,11 +79,12 @@ def test_a_longer_forearm_carries_its_fingers_along(tube_rig):
     np.testing.assert_allclose(family.offsets(c)[tips], np.broadcast_to(moved[2], (tips.sum(), 3)), atol=1e-14)
 
 
-def test_girths_widen_the_skin_of_their_bone_alone(rig):
-    """One for each coefficient that widens; of a bone that nothing hangs beside, what that does to its own skin."""
+def test_girths_widen_the_skin_of_bones_that_branch_alone(rig):
+    """Half as much as breadth and depth do; of bones that do not branch they would be what thickness is."""
     family = rig.proportions
-    wide = np.flatnonzero(~family.length)
-    assert family.girths.shape == (len(rig.vertices), 3, len(wide))
+    columns = np.bincount(family.owner)[family.owner]
+    wide = np.flatnonzero(~family.length & (columns == 3))
+    assert family.girths.shape == (len(rig.vertices), 3, len(wide)) and len(wide) > 0
     bone, w = bones(rig), rig.weights.toarray()
     for g, q in enumerate(wide):
         own = w[:, bone == family.owner[q]].sum(axis=1)
@@ -91,7 +92,7 @@ def test_girths_widen_the_skin_of_their_bone_alone(rig):
         fully = own == own.max() if own.max() == 1 else own > 1
         # Where the bone has all of the skin, only what the joint itself moves tells the two apart.
         both = family.basis[fully, :, q] - family.joints[family.owner[q], :, q]
-        np.testing.assert_allclose(family.girths[fully, :, g], both, atol=1e-12 * rig.size)
+        np.testing.assert_allclose(family.girths[fully, :, g], 0.5 * both, atol=1e-12 * rig.size)
     np.testing.assert_allclose(rig.scaled(10.0).proportions.girths, 10 * family.girths, atol=1e-11 * rig.size)
 
 

@@ -119,8 +119,9 @@ def test_a_fat_palm_leaves_the_knuckles_where_they_are():
     """People are wide of flesh as well as of bone; were their joints to move along, knuckles would lie beside the fingers."""
     rig = lbs.load_rig("hand-coarse")
     family = rig.proportions
-    palm = int(np.argmax(np.bincount(family.owner)))
-    fat = 0.25 * family.girths[:, :, family.owner[~family.length] == palm].sum(axis=2)
+    palm = int(np.argmax(np.bincount(family.owner)))  # three coefficients
+    fat = 0.5 * family.girths.sum(axis=2)  # the palm alone branches
+    assert family.girths.shape[2] == 2
     case = Case(rig, (rig.vertices + fat, rig.joints), 8, noise=0.004)
     knuckles = np.flatnonzero((rig.parents == palm) & rig.moving)
     _, J, _ = case.found(proba=case.proba)

@@ -109,7 +109,7 @@ class ScanFit:
     nearest : bool, default True
         Whether the library's poses are starts, as for ``Scout``.
     prior : PosePrior, optional
-        What is known of poses, which they are drawn to unless labels are known; only where ``settings.polish`` is not 0.
+        What is known of poses, which they are drawn to unless labels are given; only where ``settings.polish`` is not 0.
     """
 
     def __init__(self, model, settings=None, *, segmenter=None, library=None, facing=None, nearest=True, prior=None):
@@ -214,14 +214,12 @@ class ScanFit:
     def _last_steps(self, problem, dense, state, labels):
         """The state with pose and proportions by all points, and what else its pose goes by, now and later.
 
-        Either labels, where all are known, or what is known of poses.
+        Labels, where all are known, or what is known of poses, where none are.
         """
-        if labels is not None and labels.min() < 0:
-            return state, {}
         if labels is None and self.prior is not None:
-            _, noise = self._refit.told_angles(dense, state)
+            _, noise = self._refit.told_angles(dense, state)  # as on a known template; as proportions are not, it is rather more
             return drawn(self._with_proportions, dense, state, self.prior, noise), {"prior": self.prior.of(noise)}
-        known = {"labels": labels}
+        known = {"labels": None if labels is None or labels.min() < 0 else labels}
         return state if dense is problem else self._with_proportions.to_the_end(dense, state, **known)[0], known
 
     @cached_property
@@ -262,8 +260,8 @@ class _WithProportions:
 
     def to_the_end(self, problem, state, *, labels=None, prior=None):
         """The state and what it leaves unexplained, with the prior's part."""
-        options = {"labels": None if labels is None else [labels], "prior": prior}
-        return self._steps.with_proportions(problem, state, free=self._free, iterations=self._iterations, **options)
+        known = {"labels": labels, "prior": prior}
+        return self._steps.with_proportions(problem, state, free=self._free, iterations=self._iterations, **known)
 
 
 def all_points(points, part, point_weights, frame, problem):

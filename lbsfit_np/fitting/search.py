@@ -94,7 +94,7 @@ class Search:
         if not self.settings.polish:
             return states[0]
         steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02, partial=self.settings.partial)
-        labels = [self.labels] if self._all_known else None
+        labels = self.labels if self._all_known else None
         free = ("pose", *self.place)
         options = {"free": free, "labels": labels, "iterations": self.settings.polish}
         return min((steps.with_proportions(self.problem, state, **options) for state in states), key=lambda found: found[1])[0]

@@ -99,9 +99,7 @@ class GaussNewton:
         states, values = self._minimise([problem], [state], [labels], np.ones(1), free, False, iterations, prior)
         return states[0], float(values[0])
 
-    def shared(
-        self, problems, states, *, free=("pose", "translation"), labels=None, scan_weights=None, iterations=12, prior=None
-    ):
+    def shared(self, problems, states, *, free=("pose", "translation"), labels=None, scan_weights=None, iterations=12):
         """The poses of several scans of one subject together with the coefficients of their one template.
 
         Parameters
@@ -114,8 +112,6 @@ class GaussNewton:
         labels : list of (n,) int arrays, optional
         scan_weights : (k,) array, optional
             How much each scan counts for the template; 0 leaves its pose where it is.
-        prior
-            As in :meth:`pose`, of a single scan.
 
         Returns
         -------
@@ -125,7 +121,7 @@ class GaussNewton:
         """
         weights = np.ones(len(problems)) if scan_weights is None else np.asarray(scan_weights, dtype=float)
         labels = labels or [None] * len(problems)
-        return self._minimise(problems, states, labels, weights / weights.sum(), free, True, iterations, prior)
+        return self._minimise(problems, states, labels, weights / weights.sum(), free, True, iterations)
 
     def told_by_points(self, problem, state, *, free=("pose", "translation"), proba=None):
         """What the scan's points alone tell of a pose, by the curvature of E: where few of them hang on an unknown, little.
@@ -152,10 +148,10 @@ class GaussNewton:
         made = self._normal_equations(problem, state, None, layout, False, of_vertices=False, proba=proba)
         return made.H, made.value / max(made.weight, np.finfo(float).tiny), layout
 
-    def with_proportions(self, problem, state, **options):
-        """One scan's pose with coefficients of its own: (state, E with the ridge); options of :meth:`shared`."""
-        (state,), (value,) = self.shared([problem], [state], **options)
-        return state, value + self.ridge * float(state.coefficients @ state.coefficients)
+    def with_proportions(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12, prior=None):
+        """One scan's pose with coefficients of its own: (state, E with the ridge and the prior); options of :meth:`pose`."""
+        (state,), (value,) = self._minimise([problem], [state], [labels], np.ones(1), free, True, iterations, prior)
+        return state, float(value) + self.ridge * float(state.coefficients @ state.coefficients)
 
     # ---- the steps ----
 

@@ -6,8 +6,8 @@ Each moving joint j stretches what it carries about its own rest position: along
     J'_c = J'_p + B_p (J_c − J_p),   U'_i = Σ_j w_ij (J'_j + B_j (u_i − J_j)),   B_j = I + Σ_k c_jk e_jk e_jkᵀ.
 
 Both are linear in the coefficients c, so U' = U + Σ_k c_k b_k with a fixed basis b. People are wide of bone or of flesh: a broad
-palm has its knuckles further apart, a fat one has not. Girths widen the skin across each bone as above, and leave all joints, and
-what hangs on them, where they are.
+palm has its knuckles further apart, a fat one has not. So joints with several children have girths besides, which widen their
+skin and leave all joints, and what hangs on them, where they are. Of other bones the factor across does just that.
 """
 
 from dataclasses import dataclass
@@ -17,6 +17,9 @@ import numpy as np
 from .chains import bones
 
 __all__ = ["Proportions", "proportions"]
+
+# What a unit of a girth adds to the width: with both, which are half a unit at most, a quarter of the width is left.
+_GIRTH = 0.5
 
 
 @dataclass(frozen=True)
@@ -34,7 +37,8 @@ class Proportions:
     owner : (k,) int array
         The joint that each coefficient stretches about.
     girths : (m, 3, g) array
-        Displacement of the vertices for a unit of each girth, one for each coefficient that widens, in their order.
+        Displacement of the vertices for a unit of each girth, which is half the width: two for each joint that branches. They
+        have coefficients of their own, which are none of the k.
     """
 
     basis: np.ndarray
@@ -44,7 +48,7 @@ class Proportions:
     girths: np.ndarray
 
     def offsets(self, coefficients):
-        """(m, 3): U' − U."""
+        """(m, 3): U' − U, without girths."""
         return self.basis @ coefficients
 
     def moved_joints(self, coefficients):
@@ -58,7 +62,7 @@ def proportions(rig):
     Returns
     -------
     Proportions
-        With two coefficients for each moving joint that carries weight, three where it branches.
+        With two coefficients for each moving joint that carries weight; three, and two girths, where it branches.
     """
     J, m = len(rig.parents), len(rig.vertices)
     # What follows a moving joint rigidly (locked and merged joints below it) belongs to its bone.
@@ -88,10 +92,11 @@ def proportions(rig):
         basis[rows] += w[:, None, None] * (joints[j] + np.einsum("abk,ib->iak", stretch[j], arm))
     length = np.array([kind == "length" for _, _, kind in axes], dtype=bool)
     owner = np.array([j for j, _, _ in axes], dtype=int)
-    girths = np.zeros((m, 3, int((~length).sum())))
-    for g, q in enumerate(np.flatnonzero(~length)):
+    branching = [q for q, (_, _, kind) in enumerate(axes) if kind in ("breadth", "depth")]
+    girths = np.zeros((m, 3, len(branching)))
+    for g, q in enumerate(branching):
         j = owner[q]
-        girths[:, :, g] = weight[:, j, None] * ((rig.vertices - rig.joints[j]) @ stretch[j, :, :, q])
+        girths[:, :, g] = _GIRTH * weight[:, j, None] * ((rig.vertices - rig.joints[j]) @ stretch[j, :, :, q])
     return Proportions(basis, joints, length, owner, girths)
 
 
