@@ -6,11 +6,13 @@ from learning_runs import collected, mean_gap
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting import scan_fit
+from lbsfit_np.fitting.drawn import PosePrior
 from lbsfit_np.fitting.template import shared_template
 from lbsfit_np.fitting.template_fit import TemplateFit
 from lbsfit_np.learning.tasks import Drawn, Pose, Template, Told
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.state import Layout
 from lbsfit_np.starts.clean import taking_part
 
 MOST = 400
@@ -67,6 +69,34 @@ def test_more_points_tell_the_proportions_better(monkeypatch):
     without = [fitter.fit_scan(s.points, labels=s.labels) for s in scans]
     for what in ("joints", "vertices"):
         assert mean_gap(rig, with_all, scans, what) < 0.93 * mean_gap(rig, without, scans, what)
+
+
+@pytest.mark.parametrize("known", ["nothing", "labels", "some labels", "no polish"])
+def test_last_steps_of_proportions_go_by_what_is_known(known, tube_rig, tube_fitter, monkeypatch):
+    """By all points; labels where all are known, what is known of poses where none are."""
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=5, n_points=2000)
+    steps, drawings = [], []
+
+    def to_the_end(self, problem, state, *, labels=None, prior=None):
+        steps.append((len(problem.X), labels))
+        return state, 0.0
+
+    monkeypatch.setattr(scan_fit._WithProportions, "to_the_end", to_the_end)
+    monkeypatch.setattr(scan_fit, "drawn", lambda steps, problem, state, prior, noise: drawings.append(len(problem.X)) or state)
+    some = np.where(np.arange(2000) % 2, scan.labels, -1)
+    labels = {"labels": scan.labels, "some labels": some}.get(known)
+    settings = scan_fit.FitSettings(max_points=MOST, effort="fast", polish=0 if known == "no polish" else 12)
+    turning = Layout(tube_rig, ("pose",), 0).turning
+    prior = PosePrior(np.zeros(turning.shape), np.zeros((int(turning.sum()),) * 2))
+    given = {"segmenter": tube_fitter.segmenter_, "library": tube_fitter.regressor_}
+    scan_fit.ScanFit(Model(tube_rig), settings, prior=prior, **given).fit(scan.points, labels=labels, random_state=0)
+    if known == "nothing":
+        assert len(drawings) == 1 and drawings[0] > 3 * MOST and not steps
+    elif known == "no polish":
+        assert not drawings and not steps
+    else:
+        ((n, parts),) = steps
+        assert n > 3 * MOST and not drawings and (parts is not None) == (known == "labels")
 
 
 def test_known_labels_and_weights_of_more_points_count(tube_rig, monkeypatch):

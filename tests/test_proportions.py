@@ -10,6 +10,7 @@ from small_rigs import make_tube_data
 import lbsfit_np
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.state import MOST_PROPORTION
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.chains import bones
 
@@ -94,6 +95,17 @@ def test_girths_widen_the_skin_of_bones_that_branch_alone(rig):
         both = family.basis[fully, :, q] - family.joints[family.owner[q], :, q]
         np.testing.assert_allclose(family.girths[fully, :, g], 0.5 * both, atol=1e-12 * rig.size)
     np.testing.assert_allclose(rig.scaled(10.0).proportions.girths, 10 * family.girths, atol=1e-11 * rig.size)
+
+
+def test_no_coefficients_within_their_bounds_take_all_of_a_width(rig):
+    """The skin that a bone has for itself keeps a quarter of its distance from the bone at least."""
+    family = rig.proportions
+    q = int(np.flatnonzero(~family.length & (np.bincount(family.owner)[family.owner] == 3))[0])
+    j, g = family.owner[q], 0
+    own = rig.weights.toarray()[:, bones(rig) == j].sum(axis=1) > 1 - 1e-9
+    across = family.girths[own, :, g] / 0.5
+    moved = -MOST_PROPORTION * (family.basis[own, :, q] - family.joints[j, :, q] + family.girths[own, :, g])
+    np.testing.assert_allclose(across + moved, 0.25 * across, atol=1e-12 * rig.size)
 
 
 def test_the_joints_of_a_model_stay_where_girths_widen_it(rig):

@@ -1,8 +1,9 @@
 """Test subjects: changed templates that no training scan shares, made by another rule than the fit's own proportions.
 
-The fit knows one factor a bone, and stretches with the skinning weights. Here a subject has one length for each chain of
-joints (a finger, an arm) and one for what they hang on (a palm, a trunk), and a thickness for each, by which the skin moves along
-its normals: a fit can come near such a template, and never has it in its family.
+The fit knows a length and a width for each bone (where it branches, widths with and without what hangs on it), and stretches with
+the skinning weights. Here a subject has one length for each chain of joints (a finger, an arm) and one for what they hang on (a
+palm, a trunk), and a thickness for each, by which the skin moves along its normals: a fit can come near such a template, and
+never has it in its family.
 """
 
 import hashlib

@@ -57,8 +57,8 @@ class FitSettings:
     partial : bool
         Whether scans show one side only.
     max_points : int
-        Points that take part in the optimisation; a larger scan is thinned by the seed. The last steps of a pose look at up to
-        four times as many.
+        Points that take part in the optimisation; a larger scan is thinned by the seed. The last steps of a pose and of
+        proportions look at up to four times as many.
     pose_iterations, plain_iterations, full_iterations : int
         L-BFGS iterations, at most, of each pose stage, of the last pose stage, which has the plain term only, and of the
         full stage.
@@ -68,7 +68,7 @@ class FitSettings:
     refinements : tuple of float
         σ of each refinement of the labels, each followed by a pose stage.
     polish : int
-        Levenberg–Marquardt steps on pose and proportions before the full stage; 0 leaves them out.
+        Levenberg–Marquardt steps on pose and proportions before the full stage, and as many on all points; 0 leaves them out.
     polish_ridge : float
         Weight of ‖c‖² in them.
     ridge : float

@@ -1,7 +1,7 @@
 """The template that the scans of one subject share: bone proportions, joints and skin, found from many poses at once.
 
 One scan cannot say whether a finger is longer or the knuckle further up; twenty poses can. First Levenberg–Marquardt solves
-for all poses together with the proportions and shifts of the joints; then the skin moves along its normals:
+for all poses together with the proportions, the girths and shifts of the joints; then the skin moves along its normals:
 
     min_h 1/N Σ_i a_i ρ'_i (n_i · (x_i − p_i − Σ_k β_ik B_k ν_k h_k))² + λ ‖K h‖² + μ Σ_k A_k h_k²,
 

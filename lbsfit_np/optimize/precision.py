@@ -59,7 +59,7 @@ def told_angles(steps, problem, state, *, free=("pose", "translation")):
     (t, t) array
         Covariance of the angles that turn, radians squared.
     noise : float
-        σ²/n: what the square of an angle's distance from a prior's mean, in its standard deviations, counts against E.
+        σ²/n: what E is divided by to be the exponent of a likelihood, but for a factor of 2.
     """
     C, noise, layout = _covariance(steps, problem, state, free, _ON_KNOWN)
     t = int(layout.turning.sum())  # they come first

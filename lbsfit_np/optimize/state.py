@@ -14,13 +14,13 @@ MOST_PROPORTION = 0.5
 class State:
     """A pose of a changed template, in the normalised frame of a :class:`~lbsfit_np.optimize.problem.Problem`.
 
-    The deformed template is U^d = U + Σ_k c_k b_k + residual: the proportions of the rig's bones, and the rest.
+    The deformed template is U^d = U + Σ_k c_k b_k + residual: proportions and girths of the rig's bones, and the rest.
     """
 
     theta: np.ndarray  # (J, 3)
     translation: np.ndarray  # (3,)
     scale: float  # relative to the problem's reference scale
-    coefficients: np.ndarray  # (k,) c, of the rig's proportions
+    coefficients: np.ndarray  # (k,) c, of the model's family: proportions, girths, shifts of joints
     residual: np.ndarray | None  # (m, 3); None for 0
 
     def replace(self, **changes):
