@@ -321,7 +321,7 @@ def test_the_table_without_pairs_of_a_kind():
 
 def test_all_of_it_with_fits_of_its_own(made, tmp_path, run):
     """Learning, fits, errors and what the challenge asks for: nobody has said where anything is."""
-    quick = ("--training-scans", 200, "--rounds", 1, "--effort", "fast", "--max-points", 900)
+    quick = ("--training-scans", 150, "--rounds", 1, "--max-points", 900)
     code, out, err = run("bench", "faust", made, "-o", tmp_path, "--rig", "body-coarse", "--pictures", 1, *quick)
     assert code == 0 and "error" not in err, out
     report = json.loads((tmp_path / "results.json").read_text())

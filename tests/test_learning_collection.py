@@ -89,7 +89,7 @@ def test_bad_collections_are_named_before_any_training(tube_rig, clouds, monkeyp
 
 @pytest.mark.parametrize("odd, n, warns", [(1, 3, False), (2, 3, True), (2, 20, False), (3, 20, True), (2, 30, False)])
 def test_more_than_one_and_more_than_a_tenth_of_the_scans_are_somebody_elses(odd, n, warns):
-    results = [SimpleNamespace(evidence={"proportions": 0.21 if k < odd else 0.19}, status="ok") for k in range(n)]
+    results = [SimpleNamespace(evidence={"proportions": 0.31 if k < odd else 0.29}, status="ok") for k in range(n)]
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         Collection(n + 1, taught=dict.fromkeys(range(n), LEARNED_FROM)).warn(1, [*results, None])

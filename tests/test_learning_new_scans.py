@@ -135,17 +135,18 @@ def test_proportions_cost_what_they_deviate(tube_rig, scale, free, monkeypatch):
     fit, found = TemplateFit(tube_rig, Model(tube_rig), FitSettings(scale=scale)), _seen(tube_rig, scan)
     told = {}
 
-    def shared(problems, states, **options):
-        told["shared"] = set(options["free"])
+    def minimise(problems, states, labels, weights, free, shared, iterations, prior):
+        told["shared"] = set(free)
         c = np.zeros(found.state.coefficients.shape)
         c.flat[:2] = 3.0, 4.0
+        assert shared and len(problems) == 1
         return [found.state.replace(coefficients=c)], [1.0]
 
     def pose(problem, state, **options):
         told["pose"] = set(options["free"])
         return state, 100.0
 
-    monkeypatch.setattr(fit._steps, "shared", shared)
+    monkeypatch.setattr(fit._steps, "_minimise", minimise)
     monkeypatch.setattr(fit._steps, "pose", pose)
     monkeypatch.setattr(fit._steps, "ridge", 2.0)
     assert fit.proportions(found.problem, found.state) == pytest.approx(1 - (1.0 + 2.0 * 25.0) / 100.0)
