@@ -23,9 +23,13 @@ def rig():
     return lbs.load_rig("hand-coarse")
 
 
-@pytest.fixture(scope="module")
-def model(rig):
-    return Model(rig)
+@pytest.fixture(scope="module", params=["girths", "none"])
+def model(rig, request):
+    made = Model(rig)
+    if request.param == "none":
+        made.basis = made.basis.copy()
+        made.basis[:, made.n_proportions :] = 0.0
+    return made
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +85,9 @@ def test_folded_tips_come_out_of_the_fold(rig, model, bends, short_fingers, fing
     assert np.abs(stuck.theta[tips, 0] - true.theta[tips, 0]).min() > 0.7  # steps alone do not lead out
     state, left = bends(problem, stuck, value)
     least = bends._to_the_end(problem, true)[1]
-    # Girths of the palm make up for some of a folded finger, and steps leave them where they hardly count any more.
-    assert left - least < 0.5 * (value - least) and np.abs(state.theta - true.theta).max() < 0.1
+    assert left < value and np.abs(state.theta - true.theta).max() < 0.1
+    if not model.basis[:, model.n_proportions :].any():  # girths make up for some of a folded finger, so that it costs less
+        assert left - least < 0.2 * (value - least)
     off = model.pose(state)[0].joints - model.pose(true)[0].joints
     assert np.linalg.norm(off, axis=1).mean() < 0.01
 
