@@ -3,9 +3,13 @@
 import numpy as np
 
 from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.scout import Found
 from lbsfit_np.learning.collection import read_collection
 from lbsfit_np.learning.loop import Loop, LoopSettings
 from lbsfit_np.learning.variants import as_variant
+from lbsfit_np.optimize.frame import Frame
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.starts.turns import Facing
 from lbsfit_np.synthesis import Synthesis
 
@@ -46,3 +50,10 @@ def loop_over(rig, collection, variant, segmenter, library=None, **options):
         "progress": None,
     }
     return Loop(rig, collection, as_variant(variant), segmenter, library, **(given | options))
+
+
+def found_at_the_truth(rig, scan):
+    """What a scout finds of a scan in the rig's own unit, if it finds the truth."""
+    frame = Frame(np.zeros(3), rig.size / 2)
+    state = Model(rig).rest().replace(theta=scan.pose, translation=scan.translation / frame.unit)
+    return Found(frame, Problem(frame.inside(scan.points)), state, None, 1.0, ())
