@@ -46,6 +46,13 @@ def test_all_factors_alike_scale_the_whole(rig):
     np.testing.assert_allclose(family.moved_joints(c), 0.07 * (rig.joints - root), atol=1e-13 * rig.size)
 
 
+def test_what_a_rig_keeps_is_read_only(tube_rig):
+    family = tube_rig.proportions
+    for array in (family.basis, family.joints, family.length, family.owner, family.girths):
+        with pytest.raises(ValueError, match="read-only"):
+            array[:] = 0
+
+
 def test_it_is_linear(rig):
     family = rig.proportions
     rng = np.random.default_rng(0)

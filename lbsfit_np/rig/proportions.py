@@ -97,6 +97,8 @@ def proportions(rig):
     for g, q in enumerate(branching):
         j = owner[q]
         girths[:, :, g] = _GIRTH * weight[:, j, None] * ((rig.vertices - rig.joints[j]) @ stretch[j, :, :, q])
+    for array in (basis, joints, length, owner, girths):
+        array.setflags(write=False)  # the rig keeps them
     return Proportions(basis, joints, length, owner, girths)
 
 
