@@ -86,6 +86,7 @@ def test_folded_tips_come_out_of_the_fold(rig, model, bends, short_fingers, fing
     state, left = bends(problem, stuck, value)
     least = bends._to_the_end(problem, true)[1]
     assert left < value and np.abs(state.theta - true.theta).max() < 0.1
+    assert left - least < 0.5 * (value - least)
     if not model.basis[:, model.n_proportions :].any():  # girths make up for some of a folded finger, so that it costs less
         assert left - least < 0.2 * (value - least)
     off = model.pose(state)[0].joints - model.pose(true)[0].joints
