@@ -14,8 +14,8 @@ from ..optimize.gauss_newton import as_weights
 __all__ = ["PosePrior", "drawn", "prior_of"]
 
 # A joint is unusual that is further from where the rest of its pose would have it than 95 % of joints with one, two or three
-# axes are: squared, in standard deviations. What is kept is better by so many σ²/n, one and a half times what an angle counts that
-# is off by one. Others are looked for so many times, at most.
+# axes are: squared, in standard deviations. What is kept is better by so many σ²/n, which is one and a half times what an angle
+# counts that is off by one. Others are looked for so many times, at most.
 _UNUSUAL, _BETTER, _TIMES = (3.84, 5.99, 7.81), 3.0, 4
 # E has each distance twice, from the points and from vertices, but what it tells of a pose no more than once.
 _BOTH_WAYS = 2.0
