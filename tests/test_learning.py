@@ -10,6 +10,7 @@ import pytest
 from learning_runs import GIVEN, IDS, WHOLE, collected, loop_over, mean_gap
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting import drawn
 from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning import finish, free_form
@@ -277,13 +278,13 @@ def test_what_poses_tell_of_each_is_of_those_that_teach_and_of_the_round_that_is
     assert [h["kept"] for h in fitter.history_] == [False, True, False]
     assert fitter.pose_prior_ is made[0][1]
     assert finished == drawn_to[:5] and all(noise > 0 for _, noise in finished)
-    for k, drawn in ((1, states[:5]), (2, states[5:])):  # poses, and what they leave, are those that were drawn
-        assert all(a[0] is b[0] and a[1] == b[1] for a, b in zip(left[k], drawn, strict=True))
+    for k, there in ((1, states[:5]), (2, states[5:])):  # poses, and what they leave, are those that were drawn
+        assert all(a[0] is b[0] and a[1] == b[1] for a, b in zip(left[k], there, strict=True))
 
 
 def test_new_scans_are_drawn_to_what_was_learned_of_poses_unless_labels_are_known(learned_people, people_scans, monkeypatch):
     scan, told = people_scans[12], []
-    monkeypatch.setattr(finish, "drawn", lambda refit, problem, state, prior, noise: told.append((prior, noise)) or state)
+    monkeypatch.setattr(drawn, "drawn", lambda refit, problem, state, prior, noise: told.append((prior, noise)) or state)
     learned_people.fit_scan(scan.points, subject="ann", labels=scan.labels)
     assert told == []
     learned_people.fit_scan(scan.points, subject="ann")

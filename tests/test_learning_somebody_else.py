@@ -7,7 +7,7 @@ import pytest
 from learning_runs import found_at_the_truth, mean_gap
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting import scan_fit
+from lbsfit_np.fitting import drawn
 from lbsfit_np.fitting.confidence import SOMEBODY_ELSE
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
@@ -35,7 +35,7 @@ def test_scans_of_somebody_else_are_drawn_to_what_was_learned_of_poses_unless_la
     tube_rig, learned_people, people_scans, monkeypatch
 ):
     """Pose and proportions together, and the pose again in the end."""
-    told, held, draw, polish = [], [], scan_fit.drawn, Refit.polish
+    told, held, draw, polish = [], [], drawn.drawn, Refit.polish
 
     def drawing(steps, problem, state, prior, noise):
         found = draw(steps, problem, state, prior, noise)
@@ -47,7 +47,7 @@ def test_scans_of_somebody_else_are_drawn_to_what_was_learned_of_poses_unless_la
         return polish(self, problem, state, prior=prior, **known)
 
     monkeypatch.setattr(TemplateFit, "proportions", lambda *known: 1.0)  # all are somebody else's
-    monkeypatch.setattr(scan_fit, "drawn", drawing)
+    monkeypatch.setattr(drawn, "drawn", drawing)
     monkeypatch.setattr(Refit, "polish", polishing)
     scan = people_scans[12]
     learned_people.fit_scan(scan.points, labels=scan.labels)
@@ -115,8 +115,9 @@ def test_proportions_cost_what_they_deviate(tube_rig, scale, free, monkeypatch):
         told["pose"] = set(options["free"])
         return state, 100.0
 
-    monkeypatch.setattr(fit._steps, "_minimise", minimise)
-    monkeypatch.setattr(fit._steps, "pose", pose)
-    monkeypatch.setattr(fit._steps, "ridge", 2.0)
+    steps = fit._proportioned._steps
+    monkeypatch.setattr(steps, "_minimise", minimise)
+    monkeypatch.setattr(steps, "pose", pose)
+    monkeypatch.setattr(steps, "ridge", 2.0)
     assert fit.proportions(found.problem, found.state) == pytest.approx(1 - (1.0 + 2.0 * 25.0) / 100.0)
     assert told == {"shared": free, "pose": free}

@@ -1,5 +1,7 @@
 """Scans of more points than take part in the search: which of the others the last steps look at, and what that brings."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from learning_runs import collected, mean_gap
@@ -63,10 +65,15 @@ def test_more_points_tell_the_proportions_better(monkeypatch):
     """Of single scans of other people, labels known: with the last steps of proportions, and without."""
     rig = lbs.load_rig("body-coarse")
     scans = lbs.synthesize(rig, 6, random_state=6, n_points=4000, noise=0.01, shape=0.1)
-    fitter = lbs.LBSFitter(rig, max_points=MOST, random_state=0)
-    with_all = [fitter.fit_scan(s.points, labels=s.labels) for s in scans]
-    monkeypatch.setattr(scan_fit._WithProportions, "to_the_end", lambda self, problem, state, **known: (state, 0.0))
-    without = [fitter.fit_scan(s.points, labels=s.labels) for s in scans]
+
+    def fitted():
+        fitter = lbs.LBSFitter(rig, max_points=MOST, random_state=0)
+        return [fitter.fit_scan(s.points, labels=s.labels) for s in scans]
+
+    with_all = fitted()
+    as_it_is = SimpleNamespace(to_the_end=lambda problem, state, **known: (state, 0.0))
+    monkeypatch.setattr(scan_fit.ScanFit, "_with_proportions", as_it_is)
+    without = fitted()
     for what in ("joints", "vertices"):
         assert mean_gap(rig, with_all, scans, what) < 0.93 * mean_gap(rig, without, scans, what)
 
@@ -77,26 +84,34 @@ def test_last_steps_of_proportions_go_by_what_is_known(known, tube_rig, tube_fit
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=5, n_points=2000)
     steps, drawings = [], []
 
-    def to_the_end(self, problem, state, *, labels=None, prior=None):
+    def to_the_end(problem, state, *, labels=None):
         steps.append((len(problem.X), labels))
         return state, 0.0
 
-    monkeypatch.setattr(scan_fit._WithProportions, "to_the_end", to_the_end)
-    monkeypatch.setattr(scan_fit, "drawn", lambda steps, problem, state, prior, noise: drawings.append(len(problem.X)) or state)
+    def drawn(refit, problem, state, prior, with_proportions):
+        drawings.append(len(problem.X))
+        assert with_proportions.to_the_end is to_the_end
+        return state, {"prior": None}
+
+    monkeypatch.setattr(scan_fit.ScanFit, "_with_proportions", SimpleNamespace(to_the_end=to_the_end))
+    monkeypatch.setattr(scan_fit, "drawn_by_itself", drawn)
     some = np.where(np.arange(2000) % 2, scan.labels, -1)
     labels = {"labels": scan.labels, "some labels": some}.get(known)
     settings = scan_fit.FitSettings(max_points=MOST, effort="fast", polish=0 if known == "no polish" else 12)
     turning = Layout(tube_rig, ("pose",), 0).turning
     prior = PosePrior(np.zeros(turning.shape), np.zeros((int(turning.sum()),) * 2))
     given = {"segmenter": tube_fitter.segmenter_, "library": tube_fitter.regressor_}
-    scan_fit.ScanFit(Model(tube_rig), settings, prior=prior, **given).fit(scan.points, labels=labels, random_state=0)
+    fit = scan_fit.ScanFit(Model(tube_rig), settings, prior=prior, **given)
+    fit.fit(scan.points, labels=labels, random_state=0)
     if known == "nothing":
         assert len(drawings) == 1 and drawings[0] > 3 * MOST and not steps
     elif known == "no polish":
         assert not drawings and not steps
     else:
         ((n, parts),) = steps
-        assert n > 3 * MOST and not drawings and (parts is not None) == (known == "labels")
+        every = fit.taking_part(scan.points, random_state=0, labels=labels).every
+        assert n == len(every) > 3 * MOST and not drawings
+        np.testing.assert_array_equal(parts, scan.labels[every] if known == "labels" else None)
 
 
 def test_known_labels_and_weights_of_more_points_count(tube_rig, monkeypatch):

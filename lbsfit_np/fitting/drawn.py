@@ -11,7 +11,7 @@ import numpy as np
 
 from ..optimize.gauss_newton import as_weights
 
-__all__ = ["PosePrior", "drawn", "prior_of"]
+__all__ = ["PosePrior", "drawn", "drawn_by_itself", "prior_of"]
 
 # A joint is unusual that is further from where the rest of its pose would have it than 95 % of joints with one, two or three
 # axes are: squared, in standard deviations. What is kept is better by so many σ²/n, which is one and a half times what an angle
@@ -95,6 +95,28 @@ def drawn(steps, problem, state, prior, noise):
         else:
             break
     return state
+
+
+def drawn_by_itself(refit, problem, state, prior, steps=None):
+    """A pose of a scan by itself, drawn to what is known of poses, and what holds it so in later steps.
+
+    Parameters
+    ----------
+    refit : Refit
+        Of the pose's template. Where proportions go along, what the scan tells is rather less than on a known one.
+    problem : Problem
+    state : State
+    prior : PosePrior
+    steps : as for :func:`drawn`, default ``refit``
+
+    Returns
+    -------
+    state : State
+    held : dict
+        ``prior`` of ``GaussNewton.pose``.
+    """
+    _, noise = refit.told_angles(problem, state)
+    return drawn(refit if steps is None else steps, problem, state, prior, noise), {"prior": prior.of(noise)}
 
 
 def prior_of(prior, noise, turning, wanted=None):

@@ -9,7 +9,6 @@ import numpy as np
 from ..errors import InputError
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
-from ..optimize.gauss_newton import GaussNewton
 from ..optimize.problem import Problem
 from ..rig.frames import up_axis
 from ..seeds import generator, integer_seed
@@ -19,8 +18,9 @@ from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
 from ..threads import one_thread
 from .assemble import assemble
 from .confidence import shown_problem
-from .drawn import drawn
+from .drawn import drawn_by_itself
 from .labels import one_hot
+from .proportioned import Proportioned
 from .refit import Refit, Runner
 from .scout import Scout
 from .search import Search
@@ -217,8 +217,7 @@ class ScanFit:
         Labels, where all are known, or what is known of poses, where none are.
         """
         if labels is None and self.prior is not None:
-            _, noise = self._refit.told_angles(dense, state)  # as on a known template; as proportions are not, it is rather more
-            return drawn(self._with_proportions, dense, state, self.prior, noise), {"prior": self.prior.of(noise)}
+            return drawn_by_itself(self._refit, dense, state, self.prior, self._with_proportions)
         known = {"labels": None if labels is None or labels.min() < 0 else labels}
         return state if dense is problem else self._with_proportions.to_the_end(dense, state, **known)[0], known
 
@@ -229,7 +228,7 @@ class ScanFit:
 
     @cached_property
     def _with_proportions(self):
-        return _WithProportions(self.model, self.settings, self._refit)
+        return Proportioned(self.model, self.settings, self._refit.free)
 
     def _given(self, points, rows, a, scale, theta0, labels):
         """Where a given start, which says how the scan is turned, or known labels, which tell it, lead before the full objective.
@@ -249,19 +248,6 @@ class ScanFit:
             known = Runner(problem, self._refit.in_place(problem, theta))
             others = [end.state for end in [known, *self._refit.race([known])]]
         return frame, problem, proba, search.pose(others), search.evaluations
-
-
-class _WithProportions:
-    """The last steps of a pose and of proportions that go with it."""
-
-    def __init__(self, model, settings, refit):
-        self.turning, self._free, self._iterations = refit.turning, refit.free, settings.polish
-        self._steps = GaussNewton(model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
-
-    def to_the_end(self, problem, state, *, labels=None, prior=None):
-        """The state and what it leaves unexplained, with the prior's part."""
-        known = {"labels": labels, "prior": prior}
-        return self._steps.with_proportions(problem, state, free=self._free, iterations=self._iterations, **known)
 
 
 def all_points(points, part, point_weights, frame, problem):

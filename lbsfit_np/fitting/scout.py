@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..optimize.frame import Frame
-from ..optimize.gauss_newton import GaussNewton
 from ..optimize.problem import Problem
 from ..rig.frames import up_axis
 from ..rotations import matrix_from_rotvec
@@ -22,6 +21,7 @@ from ..starts.turns import any_side_up
 from .bends import Bends
 from .confidence import evidence_of, probability_of
 from .effort import EFFORTS
+from .proportioned import Proportioned, step_options
 from .refit import LimbSearch, Refit, Runner, distinct
 
 __all__ = ["Found", "Scout"]
@@ -97,11 +97,11 @@ class Scout:
         # About the up axis; where any rotation may be, about the other two axes as well.
         self._flips = [up] if facing.up is not None else [up, *np.eye(3)[up == 0]]
         self._limbs = LimbPoses(model, library.poses)
-        self._shape = self._bends = None
+        self._to_the_end, self._bends = self._refit.to_the_end, None
         if settings.polish:
-            steps = {"ridge": settings.polish_ridge, "tangential": 0.02, "partial": settings.partial}
-            self._shape = GaussNewton(model, **steps) if proportions else None
-            self._bends = Bends(model, self._free, self._to_the_end, proportions=proportions, **steps)
+            last = Proportioned(model, settings, self._free) if proportions else self._refit
+            self._to_the_end = last.to_the_end
+            self._bends = Bends(model, self._free, last.to_the_end, proportions=proportions, **step_options(settings))
 
     def __call__(self, points, x_weights=None):
         """Look at one scan.
@@ -220,12 +220,6 @@ class Scout:
     def _ended(self, runner):
         state, value = self._to_the_end(runner.problem, runner.state)
         return replace(runner, state=state, value=value)
-
-    def _to_the_end(self, problem, state):
-        """The last steps of a pose, of the template's proportions as well where they are looked for; what they make smaller."""
-        if self._shape is None:
-            return self._refit.to_the_end(problem, state)
-        return self._shape.with_proportions(problem, state, free=self._free, iterations=self.settings.polish)
 
     def _joints(self, runner):
         return runner.name.outside(self.model.deformed(runner.state).joints)

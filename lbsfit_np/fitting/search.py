@@ -3,11 +3,11 @@
 import numpy as np
 
 from ..losses.objective import BOTH, PLAIN, STRUCTURED
-from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
 from .labels import parts_of, refined_labels
+from .proportioned import Proportioned
 
 __all__ = ["Search"]
 
@@ -90,14 +90,12 @@ class Search:
         return self
 
     def _polished(self, states):
-        """Levenberg–Marquardt on pose and proportions: exact where L-BFGS on the Chamfer distance creeps. The best of some."""
+        """The last steps, on the problem's points; the best of some states."""
         if not self.settings.polish:
             return states[0]
-        steps = GaussNewton(self.model, ridge=self.settings.polish_ridge, tangential=0.02, partial=self.settings.partial)
+        steps = Proportioned(self.model, self.settings, ("pose", *self.place))
         labels = self.labels if self._all_known else None
-        free = ("pose", *self.place)
-        options = {"free": free, "labels": labels, "iterations": self.settings.polish}
-        return min((steps.with_proportions(self.problem, state, **options) for state in states), key=lambda found: found[1])[0]
+        return min((steps.to_the_end(self.problem, state, labels=labels) for state in states), key=lambda found: found[1])[0]
 
     def _relabel(self, state, sigma):
         """Labels by the segmenter's word and the distance to the parts as they stand."""

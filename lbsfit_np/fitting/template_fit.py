@@ -6,10 +6,10 @@ from functools import cached_property
 
 import numpy as np
 
-from ..optimize.gauss_newton import GaussNewton
 from .assemble import assemble
 from .confidence import shown_problem
 from .effort import EFFORTS
+from .proportioned import Proportioned
 from .refit import Refit
 from .search import Search
 
@@ -33,9 +33,9 @@ class TemplateFit:
         self.refit = Refit(model, partial=settings.partial, bends=EFFORTS[settings.effort].bends)
 
     @cached_property
-    def _steps(self):
-        settings = self.settings
-        return GaussNewton(self.model, ridge=settings.polish_ridge, tangential=0.02, partial=settings.partial)
+    def _proportioned(self):
+        place = () if self.settings.scale == "fixed" else ("scale",)
+        return Proportioned(self.model, self.settings, ("pose", "translation", *place))
 
     def proportions(self, problem, state):
         """Share by which proportions of its own leave less of a scan unexplained than those of the template.
@@ -50,10 +50,8 @@ class TemplateFit:
         -------
         float
         """
-        steps, place = self._steps, () if self.settings.scale == "fixed" else ("scale",)
-        options = {"free": ("pose", "translation", *place), "iterations": self.settings.polish}
-        _, same = steps.pose(problem, state, **options)
-        _, other = steps.with_proportions(problem, state, **options)
+        _, same = self._proportioned.as_they_are(problem, state)
+        _, other = self._proportioned.to_the_end(problem, state)
         return 1.0 - other / max(same, np.finfo(float).tiny)
 
     def finish(

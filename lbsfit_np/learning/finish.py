@@ -8,7 +8,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..fitting.confidence import SOMEBODY_ELSE
-from ..fitting.drawn import drawn, prior_of
+from ..fitting.drawn import drawn_by_itself, prior_of
 from ..fitting.scan_fit import (
     FitSettings,
     ScanFit,
@@ -259,8 +259,8 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     state = best.state
     if (prior := getattr(fitter, "pose_prior_", None)) is not None and labels is None:  # with known labels the pose goes by these
         _, dense = place["dense"]
-        _, noise = fit.refit.told_angles(dense, state)
-        state, place["prior"] = drawn(fit.refit, dense, state, prior, noise), prior.of(noise)
+        state, held = drawn_by_itself(fit.refit, dense, state, prior)
+        place |= held
     result = fit.finish(best.problem, state, proba=best.proba, labels_known=labels, started=started, **place)
     result = replace(result, subject=str(subject))
     if another and result.status != "ok":

@@ -81,8 +81,9 @@ _PROTOCOL = """\
 - Bodies: in place of SURREAL's poses, natural ones as above; in place of its bent bodies (3,000 of 23,000), poses
   uniform within the limits.
 - People: changed shapes of the bundled rigs, a length and a thickness of ±12 % for each chain of joints (`bench/subjects.py`).
-  Training changes each bone by itself, Gaussian by 8 %; a fit's proportions can lengthen bones as these people's are, but move no
-  skin along its normals, as thickness does. The people of the test are others than those learned from, so that each of their
+  Training changes each bone by itself, Gaussian by 8 %; a fit's proportions can lengthen bones as these people's are, widen them
+  across, and widen the skin alone of those that branch (palm, pelvis, chest), but move no skin along its normals, as thickness
+  does. The people of the test are others than those learned from, so that each of their
   scans is fitted as somebody else's, on U with proportions of its own: templates that were learned show in the figures of the
   training scans and in `lbsfit bench learn`, not in the tables.
 - Scans: {n_points} points, one or two missing areas, uneven density, noise of {noise:g}; they face the rig's way up to
