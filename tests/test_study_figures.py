@@ -267,13 +267,16 @@ def test_the_accuracy_of_every_seed_is_drawn_and_their_mean(viz, drawn, tmp_path
         for row, both in told.items()
     }
     seeds = {str(k): {row: cells[row][k] for row in told} for k in (0, 1)}
-    caption = charts.accuracy({"rigs": {"hand": {"seeds": seeds}}}, tmp_path / "accuracy.png")
-    assert caption.endswith(" Thin lines are seeds.")
-    single = charts.accuracy({"rigs": {"hand": {"seeds": {"0": seeds["0"]}}}}, tmp_path / "single.png")
+    entry = {"kind": "hand", "size": asdict(TINY)}
+    caption = charts.accuracy({"rigs": {"hand": entry | {"seeds": seeds}}}, tmp_path / "accuracy.png")
+    assert caption.endswith(" Thin lines are seeds.") and "(4 of the hand)" in caption
+    single = charts.accuracy({"rigs": {"hand": entry | {"seeds": {"0": seeds["0"]}}}}, tmp_path / "single.png")
     assert single and "Thin lines" not in single
     axes, _ = drawn.axes
-    lines = {(line.get_color(), line.get_linewidth() > 1): [] for line in axes.lines}
-    for line in axes.lines:
+    goal, *others = axes.lines
+    assert list(goal.get_ydata()) == [95.0, 95.0] and axes.get_ylim() == (80.0, 100.0)
+    lines = {(line.get_color(), line.get_linewidth() > 1): [] for line in others}
+    for line in others:
         lines[line.get_color(), line.get_linewidth() > 1].append(pytest.approx(list(line.get_ydata())))
     for row, both in told.items():
         color = charts.ROW_COLORS[row]
@@ -311,14 +314,17 @@ def test_colours_go_from_the_first_scan_to_the_second(exact, drawn, tmp_path):
         assert np.abs(joint - truth).mean() < 0.2 * np.abs(row[0].astype(float) - truth).mean()
 
 
-def test_the_ablation_goes_from_the_worst_of_joint_to_the_best(shown, drawn, tmp_path):
-    """Of "cd" another one is the best, and one could not be fitted."""
+def test_the_ablation_goes_from_the_worst_labels_of_joint_to_the_best(shown, rig, drawn, tmp_path):
+    """Of "cd" another fit is the best, and one could not be made."""
+    n = len(shown.test)
+    wrong = [0.1 * (i + 1) for i in range(n)]
+    said = [labels_with_errors(rig, s.labels, share) for s, share in zip(shown.test, wrong, strict=True)]
+    shown.cells["joint"] = shown.cells["joint"] | {"labels": np.concatenate(said)}
     cd = {what: array.copy() for what, array in shown.cells["cd"].items()}
     cd["vertices"][3], cd["joints"][3] = shown.test[3].vertices, shown.test[3].joints
     shown.cells["cd"] = cd
     gallery.ablation(shown, tmp_path / "x.png")
     (sheet,) = drawn.tiles
-    n = len(shown.test)
     told = {row: [sheet.notes[r, c].split(" · ") for r in range(n)] for row, c in (("cd", 2), ("pose-only", 4), ("joint", 6))}
     errors = {row: [error for error, *_ in notes] for row, notes in told.items()}
     assert told["cd"][0][1] > "95%" and told["cd"][2] == ["not fitted"]  # points' nearest vertices may be of another part
@@ -326,8 +332,10 @@ def test_the_ablation_goes_from_the_worst_of_joint_to_the_best(shown, drawn, tmp
         assert list(map(float, errors[row])) == pytest.approx(ERRORS[row] * np.arange(n, 0, -1) / n, abs=6e-4)
     assert errors["cd"] == ["0.000", "0.150", "not fitted", "0.050"]
     assert [title for title, *_ in sheet.groups] == ["Chamfer alone", "pose-only", "joint"]
-    for row, c in (("rand", 1), ("pose-only", 3), ("joint", 5)):
+    assert sheet.titles == ["input", "rand's labels", "reconstruction", *["labels", "reconstruction"] * 2]
+    for row, c in (("rand", 1), ("pose-only", 3)):
         assert [sheet.notes[r, c] for r in range(n)] == [f"{1 - WRONG[row]:.0%}"] * n
+    assert [sheet.notes[r, 5] for r in range(n)] == [f"{1 - share:.0%}" for share in wrong[::-1]]
     for r, i in enumerate(range(n)[::-1]):
         assert (sheet.rows[r][2] is None) == (i == 1)  # not fitted
 

@@ -16,7 +16,7 @@ from lbsfit_np.bench.study.data import SCAN, Size, sized, study_set
 from lbsfit_np.bench.study.free_form import Augmented, FreeForm, FromTemplate, best_free_form, taught
 from lbsfit_np.bench.study.measures import Registrations, template_gap
 from lbsfit_np.bench.study.oracle import OracleFit
-from lbsfit_np.bench.study.page import PAPER
+from lbsfit_np.bench.study.paper import PAPER
 from lbsfit_np.bench.study.rows import ROWS, Context, Found
 from lbsfit_np.bench.study.run import study
 from lbsfit_np.correspondence import surface_places

@@ -58,7 +58,7 @@ def _rows(out):
 
 def _found(cell):
     """Figures without what hangs on when and how they were made."""
-    return {k: v for k, v in cell.items() if k not in ("seconds", "jobs", "history", "commit")}
+    return {k: v for k, v in cell.items() if k not in ("seconds", "jobs", "history", "environment")}
 
 
 def test_a_row_that_is_stopped_goes_on(command, run_stopped, tube_rig, tmp_path, monkeypatch, capsys):

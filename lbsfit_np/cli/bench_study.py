@@ -56,12 +56,16 @@ def run_study(values):
             report = joined(with_rows(report, made), read_results(results))
         write_json(results, report)
 
-    def on_begun(report, todo):
+    def on_begun(report, todo, others):
         nonlocal begun
         begun = True
         if replace:
             _remove_earlier(out, cells, results)
             write_json(results, report)  # with it the same command goes on, stopped as soon as may be
+        if others:
+            were = "was" if len(others) == 1 else "were"
+            made = f"note: {counted(len(others), 'row')} in {out} {were} made by other code or libraries"
+            say(f"{made}, and not again: {', '.join(others)}; --existing replace makes all rows anew")
         for cell in todo:
             say_steps(steps(cell))
 
@@ -79,7 +83,7 @@ def run_study(values):
                 rows=tuple(values["rows"].split(",")),
                 jobs=values["jobs"],
                 before=read_results(results) if resumed else None,
-                kept=lambda cell: (cells / f"{cell}.npz").exists(),
+                kept=lambda cell, digest: _arrays_of(cells, cell, digest) is not None,
                 steps=steps,
                 progress=progress,
                 on_begun=on_begun,
@@ -124,6 +128,18 @@ def _remove_earlier(out, cells, results):
         say(f"note: {counted(len(rows), 'row')} of earlier runs in {out} {'is' if len(rows) == 1 else 'are'} removed")
 
 
+def _arrays_of(cells, cell, digest):
+    """The arrays of a cell, None where they are not there or are another run's."""
+    from ..bench.study.run import arrays_digest
+    from ..io.npz import read_npz
+
+    try:
+        arrays = read_npz(cells / f"{cell}.npz")
+    except FileError:
+        return None
+    return arrays if arrays_digest(arrays) == digest else None
+
+
 def _failures(report):
     """(where, why) of all test scans that a row could not fit."""
     for name, entry in report["rigs"].items():
@@ -136,7 +152,7 @@ def _failures(report):
 def _write_page(report, rigs, out, *, pictures):
     """The page, and its pictures where they can be drawn; what was written, in words."""
     from ..bench.study.page import page
-    from ..io.npz import read_npz
+    from ..bench.study.run import cell_name
     from ..io.write import atomic_path
 
     # Pictures of what this run did not draw again stay.
@@ -144,12 +160,14 @@ def _write_page(report, rigs, out, *, pictures):
     if pictures:
         from ..bench.study.figures import draw
 
-        def arrays(cell):
-            path = out / _CELLS / f"{cell}.npz"
-            return read_npz(path) if path.exists() else None
-
+        digests = {
+            cell_name(name, seed, row): cell["arrays"]
+            for name, entry in report["rigs"].items()
+            for seed, done in entry["seeds"].items()
+            for row, cell in done.items()
+        }
         try:
-            drawn = draw(report, arrays, out, rigs=rigs)
+            drawn = draw(report, lambda cell: _arrays_of(out / _CELLS, cell, digests[cell]), out, rigs=rigs)
             captions = drawn | {file: text for file, text in captions.items() if file not in drawn}
         except MissingExtraError as error:
             why = f", without pictures: {error}"

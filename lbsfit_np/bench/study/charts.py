@@ -7,8 +7,9 @@ from ...report.render import Mesh, Points, render
 from ...rig.chains import chains
 from ...synthesis import Synthesis
 from .canvas import GREY, INK, ROW_COLORS, axes_at, put, sheet
+from .cells import kept_round
 from .local_optimum import along_path, limbs, swings, target_scan
-from .page import kept_round
+from .paper import GOALS
 
 __all__ = ["accuracy", "local_optimum", "mixture"]
 
@@ -110,7 +111,7 @@ def local_optimum(shown, path, steps=41):
         for i, letter in zip((0, top, steps - 1), "abc"):
             ax.plot(t[i], plain[i], "o", color=ROW_COLORS["cd"], ms=5)
             ax.annotate(letter, (t[i], plain[i]), xytext=(0, 6), textcoords="offset points", ha="center")
-        ax.set_xticks([0, 1], [f"place of the {away}", "its own place"])
+        ax.set_xticks([0, 1], [f"place of the {away}", "target"])
         ax.set_xlabel(f"path of the {name}", labelpad=-4)
         ax.set_ylabel("loss / loss at the start")
     falls = (np.diff(structured) <= 0).all()
@@ -129,9 +130,14 @@ def accuracy(report, path):
     if not lines:
         return None
     width, height = 370, 250
+    least = min(100 * share for rows in lines.values() for cells in rows.values() for c in cells for share in c["accuracy"])
+    goals = {name: GOALS["accuracy"].get(report["rigs"][name].get("kind")) for name in lines}
     with sheet(path, 20 + len(lines) * (width + 75), height + 120) as figure:
         for k, (name, rows) in enumerate(lines.items()):
-            ax = axes_at(figure, 70 + k * (width + 75), 35, width, height)
+            ax = axes_at(figure, 70 + k * (width + 75), 35, width, height, ylim=(5 * (least // 5), 100))
+            if goals[name]:
+                ax.axhline(100 * goals[name], color=GREY, lw=1.0, ls="--")
+                ax.text(0.0, 100 * goals[name] + 0.4, "goal of joint", color=GREY, va="bottom", fontsize=8)
             for row, cells in rows.items():
                 color, seeds = ROW_COLORS[row], [100 * np.array(cell["accuracy"]) for cell in cells]
                 for values, cell in zip(seeds, cells, strict=True):
@@ -151,11 +157,12 @@ def accuracy(report, path):
             ax.set_axisbelow(True)
         figure.legend(*ax.get_legend_handles_labels(), loc="lower center", ncol=len(_LEARNED))
     several = any(len(cells) > 1 for rows in lines.values() for cells in rows.values())
+    scans = " and ".join(f"{report['rigs'][name]['size']['test']} of the {name}" for name in lines)
     return (
-        "Segmentation accuracy of the segmenter alone on held-out shapes, before the first round and after each: the one that "
-        "learns from uniform poses only (rand, the paper's Random) and the one that learns from inferred poses and templates, "
-        "too (joint). Rings: the round that was kept, by the fits' loss on scans held "
-        "out of learning." + " Thin lines are seeds." * several
+        f"Segmentation accuracy of the segmenter alone on scans of held-out shapes ({scans}), before the first round and after "
+        "each: the one that learns from uniform poses only (rand, the paper's Random) and the one that learns from inferred "
+        "poses and templates, too (joint). Rings: the round that was kept, by the fits' loss on scans held out of learning."
+        + " Thin lines are seeds." * several
     )
 
 

@@ -56,6 +56,8 @@ _ARROWS = (
     ([(715, 220), (770, 240)], None, None),
     ([(910, 165), (964, 165)], None, None),
     ([(910, 245), (964, 225)], None, None),
+    ([(1010, 265), (1010, 379), (280, 379), (280, 234)], "steps on $\\Theta$ and $U^d$ that lower it", (860, 368)),
+    ([(640, 379), (640, 364)], None, None),
 )
 _LOOP = (
     ([(1059, 265), (1059, 462)], "$\\Theta,\\, U^d$ found", (1112, 345)),
@@ -92,11 +94,12 @@ def diagram(path):
             ax.add_patch(FancyBboxPatch(corner, width, height, shape, fc=color, ec="#666666", lw=1.0, zorder=3))
             ax.text(x, y, text, ha="center", va="center", fontsize=9.5, linespacing=1.5, zorder=4)
     return (
-        "The method in the paper's symbols: blue boxes are what is sought, grey ones are given by the rig. Above, a fit: the "
-        "angles Θ and the deformed template U^d of least loss. Below, once a round: synthetic scans from the mixture of uniform "
-        "and inferred poses on inferred templates teach the segmenter s and the first guesses of f. In the paper f, d and s are "
-        "networks; here f is a library of poses with a regressor, from which a fit starts, d are offsets of the vertices, and s "
-        "is a small classifier."
+        "The method in the paper's symbols: blue boxes are what is sought, grey ones are given by the rig, orange ones are "
+        "losses, white ones data. Above, a fit: the angles Θ and the deformed template U^d of least loss, by L-BFGS and "
+        "Levenberg–Marquardt steps. Below, once a round: synthetic scans from the mixture of uniform and inferred poses on "
+        "inferred templates teach the segmenter s and the first guesses of f. In the paper f, d and s are networks; here f is a "
+        "library of poses with a regressor, from which a fit starts, d are proportions and offsets of the vertices, and s is a "
+        "small classifier."
     )
 
 

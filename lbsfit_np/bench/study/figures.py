@@ -9,7 +9,7 @@ import numpy as np
 from ...errors import InputError
 from ..measure import joint_error
 from . import charts, gallery
-from .data import Size, study_set
+from .data import Size, part_groups, study_set
 from .diagram import diagram
 from .page import FIGURES
 from .run import cell_name
@@ -155,8 +155,14 @@ class Shown:
         half, moving = self.rig.size / 2, self.rig.moving
         return np.array([joint_error(J, s.joints, moving) for J, s in zip(self.cells[row]["joints"], self.test)]) / half
 
-    def from_worst_to_best(self, row, n):
-        """Rows of ``n`` test scans, evenly by joint error; those that could not be fitted are left out."""
+    def right(self, row):
+        """(N,) array: share of each test scan's points that the row's segmenter puts into the right group of parts."""
+        groups = part_groups(self.rig)
+        return np.array([np.mean(groups[said] == groups[s.labels]) for said, s in zip(self.labels(row), self.test)])
+
+    def from_worst_to_best(self, row, n, by=None):
+        """Rows of ``n`` test scans, evenly by joint error or other errors; those that could not be fitted are left out."""
         errors = self.errors(row)
-        ranked = [int(i) for i in np.argsort(-errors, kind="stable") if np.isfinite(errors[i])]
+        ranked = np.argsort(-(errors if by is None else by), kind="stable")
+        ranked = [int(i) for i in ranked if np.isfinite(errors[i])]
         return [ranked[r] for r in np.unique(np.linspace(0, len(ranked) - 1, n).round().astype(int))] if ranked else []

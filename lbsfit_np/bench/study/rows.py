@@ -314,7 +314,9 @@ def _registrations(rig, results):
 
 ROWS = {
     "free-form": Row("no skinning, from the template", "free-form, unsupervised", _from_template, False),
-    "free-form-augmented": Row("no skinning, from synthetic scans that look alike", "free-form, augmented", _augmented),
+    "free-form-augmented": Row(
+        "no skinning, from the best of the template and of synthetic scans that look alike", "free-form, augmented", _augmented
+    ),
     "free-form-supervised": Row("no skinning, true correspondences in training", "free-form, supervised", _supervised, False),
     "free-form-supervised-3x": Row(
         "the same with three times the training scans",
@@ -322,10 +324,15 @@ ROWS = {
         lambda c: _supervised(c, 3),
         False,
     ),
-    "cd": Row("Chamfer alone, no labels", "LBS-AE_CD", lambda c: _learned(c, "cd")),
+    "cd": Row("Chamfer alone: no labels, no library of poses", "LBS-AE_CD", lambda c: _learned(c, "cd")),
     "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand"), in_common=True),
-    "pose-only": Row("segmenter from inferred poses, not templates", None, lambda c: _learned(c, "pose-only"), in_common=True),
+    "pose-only": Row(
+        "the whole loop, but that the segmenter does not learn from templates",
+        None,
+        lambda c: _learned(c, "pose-only"),
+        in_common=True,
+    ),
     "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint"), in_common=True),
-    "oracle-labels": Row("true labels given, scans one by one", None, _oracle_labels, False),
+    "oracle-labels": Row("true labels given and starts from these alone, scans one by one", None, _oracle_labels, False),
     "oracle-fit": Row("true correspondences given, scans one by one", None, _oracle_fit, False),
 }

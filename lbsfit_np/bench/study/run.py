@@ -10,7 +10,7 @@ from itertools import product
 import numpy as np
 
 from ...errors import InputError
-from ...learning.checkpoint import remove_checkpoint, steps_in
+from ...learning.checkpoint import remove_checkpoint, state_of_the_code, steps_in
 from ...workers import kept_processes
 from ..environment import environment
 from ..resume import REMEDY, begun
@@ -21,7 +21,7 @@ from .local_optimum import along_path
 from .measures import Truth, measured
 from .rows import ROWS, Context, said
 
-__all__ = ["FIRST_SEED", "cell_name", "joined", "study", "with_rows"]
+__all__ = ["FIRST_SEED", "arrays_digest", "cell_name", "joined", "study", "with_rows"]
 
 # Of the scans, and those after it; nothing was tuned on them.
 FIRST_SEED = 300
@@ -38,7 +38,7 @@ def study(
     rows=tuple(ROWS),
     jobs=1,
     before=None,
-    kept=lambda cell: True,
+    kept=lambda cell, digest: True,
     steps=lambda cell: None,
     progress=None,
     on_begun=None,
@@ -59,13 +59,14 @@ def study(
         Processes; figures do not depend on it.
     before : dict, optional
         A report of the same settings: what it has is not done again.
-    kept : callable (cell name) → bool, optional
-        Whether the arrays of a cell of ``before`` are still there.
+    kept : callable (cell name, digest) → bool, optional
+        Whether the arrays of a cell of ``before`` are still there, those with this :func:`arrays_digest`.
     steps : callable (cell name) → Path or None, optional
         A folder for what a row that takes long has done so far; taken up by the next run, and removed when the row is done.
     progress : callable (name, seed, row, share), optional
-    on_begun : callable (report, cells), optional
-        Once all has been checked and before any work, with the report to go on with and the names of the cells to be done.
+    on_begun : callable (report, cells, others), optional
+        Once all has been checked and before any work, with the report to go on with, the names of the cells to be done, and
+        those of cells that are there and were made by another state of the code.
     on_cell : callable (report, name, seed, row, arrays), optional
         After each row of each rig and seed, with the report so far and what is to be kept as :func:`cell_name`.
 
@@ -86,17 +87,19 @@ def study(
     count = max(s.seeds for s in sizes.values())
     seeds = [FIRST_SEED + k for k in range(count)] if seeds is None else [int(s) for s in seeds]
     progress = progress or (lambda name, seed, row, share: None)
-    report = _begun(before, size, rigs) | {"complete": False, "environment": environment()}
+    report = _begun(before, size, rigs) | {"complete": False}
     for name, rig in rigs.items():
         report["rigs"].setdefault(name, _described(rig, sizes[name]))
     todo = {}
     for name, seed in product(rigs, seeds):
         done = report["rigs"][name]["seeds"].get(str(seed), {})
-        todo[name, seed] = [row for row in ROWS if row in rows and not (row in done and kept(cell_name(name, seed, row)))]
+        there = [row for row, cell in done.items() if kept(cell_name(name, seed, row), cell["arrays"])]
+        todo[name, seed] = [row for row in ROWS if row in rows and row not in there]
         for row in done.keys() - todo[name, seed]:  # which a run may have been killed before it removed
             _remove_steps(steps(cell_name(name, seed, row)))
     if on_begun is not None:
-        on_begun(report, [cell_name(*of, row) for of, left in todo.items() for row in (*_in_common(left), *left)])
+        cells = [cell_name(*of, row) for of, left in todo.items() for row in (*_in_common(left), *left)]
+        on_begun(report, cells, _of_other_code(report, {of: [row for row in rows if row not in todo[of]] for of in todo}))
     for (name, seed), left in todo.items():
         rig, entry = rigs[name], report["rigs"][name]
         if "local_optimum" not in entry:
@@ -170,7 +173,7 @@ def _begun(before, size, rigs):
     """The report to go on with."""
     report = begun(before, {"benchmark": "study", "size": size, "scan": asdict(SCAN), "rigs": {}}, same=("size", "scan"))
     for name, entry in report["rigs"].items():
-        if "people" not in entry or any("jobs" not in cell for rows in entry["seeds"].values() for cell in rows.values()):
+        if "people" not in entry or any("arrays" not in cell for rows in entry["seeds"].values() for cell in rows.values()):
             raise InputError("before", f"results of {name!r} by an earlier version", "results of this version", REMEDY)
         if name in rigs:
             now = _described(rigs[name], sized(rigs[name], size))
@@ -197,9 +200,14 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
     given = study_set(rig, size, seed)
     groups = part_groups(given.rig)
 
+    def right_of_each(labels):
+        """Share of each test scan's points in the right group of parts, None where there are no labels."""
+        pairs = zip(labels, given.test, strict=True)
+        return [None if found is None else float(np.mean(groups[found] == groups[s.labels])) for found, s in pairs]
+
     def right(labels):
-        """Share of the test scans' points in the right group of parts; None without scans."""
-        shares = [np.mean(groups[found] == groups[s.labels]) for found, s in zip(labels, given.test) if found is not None]
+        """The mean of these; None without scans."""
+        shares = [share for share in right_of_each(labels) if share is not None]
         return float(np.mean(shares)) if shares else None
 
     parameters = {"training_scans": size.training_scans, "rounds": size.rounds, "n_jobs": jobs, "random_state": TRAINING_SEED}
@@ -220,7 +228,8 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
             gone_on, found_some = gone_on or found_some, False
         seconds = None if gone_on else round(time.perf_counter() - started, 1)  # what went before was not timed
         entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "accuracy": found.accuracy, "gap": found.gap}
-        entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history, "commit": environment()["commit"]}
+        entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history}
+        entry["kept_accuracy_scans"] = [] if found.labels is None else right_of_each(found.labels)
         if found.fitted_labels is not None:
             entry["fitted_labels"] = right(found.fitted_labels)
         if found.train is not None:
@@ -228,8 +237,26 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
             entry["on_training"] = measured(train_truth, found.train)
         lost = np.flatnonzero(~found.test.fitted)
         entry["failures"] = {str(i): found.failures.get(int(i), "its fit is not finite") for i in lost}
+        arrays = _arrays(found)
+        entry |= {"arrays": arrays_digest(arrays), "code": state_of_the_code(), "environment": environment()}
         say(1.0)
-        yield row, entry, _arrays(found)
+        yield row, entry, arrays
+
+
+def arrays_digest(arrays):
+    """Hex digest of what is kept of a row: pictures are not to be drawn of other arrays than a report's."""
+    h = hashlib.sha256()
+    for name in sorted(arrays):
+        array = np.ascontiguousarray(arrays[name])
+        h.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
+    return h.hexdigest()
+
+
+def _of_other_code(report, there):
+    """The names of cells that another state of the code, or of its libraries, has made; ``there`` by rig and seed, rows."""
+    now = state_of_the_code()
+    made = {of: report["rigs"][of[0]]["seeds"].get(str(of[1]), {}) for of in there}
+    return [cell_name(*of, row) for of, rows in there.items() for row in rows if made[of][row]["code"] != now]
 
 
 def _arrays(found):
