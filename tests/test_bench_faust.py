@@ -116,8 +116,12 @@ def test_what_is_missing_is_left_out_and_named(own, gone, note):
     found = read_faust(own)
     assert any(note in n for n in found.notes), found.notes
     assert (found.truth is None) == (gone == "training/registrations")
-    if gone.startswith("test") and "_" not in gone.replace("challenge_pairs", ""):
+    if gone in ("test", "test/scans"):
         assert found.test == []
+    elif gone != "test/scans/test_scan_020.ply":  # those that no list asks for, too
+        assert [s.name[-3:] for s in found.test] == ["000", "001", "019", "020"]
+    if gone.startswith("test/challenge_pairs"):
+        assert len(found.challenges) == (gone != "test/challenge_pairs")
 
 
 def test_without_training_scans_nothing_is_learned(own):

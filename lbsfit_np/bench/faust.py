@@ -49,7 +49,6 @@ class Faust:
     Attributes
     ----------
     training, test : list of PairScan
-        Test scans only where a challenge asks for them.
     truth : Registrations or None
         Of the training scans.
     challenges : dict of str to list of (int, int)
@@ -104,7 +103,7 @@ def read_faust(folder, *, most=None, learn=True):
         found.notes.append(f"{where}: {_nothing(where)}; only the challenge's files are written")
     else:
         found.truth = _truth(root / "training", found)
-    _read_challenges(root, found, most)
+    _read_test(root, found, most)
     if found.truth is None and not found.challenges:
         got = "neither registrations of training scans nor pairs of test scans"
         raise FileError(str(root), got, f"{root / 'training' / 'registrations'} or {root / 'test' / 'challenge_pairs'}")
@@ -174,28 +173,25 @@ def _flags(path):
     return np.array(words) == b"1"
 
 
-def _read_challenges(root, found, most):
-    """Pairs of test scans, and the test scans that these ask for."""
+def _read_test(root, found, most):
+    """Test scans, and the pairs of them that the challenge asks for."""
     where, scans = _challenge_folder(root), root / "test" / "scans"
     lists = {kind: path for kind in KINDS if (path := _challenge_file(where, kind)) is not None}
+    found.test = _scans(scans, "test_scan_*.ply", _POSES["test"], most)
     if not lists:
         found.notes.append(f"{root / 'test' / 'challenge_pairs'}: {_no_lists(where)}; no files for the challenge are written")
         return
-    there = {_number(s.path): s for s in _scans(scans, "test_scan_*.ply", _POSES["test"], most)}
-    if not there:
+    if not found.test:
         found.notes.append(f"{scans}: {_nothing(scans)}; no files for the challenge are written")
         return
     found.files += lists.values()
-    wanted = {kind: _pairs(path) for kind, path in lists.items()}
-    chosen = {kind: [p for p in pairs if there.keys() >= set(p)] for kind, pairs in wanted.items()}
-    asked = sorted({number for pairs in chosen.values() for pair in pairs for number in pair})
-    found.test = [there[number] for number in asked]
-    row = {number: k for k, number in enumerate(asked)}
-    for kind, pairs in wanted.items():
-        found.challenges[kind] = [(row[a], row[b]) for a, b in chosen[kind]]
-        found.complete[kind] = len(chosen[kind]) == len(pairs)
+    row = {_number(s.path): k for k, s in enumerate(found.test)}
+    for kind, path in lists.items():
+        pairs = _pairs(path)
+        found.challenges[kind] = [(row[a], row[b]) for a, b in pairs if a in row and b in row]
+        found.complete[kind] = len(found.challenges[kind]) == len(pairs)
         if not found.complete[kind]:
-            left = f"{len(pairs) - len(chosen[kind])} of {len(pairs)} {kind}-subject pairs of the challenge"
+            left = f"{len(pairs) - len(found.challenges[kind])} of {len(pairs)} {kind}-subject pairs of the challenge"
             found.notes.append(f"{left} are left out, as their scans are not there or not taken; no archive is made")
     for kind in (k for k in KINDS if k not in lists):
         found.notes.append(f"{where}: no {_CHALLENGES[kind][0]}; no files for the {kind}-subject challenge are written")

@@ -210,7 +210,7 @@ def _fit_others(fitter, todo, learn_from, read, fits, jobs, reporter):
 def _known_subjects(fitter, learn_from):
     """Scan name → subject of the scans that a fitter has learned from, where it has a template of the subject.
 
-    Others may have a subject of the same name who is another person, as the test scans of FAUST have.
+    Others may have a subject of the same name who is another person, as the test scans of FAUST may.
     """
     templates = getattr(fitter, "template_", None) or {}
     return {s.name: s.subject for s in learn_from if s.subject in templates}
