@@ -4,8 +4,8 @@ import numpy as np
 
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Found
-from lbsfit_np.learning.collection import read_collection
 from lbsfit_np.learning.loop import Loop, LoopSettings
+from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.variants import as_variant
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model

@@ -1,6 +1,7 @@
 """The progress of ``lbsfit learn`` with the time left, and its help."""
 
 import os
+import re
 import struct
 import warnings
 from types import SimpleNamespace
@@ -48,10 +49,10 @@ def test_rounds_with_the_time_left(terminal, capsys):
     assert ("no points" in out, "one: failed: no points" in err) == (False, True)
     alone = "each scan by itself, with proportions of its own"
     assert f"{alone}: recon 0.0200 on the scans learned from, 0.0300 on those held out; took 60 s\n" in shown
-    assert "; a new start won for 1 scan; took 60 s; at most about 3 min left\n" in shown  # three rounds like the first
-    assert "; a new start won for 2 scans; took 3 min; at most about 4 min left\n" in shown  # two of 120 s
+    assert "; a new start won for 1 scan; took 60 s; at most about 3 min of rounds left\n" in shown  # three rounds like the first
+    assert "; a new start won for 2 scans; took 3 min; at most about 4 min of rounds left\n" in shown  # two of 120 s
     if terminal:
-        assert out == "" and "round 2 of at most 4: poses of scans" in err and ", at most about 3 min left" in err
+        assert out == "" and "round 2 of at most 4: poses of scans" in err and ", at most about 3 min of rounds left" in err
         assert "results" in err and "left" not in err[err.rindex("results") :]
     else:
         assert out.count("round 2 of at most 4: poses of scans\n") == 1 and "\nresults\n" in out
@@ -110,7 +111,7 @@ def test_what_an_earlier_run_has_done_takes_no_time(capsys, drawn_at_once):
     shown("round", 1.0, _figures(0))
     shown("round", 1.0, _figures(1))  # at once, but it had taken a minute
     shown.close()
-    assert "took 60 s; at most about 3 min left" in capsys.readouterr().err
+    assert "took 60 s; at most about 3 min of rounds left" in capsys.readouterr().err
 
 
 def test_a_scan_that_cannot_be_used_has_no_line_said_again(capsys):
@@ -176,6 +177,26 @@ def test_a_warning_closes_the_bar(capsys, monkeypatch):
     monkeypatch.setattr(warnings, "showwarning", lambda message, *more: told.append((str(message), shown._bar is None)))
     learn._learn(SimpleNamespace(fit=fit), SimpleNamespace(sources=[]), None, shown, None)
     assert told == [("odd", True)]
+
+
+def test_narrow_terminals_show_the_time_left(monkeypatch, drawn_at_once):
+    """They cut the end of a line, which says what is done."""
+    fcntl, pty, termios = (pytest.importorskip(name, reason="terminals of this system are others") for name in _TERMINALS)
+    ours, theirs = pty.openpty()
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, 80, 0, 0))
+    with os.fdopen(theirs, "w") as terminal:
+        monkeypatch.setattr("sys.stderr", terminal)
+        clock = _Clock()
+        shown = progress.LearningProgress(2, terminal=True, clock=clock)
+        shown("pretraining", 0.0)
+        clock.now += 600
+        shown("pretraining", 0.25)
+        shown._bar.refresh()
+        monkeypatch.undo()
+        text = os.read(ours, 10_000).decode()
+    os.close(ours)
+    assert re.search(r" 25%\|.*about 30 min left of this step: training", text)
+    assert "-0 s" not in text and max(map(len, text.split("\r"))) <= 80
 
 
 @pytest.mark.parametrize("columns", [0, 60])

@@ -92,11 +92,37 @@ def test_pretrain_returns_itself_and_shows_progress(fitter):
 
 
 def test_a_segmenter_of_another_rig_is_refused(tube_rig, tube_scan, fitter):
-    fitter.pretrain().set_params(rig=tube_rig.with_parts("arm and fingers"))
+    own = fitter.pretrain().segmenter_
+    fitter.set_params(rig=tube_rig.with_parts("arm and fingers"))
+    with pytest.raises(InputError, match="segmenter.*another rig.*pretrain"):
+        fitter.pretrain(segmenter=own)
+    assert fitter.fit_scan(tube_scan.points).parts == ("arm", "fingers")  # pretrained again
+    fitter.segmenter_ = own
     with pytest.raises(InputError, match="segmenter.*another rig.*pretrain"):
         fitter.fit_scan(tube_scan.points)
-    fitter.pretrain()
-    assert fitter.fit_scan(tube_scan.points).parts == ("arm", "fingers")
+
+
+CHANGES = [
+    {"random_state": 5},
+    {"training_scans": 30},
+    {"partial": True},
+    {"training": {"noise": 0.05}},
+]
+
+
+@pytest.mark.parametrize("changed", CHANGES, ids=lambda changed: next(iter(changed)))
+@pytest.mark.parametrize("given", [False, True])
+def test_what_was_pretrained_with_other_parameters_is_not_used(changed, given, tube_rig, tube_scan, fitter):
+    """But for a segmenter that was given, which is used as it is."""
+    small = {"training_scans": 2, "training": {"n_points": 100}, "random_state": 9}
+    own = lbs.LBSFitter(tube_rig, **small).pretrain().segmenter_ if given else None
+    before = fitter.pretrain(segmenter=own)._pretrained
+    assert fitter.fit_scan(tube_scan.points) is not None and fitter._pretrained is before
+    fitter.set_params(**changed)
+    found = fitter.fit_scan(tube_scan.points)
+    assert (fitter.segmenter_ is before[0]) == given and fitter.regressor_ is not before[1]
+    other = lbs.LBSFitter(**fitter.get_params()).pretrain(segmenter=own)
+    assert_same(found, other.fit_scan(tube_scan.points))
 
 
 def test_changed_parameters_are_looked_at_again(tube_rig, tube_scan, fitter):

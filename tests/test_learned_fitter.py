@@ -2,6 +2,7 @@
 
 import copy
 import pickle
+import re
 import types
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.learning import finish
 from lbsfit_np.learning.archive import learned_digests, model_digest
 from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.losses.objective import LossWeights
 
 QUICK = {"effort": "fast", "training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
@@ -127,8 +129,28 @@ def test_new_scans_start_from_what_the_variant_allows(variant, nearest, own, clo
         return scout(*arguments, **options)
 
     monkeypatch.setattr(finish, "Scout", seeing)
-    own.set_params(variant=variant).fit_scan(clouds[0], subject="a")
+    own.set_params(variant=variant)
+    own._learned_with = learned_with(own)
+    own.fit_scan(clouds[0], subject="a")
     assert seen == [nearest]
+
+
+@pytest.mark.parametrize("variant, learned_with_labels", [("joint", False), ("rand", False), ("cd", True)])
+def test_what_was_learned_with_labels_is_not_used_without(variant, learned_with_labels, own, clouds, tmp_path):
+    """Nor the other way round."""
+    own._learned_with = (*own._learned_with[:2], learned_with_labels)
+    own.set_params(variant=variant)
+    how = "with" if learned_with_labels else "without"
+    expected = f"variant: got '{variant}'; expected one {how} labels, as the fitter learned with. Learn again with this one."
+    for use in (lambda: own.fit_scan(clouds[0]), lambda: own.transform(clouds[:1]), lambda: own.save(tmp_path / "x.npz")):
+        with pytest.raises(InputError, match=re.escape(expected)):
+            use()
+
+
+def test_chamfer_alone_takes_no_labels(tube_rig, people_scans):
+    scan = people_scans[0]
+    with pytest.raises(InputError, match="labels: got known ones; expected None: the variant 'cd' uses labels nowhere"):
+        lbs.LBSFitter(tube_rig, variant="cd", random_state=0).fit_scan(scan.points, labels=scan.labels)
 
 
 # ---- copies and files ----

@@ -12,6 +12,7 @@ from small_rigs import make_tube_data
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError
 from lbsfit_np.fitting.result import _FORMAT
+from lbsfit_np.learning.parameters import fit_settings
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.synthesis import Synthesis
 
@@ -64,7 +65,7 @@ def test_parameters_travel(learned_people, tmp_path, parameters):
     fitter = copy.copy(learned_people).set_params(random_state=np.random.default_rng(0), **parameters)
     fitter.save(tmp_path / "m.npz")
     again = lbs.LBSFitter.load(tmp_path / "m.npz")
-    assert again._fit_settings() == fitter._fit_settings() and again._synthesis() == fitter._synthesis()
+    assert fit_settings(again) == fit_settings(fitter) and again._synthesis() == fitter._synthesis()
     assert again.random_state is None
 
 
@@ -124,6 +125,16 @@ def test_a_model_whose_content_does_not_fit_is_one_clear_error(saved, tmp_path, 
     arrays[key] = change(arrays[key])
     np.savez(tmp_path / "odd.npz", **arrays)
     with pytest.raises(FileError, match=r"odd\.npz"):
+        lbs.LBSFitter.load(tmp_path / "odd.npz")
+
+
+@pytest.mark.parametrize("key", ["vertices", "joints", "upper"])
+def test_a_model_with_another_rig_is_one_clear_error(saved, tmp_path, key):
+    with np.load(saved) as z:
+        arrays = {k: z[k] for k in z.files}
+    arrays[key] = 1.01 * arrays[key]
+    np.savez(tmp_path / "odd.npz", **arrays)
+    with pytest.raises(FileError, match=r"odd\.npz: got a model whose .* \(another rig than it was learned with"):
         lbs.LBSFitter.load(tmp_path / "odd.npz")
 
 

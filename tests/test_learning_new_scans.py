@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from learning_runs import NAN, SMALL, found_at_the_truth, mean_gap
+from sklearn.exceptions import NotFittedError
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -15,6 +16,7 @@ from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.template_fit import TemplateFit
 from lbsfit_np.learning import finish
+from lbsfit_np.learning.parameters import fit_settings
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
@@ -129,7 +131,7 @@ def test_views_of_one_side_are_compared_by_what_they_show(tube_rig):
     slim = tube_rig.vertices * [0.8, 1.0, 0.8], tube_rig.joints
     fitter = lbs.LBSFitter(tube_rig, random_state=0, partial=True)
     fitter.template_, fitter.unit_ = {"own": tube_rig, "slim": tube_rig.with_template(*slim)}, {"own": 1.0, "slim": 1.0}
-    settings, found = fitter._fit_settings(), {}
+    settings, found = fit_settings(fitter), {}
     (scan,) = lbs.synthesize(tube_rig, 1, templates=[own], random_state=3, n_points=800, one_sided=True, holes=0, shape=0.0)
     seen = found_at_the_truth(tube_rig, scan)
     for subject in fitter.template_:
@@ -307,10 +309,17 @@ def test_transform_and_score(tube_rig, learned_people, people_scans):
         learned_people.transform(given[:2], ["ann"])
 
 
+def test_several_processes_transform_alike(learned_people, people_scans):
+    given, fitter = [s.points for s in people_scans[12:14]], copy.copy(learned_people)
+    one, two = (fitter.set_params(n_jobs=n).transform(given, ["ann", None]) for n in (1, 2))
+    np.testing.assert_array_equal(one, two)
+
+
 def test_what_wants_learning_says_so(unlearned, tmp_path):
     for call in (lambda: unlearned.transform([]), lambda: unlearned.score([]), lambda: unlearned.save(tmp_path / "m.npz")):
-        with pytest.raises(InputError, match=r"fitter: got one that has learned nothing.*fit\(scans\)"):
+        with pytest.raises(InputError, match=r"fitter: got one that has learned nothing.*fit\(scans\)") as error:
             call()
+        assert isinstance(error.value, NotFittedError)
 
 
 def test_estimator_conventions(learned_people, make_learner):

@@ -1,5 +1,6 @@
 """Learning with what people hand in by mistake: scans that fail on the way, wild points, lists that are none, absurd settings."""
 
+import copy
 import types
 import warnings
 
@@ -11,7 +12,9 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.learning import finish, free_form, tasks
 from lbsfit_np.learning.batch import fit_scans
-from lbsfit_np.learning.collection import Collection, Member, read_collection
+from lbsfit_np.learning.collection import Collection, Member
+from lbsfit_np.learning.parameters import learned_with
+from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.training import training_settings
 from lbsfit_np.synthesis import Synthesis
 
@@ -103,8 +106,32 @@ def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds
     with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], clouds[1][:399], *clouds[2:]], list("abaa"))
     assert list(fitter.template_) == list(fitter.unit_) == ["a"]
+    with pytest.warns(UserWarning, match="^nothing was learned of subject 'b': none of the scans could be used$"):
+        lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], np.zeros((0, 3)), *clouds[2:]], list("abaa"))
     fitter.save(tmp_path / "m.npz")
     assert list(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == ["a"]
+
+
+def test_a_subject_without_a_template_is_left_out(tube_rig, clouds, monkeypatch):
+    call = tasks.Template.__call__
+
+    def careless(self, task):
+        if len(task[0]) == 1:
+            raise ZeroDivisionError("nobody foresaw this")
+        return call(self, task)
+
+    monkeypatch.setattr(tasks.Template, "__call__", careless)
+    with pytest.warns(UserWarning, match="scan 1: no template of its subject was found: ZeroDivisionError: nobody foresaw this"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
+    assert list(fitter.template_) == ["a"] and list(fitter.failures_) == [1]
+    assert [r is None for r in fitter.results_] == [False, True, False, False]
+
+
+def test_a_scan_that_cannot_be_smoothed_is_left_out(tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, tasks, "Held", 399)
+    with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK, sequence=True, smooth=1e-3).fit([clouds[0], clouds[1][:399], *clouds[2:]])
+    assert [r is None for r in fitter.results_] == [False, True, False, False]
 
 
 @pytest.mark.parametrize("name", ["FirstFit", "Pose"])
@@ -354,7 +381,10 @@ def test_a_fixed_scale_is_1_whatever_was_learned(tube_rig, learned, scans, cloud
     vars(other).update({k: v for k, v in vars(learned).items() if k.endswith("_") or k == "_learned_with"})
     for unit in (1.5, 250.0):
         other.unit_ = {0: unit}
-        for options in ({}, {"theta0": scans[0].pose}, {"labels": scans[0].labels}):
+        for options in ({}, {"theta0": scans[0].pose}):
             assert other.set_params(scale="fixed").fit_scan(clouds[0], **options).scale == 1.0
+        labelled = copy.copy(other).set_params(variant="rand")  # as cd takes no labels
+        labelled._learned_with = learned_with(labelled)
+        assert labelled.fit_scan(clouds[0], labels=scans[0].labels).scale == 1.0
     other.unit_ = {0: 1.5}
     assert other.set_params(scale="estimate").fit_scan(clouds[0]).scale != 1.0

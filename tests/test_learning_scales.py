@@ -35,8 +35,8 @@ def _members(n):
 @pytest.mark.parametrize(
     "scales, words",
     [
-        ([1.0, 0.9, 2.54, 2.5], "of subject 'a', scan 2, 3 have"),
-        ([100.0, 39.4, 101.0, 39.0, 100.0], "of subject 'a', scan 1, 3 have 0.394 times the others' scale"),
+        ([1.0, 0.9, 2.54, 2.5], "of subject 'a', scans 2, 3 have"),
+        ([100.0, 39.4, 101.0, 39.0, 100.0], "of subject 'a', scans 1, 3 have 0.394 times the others' scale"),
         ([1.0, 1.1, 0.95, 2.0], None),  # one of them may be a wrong fit
         ([0.9, 1.0, 1.1, 1.2], None),
     ],

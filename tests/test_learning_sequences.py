@@ -8,6 +8,7 @@ import lbsfit_np as lbs
 from lbsfit_np.cli.sequences import order_note
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.learning.collection import Collection
 from lbsfit_np.optimize.frame import nearest_root
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rotations import matrix_from_rotvec
@@ -84,7 +85,7 @@ def test_smoothing_looks_at_turns_as_the_scan_itself_writes_them(tube_rig, few_s
         m.state = lbs.LBSFitter(tube_rig)._model().rest()
         m.state.theta[0] = (3.0 if k % 2 else -3.2) * axis
     loop, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
-    monkeypatch.setattr("lbsfit_np.learning.loop.each", lambda work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
+    monkeypatch.setattr(Collection, "work", lambda self, work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
     loop._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
     assert asked
     for _, _, state, (wanted, weight), _ in asked:
@@ -98,10 +99,10 @@ def test_scans_that_are_not_learned_from_neither_smooth_nor_are_smoothed(tube_ri
         m.state.theta[1:] = 0.1 * k
     collection.members[1].apart = True
     loop, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
-    monkeypatch.setattr("lbsfit_np.learning.loop.each", lambda work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
+    monkeypatch.setattr(Collection, "work", lambda self, work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
     loop._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
-    wanted = {round(state.theta[1, 0], 3): wanted[1, 0] for _, _, state, (wanted, _), _ in asked}
-    assert 0.1 not in wanted and collection.members[1].prior is None
+    wanted = {round(state.theta[1, 0], 3): wanted and wanted[0][1, 0] for _, _, state, wanted, _ in asked}
+    assert wanted[0.1] is None and collection.members[1].prior is None
     assert wanted[0.0] == pytest.approx(0.1) and wanted[0.2] == pytest.approx((0.2 + 0.0 + 0.3) / 3)
 
 
@@ -115,11 +116,11 @@ def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch
     loop = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3, fit_settings=FitSettings(partial=True))
     done = []
 
-    def each(work, tasks, **options):
+    def each(self, work, tasks, **options):
         done.extend((work.models[0], *task[1:], work(task)) for task in tasks)
         return [state for *_, state in done[-len(tasks) :]]
 
-    monkeypatch.setattr("lbsfit_np.learning.loop.each", each)
+    monkeypatch.setattr(Collection, "work", each)
     loop._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
     model, X, state, prior, _, found = done[0]
     one_side, whole = (Refit(model, partial=p).polish(Problem(X), state, prior=prior).theta for p in (True, False))

@@ -10,6 +10,7 @@ from lbsfit_np.learning import pretraining
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.variants import VARIANTS, as_variant
 from lbsfit_np.losses.objective import PRESETS
+from lbsfit_np.optimize.model import Model
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
@@ -127,3 +128,16 @@ def test_variants_train_on_what_they_say(tube_rig, make_learner, few_scans):
     learning = [s.pose for m, s in zip(collection.members, few_scans) if not (m.held_out or m.apart)]
     assert len(learning) == 3
     np.testing.assert_array_equal(poses, learning)
+
+
+def test_nothing_is_trained_on_templates_of_scans_held_out(tube_rig, few_scans):
+    """Where people have one scan each, some are held out with all they have."""
+    collection = collected(tube_rig, [s.points for s in few_scans], [f"{k}" for k in range(len(few_scans))])
+    for m, s in zip(collection.members, few_scans):
+        m.state = Model(tube_rig).rest().replace(theta=s.pose)
+    templates = {m.subject: (tube_rig.vertices * (1 + k / 10), tube_rig.joints) for k, m in enumerate(collection.members)}
+    made = loop_over(tube_rig, collection, "joint", None)._mixture(1, templates)
+    taught = [m.subject for m in collection.members if not m.held_out]
+    assert len(taught) == len(few_scans) - 1 == len(made.templates)
+    for (vertices, _), subject in zip(made.templates, taught):
+        np.testing.assert_array_equal(vertices, templates[subject][0])

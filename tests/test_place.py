@@ -5,6 +5,7 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.refit import Refit
+from lbsfit_np.learning.parameters import fit_settings
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.starts.place import placed
@@ -87,6 +88,6 @@ def test_a_start_that_is_right_is_not_lost_on_a_learned_template(model):
     fitter = lbs.LBSFitter(model.source, orientation="aligned", random_state=0)
     fitter.template_, fitter.unit_, fitter.segmenter_ = {0: model.source}, {0: 1.0}, None
     for s in scans:
-        found = _given(fitter, 0, s.points, None, fitter._fit_settings(), 1.0, s.pose, None)
+        found = _given(fitter, 0, s.points, None, fit_settings(fitter), 1.0, s.pose, None)
         joints = found.frame.outside(model.deformed(found.state).joints)
         assert np.linalg.norm(joints - s.joints, axis=1).mean() / model.half < 0.01

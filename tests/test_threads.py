@@ -57,7 +57,8 @@ def _new_scan(monkeypatch):
     monkeypatch.setattr(finish, "_fit_new", _look)
     monkeypatch.setattr(finish, "_facing", lambda fitter: SimpleNamespace(floors=None))
     settings = SimpleNamespace(max_points=1, scale="fixed")
-    fitter = SimpleNamespace(regressor_=1, rig=None, _seed=lambda: 0, _fit_settings=lambda: settings)
+    monkeypatch.setattr(finish, "fit_settings", lambda fitter: settings)
+    fitter = SimpleNamespace(regressor_=1, rig=None, _seed=lambda: 0)
     return finish.fit_new(fitter, None, ("ann",), None, None, None)
 
 

@@ -137,8 +137,7 @@ class LearningProgress:
             self._end_of_round(figures)
             return
         if stage != self._stage:
-            self._begin(stage)
-            self._first = share  # what an earlier run has done takes no time
+            self._begin(stage, share)
         elif share < self._share:
             self._stage_began, self._first = self._clock(), share  # the same once more
         self._share = share
@@ -168,9 +167,9 @@ class LearningProgress:
             self._bar.close()
         self._bar, self._stage = None, None
 
-    def _begin(self, stage):
+    def _begin(self, stage, share):
         self.close()
-        self._stage, self._share = stage, 0.0
+        self._stage, self._share, self._first = stage, share, share  # what an earlier run has done takes no time
         self._stage_began = self._told = self._clock()
         words = _STAGES.get(stage, stage)
         if stage in ("results", "smoothing"):
@@ -178,8 +177,7 @@ class LearningProgress:
         if self.round:
             words = f"round {self.round} of at most {self.rounds}: {words}"
         if self.terminal:
-            form = "{desc} {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
-            self._bar = bar(total=100, leave=False, desc=words, bar_format=form, postfix=self._left_in_words())
+            self._bar = percentage_bar(words, postfix=self._left_in_words())
         else:
             print(words, flush=True)
 
@@ -219,7 +217,7 @@ class LearningProgress:
             return f"about {span(took / done * (1 - self._share))} left of this step" if took and done else ""
         mean = sum(self._took) / len(self._took)
         left = (self.rounds - self.round + 1) * mean - (self._clock() - self._began)
-        return f"at most about {span(max(left, 0))} left"
+        return f"at most about {span(max(left, 0))} of rounds left"
 
 
 def of_all(k, n, what="scan"):
@@ -234,9 +232,10 @@ def span(seconds):
     return f"{seconds / 60:.0f} min" if seconds < 100 * 60 else f"{seconds / 3600:.1f} h"
 
 
-def percentage_bar(words):
-    """A bar on standard error that goes to 100."""
-    return bar(total=100, leave=False, desc=words, bar_format="{desc} {percentage:3.0f}%|{bar}| {elapsed}")
+def percentage_bar(words, **options):
+    """A bar on standard error that goes to 100: of what, comes last, as narrow terminals cut the end of the line."""
+    form = "{percentage:3.0f}%|{bar:10}| {elapsed}{postfix}: {desc}"
+    return bar(total=100, leave=False, desc=words, bar_format=form, **options)
 
 
 def bar(**options):

@@ -32,7 +32,8 @@ EVIDENCE = (
 )
 REGRESSED = EVIDENCE[:-1]
 # Where other proportions than a template's leave less unexplained by more than this share, the scan is of somebody else. Of 80
-# hands on their subject's template the share was 0.23 at most, 0.05 in the median; of 30 of others 0.38 at least.
+# hands on their subject's template the share was 0.23 at most, 0.05 in the median, of 30 of others 0.38 at least; of 60 bodies
+# 0.15 at most, of 24 of others 0.57 at least.
 SOMEBODY_ELSE = 0.3
 # From where on a part does not fit, of "part_unexplained".
 MISFIT = 0.15

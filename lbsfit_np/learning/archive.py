@@ -138,6 +138,8 @@ def read_fitter(path, make):
         header = json.loads(str(arrays[MODEL_KEY]))
         if header["format"] != _FORMAT:
             raise FileError(str(path), f"model format {header['format']}", f"format {_FORMAT}", "Learn it again.")
+        if rig.digest != header["rig_digest"]:
+            raise ValueError("another rig than it was learned with")
         parameters = dict(header["parameters"])
         if isinstance(parameters["weights"], dict):
             parameters["weights"] = LossWeights(**parameters["weights"])

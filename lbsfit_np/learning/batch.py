@@ -11,8 +11,8 @@ import numpy as np
 from ..errors import InputError, LbsfitError, in_words
 from ..scan import check_points
 from ..workers import Workers
-from .collection import as_scans
 from .parameters import check_callables
+from .reading import as_scans
 from .subjects import as_subjects, known_subjects
 from .variants import as_variant
 
@@ -112,8 +112,7 @@ def _pretrained(fitter, scans, report, pretrain):
     variant = as_variant(getattr(fitter, "variant", "joint"))
     if getattr(fitter, "template_", None) is not None or not variant.skinning:
         return {}  # learned, or free-form, which has nothing to train
-    wanted = ("regressor_", "segmenter_") if variant.labels else ("regressor_",)
-    if all(getattr(fitter, name, None) is not None for name in wanted):
+    if hasattr(fitter, "_is_pretrained") and fitter._is_pretrained():
         return {}
     for i, source in enumerate(scans):
         started = time.perf_counter()
@@ -126,7 +125,7 @@ def _pretrained(fitter, scans, report, pretrain):
             report(_failure(i, error, started))
             continue
         if pretrain is None:
-            fitter.pretrain(segmenter=getattr(fitter, "segmenter_", None))
+            fitter._pretrain_alone()
         else:
             pretrain(fitter)
         return {i: scan}

@@ -33,6 +33,7 @@ from ..threads import one_thread
 from .checkpoint import NO_CHECKPOINT
 from .collection import with_doubt
 from .free_form import free_form
+from .parameters import fit_settings
 from .tasks import in_full
 from .variants import as_variant
 
@@ -140,7 +141,9 @@ class _Finish(_OnTemplates):
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
         place = {"points": m.points, "rows": m.rows, "frame": m.frame, "free": free}
         problem = m.problem
-        place |= {"proportions": fit.proportions(problem, m.state), "further": self.further}
+        proportions = fit.proportions(problem, m.state)
+        further = () if proportions > SOMEBODY_ELSE else self.further  # it is not more effort that would help
+        place |= {"proportions": proportions, "further": further}
         place |= {"notes": [m.role, m.left_out], "found": (unit,)}
         place["dense"] = m.every, Problem(m.dense_X) if len(m.more) else problem
         place["prior"] = prior_of(self.prior, m.noise, fit.refit.turning, m.prior)
@@ -211,7 +214,7 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
 
     started = time.perf_counter()
     with one_thread():
-        seed, settings = fitter._seed(), fitter._fit_settings()
+        seed, settings = fitter._seed(), fit_settings(fitter)
         limits = {"most": settings.max_points, "scale": settings.scale, "point_weights": point_weights, "labels": labels}
         return with_floor_or_without(
             lambda ups: taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, **limits),
@@ -344,7 +347,7 @@ def _template_fit(fitter, subject, settings):
 
 def scan_fit(fitter, segmenter=None, library=None):
     """Fits of scans by themselves, with what was pretrained."""
-    model, settings, prior = fitter._model(), fitter._fit_settings(), getattr(fitter, "pose_prior_", None)
+    model, settings, prior = fitter._model(), fit_settings(fitter), getattr(fitter, "pose_prior_", None)
     nearest = as_variant(fitter.variant).library
     made_of = model, settings, _facing_words(fitter), segmenter, library, nearest, prior
 

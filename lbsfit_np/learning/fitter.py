@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator
+from sklearn.exceptions import NotFittedError
 
 from ..errors import InputError, brief
 from ..optimize.model import Model
@@ -12,18 +13,23 @@ from ..seeds import integer_seed
 from ..segmentation.segmenter import jobs_of
 from ..starts.turns import facing_of
 from .archive import learned_arrays, learned_digests, model_digest, read_fitter, write_fitter
+from .batch import fit_scans
 from .checkpoint import as_checkpoint
-from .collection import as_scans, in_words, read_collection
 from .finish import fit_new, results_of, scan_fit
 from .free_form import fit_free_form
 from .loop import Loop, LoopSettings
-from .parameters import check_callables, check_parameters, check_same, check_scan, check_segmenter, fit_settings, learned_with
-from .pretraining import LIBRARY_TIME, pretrain_library, pretrain_segmenter
-from .subjects import known_subject, known_subjects
+from .parameters import check_callables, check_learned, check_parameters, check_scan, check_segmenter, fit_settings, learned_with
+from .pretraining import LIBRARY_TIME, is_stale, pretrain_library, pretrain_segmenter, pretrained_from, still_given
+from .reading import as_scans, read_collection
+from .subjects import known_subject
 from .training import training_settings
 from .variants import as_variant
 
 __all__ = ["LBSFitter"]
+
+
+class NotLearnedError(InputError, NotFittedError):
+    """What comes after ``fit`` was asked of a fitter before."""
 
 
 class LBSFitter(BaseEstimator):
@@ -67,7 +73,7 @@ class LBSFitter(BaseEstimator):
     training : dict, optional
         Fields of ``synthesis.Synthesis`` for them, such as ``{"turn": 3.14, "scale": 0.2}``; ``scale`` is 0.05 unless given.
     n_jobs : int, optional
-        Processes, for training and for the scans of :meth:`fit`; results do not depend on it.
+        Processes, for training and for scans of all methods that take several; results do not depend on it.
     random_state : int, Generator or None
 
     Attributes
@@ -168,6 +174,7 @@ class LBSFitter(BaseEstimator):
             options |= {"n_jobs": self.n_jobs, "progress": lambda p: progress(share + (1 - share) * p)}
             segmenter = pretrain_segmenter(*made_of, **options)
         self.segmenter_, self.regressor_ = self._pretrained = segmenter, library
+        self._pretrained_of, self._given = pretrained_from(self), None if train else segmenter
         return self
 
     def fit(self, scans, subjects=None, *, cache=False, checkpoint=None, progress=None, on_round=None):
@@ -221,7 +228,7 @@ class LBSFitter(BaseEstimator):
         )
         collection.warn(stacklevel=2)
         progress = progress or (lambda stage, share, figures=None: None)
-        settings, jobs = self._fit_settings(), jobs_of(self.n_jobs, None)
+        settings, jobs = fit_settings(self), jobs_of(self.n_jobs, None)
         if not variant.skinning:
             self.segmenter_ = self.regressor_ = self.pose_prior_ = None
             self.template_ = dict.fromkeys(collection.subjects, self.rig)
@@ -232,8 +239,9 @@ class LBSFitter(BaseEstimator):
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress, checkpoint=kept)
             return self._finished(collection, results)
         segmenter, library = getattr(self, "_pretrained", None) or (None, None)
-        if library is None or (variant.labels and segmenter is None):
-            segmenter, library = self.pretrain(cache=cache, progress=lambda p: progress("pretraining", p))._pretrained
+        if library is None or (variant.labels and segmenter is None) or is_stale(self):
+            again = {"segmenter": still_given(self), "progress": lambda p: progress("pretraining", p)}
+            segmenter, library = self.pretrain(cache=cache, **again)._pretrained
         segmenter = segmenter if variant.labels else None
         if segmenter is not None:
             segmenter.check_rig(self.rig)
@@ -363,7 +371,7 @@ class LBSFitter(BaseEstimator):
         """:meth:`fit_scan`, with the cache of segmenters where asked; all is checked before anything is trained."""
         self._check()
         rig = self.rig
-        points, theta0, labels, point_weights = check_scan(rig, points, theta0, labels, point_weights)
+        points, theta0, labels, point_weights = check_scan(rig, self.variant, points, theta0, labels, point_weights)
         learned = getattr(self, "template_", None)
         if subject is not None:
             subject = known_subject(learned, subject)
@@ -377,7 +385,7 @@ class LBSFitter(BaseEstimator):
         if labels is None:
             if not self._is_pretrained():
                 self._check_alone(points, point_weights)
-                self.pretrain(segmenter=getattr(self, "segmenter_", None), cache=cache)
+                self._pretrain_alone(cache=cache)
             segmenter = self.segmenter_ if as_variant(self.variant).labels else None
             if segmenter is not None:
                 segmenter.check_rig(rig)
@@ -392,36 +400,29 @@ class LBSFitter(BaseEstimator):
         fit = scan_fit(self)
         fit.taking_part(points, point_weights, seed, ups=fit.facing.floors)
 
+    def _pretrain_alone(self, **options):
+        """Pretrain with the segmenter that is there, unless it was trained with other parameters."""
+        self.pretrain(segmenter=still_given(self) if is_stale(self) else getattr(self, "segmenter_", None), **options)
+
     def _is_pretrained(self):
         """Whether there is all that fits of scans by themselves need."""
         wanted = ("regressor_", "segmenter_") if as_variant(self.variant).labels else ("regressor_",)
-        return all(getattr(self, name, None) is not None for name in wanted)
+        return all(getattr(self, name, None) is not None for name in wanted) and not is_stale(self)
 
     def _fit_all(self, scans, subjects):
         self._check_learned()
-        scans = as_scans(scans)
-        subjects = [None] * len(scans) if subjects is None else known_subjects(self.template_, subjects, len(scans))
-        results = []
-        for i, scan in enumerate(scans):
-            try:
-                points = scan() if callable(scan) else scan
-                results.append(self.fit_scan(points, subject=subjects[i]))
-            except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
-                warnings.warn(f"scan {i} cannot be fitted: {in_words(error)}", stacklevel=3)
-                results.append(None)
-        return results
+        jobs = jobs_of(self.n_jobs, None) if self._repeatable() else 1  # the state of a Generator goes from scan to scan
+        outcomes = fit_scans(self, scans, subjects=subjects, jobs=jobs)
+        for outcome in outcomes:
+            if outcome.error is not None:
+                warnings.warn(f"scan {outcome.index} cannot be fitted: {outcome.error}", stacklevel=3)
+        return [outcome.result for outcome in outcomes]
 
     def _check_learned(self):
         self._check()
-        templates = getattr(self, "template_", None)
-        if templates is None:
-            raise InputError("fitter", "one that has learned nothing", "one that has learned", "Call fit(scans) first.")
-        check_same(self, self._learned_with)
-        if self.segmenter_ is not None:
-            self.segmenter_.check_rig(self.rig)
-
-    def _fit_settings(self):
-        return fit_settings(self)
+        if getattr(self, "template_", None) is None:
+            raise NotLearnedError("fitter", "one that has learned nothing", "one that has learned", "Call fit(scans) first.")
+        check_learned(self)
 
     def _synthesis(self):
         return training_settings(self.training, one_sided=bool(self.partial))

@@ -27,8 +27,8 @@ from ..segmentation.stage import Training
 from ..starts.library import PoseLibrary, build_library
 from ..starts.scale import same_size
 from ..threads import one_thread
-from ..workers import beside, each, kept_processes
-from .checkpoint import FIRST_FIT, NO_CHECKPOINT, each_kept
+from ..workers import beside, kept_processes
+from .checkpoint import FIRST_FIT, NO_CHECKPOINT
 from .collection import HELD_OUT, LEARNED_FROM
 from .mixture import Mixture
 from .pose_prior import looked_at, pose_prior
@@ -248,7 +248,7 @@ class Loop:
         self._follow()
 
     def _templates(self, k):
-        """Each subject's template from the poses of its scans that are learned from."""
+        """Each subject's template from the poses of its scans that are learned from, or that it has at all."""
         tasks, subjects = [], self.collection.subjects
         for subject in subjects:
             learning = self.collection.with_role(LEARNED_FROM, subject) or self.collection.of(subject)
@@ -264,11 +264,10 @@ class Loop:
             )
         work = Template(self.shifting, self.fit_settings.partial)
         kept = [self._kept.slot(f"round-{k}-template", s) for s in subjects]
-        found = each_kept(work, tasks, kept, jobs=self.jobs, done=lambda p: self.progress("templates", p))
-        weld = self.rig.weld
-        templates = {s: (np.ascontiguousarray(U[weld]), J) for s, (U, J, _) in zip(subjects, found)}
-        self.coefficients = {s: c for s, (_, _, c) in zip(subjects, found)}
-        return templates
+        done = {"jobs": self.jobs, "done": lambda p: self.progress("templates", p)}
+        found = self.collection.work_of_subjects(work, tasks, **done, kept=kept)
+        self.coefficients = {s: c for s, (_, _, c) in found.items()}
+        return {s: (np.ascontiguousarray(U[self.rig.weld]), J) for s, (U, J, _) in found.items()}
 
     @staticmethod
     def _for_template(member, n):
@@ -281,7 +280,8 @@ class Loop:
         learning = self.collection.with_role(LEARNED_FROM)
         poses = np.array([m.state.theta for m in learning]) if v.inferred_poses and k else np.empty((0, *rig.lower.shape))
         rows = np.unique(self.rig.weld, return_index=True)[1]
-        made = tuple((U[rows], J) for U, J in templates.values()) if v.deformed and k else ()
+        taught_by = {m.subject for m in learning}  # of others all scans are held out, and their templates with them
+        made = tuple((U[rows], J) for s, (U, J) in templates.items() if s in taught_by) if v.deformed and k else ()
         return Mixture(rig, self.synthesis, poses, made, self.seed, k)
 
     def _learn(self, k, templates):
@@ -380,10 +380,12 @@ class Loop:
             for m in members:
                 others = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
                 m.prior = np.mean([m.state.theta, *others], axis=0), self.smooth  # without its own, neighbours would swap places
-            tasks = [(m.subject, m.dense_X, m.state, m.prior, m.noise) for m in members]
-            work = Held(models, self.fit_settings.partial, pose_prior)
-            states = each(work, tasks, jobs=self.jobs, done=lambda p: self.progress("smoothing", p))
-            for m, state in zip(members, states):
+            drawn = {m.index for m in members}
+            tasks = [
+                (m.subject, m.dense_X, m.state, m.prior if m.index in drawn else None, m.noise) for m in self.collection.members
+            ]
+            states = self._work(Held(models, self.fit_settings.partial, pose_prior), tasks, "smoothing")
+            for m, state in zip(self.collection.members, states, strict=True):
                 m.state = state
 
     def _work(self, work, tasks, stage, kept=(), span=(0.0, 1.0)):

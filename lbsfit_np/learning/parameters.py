@@ -20,9 +20,9 @@ from .variants import as_variant
 
 __all__ = [
     "check_callables",
+    "check_learned",
     "check_names",
     "check_parameters",
-    "check_same",
     "check_scan",
     "check_segmenter",
     "fit_settings",
@@ -104,18 +104,24 @@ def check_segmenter(segmenter, rig):
 
 
 def learned_with(fitter):
-    """What a fitter's learned state belongs to: the rig's digest, and whether there is skinning."""
-    return fitter.rig.digest, as_variant(fitter.variant).skinning
+    """What a fitter's learned state belongs to: the rig's digest, and whether there is skinning, and are labels."""
+    variant = as_variant(fitter.variant)
+    return fitter.rig.digest, variant.skinning, variant.labels
 
 
-def check_same(fitter, learned):
-    """Raise InputError where one of these is another than when the fitter has learned."""
-    rig, skinning = learned_with(fitter)
+def check_learned(fitter):
+    """Raise InputError unless a fitter has learned with the rig and the kind of variant that it now has."""
+    learned, (rig, skinning, labels) = fitter._learned_with, learned_with(fitter)
     if rig != learned[0]:
         raise InputError("rig", f"{fitter.rig.name!r}", "the rig that the fitter learned with", "Learn again with this one.")
     if skinning != learned[1]:
         expected = f"one {'with' if learned[1] else 'without'} skinning, as the fitter learned with"
         raise InputError("variant", repr(fitter.variant), expected, "Learn again with this one.")
+    if labels != learned[2]:
+        expected = f"one {'with' if learned[2] else 'without'} labels, as the fitter learned with"
+        raise InputError("variant", repr(fitter.variant), expected, "Learn again with this one.")
+    if fitter.segmenter_ is not None:
+        fitter.segmenter_.check_rig(fitter.rig)
 
 
 def fit_settings(fitter):
@@ -125,12 +131,13 @@ def fit_settings(fitter):
     return FitSettings(weights=LOOSE if free else as_weights(fitter.weights), partial=bool(fitter.partial), **given)
 
 
-def check_scan(rig, points, theta0, labels, point_weights):
+def check_scan(rig, variant, points, theta0, labels, point_weights):
     """A scan and what is known of it, as arrays, or InputError.
 
     Parameters
     ----------
     rig : Rig
+    variant : str
     points : (n, 3) array or Scan
     theta0 : (J, 3) array or None
     labels : (n,) int array or None
@@ -158,7 +165,12 @@ def check_scan(rig, points, theta0, labels, point_weights):
             expected = f"at least {len(rig.parts)}, as many as the rig has parts"
             raise InputError("point_weights", got, expected, "Only points that are not of the body need a weight of 0.")
         point_weights = point_weights / point_weights.max()  # whose sum is finite
-    return points, theta0, None if labels is None else _checked_labels(labels, len(points), rig.parts), point_weights
+    if labels is not None:
+        labels = _checked_labels(labels, len(points), rig.parts)
+        if as_variant(variant).skinning and not as_variant(variant).labels:
+            expected = f"None: the variant {variant!r} uses labels nowhere"
+            raise InputError("labels", "known ones", expected, "Leave them out, or choose another variant.")
+    return points, theta0, labels, point_weights
 
 
 def _checked_labels(labels, n, parts):

@@ -3,7 +3,8 @@
 import numpy as np
 
 from ..starts.scale import same_size
-from .collection import LEARNED_FROM, mixed_units, odd_ones
+from .collection import LEARNED_FROM
+from .reading import mixed_units, odd_ones
 
 __all__ = ["check_scales", "scale_warnings", "units_apart"]
 
@@ -32,7 +33,7 @@ def check_scales(members, scales):
     if len(odd) > max(1, 0.2 * len(scales)):  # a few may just be wrong
         ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
         at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
-        raise mixed_units(f"of subject {members[0].subject!r}, scan {at} have {ratio:.3g} times the others' scale")
+        raise mixed_units(f"of subject {members[0].subject!r}, scans {at} have {ratio:.3g} times the others' scale")
     for i, m in enumerate(members if len(members) > 1 else ()):
         m.ratio = float(scales[i] / np.median(np.delete(scales, [*odd, i])))  # the odd one of three would shift the others'
     if len(members) == 2:

@@ -147,12 +147,17 @@ class Drawn(_LastSteps):
 
 @dataclass(frozen=True)
 class Held(_LastSteps):
-    """(Subject, points, state, wanted angles and their weight, σ²/n) → the state drawn there, and to what all poses tell."""
+    """(Subject, points, state, wanted angles and their weight, σ²/n) → the state drawn there, and to what all poses tell.
+
+    It stays where nothing is wanted of it.
+    """
 
     prior: object
 
     def __call__(self, task):
         subject, X, state, wanted, noise = task
+        if wanted is None:
+            return state
         refit = self._refit(subject)
         return refit.polish(Problem(X), state, prior=prior_of(self.prior, noise, refit.turning, wanted))
 

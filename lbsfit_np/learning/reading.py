@@ -1,0 +1,186 @@
+"""A collection read and checked: its scans in one unit, bad ones set aside, some held out to tell when to stop."""
+
+import itertools
+import os
+from collections import Counter
+from collections.abc import Mapping, Set
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from ..errors import InputError, brief, in_words
+from ..optimize.frame import Frame
+from ..scan import Scan, check_points
+from ..seeds import generator
+from ..starts.clean import taking_part
+from ..starts.scale import extent
+from .collection import Collection, Member
+from .subjects import as_subjects, check_ids
+
+__all__ = ["as_scans", "mixed_units", "odd_ones", "read_collection"]
+
+# A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
+_ONE_UNIT = 6.0
+# At most this share of the scans is left out where they differ by more; where it is more, nobody knows which are right.
+_FEW = 0.1
+
+
+def as_scans(scans):
+    """A sequence of scans as a list, or InputError."""
+    if isinstance(scans, (Mapping, Set)):
+        remedy = "Pass list(scans.values())." if isinstance(scans, Mapping) else "Make a list: a set has no order."
+        raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
+    if isinstance(scans, (str, bytes, Scan)) or not hasattr(scans, "__iter__"):
+        remedy = "Put a single scan in a list, too." if isinstance(scans, Scan) else "Make a list of load_scan(path), one each."
+        raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
+    if isinstance(scans, np.ndarray) and scans.dtype != object and scans.ndim == 2:
+        got = f"one array of shape {scans.shape}"
+        raise InputError("scans", got, "a sequence of scans, (n, 3) each", "Put a single scan in a list, too.")
+    scans = list(scans)
+    path = next((s for s in scans if isinstance(s, (str, bytes, os.PathLike))), None)
+    if path is not None:
+        remedy = "Read it: load_scan(path), or functools.partial(load_scan, path) to have it read when it is its turn."
+        raise InputError("scans", f"the path {brief(path)}", "points, Scans, or callables that return one", remedy)
+    return scans
+
+
+def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state, ups=None):
+    """Read and check the scans of a collection.
+
+    Parameters
+    ----------
+    rig : Rig
+    scans : sequence
+        Of points, Scans, or callables that return one.
+    subjects : sequence or None
+    max_points : int
+    held_out : float
+        Share of the scans to hold out, at least one where positive.
+    scale : {"estimate", "fixed"}
+    ups : sequence of (3,) arrays, optional
+        As for ``starts.clean.taking_part``.
+    random_state : int
+
+    Returns
+    -------
+    Collection
+
+    Raises
+    ------
+    InputError
+        Subjects of the wrong number, ids that cannot be used, no scan that can be used, different units, too few scans to hold
+        any out.
+    """
+    scans = as_scans(scans)
+    if not scans:
+        raise InputError("scans", "none", "one or more scans")
+    subjects = [0] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
+    check_ids(subjects)
+    collection, found = Collection(len(scans), asked=list(dict.fromkeys(subjects))), {}
+
+    def looked_at(i, points, ups):
+        return taking_part(points, rig, most=max_points, rng=generator(random_state, "thin", i), scale=scale, ups=ups)
+
+    for i, (source, subject) in enumerate(zip(scans, subjects)):
+        try:
+            scan = source() if callable(source) else source
+            points = check_points(scan, minimum=len(rig.parts))
+            part = looked_at(i, points, ups)
+        except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
+            collection.failures[i] = in_words(error)
+            continue
+        path = getattr(scan, "path", None)
+        found[i] = points, subject, f"{i}" if path is None else f"{path}", part
+    below = Counter(part.below for *_, part in found.values())
+    for i, (points, subject, name, part) in found.items():
+        if part.floor_elsewhere and 2 * below[part.below] < len(found):  # too few: flat sides of bodies, such as palms
+            with suppress(InputError):  # a wide wall, with which the scan is none that can be worked with
+                part = looked_at(i, points, ups[:1])
+        frame = Frame(points[part.rows].mean(axis=0), part.scale * rig.size / 2)
+        known = {"unit": part.scale, "left_out": part.left_out, "name": name, "more": part.more}
+        collection.members.append(Member(i, points, part.rows, frame, subject, **known))
+    if not collection.members:
+        first = next(iter(collection.failures.values()))
+        raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be read")
+    _check_units(collection, rig.size / 2)
+    _hold_out(collection, held_out, random_state)
+    return collection
+
+
+def odd_ones(sizes, most):
+    """Rows of positive sizes that are not like the others: where they span too much, all but the largest group between gaps.
+
+    Parameters
+    ----------
+    sizes : (n,) array
+    most : float
+        Ratio of the largest to the smallest up to which all are alike.
+
+    Returns
+    -------
+    int array
+    """
+    order = np.argsort(sizes)
+    gaps = np.diff(np.log(sizes[order]))
+    if gaps.sum() <= np.log(most):
+        return np.empty(0, dtype=int)
+    groups = np.split(order, np.flatnonzero(gaps >= gaps.max() / 2) + 1)
+    largest = max(range(len(groups)), key=lambda k: len(groups[k]))
+    return np.sort(np.concatenate([g for k, g in enumerate(groups) if k != largest]))
+
+
+def mixed_units(got):
+    """The InputError of a collection whose scans are in different units, ``got`` in words."""
+    remedy = "Convert them, learn from each kind by itself, or leave out those that are wrong."
+    return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
+
+
+def _check_units(collection, half):
+    """All members get the unit that most of them are in; leave a few out that are in another, and refuse a mixture."""
+    extents = np.array([extent(m.points[m.rows]) for m in collection.members])
+    odd = odd_ones(extents, _ONE_UNIT)
+    others = np.median(np.delete(extents, odd))
+    if len(odd) > _FEW * len(extents):
+        at = ", ".join(collection.members[i].name for i in odd[:5]) + ", …" * (len(odd) > 5)
+        have = f"scan {at} has" if len(odd) == 1 else f"scans {at} have"
+        raise mixed_units(f"{have} an extent of {extents[odd[0]]:.3g}, the others of about {others:.3g}")
+    for m, size in ((collection.members[i], extents[i]) for i in odd):
+        got = f"an extent of {size:.3g}, the others of about {others:.3g}"
+        remedy = "It is left out: convert it and learn again."
+        what = "points" if m.name == f"{m.index}" else m.name  # its number is said with every failure, its file is not
+        collection.failures[m.index] = str(InputError(what, got, "scans of one collection in one unit", remedy))
+    collection.members = [m for i, m in enumerate(collection.members) if i not in odd]
+    unit = float(np.median([m.unit for m in collection.members]))
+    for m in collection.members:
+        m.unit, m.frame = unit, replace(m.frame, unit=unit * half)
+
+
+def _count(share, n):
+    """How many of n scans are held out."""
+    return max(1, round(share * n))
+
+
+def _hold_out(collection, share, random_state):
+    members = collection.members
+    if not share:
+        return
+    count = _count(share, len(members))
+    if len(members) - count < 2:
+        enough = next(n for n in itertools.count(3) if n - _count(share, n) >= 2)
+        raise InputError(
+            "scans",
+            f"{len(members)} that can be used",
+            f"at least {enough}, so that {_count(share, enough)} can be held out to tell when to stop",
+            "Give more scans, or hold fewer out; held_out=0 (--held-out 0) learns from all for a fixed number of rounds.",
+        )
+    order = generator(random_state, "held out").permutation(len(members))
+    # Each subject keeps two scans, or one at least, as long as that is possible: its template needs them.
+    left = {s: len(collection.of(s)) for s in collection.subjects}
+    taken = 0
+    for needed in (3, 2, 1):
+        for i in order:
+            if taken < count and not members[i].held_out and left[members[i].subject] >= needed:
+                members[i].held_out = True
+                left[members[i].subject] -= 1
+                taken += 1
