@@ -65,7 +65,8 @@ def test_results_give_their_vertices_back(tube_rig, learned_people):
         np.testing.assert_array_equal(V, r.vertices)
         template = learned_people.template_[IDS[k]]
         own = np.linalg.norm(tube_rig.vertices + r.offsets - template.vertices, axis=1).mean() / (tube_rig.size / 2)
-        assert 0 < own < 0.01  # the scan's own residual, on top of its subject's template
+        assert 0 < own < 0.01  # the scan's own residual, on top of its subject's template, whose joints it leaves
+        np.testing.assert_array_equal(r.rest_joints, template.joints)
         bounded = slice(1, None)
         assert (r.pose[bounded] >= tube_rig.lower[bounded]).all() and (r.pose[bounded] <= tube_rig.upper[bounded]).all()
 

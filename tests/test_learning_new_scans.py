@@ -278,6 +278,7 @@ def test_a_new_scan_that_is_turned(tube_rig, learned_people, people_scans, unit)
         assert np.linalg.norm(back - s.joints, axis=1).mean() < 0.03 * tube_rig.size / 2, list(given)
         posed = tube_rig.pose(r.pose, r.translation, r.scale, r.offsets, joints=r.rest_joints)
         np.testing.assert_array_equal(posed, r.vertices)
+        np.testing.assert_array_equal(r.rest_joints, learned_people.template_["ann"].joints)  # one skeleton for all scans
 
 
 @pytest.mark.parametrize("subject", ["carl", 0, ["ann"]])

@@ -81,11 +81,11 @@ def test_inside_respects_limits_and_locks(tube_rig, shared_rigs):
 # ---- the objective's gradient to all unknowns ----
 
 
-@pytest.mark.parametrize("joints", ["follow", "fixed"])
+@pytest.mark.parametrize("joints", ["follow", "fixed", "follow the template alone"])
 @pytest.mark.parametrize("weights", ["paper", "default", LossWeights(chamfer=0.0, lam=0.0, lam_lap=0.0)])
 @pytest.mark.parametrize("residual", [True, False])
 def test_gradient_to_the_optimisers_vector(tube_rig, joints, weights, residual):
-    model = Model(tube_rig, joints)
+    model = Model(tube_rig, joints.split()[0], shared=joints.endswith("alone"))
     weights = PRESETS.get(weights, weights) if isinstance(weights, str) else weights
     rng = np.random.default_rng(0)
     state = _state(model, residual=residual)

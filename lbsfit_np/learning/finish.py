@@ -54,7 +54,7 @@ def results_of(rig, templates, joints, collection, settings, facing, prior, *, j
         One for each scan given.
     """
     half = rig.size / 2
-    models = {s: Model(t, joints, half=half) for s, t in templates.items()}
+    models = {s: Model(t, joints, half=half, shared=True) for s, t in templates.items()}
     doubted, share = {m.subject for m in collection.members if m.own is not None}, 0.0
     sizes = [None] * len(collection.members)
     if doubted:
@@ -340,7 +340,7 @@ def _template_fit(fitter, subject, settings):
     template, half = fitter.template_[subject], fitter.rig.size / 2
 
     def make():
-        return TemplateFit(fitter.rig, Model(template, fitter.joints, half=half), settings)
+        return TemplateFit(fitter.rig, Model(template, fitter.joints, half=half, shared=True), settings)
 
     return _kept(fitter, (subject, "fit"), (template, fitter.joints, settings), make)
 

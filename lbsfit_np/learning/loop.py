@@ -398,7 +398,8 @@ class Loop:
         return self.collection.work(work, tasks, jobs=self.jobs, done=done, kept=kept)
 
     def _models(self, templates):
-        return {s: Model(self.rig.with_template(*t), self.joints, half=self.model.half) for s, t in templates.items()}
+        options = {"half": self.model.half, "shared": True}
+        return {s: Model(self.rig.with_template(*t), self.joints, **options) for s, t in templates.items()}
 
     def _beside(self, member):
         """Poses of the scans before and after, in a sequence."""

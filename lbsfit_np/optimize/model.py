@@ -30,13 +30,17 @@ class Model:
     half : float, optional
         What the normalised frame's unit is, in rig units; half the rig's size by default. Templates of several subjects of one
         rig are looked at in the rig's own unit, so that weights mean the same for all.
+    shared : bool, default False
+        Whether the rig is the template that a subject's scans share: joints follow that, and a residual, which is one scan's,
+        moves none.
     """
 
-    def __init__(self, rig, joints="follow", *, shifts=0.0, half=None):
+    def __init__(self, rig, joints="follow", *, shifts=0.0, half=None, shared=False):
         self.source = rig
         self.half = rig.size / 2 if half is None else half
         self.rig = rig.welded.scaled(1.0 / self.half)
         self.follow = joints == "follow"
+        self._residual_moves_joints = self.follow and not shared
         self.labels = self.rig.vertex_labels
         family = self.rig.proportions
         self._shifts = _shifts(self.rig, shifts) if shifts else np.empty((3 * len(rig.parents), 0))
@@ -82,6 +86,7 @@ class Model:
         nearest = cKDTree(self.rig.vertices[rows]).query(self.rig.vertices)[1]
         thin = object.__new__(Model)
         thin.source, thin.half, thin.follow = self.source, self.half, self.follow
+        thin._residual_moves_joints = self._residual_moves_joints
         thin.n_coefficients, thin.n_proportions = self.n_coefficients, self.n_proportions
         thin.rig = replace(
             self.rig,
@@ -125,7 +130,7 @@ class Model:
     def joint_offsets(self, state):
         """(J, 3): how far the rest joints of a state's template lie from the rig's."""
         moved = (self.joint_basis @ state.coefficients).reshape(-1, 3)
-        if self.follow and state.residual is not None:
+        if self._residual_moves_joints and state.residual is not None:
             moved = moved + self.rig.regressor @ state.residual
         return moved
 
@@ -143,8 +148,9 @@ class Model:
         coefficients = self.basis.T @ to_vertices.ravel() + self.joint_basis.T @ g.rest_joints.ravel()
         if not self._whole:
             return coefficients, None
-        residual = to_vertices + self.rig.regressor_transposed @ g.rest_joints if self.follow else to_vertices
-        return coefficients, residual
+        if self._residual_moves_joints:
+            to_vertices = to_vertices + self.rig.regressor_transposed @ g.rest_joints
+        return coefficients, to_vertices
 
 
 def _shifts(rig, size):
