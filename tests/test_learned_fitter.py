@@ -90,7 +90,6 @@ def test_a_scan_of_a_unit_of_its_own_leaves_no_trace(own, clouds):
 @pytest.mark.parametrize(
     "change",
     [
-        {"joints": "fixed"},
         {"weights": "paper"},
         {"weights": LossWeights(lam_lap=10.0)},
         {"max_points": 100},

@@ -296,9 +296,10 @@ def test_bends_are_tried_under_what_is_known(tube_rig):
     scout = _untrained(tube_rig)
     scout = Scout(scout.model, scout.library, scout.facing, None, FitSettings(**known))
     assert scout._bends._free == scout._free == ("pose", "translation")
-    assert scout._bends._steps.partial and scout._bends._steps.ridge == scout._shape.ridge == 7e-5
+    last = scout._to_the_end.__self__._steps
+    assert scout._bends._steps.partial and last.partial and scout._bends._steps.ridge == last.ridge == 7e-5
     scout = Scout(scout.model, scout.library, scout.facing, None, FitSettings(**known), proportions=False)
-    assert scout._shape is None and scout._bends._steps.partial and not scout._bends._proportions
+    assert scout._to_the_end == scout._refit.to_the_end and scout._bends._steps.partial and not scout._bends._proportions
     problem, start = Problem(tube_rig.vertices / scout.model.half), scout.model.rest().replace(translation=np.full(3, 0.02))
     (state, value), (end, left) = scout._to_the_end(problem, start), scout._refit.to_the_end(problem, start)
     np.testing.assert_array_equal(state.theta, end.theta)

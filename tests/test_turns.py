@@ -221,7 +221,8 @@ def test_a_fit_in_doubt_tells_what_would_look_further(tube_rig, effort, up, word
 
 def _as_learned(fitter, template, monkeypatch):
     """The fitter, as if it had learned one person's template."""
-    learned = {"template_": {"ann": template}, "unit_": {"ann": 1.0}, "history_": [], "_learned_with": (template.digest, True)}
+    learned = {"template_": {"ann": template}, "unit_": {"ann": 1.0}, "history_": []}
+    learned["_learned_with"] = template.digest, True, True
     for name, value in {**learned, "segmenter_": None, "regressor_": SimpleNamespace(digest="")}.items():
         setattr(fitter, name, value)
     monkeypatch.setattr("lbsfit_np.learning.fitter.model_digest", lambda *given, **named: "")
