@@ -103,6 +103,13 @@ def test_other_parameters_count_at_once(change, own, learned, clouds, plain):
     assert not np.array_equal(found.vertices, plain.vertices)
 
 
+def test_joints_of_learned_templates_stay_whatever_joints_says(own, clouds, plain):
+    """A residual moves none; of somebody else's scan, with proportions of its own, it counts."""
+    found = own.set_params(joints="fixed").fit_scan(clouds[0], subject="a")
+    np.testing.assert_array_equal(found.vertices, plain.vertices)
+    np.testing.assert_array_equal(found.rest_joints, own.template_["a"].joints)
+
+
 def test_another_template_counts_at_once(own, clouds):
     before = own.fit_scan(clouds[0], subject="a")
     own.template_["a"] = own.template_["b"]

@@ -81,8 +81,10 @@ def test_reports_of_something_else_are_refused(coarse_hand, quick):
         study({"h": replace(coarse_hand, poses=dict(list(coarse_hand.poses.items())[:20]))}, before=report)
     with pytest.raises(InputError, match="results of starts.*results of study"):
         study({"h": coarse_hand}, before={"benchmark": "starts"})
-    with pytest.raises(InputError, match="some of free-form"):
-        study({"h": coarse_hand}, rows=("joint", "nothing"))
+    meant = (("jiont",), "some of free-form.* Did you mean 'joint'")
+    for rows, words in ((("joint", "nothing"), "some of free-form"), meant, ((), "some of free-form")):
+        with pytest.raises(InputError, match=f"^rows: .*{words}"):
+            study({"h": coarse_hand}, rows=rows)
 
 
 def test_the_command_writes_a_page_and_resumes(quick, tmp_path, capsys):

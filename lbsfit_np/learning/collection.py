@@ -148,6 +148,7 @@ class Collection:
     taught: dict = field(default_factory=dict)
     asked: list = field(default_factory=list)
     warned: set = field(default_factory=set)
+    told_lost: set = field(default_factory=set)
 
     @property
     def subjects(self):
@@ -231,15 +232,20 @@ class Collection:
         return {s: answer for s, (answer, error) in found.items() if error is None}
 
     def warn(self, stacklevel, results=()):
-        """Warn of failures that nobody was warned of yet; of results, where people are mixed up or most fits have failed."""
+        """Warn of failures, and of people without any scan, that nobody was warned of yet.
+
+        Of results, where people are mixed up or most fits have failed.
+        """
         new = sorted(set(self.failures) - self.warned)
         self.warned.update(new)
         if new:
             words = f"{len(new)} of {self.n} scans cannot be used; scan {new[0]}: {self.failures[new[0]]}"
             warnings.warn(words, stacklevel=stacklevel + 1)
-        if results and (lost := [s for s in self.asked if s not in self.subjects]):
+        lost = [s for s in self.asked if s not in self.subjects and s not in self.told_lost]
+        self.told_lost.update(lost)
+        if lost:
             whose = f"subject{'s' * (len(lost) > 1)} {', '.join(repr(str(s)) for s in lost[:5])}" + ", …" * (len(lost) > 5)
-            warnings.warn(f"nothing was learned of {whose}: none of the scans could be used", stacklevel=stacklevel + 1)
+            warnings.warn(f"nothing is learned of {whose}: none of the scans can be used", stacklevel=stacklevel + 1)
         odd = [r.evidence.get("proportions", 0.0) > SOMEBODY_ELSE for r in results if r is not None]
         if sum(odd) > max(1, _STRANGERS * len(odd)):
             words = f"{sum(odd)} of {len(odd)} scans do not suit their subject's template; are they of several people? "

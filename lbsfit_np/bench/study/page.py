@@ -30,7 +30,7 @@ Means over the test scans.
 - **Recon**: √L_c, L_c the Chamfer distance between scan and registered vertices. **at the truth**: its value at the true mesh
   on the same scan. **÷**: one by the other, below 1 where a fit follows the scan's noise and missing areas more closely.
 - **Pose**: ‖joints − true joints‖, mean over the unlocked ones, and its **median** over the scans. Joints of free-form rows
-  are regressed from the vertices.
+  are regressed from the vertices. It says nothing of how a head or a hand is turned about its bone.
 - **vertices**: ‖registered − true vertices‖. **unfitted**: scans without a fit, which all these leave out. **s**: of learning
   and all fits of the row, pretraining not counted; – of a row that found steps of a run that was stopped. What rows
   of one run have in common counts in the first of these: the training scans' fits by themselves, where labels teach, and those
@@ -47,14 +47,14 @@ _CORRESPONDENCES = """\
 _LABELS = """\
 The share of the test scans' points that are put into the right chain of joints.
 
-- **before learning**, **as kept**: of the segmenter alone, after pretraining and in the round that was kept; of its
-  **single scans** the worst and the best. **labels of its fits**: the same of the registrations.
+- **before learning**, **as kept**: of the segmenter alone, after pretraining and in the round that was kept
+  (**round kept**); of its **single scans** the worst and the best. **labels of its fits**: the same of the registrations.
 """
 
 _TEMPLATES = """\
 - **before** is ‖U − U^gt‖, **after** ‖U^d − U^gt‖, mean over the vertices in the rest pose, U^d grown by its scale about the
-  root joint; and both with the two moved to a common centre ("up to a shift"), as no scan shows where the rest pose stands.
-  The paper has 0.03 and 0.02 for bodies, ÷ 0.67.
+  root joint, **÷** one by the other; and both with the two moved to a common centre ("up to a shift"), as no scan shows where the
+  rest pose stands. **whose**: templates that scans share, or one of each test scan's own. The paper has 0.03 and 0.02 for bodies.
 """
 
 _ORDERS = """\
@@ -128,7 +128,7 @@ def page(report, captions):
     if captions:
         parts.append("## Figures")
         files = sorted(captions, key=_place)
-        parts += [f"![{file.removesuffix('.png')}]({file})\n\n{captions[file]}" for file in files]
+        parts += [f"![{file.removesuffix('.png').replace('-', ' ')}]({file})\n\n{captions[file]}" for file in files]
     parts.append(_provenance(report))
     return "\n\n".join(p.strip("\n") for p in parts if p) + "\n"
 
@@ -143,17 +143,17 @@ def console_table(report, *, markdown=False):
 
 
 def _of_rig(report, name):
-    """The section of a rig: what was to be reached first, then tables, the first ones with what their columns are."""
+    """The section of a rig: tables, those of the first rig with what their columns are, and what was to be reached."""
     from .measures import POINTS
 
     first = name == next(iter(report["rigs"]))
     correspondences = _CORRESPONDENCES.format(points=POINTS, pairs=max(e["size"]["pairs"] for e in report["rigs"].values()))
-    yield tables.goals(report, name, markdown=True)
     for title, made, words in (
         ("Registrations", tables.registrations(report, name, markdown=True), _REGISTRATIONS),
         ("Correspondences", tables.correspondences(report, name, markdown=True), correspondences),
         ("Labels", tables.labels(report, name, markdown=True), _LABELS),
         ("Templates", tables.templates(report, name, markdown=True), _TEMPLATES),
+        ("Goals", tables.goals(report, name, markdown=True), ""),
         ("Order of the ablations", tables.orders(report, name), _ORDERS),
         ("More", tables.more(report, name), ""),
     ):

@@ -9,7 +9,7 @@ from itertools import product
 
 import numpy as np
 
-from ...errors import InputError
+from ...errors import InputError, did_you_mean
 from ...learning.checkpoint import remove_checkpoint, state_of_the_code, steps_in
 from ...workers import kept_processes
 from ..environment import environment
@@ -80,9 +80,9 @@ def study(
     InputError
         Names that are not known; a report of other settings.
     """
-    known = [row for row in rows if row in ROWS]
-    if not rows or len(known) < len(rows):
-        raise InputError("rows", repr(rows), f"some of {', '.join(ROWS)}")
+    odd = [row for row in rows if row not in ROWS]
+    if odd or not rows:
+        raise InputError("rows", repr(rows), f"some of {', '.join(ROWS)}", did_you_mean(odd[0], ROWS) if odd else None)
     sizes = {name: sized(rig, size) for name, rig in rigs.items()}
     count = max(s.seeds for s in sizes.values())
     seeds = [FIRST_SEED + k for k in range(count)] if seeds is None else [int(s) for s in seeds]

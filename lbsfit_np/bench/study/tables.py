@@ -107,13 +107,14 @@ def goals(report, name, *, markdown):
         ("labels of the segmenter alone", _there(cells, "kept_accuracy"), "≥", GOALS["accuracy"][kind], ".3f"),
     ]
     gaps = {whose: [c["gap"][whose] for c in cells if whose in c["gap"]] for whose in ("subjects", "test scans")}
+    paper = f"(the paper's bodies: {OF_GAPS[1] / OF_GAPS[0]:.2f})"
     for called, whose, of in (
-        (f"template gap of the people learned from, ÷ before [{OF_GAPS[1] / OF_GAPS[0]:.2f}]", "subjects", ""),
+        (f"template gap of the people learned from, ÷ before {paper}", "subjects", ""),
         ("the same up to a shift", "subjects", ", up to a shift"),
         ("template gap of the test scans, each a template of its own, ÷ before", "test scans", ""),
     ):
         known.append((called, [_share(g, of) for g in gaps[whose]], "≤", GOALS["gap"], ".2f"))
-    lines = [("joint", "found", "goal", "reached")]
+    lines = [("row joint", "found", "goal", "reached")]
     for what, values, sign, goal, style in known:
         if values:
             met = np.mean(values) <= goal if sign == "≤" else np.mean(values) >= goal
