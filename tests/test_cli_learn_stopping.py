@@ -372,6 +372,18 @@ def test_a_full_disk_leaves_no_half_model(tubes, tmp_path, run, monkeypatch):
     assert code == 2 and "No space left" in one_line(failed) and not list(tmp_path.iterdir())
 
 
+def test_a_model_that_cannot_be_written_leaves_its_steps_and_says_so(tubes, tmp_path, run, monkeypatch):
+    def full(self, path):
+        raise FileError(str(path), "a full disk", "room for it", "Make some.")
+
+    monkeypatch.setattr(lbs.LBSFitter, "save", full)
+    scans, folder = sorted(tubes.glob("*.ply")), tmp_path / "m.npz.unfinished"
+    code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
+    assert code == 2 and "a full disk" in one_line(err) and steps_in(folder)
+    end = f"mended, the same command goes on from what is kept in {folder}"
+    assert text.splitlines()[-1] == f"ended by an error before the model was written; {end}"
+
+
 def test_a_result_that_cannot_be_written_does_not_stop_the_others(tubes, tmp_path, run, monkeypatch):
     import lbsfit_np.io.write
 

@@ -68,6 +68,12 @@ Corre., labels and templates, beside the paper's figures.
 
 OUT gets results.json and the registrations (cells/), after each row anew; at the end README.md with the tables, and pictures,
 for which the extra "viz" has to be installed. The same command once more does only what is not there yet.
+
+--rows: free-form..., without skinning, from the template, from synthetic scans that look alike, or taught by true
+correspondences; cd, rand, pose-only and joint, the variants of lbsfit learn; oracle-labels and oracle-fit, true labels or true
+correspondences given. README.md says what else each is.
+
+--size small takes seven to ten minutes on two cores with --jobs 2, medium some hours a rig and seed, paper days.
 """
 
 _EPILOG = """\

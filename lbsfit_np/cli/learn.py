@@ -19,7 +19,7 @@ from .parsing import Option, add_options, amount, formatter, positive, settings,
 from .progress import LearningProgress, Progress, of_all, say, span
 from .reading import Reading
 from .sequences import order_note
-from .stopped_learning import is_result_of, results_so_far, stopped_early
+from .stopped_learning import goes_on, is_result_of, results_so_far, stopped_early
 from .stopping import exit_code, say_steps, terminable
 from .subjects import SUBJECT_FILES, check_no_table, read_subjects
 from .summary import counts_of, say_doubtful, write_summary, written_of
@@ -186,6 +186,11 @@ def learn_files(rig_path, scans, values, *, inputs=()):
         say_doubtful([*entries.values(), *(e for e in reading.unused() if e["input"] not in known)])
         say(end)
         return exit_code(stop)
+    except Exception:
+        progress.close()
+        if not written and (words := goes_on(model)):
+            say(f"ended by an error before the model was written; mended, the same command {words}")
+        raise
     finally:
         progress.close()
         remove_empty(folders)

@@ -1,4 +1,4 @@
-"""What ``lbsfit learn`` says where it is stopped: what is kept, and how to go on."""
+"""What ``lbsfit learn`` says where it is stopped, or ends with an error: what is kept, and how to go on."""
 
 import os
 import shlex
@@ -9,7 +9,7 @@ from .progress import of_all
 from .stopping import terminable
 from .summary import written_of
 
-__all__ = ["is_result_of", "results_so_far", "stopped_early"]
+__all__ = ["goes_on", "is_result_of", "results_so_far", "stopped_early"]
 
 # Letters of scans' names up to which a command has them all.
 _SHORT = 200
@@ -29,13 +29,13 @@ def stopped_early(fitter, model, scans, failed, subjects, values):
         # In the results' folder those of an earlier run may be.
         known = [scans[i] for i in _of_the_known(fitter, subjects, len(scans)) if i not in failed]
         to_fit = _to_fit(model, values, "replace" if replace and values["results"] else None, known)
-        anew = f"the same command{'' if replace else ' with --existing replace'} {_goes_on(model) or 'begins anew'}"
+        anew = f"the same command{'' if replace else ' with --existing replace'} {goes_on(model) or 'begins anew'}"
         which = "scans with it"
         if subjects is not None:
             which = f"these scans with it{_but_for_strangers(fitter, subjects)}"
             which += " (others without --subjects, or with an empty id in its file)"
         return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit {which}: {to_fit}"
-    if words := _goes_on(model):
+    if words := goes_on(model):
         return f"stopped before the model was learned; the same command {words}"
     # Training is over only when all of it is; what could not be written is gone, as was warned of.
     if getattr(fitter, "regressor_", None) is None or could_not_keep():
@@ -44,7 +44,7 @@ def stopped_early(fitter, model, scans, failed, subjects, values):
     return f"stopped before the model was learned; {kept}"
 
 
-def _goes_on(model):
+def goes_on(model):
     """What a later run does with what is kept, in words; nothing where nothing is."""
     from ..learning.checkpoint import checkpoint_of, steps_in
 
