@@ -67,7 +67,7 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
                 done((k + 1) / len(tasks))
         return [answers[k] for k in range(len(tasks))]
     todo = list(enumerate(tasks))[::-1]
-    with Workers(_Caught(work), min(jobs, len(tasks)), argument="n_jobs") as workers:
+    with Workers(_Caught(work), min(jobs, len(tasks))) as workers:
         while len(answers) < len(tasks):
             while todo and workers.idle:
                 workers.give(todo.pop())
@@ -85,7 +85,7 @@ def beside(work):
     ``with beside(work) as answer:`` and in there ``answer()``, which waits for it. Work is picklable; its errors pass on.
     InputError where the process was killed.
     """
-    with Workers(_Caught(_Alone(work)), 1, argument="n_jobs") as workers:
+    with Workers(_Caught(_Alone(work)), 1) as workers:
         workers.give((0, None))
         found = []
 
@@ -149,8 +149,6 @@ class Workers:
     work : callable (task) → answer
         Sent to each process once; must be picklable, and must not raise.
     n : int
-    argument : str, default "jobs"
-        What errors call the number of processes.
 
     Raises
     ------
@@ -158,16 +156,14 @@ class Workers:
         ``work`` cannot be pickled, or processes end before they begin.
     """
 
-    def __init__(self, work, n, *, argument="jobs"):
+    def __init__(self, work, n):
         try:
             self._payload = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
-            remedy = f"Use functions from the top level of a module, or {argument}=1."
-            raise InputError(
-                argument, f"more than 1 with what cannot be sent to processes ({error})", "picklable work", remedy
-            ) from None
+            remedy = "Use functions from the top level of a module, or n_jobs=1."
+            got = f"more than 1 with what cannot be sent to processes ({error})"
+            raise InputError("n_jobs", got, "picklable work", remedy) from None
         self._n = n
-        self._argument = argument
         self._workers = []
 
     def __enter__(self):
@@ -231,7 +227,7 @@ class Workers:
             worker.connection.close()
             if not worker.ready:
                 raise InputError(
-                    self._argument,
+                    "n_jobs",
                     f"worker processes that end before they begin ({worker.death})",
                     "processes that start",
                     'In a script, call this under `if __name__ == "__main__":`.',

@@ -44,7 +44,7 @@ def test_what_is_no_sequence_of_scans_is_named(quick_fitter, scans, word):
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_results_do_not_depend_on_jobs_or_order(quick_fitter, clouds, alone, jobs):
-    outcomes = fit_scans(quick_fitter, clouds[::-1], jobs=jobs)
+    outcomes = fit_scans(quick_fitter, clouds[::-1], n_jobs=jobs)
     assert [o.index for o in outcomes] == [0, 1, 2]
     for ours, theirs in zip(outcomes, alone[::-1]):
         for name in ("pose", "translation", "scale", "offsets", "vertices", "joints", "labels", "confidence"):
@@ -56,7 +56,7 @@ def test_results_do_not_depend_on_jobs_or_order(quick_fitter, clouds, alone, job
 def test_a_bad_scan_fails_alone(quick_fitter, clouds, jobs):
     seen = []
     scans = [np.full((9, 3), np.nan), clouds[0], functools.partial(lbs.load_scan, "nowhere.ply"), _broken, clouds[1]]
-    outcomes = fit_scans(quick_fitter, scans, jobs=jobs, on_result=seen.append)
+    outcomes = fit_scans(quick_fitter, scans, n_jobs=jobs, on_result=seen.append)
     assert [o.error is None for o in outcomes] == [False, True, False, False, True]
     assert "NaN" in outcomes[0].error and "nowhere.ply" in outcomes[2].error
     assert outcomes[3].error == "ZeroDivisionError: division by zero" and "_broken" in outcomes[3].details
@@ -66,7 +66,7 @@ def test_a_bad_scan_fails_alone(quick_fitter, clouds, jobs):
 
 def test_finish_takes_the_place_of_the_result(quick_fitter, clouds):
     for jobs in (1, 2):
-        outcomes = fit_scans(quick_fitter, clouds[:2], jobs=jobs, finish=_described)
+        outcomes = fit_scans(quick_fitter, clouds[:2], n_jobs=jobs, finish=_described)
         assert [o.result for o in outcomes] == [(0, 400, "ok"), (1, 400, "ok")]
 
 
@@ -103,13 +103,13 @@ def test_training_waits_for_a_scan_that_can_be_fitted(tube_rig, clouds):
 
 
 def test_no_scans_is_no_work(tube_rig):
-    assert fit_scans(lbs.LBSFitter(tube_rig), [], jobs=2) == []
+    assert fit_scans(lbs.LBSFitter(tube_rig), [], n_jobs=2) == []
 
 
 @pytest.mark.parametrize("jobs", [0, -1, 1.5, True, "2"])
 def test_jobs_that_cannot_be(quick_fitter, clouds, jobs):
-    with pytest.raises(InputError, match="jobs: got .*expected a positive whole number"):
-        fit_scans(quick_fitter, clouds, jobs=jobs)
+    with pytest.raises(InputError, match="n_jobs: got .*expected a positive whole number"):
+        fit_scans(quick_fitter, clouds, n_jobs=jobs)
 
 
 @pytest.mark.parametrize("name", ["finish", "on_result", "pretrain"])
@@ -128,22 +128,22 @@ def test_parameters_of_the_fitter_that_cannot_be(quick_fitter, clouds, parameter
         setattr(fitter, name, value)
     seen = []
     with pytest.raises(InputError, match=next(iter(parameters))):
-        fit_scans(fitter, clouds, jobs=jobs, on_result=seen.append)
+        fit_scans(fitter, clouds, n_jobs=jobs, on_result=seen.append)
     with pytest.raises(InputError, match="rig: got str"):
-        fit_scans(lbs.LBSFitter("x"), clouds, jobs=jobs, on_result=seen.append)
+        fit_scans(lbs.LBSFitter("x"), clouds, n_jobs=jobs, on_result=seen.append)
     assert not seen
 
 
 def test_what_cannot_be_sent_to_processes(quick_fitter, clouds):
-    with pytest.raises(InputError, match="jobs: .*cannot be sent.*top level of a module"):
-        fit_scans(quick_fitter, clouds, jobs=2, finish=lambda index, scan, result: None)
-    outcomes = fit_scans(quick_fitter, [lambda: clouds[0], clouds[1]], jobs=2)
+    with pytest.raises(InputError, match="n_jobs: .*cannot be sent.*top level of a module"):
+        fit_scans(quick_fitter, clouds, n_jobs=2, finish=lambda index, scan, result: None)
+    outcomes = fit_scans(quick_fitter, [lambda: clouds[0], clouds[1]], n_jobs=2)
     assert "cannot be sent" in outcomes[0].error and outcomes[1].error is None
 
 
 @POSIX
 def test_the_death_of_a_worker_costs_its_scan_only(quick_fitter, clouds):
-    outcomes = fit_scans(quick_fitter, clouds, jobs=2, finish=_killed_at_1)
+    outcomes = fit_scans(quick_fitter, clouds, n_jobs=2, finish=_killed_at_1)
     assert [o.result for o in outcomes] == [0, None, 2]
     assert "SIGKILL" in outcomes[1].error and "memory" in outcomes[1].error
 
@@ -158,7 +158,7 @@ def test_an_interrupt_ends_workers_and_passes_on(quick_fitter, clouds, jobs):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fit_scans(quick_fitter, clouds, jobs=jobs, on_result=on_result)
+        fit_scans(quick_fitter, clouds, n_jobs=jobs, on_result=on_result)
     assert 1 <= len(seen) < 3
     assert not multiprocessing.active_children()
 
@@ -173,7 +173,7 @@ def test_a_script_without_a_main_guard_is_told_so(tmp_path):
         env=os.environ | {"PYTHONPATH": PACKAGE_PARENT},
         timeout=120,
     )
-    assert "InputError: jobs: got worker processes that end before they begin" in done.stderr
+    assert "InputError: n_jobs: got worker processes that end before they begin" in done.stderr
     assert 'if __name__ == "__main__":' in done.stderr
     assert done.stderr.count("Traceback") == 1 and "freeze_support" not in done.stderr  # and not by each process
 

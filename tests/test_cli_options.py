@@ -240,3 +240,16 @@ def test_defaults_are_the_librarys():
     assert set(options["orientation"].choices) == set(ORIENTATIONS)
     assert set(options["up"].choices) == set(AXES)
     assert set(options["effort"].choices) == set(EFFORTS)
+
+
+@pytest.mark.parametrize("name, option", [("n_jobs", "--jobs"), ("random_state", "--seed"), ("max_points", "--max-points")])
+@pytest.mark.parametrize("command", ["fit", "learn"])
+def test_errors_name_the_option(command, name, option, tubes, tmp_path, run, monkeypatch):
+    def refuse(fitter):
+        raise lbs.InputError(name, "one", "another", "Take it.")
+
+    monkeypatch.setattr("lbsfit_np.learning.parameters.check_parameters", refuse)
+    monkeypatch.setattr("lbsfit_np.learning.fitter.check_parameters", refuse)
+    out = tmp_path / ("m.npz" if command == "learn" else "fits")
+    code, _, err = run(command, tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", out)
+    assert (code, err) == (2, f"lbsfit: error: {option}: got one; expected another. Take it.\n")

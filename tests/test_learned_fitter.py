@@ -190,7 +190,7 @@ def test_mappings_of_training_travel(own, tmp_path):
 
 def test_results_say_whose_template_they_are_on(learned, tube_result, clouds, tmp_path):
     assert [r.subject for r in learned.results_] == list("ababab") and tube_result.subject == ""
-    outcomes = fit_scans(learned, clouds[:3], subjects=["b", "a", None], jobs=2)
+    outcomes = fit_scans(learned, clouds[:3], subjects=["b", "a", None], n_jobs=2)
     assert [o.result.subject for o in outcomes][:2] == ["b", "a"]
     digests = [model_digest(learned, subject) for subject in ("b", "a", None)]
     assert [o.result.model_digest for o in outcomes] == digests

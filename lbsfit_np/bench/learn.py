@@ -256,7 +256,7 @@ def _one_by_one(fitter, points, jobs, progress):
 
     done = count(1)
     tell = None if progress is None else lambda outcome: progress("fits", next(done) / len(points))
-    return [outcome.result for outcome in fit_scans(fitter, points, jobs=jobs, on_result=tell)]
+    return [outcome.result for outcome in fit_scans(fitter, points, n_jobs=jobs, on_result=tell)]
 
 
 def _poses_digest(name, data):

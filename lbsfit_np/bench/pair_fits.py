@@ -200,7 +200,7 @@ def _fit_others(fitter, todo, learn_from, read, fits, jobs, reporter):
         fitter,
         [read[name] for name in names],
         subjects=[known.get(name) for name in names],
-        jobs=jobs,
+        n_jobs=jobs,
         finish=_Save(fits.folder, names),
         on_result=on_result,
         pretrain=lambda fitter: fitter.pretrain(cache=True, progress=reporter.training),

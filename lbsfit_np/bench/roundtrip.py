@@ -133,7 +133,7 @@ def _fit_seed(fitter, rig, scans, jobs, on_scan):
 
     started = time.perf_counter()
     points = [scan.points for scan in scans]
-    outcomes = fit_scans(fitter, points, jobs=jobs, finish=_Measured(rig, scans), on_result=one_more)
+    outcomes = fit_scans(fitter, points, n_jobs=jobs, finish=_Measured(rig, scans), on_result=one_more)
     wall = time.perf_counter() - started
     entries = [{"scan": o.index} | ({"failed": o.error} if o.result is None else o.result) for o in outcomes]
     return _figures(entries) | {"wall_seconds": round(wall, 2), "scans": entries}

@@ -286,7 +286,7 @@ def _fit_row(method, scans, bench, rig, jobs, on_scan):
     outcomes = fit_scans(
         method,
         scans,
-        jobs=jobs,
+        n_jobs=jobs,
         finish=_Measured(method, bench.rig_units(rig)),
         on_result=one_more,
         pretrain=lambda method: None,  # done already, or not needed

@@ -84,8 +84,8 @@ OPTIONS = (
         check=lambda given: check_training(given),
         refusals={"one_sided": "Of scans that show one side only say partial = true."},
     ),
-    Option("seed", "seed of all that is random", natural, 0, metavar="N"),
-    Option("jobs", "worker processes; the results do not depend on it", positive, 1, metavar="N"),
+    Option("seed", "seed of all that is random", natural, 0, metavar="N", parameter="random_state"),
+    Option("jobs", "worker processes; the results do not depend on it", positive, 1, metavar="N", parameter="n_jobs"),
     Option("existing", "what to do where results exist already", default="error", choices=("error", "skip", "replace")),
 )
 
@@ -339,7 +339,7 @@ def _fit(fitter, todo, subjects, values, on_result, progress):
         fitter,
         [functools.partial(read_scan, f.source, len(fitter.rig.parts), scan_options(values)) for f in todo],
         subjects=[subjects[f.name] for f in todo],
-        jobs=values["jobs"],
+        n_jobs=values["jobs"],
         finish=outputs.Writer(fitter.rig, todo),
         on_result=on_result,
         pretrain=lambda fitter: fitter.pretrain(segmenter=segmenter, cache=True, progress=progress.training),

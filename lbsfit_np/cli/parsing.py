@@ -166,6 +166,8 @@ class Option:
     refusals : dict
         What to say of values that are no choices here, though somebody may well expect them; of a table, of its names that
         are no options by themselves.
+    parameter : str or None
+        What it is called in Python, where that is another name: errors then name the option.
     """
 
     name: str
@@ -179,6 +181,7 @@ class Option:
     table: bool = False
     check: object = None
     refusals: dict = field(default_factory=dict)
+    parameter: str | None = None
 
     @property
     def key(self):
@@ -189,9 +192,9 @@ class Option:
 def add_options(parser, options):
     """Add options to a parser; those that are not given leave no trace in the namespace, see :func:`settings`.
 
-    The namespace gets ``flags``, what the user writes for each option, by its key.
+    The namespace gets ``flags``, what the user writes for each option, by its key and by its parameter.
     """
-    flags = {option.key: option.flag or f"--{option.name}" for option in options}
+    flags = {name: o.flag or f"--{o.name}" for o in options for name in (o.key, o.parameter) if name}
     parser.set_defaults(flags=(parser.get_default("flags") or {}) | flags)
     for option in options:
         names = [*([option.flag] if option.flag else []), f"--{option.name}"]

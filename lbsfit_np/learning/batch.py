@@ -44,7 +44,7 @@ class ScanOutcome:
     seconds: float = 0.0
 
 
-def fit_scans(fitter, scans, *, subjects=None, jobs=1, finish=None, on_result=None, pretrain=None):
+def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=None, pretrain=None):
     """Fit many scans; one that fails does not stop the others.
 
     Parameters
@@ -58,7 +58,7 @@ def fit_scans(fitter, scans, *, subjects=None, jobs=1, finish=None, on_result=No
         their scan alone.
     subjects : sequence of str, int or None, optional
         Of a fitter that has learned: whose each scan is, as for ``LBSFitter.fit_scan``; None where that is not known.
-    jobs : int, default 1
+    n_jobs : int, default 1
         Worker processes; with 1 all happens in this one. They are started afresh ("spawn"), so that a script must call this
         under ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``, results are the same to the last
         bit whatever ``jobs`` is.
@@ -78,12 +78,12 @@ def fit_scans(fitter, scans, *, subjects=None, jobs=1, finish=None, on_result=No
     Raises
     ------
     InputError
-        ``jobs``, ``subjects``, what is no function, or parameters of the fitter, cannot be used.
+        ``n_jobs``, ``subjects``, what is no function, or parameters of the fitter, cannot be used.
     KeyboardInterrupt
         On Ctrl-C, once workers have ended and ``on_result`` has had all that was finished.
     """
-    if isinstance(jobs, bool) or not isinstance(jobs, (int, np.integer)) or jobs < 1:
-        raise InputError("jobs", repr(jobs), "a positive whole number of worker processes")
+    if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs < 1:
+        raise InputError("n_jobs", repr(n_jobs), "a positive whole number of worker processes")
     check_callables(finish=finish, on_result=on_result, pretrain=pretrain)
     scans = as_scans(scans)
     subjects = [None] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
@@ -99,11 +99,11 @@ def fit_scans(fitter, scans, *, subjects=None, jobs=1, finish=None, on_result=No
 
     read = _pretrained(fitter, scans, report, pretrain)
     todo = [i for i in range(len(scans)) if i not in outcomes]
-    if jobs == 1 or len(todo) < 2:
+    if n_jobs == 1 or len(todo) < 2:
         for i in todo:
             report(_fit_one(fitter, finish, i, read.pop(i, scans[i]), subjects[i]))
     else:
-        _fit_by_workers(_Work(fitter, finish), scans, subjects, deque(todo), int(jobs), report)
+        _fit_by_workers(_Work(fitter, finish), scans, subjects, deque(todo), int(n_jobs), report)
     return [outcomes[i] for i in range(len(scans))]
 
 

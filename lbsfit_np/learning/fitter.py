@@ -412,7 +412,7 @@ class LBSFitter(BaseEstimator):
     def _fit_all(self, scans, subjects):
         self._check_learned()
         jobs = jobs_of(self.n_jobs, None) if self._repeatable() else 1  # the state of a Generator goes from scan to scan
-        outcomes = fit_scans(self, scans, subjects=subjects, jobs=jobs)
+        outcomes = fit_scans(self, scans, subjects=subjects, n_jobs=jobs)
         for outcome in outcomes:
             if outcome.error is not None:
                 warnings.warn(f"scan {outcome.index} cannot be fitted: {outcome.error}", stacklevel=3)
