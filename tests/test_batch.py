@@ -7,12 +7,14 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from fit_checks import assert_same
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -137,8 +139,12 @@ def test_parameters_of_the_fitter_that_cannot_be(quick_fitter, clouds, parameter
 def test_what_cannot_be_sent_to_processes(quick_fitter, clouds):
     with pytest.raises(InputError, match="n_jobs: .*cannot be sent.*top level of a module"):
         fit_scans(quick_fitter, clouds, n_jobs=2, finish=lambda index, scan, result: None)
-    outcomes = fit_scans(quick_fitter, [lambda: clouds[0], clouds[1]], n_jobs=2)
-    assert "cannot be sent" in outcomes[0].error and outcomes[1].error is None
+    sources = [lambda: clouds[0], clouds[1], lambda: 1 / 0, threading.Lock(), lambda: threading.Lock()]
+    outcomes = fit_scans(quick_fitter, sources, n_jobs=2)
+    assert [o.error is None for o in outcomes] == [True, True, False, False, False]
+    assert_same(outcomes[0].result, fit_scans(quick_fitter, clouds[:1])[0].result)
+    assert outcomes[2].error.startswith("ZeroDivisionError")
+    assert "cannot be sent" in outcomes[3].error and "lock" in outcomes[4].error
 
 
 @POSIX

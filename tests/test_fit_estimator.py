@@ -8,6 +8,7 @@ from fit_checks import assert_same
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.losses import PRESETS
 from lbsfit_np.segmentation import cache
 from lbsfit_np.synthesis import Synthesis
@@ -107,22 +108,43 @@ CHANGES = [
     {"training_scans": 30},
     {"partial": True},
     {"training": {"noise": 0.05}},
+    {"rig": lambda rig: replace(rig, poses={"bent": np.clip(np.full(rig.lower.shape, 0.3), rig.lower, rig.upper)})},
 ]
 
 
 @pytest.mark.parametrize("changed", CHANGES, ids=lambda changed: next(iter(changed)))
 @pytest.mark.parametrize("given", [False, True])
-def test_what_was_pretrained_with_other_parameters_is_not_used(changed, given, tube_rig, tube_scan, fitter):
+@pytest.mark.parametrize("fit", [lambda f, x: f.fit_scan(x), lambda f, x: fit_scans(f, [x])[0].result], ids=["one", "several"])
+def test_what_was_pretrained_with_other_parameters_is_not_used(fit, changed, given, tube_rig, tube_scan, fitter):
     """But for a segmenter that was given, which is used as it is."""
     small = {"training_scans": 2, "training": {"n_points": 100}, "random_state": 9}
     own = lbs.LBSFitter(tube_rig, **small).pretrain().segmenter_ if given else None
     before = fitter.pretrain(segmenter=own)._pretrained
     assert fitter.fit_scan(tube_scan.points) is not None and fitter._pretrained is before
-    fitter.set_params(**changed)
-    found = fitter.fit_scan(tube_scan.points)
+    fitter.set_params(**{name: value(tube_rig) if callable(value) else value for name, value in changed.items()})
+    found = fit(fitter, tube_scan.points)
     assert (fitter.segmenter_ is before[0]) == given and fitter.regressor_ is not before[1]
     other = lbs.LBSFitter(**fitter.get_params()).pretrain(segmenter=own)
     assert_same(found, other.fit_scan(tube_scan.points))
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_learning_does_not_use_what_was_pretrained_with_other_parameters_either(given, tube_rig, fitter):
+    small = {"training_scans": 2, "training": {"n_points": 100}, "random_state": 9}
+    own = lbs.LBSFitter(tube_rig, **small).pretrain().segmenter_ if given else None
+    clouds = [s.points for s in lbs.synthesize(tube_rig, 3, random_state=1, n_points=300)]
+    fitter.pretrain(segmenter=own).set_params(random_state=3, rounds=1).fit(clouds)
+    other = lbs.LBSFitter(**fitter.get_params()).pretrain(segmenter=own).fit(clouds)
+    for found, expected in zip(fitter.results_, other.results_, strict=True):
+        assert_same(found, expected)
+
+
+def test_a_given_segmenter_comes_back_after_a_variant_without_labels(tube_rig, tube_scan, fitter):
+    own = lbs.LBSFitter(tube_rig, training_scans=2, training={"n_points": 100}, random_state=9).pretrain().segmenter_
+    fitter.pretrain(segmenter=own).set_params(variant="cd", random_state=2).fit_scan(tube_scan.points)
+    assert fitter.segmenter_ is None
+    fitter.set_params(variant="joint").fit_scan(tube_scan.points)
+    assert fitter.segmenter_ is own
 
 
 def test_changed_parameters_are_looked_at_again(tube_rig, tube_scan, fitter):

@@ -196,6 +196,9 @@ def test_a_learned_fit_in_doubt_tells_what_would_look_further(effort, tube_rig, 
     given = tube_rig, {0: tube_rig}, "follow", collection, settings, Facing(), None
     (r,) = finish.results_of(*given, jobs=1, progress=lambda *told: None)
     assert ("effort 'balanced' (--effort balanced) looks further" in r.message) == (effort == "fast")
+    monkeypatch.setattr("lbsfit_np.fitting.template_fit.TemplateFit.proportions", lambda *given: 1.0)  # somebody else
+    (r,) = finish.results_of(*given, jobs=1, progress=lambda *told: None)
+    assert "looks further" not in r.message
 
 
 def test_figures_of_a_round_are_means_of_roots():

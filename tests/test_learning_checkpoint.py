@@ -93,6 +93,24 @@ def test_a_run_that_is_stopped_again_and_again_does_nothing_twice(make_learner, 
     _assert_same(again, uninterrupted)
 
 
+def test_what_was_made_without_a_subject_is_not_taken_with_it(make_learner, points, tmp_path, monkeypatch):
+    """One whose template could not be found once, for want of memory."""
+    call, whose = loop.Template.__call__, [0, 1, 0, 0]
+
+    def careless(self, task):
+        if len(task[0]) == 1:
+            raise MemoryError("no room")
+        return call(self, task)
+
+    learner = make_learner(variant="cd")
+    monkeypatch.setattr(loop.Template, "__call__", careless)
+    with pytest.raises(KeyboardInterrupt):
+        learner.fit(points, whose, checkpoint=tmp_path, progress=_stop_at("poses of scans", 0.1))
+    monkeypatch.undo()
+    found = make_learner(variant="cd").fit(points, whose, checkpoint=tmp_path)
+    _assert_same(found, make_learner(variant="cd").fit(points, whose))
+
+
 def test_processes_find_what_one_has_kept(make_learner, points, uninterrupted, tmp_path):
     with pytest.raises(KeyboardInterrupt):
         make_learner().fit(points, checkpoint=tmp_path, progress=_stop_at("first fits", 0.5))

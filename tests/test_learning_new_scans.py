@@ -15,7 +15,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.template_fit import TemplateFit
-from lbsfit_np.learning import finish
+from lbsfit_np.learning import batch, finish
 from lbsfit_np.learning.parameters import fit_settings
 from lbsfit_np.rotations import matrix_from_rotvec
 
@@ -310,10 +310,21 @@ def test_transform_and_score(tube_rig, learned_people, people_scans):
         learned_people.transform(given[:2], ["ann"])
 
 
-def test_several_processes_transform_alike(learned_people, people_scans):
-    given, fitter = [s.points for s in people_scans[12:14]], copy.copy(learned_people)
-    one, two = (fitter.set_params(n_jobs=n).transform(given, ["ann", None]) for n in (1, 2))
-    np.testing.assert_array_equal(one, two)
+@pytest.mark.parametrize("seed", [0, None])
+def test_several_processes_transform_alike(seed, learned_people, people_scans, monkeypatch):
+    given, fitter, asked = [s.points for s in people_scans[12:14]], copy.copy(learned_people), []
+
+    def fit_scans(*given, n_jobs, **more):
+        asked.append(n_jobs)
+        return batch.fit_scans(*given, n_jobs=n_jobs, **more)
+
+    monkeypatch.setattr("lbsfit_np.learning.fitter.fit_scans", fit_scans)
+    if seed is not None:
+        one, two = (fitter.set_params(n_jobs=n).transform(given, ["ann", None]) for n in (1, 2))
+        np.testing.assert_array_equal(one, two)
+    fitter.set_params(n_jobs=2, random_state=seed)
+    assert np.isfinite(fitter.transform([lambda: given[0], given[1]])).all() and np.isfinite(fitter.score(given))
+    assert asked[-2:] == [2, 2]
 
 
 def test_what_wants_learning_says_so(unlearned, tmp_path):

@@ -127,6 +127,51 @@ def test_a_subject_without_a_template_is_left_out(tube_rig, clouds, monkeypatch)
     assert [r is None for r in fitter.results_] == [False, True, False, False]
 
 
+def _without_templates_from(k, monkeypatch):
+    """Have templates from one scan fail from the k-th on."""
+    call, calls = tasks.Template.__call__, []
+
+    def careless(self, task):
+        if len(task[0]) == 1:
+            calls.append(task)
+            if len(calls) >= k:
+                raise ZeroDivisionError("nobody foresaw this")
+        return call(self, task)
+
+    monkeypatch.setattr(tasks.Template, "__call__", careless)
+
+
+def test_a_template_that_fails_later_costs_nothing_of_the_round_that_is_kept(tube_rig, clouds, monkeypatch):
+    values = iter([1.0, 0.5, 0.6])  # of the first fits and two rounds
+
+    def note(loop, k, began, more):
+        loop.history.append({"round": k})
+        return next(values)
+
+    monkeypatch.setattr("lbsfit_np.learning.loop.Loop._note", note)
+    _without_templates_from(2, monkeypatch)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        fitter = lbs.LBSFitter(tube_rig, **QUICK | {"rounds": 2}).fit(clouds, list("abaa"))
+    assert not [w for w in told if "cannot be used" in str(w.message) or "nothing is learned" in str(w.message)]
+    assert [entry["round"] for entry in fitter.history_ if entry["kept"]] == [1]
+    assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and None not in fitter.roles_
+    monkeypatch.undo()
+    once = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
+    for found, expected in zip(fitter.results_, once.results_, strict=True):
+        np.testing.assert_array_equal(found.vertices, expected.vertices)
+
+
+def test_of_people_without_results_something_was_learned(tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, finish, "_Finish", 399)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], clouds[1][:399], *clouds[2:]], list("abaa"))
+    assert list(fitter.template_) == ["a", "b"] and fitter.results_[1] is None and fitter.roles_[1] is not None
+    said = [str(w.message) for w in told if "do not suit" not in str(w.message)]
+    assert [words[:28] for words in said] == ["1 of 4 scans cannot be used;"]
+
+
 def test_a_scan_that_cannot_be_smoothed_is_left_out(tube_rig, clouds, monkeypatch):
     _failing(monkeypatch, tasks, "Held", 399)
     with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):

@@ -190,6 +190,10 @@ def test_goals_of_fewer_seeds_are_said_to_be(n, words):
         assert (words or "The goals are for") in text if words else "The goals are for" not in text
 
 
+def test_seeds_of_goals_are_those_that_joint_was_run_of():
+    assert "The goals are for 3 seeds; here is one." in page(_report(joint={}, rand=[{}, {}, {}]), {})
+
+
 def test_joint_is_divided_by_the_oracle():
     half = {"recon": 0.021, "pose": 0.0055 / 2, "vertices": 0.007, "corre": CELL["corre"] | {"mean": 0.042}}
     text = page(_report(joint={}, oracle_fit=half), {})

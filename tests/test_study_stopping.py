@@ -186,6 +186,16 @@ def test_steps_are_announced_for_rows_that_are_to_be_done(command, run_stopped, 
     assert run([*command, "cd,oracle-fit"]) == 0 and f"has {steps} steps of a run that was stopped" in capsys.readouterr().out
 
 
+def test_steps_of_a_row_that_has_to_be_made_again_stay(command, run_stopped, tmp_path):
+    """One that the report has, but whose registrations are not there any more."""
+    cells = tmp_path / "out" / "cells"
+    assert run([*command, "cd,oracle-fit"]) == 0
+    (cells / "tube-5-cd.npz").unlink()
+    assert run_stopped([*command, "cd"]) == 130
+    steps = steps_in(cells / "tube-5-cd.npz.unfinished")
+    assert steps and run([*command, "oracle-fit"]) == 0 and steps_in(cells / "tube-5-cd.npz.unfinished") == steps
+
+
 def test_what_is_replaced_is_gone_before_anything_is_stopped(command, run_stopped, tmp_path, monkeypatch, capsys):
     """So that the command that goes on does the new, not what was to be replaced; also of another size."""
     out = tmp_path / "out"

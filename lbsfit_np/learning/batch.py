@@ -54,8 +54,8 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
         that can be fitted; a segmenter that it has is kept.
     scans : iterable
         Of each scan the (n, 3) points, the Scan, or a callable without arguments that returns one of these, such as
-        ``functools.partial(load_scan, path)``. Callables are called where the scan is fitted; their errors are failures of
-        their scan alone.
+        ``functools.partial(load_scan, path)``. Callables are called where the scan is fitted, in this process where they cannot
+        be sent to another; their errors are failures of their scan alone.
     subjects : sequence of str, int or None, optional
         Of a fitter that has learned: whose each scan is, as for ``LBSFitter.fit_scan``; None where that is not known.
     n_jobs : int, default 1
@@ -173,13 +173,23 @@ def _fit_by_workers(work, scans, subjects, todo, jobs, report):
         try:
             while todo or workers.busy:
                 while todo and workers.idle:
-                    index = todo.popleft()
-                    try:
-                        workers.give((index, scans[index], subjects[index]))
-                    except (pickle.PicklingError, AttributeError, TypeError) as error:
-                        report(ScanOutcome(index, error=f"it cannot be sent to a worker process: {error}"))
+                    _give(workers, todo.popleft(), scans, subjects, report)
                 if workers.busy:
                     take(workers.answers())
         except BaseException:
             take(workers.stop())
             raise
+
+
+def _give(workers, index, scans, subjects, report):
+    source, started = scans[index], time.perf_counter()
+    try:
+        workers.give((index, source, subjects[index]))
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        if not callable(source):
+            report(ScanOutcome(index, error=f"it cannot be sent to a worker process: {error}"))
+            return
+        try:  # such as a lambda: what it returns can be sent
+            workers.give((index, source(), subjects[index]))
+        except Exception as error:  # noqa: BLE001 (the same as in _fit_one)
+            report(_failure(index, error, started))

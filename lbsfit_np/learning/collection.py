@@ -136,8 +136,8 @@ class Collection:
         Scans given.
     members : list of Member
     failures : dict of int to str
-    taught : dict of int to str
-        What those were to learning that only failed when it was over.
+    taught : dict of int to Member
+        Those that only failed when learning was over.
     asked : list
         Ids of the subjects that were given.
     """
@@ -163,7 +163,7 @@ class Collection:
     @property
     def roles(self):
         """What each scan given is or was to learning; None where it could not be used."""
-        known = self.taught | {m.index: m.role for m in self.members}
+        known = {m.index: m.role for m in (*self.taught.values(), *self.members)}
         return [known.get(i) for i in range(self.n)]
 
     def of(self, subject):
@@ -180,6 +180,12 @@ class Collection:
             return
         most = max(self.subjects, key=lambda s: len(self.with_role(LEARNED_FROM, s)))
         self.with_role(LEARNED_FROM, most)[-1].held_out = True
+
+    def bring_back(self, members):
+        """Have these for members, also those that have failed since they were the last time."""
+        self.members = members
+        for m in members:
+            self.failures.pop(m.index, None)
 
     def work(self, work, tasks, *, jobs, done, kept=(), taught=False):
         """Do a task for each member; one whose task fails is a member no more, with the reason in ``failures``.
@@ -211,7 +217,7 @@ class Collection:
             if error is not None:
                 self.failures[m.index] = in_words(error)
                 if taught:
-                    self.taught[m.index] = m.role
+                    self.taught[m.index] = m
                     self.failures[m.index] = f"{m.role}, but there is no result of it: {in_words(error)}"
         self.members = [m for m, (_, error) in zip(self.members, found, strict=True) if error is None]
         return [answer for answer, error in found if error is None]
@@ -241,7 +247,8 @@ class Collection:
         if new:
             words = f"{len(new)} of {self.n} scans cannot be used; scan {new[0]}: {self.failures[new[0]]}"
             warnings.warn(words, stacklevel=stacklevel + 1)
-        lost = [s for s in self.asked if s not in self.subjects and s not in self.told_lost]
+        known = {*self.subjects, *(m.subject for m in self.taught.values())}
+        lost = [s for s in self.asked if s not in known and s not in self.told_lost]
         self.told_lost.update(lost)
         if lost:
             whose = f"subject{'s' * (len(lost) > 1)} {', '.join(repr(str(s)) for s in lost[:5])}" + ", …" * (len(lost) > 5)

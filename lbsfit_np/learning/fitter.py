@@ -164,7 +164,7 @@ class LBSFitter(BaseEstimator):
         progress = progress or (lambda share: None)
         labels = as_variant(self.variant).labels
         check_segmenter(segmenter, self.rig)
-        segmenter = segmenter if labels else None
+        given, segmenter = segmenter, segmenter if labels else None
         train = labels and segmenter is None
         share = LIBRARY_TIME if train else 1.0
         made_of = self.rig, self._synthesis(), self.training_scans
@@ -174,7 +174,7 @@ class LBSFitter(BaseEstimator):
             options |= {"n_jobs": self.n_jobs, "progress": lambda p: progress(share + (1 - share) * p)}
             segmenter = pretrain_segmenter(*made_of, **options)
         self.segmenter_, self.regressor_ = self._pretrained = segmenter, library
-        self._pretrained_of, self._given = pretrained_from(self), None if train else segmenter
+        self._pretrained_of, self._given = pretrained_from(self), given
         return self
 
     def fit(self, scans, subjects=None, *, cache=False, checkpoint=None, progress=None, on_round=None):
@@ -401,8 +401,9 @@ class LBSFitter(BaseEstimator):
         fit.taking_part(points, point_weights, seed, ups=fit.facing.floors)
 
     def _pretrain_alone(self, **options):
-        """Pretrain with the segmenter that is there, unless it was trained with other parameters."""
-        self.pretrain(segmenter=still_given(self) if is_stale(self) else getattr(self, "segmenter_", None), **options)
+        """Pretrain with the segmenter that is there, unless it was trained with other parameters, or was given once."""
+        there = None if is_stale(self) else getattr(self, "segmenter_", None)
+        self.pretrain(segmenter=still_given(self) if there is None else there, **options)
 
     def _is_pretrained(self):
         """Whether there is all that fits of scans by themselves need."""
@@ -411,8 +412,7 @@ class LBSFitter(BaseEstimator):
 
     def _fit_all(self, scans, subjects):
         self._check_learned()
-        jobs = jobs_of(self.n_jobs, None) if self._repeatable() else 1  # the state of a Generator goes from scan to scan
-        outcomes = fit_scans(self, scans, subjects=subjects, n_jobs=jobs)
+        outcomes = fit_scans(self, scans, subjects=subjects, n_jobs=jobs_of(self.n_jobs, self.random_state))
         for outcome in outcomes:
             if outcome.error is not None:
                 warnings.warn(f"scan {outcome.index} cannot be fitted: {outcome.error}", stacklevel=3)

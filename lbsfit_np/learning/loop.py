@@ -181,7 +181,7 @@ class Loop:
         started = time.perf_counter()
         self._first_fits()
         self._note(0, started, {})
-        best, best_members, learned = np.inf, {}, None
+        best, best_members, learned = np.inf, [], None
         for k in range(1, self.settings.rounds + 1):
             began = time.perf_counter()
             templates = self._templates(k)
@@ -195,11 +195,12 @@ class Loop:
             if fallen or value < best * (1 + self.settings.improvement) or learned is None:
                 best, learned = value, self._learned(k, templates)  # one that has not fallen is the last
                 self.on_kept(learned)
-                best_members = {m.index: (m.state, m.loss, m.proba, m.noise) for m in self.collection.members}
+                best_members = [(m, (m.state, m.loss, m.proba, m.noise)) for m in self.collection.members]
             if not fallen:
                 break
-        for member in self.collection.members:
-            member.state, member.loss, member.proba, member.noise = best_members[member.index]
+        self.collection.bring_back([m for m, _ in best_members])
+        for member, known in best_members:
+            member.state, member.loss, member.proba, member.noise = known
         if self.sequence and self.smooth:
             self._smooth(learned.templates, learned.pose_prior)
         return replace(learned, history=self._history(learned.history[-1]["round"]))
@@ -267,6 +268,7 @@ class Loop:
         done = {"jobs": self.jobs, "done": lambda p: self.progress("templates", p)}
         found = self.collection.work_of_subjects(work, tasks, **done, kept=kept)
         self.coefficients = {s: c for s, (_, _, c) in found.items()}
+        self._follow()
         return {s: (np.ascontiguousarray(U[self.rig.weld]), J) for s, (U, J, _) in found.items()}
 
     @staticmethod
@@ -398,8 +400,7 @@ class Loop:
         return self.collection.work(work, tasks, jobs=self.jobs, done=done, kept=kept)
 
     def _models(self, templates):
-        options = {"half": self.model.half, "shared": True}
-        return {s: Model(self.rig.with_template(*t), self.joints, **options) for s, t in templates.items()}
+        return {s: Model(self.rig.with_template(*t), self.joints, half=self.model.half) for s, t in templates.items()}
 
     def _beside(self, member):
         """Poses of the scans before and after, in a sequence."""

@@ -95,7 +95,7 @@ def study(
         done = report["rigs"][name]["seeds"].get(str(seed), {})
         there = [row for row, cell in done.items() if kept(cell_name(name, seed, row), cell["arrays"])]
         todo[name, seed] = [row for row in ROWS if row in rows and row not in there]
-        for row in done.keys() - todo[name, seed]:  # which a run may have been killed before it removed
+        for row in there:  # which a run may have been killed before it removed
             _remove_steps(steps(cell_name(name, seed, row)))
     if on_begun is not None:
         cells = [cell_name(*of, row) for of, left in todo.items() for row in (*_in_common(left), *left)]

@@ -119,7 +119,7 @@ def goals(report, name, *, markdown):
         if values:
             met = np.mean(values) <= goal if sign == "≤" else np.mean(values) >= goal
             lines.append((what, number(values, style), f"{sign} {goal:g}", "yes" if met else "no"))
-    made, n = layout(lines, markdown=markdown), len(report["rigs"][name]["seeds"])
+    made, n = layout(lines, markdown=markdown), len(cells)
     if n < GOALS["seeds"]:
         made += f"\n\nThe goals are for {GOALS['seeds']} seeds; here {'is one' if n == 1 else f'are {n}'}."
     return made
