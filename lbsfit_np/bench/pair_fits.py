@@ -16,7 +16,7 @@ import numpy as np
 
 from ..errors import FileError, InputError, LbsfitError
 from ..fitting.result import FitResult
-from ..learning.checkpoint import checkpoint_of, remove_checkpoint, state_of_the_code
+from ..learning.checkpoint import checkpoint_of, digest_of, remove_checkpoint, state_of_the_code
 
 __all__ = ["Fits", "checkpoint_in", "fit_files", "fit_scans_of", "has_record", "made_files"]
 
@@ -329,13 +329,9 @@ def _described(rig):
         "rig's up": rig.up,
         "rig's forward": rig.forward,
         "rig's metres per unit": rig.metres_per_unit,
-        "rig's joints that are still": _digest_of(still),
-        "rig's poses": _digest_of([(name, pose.tolist()) for name, pose in sorted(rig.poses.items())]),
+        "rig's joints that are still": digest_of(still),
+        "rig's poses": rig.poses_digest,
     }
-
-
-def _digest_of(value):
-    return hashlib.sha256(repr(value).encode()).hexdigest()
 
 
 def _brief(value):

@@ -130,14 +130,14 @@ def _remove_earlier(out, cells, results):
 
 def _arrays_of(cells, cell, digest):
     """The arrays of a cell, None where they are not there or are another run's."""
-    from ..bench.study.run import arrays_digest
     from ..io.npz import read_npz
+    from ..learning.checkpoint import digest_of
 
     try:
         arrays = read_npz(cells / f"{cell}.npz")
     except FileError:
         return None
-    return arrays if arrays_digest(arrays) == digest else None
+    return arrays if digest_of(arrays) == digest else None
 
 
 def _failures(report):

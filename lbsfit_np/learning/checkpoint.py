@@ -28,6 +28,7 @@ __all__ = [
     "NO_CHECKPOINT",
     "as_checkpoint",
     "checkpoint_of",
+    "digest_of",
     "each_kept",
     "remove_checkpoint",
     "state_of_the_code",
@@ -64,14 +65,14 @@ class Checkpoint:
     def __init__(self, folder, made_of=(), *, first_fits=None):
         self._folder = None if folder is None else _checked(folder)
         self._first_fits = self._folder if first_fits is None else _checked(first_fits)
-        self._key = "" if folder is None else _digest(state_of_the_code(), made_of)
+        self._key = "" if folder is None else digest_of(state_of_the_code(), made_of)
         self._trouble = []  # shared by all that are narrowed from this one, to be told once
 
     def narrowed(self, made_of):
         """A checkpoint whose steps depend on more."""
         out = Checkpoint.__new__(Checkpoint)
         out._folder, out._first_fits, out._trouble = self._folder, self._first_fits, self._trouble
-        out._key = "" if self._folder is None else _digest(self._key, made_of)
+        out._key = "" if self._folder is None else digest_of(self._key, made_of)
         return out
 
     def slot(self, step, made_of=()):
@@ -79,7 +80,7 @@ class Checkpoint:
         if self._folder is None:
             return _Slot(None, self._trouble)
         folder = self._first_fits if step == FIRST_FIT else self._folder
-        return _Slot(folder / f"{step}-{_digest(self._key, step, made_of)[:32]}.npz", self._trouble)
+        return _Slot(folder / f"{step}-{digest_of(self._key, step, made_of)[:32]}.npz", self._trouble)
 
 
 def _checked(folder):
@@ -194,7 +195,8 @@ def state_of_the_code():
     return h.hexdigest()
 
 
-def _digest(*parts):
+def digest_of(*parts):
+    """Hex digest of values: arrays, text, numbers, dataclasses, and lists and dicts of these."""
     h = hashlib.sha256()
     _add(h, parts)
     return h.hexdigest()

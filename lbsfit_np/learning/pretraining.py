@@ -69,14 +69,14 @@ def pretrain_library(rig, synthesis, n_scans, *, random_state, jobs, cache, prog
     def train():
         return build_library(StartScans(rig, synthesis, seed), n, random_state=seed, jobs=jobs, progress=progress)
 
-    key = rig.digest, _poses(rig), synthesis, n, int(seed)
+    key = rig.digest, rig.poses_digest, synthesis, n, int(seed)
     return cached("library", key, train, PoseLibrary.load) if cache else train()
 
 
 def pretrained_from(fitter):
     """What pretraining goes by, of a fitter as it now is; seeds that no run has again say nothing."""
     rig, seed = fitter.rig, fitter.random_state if fitter._repeatable() else None
-    return rig.digest, rig.welded.digest, _poses(rig), fitter._synthesis(), fitter.training_scans, seed
+    return rig.digest, rig.poses_digest, fitter._synthesis(), fitter.training_scans, seed
 
 
 def is_stale(fitter):
@@ -89,8 +89,3 @@ def still_given(fitter):
     """The segmenter that a fitter's pretraining was given, where it is of the rig as it now is; else None."""
     given = getattr(fitter, "_given", None)
     return given if given is not None and given.rig_digest == fitter.rig.welded.digest else None
-
-
-def _poses(rig):
-    """The rig's natural poses, of which its digest knows nothing."""
-    return [(name, rig.poses[name].tolist()) for name in sorted(rig.poses)]

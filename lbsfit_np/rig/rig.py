@@ -195,6 +195,11 @@ class Rig:
         h.update(self.part_of_joint.astype(np.int64).tobytes())
         return h.hexdigest()
 
+    @property
+    def poses_digest(self):
+        """Hex digest of the natural poses, of which ``digest`` knows nothing."""
+        return hashlib.sha256(repr([(name, pose.tolist()) for name, pose in sorted(self.poses.items())]).encode()).hexdigest()
+
     # ---- what people do with a rig ----
 
     def pose(self, theta, translation=None, scale=1.0, offsets=None, *, joints="follow"):

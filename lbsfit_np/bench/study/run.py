@@ -1,6 +1,5 @@
 """One run of the study: every row for every rig and seed, each kept as soon as it is there."""
 
-import hashlib
 import time
 from copy import deepcopy
 from dataclasses import asdict, replace
@@ -10,7 +9,7 @@ from itertools import product
 import numpy as np
 
 from ...errors import InputError, did_you_mean
-from ...learning.checkpoint import remove_checkpoint, state_of_the_code, steps_in
+from ...learning.checkpoint import digest_of, remove_checkpoint, state_of_the_code, steps_in
 from ...workers import kept_processes
 from ..environment import environment
 from ..resume import REMEDY, begun
@@ -21,7 +20,7 @@ from .local_optimum import along_path
 from .measures import Truth, measured
 from .rows import ROWS, Context, said
 
-__all__ = ["FIRST_SEED", "arrays_digest", "cell_name", "joined", "study", "with_rows"]
+__all__ = ["FIRST_SEED", "cell_name", "joined", "study", "with_rows"]
 
 # Of the scans, and those after it; nothing was tuned on them.
 FIRST_SEED = 300
@@ -60,7 +59,7 @@ def study(
     before : dict, optional
         A report of the same settings: what it has is not done again.
     kept : callable (cell name, digest) → bool, optional
-        Whether the arrays of a cell of ``before`` are still there, those with this :func:`arrays_digest`.
+        Whether the arrays of a cell of ``before`` are still there, those with this ``checkpoint.digest_of``.
     steps : callable (cell name) → Path or None, optional
         A folder for what a row that takes long has done so far; taken up by the next run, and removed when the row is done.
     progress : callable (name, seed, row, share), optional
@@ -188,8 +187,7 @@ def _begun(before, size, rigs):
 
 def _described(rig, size):
     """A rig's entry of the report, without results."""
-    poses = hashlib.sha256(repr([(name, pose.tolist()) for name, pose in sorted(rig.poses.items())]).encode()).hexdigest()
-    known = {"digest": rig.digest, "poses": poses, "people": people_digest(rig)}
+    known = {"digest": rig.digest, "poses": rig.poses_digest, "people": people_digest(rig)}
     return {"kind": kind_of(rig), **known, "size": asdict(size), "seeds": {}}
 
 
@@ -238,18 +236,9 @@ def _cells(name, rig, size, seed, rows, jobs, progress, steps):
         lost = np.flatnonzero(~found.test.fitted)
         entry["failures"] = {str(i): found.failures.get(int(i), "its fit is not finite") for i in lost}
         arrays = _arrays(found)
-        entry |= {"arrays": arrays_digest(arrays), "code": state_of_the_code(), "environment": environment()}
+        entry |= {"arrays": digest_of(arrays), "code": state_of_the_code(), "environment": environment()}
         say(1.0)
         yield row, entry, arrays
-
-
-def arrays_digest(arrays):
-    """Hex digest of what is kept of a row: pictures are not to be drawn of other arrays than a report's."""
-    h = hashlib.sha256()
-    for name in sorted(arrays):
-        array = np.ascontiguousarray(arrays[name])
-        h.update(f"{name} {array.dtype.str} {array.shape}".encode() + array.tobytes())
-    return h.hexdigest()
 
 
 def _of_other_code(report, there):
