@@ -61,7 +61,7 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     n_jobs : int, default 1
         Worker processes; with 1 all happens in this one. They are started afresh ("spawn"), so that a script must call this
         under ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``, results are the same to the last
-        bit whatever ``jobs`` is.
+        bit whatever ``n_jobs`` is.
     finish : callable (index, scan, result) → object, optional
         What to do with a fit in the process that made it, such as writing it to files; what it returns takes the result's
         place in the outcome. With several jobs it must be picklable.
