@@ -86,7 +86,7 @@ def test_more_than_one_and_more_than_a_tenth_of_the_scans_are_somebody_elses(odd
     results = [SimpleNamespace(evidence={"proportions": 0.31 if k < odd else 0.29}, status="ok") for k in range(n)]
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        Collection(n + 1, taught=dict.fromkeys(range(n), LEARNED_FROM)).warn(1, [*results, None])
+        Collection(n + 1, taught=_taught(n)).warn(1, [*results, None])
     words = f"{odd} of {n} scans do not suit their subject's template; are they of several people? Say whose each scan is: "
     assert [str(w.message) for w in told] == [words + "subjects (--subjects)"] * warns
 
@@ -100,7 +100,7 @@ def test_most_fits_that_fail_are_warned_of(failed, unused, n, warns):
     results = [SimpleNamespace(evidence={}, status="failed" if k < failed else "suspect") for k in range(n - unused)]
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        Collection(n, taught=dict.fromkeys(range(n - unused), LEARNED_FROM)).warn(1, results + [None] * unused)
+        Collection(n, taught=_taught(n - unused)).warn(1, results + [None] * unused)
     assert [str(w.message)[:58] for w in told] == ["most fits have failed: do not trust what was learned; fit "] * warns
 
 
@@ -110,7 +110,7 @@ def test_a_scan_that_had_its_part_in_learning_and_has_no_result_has_failed(witho
     results = [None] * without + [SimpleNamespace(evidence={}, status="ok")] * (4 - without) + [None] * 5
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        Collection(9, taught=dict.fromkeys(range(4), LEARNED_FROM)).warn(1, results)
+        Collection(9, taught=_taught(4)).warn(1, results)
     assert [str(w.message)[:22] for w in told] == ["most fits have failed:"] * warns
 
 
@@ -296,3 +296,8 @@ def test_a_wall_that_cannot_take_part_stays_a_floor(tube_rig):
     clouds[0] = np.vstack([clouds[0], wall])
     found = collected(tube_rig, clouds, held_out=0.0, scale="fixed", ups=facing_of(tube_rig, "upright").floors)
     assert not found.failures and len(found.members) == 4 and "of a floor" in found.members[0].left_out
+
+
+def _taught(n):
+    """n members that were learned from."""
+    return {i: SimpleNamespace(index=i, role=LEARNED_FROM, subject=0) for i in range(n)}
