@@ -99,6 +99,24 @@ def test_a_scan_of_weight_0_stays_and_does_not_count(shifting, subject):
     assert np.isnan(values[3]) and np.isfinite(values[:3]).all()
 
 
+def test_what_holds_a_pose_holds_that_one_alone(shifting, subject):
+    """Also where a scan before it does not count: angles go where they are held, values tell it, the template follows."""
+    c, truths, problems, _ = subject
+    starts, steps = [t.replace(coefficients=np.zeros_like(c)) for t in truths[:3]], GaussNewton(shifting)
+    turning = Layout(shifting.rig, ("pose",), 0).turning
+    wanted = np.where(turning, 0.9 * truths[1].theta, 0.0)
+    known = {"scan_weights": [0, 1, 1], "iterations": 20}
+    free, _ = steps.shared(problems[:3], starts, **known)
+    found, values = steps.shared(problems[:3], starts, priors=[(np.zeros_like(wanted), 1e6), (wanted, 1e3), None], **known)
+    np.testing.assert_allclose(found[1].theta[turning], wanted[turning], atol=1e-3)
+    assert np.abs(free[1].theta - wanted)[turning].max() > 0.02
+    np.testing.assert_array_equal(found[0].theta, starts[0].theta)
+    assert not np.array_equal(found[2].coefficients, free[2].coefficients)
+    away = (found[1].theta - wanted)[turning]
+    _, without = steps.shared(problems[:3], found, scan_weights=[0, 1, 1], iterations=0)
+    np.testing.assert_allclose(values[1:], without[1:] + [1e3 * away @ away, 0.0], rtol=1e-9)
+
+
 def test_the_ridge_holds_the_coefficients(shifting, subject):
     c, truths, problems, _ = subject
     starts = [t.replace(coefficients=np.zeros_like(c)) for t in truths[:3]]

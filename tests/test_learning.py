@@ -18,7 +18,7 @@ from lbsfit_np.learning.checkpoint import NO_CHECKPOINT
 from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM, Collection
 from lbsfit_np.learning.loop import Loop, LoopSettings
 from lbsfit_np.learning.pose_prior import pose_prior
-from lbsfit_np.learning.tasks import Drawn
+from lbsfit_np.learning.tasks import Drawn, Template
 from lbsfit_np.losses import cotangent_matrix
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.rotations import matrix_from_rotvec
@@ -275,6 +275,8 @@ def test_what_poses_tell_of_each_is_of_those_that_teach_and_of_the_round_that_is
     monkeypatch.setattr(Drawn, "__call__", drawing)
     monkeypatch.setattr(Loop, "_note", note)
     monkeypatch.setattr("lbsfit_np.learning.loop.pose_prior", prior)
+    of_templates, template = [], Template.__call__
+    monkeypatch.setattr(Template, "__call__", lambda self, task: of_templates.append(self.prior) or template(self, task))
     finished, finish_one = [], finish.prior_of
     monkeypatch.setattr(finish, "prior_of", lambda p, noise, *more: finished.append((p, noise)) or finish_one(p, noise, *more))
     fitter = make_learner(rounds=3, held_out=0.2).fit([s.points for s in few_scans])
@@ -282,6 +284,7 @@ def test_what_poses_tell_of_each_is_of_those_that_teach_and_of_the_round_that_is
     assert [h["kept"] for h in fitter.history_] == [False, True, False]
     assert fitter.pose_prior_ is made[0][1]
     assert finished == drawn_to[:5] and all(noise > 0 for _, noise in finished)
+    assert of_templates == [None, made[0][1]]  # what the round before has told
     for k, there in ((1, states[:5]), (2, states[5:])):  # poses, and what they leave, are those that were drawn
         assert all(a[0] is b[0] and a[1] == b[1] for a, b in zip(left[k], there, strict=True))
 

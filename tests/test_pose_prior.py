@@ -16,7 +16,6 @@ TURNING = np.array([[1, 1, 1], [1, 0, 1], [0, 1, 0], [0, 0, 0]], dtype=bool)
 ROOT = 0
 
 
-
 def _made(n, seed, noise):
     """True and found poses of a rig of which two angles go together, and how precisely each angle was found."""
     rng = np.random.default_rng(seed)
@@ -40,6 +39,21 @@ def test_mean_and_spread_of_made_poses_are_found_again():
     np.testing.assert_allclose(prior.mean[TURNING][3:], mean, atol=0.02)
     np.testing.assert_allclose(np.linalg.inv(prior.precision[3:, 3:]), T, atol=0.006)
     assert not prior.mean[ROOT].any() and not prior.precision[:3].any() and not prior.precision[:, :3].any()
+
+
+def test_while_a_template_is_found_angles_are_held_by_how_little_their_scan_tells_them():
+    """(T + κ T C⁻¹ T)⁻¹; the root's turn never."""
+    _, poses, told, *_ = _made(60, 3, np.array([0.1, 0.05, 0.1]))
+    prior, noise, t = pose_prior(poses, told, TURNING, ROOT), 1e-4, slice(3, None)
+    T, C = np.linalg.inv(prior.precision[t, t]), np.diag([1e-6, 0.04, 10.0])
+    whole = np.eye(len(prior.precision)) * 1e-4
+    whole[t, t] = C
+    mean, weights = prior.where_open(whole, noise)
+    assert mean is prior.mean and not weights[:3].any() and not weights[:, :3].any()
+    np.testing.assert_allclose(weights[t, t], 2 * noise * np.linalg.inv(T + 0.3 * T @ np.linalg.inv(C) @ T), rtol=1e-6)
+    np.testing.assert_allclose(weights, weights.T, rtol=1e-9, atol=1e-15)
+    fully = prior.of(noise)[1][t, t]
+    assert weights[3, 3] < 0.1 * fully[0, 0] and weights[5, 5] > 0.9 * fully[2, 2]
 
 
 @pytest.mark.parametrize("n, most", [(300, 0.6), (12, 0.85)])

@@ -8,7 +8,9 @@ import pytest
 import lbsfit_np as lbs
 from lbsfit_np.bench.subjects import subject as bench_subject
 from lbsfit_np.fitting.template import TemplateSettings, shared_template
+from lbsfit_np.optimize.gauss_newton import GaussNewton
 from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.precision import told_angles
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.surface import vertex_normals
 
@@ -102,6 +104,30 @@ def test_labels_are_refined_by_the_subjects_own_mesh(tube_case, monkeypatch):
     settings = TemplateSettings(sigmas=(0.05,), labelled_steps=0, steps=0, rounds=0)
     shared_template(case.model, case.problems[:2], states, np.ones(2), proba=case.proba, settings=settings)
     np.testing.assert_allclose(seen, [case.model.deformed(s).vertices for s in states], atol=1e-12)
+
+
+def test_each_scans_pose_is_held_in_what_it_leaves_open_in_the_steps_without_labels(tube_case, monkeypatch):
+    """By what its own points tell, on the template so far; scans left out take theirs along."""
+    case, seen, shared = tube_case, [], GaussNewton.shared
+
+    def steps(self, problems, states, **options):
+        seen.append(options)
+        return shared(self, problems, states, **options)
+
+    class Prior:
+        def where_open(self, told, noise):
+            return case.states[0].theta, noise * told
+
+    monkeypatch.setattr(GaussNewton, "shared", steps)
+    settings = TemplateSettings(sigmas=(0.05,), labelled_steps=0, steps=1, rounds=0)
+    known = {"proba": case.proba, "settings": settings, "prior": Prior()}
+    shared_template(case.model, case.problems, case.states, [9.0] + [1.0] * 7, **known)
+    labelled, last = seen
+    assert labelled.get("priors") is None and last.get("labels") is None and len(last["priors"]) == 7
+    for (theta, weights), problem, state in zip(last["priors"], case.problems[1:], case.states[1:], strict=True):
+        told, noise = told_angles(GaussNewton(case.model, reach=settings.reach, tangential=0.02), problem, state)
+        assert theta is case.states[0].theta
+        np.testing.assert_allclose(weights, noise * told, rtol=1e-9)
 
 
 def test_a_subject_that_the_family_does_not_hold(hand_case):

@@ -19,6 +19,8 @@ __all__ = ["PosePrior", "drawn", "drawn_by_itself", "prior_of"]
 _UNUSUAL, _BETTER, _TIMES = (3.84, 5.99, 7.81), 3.0, 4
 # E has each distance twice, from the points and from vertices, but what it tells of a pose no more than once.
 _BOTH_WAYS = 2.0
+# An angle that is told this share of how much it varies, squared, is held half as much while its template is found.
+_TOLD = 0.3
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,22 @@ class PosePrior:
     def of(self, noise):
         """The prior of one scan, as ``GaussNewton.pose`` takes it; σ²/n says how much E counts."""
         return self.mean, _BOTH_WAYS * noise * self.precision
+
+    def where_open(self, told, noise):
+        """The same in what the scan leaves open alone, for steps in which the template goes along.
+
+        There angles that are told well would shrink towards μ a little, all alike, and joints move to make up for it. So T is
+        T + κ T C⁻¹ T, κ = 0.3, which lets an angle go that C says is known.
+
+        Parameters
+        ----------
+        told : (t, t) array
+            C of ``told_angles``.
+        noise : float
+            σ²/n.
+        """
+        P = self.precision
+        return self.mean, _BOTH_WAYS * noise * P @ np.linalg.solve(P + _TOLD * np.linalg.inv(told), P)
 
     def usual(self, theta, turning):
         """Poses in which one unusual joint is as the rest would have it, E[Θ_j | other joints]; the most unusual first.

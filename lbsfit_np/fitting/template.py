@@ -17,6 +17,7 @@ from scipy import sparse
 
 from ..losses.laplacian import cotangent_matrix
 from ..optimize.gauss_newton import GaussNewton
+from ..optimize.precision import told_angles
 from ..optimize.surface import Surface, vertex_normals
 from .labels import refined_labels
 
@@ -62,7 +63,7 @@ class TemplateSettings:
     partial: bool = False
 
 
-def shared_template(model, problems, states, losses, *, proba=None, dense=None, settings=None):
+def shared_template(model, problems, states, losses, *, proba=None, dense=None, prior=None, settings=None):
     """The template of one subject from the scans' poses as they are.
 
     Parameters
@@ -79,6 +80,9 @@ def shared_template(model, problems, states, losses, *, proba=None, dense=None, 
         The segmenter's probabilities; without them no labels are used.
     dense : list of Problem, optional
         The same scans with more of their points, for all steps without labels.
+    prior : PosePrior, optional
+        What is known of poses. In these steps it holds what scans leave open, which would else follow the template, and the
+        template it.
     settings : TemplateSettings, optional
 
     Returns
@@ -101,7 +105,10 @@ def shared_template(model, problems, states, losses, *, proba=None, dense=None, 
                 for i, p, s in zip(keep, problems, states)
             ]
             states, _ = steps.shared(problems, states, labels=labels, iterations=settings.labelled_steps)
-    states, _ = steps.shared(dense, states, iterations=settings.steps)
+    priors = None
+    if prior is not None:
+        priors = [prior.where_open(*told_angles(steps, p, s)) for p, s in zip(dense, states)]
+    states, _ = steps.shared(dense, states, iterations=settings.steps, priors=priors)
     state = states[0]
     U = model.rig.vertices + model.offsets(state) if state.coefficients.any() else model.rig.vertices
     J = model.rig.joints + model.joint_offsets(state)

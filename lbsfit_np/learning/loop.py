@@ -263,7 +263,7 @@ class Loop:
                     [m.proba for m in learning] if self.variant.labels else None,
                 )
             )
-        work = Template(self.shifting, self.fit_settings.partial)
+        work = Template(self.shifting, self.fit_settings.partial, self.pose_prior)
         kept = [self._kept.slot(f"round-{k}-template", s) for s in subjects]
         done = {"jobs": self.jobs, "done": lambda p: self.progress("templates", p)}
         found = self.collection.work_of_subjects(work, tasks, **done, kept=kept)

@@ -49,10 +49,11 @@ class Template:
 
     model: Model
     partial: bool
+    prior: object
 
     def __call__(self, task):
         points, dense, states, losses, proba = task
-        problems, known = [Problem(X) for X in points], {"settings": TemplateSettings(partial=self.partial)}
+        problems, known = [Problem(X) for X in points], {"settings": TemplateSettings(partial=self.partial), "prior": self.prior}
         known["dense"] = [p if more is X else Problem(more) for p, X, more in zip(problems, points, dense)]
         if proba is not None:
             known["proba"] = [in_full(p) for p in proba]

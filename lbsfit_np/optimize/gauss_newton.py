@@ -96,10 +96,12 @@ class GaussNewton:
         value : float
             E without the ridge, with the prior.
         """
-        states, values = self._minimise([problem], [state], [labels], np.ones(1), free, False, iterations, prior)
+        states, values = self._minimise([problem], [state], [labels], np.ones(1), free, False, iterations, [prior])
         return states[0], float(values[0])
 
-    def shared(self, problems, states, *, free=("pose", "translation"), labels=None, scan_weights=None, iterations=12):
+    def shared(
+        self, problems, states, *, free=("pose", "translation"), labels=None, scan_weights=None, iterations=12, priors=None
+    ):
         """The poses of several scans of one subject together with the coefficients of their one template.
 
         Parameters
@@ -112,16 +114,18 @@ class GaussNewton:
         labels : list of (n,) int arrays, optional
         scan_weights : (k,) array, optional
             How much each scan counts for the template; 0 leaves its pose where it is.
+        priors : list, optional
+            For each scan what holds its pose, as ``prior`` of :meth:`pose`, or None.
 
         Returns
         -------
         states : list of State
         values : (k,) array
-            E of each scan without the ridge; NaN where a scan does not count.
+            E of each scan without the ridge, with its prior; NaN where a scan does not count.
         """
         weights = np.ones(len(problems)) if scan_weights is None else np.asarray(scan_weights, dtype=float)
-        labels = labels or [None] * len(problems)
-        return self._minimise(problems, states, labels, weights / weights.sum(), free, True, iterations)
+        labels, priors = (each or [None] * len(problems) for each in (labels, priors))
+        return self._minimise(problems, states, labels, weights / weights.sum(), free, True, iterations, priors)
 
     def told_by_points(self, problem, state, *, free=("pose", "translation"), proba=None):
         """What the scan's points alone tell of a pose, by the curvature of E: where few of them hang on an unknown, little.
@@ -150,20 +154,22 @@ class GaussNewton:
 
     def with_proportions(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12, prior=None):
         """One scan's pose with coefficients of its own: (state, E with the ridge and the prior); options of :meth:`pose`."""
-        (state,), (value,) = self._minimise([problem], [state], [labels], np.ones(1), free, True, iterations, prior)
+        (state,), (value,) = self._minimise([problem], [state], [labels], np.ones(1), free, True, iterations, [prior])
         return state, float(value) + self.ridge * float(state.coefficients @ state.coefficients)
 
     # ---- the steps ----
 
-    def _minimise(self, problems, states, labels, weights, free, shared, iterations, prior=None):
+    def _minimise(self, problems, states, labels, weights, free, shared, iterations, priors):
         layout = Layout(self.model.rig, free, self.model.n_coefficients)
         states = [layout.inside(s) for s in states]
         used = np.flatnonzero(weights > 0)
 
         def measure(states):
             made = [self._normal_equations(problems[i], states[i], labels[i], layout, shared) for i in used]
-            if prior is not None:
-                made[0].hold((states[0].theta - prior[0])[layout.turning], as_weights(prior[1], layout.turning))
+            for i, m in zip(used, made):
+                if priors[i] is not None:
+                    theta, held_by = priors[i]
+                    m.hold((states[i].theta - theta)[layout.turning], as_weights(held_by, layout.turning))
             c = states[0].coefficients
             total = float(weights[used] @ [m.value for m in made]) + (self.ridge * float(c @ c) if shared else 0.0)
             return made, total
