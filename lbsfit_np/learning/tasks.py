@@ -45,7 +45,10 @@ class FirstFit:
 
 @dataclass(frozen=True)
 class Template:
-    """Points, more points, states, losses and probabilities of a subject's scans → what ``shared_template`` finds."""
+    """Points, more points, states, losses and probabilities of a subject's scans → what ``shared_template`` finds.
+
+    ``prior`` is the PosePrior of the round before, None where there is none.
+    """
 
     model: Model
     partial: bool
