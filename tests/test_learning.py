@@ -80,8 +80,11 @@ def test_history_and_progress(learned_people):
     assert learned_people.history_[1]["recon"] < 1.2 * learned_people.history_[0]["recon"]
     assert 0 <= learned_people.history_[1]["new_starts_won"] <= 10
     stages = list(dict.fromkeys(stage for stage, *_ in learned_people.told))
-    expected = ["first fits", "round", "templates", "segmenter", "library of starts", "labels", "poses of scans", "results"]
-    assert stages == expected
+    expected = ["first fits", "round", "templates", "segmenter", "library of starts", "labels", "poses of scans"]
+    assert stages == [*expected, "templates and poses in turn", "results"]
+    for stage in stages:  # no bar goes back
+        shares = [share for s, share, *_ in learned_people.told if s == stage]
+        assert shares == sorted(shares) and (shares[-1] == 1 or stage == "round"), stage
     assert all(0 < share <= 1 for _, share, *_ in learned_people.told)
     noted = [{key: value for key, value in h.items() if key != "kept"} for h in learned_people.history_]
     assert [a[2] for a in learned_people.told if a[0] == "round"] == noted
@@ -231,13 +234,13 @@ def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, f
     values = iter([0.4, 0.6])
     templates = []
     found = Loop._templates
-    monkeypatch.setattr(Loop, "_templates", lambda self, k: templates.append(found(self, k)) or templates[-1])
+    monkeypatch.setattr(Loop, "_templates", lambda *given: templates.append(found(*given)) or templates[-1])
     fitter = make_learner(variant="cd", rounds=6).fit([s.points for s in few_scans[:3]])
-    assert len(templates) == 2 and [h["kept"] for h in fitter.history_] == [False, True, False]
+    assert len(templates) == 6 and [h["kept"] for h in fitter.history_] == [False, True, False]
     (loop, best), (_, last) = poses[1], poses[2]
     assert all(np.array_equal(m.state.theta, theta) for m, theta in zip(loop.collection.members, best, strict=True))
     assert not all(map(np.array_equal, best, last))
-    np.testing.assert_array_equal(fitter.template_[0].vertices, templates[0][0][0])
+    np.testing.assert_array_equal(fitter.template_[0].vertices, templates[2][0][0])  # the last of the round
 
 
 def test_what_is_kept_of_a_scan_grows_by_little_more_than_its_points(tube_rig, unlearned, few_scans):
@@ -266,10 +269,10 @@ def test_what_poses_tell_of_each_is_of_those_that_teach_and_of_the_round_that_is
         return made[-1][1]
 
     def drawing(self, task):
-        state, loss = draw(self, task)
-        drawn_to.append((self.prior, task[-1]))
+        state, loss, noise = draw(self, task)
+        drawn_to.append((self.prior, noise))
         states.append((state, loss))
-        return state, loss
+        return state, loss, noise
 
     draw = Drawn.__call__
     monkeypatch.setattr(Drawn, "__call__", drawing)
@@ -280,12 +283,12 @@ def test_what_poses_tell_of_each_is_of_those_that_teach_and_of_the_round_that_is
     finished, finish_one = [], finish.prior_of
     monkeypatch.setattr(finish, "prior_of", lambda p, noise, *more: finished.append((p, noise)) or finish_one(p, noise, *more))
     fitter = make_learner(rounds=3, held_out=0.2).fit([s.points for s in few_scans])
-    assert [n for n, _ in made] == [4, 4] and len(drawn_to) == 10
+    assert [n for n, _ in made] == [4] * 6 and len(drawn_to) == 30  # three times in each of two rounds
     assert [h["kept"] for h in fitter.history_] == [False, True, False]
-    assert fitter.pose_prior_ is made[0][1]
-    assert finished == drawn_to[:5] and all(noise > 0 for _, noise in finished)
-    assert of_templates == [None, made[0][1]]  # what the round before has told
-    for k, there in ((1, states[:5]), (2, states[5:])):  # poses, and what they leave, are those that were drawn
+    assert fitter.pose_prior_ is made[2][1]
+    assert finished == drawn_to[10:15] and all(noise > 0 for _, noise in finished)
+    assert of_templates == [None, *(told for _, told in made[:5])]  # what poses told last
+    for k, there in ((1, states[10:15]), (2, states[25:])):  # poses, and what they leave, are those that were drawn
         assert all(a[0] is b[0] and a[1] == b[1] for a, b in zip(left[k], there, strict=True))
 
 

@@ -78,14 +78,16 @@ def test_a_run_that_is_stopped_again_and_again_does_nothing_twice(make_learner, 
         ("poses of scans", 0.6, {"build_library": 1, "Pose": 3}),
         ("poses of scans", 0.85, {"Pose": n, "Told": 2}),
         ("poses of scans", 0.95, {"Told": n, "Drawn": 2}),
+        ("templates and poses in turn", 0.2, {"Drawn": n, "Template": 2}),
+        ("templates and poses in turn", 0.75, {"Drawn": 2 * n, "Template": 3, "Told": 2 * n + 2}),
         ("results", 0.5, {"Pose": n, "_Finish": 2}),
     ):
         with pytest.raises(KeyboardInterrupt):
             make_learner().fit(points, checkpoint=tmp_path / "kept", progress=_stop_at(stage, share))
         assert {key: done[key] for key in so_far} == so_far, stage
     found = make_learner().fit(points, checkpoint=tmp_path / "kept")
-    once = {"Template": 1, "train_segmenter": 1, "build_library": 1}
-    assert done == {"FirstFit": n, "Pose": n, "Told": n, "Drawn": n, "_Finish": n, "_FreeForm": 0} | once
+    once, turns = {"train_segmenter": 1, "build_library": 1}, {"Template": 3, "Told": 3 * n, "Drawn": 3 * n}
+    assert done == {"FirstFit": n, "Pose": n, "_Finish": n, "_FreeForm": 0} | once | turns
     _assert_same(found, uninterrupted)
     before = dict(done)
     again = make_learner().fit(points, checkpoint=tmp_path / "kept")  # a second time nothing is left to do

@@ -6,7 +6,8 @@ After pretraining and a first fit of each scan by itself, a round does this:
 2. training scans from the mixture Θ' on these templates (``mixture``); s is trained on, f and the library of starts anew;
 3. the labels of all scans; every pose again, from its last one, from labels, from f and from the library, then with other
    poses for limbs that are better off so (``fitting.refit``), with more points, drawn to what all poses tell (``pose_prior``);
-4. the loss on the scans held out: rounds end when it no longer falls.
+4. templates and poses in turn a few times more, each from the other, which takes little time without labels and starts anew;
+5. the loss on the scans held out: rounds end when it no longer falls.
 
 At the end the full objective gives each scan its residual on its subject's template.
 """
@@ -39,8 +40,8 @@ __all__ = ["Learned", "Loop", "LoopSettings"]
 
 # Scales nearer to 1 than this factor are a matter of people's size, others of units.
 _SIZE = 1.3
-# Share of the time that poses take, before they are drawn to each other.
-_SEARCH = 0.8
+# Share of the time that poses take, before they are drawn to each other; of a turn's, that its templates do.
+_SEARCH, _OF_A_TURN = 0.8, 0.4
 # Of the smoothing of a sequence.
 _SWEEPS = 3
 # Points of a subject's scans that its template is found from, at most, where a scan has more than take part in its fit.
@@ -61,6 +62,8 @@ class LoopSettings:
         Synthetic scans of the library, which f is trained on, too.
     neighbours : int
         Poses of the library that a scan starts from.
+    turns : int
+        Times that templates and poses are found once more, each from the other, before a round ends.
     improvement : float
         Relative fall of the loss on scans held out below which rounds end; by less than that two rounds are level.
     training : Training
@@ -71,6 +74,7 @@ class LoopSettings:
     round_scans: int = 4000
     library_scans: int = 1500
     neighbours: int = 6
+    turns: int = 2
     improvement: float = 0.005
     training: Training = field(default_factory=lambda: Training(epochs=4, learning_rate=1e-3))
 
@@ -188,6 +192,7 @@ class Loop:
             self._learn(k, templates)
             won = self._refit(k, templates)
             self._last_steps(k, templates)
+            templates = self._in_turn(k, templates)
             value = self._note(k, began, {"new_starts_won": won})
             self.on_round(k, self.segmenter)
             fallen = value is None or value < best * (1 - self.settings.improvement)
@@ -248,7 +253,7 @@ class Loop:
                 m.state = m.state.replace(scale=1.0, translation=m.state.translation / ratio + moved, residual=None)
         self._follow()
 
-    def _templates(self, k):
+    def _templates(self, k, stage="templates", span=(0.0, 1.0)):
         """Each subject's template from the poses of its scans that are learned from, or that it has at all."""
         tasks, subjects = [], self.collection.subjects
         for subject in subjects:
@@ -265,8 +270,7 @@ class Loop:
             )
         work = Template(self.shifting, self.fit_settings.partial, self.pose_prior)
         kept = [self._kept.slot(f"round-{k}-template", s) for s in subjects]
-        done = {"jobs": self.jobs, "done": lambda p: self.progress("templates", p)}
-        found = self.collection.work_of_subjects(work, tasks, **done, kept=kept)
+        found = self.collection.work_of_subjects(work, tasks, jobs=self.jobs, done=self._done(stage, span), kept=kept)
         self.coefficients = {s: c for s, (_, _, c) in found.items()}
         self._follow()
         return {s: (np.ascontiguousarray(U[self.rig.weld]), J) for s, (U, J, _) in found.items()}
@@ -331,7 +335,7 @@ class Loop:
         work = Pose(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
         tasks = [(m.subject, m.X, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
         kept = [self._kept.slot(f"round-{k}-pose", m.index) for m in members]
-        answers = self._work(work, tasks, "poses of scans", kept, (0.0, _SEARCH if self._goes_on else 1.0))
+        answers = self._work(work, tasks, "poses of scans", kept, (0.0, _SEARCH))
         won = 0
         for m, (state, loss, which) in zip(self.collection.members, answers, strict=True):
             won += which > 0
@@ -339,15 +343,9 @@ class Loop:
         self._follow()
         return won
 
-    @property
-    def _goes_on(self):
-        """Whether poses go further steps once they are found."""
-        return self.variant.prior or any(len(m.more) for m in self.collection.members)
-
-    def _last_steps(self, k, templates):
+    def _last_steps(self, k, templates, stage="poses of scans", span=(_SEARCH, 1.0)):
         """Every pose as its scan tells it by all its points, and where that leaves it open, as the others' poses do."""
-        if not self._goes_on:
-            return
+        (start, end), middle = span, np.mean(span)
         models, partial = self._models(templates), self.fit_settings.partial
         learning = self.collection.with_role(LEARNED_FROM)
         asked = {learning[i].index for i in looked_at(len(learning))} if self.variant.prior else ()
@@ -356,19 +354,25 @@ class Loop:
             return [self._kept.slot(f"round-{k}-{step}", (m.index, *made_of)) for m in self.collection.members]
 
         tasks = [(m.subject, m.dense_X, m.state, m.index in asked) for m in self.collection.members]
-        told = self._work(Told(models, partial), tasks, "poses of scans", slots("told"), (_SEARCH, (1 + _SEARCH) / 2))
+        told = self._work(Told(models, partial), tasks, stage, slots("told"), (start, middle))
         known = [(state.theta, C) for state, _, C in told if C is not None]
         turning = Layout(self.rig, ("pose",), 0).turning
         self.pose_prior = pose_prior(*zip(*known), turning, self.rig.root) if known else None
-        tasks = []
-        for m, (state, noise, _) in zip(self.collection.members, told, strict=True):
-            m.noise = noise
-            tasks.append((m.subject, m.X, m.dense_X, state, noise))
+        tasks = [(m.subject, m.X, m.dense_X, *found[:2]) for m, found in zip(self.collection.members, told, strict=True)]
         work = Drawn(models, partial, self.pose_prior)
-        answers = self._work(work, tasks, "poses of scans", slots("drawn", self.pose_prior), ((1 + _SEARCH) / 2, 1.0))
-        for m, (state, loss) in zip(self.collection.members, answers, strict=True):
-            m.state, m.loss = state, loss
+        answers = self._work(work, tasks, stage, slots("drawn", self.pose_prior), (middle, end))
+        for m, (state, loss, noise) in zip(self.collection.members, answers, strict=True):
+            m.state, m.loss, m.noise = state, loss, noise
         self._follow()
+
+    def _in_turn(self, k, templates):
+        """Templates from the poses as they are, and poses on these, which stay as a search has found them; the last templates."""
+        stage = "templates and poses in turn"
+        for i in range(n := self.settings.turns):
+            start, middle, end = ((i + share) / n for share in (0.0, _OF_A_TURN, 1.0))
+            templates = self._templates(k, stage, (start, middle))
+            self._last_steps(k, templates, stage, (middle, end))
+        return templates
 
     def _follow(self):
         """What is kept from here on depends on what fits have found, and for whom."""
@@ -392,12 +396,12 @@ class Loop:
 
     def _work(self, work, tasks, stage, kept=(), span=(0.0, 1.0)):
         """The members' answers; those who fail are members no more. The work takes this span of the stage's time."""
+        return self.collection.work(work, tasks, jobs=self.jobs, done=self._done(stage, span), kept=kept)
+
+    def _done(self, stage, span):
+        """What says of a share of some work how far its stage is, which it takes this span of."""
         start, end = span
-
-        def done(share):
-            self.progress(stage, start + (end - start) * share)
-
-        return self.collection.work(work, tasks, jobs=self.jobs, done=done, kept=kept)
+        return lambda share: self.progress(stage, start + (end - start) * share)
 
     def _models(self, templates):
         return {s: Model(self.rig.with_template(*t), self.joints, half=self.model.half) for s, t in templates.items()}

@@ -138,7 +138,7 @@ class Told(_LastSteps):
 
 @dataclass(frozen=True)
 class Drawn(_LastSteps):
-    """(Subject, points, more points, state, σ²/n) → (the state drawn to what all poses tell of it, L_c of the points)."""
+    """(Subject, points, more points, state, σ²/n) → (the state drawn to what all poses tell of it, L_c of the points, σ²/n)."""
 
     prior: object
 
@@ -146,7 +146,7 @@ class Drawn(_LastSteps):
         subject, X, dense, state, noise = task
         refit = self._refit(subject)
         state = state if self.prior is None else drawn(refit, Problem(dense), state, self.prior, noise)
-        return state, _finite(refit.chamfer(Problem(X), state))
+        return state, _finite(refit.chamfer(Problem(X), state)), noise
 
 
 @dataclass(frozen=True)

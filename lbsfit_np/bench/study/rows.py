@@ -178,7 +178,8 @@ _OF_A_ROUND = {
     "segmenter": (0.05, 0.55),
     "library of starts": (0.55, 0.6),
     "labels": (0.6, 0.65),
-    "poses of scans": (0.65, 1.0),
+    "poses of scans": (0.65, 0.9),
+    "templates and poses in turn": (0.9, 1.0),
 }
 
 
