@@ -164,13 +164,13 @@ def unlearned(tube_rig):
 
 @pytest.fixture(scope="session")
 def make_learner(tube_rig, unlearned):
-    """(parameters) → a fitter whose pretraining is done."""
+    """(parameters) → a fitter whose pretraining is done; with fewer scans its rounds train on."""
     from learning_runs import SMALL
 
     from lbsfit_np import LBSFitter
 
     def made(**parameters):
-        fitter = LBSFitter(tube_rig, **(SMALL | parameters))
+        fitter = LBSFitter(tube_rig, **(SMALL | {"training_scans": 100} | parameters))
         fitter._pretrained = unlearned._pretrained
         return fitter
 

@@ -40,7 +40,7 @@ def loop_over(rig, collection, variant, segmenter, library=None, **options):
     given = {
         "facing": Facing(),
         "fit_settings": FitSettings(),
-        "settings": LoopSettings.for_training(200, rounds=1),
+        "settings": LoopSettings.for_training(100, rounds=1),
         "synthesis": Synthesis(n_points=200),
         "joints": "follow",
         "sequence": False,

@@ -108,7 +108,7 @@ def test_the_segmenter_goes_on_from_the_pretrained_one(learned_people, unlearned
 def test_turned_scans_are_learned_from(tube_rig, make_learner, few_scans):
     """Each turned in its own way: what is learned is the same person's template."""
     turns = [matrix_from_rotvec(np.array([0.0, a, 0.0])) for a in (0.0, 1.0, 2.5, -2.0, -0.7)]
-    fitter = make_learner(training_scans=100, held_out=0).fit([s.points @ turn.T for s, turn in zip(few_scans, turns)])
+    fitter = make_learner(held_out=0).fit([s.points @ turn.T for s, turn in zip(few_scans, turns)])
     for r, s, turn in zip(fitter.results_, few_scans, turns, strict=True):
         assert np.linalg.norm(r.joints @ turn - s.joints, axis=1).mean() < 0.05 * tube_rig.size / 2
     person = tube_rig.subject(3, amount=1.5)

@@ -123,7 +123,7 @@ def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig,
     points[1] = 2.54 * points[1]
     odd = r"2\.\d+ times the scale of its subject's others: in another unit\? Convert it and learn again; not learned from"
     with pytest.warns(UserWarning, match=f"scan 1: its first fit had {odd}"):
-        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(points)
+        fitter = make_learner(held_out=0, rounds=1).fit(points)
     assert re.match(f"it has {odd}; the scan is in another unit", fitter.results_[1].message)
     assert [r.message.startswith("learned from; scan and rig are in one unit") for r in fitter.results_] == [1, 0, 1, 1, 1]
     joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
@@ -134,7 +134,7 @@ def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig,
 def test_of_three_scans_the_one_in_another_unit_is_in_doubt_alone(make_learner, few_scans):
     scans = [few_scans[0].points, few_scans[1].points, 2.54 * few_scans[2].points]
     with pytest.warns(UserWarning, match=r"scan 2: .* times the scale .*; not learned from") as told:
-        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(scans)
+        fitter = make_learner(held_out=0, rounds=1).fit(scans)
     assert sum("first fit" in str(w.message) for w in told) == 1
     assert ["times the scale" in r.message for r in fitter.results_] == [False, False, True]
     assert [r.scale for r in fitter.results_] == [1.0, 1.0, pytest.approx(2.54, rel=0.05)]
@@ -146,7 +146,7 @@ def test_a_scan_of_another_size_than_its_subjects_others_is_told_so_and_fitted_i
     points[1] = 1.5 * points[1]
     first = OTHERS.format(r"1\.[45]\d*")
     with pytest.warns(UserWarning, match=rf"scan 1: {first}: in another unit, or a wrong fit\?") as told:
-        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit(points)
+        fitter = make_learner(held_out=0, rounds=1).fit(points)
     assert len(told) == 1
     odd = r"it has 1\.[45]\d* times the scale of its subject's others: in another unit, or somebody else's\?; learned from; "
     assert [bool(re.match(odd, r.message)) for r in fitter.results_] == [False, True, False, False, False]
@@ -334,7 +334,7 @@ def test_two_scans_of_different_sizes_say_so_once_and_in_both_results(factor, tu
     words = TWO.format(0, 1, r"\d\.\d+", r"\d\.\d+").replace("?", r"\?").replace("(", r"\(").replace(")", r"\)")
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
-        fitter = make_learner(held_out=0, rounds=1, training_scans=100).fit([few_scans[0].points, factor * few_scans[1].points])
+        fitter = make_learner(held_out=0, rounds=1).fit([few_scans[0].points, factor * few_scans[1].points])
     (line,) = [str(w.message) for w in told if "first fit" in str(w.message)]
     assert re.match(f"{words}; learned from$", line)
     assert all(re.match(f"{words}; (.*; )?learned from; ", r.message) for r in fitter.results_)

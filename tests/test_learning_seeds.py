@@ -21,7 +21,7 @@ def test_a_seed_decides_all_and_other_kinds_of_seeds_work(make_learner, few_scan
         fitter = make_learner(variant="cd", held_out=0, random_state=seed).fit(points)
         assert all(r.status == "ok" for r in fitter.results_)
     np.testing.assert_array_equal(fitter.results_[0].vertices, first)  # the last seed was 5 again
-    joint = make_learner(training_scans=100, random_state=np.random.default_rng(1), held_out=0).fit(points)
+    joint = make_learner(random_state=np.random.default_rng(1), held_out=0).fit(points)
     assert len(joint.results_) == 2 and joint.history_[0]["recon_held_out"] is None
     assert joint.fit_scan(few_scans[4].points).status == "ok"
 

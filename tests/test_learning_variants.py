@@ -51,7 +51,7 @@ def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, v
             monkeypatch.setattr(f"lbsfit_np.{name}", lambda *a, **k: pytest.fail("trained s"))
         monkeypatch.setattr("lbsfit_np.segmentation.segmenter.Segmenter.predict_proba", lambda *a, **k: pytest.fail("asked s"))
         monkeypatch.setattr("lbsfit_np.fitting.refit.start_from_parts", lambda *a, **k: pytest.fail("a start from parts"))
-    fitter = make_learner(variant=variant, training_scans=100).fit([s.points for s in few])
+    fitter = make_learner(variant=variant).fit([s.points for s in few])
     assert list(fitter.template_) == [0] and all(r.status == "ok" for r in fitter.results_)
     # Without skinning the joints stay where the rest pose has them, which the results say.
     assert all((r.probability > 0) == bool(r.evidence) == (variant != "free-form") for r in fitter.results_)

@@ -47,7 +47,7 @@ class FirstFit:
 class Template:
     """Points, more points, states, losses and probabilities of a subject's scans → what ``shared_template`` finds.
 
-    ``prior`` is the PosePrior of the round before, None where there is none.
+    ``prior`` is the PosePrior of the poses as they are, None where there is none.
     """
 
     model: Model
