@@ -1,6 +1,7 @@
 """Runs of the paper's study, and the command: what is kept, what is refused, and that a run goes on where it stopped."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -87,6 +88,11 @@ def test_reports_of_something_else_are_refused(coarse_hand, quick):
             study({"h": coarse_hand}, rows=rows)
 
 
+def _without_times(page):
+    """The tables of a page without their last columns, which the seconds are in."""
+    return re.sub(r"\| \d+ \|$", "|", page.split("---\n\n")[0], flags=re.MULTILINE)
+
+
 def test_the_command_writes_a_page_and_resumes(quick, tmp_path, capsys):
     out = tmp_path / "study"
     command = ["bench", "study", "--rig", "hand-coarse", "--rows", "joint,rand", "--no-figures", "-o", str(out)]
@@ -105,7 +111,7 @@ def test_the_command_writes_a_page_and_resumes(quick, tmp_path, capsys):
     changed = read_npz(cell)
     write_npz(cell, **changed | {"joints": changed["joints"] + 1})
     assert run(command) == 1 and quick == [300]
-    assert (out / "README.md").read_text().split("---\n\n")[0] == text.split("---\n\n")[0]
+    assert _without_times((out / "README.md").read_text()) == _without_times(text)
     results = json.loads((out / "results.json").read_text())
     results["rigs"]["hand-coarse"]["seeds"]["300"]["joint"]["code"] = "other"
     (out / "results.json").write_text(json.dumps(results))
