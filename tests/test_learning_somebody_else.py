@@ -72,7 +72,7 @@ def test_scans_of_somebody_else_are_nearer_to_the_truth_for_what_was_learned_of_
     scans = lbs.synthesize(tube_rig, 12, poses=list(poses[60:]), random_state=5, n_points=150, noise=0.02, shape=0.05)
     known, gaps = {"segmenter": tube_fitter.segmenter_, "library": tube_fitter.regressor_}, []
     for given in (None, prior):
-        fit = ScanFit(Model(tube_rig), prior=given, **known)
+        fit = ScanFit(Model(tube_rig), FitSettings(effort="fast"), prior=given, **known)
         gaps.append(mean_gap(tube_rig, [fit.fit(s.points, random_state=0) for s in scans], scans, "vertices"))
     assert gaps[1] < 0.95 * gaps[0]
 
