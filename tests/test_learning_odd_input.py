@@ -141,6 +141,14 @@ def _without_templates_from(k, monkeypatch):
     monkeypatch.setattr(tasks.Template, "__call__", careless)
 
 
+@pytest.mark.parametrize("k", [2, 3])
+def test_a_template_that_fails_in_a_turn_costs_nothing_that_the_round_has_found(tube_rig, clouds, monkeypatch, k):
+    _without_templates_from(k, monkeypatch)
+    fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
+    assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and None not in fitter.roles_
+    assert None not in fitter.results_
+
+
 def test_a_template_that_fails_later_costs_nothing_of_the_round_that_is_kept(tube_rig, clouds, monkeypatch):
     values = iter([1.0, 0.5, 0.6])  # of the first fits and two rounds
 

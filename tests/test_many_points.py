@@ -207,12 +207,13 @@ def test_a_template_of_more_points_is_nearer_to_the_true_one(tube_rig):
     assert gaps[1] < 0.8 * gaps[0]
 
 
-def test_variants_without_a_prior_go_on_with_more_points_too(make_learner, few_scans, monkeypatch):
+@pytest.mark.parametrize("most", [150, 2500])
+def test_variants_without_a_prior_go_on_with_all_points_too(most, make_learner, few_scans, monkeypatch):
     """Else what they lack beside others would be points, not what all poses tell."""
     drawn = []
     monkeypatch.setattr("lbsfit_np.learning.tasks.drawn", lambda *given: drawn.append(given))
     polished, polish = [], Told.__call__
     monkeypatch.setattr(Told, "__call__", lambda self, task: polished.append(len(task[1])) or polish(self, task))
-    fitter = make_learner(variant="cd", max_points=150).fit([s.points for s in few_scans[:3]])
+    fitter = make_learner(variant="cd", max_points=most).fit([s.points for s in few_scans[:3]])
     assert len(polished) == 9 and min(polished) > 300  # on three templates each
     assert not drawn and fitter.pose_prior_ is None

@@ -181,11 +181,17 @@ class Collection:
         most = max(self.subjects, key=lambda s: len(self.with_role(LEARNED_FROM, s)))
         self.with_role(LEARNED_FROM, most)[-1].held_out = True
 
-    def bring_back(self, members):
-        """Have these for members, also those that have failed since they were the last time."""
-        self.members = members
-        for m in members:
-            self.failures.pop(m.index, None)
+    def as_it_is(self):
+        """A callable that brings back the members there are now, also those that have failed since, and what is known of them."""
+        known = [(m, (m.state, m.loss, m.proba, m.noise)) for m in self.members]
+
+        def bring_back():
+            self.members = [m for m, _ in known]
+            for m, found in known:
+                m.state, m.loss, m.proba, m.noise = found
+                self.failures.pop(m.index, None)
+
+        return bring_back
 
     def work(self, work, tasks, *, jobs, done, kept=(), taught=False):
         """Do a task for each member; one whose task fails is a member no more, with the reason in ``failures``.

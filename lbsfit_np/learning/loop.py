@@ -6,7 +6,7 @@ After pretraining and a first fit of each scan by itself, a round does this:
 2. training scans from the mixture Θ' on these templates (``mixture``); s is trained on, f and the library of starts anew;
 3. the labels of all scans; every pose again, from its last one, from labels, from f and from the library, then with other
    poses for limbs that are better off so (``fitting.refit``), with more points, drawn to what all poses tell (``pose_prior``);
-4. templates and poses in turn a few times more, each from the other, which takes little time without labels and starts anew;
+4. templates and poses in turn a few times more, each from the other, which takes little time without new labels and starts;
 5. the loss on the scans held out: rounds end when it no longer falls.
 
 At the end the full objective gives each scan its residual on its subject's template.
@@ -185,7 +185,7 @@ class Loop:
         started = time.perf_counter()
         self._first_fits()
         self._note(0, started, {})
-        best, best_members, learned = np.inf, [], None
+        best, bring_back, learned = np.inf, None, None
         for k in range(1, self.settings.rounds + 1):
             began = time.perf_counter()
             templates = self._templates(k)
@@ -200,12 +200,10 @@ class Loop:
             if fallen or value < best * (1 + self.settings.improvement) or learned is None:
                 best, learned = value, self._learned(k, templates)  # one that has not fallen is the last
                 self.on_kept(learned)
-                best_members = [(m, (m.state, m.loss, m.proba, m.noise)) for m in self.collection.members]
+                bring_back = self.collection.as_it_is()
             if not fallen:
                 break
-        self.collection.bring_back([m for m, _ in best_members])
-        for member, known in best_members:
-            member.state, member.loss, member.proba, member.noise = known
+        bring_back()
         if self.sequence and self.smooth:
             self._smooth(learned.templates, learned.pose_prior)
         return replace(learned, history=self._history(learned.history[-1]["round"]))
@@ -269,7 +267,7 @@ class Loop:
                 )
             )
         work = Template(self.shifting, self.fit_settings.partial, self.pose_prior)
-        kept = [self._kept.slot(f"round-{k}-template", s) for s in subjects]
+        kept = [self._kept.slot(f"round-{k}-template", (s, self.pose_prior)) for s in subjects]
         found = self.collection.work_of_subjects(work, tasks, jobs=self.jobs, done=self._done(stage, span), kept=kept)
         self.coefficients = {s: c for s, (_, _, c) in found.items()}
         self._follow()
@@ -356,8 +354,7 @@ class Loop:
         tasks = [(m.subject, m.dense_X, m.state, m.index in asked) for m in self.collection.members]
         told = self._work(Told(models, partial), tasks, stage, slots("told"), (start, middle))
         known = [(state.theta, C) for state, _, C in told if C is not None]
-        turning = Layout(self.rig, ("pose",), 0).turning
-        self.pose_prior = pose_prior(*zip(*known), turning, self.rig.root) if known else None
+        self.pose_prior = pose_prior(*zip(*known), Layout(self.rig, ("pose",), 0).turning, self.rig.root) if known else None
         tasks = [(m.subject, m.X, m.dense_X, *found[:2]) for m, found in zip(self.collection.members, told, strict=True)]
         work = Drawn(models, partial, self.pose_prior)
         answers = self._work(work, tasks, stage, slots("drawn", self.pose_prior), (middle, end))
@@ -366,12 +363,18 @@ class Loop:
         self._follow()
 
     def _in_turn(self, k, templates):
-        """Templates from the poses as they are, and poses on these, which stay as a search has found them; the last templates."""
+        """Templates from the poses, and poses on these without a search; the last ones. A turn that loses a scan is not taken."""
         stage = "templates and poses in turn"
         for i in range(n := self.settings.turns):
             start, middle, end = ((i + share) / n for share in (0.0, _OF_A_TURN, 1.0))
-            templates = self._templates(k, stage, (start, middle))
-            self._last_steps(k, templates, stage, (middle, end))
+            members, back, known = self.collection.members, self.collection.as_it_is(), (self.coefficients, self.pose_prior)
+            turned = self._templates(k, stage, (start, middle))
+            self._last_steps(k, turned, stage, (middle, end))
+            if len(self.collection.members) < len(members):
+                back()
+                self.coefficients, self.pose_prior = known
+                break
+            templates = turned
         return templates
 
     def _follow(self):
@@ -400,8 +403,7 @@ class Loop:
 
     def _done(self, stage, span):
         """What says of a share of some work how far its stage is, which it takes this span of."""
-        start, end = span
-        return lambda share: self.progress(stage, start + (end - start) * share)
+        return lambda share: self.progress(stage, span[0] + (span[1] - span[0]) * share)
 
     def _models(self, templates):
         return {s: Model(self.rig.with_template(*t), self.joints, half=self.model.half) for s, t in templates.items()}

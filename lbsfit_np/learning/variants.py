@@ -28,7 +28,8 @@ class Variant:
     library : bool
         Starts from synthesised poses that look like the scan, beside the regressor's.
     prior : bool
-        Each pose is drawn to what all tell of poses, as far as its own scan leaves it open.
+        Each pose is drawn to what all tell of poses, as far as its own scan leaves it open, and held so while templates
+        are found.
     skinning : bool
         False: no joints at all, vertices move freely.
     """
