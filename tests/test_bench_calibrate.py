@@ -49,7 +49,7 @@ def fits(monkeypatch):
     fits = Fits()
     monkeypatch.setattr(module, "condition_scan", fits.scan)
     monkeypatch.setattr("lbsfit_np.learning.fitter.LBSFitter", fits.fitter)
-    monkeypatch.setattr("lbsfit_np.learning.finish.scan_fit", lambda *made_of: fits)
+    monkeypatch.setattr("lbsfit_np.learning.new_scan.scan_fit", lambda *made_of: fits)
     return fits
 
 

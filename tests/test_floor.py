@@ -9,8 +9,8 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
-from lbsfit_np.learning import finish
-from lbsfit_np.learning.finish import scan_fit
+from lbsfit_np.learning import new_scan
+from lbsfit_np.learning.new_scan import scan_fit
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.clean import clean_rows, taking_part
 from lbsfit_np.starts.floor import off_floor
@@ -272,8 +272,8 @@ def fitted(request, tube_fitter, tube_result, monkeypatch):
         fitter = copy.copy(tube_fitter).set_params(scale=scale)
         given = {"theta0": None, "labels": None, "point_weights": None} | given
         if request.param == "after learning":
-            monkeypatch.setattr(finish, "_fit_new", lambda fitter, points, part, *_: one(part))
-            return finish.fit_new(fitter, points, ("ann",), **given), list(fits)
+            monkeypatch.setattr(new_scan, "_fit_new", lambda fitter, points, part, *_: one(part))
+            return new_scan.fit_new(fitter, points, ("ann",), **given), list(fits)
         fit = scan_fit(fitter)
         monkeypatch.setattr(fit, "_fit", lambda points, theta0, labels, point_weights, part, *_: one(part))
         return fit.fit(points, random_state=0, **given), list(fits)

@@ -13,7 +13,7 @@ from sklearn.base import clone
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
-from lbsfit_np.learning import finish
+from lbsfit_np.learning import new_scan
 from lbsfit_np.learning.archive import learned_digests, model_digest
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.parameters import learned_with
@@ -128,13 +128,13 @@ def test_subjects_that_are_gone_are_forgotten(own, clouds, prepared):
 
 @pytest.mark.parametrize("variant, nearest", [("cd", False), ("joint", True)])
 def test_new_scans_start_from_what_the_variant_allows(variant, nearest, own, clouds, monkeypatch):
-    seen, scout = [], finish.Scout
+    seen, scout = [], new_scan.Scout
 
     def seeing(*arguments, **options):
         seen.append(options["nearest"])
         return scout(*arguments, **options)
 
-    monkeypatch.setattr(finish, "Scout", seeing)
+    monkeypatch.setattr(new_scan, "Scout", seeing)
     own.set_params(variant=variant)
     own._learned_with = learned_with(own)
     own.fit_scan(clouds[0], subject="a")

@@ -15,7 +15,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.template_fit import TemplateFit
-from lbsfit_np.learning import batch, finish
+from lbsfit_np.learning import batch, new_scan
 from lbsfit_np.learning.parameters import fit_settings
 from lbsfit_np.rotations import matrix_from_rotvec
 
@@ -66,11 +66,11 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
         return _Alone("by itself", found, **alone)
 
     by_itself = SimpleNamespace(scout=look, fit=fit)
-    monkeypatch.setattr(finish, "scan_fit", lambda *made_of: by_itself)
-    monkeypatch.setattr(finish, "_scouted", lambda fitter, subject, x, a, settings: look(x, a))
+    monkeypatch.setattr(new_scan, "scan_fit", lambda *made_of: by_itself)
+    monkeypatch.setattr(new_scan, "_scouted", lambda fitter, subject, x, a, settings: look(x, a))
     monkeypatch.setattr(TemplateFit, "proportions", lambda *known: 0.31 if somebody_else else 0.29)
     wild = np.vstack([scan.points, [[99.0, 0.0, 0.0]]])  # which takes no part
-    r = finish.fit_new(fitter, wild, list(people), None, None, None)
+    r = new_scan.fit_new(fitter, wild, list(people), None, None, None)
     assert len(looks) == 1 and len(looks[0]) == 300
     if not somebody_else:
         assert f"on the template of subject {whose!r}" in r.message
@@ -80,9 +80,9 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
     assert r.found is seen and r.message == several  # what was seen is not looked for again
     np.testing.assert_array_equal(given["part"].rows, np.arange(300))
     for alone["status"] in ("suspect", "failed"):
-        assert finish.fit_new(fitter, scan.points, list(people), None, None, None).message == several + ASKS
+        assert new_scan.fit_new(fitter, scan.points, list(people), None, None, None).message == several + ASKS
     fitter.template_ = {"ann": people["ann"]}
-    assert finish.fit_new(fitter, scan.points, ["ann"], None, None, None).message == words.format("the learned one")
+    assert new_scan.fit_new(fitter, scan.points, ["ann"], None, None, None).message == words.format("the learned one")
 
 
 @pytest.mark.parametrize(
@@ -101,8 +101,8 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     seen, told, alone = found_at_the_truth(tube_rig, scan), {}, {"status": "ok"}
 
-    def on_template(fitter, subject, seen, settings):
-        left, unit = {"ann": ann, "bob": bob}[subject]
+    def gone_on(begun, seen):
+        left, unit = {"ann": ann, "bob": bob}[begun.subject]
         state = seen.state.replace(scale=left)
         return replace(seen, value=2 * left, state=state, frame=replace(seen.frame, unit=unit * tube_rig.size / 2))
 
@@ -110,19 +110,49 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
         told.update(place)
         return _Alone("seen", seen, **alone)
 
-    monkeypatch.setattr(finish, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a: seen))
-    monkeypatch.setattr(finish, "_on_template", on_template)
+    monkeypatch.setattr(new_scan, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a: seen))
+    monkeypatch.setattr(new_scan, "_begun", lambda fitter, subject, *known: SimpleNamespace(subject=subject, left=1.0))
+    monkeypatch.setattr(new_scan, "_gone_on", gone_on)
     refit = SimpleNamespace(left=lambda problem, state: state.scale)
     fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=finish_fit, refit=refit)
-    monkeypatch.setattr(finish, "_template_fit", lambda *made_of: fit)
-    assert finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message == "seen"
+    monkeypatch.setattr(new_scan, "_template_fit", lambda *made_of: fit)
+    assert new_scan.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message == "seen"
     assert f"on the template of subject {better!r}" in told["notes"]
     assert told["value"] == 2 * {"ann": ann, "bob": bob}[better][0]
     for alone["status"] in ("suspect", "failed"):  # who knows the subject may help
-        asks = finish.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message
+        asks = new_scan.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message
         assert asks == "seen" + ASKS
-    monkeypatch.setattr(finish, "_scouted", lambda *known: seen)
-    assert finish.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message == "seen"
+    monkeypatch.setattr(new_scan, "_scouted", lambda *known: seen)
+    assert new_scan.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message == "seen"
+
+
+@pytest.mark.parametrize(
+    "left, gone_on_with",
+    [
+        ({"ann": 2.0, "bob": 1.0, "cat": 1.29, "dan": 1.31}, ["bob", "cat"]),
+        ({"ann": 1.2, "bob": 1.3, "cat": 1.1, "dan": 1.0}, ["dan", "cat", "ann"]),  # three at most
+        ({"ann": 0.0, "bob": 0.0, "cat": 1.0, "dan": 1.0}, ["ann", "bob"]),
+    ],
+)
+def test_templates_that_suit_a_scan_badly_after_a_few_steps_are_not_gone_on_with(left, gone_on_with, monkeypatch):
+    monkeypatch.setattr(new_scan, "_begun", lambda fitter, subject, *known: SimpleNamespace(subject=subject, left=left[subject]))
+    monkeypatch.setattr(new_scan, "_gone_on", lambda begun, seen: begun.left)
+    assert new_scan._on_templates(None, list(left), None, None) == [(s, left[s]) for s in gone_on_with]
+
+
+def test_a_few_steps_tell_whose_template_suits_a_scan_in_any_unit(tube_rig):
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    thin = tube_rig.with_template(tube_rig.vertices * [0.8, 1.0, 0.8], tube_rig.joints)
+    fitter.template_, fitter.unit_ = {"thin": thin, "own": tube_rig, "millimetres": tube_rig}, {}
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=800, shape=0.0)
+    seen, left = found_at_the_truth(tube_rig, scan), {}
+    for unit in (1.0, 1000.0):  # of the scan
+        fitter.unit_ = dict.fromkeys(fitter.template_, unit) | {"millimetres": 1000.0}
+        found = replace(seen, frame=replace(seen.frame, unit=unit * seen.frame.unit))
+        left[unit] = {s: new_scan._begun(fitter, s, found, fit_settings(fitter)).left for s in fitter.template_}
+        assert left[unit]["own"] < 0.7 * left[unit]["thin"]
+    assert left[1000.0]["own"] == pytest.approx(1e6 * left[1.0]["own"])
+    assert 0.7 < left[1.0]["millimetres"] / left[1.0]["own"] <= 1.0  # scale is free where units are apart
 
 
 def test_views_of_one_side_are_compared_by_what_they_show(tube_rig):
@@ -135,11 +165,11 @@ def test_views_of_one_side_are_compared_by_what_they_show(tube_rig):
     (scan,) = lbs.synthesize(tube_rig, 1, templates=[own], random_state=3, n_points=800, one_sided=True, holes=0, shape=0.0)
     seen = found_at_the_truth(tube_rig, scan)
     for subject in fitter.template_:
-        refit = finish._template_fit(fitter, subject, settings).refit
+        refit = new_scan._template_fit(fitter, subject, settings).refit
         state, value, _ = refit(seen.problem, [refit._mine(seen.state)])
         found[subject] = replace(seen, state=state, value=value)
     assert found["slim"].value < found["own"].value
-    left = {subject: finish._left(fitter, subject, f, settings) for subject, f in found.items()}
+    left = {subject: new_scan._left(fitter, subject, f, settings) for subject, f in found.items()}
     assert left["own"] < 0.7 * left["slim"]
 
 
@@ -153,7 +183,7 @@ def test_a_scan_of_somebody_else_than_named_is_told_to_leave_the_name_out(status
     fitter = lbs.LBSFitter(tube_rig, random_state=0, effort="fast")
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
     fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
-    monkeypatch.setattr(finish, "_scouted", lambda *known: found_at_the_truth(tube_rig, scan))
+    monkeypatch.setattr(new_scan, "_scouted", lambda *known: found_at_the_truth(tube_rig, scan))
     given = []
 
     def finished(problem, state, **place):
@@ -162,8 +192,8 @@ def test_a_scan_of_somebody_else_than_named_is_told_to_leave_the_name_out(status
 
     for proportions in (0.9, 0.0):
         fit = SimpleNamespace(proportions=lambda *of, p=proportions: p, finish=finished, refit=LEFT)
-        monkeypatch.setattr(finish, "_template_fit", lambda *made_of, fit=fit: fit)
-        message = finish.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message
+        monkeypatch.setattr(new_scan, "_template_fit", lambda *made_of, fit=fit: fit)
+        message = new_scan.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message
         words = "; without subject (--subject, or its line of --subjects, which may be wrong) the template that suits it best is "
         assert (words in message) == (asks and proportions > 0.5)
     assert given == [(), FASTER]
@@ -176,11 +206,11 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
     fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     for look in ("_scouted", "_given"):
-        monkeypatch.setattr(finish, look, lambda *known: found_at_the_truth(tube_rig, scan))
-    monkeypatch.setattr(finish, "stands_words", lambda *known: "the scan stands along +z")
+        monkeypatch.setattr(new_scan, look, lambda *known: found_at_the_truth(tube_rig, scan))
+    monkeypatch.setattr(new_scan, "stands_words", lambda *known: "the scan stands along +z")
     fit = SimpleNamespace(proportions=lambda *of: 0.0, refit=LEFT, finish=lambda problem, state, **place: _Alone("", place))
-    monkeypatch.setattr(finish, "_template_fit", lambda *made_of: fit)
-    made = finish.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
+    monkeypatch.setattr(new_scan, "_template_fit", lambda *made_of: fit)
+    made = new_scan.fit_new(fitter, scan.points, ["ann"], scan.pose if given else None, None, None, anyone=False)
     told = made.found
     assert made.subject == "ann"
     assert "on the template of subject 'ann'" in told["notes"] and told.get("further", ()) == (() if given else FASTER)
@@ -225,18 +255,18 @@ def test_of_views_from_several_sides_the_one_that_leaves_least_is_taken(tube_rig
         def left(self, problem, state):
             return {"first": 0.5, "second": 0.1, "third": 0.4}[state]
 
-    monkeypatch.setattr(finish, "_template_fit", lambda *known: SimpleNamespace(refit=Fake()))
+    monkeypatch.setattr(new_scan, "_template_fit", lambda *known: SimpleNamespace(refit=Fake()))
     views = [(seen.frame, seen.problem, None, None)] * 3
-    monkeypatch.setattr(finish, "given_views", lambda *known: views)
-    best = finish._given(fitter, "ann", scan.points, None, FitSettings(), 1.0, None, scan.labels)
+    monkeypatch.setattr(new_scan, "given_views", lambda *known: views)
+    best = new_scan._given(fitter, "ann", scan.points, None, FitSettings(), 1.0, None, scan.labels)
     assert (best.state, best.value, best.free) == ("second", 0.3, Fake.free)
 
 
 @pytest.mark.parametrize("factor, known", [(1.3, True), (1 / 1.3, True), (1.4, False), (1 / 1.4, False), (50.0, False)])
 def test_the_subjects_unit_is_a_scans_where_its_size_allows_that(factor, known):
     learned = 1000.0
-    assert finish._unit(factor * learned, learned, FitSettings()) == (learned if known else None)
-    assert finish._unit(factor * learned, learned, FitSettings(scale="fixed")) == 1.0
+    assert new_scan._unit(factor * learned, learned, FitSettings()) == (learned if known else None)
+    assert new_scan._unit(factor * learned, learned, FitSettings(scale="fixed")) == 1.0
 
 
 def test_what_fit_scan_takes_counts_after_learning_too(tube_rig, learned_people, people_scans):

@@ -11,7 +11,7 @@ from lbsfit_np.bench.baseline import PlainChamfer
 from lbsfit_np.bench.study import free_form
 from lbsfit_np.bench.study.oracle import OracleFit
 from lbsfit_np.fitting.scan_fit import ScanFit
-from lbsfit_np.learning import finish
+from lbsfit_np.learning import new_scan
 from lbsfit_np.learning.loop import Loop
 from lbsfit_np.segmentation.segmenter import Segmenter
 from lbsfit_np.segmentation.stage import Training, train_stage
@@ -53,13 +53,13 @@ def _baseline(monkeypatch):
 
 
 def _new_scan(monkeypatch):
-    monkeypatch.setattr(finish, "taking_part", lambda *of, **more: None)
-    monkeypatch.setattr(finish, "_fit_new", _look)
-    monkeypatch.setattr(finish, "_facing", lambda fitter: SimpleNamespace(floors=None))
+    monkeypatch.setattr(new_scan, "taking_part", lambda *of, **more: None)
+    monkeypatch.setattr(new_scan, "_fit_new", _look)
+    monkeypatch.setattr(new_scan, "_facing", lambda fitter: SimpleNamespace(floors=None))
     settings = SimpleNamespace(max_points=1, scale="fixed")
-    monkeypatch.setattr(finish, "fit_settings", lambda fitter: settings)
+    monkeypatch.setattr(new_scan, "fit_settings", lambda fitter: settings)
     fitter = SimpleNamespace(regressor_=1, rig=None, _seed=lambda: 0)
-    return finish.fit_new(fitter, None, ("ann",), None, None, None)
+    return new_scan.fit_new(fitter, None, ("ann",), None, None, None)
 
 
 X = np.random.default_rng(0).random((40, 3))

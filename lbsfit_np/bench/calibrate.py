@@ -104,9 +104,7 @@ def cases_of(rig, rigs):
     """
     turned = CONDITIONS["turned"]
     rows = {row: CONDITIONS[row] for row in conditions_of(rig)}
-    worse = {
-        name: replace(turned, what=name, scan=replace(turned.scan, **settings)) for name, settings in _WORSE.items()
-    }
+    worse = {name: replace(turned, what=name, scan=replace(turned.scan, **settings)) for name, settings in _WORSE.items()}
     cases = [Case(rig, name, condition, rig) for name, condition in (rows | worse).items()]
     cases += [Case(rig, f"in truth {other.name}", turned, other) for other in rigs if other is not rig]
     return [*cases, Case(rig, "in truth a solid", turned, None)]
@@ -140,8 +138,8 @@ def _solid(i, rng):
 
 def judged(case, n_scans, seed, training_scans):
     """[(evidence, whether the joints are right)] of careful and of careless fits."""
-    from ..learning.finish import scan_fit
     from ..learning.fitter import LBSFitter
+    from ..learning.new_scan import scan_fit
 
     rig = case.rig
     fitter = LBSFitter(rig, training_scans=training_scans, random_state=TRAINING_SEED, **case.condition.fitter)

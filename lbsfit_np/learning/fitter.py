@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator
-from sklearn.exceptions import NotFittedError
 
 from ..errors import InputError, brief
 from ..optimize.model import Model
@@ -15,9 +14,10 @@ from ..starts.turns import facing_of
 from .archive import learned_arrays, learned_digests, model_digest, read_fitter, write_fitter
 from .batch import fit_scans
 from .checkpoint import as_checkpoint
-from .finish import fit_new, results_of, scan_fit
+from .finish import results_of
 from .free_form import fit_free_form
 from .loop import Loop, LoopSettings
+from .new_scan import fit_new, scan_fit
 from .parameters import check_callables, check_learned, check_parameters, check_scan, check_segmenter, fit_settings, learned_with
 from .pretraining import LIBRARY_TIME, is_stale, pretrain_library, pretrain_segmenter, pretrained_from, still_given
 from .reading import as_scans, read_collection
@@ -26,10 +26,6 @@ from .training import training_settings
 from .variants import as_variant
 
 __all__ = ["LBSFitter"]
-
-
-class NotLearnedError(InputError, NotFittedError):
-    """What comes after ``fit`` was asked of a fitter before."""
 
 
 class LBSFitter(BaseEstimator):
@@ -420,8 +416,6 @@ class LBSFitter(BaseEstimator):
 
     def _check_learned(self):
         self._check()
-        if getattr(self, "template_", None) is None:
-            raise NotLearnedError("fitter", "one that has learned nothing", "one that has learned", "Call fit(scans) first.")
         check_learned(self)
 
     def _synthesis(self):

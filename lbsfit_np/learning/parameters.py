@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 
 import numpy as np
+from sklearn.exceptions import NotFittedError
 
 from ..errors import InputError, brief, check_array, check_unmasked, counted, did_you_mean
 from ..fitting.effort import EFFORTS
@@ -109,8 +110,14 @@ def learned_with(fitter):
     return fitter.rig.digest, variant.skinning, variant.labels
 
 
+class NotLearnedError(InputError, NotFittedError):
+    """What comes after ``fit`` was asked of a fitter before."""
+
+
 def check_learned(fitter):
-    """Raise InputError unless a fitter has learned with the rig and the kind of variant that it now has."""
+    """Raise InputError unless a fitter has learned, with the rig and the kind of variant that it now has."""
+    if getattr(fitter, "template_", None) is None:
+        raise NotLearnedError("fitter", "one that has learned nothing", "one that has learned", "Call fit(scans) first.")
     learned, (rig, skinning, labels) = fitter._learned_with, learned_with(fitter)
     if rig != learned[0]:
         raise InputError("rig", f"{fitter.rig.name!r}", "the rig that the fitter learned with", "Learn again with this one.")

@@ -1,0 +1,268 @@
+"""A new scan with what was learned: on the learned template that suits it, or on the rig's own where it is somebody else's."""
+
+import time
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from ..errors import InputError
+from ..fitting.confidence import SOMEBODY_ELSE
+from ..fitting.drawn import drawn_by_itself
+from ..fitting.refit import Runner
+from ..fitting.scan_fit import (
+    FitSettings,
+    ScanFit,
+    all_points,
+    further_words,
+    given_names,
+    given_views,
+    shares,
+    stands_words,
+    with_floor_or_without,
+)
+from ..fitting.scout import Found, Scout
+from ..fitting.template_fit import TemplateFit
+from ..optimize.frame import Frame
+from ..optimize.model import Model
+from ..optimize.problem import Problem
+from ..seeds import generator
+from ..starts.clean import taking_part
+from ..starts.scale import same_size, unit_note
+from ..starts.turns import facing_of
+from ..threads import one_thread
+from .free_form import free_form
+from .parameters import fit_settings
+from .variants import as_variant
+
+__all__ = ["fit_new", "scan_fit"]
+
+# What is looked for where the unit is not known.
+_SIZED = ("pose", "translation", "scale")
+# Of several learned templates those are gone on with that leave at most so many times as much unexplained as the best after a few
+# steps, and so many at most: of people who are alike it matters little whose is taken.
+_CLOSE, _SEVERAL = 1.3, 3
+
+
+def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):
+    """A new scan on the learned templates of ``subjects``, the best of which it gets; arguments checked already.
+
+    Where ``subjects`` is None nothing was learned, which the variant without skinning does not need. Where ``anyone`` is true the
+    scan may be of somebody else: then proportions may change.
+
+    Returns
+    -------
+    FitResult
+
+    Raises
+    ------
+    InputError
+        A start or labels where there is no skinning that could use them.
+    """
+    if subjects is None or fitter.regressor_ is None:
+        for name, value in (("theta0", theta0), ("labels", labels)):
+            if value is not None:
+                expected = "None: in the variant 'free-form' vertices move freely, without pose or parts"
+                raise InputError(name, f"a {type(value).__name__}", expected, "Leave it out, or choose another variant.")
+
+    started = time.perf_counter()
+    with one_thread():
+        seed, settings = fitter._seed(), fit_settings(fitter)
+        limits = {"most": settings.max_points, "scale": settings.scale, "point_weights": point_weights, "labels": labels}
+        return with_floor_or_without(
+            lambda ups: taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, **limits),
+            lambda part: _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started),
+            _facing(fitter).floors,
+        )
+
+
+def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started):
+    rig, half = fitter.rig, fitter.rig.size / 2
+    rows, left_out, guess = part.rows, part.left_out, part.scale
+    x = points[rows]
+    a = shares(point_weights, rows)
+    if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
+        unit = guess if subjects is None else _unit(guess, fitter.unit_[subjects[0]], settings) or guess
+        frame = Frame(x.mean(axis=0), unit * half)
+        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started, left_out)
+    seen, known, given = None, None if labels is None else labels[rows], given_names(theta0, labels)
+    if given:
+        found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
+    elif len(subjects) == 1:
+        found = [(s, _scouted(fitter, s, x, a, settings)) for s in subjects]
+    else:  # one look for all, on the rig's own template with proportions
+        seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a)
+        found = _on_templates(fitter, subjects, seen, settings)
+    subject, best = min(found, key=lambda f: _left(fitter, *f, settings))
+    whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
+    fit = _template_fit(fitter, subject, settings)
+    proportions = fit.proportions(best.problem, best.state)
+    if anyone and proportions > SOMEBODY_ELSE:
+        # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
+        known = {"theta0": theta0, "labels": labels, "point_weights": point_weights}
+        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **known, part=part, found=seen)
+        nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
+        message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
+        return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
+    unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
+    stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
+    place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
+    place |= {"proportions": proportions, "notes": [whose, left_out], "found": (unit, stands), "given": given, "free": best.free}
+    another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
+    if not given and not another:
+        place["further"] = further_words(settings, _facing(fitter))
+    place["dense"] = all_points(points, part, point_weights, best.frame, best.problem)
+    state = best.state
+    if (prior := getattr(fitter, "pose_prior_", None)) is not None and labels is None:  # with known labels the pose goes by these
+        _, dense = place["dense"]
+        state, held = drawn_by_itself(fit.refit, dense, state, prior)
+        place |= held
+    result = fit.finish(best.problem, state, proba=best.proba, labels_known=labels, started=started, **place)
+    result = replace(result, subject=str(subject))
+    if another and result.status != "ok":
+        without = "without subject (--subject, or its line of --subjects, which may be wrong)"
+        return replace(result, message=f"{result.message}; {without} the template that suits it best is taken")
+    return _asking(result, subjects)
+
+
+def _left(fitter, subject, found, settings):
+    """What a fit on a subject's template leaves unexplained, in the scan's unit squared."""
+    return _template_fit(fitter, subject, settings).refit.left(found.problem, found.state) * found.frame.unit**2
+
+
+def _asking(result, subjects):
+    """A result in doubt asks for the subject where there are several."""
+    if len(subjects) == 1 or result.status == "ok":
+        return result
+    return replace(result, message=f"{result.message}; if you know who it is, name the subject (--subject, --subjects)")
+
+
+def _scouted(fitter, subject, x, a, settings):
+    """A scan of which nothing is known; in the subject's unit where its size allows that."""
+    facing, library, segmenter = _facing(fitter), fitter.regressor_, fitter.segmenter_
+    unit = _unit(library.starts(x, facing.turns, 1)[0].scale, fitter.unit_[subject], settings)
+    model, nearest = _template_fit(fitter, subject, settings).model, as_variant(fitter.variant).library
+
+    def make():
+        return Scout(model, library, facing, segmenter, settings, unit=unit, proportions=False, nearest=nearest)
+
+    made_of = model, library, segmenter, settings, _facing_words(fitter), nearest, unit
+    return _kept(fitter, (subject, "scout", unit is None), made_of, make)(x, a)
+
+
+@dataclass(frozen=True)
+class _Begun:
+    """A scan on a subject's template after a few steps on few points.
+
+    Attributes
+    ----------
+    frame, problem
+        In the subject's unit, if its size allows that.
+    refit : Refit
+    state : State
+        Where the steps began.
+    left : float
+        What they leave unexplained, in the scan's unit squared.
+    """
+
+    subject: object
+    frame: object
+    problem: object
+    refit: object
+    state: object
+    left: float
+
+
+def _on_templates(fitter, subjects, seen, settings):
+    """What a look at a scan has found, gone on from on the templates that suit it: (subject, Found) of each."""
+    begun = sorted((_begun(fitter, s, seen, settings) for s in subjects), key=lambda b: b.left)
+    return [(b.subject, _gone_on(b, seen)) for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
+
+
+def _begun(fitter, subject, seen, settings):
+    unit = seen.state.scale * seen.frame.unit / (fitter.rig.size / 2)
+    learned = _unit(unit, fitter.unit_[subject], settings)
+    ratio = (learned or unit) / (seen.frame.unit / (fitter.rig.size / 2))
+    frame = replace(seen.frame, unit=seen.frame.unit * ratio)
+    problem = Problem(seen.problem.X / ratio, seen.problem.x_weights)
+    refit = _template_fit(fitter, subject, settings).refit
+    if learned is None:
+        refit = refit.freeing(_SIZED)
+    state = refit.in_place(problem, seen.state.theta)
+    (runner,) = refit.last_steps([Runner(problem, state)])
+    return _Begun(subject, frame, problem, refit, state, runner.value * frame.unit**2)
+
+
+def _gone_on(begun, seen):
+    state, value, _ = begun.refit(begun.problem, [begun.state], proba=seen.proba)
+    # What the others would leave unexplained if this template helped them as much.
+    rivals = tuple(value * r / max(seen.value, np.finfo(float).tiny) for r in seen.rivals)
+    return Found(begun.frame, begun.problem, state, seen.proba, value, rivals, begun.refit.free)
+
+
+def _given(fitter, subject, x, a, settings, guess, theta0, labels):
+    """A scan with a start, which says how it is turned, or with known labels, which tell it."""
+    unit = _unit(guess, fitter.unit_[subject], settings)
+    refit = _template_fit(fitter, subject, settings).refit
+    if unit is None:
+        refit = refit.freeing(_SIZED)
+    best, least, place = None, np.inf, (fitter.rig, _facing(fitter), x, a, unit or guess)
+    for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, labels):
+        # Steps from the start itself compete with those that look far, which may lead away from one that is right.
+        states = [] if theta is None else [refit.in_place(problem, theta)]
+        state, value, _ = refit(problem, states, proba=None if labels is None else proba, labels_known=labels is not None)
+        left = refit.left(problem, state)
+        if best is None or left < least:
+            best, least = Found(frame, problem, state, proba, value, (), refit.free), left
+    return best
+
+
+def _unit(seen, learned, settings):
+    """Scan units in a rig unit where they are known: as learned, if what is seen of the scan allows that; else None."""
+    if settings.scale == "fixed":
+        return 1.0
+    return learned if same_size(seen, learned) else None
+
+
+def _template_fit(fitter, subject, settings):
+    template, half = fitter.template_[subject], fitter.rig.size / 2
+
+    def make():
+        return TemplateFit(fitter.rig, Model(template, fitter.joints, half=half, shared=True), settings)
+
+    return _kept(fitter, (subject, "fit"), (template, fitter.joints, settings), make)
+
+
+def scan_fit(fitter, segmenter=None, library=None):
+    """Fits of scans by themselves, with what was pretrained."""
+    model, settings, prior = fitter._model(), fit_settings(fitter), getattr(fitter, "pose_prior_", None)
+    nearest = as_variant(fitter.variant).library
+    made_of = model, settings, _facing_words(fitter), segmenter, library, nearest, prior
+
+    def make():
+        known = {"segmenter": segmenter, "library": library, "prior": prior}
+        return ScanFit(model, settings, facing=_facing(fitter), nearest=nearest, **known)
+
+    return _kept(fitter, (None, "scan fit"), made_of, make)
+
+
+def _facing(fitter):
+    return facing_of(fitter.rig, fitter.orientation, fitter.up)
+
+
+def _facing_words(fitter):
+    return f"{fitter.orientation} {fitter.up}"
+
+
+def _kept(fitter, key, made_of, make):
+    """``make()``, kept on the fitter while all that it is made of stays the same; ``key`` begins with the subject, or None."""
+    kept = fitter.__dict__.setdefault("_prepared", {})
+    found = kept.get(key)
+    if found is None or not all(map(_alike, found[0], made_of)):
+        for other in [k for k in kept if k[0] is not None and k[0] not in getattr(fitter, "template_", ())]:
+            del kept[other]
+        kept[key] = found = made_of, make()
+    return found[1]
+
+
+def _alike(a, b):
+    return a is b or (isinstance(a, (str, float, FitSettings)) and a == b)
