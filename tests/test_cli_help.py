@@ -63,6 +63,21 @@ def test_training_says_a_line_a_minute(capsys):
     assert lines == [f"{first}: 25%, about 4 min left of this step"]  # 72 s for a quarter
 
 
+@pytest.mark.parametrize("status", ["suspect", "failed"])
+def test_a_line_of_a_fit_in_doubt_has_the_first_reason(status, capsys):
+    """All of them are in the table at the end."""
+    progress, fit = Progress(3, terminal=False), {"name": "one", "status": status, "probability": 0.125}
+    progress.scan(fit | {"files": {}, "message": "points near part head are not explained; the wrong rig?; in one unit"})
+    progress.scan(fit | {"files": {}, "message": "several small things together"})
+    progress.scan({"name": "two", "status": "failed", "message": "no points; nothing to fit"})
+    lines = "".join(capsys.readouterr()).splitlines()
+    assert sorted(lines) == [
+        f"[1/3] one: {status}: points near part head are not explained; … (right with probability 0.12)",
+        f"[2/3] one: {status}: several small things together (right with probability 0.12)",
+        "[3/3] two: failed: no points; nothing to fit",
+    ]
+
+
 def test_a_bar_on_a_terminal(capsys):
     progress = Progress(2, terminal=True)
     for share in (0.3, 1.0):

@@ -30,6 +30,14 @@ def say(text):
     print(text, flush=True)
 
 
+def _of_doubt(entry):
+    """The first reason why a fit that is there is in doubt, as the table at the end has all; why there is none, in full."""
+    if "files" not in entry:
+        return entry["message"]
+    first, *more = entry["message"].split("; ")
+    return f"{first}{'; …' if more else ''} (right with probability {entry['probability']:.2f})"
+
+
 def _unsaid(notes, said):
     """One scan's notes of kinds that no scan had before, of which ``said`` keeps note: hundreds have the same to say.
 
@@ -72,7 +80,7 @@ class Progress:
         """One more scan is done: ``entry`` of the summary."""
         self.done += 1
         if entry["status"] in ("failed", "suspect"):
-            text = f"{entry['name']}: {entry['status']}: {entry['message']}"
+            text = f"{entry['name']}: {entry['status']}: {_of_doubt(entry)}"
             where = sys.stderr if entry["status"] == "failed" else sys.stdout
         else:
             how = f"fitted in {entry['seconds']:.1f} s, recon {entry['terms']['recon']:.4f}"
