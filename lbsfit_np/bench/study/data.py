@@ -61,7 +61,7 @@ class Size:
 
 # Of hands; :func:`sized` knows those of bodies.
 SIZES = {
-    "small": Size(6, 6, 2, 2, 30, 200, 2, 1),
+    "small": Size(6, 6, 2, 2, 30, 200, 1, 1),
     "medium": Size(60, 30, 3, 5, 400, 16000, 4, 3),
     "paper": Size(1500, 300, 30, 10, 4000, 16000, 4, 3),
 }
