@@ -107,11 +107,11 @@ def test_labels_are_refined_by_the_subjects_own_mesh(tube_case, monkeypatch):
 
 
 def test_each_scans_pose_is_held_in_what_it_leaves_open_in_the_steps_without_labels(tube_case, monkeypatch):
-    """By what its own points tell, on the template so far; scans left out take theirs along."""
+    """By what its own points tell, on the template and in the pose that labels have led to; scans left out take theirs along."""
     case, seen, shared = tube_case, [], GaussNewton.shared
 
     def steps(self, problems, states, **options):
-        seen.append(options)
+        seen.append(options | {"from": states})
         return shared(self, problems, states, **options)
 
     class Prior:
@@ -119,12 +119,13 @@ def test_each_scans_pose_is_held_in_what_it_leaves_open_in_the_steps_without_lab
             return case.states[0].theta, noise * told
 
     monkeypatch.setattr(GaussNewton, "shared", steps)
-    settings = TemplateSettings(sigmas=(0.05,), labelled_steps=0, steps=1, rounds=0)
+    settings = TemplateSettings(sigmas=(0.05,), labelled_steps=1, steps=1, rounds=0)
     known = {"proba": case.proba, "settings": settings, "prior": Prior()}
     shared_template(case.model, case.problems, case.states, [9.0] + [1.0] * 7, **known)
     labelled, last = seen
     assert labelled.get("priors") is None and last.get("labels") is None and len(last["priors"]) == 7
-    for (theta, weights), problem, state in zip(last["priors"], case.problems[1:], case.states[1:], strict=True):
+    assert (last["from"][0].theta != case.states[1].theta).any()
+    for (theta, weights), problem, state in zip(last["priors"], case.problems[1:], last["from"], strict=True):
         told, noise = told_angles(GaussNewton(case.model, reach=settings.reach, tangential=0.02), problem, state)
         assert theta is case.states[0].theta
         np.testing.assert_allclose(weights, noise * told, rtol=1e-9)
