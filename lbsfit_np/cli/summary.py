@@ -21,10 +21,11 @@ def counts_of(entries):
 
 def doubts_of(counts):
     """How many scans have no fit, and in brackets how many fits are suspect or have failed; nothing where all are well."""
-    known = {"suspect": counts["suspect"], "failed": counts["failed"] - counts["unfitted"]}
-    doubts = [f"{n} {what}" for what, n in known.items() if n]
+    suspect, failed = counts["suspect"], counts["failed"] - counts["unfitted"]
+    doubts = [f"{suspect} {'is' if suspect == 1 else 'are'} suspect"] if suspect else []
+    doubts += [f"{failed} {'has' if failed == 1 else 'have'} failed"] if failed else []
     unfitted = f", {counts['unfitted']} could not be" if counts["unfitted"] else ""
-    return unfitted + (f" ({', '.join(doubts)})" if doubts else "")
+    return unfitted + (f" (of these fits {', '.join(doubts)})" if doubts else "")
 
 
 def written_of(entries):
