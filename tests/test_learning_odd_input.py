@@ -3,6 +3,8 @@
 import copy
 import types
 import warnings
+from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -13,9 +15,11 @@ from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.learning import finish, free_form, tasks
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.collection import Collection, Member
+from lbsfit_np.learning.loop import LoopSettings
 from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.training import training_settings
+from lbsfit_np.learning.variants import VARIANTS
 from lbsfit_np.synthesis import Synthesis
 
 # Without a segmenter, learning takes a second or two.
@@ -127,26 +131,78 @@ def test_a_subject_without_a_template_is_left_out(tube_rig, clouds, monkeypatch)
     assert [r is None for r in fitter.results_] == [False, True, False, False]
 
 
-def _without_templates_from(k, monkeypatch):
-    """Have templates from one scan fail from the k-th on."""
-    call, calls = tasks.Template.__call__, []
+def _failing_from(k, name, monkeypatch, is_meant=lambda task: True, until=np.inf):
+    """Have a kind of work fail from its k-th task on, of those that are meant."""
+    call, calls = getattr(tasks, name).__call__, []
 
     def careless(self, task):
-        if len(task[0]) == 1:
+        if is_meant(task):
             calls.append(task)
-            if len(calls) >= k:
+            if k <= len(calls) <= until:
                 raise ZeroDivisionError("nobody foresaw this")
         return call(self, task)
 
-    monkeypatch.setattr(tasks.Template, "__call__", careless)
+    monkeypatch.setattr(getattr(tasks, name), "__call__", careless)
+
+
+def _without_templates_from(k, monkeypatch):
+    """Have templates from one scan fail from the k-th on."""
+    _failing_from(k, "Template", monkeypatch, lambda task: len(task[0]) == 1)
 
 
 @pytest.mark.parametrize("k", [2, 3])
 def test_a_template_that_fails_in_a_turn_costs_nothing_that_the_round_has_found(tube_rig, clouds, monkeypatch, k):
     _without_templates_from(k, monkeypatch)
-    fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
+    with pytest.warns(UserWarning, match=f"in turn ended after {k - 2} of 2 times: .*: ZeroDivisionError: nobody foresaw this"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
     assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and None not in fitter.roles_
     assert None not in fitter.results_
+
+
+@pytest.fixture(scope="module")
+def after_turns(tube_rig, clouds):
+    """Turns → a fitter that has learned with so many of them; without labels, which take time, but with a prior of poses."""
+    found = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(VARIANTS, "cd", replace(VARIANTS["cd"], prior=True))
+        for turns in (0, 1):
+            settings = partial(LoopSettings, turns=turns, round_scans=100, library_scans=100)
+            patch.setattr(LoopSettings, "for_training", lambda n, made=settings, **others: made(**others))
+            found[turns] = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+    return found
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+@pytest.mark.parametrize("name, k", [("Template", 1), ("Told", 4), ("Drawn", 1), ("Drawn", 3)])
+def test_a_turn_that_fails_leaves_what_was_found_before_it(tube_rig, clouds, after_turns, monkeypatch, turns, name, k):
+    """Also where it loses all scans, as where the one subject has no template; from the k-th task of the turn on."""
+    before = (1 + turns) * (1 if name == "Template" else len(clouds))
+    monkeypatch.setitem(VARIANTS, "cd", replace(VARIANTS["cd"], prior=True))
+    _failing_from(before + k, name, monkeypatch)
+    with pytest.warns(UserWarning, match=f"in turn ended after {turns} of 2 times: .*nobody foresaw this"):
+        found = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+    expected = after_turns[turns]
+    assert not found.failures_ and None not in found.results_
+    np.testing.assert_array_equal(found.pose_prior_.mean, expected.pose_prior_.mean)
+    np.testing.assert_array_equal(found.template_[0].vertices, expected.template_[0].vertices)
+    for a, b in zip(found.results_, expected.results_, strict=True):
+        np.testing.assert_array_equal(a.pose, b.pose)
+
+
+def test_what_a_caller_raises_in_a_turn_ends_learning(tube_rig, clouds):
+    def progress(stage, share, figures=None):
+        if stage == "templates and poses in turn" and share > 0.5:
+            raise ZeroDivisionError("of progress")
+
+    with pytest.raises(ZeroDivisionError, match="of progress"):
+        lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, progress=progress)
+
+
+def test_the_round_after_a_turn_that_lost_a_subject_has_that_again(tube_rig, clouds, monkeypatch):
+    _failing_from(2, "Template", monkeypatch, lambda task: len(task[0]) == 1, until=2)
+    with pytest.warns(UserWarning, match="round 1: templates and poses in turn ended after 0 of 2 times"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK | {"rounds": 2}).fit(clouds, list("abaa"))
+    assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and len(fitter.history_) == 3
 
 
 def test_a_template_that_fails_later_costs_nothing_of_the_round_that_is_kept(tube_rig, clouds, monkeypatch):

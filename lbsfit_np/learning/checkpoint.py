@@ -30,6 +30,7 @@ __all__ = [
     "checkpoint_of",
     "digest_of",
     "each_kept",
+    "kept_by_its_process",
     "remove_checkpoint",
     "state_of_the_code",
     "steps_in",
@@ -262,3 +263,10 @@ def _value(plain, arrays):
         return _RECORDS[plain["record"]](**{name: _value(v, arrays) for name, v in plain["fields"].items()})
     ((kind, items),) = plain.items()
     return {"tuple": tuple, "list": list, "dict": dict}[kind](_value(v, arrays) for v in items)
+
+
+def kept_by_its_process(slot, make):
+    """What is made, kept as soon as it is there, by the process that makes it, which cannot warn where it is not."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return slot.keep(make())

@@ -149,6 +149,7 @@ class Collection:
     asked: list = field(default_factory=list)
     warned: set = field(default_factory=set)
     told_lost: set = field(default_factory=set)
+    _of_all = None  # the error that went on to the caller, as no task was done
 
     @property
     def subjects(self):
@@ -193,6 +194,33 @@ class Collection:
 
         return bring_back
 
+    def unless_lost(self, work):
+        """Do what may lose scans, or fail as it loses all; where it does, the scans are as they were before.
+
+        Parameters
+        ----------
+        work : callable () → answer
+
+        Returns
+        -------
+        answer : object
+            None where it is not to be taken.
+        lost : str
+            Why a scan was lost; "" where none was.
+        """
+        back, before = self.as_it_is(), set(self.failures)
+        try:
+            answer = work()
+            lost = next((why for i, why in self.failures.items() if i not in before), "")
+        except Exception as error:
+            if error is not self._of_all:  # of a caller's progress, say
+                raise
+            lost = in_words(error)
+        if not lost:
+            return answer, ""
+        back()
+        return None, lost
+
     def work(self, work, tasks, *, jobs, done, kept=(), taught=False):
         """Do a task for each member; one whose task fails is a member no more, with the reason in ``failures``.
 
@@ -218,7 +246,7 @@ class Collection:
         Exception
             The first one's own, where no task could be done.
         """
-        found = _tried(work, tasks, kept, jobs, done)
+        found = self._tried(work, tasks, kept, jobs, done)
         for m, (_, error) in zip(self.members, found, strict=True):
             if error is not None:
                 self.failures[m.index] = in_words(error)
@@ -236,12 +264,21 @@ class Collection:
         dict
             Subject → answer, of those who are still there.
         """
-        found = dict(zip(self.subjects, _tried(work, tasks, kept, jobs, done), strict=True))
+        found = dict(zip(self.subjects, self._tried(work, tasks, kept, jobs, done), strict=True))
         for m in self.members:
             if (error := found[m.subject][1]) is not None:
                 self.failures[m.index] = f"no template of its subject was found: {in_words(error)}"
         self.members = [m for m in self.members if found[m.subject][1] is None]
         return {s: answer for s, (answer, error) in found.items() if error is None}
+
+    def _tried(self, work, tasks, kept, jobs, done):
+        """(answer, None) or (None, error) of each task; the first error itself where no task could be done."""
+        found = each_kept(_Tried(work), tasks, kept, jobs=jobs, done=done, keep=lambda tried: tried[1] is None)
+        errors = [error for _, error in found if error is not None]
+        if errors and len(errors) == len(found):
+            self._of_all = errors[0]
+            raise errors[0]
+        return found
 
     def warn(self, stacklevel, results=()):
         """Warn of failures, and of people without any scan, that nobody was warned of yet.
@@ -266,15 +303,6 @@ class Collection:
             warnings.warn(words, stacklevel=stacklevel + 1)
         if results and (words := most_failed(["failed" if r is None else r.status for r in results], self.roles)):
             warnings.warn(words, stacklevel=stacklevel + 1)
-
-
-def _tried(work, tasks, kept, jobs, done):
-    """(answer, None) or (None, error) of each task; the first error itself where no task could be done."""
-    found = each_kept(_Tried(work), tasks, kept, jobs=jobs, done=done, keep=lambda tried: tried[1] is None)
-    errors = [error for _, error in found if error is not None]
-    if errors and len(errors) == len(found):
-        raise errors[0]
-    return found
 
 
 @dataclass(frozen=True)

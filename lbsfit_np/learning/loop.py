@@ -29,7 +29,7 @@ from ..starts.library import PoseLibrary, build_library
 from ..starts.scale import same_size
 from ..threads import one_thread
 from ..workers import beside, kept_processes
-from .checkpoint import FIRST_FIT, NO_CHECKPOINT
+from .checkpoint import FIRST_FIT, NO_CHECKPOINT, kept_by_its_process
 from .collection import HELD_OUT, LEARNED_FROM
 from .mixture import Mixture
 from .pose_prior import looked_at, pose_prior
@@ -296,7 +296,8 @@ class Loop:
         train = s is None and self.variant.labels
         build = partial(build_library, mixture.scan, self.settings.library_scans, random_state=self.seed)
         if train and library is None and self.jobs > 1:
-            with beside(partial(_kept, of_library, build)) as made:  # as s keeps but one core busy while its networks learn
+            # s keeps but one core busy while its networks learn.
+            with beside(partial(kept_by_its_process, of_library, build)) as made:
                 s = of_s.keep(self._trained(mixture))
                 library = of_library.keep(made())  # which says, unlike the other process, where it cannot be kept
                 self.progress("library of starts", 1.0)
@@ -365,16 +366,21 @@ class Loop:
     def _in_turn(self, k, templates):
         """Templates from the poses, and poses on these without a search; the last ones. A turn that loses a scan is not taken."""
         stage = "templates and poses in turn"
+
+        def turn(start, end):
+            middle = start + _OF_A_TURN * (end - start)
+            found = self._templates(k, stage, (start, middle))
+            self._last_steps(k, found, stage, (middle, end))
+            return found
+
         for i in range(n := self.settings.turns):
-            start, middle, end = ((i + share) / n for share in (0.0, _OF_A_TURN, 1.0))
-            members, back, known = self.collection.members, self.collection.as_it_is(), (self.coefficients, self.pose_prior)
-            turned = self._templates(k, stage, (start, middle))
-            self._last_steps(k, turned, stage, (middle, end))
-            if len(self.collection.members) < len(members):
-                back()
+            known = self.coefficients, self.pose_prior
+            found, lost = self.collection.unless_lost(partial(turn, i / n, (i + 1) / n))
+            if lost:
                 self.coefficients, self.pose_prior = known
+                warnings.warn(f"round {k}: templates and poses in turn ended after {i} of {n} times: {lost}", stacklevel=2)
                 break
-            templates = turned
+            templates = found
         return templates
 
     def _follow(self):
@@ -441,10 +447,3 @@ class Loop:
         self.history.append(entry)
         self.progress("round", 1.0, entry)
         return entry["recon_held_out"]
-
-
-def _kept(slot, make):
-    """What is made, kept as soon as it is there, by the process that makes it."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        return slot.keep(make())

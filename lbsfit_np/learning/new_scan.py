@@ -155,11 +155,12 @@ class _Begun:
 
     Attributes
     ----------
+    subject : hashable
     frame, problem
         In the subject's unit, if its size allows that.
     refit : Refit
     state : State
-        Where the steps began.
+        Where the steps began, which is where the search on the template begins, too: it looks far first.
     left : float
         What they leave unexplained, in the scan's unit squared.
     """

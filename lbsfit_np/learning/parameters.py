@@ -20,6 +20,7 @@ from .free_form import LOOSE
 from .variants import as_variant
 
 __all__ = [
+    "NotLearnedError",
     "check_callables",
     "check_learned",
     "check_names",
