@@ -16,7 +16,7 @@ _DENSER = "A denser scan is needed."
 _BLOCK = 1024
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Scan:
     """An unordered point cloud in its own frame and unit, checked and immutable.
 
@@ -74,6 +74,11 @@ class Scan:
 
     def __len__(self):
         return len(self.points)
+
+    def __repr__(self):
+        more = "".join(f", {name}" for name in ("normals", "labels") if getattr(self, name) is not None)
+        size = " x ".join(f"{extent:.4g}" for extent in np.ptp(self.points, axis=0))
+        return f"<Scan {self.name!r}: {counted(len(self), 'point')}{more}, {size}>"
 
     def thinned(self, n, random_state=0):
         """Rows of a random subset of the points, every subset equally likely.

@@ -97,7 +97,7 @@ _POSES = ("uniform", "natural", "mixed")
 _POSE_NOISE = 0.05  # rad
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class SyntheticScan:
     """A synthetic scan with its truth, in the rig's frame and unit (times ``scale``).
 
@@ -136,6 +136,9 @@ class SyntheticScan:
     joints: np.ndarray
     triangle: np.ndarray
     barycentric: np.ndarray
+
+    def __repr__(self):
+        return f"<SyntheticScan: {len(self.points)} points, {len(self.joints)} joints, {len(self.vertices)} vertices>"
 
 
 def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=None, **settings):

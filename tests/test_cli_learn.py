@@ -276,7 +276,7 @@ def test_row_numbers_taken_for_x_are_why_a_fit_is_in_doubt(status, written, tube
     if status == "ok":
         assert text.count(why) == 1
     else:
-        told = rf"^rows +{'suspect' if status == 'suspect' else 'failed'} .*{re.escape(why)}.*; said by the fit$"
+        told = rf"^rows +{'suspect' if status == 'suspect' else 'failed'} .*{re.escape(why)}.*\n +said by the fit$"
         assert re.search(told, text, flags=re.MULTILINE)
     if written:
         (entry,) = (e for e in json.loads((tmp_path / "fits" / "summary.json").read_text())["scans"] if e["name"] == "rows")

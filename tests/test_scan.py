@@ -188,6 +188,12 @@ def test_thinned_wants_a_count(n):
         Scan(POINTS).thinned(n)
 
 
+def test_repr_is_a_line():
+    points = np.array([[0, 0, 0], [1, 2, 0.123456]])
+    assert repr(Scan(points, name="a")) == "<Scan 'a': 2 points, 1 x 2 x 0.1235>"
+    assert repr(Scan(points, normals=points, labels=[0, 1])) == "<Scan 'scan': 2 points, normals, labels, 1 x 2 x 0.1235>"
+
+
 def test_thinned_is_a_sorted_subset_by_seed():
     scan = Scan(np.random.default_rng(0).normal(size=(1000, 3)))
     rows = scan.thinned(100, 5)

@@ -53,6 +53,11 @@ def test_points_lie_on_the_true_mesh_and_have_its_labels(tube_rig):
         np.testing.assert_array_equal(s.labels[clear], tube_rig.vertex_labels[nearest_corner][clear])
 
 
+def test_repr_is_a_line(tube_rig):
+    (scan,) = lbs.synthesize(tube_rig, random_state=0, n_points=50)
+    assert repr(scan) == f"<SyntheticScan: 50 points, 4 joints, {len(tube_rig.vertices)} vertices>"
+
+
 @pytest.mark.parametrize("settings", [{}, {"scale": 0.3, "turn": 3.0, "shape": 0.12}, {"shape": 0.0}])
 def test_vertices_and_joints_are_the_posed_template(tube_rig, settings):
     for s in lbs.synthesize(tube_rig, 4, random_state=2, **settings):

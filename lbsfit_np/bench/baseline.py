@@ -13,6 +13,7 @@ from ..optimize.frame import Frame
 from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
+from ..optimize.state import IN_UNIT, SIZED
 from ..starts.scale import reference_scale
 from ..threads import one_thread
 
@@ -64,7 +65,7 @@ class PlainChamfer:
         reference = reference_scale(points[rows], self.rig, settings.scale)
         frame = Frame(points[rows].mean(axis=0), reference.scale * model.half)
         problem = Problem(frame.inside(points[rows]))
-        free = ("pose", "translation") if settings.scale == "fixed" else ("pose", "translation", "scale")
+        free = IN_UNIT if settings.scale == "fixed" else SIZED
 
         start = model.rest()
         V, _ = model.pose(start)

@@ -70,7 +70,7 @@ OPTIONS = (
     Option("segmenter", "a segmenter saved by Segmenter.save, instead of one trained here", metavar="FILE", is_path=True),
     Option(
         "training-scans",
-        "synthetic scans for the segmenter, in each round of learning, too; half as many for starts",
+        "synthetic scans for the segmenter, in each round of learning, too; for starts half as many, in rounds three eighths",
         positive,
         4000,
         metavar="N",

@@ -44,14 +44,15 @@ def doubtful_first(entries):
 
 
 def say_doubtful(entries):
-    """A table of the scans that failed or are suspect, on standard output; nothing where all are well."""
+    """A table of the scans that failed or are suspect, on standard output, a line for each reason; nothing where all are well."""
     doubtful = [e for e in doubtful_first(entries) if e["status"] in ("failed", "suspect")]
     if not doubtful:
         return
     rows = [("scan", "status", "probability", "why")]
     for e in doubtful:
         probability = f"{e['probability']:.2f}" if "probability" in e else "–"
-        rows.append((e["name"], e["status"], probability, e["message"]))
+        first, *others = e["message"].split("; ")
+        rows += [(e["name"], e["status"], probability, first), *(("", "", "", why) for why in others)]
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     for row in rows:
         say("  ".join([*(cell.ljust(width) for cell, width in zip(row, widths)), row[3]]))

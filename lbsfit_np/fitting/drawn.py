@@ -23,7 +23,7 @@ _BOTH_WAYS = 2.0
 _TOLD = 0.3
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class PosePrior:
     """Θ ~ N(μ, T); the root's turn is as likely as any other.
 
@@ -37,6 +37,9 @@ class PosePrior:
 
     mean: np.ndarray
     precision: np.ndarray
+
+    def __repr__(self):
+        return f"<PosePrior: {len(self.mean)} joints, {int(np.any(self.precision, axis=1).sum())} angles>"
 
     def of(self, noise):
         """The prior of one scan, as ``GaussNewton.pose`` takes it; σ²/n says how much E counts."""

@@ -14,7 +14,7 @@ from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..optimize.precision import joint_std, told_angles
 from ..optimize.problem import Problem
-from ..optimize.state import Layout, State
+from ..optimize.state import IN_UNIT, Layout, State
 from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
@@ -90,7 +90,7 @@ class Refit:
         Whether other bends of joints are tried in the end.
     """
 
-    def __init__(self, model, free=("pose", "translation"), *, partial=False, bends=False):
+    def __init__(self, model, free=IN_UNIT, *, partial=False, bends=False):
         self.model, self.free, self.partial = model, free, partial
         near = {"reach": _NEAR, "tangential": 0.02, "partial": partial}
         self._far = GaussNewton(model, reach=_FAR, vertices=_FAR_VERTICES, partial=partial)

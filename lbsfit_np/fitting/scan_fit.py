@@ -10,6 +10,7 @@ from ..errors import InputError
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
+from ..optimize.state import IN_UNIT, SIZED
 from ..rig.frames import up_axis
 from ..seeds import generator, integer_seed
 from ..starts.clean import taking_part
@@ -223,7 +224,7 @@ class ScanFit:
 
     @cached_property
     def _refit(self):
-        free = ("pose", "translation") if self.settings.scale == "fixed" else ("pose", "translation", "scale")
+        free = IN_UNIT if self.settings.scale == "fixed" else SIZED
         return Refit(self.model, free, partial=self.settings.partial)
 
     @cached_property

@@ -14,6 +14,7 @@ import numpy as np
 
 from ..optimize.frame import Frame
 from ..optimize.problem import Problem
+from ..optimize.state import IN_UNIT, SIZED
 from ..rig.frames import up_axis
 from ..rotations import matrix_from_rotvec
 from ..starts.limbs import LimbPoses
@@ -64,7 +65,7 @@ class Found:
     proba: np.ndarray
     value: float
     rivals: tuple
-    free: tuple = ("pose", "translation", "scale")
+    free: tuple = SIZED
 
 
 class Scout:
@@ -91,7 +92,7 @@ class Scout:
         self.model, self.library, self.facing, self.segmenter = model, library, facing, segmenter
         self.settings, self.nearest, self.effort = settings, nearest, EFFORTS[settings.effort]
         self.unit = 1.0 if settings.scale == "fixed" else unit
-        self._free = ("pose", "translation") if self.unit else ("pose", "translation", "scale")
+        self._free = IN_UNIT if self.unit else SIZED
         self._refit = Refit(model, self._free, partial=settings.partial)
         up = up_axis(model.source)
         # About the up axis; where any rotation may be, about the other two axes as well.

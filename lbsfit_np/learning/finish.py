@@ -11,6 +11,7 @@ from ..fitting.scan_fit import further_words
 from ..fitting.template_fit import TemplateFit
 from ..optimize.model import Model
 from ..optimize.problem import Problem
+from ..optimize.state import IN_UNIT, SIZED
 from ..starts.scale import same_size, unit_note
 from .checkpoint import NO_CHECKPOINT
 from .collection import with_doubt
@@ -18,8 +19,6 @@ from .tasks import in_full
 
 __all__ = ["results_of"]
 
-# What is looked for where the unit is known, and where it is not.
-_IN_UNIT, _SIZED = ("pose", "translation"), ("pose", "translation", "scale")
 # Share of the time that is taken by the scales of scans whose subject has one in doubt.
 _SIZES = 0.2
 
@@ -116,7 +115,7 @@ class _Finish(_OnTemplates):
         fit = self._fit(m.subject)
         if m.own is not None:
             m = _in_its_unit(m, fit, size, others)
-        free = _SIZED if size is not None and m.state is size.own else _IN_UNIT
+        free = SIZED if size is not None and m.state is size.own else IN_UNIT
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
         place = {"points": m.points, "rows": m.rows, "frame": m.frame, "free": free}
         problem = m.problem
@@ -134,7 +133,7 @@ class _Finish(_OnTemplates):
 
 def _size(m, fit):
     """The _Size of a scan: from its first fit, too, where that had another."""
-    anew, problem, state = fit.refit.freeing(_SIZED), m.problem, m.state
+    anew, problem, state = fit.refit.freeing(SIZED), m.problem, m.state
     if m.own is not None:
         own = _as_first_fitted(m, fit)
         state, value, _ = fit.refit(problem, [m.state], proba=in_full(m.proba))

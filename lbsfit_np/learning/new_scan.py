@@ -25,6 +25,7 @@ from ..fitting.template_fit import TemplateFit
 from ..optimize.frame import Frame
 from ..optimize.model import Model
 from ..optimize.problem import Problem
+from ..optimize.state import SIZED
 from ..seeds import generator
 from ..starts.clean import taking_part
 from ..starts.scale import same_size, unit_note
@@ -36,8 +37,6 @@ from .variants import as_variant
 
 __all__ = ["fit_new", "scan_fit"]
 
-# What is looked for where the unit is not known.
-_SIZED = ("pose", "translation", "scale")
 # Of several learned templates those are gone on with that leave at most so many times as much unexplained as the best after a few
 # steps, and so many at most: of people who are alike it matters little whose is taken.
 _CLOSE, _SEVERAL = 1.3, 3
@@ -187,7 +186,7 @@ def _begun(fitter, subject, seen, settings):
     problem = Problem(seen.problem.X / ratio, seen.problem.x_weights)
     refit = _template_fit(fitter, subject, settings).refit
     if learned is None:
-        refit = refit.freeing(_SIZED)
+        refit = refit.freeing(SIZED)
     state = refit.in_place(problem, seen.state.theta)
     (runner,) = refit.last_steps([Runner(problem, state)])
     return _Begun(subject, frame, problem, refit, state, runner.value * frame.unit**2)
@@ -205,7 +204,7 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     unit = _unit(guess, fitter.unit_[subject], settings)
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
-        refit = refit.freeing(_SIZED)
+        refit = refit.freeing(SIZED)
     best, least, place = None, np.inf, (fitter.rig, _facing(fitter), x, a, unit or guess)
     for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, labels):
         # Steps from the start itself compete with those that look far, which may lead away from one that is right.

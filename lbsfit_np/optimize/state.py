@@ -4,8 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["Layout", "MOST_PROPORTION", "State"]
+__all__ = ["IN_UNIT", "Layout", "MOST_PROPORTION", "SIZED", "State"]
 
+# The blocks of a pose where the scan's unit is known, and where it is not.
+IN_UNIT = ("pose", "translation")
+SIZED = (*IN_UNIT, "scale")
 # Of a coefficient of the proportions, either way.
 MOST_PROPORTION = 0.5
 

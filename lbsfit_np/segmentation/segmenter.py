@@ -25,7 +25,7 @@ _AXES = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3
 _TURN, _ROOT = 0.25, 0.6
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class Segmenter:
     """A trained segmenter, tied to one rig.
 
@@ -58,6 +58,10 @@ class Segmenter:
         widths = [self.descriptor.size, self.descriptor.size + context_size(self.n_parts)]
         if not 1 <= len(self.stages) <= 2 or any(len(s.mean) != w for s, w in zip(self.stages, widths, strict=False)):
             raise ValueError("stages that do not fit the descriptor")
+
+    def __repr__(self):
+        stages = f"{len(self.stages)} stage{'s' * (len(self.stages) > 1)}"
+        return f"<Segmenter: {self.n_parts} parts, {self.descriptor.size} numbers a point, {stages}>"
 
     @one_thread()
     def predict_proba(self, points, *, scale=1.0, rows=None, views=4):

@@ -53,7 +53,7 @@ class Start:
     away: float
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False, repr=False)
 class PoseLibrary:
     """Poses of synthetic scans by the look of these scans, and the regressor f trained on them.
 
@@ -84,6 +84,11 @@ class PoseLibrary:
         ends = self.mean.shape == self.deviation.shape == self.looks.shape[1:] and widths[-1] == (self.poses[0].size,)
         if not (fit and ends and self.poses.ndim == 3 and len(self.poses) == len(self.looks) == len(self.radii)):
             raise ValueError("a library of poses whose arrays do not fit together")
+
+    def __repr__(self):
+        n, J = self.poses.shape[:2]
+        widths = " → ".join(str(w) for w in (self.looks.shape[1], *(len(b) for _, b in self.layers)))
+        return f"<PoseLibrary: {n} poses of {J} joints, f {widths}>"
 
     def starts(self, points, turns, k, *, unit=None):
         """Poses whose scans look most like a scan, under any of some turns.
