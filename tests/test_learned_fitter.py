@@ -187,6 +187,28 @@ def test_clones_have_learned_nothing(own, clouds):
     assert set(vars(clone(own))) == set(own.get_params(deep=False))
 
 
+@pytest.mark.parametrize("loaded", [False, True])
+def test_a_fit_that_is_stopped_early_leaves_what_was_learned(loaded, own, clouds, tmp_path):
+    """All of it: labels and starts of before learning do not go with learned templates."""
+    if loaded:
+        own.save(tmp_path / "m.npz")
+        own = lbs.LBSFitter.load(tmp_path / "m.npz")
+    else:
+        own.set_params(training_scans=41)  # so that it pretrains anew
+    before = own.regressor_, own.template_["a"], own.history_
+
+    def stop(stage, share, figures=None):
+        if stage == "first fits":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        own.fit(clouds, list("ababab"), progress=stop)
+    assert own._pretrained[1] is not before[0]
+    assert own.regressor_ is before[0] and own.template_["a"] is before[1] and own.history_ is before[2]
+    own.fit(clouds, list("ababab"))
+    assert own.regressor_ is not before[0] and own.template_["a"] is not before[1]
+
+
 def test_mappings_of_training_travel(own, tmp_path):
     own.set_params(training=types.MappingProxyType({"n_points": 200})).save(tmp_path / "m.npz")
     assert lbs.LBSFitter.load(tmp_path / "m.npz").training == {"n_points": 200}

@@ -20,7 +20,9 @@ from lbsfit_np.learning.loop import Loop, LoopSettings
 from lbsfit_np.learning.pose_prior import pose_prior
 from lbsfit_np.learning.tasks import Drawn, Template
 from lbsfit_np.losses import cotangent_matrix
+from lbsfit_np.losses.objective import PLAIN
 from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.turns import Facing
 
@@ -132,6 +134,28 @@ def test_people_of_another_size_stay_where_they_are(tube_rig, unlearned):
         assert np.linalg.norm((posed.vertices - true).mean(axis=0)) < 0.1
     c = loop.coefficients[0]
     assert (c[: loop.model.n_proportions] > 0.05).all() and not c[loop.model.n_proportions :].any()
+
+
+def test_losses_of_first_fits_are_in_the_unit_that_all_have(tube_rig, unlearned):
+    """Each is found where its scan has the rig's size, and told where the next rounds tell theirs."""
+    made = lbs.synthesize(tube_rig, 4, random_state=3, shape=0.0, holes=0, n_points=400)
+    collection = collected(tube_rig, [1.2 * s.points for s in made])
+    loop = loop_over(tube_rig, collection, "joint", unlearned.segmenter_, unlearned.regressor_)
+    loop._first_fits()
+    for m in collection.members:
+        c = loop.coefficients[0]
+        here = Problem(m.X).evaluate(loop.shifting.coarse, m.state.replace(coefficients=c), PLAIN).value
+        assert m.loss == pytest.approx(here, rel=0.05)  # 1.44 times as much as in their own; the proportions are other ones
+
+
+@pytest.mark.parametrize("size", [1.0, 1.2])
+def test_with_fixed_joints_another_size_is_another_unit(tube_rig, make_learner, size):
+    """Skin alone that grows about joints that stay would be nobody."""
+    made = lbs.synthesize(tube_rig, 4, random_state=3, shape=0.0, holes=0, n_points=400)
+    fitter = make_learner(joints="fixed").fit([size * s.points for s in made])
+    assert fitter.unit_[0] == pytest.approx(size, rel=0.03)
+    for r, s in zip(fitter.results_, made, strict=True):
+        assert np.linalg.norm(r.joints - size * s.joints, axis=1).mean() < 0.03 * size * tube_rig.size / 2
 
 
 def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans):

@@ -110,7 +110,7 @@ class Member:
         return APART if self.apart else HELD_OUT if self.held_out else LEARNED_FROM
 
     def use_frame(self, unit, half, turn=None):
-        """Put the scan into a normalised frame.
+        """Put the scan into a normalised frame; its loss goes along.
 
         Parameters
         ----------
@@ -121,6 +121,7 @@ class Member:
         turn : (3, 3) array, optional
             By default the one that it has.
         """
+        self.loss *= (self.unit / unit) ** 2
         self.unit = unit
         self.frame = Frame(self.frame.centre, unit * half, self.frame.turn if turn is None else turn)
         self.X = self.frame.inside(self.points[self.rows])

@@ -139,7 +139,8 @@ class LBSFitter(BaseEstimator):
         """Train on synthetic scans of the rig (step 1 of Algorithm 1): the segmenter s, and f with the library of starts.
 
         Poses are uniform within the limits, in half of the scans correlated between joints (``synthesis.training_poses``);
-        shapes and scans vary as ``training`` says. Half of the library's poses are natural ones, where the rig has some.
+        shapes and scans vary as ``training`` says. Half of the library's poses are natural ones, where the rig has some. A
+        fitter that has learned keeps that: the next :meth:`fit` begins with what is trained here.
 
         Parameters
         ----------
@@ -169,7 +170,9 @@ class LBSFitter(BaseEstimator):
         if train:
             options |= {"n_jobs": self.n_jobs, "progress": lambda p: progress(share + (1 - share) * p)}
             segmenter = pretrain_segmenter(*made_of, **options)
-        self.segmenter_, self.regressor_ = self._pretrained = segmenter, library
+        self._pretrained = segmenter, library
+        if getattr(self, "template_", None) is None:  # else what was learned stays together until more is
+            self.segmenter_, self.regressor_ = segmenter, library
         self._pretrained_of, self._given = pretrained_from(self), given
         return self
 

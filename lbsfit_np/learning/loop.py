@@ -221,8 +221,8 @@ class Loop:
         answers = self._work(work, tasks, "first fits", [self._first_kept.slot(FIRST_FIT, points) for points in tasks])
         scales = {}
         for m, (frame, state, loss, proba) in zip(self.collection.members, answers, strict=True):
-            m.proba, m.loss = proba, loss
             m.use_frame(frame.unit / half, half, frame.turn)
+            m.proba, m.loss = proba, loss
             scales.setdefault(m.subject, []).append(state.scale * m.unit)
             m.state = state
         for subject, found in scales.items() if self.fit_settings.scale == "estimate" else ():
@@ -232,10 +232,11 @@ class Loop:
         if self.fit_settings.scale == "estimate" and (apart := units_apart(scales)):
             warnings.warn(apart, stacklevel=2)
         # The scans of a subject have one scale. Where it is near 1, people differ in size: the template takes it up, all bones
-        # longer and thicker by that share. Otherwise it is the unit.
+        # longer and thicker by that share, if joints go along. Otherwise it is the unit.
         for subject in self.collection.subjects:
             scale = float(np.median(scales[subject])) if self.fit_settings.scale == "estimate" else 1.0
-            size, unit = (scale / guess, guess) if 1 / _SIZE < scale / guess < _SIZE else (1.0, scale)
+            grows = self.joints == "follow" and 1 / _SIZE < scale / guess < _SIZE
+            size, unit = (scale / guess, guess) if grows else (1.0, scale)
             c = np.zeros(self.shifting.n_coefficients)
             c[: self.model.n_proportions] = size - 1.0
             self.coefficients[subject] = c
