@@ -170,7 +170,7 @@ def test_complete_is_a_report_whose_seeds_have_the_same_variants(shared_rigs, qu
 def test_results_of_another_rig_or_other_poses_are_not_gone_on_with(shared_rigs, quick, monkeypatch):
     options = {"n_scans": 3, "seeds": (3,), "variants": ("joint",)}
     report = learn_bench("hand", shared_rigs, **options)
-    for key in ("rig", "poses", "people"):
+    for key in ("rig", "poses", "people", "scans"):
         with pytest.raises(InputError, match=f"results with other {key} than there are now.*--existing replace"):
             learn_bench("hand", shared_rigs, before=report | {key: "another"}, **options)
     for lacking in ("rig", "rows"):

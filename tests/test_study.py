@@ -137,19 +137,20 @@ def test_the_size_has_to_be_the_same(coarse_hand, quick, monkeypatch):
         study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=report)
 
 
-@pytest.mark.parametrize("lacking", ["people", "arrays"])
+@pytest.mark.parametrize("lacking", ["people", "scans", "arrays"])
 def test_results_of_an_earlier_version_are_refused_whichever_rigs_are_run(coarse_hand, quick, lacking):
     report = study({"h": coarse_hand, "other": coarse_hand}, rows=("joint",), seeds=[1])
     entry = report["rigs"]["other"]
-    del (entry if lacking == "people" else entry["seeds"]["1"]["joint"])[lacking]
+    del (entry if lacking != "arrays" else entry["seeds"]["1"]["joint"])[lacking]
     with pytest.raises(InputError, match="results of 'other' by an earlier version.*--existing replace"):
         study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=report)
 
 
-def test_results_of_other_people_are_not_gone_on_with(coarse_hand, quick):
+@pytest.mark.parametrize("key, words", [("people", "test people"), ("scans", "scans")])
+def test_results_of_other_people_or_scans_are_not_gone_on_with(coarse_hand, quick, key, words):
     report = study({"h": coarse_hand}, rows=("joint",), seeds=[1])
-    report["rigs"]["h"]["people"] = "others"
-    with pytest.raises(InputError, match="results of other test people than 'h' now has.*--existing replace"):
+    report["rigs"]["h"][key] = "others"
+    with pytest.raises(InputError, match=f"results of other {words} than 'h' now has.*--existing replace"):
         study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=report)
 
 

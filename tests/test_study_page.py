@@ -296,7 +296,8 @@ def test_the_foot_names_machines_and_time():
     elsewhere = there | {"numpy": "1.0", "cpus": 8, "processor": None, "commit": "b" * 40}
     report = _report(joint={"environment": there}, cd={"environment": elsewhere})
     text = page(report, {})
-    assert f"Commits {'a' * 12}, {'b' * 12}; lbsfit_np" in text
+    of = f"Rows are of several states of the code, by commit: {'a' * 12}: hand 300 joint; {'b' * 12}: hand 300 cd. lbsfit_np"
+    assert of in text
     assert re.search(r"2 CPUs \(A Processor\); and lbsfit_np \S+, Python \S+, numpy 1\.0, .*, 8 CPUs; 2\.6 min", text)
 
 

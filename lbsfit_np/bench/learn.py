@@ -23,7 +23,7 @@ from .environment import environment
 from .measure import joint_error, label_accuracy, vertex_error
 from .resume import REMEDY, begun
 from .run import TRAINING_SEED
-from .subjects import people_digest, subject
+from .subjects import people_digest, scans_digest, subject
 
 __all__ = ["COLLECTIONS", "MEASURES", "VARIANT_ROWS", "collection", "learn_bench", "learn_table", "touching_pose"]
 
@@ -192,8 +192,8 @@ def learn_bench(
         raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
     if not variants or not set(variants) <= set(VARIANT_ROWS):
         raise InputError("variants", repr(variants), f"some of {', '.join(VARIANT_ROWS)}")
-    rig = collection(name, data, 3, seed=seeds[0])[0]
-    read = {"rig": rig.digest, "poses": _poses_digest(name, data), "people": people_digest(rig)}
+    rig, some, *_ = collection(name, data, 3, seed=0)
+    read = {"rig": rig.digest, "poses": _poses_digest(name, data), "people": people_digest(rig), "scans": scans_digest(rig, some)}
     empty = {
         "benchmark": f"learn {name}",
         "unit": "half size" if name == "hand" else "cm",
@@ -206,7 +206,7 @@ def learn_bench(
     other = [key for key, digest in read.items() if report.get(key) != digest]
     if other:
         got = f"results with other {' and other '.join(other)} than there are now"
-        raise InputError("before", got, "results of the same data and test people", REMEDY)
+        raise InputError("before", got, "results of the same data, test people and scans", REMEDY)
     if not set(report["rows"]) <= {_ONE_BY_ONE, *VARIANT_ROWS}:
         raise InputError("before", "results by an earlier version", "results of this version", REMEDY)
     # All scans face the rig's way.

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..rig.chains import bones, chains
 
-__all__ = ["people_digest", "subject"]
+__all__ = ["people_digest", "scans_digest", "subject"]
 
 # Normals are means over balls of this many times the way that the skin goes along them.
 _SMOOTH = 4.0
@@ -65,9 +65,16 @@ def subject(rig, rng, *, amount=0.12, thickness=0.12):
 
 def people_digest(rig):
     """Hex digest of the people that a rig has: results of others are not to be put with theirs."""
-    vertices, joints = subject(rig, np.random.default_rng(0))
-    found = np.concatenate([vertices, joints]) / rig.size
-    return hashlib.sha256((found.round(6) + 0.0).tobytes()).hexdigest()
+    return _digest(np.concatenate(subject(rig, np.random.default_rng(0))), rig)
+
+
+def scans_digest(rig, scans):
+    """Hex digest of some scans of a rig, by which it shows that scans are made as they were."""
+    return _digest(np.concatenate([scan.points for scan in scans]), rig)
+
+
+def _digest(points, rig):
+    return hashlib.sha256(((points / rig.size).round(6) + 0.0).tobytes()).hexdigest()
 
 
 def _directions(rig, chain, weights):

@@ -50,10 +50,12 @@ def run_study(values):
     def steps(cell):
         return checkpoint_of(cells / f"{cell}.npz")
 
-    def keep(report, *made):
-        """Write rows just made, (rig's name, seed, row) each, to what is there, as a study beside this one may have left it."""
+    mine = []  # the rows that this run has made, (rig's name, seed, row) each
+
+    def keep(report):
+        """Write these to what is there, as a study beside this one may have left it."""
         with suppress(FileError):  # nothing there yet, or nothing that is a report
-            report = joined(with_rows(report, made), read_results(results))
+            report = joined(with_rows(report, mine), read_results(results))
         write_json(results, report)
 
     def on_begun(report, todo, others):
@@ -71,7 +73,8 @@ def run_study(values):
 
     def on_cell(report, name, seed, row, arrays):
         write_npz(cells / f"{cell_name(name, seed, row)}.npz", **arrays)
-        keep(report, (name, seed, row))
+        mine.append((name, seed, row))
+        keep(report)
         progress.cell(name, seed, row, report["rigs"][name]["seeds"][str(seed)][row])
 
     try:

@@ -7,6 +7,7 @@ from ...report.colors import part_colors
 from ...report.render import Mesh, Points, render
 from .canvas import tiles
 from .data import part_groups
+from .measures import true_places
 
 __all__ = ["ablation", "correspondence", "gallery", "partitions", "triplet"]
 
@@ -136,7 +137,7 @@ def correspondence(shown, path):
     pairs, whence = _pairs(shown)
     for r, (i, k) in enumerate(pairs):
         a, b = shown.test[i], shown.test[k]
-        true = [_rest_colors(rig, s.points, s.vertices) for s in (a, b)]
+        true = [_colors_at(rig, *true_places(rig, s)) for s in (a, b)]
         line = [_points(rig, a.points, true[0], size=_LARGE, frame=_frame(a, []))]
         for c, row in enumerate(names):
             V = shown.cells[row]["vertices"]
@@ -199,7 +200,11 @@ def _nearest_labels(rig, points, vertices):
 
 def _rest_colors(rig, points, vertices):
     """(n, 3) RGB by where points of a posed mesh lie on the template: smooth in space, different at any two places."""
-    corners, barycentric = surface_places(points, vertices, rig.faces)
+    return _colors_at(rig, *surface_places(points, vertices, rig.faces))
+
+
+def _colors_at(rig, corners, barycentric):
+    """The same for places on the mesh."""
     rest = at_places(corners, barycentric, rig.vertices)
     low, high = rig.vertices.min(axis=0), rig.vertices.max(axis=0)
     x, y, z = ((rest - low) / np.maximum(high - low, 1e-9 * rig.size)).T
@@ -250,6 +255,5 @@ def _paired(shown, ranked):
 
 
 def _transfer_error(rig, a, b, there):
-    corners, barycentric = surface_places(b.points, b.vertices, rig.faces)
-    true = at_places(corners, barycentric, a.vertices)
+    true = at_places(*true_places(rig, b), a.vertices)
     return np.linalg.norm(there - true, axis=1).mean() / (rig.size / 2)

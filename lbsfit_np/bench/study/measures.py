@@ -6,10 +6,11 @@ import numpy as np
 from scipy import sparse
 
 from ...correspondence import surface_places
+from ...optimize.surface import closest_on_mesh, faces_around
 from ...seeds import generator
 from ..measure import joint_error, recon, vertex_error
 
-__all__ = ["POINTS", "Registrations", "Truth", "measured", "template_gap"]
+__all__ = ["POINTS", "Registrations", "Truth", "measured", "template_gap", "true_places"]
 
 # Points of a scan that are carried to another one in a pair.
 POINTS = 400
@@ -61,7 +62,30 @@ class Truth:
             chosen = rng.choice(len(s.points), min(POINTS, len(s.points)), replace=False)
             if i in paired:
                 self.points[i] = s.points[chosen]
-                self.places[i] = _places(self.points[i], s.vertices, rig)
+                self.places[i] = _matrix(*true_places(rig, s, chosen), len(s.vertices))
+
+
+def true_places(rig, scan, rows=slice(None)):
+    """Where points of a synthetic scan are on the true mesh: the closest place at the triangle that each was taken from.
+
+    Where limbs touch, the closest of all may be on another limb; noise along the surface counts for nothing.
+
+    Parameters
+    ----------
+    rig : Rig
+    scan : SyntheticScan
+        Without clutter and floor.
+    rows : index of its points
+
+    Returns
+    -------
+    corners : (n, 3) int array
+    barycentric : (n, 3) array
+    """
+    around, corners = faces_around(rig.faces, len(scan.vertices)), rig.faces[scan.triangle[rows]]
+    beside = np.hstack([around[corners[:, k]] for k in range(3)])
+    found = closest_on_mesh(scan.points[rows], np.arange(len(corners)), scan.vertices, rig.faces, beside)
+    return found.corners, found.barycentric
 
 
 def measured(truth, registrations):
@@ -151,9 +175,12 @@ def _correspondences(truth, registrations, fitted):
 
 def _places(points, vertices, rig):
     """(n, m) sparse matrix that takes vertices to the points' places on the surface."""
-    corners, barycentric = surface_places(points, vertices, rig.faces)
+    return _matrix(*surface_places(points, vertices, rig.faces), len(vertices))
+
+
+def _matrix(corners, barycentric, m):
     start = np.arange(0, corners.size + 1, 3)
-    return sparse.csr_array((barycentric.ravel(), corners.ravel(), start), shape=(len(points), len(vertices)))
+    return sparse.csr_array((barycentric.ravel(), corners.ravel(), start), shape=(len(corners), m))
 
 
 def _pairs(n, most, rng):

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ...correspondence import at_places, surface_places
+from ...correspondence import at_places
 from ...fitting.assemble import assemble
 from ...fitting.scan_fit import FitSettings
 from ...losses.laplacian import laplacian_offsets
@@ -58,8 +58,7 @@ class OracleFit:
     def _fit(self, scan, started):
         model, points = self._model, scan.points
         frame = Frame(points.mean(axis=0), scan.scale * model.half)
-        first = np.unique(self.rig.weld, return_index=True)[1]
-        places = surface_places(points, scan.vertices[first], model.rig.faces)
+        places = self.rig.weld[self.rig.faces[scan.triangle]], scan.barycentric
         known = _Known(model, frame.inside(points), *places, self.settings.weights.replace(lam_lap=_LAPLACIAN))
         free = ("pose", "translation", "scale", "proportions")
         start = model.rest()

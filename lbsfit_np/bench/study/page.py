@@ -59,7 +59,7 @@ _TEMPLATES = """\
 
 _ORDERS = """\
 In the order of the ablations ≈ stands between rows that are nearer to each other than 3 %, and an order with such a pair is
-called level: neither kept nor missed.
+called level: neither kept nor missed. Medians are over the scans (Pose) and over the points of all pairs (Corre.).
 """
 
 _PROTOCOL = """\
@@ -93,7 +93,8 @@ _PROTOCOL = """\
 - Labels: the paper's segmenter learns from uniform poses of U, and the gaps between its rows are what that leaves open. Here, in
   all rows, half of the uniform poses are correlated, so that fists occur, and bones of U are lengthened and thickened at random,
   as the shipped training does: part of both gaps is closed before anything is learned.
-- Templates of a round are made before its segmenter learns, so that rows that keep the first round have the same templates.
+- Templates are found before a round's segmenter learns, and in turn with poses after it. So after one round rows that learn from
+  labels have templates that hardly differ.
 - The free-form rows play 3D-CODED's part: the template's vertices move under Chamfer and Laplacian, from the template, from
   the best of this and of several synthetic scans that look alike ("augmented"), or from what a regressor says that was taught
   with true vertices ("supervised"). Taught by few scans, it knows these alone: compare its row with its figures on the
@@ -182,8 +183,9 @@ def _described(row):
 
 def _sizes(report):
     sizes = [
-        f"- {name}: {e['size']['train']} scans of {e['size']['train_subjects']} people to learn from, {e['size']['test']} of "
-        f"{e['size']['test_subjects']} others to be tested on, seed{'s' * (len(e['seeds']) > 1)} {', '.join(e['seeds'])}; "
+        f"- {name}: {e['size']['train']} scans of {e['size']['train_subjects']} people to learn from (a tenth, one at least, "
+        f"only tells when to stop), {e['size']['test']} of {e['size']['test_subjects']} others to be tested on, "
+        f"seed{'s' * (len(e['seeds']) > 1)} {', '.join(e['seeds'])}; "
         f"{e['size']['training_scans']:,} synthetic scans for the segmenter before learning and as many in each round"
         for name, e in report["rigs"].items()
     ]
@@ -214,8 +216,7 @@ def _protocol(report):
 def _provenance(report):
     cells = [c for rig in report["rigs"].values() for rows in rig["seeds"].values() for c in rows.values()]
     made = [_made_on(c["environment"]) for c in cells]
-    commits = sorted({c["environment"]["commit"][:12] for c in cells if c["environment"].get("commit")})
-    commit = f"Commit{'s' if len(commits) > 1 else ''} {', '.join(commits)}; " if commits else ""
+    commit = _commits(report)
     jobs = sorted({c["jobs"] for c in cells})
     of, known = len(cells), tables.timed(cells)
     rows = "all" if len(known) == of else f"{len(known)} of {of}"
@@ -223,6 +224,20 @@ def _provenance(report):
     took += f", with {' or '.join(map(str, jobs))} process{'es' * (jobs != [1])}"
     where = "; and ".join(dict.fromkeys(made))  # each once, in the order of the rows
     return f"---\n\n{commit}{where}; {took}. `results.json` beside this page has every figure."
+
+
+def _commits(report):
+    """The commit that rows are of; of several, each with its rows, which are not to be compared as if they were of one."""
+    of = {}
+    for name, entry in report["rigs"].items():
+        for seed, rows in entry["seeds"].items():
+            for row, c in rows.items():
+                if c["environment"].get("commit"):
+                    of.setdefault(c["environment"]["commit"][:12], []).append(f"{name} {seed} {row}")
+    if len(of) > 1:
+        listed = "; ".join(f"{commit}: {', '.join(rows)}" for commit, rows in sorted(of.items()))
+        return f"Rows are of several states of the code, by commit: {listed}. "
+    return "".join(f"Commit {commit}; " for commit in of)
 
 
 def _made_on(e):

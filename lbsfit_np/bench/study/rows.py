@@ -6,6 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from ...errors import in_words
 from ...learning.archive import model_digest
 from ...learning.checkpoint import NO_CHECKPOINT, Checkpoint, each_kept
 from ...learning.variants import as_variant
@@ -292,13 +293,11 @@ class _Tried:
     work: object
 
     def __call__(self, task):
-        from ...errors import LbsfitError
-
         started = time.perf_counter()
         try:
             answer, why = self.work(task), None
-        except LbsfitError as error:
-            answer, why = None, str(error)
+        except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
+            answer, why = None, in_words(error)
         return answer, why, time.perf_counter() - started
 
 

@@ -14,7 +14,7 @@ from ...workers import kept_processes
 from ..environment import environment
 from ..resume import REMEDY, begun
 from ..run import TRAINING_SEED
-from ..subjects import people_digest
+from ..subjects import people_digest, scans_digest
 from .data import SCAN, kind_of, part_groups, sized, study_set
 from .local_optimum import along_path
 from .measures import Truth, measured
@@ -129,14 +129,14 @@ def with_rows(report, rows):
 def joined(report, other):
     """A report with the rigs, seeds and rows of another one of the same settings that it has not: of a run beside this one.
 
-    ``other`` counts for nothing where it is of another size, or of rigs, poses or people that are not the same.
+    ``other`` counts for nothing where it is of another size, or of rigs, poses, people or scans that are not the same.
     """
     out = deepcopy(report)
     if any(other.get(key) != out[key] for key in ("benchmark", "size", "scan")):
         return out
     for name, theirs in other["rigs"].items():
         ours = out["rigs"].setdefault(name, theirs)
-        if all(theirs.get(key) == ours[key] for key in ("digest", "poses", "people", "size")):
+        if all(theirs.get(key) == ours[key] for key in ("digest", "poses", "people", "scans", "size")):
             for seed, rows in theirs["seeds"].items():
                 ours["seeds"][seed] = rows | ours["seeds"].get(seed, {})
             ours["seeds"] = {seed: ours["seeds"][seed] for seed in sorted(ours["seeds"], key=int)}
@@ -172,7 +172,8 @@ def _begun(before, size, rigs):
     """The report to go on with."""
     report = begun(before, {"benchmark": "study", "size": size, "scan": asdict(SCAN), "rigs": {}}, same=("size", "scan"))
     for name, entry in report["rigs"].items():
-        if "people" not in entry or any("arrays" not in cell for rows in entry["seeds"].values() for cell in rows.values()):
+        whole = all("arrays" in cell for rows in entry["seeds"].values() for cell in rows.values())
+        if not ({"people", "scans"} <= set(entry) and whole):
             raise InputError("before", f"results of {name!r} by an earlier version", "results of this version", REMEDY)
         if name in rigs:
             now = _described(rigs[name], sized(rigs[name], size))
@@ -180,14 +181,17 @@ def _begun(before, size, rigs):
                 raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", REMEDY)
             if any(entry.get(key) != now[key] for key in ("digest", "poses")):
                 raise InputError("before", f"results of another rig than {name!r} now is", "results of the same rigs", REMEDY)
-            if entry.get("people") != now["people"]:
-                raise InputError("before", f"results of other test people than {name!r} now has", "results of the same", REMEDY)
+            for key, what in (("people", "test people"), ("scans", "scans")):
+                if entry[key] != now[key]:
+                    raise InputError("before", f"results of other {what} than {name!r} now has", "results of the same", REMEDY)
     return report
 
 
 def _described(rig, size):
     """A rig's entry of the report, without results."""
-    known = {"digest": rig.digest, "poses": rig.poses_digest, "people": people_digest(rig)}
+    given = study_set(rig, size, FIRST_SEED)
+    scans = scans_digest(rig, [given.train[0], given.test[0]])
+    known = {"digest": rig.digest, "poses": rig.poses_digest, "people": people_digest(rig), "scans": scans}
     return {"kind": kind_of(rig), **known, "size": asdict(size), "seeds": {}}
 
 

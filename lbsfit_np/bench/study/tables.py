@@ -12,7 +12,7 @@ from .rows import ROWS
 __all__ = ["correspondences", "goals", "labels", "more", "orders", "registrations", "templates", "timed"]
 
 _MEASURES = (("recon", "Recon"), ("pose", "Pose"), ("corre", "Corre."), ("vertices", "vertices"))
-# What the ablations are ordered by, and the medians over scans that an order is to hold in, too.
+# What the ablations are ordered by, and the medians that an order is to hold in, too.
 _ORDERED = (
     ("recon above the truth", "Recon ÷ its value at the truth, 1 where it is less", ".2f"),
     ("pose", "Pose", ".4f"),
