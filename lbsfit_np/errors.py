@@ -75,8 +75,8 @@ class MissingExtraError(LbsfitError, ImportError):
         return type(self), (self.module, self.extra, self.what)
 
 
-def check_array(argument, value, shape):
-    """``value`` as a finite float array of a given shape, or an InputError that names ``argument``."""
+def check_array(argument, value, shape, what=""):
+    """``value`` as a finite float array of a given shape, or an InputError that names ``argument``; ``what`` its rows are."""
     check_unmasked(argument, value)
     try:
         a = np.asarray(value, dtype=float)
@@ -85,7 +85,7 @@ def check_array(argument, value, shape):
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", f"an array of numbers of shape {shape}") from None
     if a.shape != tuple(shape):
-        raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}")
+        raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}{what and f', {what}'}")
     if not np.isfinite(a).all():
         raise InputError(argument, not_finite(int((~np.isfinite(a)).sum())), "finite numbers")
     return a

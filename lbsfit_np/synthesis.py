@@ -172,7 +172,7 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
 
     if not isinstance(rig, Rig):
         raise InputError("rig", brief(rig), "a Rig", "load_rig(name or path) gives one.")
-    settings = make_settings(settings)
+    settings = make_settings(settings, ("n_scans", "poses", "templates", "random_state"))
     _check_count("n_scans", n_scans)
     if isinstance(poses, str):
         if poses not in _POSES:
@@ -236,14 +236,15 @@ class StartScans:
         return synthesize_one(self.rig, poses(self.rig, 1, rng)[0], template, self.settings, rng)
 
 
-def make_settings(settings):
-    """A Synthesis from keyword settings, with an error that lists the known ones."""
+def make_settings(settings, others=()):
+    """A Synthesis from keyword settings, with an error that lists the known ones, and what else there is to give."""
     if isinstance(settings, Synthesis):
         return settings
     known = Synthesis.__dataclass_fields__
     for name, value in settings.items():
         if name not in known:
-            raise InputError(name, "a setting that is not known", f"one of {', '.join(known)}", did_you_mean(name, known))
+            names = (*others, *known)
+            raise InputError(name, "a setting that is not known", f"one of {', '.join(names)}", did_you_mean(name, names))
         kind, least, most = _RANGES.get(name, (Real, 0, _MOST))
         if kind is bool:
             if not isinstance(value, (np.bool_, Integral)) or value not in (0, 1):

@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from lbsfit_np.cli.subjects import check_no_table, read_subjects
+from lbsfit_np.cli.subjects import check_no_table, read_subjects, who_words
 from lbsfit_np.errors import FileError, InputError
 
 SCANS = ["in/a1.ply", "in/a2.ply", "in/b 1.xyz"]
@@ -214,3 +214,27 @@ def test_one_line_that_is_no_scan_is_no_heading(tmp_path):
 def test_accents_in_either_way_of_writing_them(tmp_path):
     (tmp_path / "who.csv").write_text("Mu\u0308ller,Jos\u00e9\nIs\u00e9e,Jose\u0301\n", encoding="utf-8")
     assert read_subjects(tmp_path / "who.csv", ["M\u00fcller.ply", "Ise\u0301e.ply"]) == ["Jos\u00e9"] * 2
+
+
+@pytest.mark.parametrize(
+    "ids, lines",
+    [
+        (None, []),
+        (["a", "a"], []),
+        (["b", "a", "b"], ["2 subjects, with so many scans each: b 2, a 1"]),
+        (
+            ["rex", "Rex", "ben"],
+            [
+                "3 subjects, with so many scans each: rex 1, Rex 1, ben 1",
+                "note: 'rex' and 'Rex' differ in case alone: one person? Each id gets a template of its own",
+            ],
+        ),
+    ],
+)
+def test_whose_scans_they_are_is_said_before_work(ids, lines):
+    assert list(who_words(ids)) == lines
+
+
+def test_of_many_subjects_some_are_named():
+    (line,) = who_words([str(k) for k in range(40)])
+    assert line == f"40 subjects, with so many scans each: {', '.join(f'{k} 1' for k in range(12))}, …"

@@ -145,6 +145,13 @@ def test_other_files_are_no_models(learned_people, tube_rig, tmp_path):
     for name in ("rig.npz", "result.npz", "text.npz", "none.npz"):
         with pytest.raises(FileError, match=name):
             lbs.LBSFitter.load(tmp_path / name)
+    with pytest.raises(FileError, match="got the result of a fit; expected a model .*FitResult.load results"):
+        lbs.LBSFitter.load(tmp_path / "result.npz")
+    with pytest.raises(FileError, match="got the result of a fit; expected a rig"):
+        lbs.load_rig(tmp_path / "result.npz")
+    (tmp_path / "rig.glb").write_bytes(b"glTF")
+    with pytest.raises(FileError, match=r"got a file that ends in \.glb; expected a model .*load_rig reads rigs"):
+        lbs.LBSFitter.load(tmp_path / "rig.glb")
     with pytest.raises(FileError, match=r"m\.zip.*ends in \.npz"):
         learned_people.save(tmp_path / "m.zip")
     with pytest.raises(FileError, match="does not exist"):

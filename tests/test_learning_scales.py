@@ -2,7 +2,7 @@
 
 import re
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,10 +10,11 @@ import pytest
 from learning_runs import collected, loop_over
 
 from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning import finish
 from lbsfit_np.learning.checkpoint import Checkpoint
-from lbsfit_np.learning.collection import Member
+from lbsfit_np.learning.collection import Member, with_doubt
 from lbsfit_np.learning.scales import check_scales, scale_warnings, units_apart
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.starts.turns import Facing
@@ -330,6 +331,18 @@ def test_a_result_hangs_on_the_scales_of_its_subjects_others(tube_rig, few_scans
 
 
 @pytest.mark.parametrize("factor", [1.5, 2.54])
+def test_what_cannot_be_fitted_in_any_unit_says_its_unit_last():
+    """A blob has a scale, too, which is not what is wrong with it."""
+    result = SimpleNamespace(message="points are far away", status="failed")
+    said = {}
+    for apart, status in ((True, "failed"), (True, "suspect"), (False, "failed")):
+        member = replace(_members(1)[0], doubt="in another unit?", apart=apart)
+        made = FitResult(**{f.name: getattr(result, f.name, None) for f in fields(FitResult)} | {"status": status})
+        said[apart, status] = with_doubt(member, made).message
+    first = "in another unit?; points are far away"
+    assert said.pop((True, "failed")) == "points are far away; in another unit?" and set(said.values()) == {first}
+
+
 def test_two_scans_of_different_sizes_say_so_once_and_in_both_results(factor, tube_rig, few_scans, make_learner):
     words = TWO.format(0, 1, r"\d\.\d+", r"\d\.\d+").replace("?", r"\?").replace("(", r"\(").replace(")", r"\)")
     with warnings.catch_warnings(record=True) as told:

@@ -121,6 +121,12 @@ def test_card_partition_expands_globs():
         build_rig(make_tube_data(), Card(use_parts="nails"))
 
 
+def test_axes_of_a_card_that_contradict_each_other_name_the_card(tmp_path):
+    (tmp_path / "odd.toml").write_text("[rig]\nup = '+z'\nforward = '+z'\n")
+    with pytest.raises(InputError, match=r"forward: got \+z, along the up axis .*See card .*odd\.toml"):
+        build_rig(make_tube_data(), tmp_path / "odd.toml")
+
+
 def test_unit_and_axes_of_the_card_win_and_unknown_ones_are_noted():
     rig = build_rig(make_tube_data(), Card(metres_per_unit=0.01, up="+z", forward="-y"))
     assert (rig.metres_per_unit, rig.up, rig.forward) == (0.01, "+z", "-y")

@@ -21,7 +21,7 @@ from .reading import Reading
 from .sequences import order_note
 from .stopped_learning import goes_on, is_result_of, results_so_far, stopped_early
 from .stopping import exit_code, say_steps, terminable
-from .subjects import SUBJECT_FILES, check_no_table, read_subjects
+from .subjects import SUBJECT_FILES, check_no_table, read_subjects, who_words
 from .summary import counts_of, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "add_parser", "learn_files"]
@@ -33,6 +33,7 @@ _SHARED = (
 )
 
 # Endings of files, beside those of scans and rigs, that a model may be called by mistake; others are dots within a name.
+_NAMED = 5  # scans, at most
 _OTHER_ENDINGS = (".pkl", ".json", ".toml", ".h5", ".bvh", ".fbx")
 
 OPTIONS = (
@@ -150,6 +151,8 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     values = _without_unused(values)
     if values["sequence"] and (note := order_note(scans, subjects)):
         say(f"note: {note}")
+    for words in who_words(subjects):
+        say(words)
     fitter = _fitter(rig, values)
     check_parameters(fitter)  # before a folder is made
     folders = make_folder(model.parent)
@@ -303,6 +306,9 @@ def _learned(fitter, reading, model, seconds):
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
     apart = [f"{held} more held out"] * (held > 0) + [f"{set_apart} more not learned from"] * (set_apart > 0)
     apart += [f"{failed} could not be used"] * (failed > 0)
+    if set_apart:
+        named = [reading.name(i) for i, role in enumerate(fitter.roles_) if role == APART][:_NAMED]
+        apart[-1 - (failed > 0)] += f", of another scale ({', '.join(named)}{', …' * (set_apart > _NAMED)})"
     apart = f", {', '.join(apart)}," if apart else ""
     early = ", until those held out were explained no better" if 0 < rounds < fitter.rounds else ""
     kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
@@ -314,7 +320,8 @@ def _learned(fitter, reading, model, seconds):
 
 
 def _units(fitter):
-    """The unit of the scans, or of each subject's where they differ, in a line."""
+    """The unit of the scans, or of each subject's where they differ, in a line; of those that were learned from."""
+    from ..learning.collection import APART
     from ..starts.scale import same_unit, unit_name
 
     if fitter.scale == "fixed":
@@ -329,7 +336,7 @@ def _units(fitter):
         low, high = f"{min(units.values()):.4g}", f"{max(units.values()):.4g}"
         per = "" if name == "the rig's unit" else f" ({low if low == high else f'{low} to {high}'} per rig unit)"
         words.append(f"scans{whose} are in {name}{per}")
-    return "; ".join(words)
+    return "; ".join(words) + ", but for those not learned from" * (APART in fitter.roles_)
 
 
 def _unwritten(fitter, reading):

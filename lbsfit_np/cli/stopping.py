@@ -18,7 +18,7 @@ def say_steps(folder):
     from ..learning.checkpoint import steps_in
 
     if kept := steps_in(folder):
-        say(f"note: {folder} has {counted(kept, 'step')} of a run that was stopped; those that suit this one are taken")
+        say(f"note: {folder} has {counted(kept, 'step')} of a run that was stopped; those that suit this one, if any, are taken")
 
 
 def exit_code(stopped):

@@ -5,6 +5,7 @@ import os
 import re
 import shlex
 import tomllib
+from collections import Counter
 from contextlib import suppress
 from difflib import get_close_matches
 from functools import cached_property
@@ -14,7 +15,7 @@ from unicodedata import normalize
 from ..errors import FileError, InputError, brief, counted, did_you_mean, listed
 from .outputs import folded, results_beside
 
-__all__ = ["SUBJECT_FILES", "check_no_table", "read_subjects"]
+__all__ = ["SUBJECT_FILES", "check_no_table", "read_subjects", "who_words"]
 
 SUBJECT_FILES = """\
 The file of --subjects has a line for each scan, its file name, with or without the extension, and an id:
@@ -31,6 +32,7 @@ _EXPECTED = "one line for each scan: its file name, a comma, the subject's id"
 _EXPECTED_TOML = 'one line for each scan, such as "anna_01.ply" = "anna"'
 # What is looked at of a scan that may be a table, and of scans that a table lacks.
 _FIRST_BYTES, _FIRST_MISSING = 4096, 20
+_LISTED = 12  # subjects, at most
 _NO_HEADING = 'If it is a heading, write "scan" in its place; if it is a scan that is not given to this command, leave it out.'
 _FILE_FIRST = "The columns seem to be exchanged: put the file name first, the id after it."
 
@@ -266,3 +268,23 @@ def _toml_rows(path, text):
             raise FileError(str(path), f"{name} = {got} in line {line}", _EXPECTED_TOML, remedy)
         rows.append((line, name, normalize("NFC", str(subject).strip())))
     return rows
+
+
+def who_words(subjects):
+    """Whose the scans are, in lines: how many of each, and ids that may be one person's; nothing of one subject.
+
+    Parameters
+    ----------
+    subjects : list of str or None
+        Ids, one for each scan.
+    """
+    counts = Counter(subjects or ())
+    if len(counts) > 1:
+        listed = ", ".join(f"{subject} {n}" for subject, n in counts.most_common(_LISTED)) + ", …" * (len(counts) > _LISTED)
+        yield f"{len(counts)} subjects, with so many scans each: {listed}"
+    alike = {}
+    for subject in counts:
+        alike.setdefault(subject.casefold(), []).append(subject)
+    for ids in alike.values():
+        if len(ids) > 1:
+            yield f"note: {' and '.join(map(repr, ids))} differ in case alone: one person? Each id gets a template of its own"

@@ -51,7 +51,7 @@ def say_doubtful(entries):
     rows = [("scan", "status", "probability", "why")]
     for e in doubtful:
         probability = f"{e['probability']:.2f}" if "probability" in e else "–"
-        first, *others = e["message"].split("; ")
+        first, *others = e["message"].split("; ") if "probability" in e else [e["message"]]  # errors are one line
         rows += [(e["name"], e["status"], probability, first), *(("", "", "", why) for why in others)]
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     for row in rows:

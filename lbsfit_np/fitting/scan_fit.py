@@ -371,8 +371,5 @@ def stands_words(facing, rig, frame, theta):
 
 def further_words(settings, facing):
     """What would look further at a scan in doubt than a search with these settings, a tuple of strings for users."""
-    if settings.effort == "fast":
-        return ("effort 'balanced' (--effort balanced) looks further",)
-    if facing.told and len(facing.turns) > 1:
-        return ("without up (--up) other axes are tried, too",)
-    return ()
+    more = ("effort 'balanced' (--effort balanced) looks further",) if settings.effort == "fast" else ()
+    return (*more, "without up (--up) other axes are tried, too") if facing.told and len(facing.turns) > 1 else more

@@ -186,6 +186,9 @@ def _npz_reader(path):
         return "smpl"
     if "verts" in keys:
         return "body"
+    if "lbsfit_np_result" in keys:
+        remedy = "The rig is what the scan was fitted with; lbs.FitResult.load reads this."
+        raise FileError(str(path), "the result of a fit", "a rig, or a model that was learned", remedy)
     shown = ", ".join(sorted(keys)[:10]) or "nothing"
     expected = f"a rig: the package's own ({OWN_KEY}, ...), SMPL-family ({', '.join(_SMPL_KEYS)}, ...), or {', '.join(BODY_KEYS)}"
     raise FileError(str(path), f"an NPZ with {shown}", expected)

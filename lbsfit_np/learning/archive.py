@@ -5,8 +5,10 @@
 
 import hashlib
 import json
+import os
 from collections.abc import Mapping
 from dataclasses import asdict
+from pathlib import Path
 
 import numpy as np
 
@@ -22,6 +24,7 @@ __all__ = ["MODEL_KEY", "learned_arrays", "learned_digests", "model_digest", "re
 MODEL_KEY = "lbsfit_np_model"
 _FORMAT = 4
 _EXPECTED = "a model that was saved with LBSFitter.save or written by lbsfit learn"
+_OTHERS = "lbs.load_rig reads rigs, lbs.FitResult.load results."
 
 
 def write_fitter(fitter, path):
@@ -130,8 +133,12 @@ def read_fitter(path, make):
     from ..io.npz import npz_keys, read_npz
     from ..io.rigs import load_rig
 
-    if MODEL_KEY not in npz_keys(path):
-        raise FileError(str(path), f"an NPZ without the key {MODEL_KEY}", _EXPECTED)
+    if isinstance(path, (str, os.PathLike)) and os.path.isfile(path) and Path(path).suffix.lower() != ".npz":
+        raise FileError(str(path), f"a file that ends in {Path(path).suffix or 'nothing'}", _EXPECTED, _OTHERS)
+    keys = npz_keys(path)
+    if MODEL_KEY not in keys:
+        got = "the result of a fit" if "lbsfit_np_result" in keys else f"an NPZ without the key {MODEL_KEY}"
+        raise FileError(str(path), got, _EXPECTED, _OTHERS)
     rig = load_rig(path, card="none")
     arrays = read_npz(path)
     try:

@@ -320,8 +320,11 @@ class _Tried:
 
 
 def with_doubt(member, result):
-    """A result that says first what is doubted of its scan."""
-    return replace(result, message=f"{member.doubt}; {result.message}") if member.doubt else result
+    """A result that says first what is doubted of its scan; last, where that cannot be fitted in a unit of its own either."""
+    if not member.doubt:
+        return result
+    words = [member.doubt, result.message]
+    return replace(result, message="; ".join(words[::-1] if member.apart and result.status == "failed" else words))
 
 
 def most_failed(statuses, roles):

@@ -31,8 +31,8 @@ __all__ = [
     "learned_with",
 ]
 
-# Eight turns.
-_MOST_TURN = 50.0
+# Of a start: eight turns of the root, one of other joints.
+_MOST_TURN, _MOST_BEND = 50.0, 2 * np.pi
 
 
 def check_names(parameters, known):
@@ -157,12 +157,15 @@ def check_scan(rig, variant, points, theta0, labels, point_weights):
     """
     points = check_points(points, minimum=len(rig.parts))
     if theta0 is not None:
-        theta0 = check_array("theta0", theta0, rig.lower.shape)
-        if np.abs(theta0).max(initial=0.0) > _MOST_TURN:
-            got = f"an angle of {np.abs(theta0).max():.3g}"
-            raise InputError("theta0", got, f"rotation vectors in radians, of at most {_MOST_TURN:g}", "Are these degrees?")
+        theta0 = check_array("theta0", theta0, rig.lower.shape, "a row for each joint")
+        most = np.full((len(theta0), 1), _MOST_BEND)
+        most[rig.root] = _MOST_TURN
+        j, axis = np.unravel_index((np.abs(theta0) / most).argmax(), theta0.shape)
+        if abs(theta0[j, axis]) > most[j, 0]:
+            got = f"an angle of {theta0[j, axis]:.3g} for joint {rig.joint_names[j]!r}"
+            raise InputError("theta0", got, f"rotation vectors in radians, of at most {most[j, 0]:.3g}", "Are these degrees?")
     if point_weights is not None:
-        point_weights = check_array("point_weights", point_weights, (len(points),))
+        point_weights = check_array("point_weights", point_weights, (len(points),), "one for each point")
         if point_weights.min() < 0:
             got = counted(int((point_weights < 0).sum()), "negative value")
             raise InputError("point_weights", got, "values of at least 0")

@@ -70,7 +70,8 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
         mine if mine is not None else theirs
         for mine, theirs in ((card.metres_per_unit, data.metres_per_unit), (card.up, data.up), (card.forward, data.forward))
     )
-    check_directions(report, unit, up, forward)
+    said_by_card = card.metres_per_unit is not None or card.up is not None or card.forward is not None
+    check_directions(report, unit, up, forward, card.where if said_by_card else "")
 
     parents = _hierarchy(parents, names, card)
     root = check_tree(report, parents, names, explained=bool(card.root or card.chains or card.parents))

@@ -231,8 +231,8 @@ def check_limits(report, lower, upper, names):
     return lower, upper
 
 
-def check_directions(report, unit, up, forward):
-    """Unit and axes, where known."""
+def check_directions(report, unit, up, forward, card=""):
+    """Unit and axes, where known; some of them by a card, which is named."""
     if unit is not None and not (
         isinstance(unit, (int, float)) and not isinstance(unit, bool) and np.isfinite(unit) and unit > 0
     ):
@@ -241,4 +241,5 @@ def check_directions(report, unit, up, forward):
         if value is not None and value not in AXES:
             report.fail(field, repr(value), f"one of {', '.join(AXES)}, or None where unknown")
     if up is not None and forward is not None and up[1] == forward[1]:
-        report.fail("forward", f"{forward}, along the up axis {up}", "another axis than up")
+        remedy = f"See {card}." if card else None
+        report.fail("forward", f"{forward}, along the up axis {up}", "another axis than up", remedy)

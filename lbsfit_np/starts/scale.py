@@ -71,7 +71,7 @@ def reference_scale(points, rig, mode):
                 "scale",
                 f"'fixed' for a scan whose extent is {ratio:.3g} times the rig's",
                 "a scan in the rig's unit",
-                "Convert the scan, or pass scale='estimate'.",
+                "Convert the scan, or pass scale='estimate' (--scale estimate), which finds the unit.",
             )
         return ReferenceScale(1.0, "scale fixed at 1")
     if _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
