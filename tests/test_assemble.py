@@ -265,7 +265,8 @@ def test_what_a_failed_fit_found_is_said_with_reserve_and_what_would_look_furthe
     model, found = Model(rigs["tube"]), ("in inches", "", "along +z")
     r, *_ = _assembled(rigs["tube"], model, TURNS["none"], changed=False, found=found, further=further)
     reserve = "if it were right all the same: " if status == "failed" else ""
-    assert r.message.endswith(f"a note; {reserve}in inches; along +z")
+    both = "in inches, and along +z" if reserve else "in inches; along +z"  # reasons are parted at "; "
+    assert r.message.endswith(f"a note; {reserve}{both}")
     assert ("; effort looks further" in r.message) == (status != "ok" and bool(further))
     r, *_ = _assembled(rigs["tube"], model, TURNS["none"], changed=False, found=("", ""))
     assert "if it were right" not in r.message

@@ -67,7 +67,8 @@ def test_a_run_that_was_killed_goes_on_with_the_same_command(jobs, tubes, tube_m
     monkeypatch.setattr(FirstFit, "__call__", lambda self, points: fitted.append(points) or call(self, points))
     code, text, err = run(*arguments[:-1], 1)
     assert (code, err, len(fitted)) == (0, "", max(len(scans) - kept, 0)) and kept >= 2
-    assert text.startswith(f"note: {folder} has {kept} steps of a run that was stopped; those that suit this one are taken\n")
+    some = "those that suit this one, if any, are taken"
+    assert text.startswith(f"note: {folder} has {kept} steps of a run that was stopped; {some}\n")
     assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]
     found, expected = (dict(np.load(path)) for path in (tmp_path / "m.npz", tube_model[0]))
     for name in expected.keys() - {MODEL_KEY}:  # which has the seconds of rounds

@@ -330,7 +330,6 @@ def test_a_result_hangs_on_the_scales_of_its_subjects_others(tube_rig, few_scans
 # ---- two scans ----
 
 
-@pytest.mark.parametrize("factor", [1.5, 2.54])
 def test_what_cannot_be_fitted_in_any_unit_says_its_unit_last():
     """A blob has a scale, too, which is not what is wrong with it."""
     result = SimpleNamespace(message="points are far away", status="failed")
@@ -343,6 +342,7 @@ def test_what_cannot_be_fitted_in_any_unit_says_its_unit_last():
     assert said.pop((True, "failed")) == "points are far away; in another unit?" and set(said.values()) == {first}
 
 
+@pytest.mark.parametrize("factor", [1.5, 2.54])
 def test_two_scans_of_different_sizes_say_so_once_and_in_both_results(factor, tube_rig, few_scans, make_learner):
     words = TWO.format(0, 1, r"\d\.\d+", r"\d\.\d+").replace("?", r"\?").replace("(", r"\(").replace(")", r"\)")
     with warnings.catch_warnings(record=True) as told:

@@ -301,6 +301,26 @@ def test_the_scans_that_took_longest_go_first_and_answers_keep_their_places(tmp_
         assert list(failures) == [2, 3]
 
 
+def test_what_nobody_foresaw_of_one_scan_is_its_failure_and_of_all_an_error(tmp_path):
+    """Nor is it kept: the same command tries that again."""
+    kept, asked = Checkpoint(tmp_path), []
+
+    def careless(task):
+        asked.append(task)
+        if task in broken:
+            raise ZeroDivisionError("nobody foresaw this")
+        return task.upper()
+
+    c, broken = SimpleNamespace(jobs=1), "b"
+    expected = (["A", None], {1: "ZeroDivisionError: nobody foresaw this"})
+    assert rows_module._tried(c, careless, list("ab"), lambda share: None, kept) == expected
+    broken = ""
+    assert rows_module._tried(c, careless, list("ab"), lambda share: None, kept) == (["A", "B"], {}) and asked == list("abb")
+    broken = "cd"
+    with pytest.raises(ZeroDivisionError, match="nobody foresaw this"):
+        rows_module._tried(c, careless, list("cd"), lambda share: None, kept)
+
+
 # ---- all of them ----
 
 

@@ -54,8 +54,12 @@ def run_study(values):
 
     def keep(report):
         """Write these to what is there, as a study beside this one may have left it."""
+        def stands(name, seed, row):  # unless a run beside this one has replaced it
+            made = report["rigs"][name]["seeds"][str(seed)][row]
+            return _arrays_of(cells, cell_name(name, seed, row), made["arrays"]) is not None
+
         with suppress(FileError):  # nothing there yet, or nothing that is a report
-            report = joined(with_rows(report, mine), read_results(results))
+            report = joined(with_rows(report, [row for row in mine if stands(*row)]), read_results(results))
         write_json(results, report)
 
     def on_begun(report, todo, others):

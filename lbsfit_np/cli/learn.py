@@ -32,8 +32,9 @@ _SHARED = (
     *("training-scans", "training", "seed", "jobs"),
 )
 
+# Scans that the last line names, at most.
+_NAMED = 5
 # Endings of files, beside those of scans and rigs, that a model may be called by mistake; others are dots within a name.
-_NAMED = 5  # scans, at most
 _OTHER_ENDINGS = (".pkl", ".json", ".toml", ".h5", ".bvh", ".fbx")
 
 OPTIONS = (
@@ -308,7 +309,7 @@ def _learned(fitter, reading, model, seconds):
     apart += [f"{failed} could not be used"] * (failed > 0)
     if set_apart:
         named = [reading.name(i) for i, role in enumerate(fitter.roles_) if role == APART][:_NAMED]
-        apart[-1 - (failed > 0)] += f", of another scale ({', '.join(named)}{', …' * (set_apart > _NAMED)})"
+        apart[-1 - (failed > 0)] += f", whose first fit had another scale ({', '.join(named)}{', …' * (set_apart > _NAMED)})"
     apart = f", {', '.join(apart)}," if apart else ""
     early = ", until those held out were explained no better" if 0 < rounds < fitter.rounds else ""
     kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
@@ -320,8 +321,7 @@ def _learned(fitter, reading, model, seconds):
 
 
 def _units(fitter):
-    """The unit of the scans, or of each subject's where they differ, in a line; of those that were learned from."""
-    from ..learning.collection import APART
+    """The unit of the scans, or of each subject's where they differ, in a line."""
     from ..starts.scale import same_unit, unit_name
 
     if fitter.scale == "fixed":
@@ -336,7 +336,7 @@ def _units(fitter):
         low, high = f"{min(units.values()):.4g}", f"{max(units.values()):.4g}"
         per = "" if name == "the rig's unit" else f" ({low if low == high else f'{low} to {high}'} per rig unit)"
         words.append(f"scans{whose} are in {name}{per}")
-    return "; ".join(words) + ", but for those not learned from" * (APART in fitter.roles_)
+    return "; ".join(words)
 
 
 def _unwritten(fitter, reading):

@@ -280,11 +280,12 @@ def who_words(subjects):
     """
     counts = Counter(subjects or ())
     if len(counts) > 1:
-        listed = ", ".join(f"{subject} {n}" for subject, n in counts.most_common(_LISTED)) + ", …" * (len(counts) > _LISTED)
+        fewest = sorted(counts, key=counts.get)[:_LISTED]  # ids that are typing errors have few
+        listed = ", ".join(f"{subject} {counts[subject]}" for subject in fewest) + ", …" * (len(counts) > _LISTED)
         yield f"{len(counts)} subjects, with so many scans each: {listed}"
     alike = {}
     for subject in counts:
         alike.setdefault(subject.casefold(), []).append(subject)
     for ids in alike.values():
         if len(ids) > 1:
-            yield f"note: {' and '.join(map(repr, ids))} differ in case alone: one person? Each id gets a template of its own"
+            yield f"note: {' and '.join(map(repr, ids))} differ in case alone: one person?"

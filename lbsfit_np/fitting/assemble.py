@@ -163,7 +163,7 @@ def assemble(
     if not finite:
         found = ()
     elif status == "failed" and any(found):
-        found = [f"if it were right all the same: {'; '.join(filter(None, found))}"]
+        found = [f"if it were right all the same: {', and '.join(filter(None, found))}"]
     return FitResult(
         pose=pose,
         translation=translation,

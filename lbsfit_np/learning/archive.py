@@ -134,7 +134,8 @@ def read_fitter(path, make):
     from ..io.rigs import load_rig
 
     if isinstance(path, (str, os.PathLike)) and os.path.isfile(path) and Path(path).suffix.lower() != ".npz":
-        raise FileError(str(path), f"a file that ends in {Path(path).suffix or 'nothing'}", _EXPECTED, _OTHERS)
+        got = f"a file that ends in {Path(path).suffix}" if Path(path).suffix else "a file without an ending"
+        raise FileError(str(path), got, f"{_EXPECTED}, which end in .npz", _OTHERS)
     keys = npz_keys(path)
     if MODEL_KEY not in keys:
         got = "the result of a fit" if "lbsfit_np_result" in keys else f"an NPZ without the key {MODEL_KEY}"

@@ -75,7 +75,7 @@ class LBSFitter(BaseEstimator):
     Attributes
     ----------
     segmenter_ : Segmenter or None
-        s, after :meth:`pretrain`, :meth:`fit_scan` or :meth:`fit`; None in variants without labels.
+        s, after :meth:`pretrain` or :meth:`fit_scan`, and as learned after :meth:`fit`; None in variants without labels.
     regressor_ : PoseLibrary or None
         f, and the poses it was trained on, which starts are looked up in; like s, and anew after :meth:`fit`.
     template_ : dict of id to Rig

@@ -38,8 +38,8 @@ from .tasks import Drawn, FirstFit, Held, Labels, Pose, Template, Told
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
-# Scales nearer to 1 than this factor are a matter of people's size, others of units.
-_SIZE = 1.3
+# Scales nearer to 1 than this factor are a matter of people's size, others of units; where joints stay, those nearer are no news.
+_SIZE, _TOLD = 1.3, 1.02
 # Share of the time that poses take, before they are drawn to each other; of a turn's, that its templates do.
 _SEARCH, _OF_A_TURN = 0.8, 0.4
 # Of the smoothing of a sequence.
@@ -232,11 +232,11 @@ class Loop:
         if self.fit_settings.scale == "estimate" and (apart := units_apart(scales)):
             warnings.warn(apart, stacklevel=2)
         # The scans of a subject have one scale. Where it is near 1, people differ in size: the template takes it up, all bones
-        # longer and thicker by that share, if joints go along. Otherwise it is the unit.
+        # longer and thicker by that share. Otherwise it is the unit.
         for subject in self.collection.subjects:
             scale = float(np.median(scales[subject])) if self.fit_settings.scale == "estimate" else 1.0
-            grows = self.joints == "follow" and 1 / _SIZE < scale / guess < _SIZE
-            size, unit = (scale / guess, guess) if grows else (1.0, scale)
+            near, grown = (_SIZE, scale / guess) if self.joints == "follow" else (_TOLD, 1.0)
+            size, unit = (grown, guess) if 1 / near < scale / guess < near else (1.0, scale)
             c = np.zeros(self.shifting.n_coefficients)
             c[: self.model.n_proportions] = size - 1.0
             self.coefficients[subject] = c

@@ -158,12 +158,12 @@ def check_scan(rig, variant, points, theta0, labels, point_weights):
     points = check_points(points, minimum=len(rig.parts))
     if theta0 is not None:
         theta0 = check_array("theta0", theta0, rig.lower.shape, "a row for each joint")
-        most = np.full((len(theta0), 1), _MOST_BEND)
+        most = np.maximum(_MOST_BEND, np.maximum(np.abs(rig.lower), np.abs(rig.upper)))
         most[rig.root] = _MOST_TURN
         j, axis = np.unravel_index((np.abs(theta0) / most).argmax(), theta0.shape)
-        if abs(theta0[j, axis]) > most[j, 0]:
+        if abs(theta0[j, axis]) > most[j, axis] + 1e-3:
             got = f"an angle of {theta0[j, axis]:.3g} for joint {rig.joint_names[j]!r}"
-            raise InputError("theta0", got, f"rotation vectors in radians, of at most {most[j, 0]:.3g}", "Are these degrees?")
+            raise InputError("theta0", got, f"rotation vectors in radians, of at most {most[j, axis]:.3g}", "Are these degrees?")
     if point_weights is not None:
         point_weights = check_array("point_weights", point_weights, (len(points),), "one for each point")
         if point_weights.min() < 0:

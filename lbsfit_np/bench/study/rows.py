@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ...errors import in_words
+from ...errors import LbsfitError, in_words
 from ...learning.archive import model_digest
 from ...learning.checkpoint import NO_CHECKPOINT, Checkpoint, each_kept
 from ...learning.variants import as_variant
@@ -280,25 +280,31 @@ def _tried(c, work, tasks, done, kept=NO_CHECKPOINT, took=None):
     took = {} if took is None else took
     order = sorted(range(len(tasks)), key=lambda i: -took.get(i, 0.0))
     slots = [kept.slot("result", tasks[i]) for i in order] if kept is not NO_CHECKPOINT else []
-    answers = each_kept(_Tried(work), [tasks[i] for i in order], slots, jobs=c.jobs, done=done)
+    keep = {"keep": lambda tried: tried[-1] is None}  # what nobody foresaw may be mended
+    answers = each_kept(_Tried(work), [tasks[i] for i in order], slots, jobs=c.jobs, done=done, **keep)
     found = dict(sorted(zip(order, answers, strict=True), key=lambda pair: pair[0]))
-    took.update({i: seconds for i, (_, _, seconds) in found.items()})
-    return [answer for answer, _, _ in found.values()], {i: why for i, (_, why, _) in found.items() if why is not None}
+    took.update({i: seconds for i, (_, _, seconds, _) in found.items()})
+    unforeseen = [error for *_, error in found.values() if error is not None]
+    if unforeseen and len(unforeseen) == len(found):
+        raise unforeseen[0]  # it is not the scans
+    return [answer for answer, *_ in found.values()], {i: why for i, (_, why, *_) in found.items() if why is not None}
 
 
 @dataclass(frozen=True)
 class _Tried:
-    """task → (what the work makes of it, None, seconds), or (None, why it cannot, seconds)."""
+    """task → (what the work makes of it, None, seconds, None), or (None, why it cannot, seconds, the error if it is not ours)."""
 
     work: object
 
     def __call__(self, task):
-        started = time.perf_counter()
+        started, answer, why, unforeseen = time.perf_counter(), None, None, None
         try:
-            answer, why = self.work(task), None
+            answer = self.work(task)
+        except LbsfitError as error:
+            why = str(error)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
-            answer, why = None, in_words(error)
-        return answer, why, time.perf_counter() - started
+            why, unforeseen = in_words(error), error
+        return answer, why, time.perf_counter() - started, unforeseen
 
 
 def _labels(results):
