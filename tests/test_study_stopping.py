@@ -142,6 +142,26 @@ def test_what_was_replaced_beside_a_run_does_not_come_back(command, tmp_path, mo
     assert {path.name for path in (out / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in ("oracle-fit", "oracle-labels")}
 
 
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_row_that_another_run_has_written_over_is_there_again_unless_replaced(replaced, command, tmp_path, monkeypatch):
+    """Two that write at once: the one that read before the other wrote has lost its row."""
+    out, made = tmp_path / "out", run_module._cells
+
+    def with_another(name, rig, size, seed, rows, *others):
+        for k, (row, *what) in enumerate(made(name, rig, size, seed, rows, *others)):
+            if k == 1:
+                results = json.loads((out / "results.json").read_text())
+                del results["rigs"]["tube"]["seeds"]["5"]["free-form"]
+                (out / "results.json").write_text(json.dumps(results))
+                if replaced:
+                    (out / "cells" / "tube-5-free-form.npz").unlink()
+            yield row, *what
+
+    monkeypatch.setattr(run_module, "_cells", with_another)
+    assert run([*command, "free-form,oracle-fit"]) == 0
+    assert set(_rows(out)["5"]) == ({"oracle-fit"} if replaced else {"free-form", "oracle-fit"})
+
+
 def test_a_row_made_at_one_go_has_its_time(command, tmp_path):
     assert run([*command, "cd"]) == 0
     assert _rows(tmp_path / "out")["5"]["cd"]["seconds"] > 0

@@ -55,8 +55,8 @@ def run_study(values):
     def keep(report):
         """Write these to what is there, as a study beside this one may have left it."""
         def stands(name, seed, row):  # unless a run beside this one has replaced it
-            made = report["rigs"][name]["seeds"][str(seed)][row]
-            return _arrays_of(cells, cell_name(name, seed, row), made["arrays"]) is not None
+            made = report["rigs"].get(name, {"seeds": {}})["seeds"].get(str(seed), {}).get(row)
+            return made is not None and _arrays_of(cells, cell_name(name, seed, row), made["arrays"]) is not None
 
         with suppress(FileError):  # nothing there yet, or nothing that is a report
             report = joined(with_rows(report, [row for row in mine if stands(*row)]), read_results(results))
