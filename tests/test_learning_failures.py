@@ -1,0 +1,266 @@
+"""Scans, templates and turns that fail while learning goes on: what is left out, what is lost, and what stays."""
+
+import types
+import warnings
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.learning import finish, free_form, tasks
+from lbsfit_np.learning.collection import Collection, Member
+from lbsfit_np.learning.loop import LoopSettings
+from lbsfit_np.learning.variants import VARIANTS
+
+# Without a segmenter, learning takes a second or two.
+QUICK = {"effort": "fast", "training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
+
+
+@pytest.fixture(scope="module")
+def clouds(tube_rig):
+    return [s.points for s in lbs.synthesize(tube_rig, 4, random_state=1, n_points=400)]
+
+
+def _failing(monkeypatch, module, name, bad):
+    """Have a step of the loop fail for the scan ``bad``, of a number of points of its own."""
+    step = getattr(module, name)
+    call = step.__call__
+
+    def careless(self, task):
+        given = task if isinstance(task, tuple) else (task,)
+        sizes = [len(getattr(x, "points", getattr(x, "X", x))) for x in given if hasattr(x, "points") or hasattr(x, "X")]
+        sizes += [len(x) for x in given if isinstance(x, np.ndarray) and x.ndim == 2]
+        if bad in sizes:
+            raise ZeroDivisionError("nobody foresaw this")
+        return call(self, task)
+
+    monkeypatch.setattr(step, "__call__", careless)
+
+
+@pytest.mark.parametrize("module, name", [(tasks, "FirstFit"), (tasks, "Pose"), (finish, "_Finish")])
+def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, module, name, 399)
+    given = [clouds[0], clouds[1][:399], *clouds[2:]]
+    words = "ZeroDivisionError: nobody foresaw this"
+    if module is finish:  # by then the scan has had its part in learning
+        words = f"held out of learning, but there is no result of it: {words}"
+    with pytest.warns(UserWarning, match=f"1 of 4 scans cannot be used; scan 1: {words}"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(given)
+    assert fitter.failures_ == {1: words}
+    assert [r is None for r in fitter.results_] == [False, True, False, False]
+    assert fitter.roles_[1] == ("held out of learning" if module is finish else None)
+    others = [fitter.roles_[k] for k in (0, 2, 3)]  # another is held out where the one that was fails before the rounds
+    assert others.count("held out of learning") == (name == "FirstFit") and None not in others
+    assert fitter.fit_scan(clouds[0]).status != "failed"
+
+
+def test_free_form_fits_that_fail_are_left_out(tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, free_form, "_FreeForm", 399)
+    with pytest.warns(UserWarning, match="scan 0: ZeroDivisionError"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": "free-form"}).fit([clouds[0][:399], *clouds[1:]])
+    assert list(fitter.failures_) == [0] and fitter.results_[0] is None and fitter.results_[3].status != "failed"
+
+
+def test_of_free_form_fits_that_are_stopped_no_result_of_before_is_left(tube_rig, clouds, monkeypatch):
+    fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": "free-form"}).fit(clouds[:2])
+
+    def interrupted(*given, **more):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lbsfit_np.learning.fitter.fit_free_form", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        fitter.fit([*clouds[:3], clouds[0][:2]], ["a", "a", "b", "b"])
+    assert fitter.results_ == [None] * 4 and fitter.roles_ == ["learned from"] * 3 + [None] and list(fitter.failures_) == [3]
+
+
+def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds, monkeypatch, tmp_path):
+    _failing(monkeypatch, tasks, "Pose", 399)
+    with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], clouds[1][:399], *clouds[2:]], list("abaa"))
+    assert list(fitter.template_) == list(fitter.unit_) == ["a"]
+    with pytest.warns(UserWarning, match="^nothing is learned of subject 'b': none of the scans can be used$"):
+        lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], np.zeros((0, 3)), *clouds[2:]], list("abaa"))
+    fitter.save(tmp_path / "m.npz")
+    assert list(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == ["a"]
+
+
+def test_a_subject_without_a_template_is_left_out(tube_rig, clouds, monkeypatch):
+    call = tasks.Template.__call__
+
+    def careless(self, task):
+        if len(task[0]) == 1:
+            raise ZeroDivisionError("nobody foresaw this")
+        return call(self, task)
+
+    monkeypatch.setattr(tasks.Template, "__call__", careless)
+    with pytest.warns(UserWarning, match="scan 1: no template of its subject was found: ZeroDivisionError: nobody foresaw this"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
+    assert list(fitter.template_) == ["a"] and list(fitter.failures_) == [1]
+    assert [r is None for r in fitter.results_] == [False, True, False, False]
+
+
+def _failing_from(k, name, monkeypatch, is_meant=lambda task: True, until=np.inf):
+    """Have a kind of work fail from its k-th task on, of those that are meant."""
+    call, calls = getattr(tasks, name).__call__, []
+
+    def careless(self, task):
+        if is_meant(task):
+            calls.append(task)
+            if k <= len(calls) <= until:
+                raise ZeroDivisionError("nobody foresaw this")
+        return call(self, task)
+
+    monkeypatch.setattr(getattr(tasks, name), "__call__", careless)
+
+
+def _without_templates_from(k, monkeypatch):
+    """Have templates from one scan fail from the k-th on."""
+    _failing_from(k, "Template", monkeypatch, lambda task: len(task[0]) == 1)
+
+
+@pytest.mark.parametrize("k", [2, 3])
+def test_a_template_that_fails_in_a_turn_costs_nothing_that_the_round_has_found(tube_rig, clouds, monkeypatch, k):
+    _without_templates_from(k, monkeypatch)
+    with pytest.warns(UserWarning, match=f"in turn ended after {k - 2} of 2 times: .*: ZeroDivisionError: nobody foresaw this"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
+    assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and None not in fitter.roles_
+    assert None not in fitter.results_
+
+
+@pytest.fixture(scope="module")
+def after_turns(tube_rig, clouds):
+    """Turns → a fitter that has learned with so many of them; without labels, which take time, but with a prior of poses."""
+    found = {}
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(VARIANTS, "cd", replace(VARIANTS["cd"], prior=True))
+        for turns in (0, 1):
+            settings = partial(LoopSettings, turns=turns, round_scans=100, library_scans=100)
+            patch.setattr(LoopSettings, "for_training", lambda n, made=settings, **others: made(**others))
+            found[turns] = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+    return found
+
+
+@pytest.mark.parametrize("turns", [0, 1])
+@pytest.mark.parametrize("name, k", [("Template", 1), ("Told", 4), ("Drawn", 1), ("Drawn", 3)])
+def test_a_turn_that_fails_leaves_what_was_found_before_it(tube_rig, clouds, after_turns, monkeypatch, turns, name, k):
+    """Also where it loses all scans, as where the one subject has no template; from the k-th task of the turn on."""
+    before = (1 + turns) * (1 if name == "Template" else len(clouds))
+    monkeypatch.setitem(VARIANTS, "cd", replace(VARIANTS["cd"], prior=True))
+    _failing_from(before + k, name, monkeypatch)
+    with pytest.warns(UserWarning, match=f"in turn ended after {turns} of 2 times: .*nobody foresaw this"):
+        found = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+    expected = after_turns[turns]
+    assert not found.failures_ and None not in found.results_
+    np.testing.assert_array_equal(found.pose_prior_.mean, expected.pose_prior_.mean)
+    np.testing.assert_array_equal(found.template_[0].vertices, expected.template_[0].vertices)
+    for a, b in zip(found.results_, expected.results_, strict=True):
+        np.testing.assert_array_equal(a.pose, b.pose)
+
+
+def test_what_a_caller_raises_in_a_turn_ends_learning(tube_rig, clouds):
+    def progress(stage, share, figures=None):
+        if stage == "templates and poses in turn" and share > 0.5:
+            raise ZeroDivisionError("of progress")
+
+    with pytest.raises(ZeroDivisionError, match="of progress"):
+        lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, progress=progress)
+
+
+def test_the_round_after_a_turn_that_lost_a_subject_has_that_again(tube_rig, clouds, monkeypatch):
+    _failing_from(2, "Template", monkeypatch, lambda task: len(task[0]) == 1, until=2)
+    with pytest.warns(UserWarning, match="round 1: templates and poses in turn ended after 0 of 2 times"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK | {"rounds": 2}).fit(clouds, list("abaa"))
+    assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and len(fitter.history_) == 3
+
+
+def test_a_template_that_fails_later_costs_nothing_of_the_round_that_is_kept(tube_rig, clouds, monkeypatch):
+    values = iter([1.0, 0.5, 0.6])  # of the first fits and two rounds
+
+    def note(loop, k, began, more):
+        loop.history.append({"round": k})
+        return next(values)
+
+    monkeypatch.setattr("lbsfit_np.learning.loop.Loop._note", note)
+    _without_templates_from(4, monkeypatch)  # the first of the second round
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        fitter = lbs.LBSFitter(tube_rig, **QUICK | {"rounds": 2}).fit(clouds, list("abaa"))
+    assert not [w for w in told if "cannot be used" in str(w.message) or "nothing is learned" in str(w.message)]
+    assert [entry["round"] for entry in fitter.history_ if entry["kept"]] == [1]
+    assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and None not in fitter.roles_
+    monkeypatch.undo()
+    once = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
+    for found, expected in zip(fitter.results_, once.results_, strict=True):
+        np.testing.assert_array_equal(found.vertices, expected.vertices)
+
+
+def test_of_people_without_results_something_was_learned(tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, finish, "_Finish", 399)
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], clouds[1][:399], *clouds[2:]], list("abaa"))
+    assert list(fitter.template_) == ["a", "b"] and fitter.results_[1] is None and fitter.roles_[1] is not None
+    said = [str(w.message) for w in told if "do not suit" not in str(w.message)]
+    assert [words[:28] for words in said] == ["1 of 4 scans cannot be used;"]
+
+
+def test_a_scan_that_cannot_be_smoothed_is_left_out(tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, tasks, "Held", 399)
+    with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK, sequence=True, smooth=1e-3).fit([clouds[0], clouds[1][:399], *clouds[2:]])
+    assert [r is None for r in fitter.results_] == [False, True, False, False]
+
+
+@pytest.mark.parametrize("name", ["FirstFit", "Pose"])
+def test_a_loss_that_is_not_finite_does_not_spoil_those_of_others(name, tube_rig, clouds, monkeypatch):
+    answer, seen = tasks._finite, []
+
+    def sometimes(loss):
+        seen.append(loss)
+        return answer(np.nan if len(seen) == (2 if name == "FirstFit" else 6) else loss)
+
+    monkeypatch.setattr(tasks, "_finite", sometimes)
+    with pytest.warns(UserWarning, match="scan 1: points: got a fit that is not finite"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+    assert list(fitter.failures_) == [1] and np.isfinite([h["recon"] for h in fitter.history_]).all()
+
+
+def test_where_all_scans_fail_the_first_ones_error_passes_on(tube_rig, clouds, monkeypatch):
+    _failing(monkeypatch, tasks, "FirstFit", 400)
+    with pytest.raises(ZeroDivisionError, match="nobody foresaw this"):
+        lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+
+
+def test_failures_are_warned_of_once():
+    collection = Collection(3, [], {2: "empty"})
+    with pytest.warns(UserWarning, match="1 of 3 scans cannot be used; scan 2: empty"):
+        collection.warn(1)
+    collection.failures[0] = "odd"
+    with pytest.warns(UserWarning, match="1 of 3 scans cannot be used; scan 0: odd"):
+        collection.warn(1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        collection.warn(1)
+
+
+def test_members_answers_stand_in_the_order_of_the_members():
+    def inverse(x):
+        return 1 / x
+
+    members = [types.SimpleNamespace(index=i) for i in (3, 5, 6)]
+    collection = Collection(7, list(members))
+    assert collection.work(inverse, [1, 0, 4], jobs=1, done=None) == [1, 0.25]
+    assert collection.members == [members[0], members[2]]
+    assert collection.failures == {5: "ZeroDivisionError: division by zero"}
+
+
+@pytest.mark.parametrize("taught", [False, True])
+def test_failures_after_learning_say_what_the_scan_was_to_it(taught):
+    members = [Member(i, np.zeros((0, 3)), np.arange(0), None, "a", held_out=i == 1, apart=i == 2) for i in range(4)]
+    collection = Collection(4, members)
+    assert collection.work(lambda x: 1 / x, [0, 0, 0, 1], jobs=1, done=None, taught=taught) == [1]
+    error, after = "ZeroDivisionError: division by zero", "{}, but there is no result of it: ".format
+    said = [after(role) + error if taught else error for role in ("learned from", "held out of learning", "not learned from")]
+    assert collection.failures == dict(enumerate(said))
