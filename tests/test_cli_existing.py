@@ -380,6 +380,22 @@ def test_what_cannot_be_fitted_now_has_no_fit_of_an_earlier_run(fitted, made, tm
     assert run("fit", made / "tube.npz", scan, "-o", out, "--existing", "skip", *QUICK)[0] == 1
 
 
+@pytest.mark.parametrize("readable", [True, False])
+def test_a_picture_of_a_fit_that_is_replaced_goes_with_it(readable, made, tmp_path, run):
+    """Also where no new one is asked for; what others have drawn stays."""
+    scan, picture = tmp_path / "one.ply", tmp_path / "out" / "one.png"
+    scan.write_bytes((made / "one.ply").read_bytes())
+    arguments = ("fit", made / "tube.npz", scan, "-o", tmp_path / "out", *QUICK)
+    assert run(*arguments, "--pictures")[0] == 0 and picture.is_file()
+    if not readable:
+        scan.write_bytes(b"ply")
+    for drawn in (None, b"of others"):
+        if drawn is not None:
+            picture.write_bytes(drawn)
+        assert run(*arguments, "--existing", "replace")[0] == (0 if readable else 1)
+        assert (picture.read_bytes() if picture.exists() else None) == drawn
+
+
 def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
     for path in fitted[0].iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())

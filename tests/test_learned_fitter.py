@@ -209,6 +209,32 @@ def test_a_fit_that_is_stopped_early_leaves_what_was_learned(loaded, own, clouds
     assert own.regressor_ is not before[0] and own.template_["a"] is not before[1]
 
 
+@pytest.mark.parametrize("told", ["progress", "on_round"])
+def test_a_round_is_there_for_those_who_are_told_of_it(told, own, clouds):
+    """Who stops the run then does not lose it."""
+    fitter = clone(own)
+
+    def stop(*about):
+        if about[0] == 1 or (about[0] == "round" and about[2]["round"] == 1):
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fitter.fit(clouds, list("ababab"), **{told: stop})
+    assert [entry["round"] for entry in fitter.history_] == [0, 1] and list(fitter.template_) == ["a", "b"]
+    assert fitter.results_ == [None] * 6
+
+
+def test_a_free_form_fit_that_is_stopped_leaves_nothing(own, clouds):
+    fitter = clone(own).set_params(variant="free-form")
+
+    def stop(*about):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        fitter.fit(clouds, progress=stop)
+    assert not any(name in vars(fitter) for name in ("template_", "history_", "results_", "segmenter_"))
+
+
 def test_mappings_of_training_travel(own, tmp_path):
     own.set_params(training=types.MappingProxyType({"n_points": 200})).save(tmp_path / "m.npz")
     assert lbs.LBSFitter.load(tmp_path / "m.npz").training == {"n_points": 200}

@@ -138,12 +138,14 @@ def test_ids_are_read_before_the_scans(tube_rig, clouds):
     assert collected(tube_rig, clouds[:4], [1, np.int64(1), "2", np.str_("2")]).subjects == [1, "2"]
 
 
-def test_the_odd_ones_are_all_but_the_largest_group():
+def test_the_odd_ones_are_far_from_the_largest_group():
     assert list(odd_ones(np.array([1.0, 1.2, 0.8, 1.1]), 1.6)) == []
     assert list(odd_ones(np.array([1.0, 2.6, 0.9, 1.1]), 1.6)) == [1]
     assert list(odd_ones(np.array([0.01, 1.0, 90.0, 0.9, 1.1]), 6)) == [0, 2]
     assert len(odd_ones(np.array([1.0, 1.1, 2.5, 2.6]), 1.6)) == 2
     assert list(odd_ones(np.array([3.0]), 1.6)) == []
+    assert list(odd_ones(np.array([1.0] * 10 + [0.8, 1.3]), 1.6)) == []  # no two far apart are far from the others
+    assert list(odd_ones(np.array([1.61] + [1.0] * 12 + [1.2, 1.4]), 1.6)) == [0]  # which makes none of the two odd
 
 
 @pytest.mark.parametrize(

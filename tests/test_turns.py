@@ -189,7 +189,7 @@ FASTER, AXES_TOO = "effort 'balanced' (--effort balanced) looks further", "witho
     "effort, orientation, up, words",
     [
         ("fast", "upright", None, (FASTER,)),
-        ("fast", "upright", "+z", (FASTER, AXES_TOO)),
+        ("fast", "upright", "+z", (FASTER, f"with that, and {AXES_TOO}")),
         ("balanced", "upright", "+z", (AXES_TOO,)),
         ("thorough", "upright", "+y", (AXES_TOO,)),
         ("balanced", "upright", None, ()),  # they are tried already

@@ -371,5 +371,8 @@ def stands_words(facing, rig, frame, theta):
 
 def further_words(settings, facing):
     """What would look further at a scan in doubt than a search with these settings, a tuple of strings for users."""
-    more = ("effort 'balanced' (--effort balanced) looks further",) if settings.effort == "fast" else ()
-    return (*more, "without up (--up) other axes are tried, too") if facing.told and len(facing.turns) > 1 else more
+    fast = settings.effort == "fast"
+    more = ("effort 'balanced' (--effort balanced) looks further",) if fast else ()
+    if facing.told and len(facing.turns) > 1:  # by a second look, which "fast" has none of
+        more += (f"{'with that, and ' if fast else ''}without up (--up) other axes are tried, too",)
+    return more

@@ -229,13 +229,12 @@ class LBSFitter(BaseEstimator):
         progress = progress or (lambda stage, share, figures=None: None)
         settings, jobs = fit_settings(self), jobs_of(self.n_jobs, None)
         if not variant.skinning:
-            self.segmenter_ = self.regressor_ = self.pose_prior_ = None
-            self.template_ = dict.fromkeys(collection.subjects, self.rig)
-            self.unit_ = {s: collection.of(s)[0].unit for s in collection.subjects}
-            self.history_, self._learned_with, self.results_ = [], learned_with(self), [None] * collection.n
-            self._set_aside(collection)
+            units = {s: collection.of(s)[0].unit for s in collection.subjects}
             kept = checkpoint.narrowed(self._made_of(seed))
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress, checkpoint=kept)
+            self.segmenter_ = self.regressor_ = self.pose_prior_ = None
+            self.template_, self.unit_ = dict.fromkeys(units, self.rig), units
+            self.history_, self._learned_with = [], learned_with(self)
             return self._finished(collection, results)
         segmenter, library = getattr(self, "_pretrained", None) or (None, None)
         if library is None or (variant.labels and segmenter is None) or is_stale(self):

@@ -134,8 +134,7 @@ class Loop:
     random_state : int
     progress : callable (stage, share, figures) or None
         ``figures`` is a round's entry of the history when it ends, else None.
-    on_round : callable (k, segmenter) or None, after each round
-    on_kept : callable (Learned) or None, after each round that is to be kept unless a later one is
+    on_round, on_kept : callable (k, segmenter), (Learned), or None, after a round; the latter if it is kept unless a later one is
     checkpoint : Checkpoint
         That depends on all of the above but for the collection, the variant, ``sequence``, ``smooth``, ``jobs`` and the number of
         rounds.
@@ -185,6 +184,7 @@ class Loop:
         started = time.perf_counter()
         self._first_fits()
         self._note(0, started, {})
+        self.progress("round", 1.0, self.history[-1])
         best, bring_back, learned = np.inf, None, None
         for k in range(1, self.settings.rounds + 1):
             began = time.perf_counter()
@@ -194,13 +194,14 @@ class Loop:
             self._last_steps(k, templates)
             templates = self._in_turn(k, templates)
             value = self._note(k, began, {"new_starts_won": won})
-            self.on_round(k, self.segmenter)
             fallen = value is None or value < best * (1 - self.settings.improvement)
             # Of rounds that are level the later, whose s has learned more.
             if fallen or value < best * (1 + self.settings.improvement) or learned is None:
                 best, learned = value, self._learned(k, templates)  # one that has not fallen is the last
-                self.on_kept(learned)
+                self.on_kept(learned)  # before others are told of the round, who may stop the run
                 bring_back = self.collection.as_it_is()
+            self.progress("round", 1.0, self.history[-1])
+            self.on_round(k, self.segmenter)
             if not fallen:
                 break
         bring_back()
@@ -446,5 +447,4 @@ class Loop:
             **more,
         }
         self.history.append(entry)
-        self.progress("round", 1.0, entry)
         return entry["recon_held_out"]

@@ -109,13 +109,13 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
 
 
 def odd_ones(sizes, most):
-    """Rows of positive sizes that are not like the others: where they span too much, all but the largest group between gaps.
+    """Rows of positive sizes unlike the others: where they span too much, those far from the largest group between gaps.
 
     Parameters
     ----------
     sizes : (n,) array
     most : float
-        Ratio of the largest to the smallest up to which all are alike.
+        Ratio of the largest to the smallest up to which all are alike, and to the group's median beyond which one is not.
 
     Returns
     -------
@@ -126,8 +126,8 @@ def odd_ones(sizes, most):
     if gaps.sum() <= np.log(most):
         return np.empty(0, dtype=int)
     groups = np.split(order, np.flatnonzero(gaps >= gaps.max() / 2) + 1)
-    largest = max(range(len(groups)), key=lambda k: len(groups[k]))
-    return np.sort(np.concatenate([g for k, g in enumerate(groups) if k != largest]))
+    typical = np.median(sizes[max(groups, key=len)])
+    return np.flatnonzero(np.abs(np.log(sizes / typical)) > np.log(most))
 
 
 def mixed_units(got):
