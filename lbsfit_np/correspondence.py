@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .errors import InputError, check_array, check_unmasked
+from .errors import InputError, as_array, check_array, check_unmasked
 from .neighbors import PointIndex
 from .optimize.surface import closest_on_mesh, faces_around
 
@@ -84,7 +84,7 @@ def surface_places(points, vertices, faces):
         best = _Best(first.corners, first.barycentric, np.linalg.norm(x - first.points, axis=1))
         for kind in kinds:
             _improve(best, x, vertices, faces, *kind)
-        corners[rows], barycentric[rows] = best.corners, best.barycentric
+        corners[rows], barycentric[rows] = best.corners, np.maximum(best.barycentric, 0.0)
     return corners, barycentric
 
 
@@ -150,7 +150,8 @@ def _checked_points(argument, value):
 
 
 def _checked_faces(faces, m):
-    faces = np.asarray(faces)
+    check_unmasked("faces", faces)
+    faces = as_array("faces", faces, "whole numbers of shape (F, 3), one triangle at least")
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces) or faces.dtype.kind not in "iu":
         got = f"{faces.dtype} values of shape {faces.shape}"
         raise InputError("faces", got, "whole numbers of shape (F, 3), one triangle at least", "Pass rig.faces.")

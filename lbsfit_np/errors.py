@@ -78,6 +78,7 @@ class MissingExtraError(LbsfitError, ImportError):
 def check_array(argument, value, shape, what=""):
     """``value`` as a finite float array of a given shape, or an InputError that names ``argument``; ``what`` its rows are."""
     check_unmasked(argument, value)
+    check_real(argument, value, f"an array of numbers of shape {shape}")
     try:
         a = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -89,6 +90,20 @@ def check_array(argument, value, shape, what=""):
     if not np.isfinite(a).all():
         raise InputError(argument, not_finite(int((~np.isfinite(a)).sum())), "finite numbers")
     return a
+
+
+def as_array(argument, value, expected):
+    """``value`` as an array of whatever it holds, or an InputError where its rows make none."""
+    try:
+        return np.asarray(value)
+    except (TypeError, ValueError):
+        raise InputError(argument, "rows of different lengths", expected) from None
+
+
+def check_real(argument, value, expected):
+    """Raise InputError where an array holds complex numbers: half of each would be lost without a word."""
+    if getattr(value, "dtype", np.dtype(float)).kind == "c":
+        raise InputError(argument, "complex numbers", expected)
 
 
 def check_unmasked(argument, value, *, rows="rows", remedy="Leave masked entries out, or fill them: numpy.ma.filled."):

@@ -40,7 +40,7 @@ class PointIndex:
         ----------
         queries : (k, 3) array
         labels : (k,) int array
-            Parts of the queries; needed exactly when the index has labels.
+            Parts of the queries, negative where one is of none; needed exactly when the index has labels.
 
         Returns
         -------
@@ -49,7 +49,8 @@ class PointIndex:
         """
         if self.labels is None:
             return self._tree.query(queries)[1]
-        known = (labels < len(self._present)) & self._present[np.minimum(labels, len(self._present) - 1)]
+        known = (labels >= 0) & (labels < len(self._present))
+        known[known] = self._present[labels[known]]
         index = np.full(len(queries), -1)
         if not known.any():
             return index

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError, brief, check_unmasked, counted
+from .errors import InputError, as_array, brief, check_unmasked, counted
 from .seeds import generator
 
 __all__ = ["Scan", "check_points", "count_distinct"]
@@ -54,15 +54,17 @@ class Scan:
         n = len(points)
         if self.normals is not None:
             check_unmasked("normals", self.normals)
-            normals = np.asarray(self.normals)
+            normals = as_array("normals", self.normals, f"numbers of shape ({n}, 3), one row per point")
             if normals.shape != (n, 3) or normals.dtype.kind not in "iuf":
                 raise InputError("normals", _described(normals), f"numbers of shape ({n}, 3), one row per point")
             object.__setattr__(self, "normals", _frozen(normals, np.float64))
         if self.labels is not None:
             check_unmasked("labels", self.labels)
-            labels = np.asarray(self.labels)
+            labels = as_array("labels", self.labels, f"whole numbers of shape ({n},), one per point")
             if labels.shape != (n,) or labels.dtype.kind not in "iu":
                 raise InputError("labels", _described(labels), f"whole numbers of shape ({n},), one per point")
+            if labels.dtype.kind == "u" and labels.max() > np.iinfo(np.int64).max:
+                raise InputError("labels", f"{labels.max()}", "whole numbers of at most 63 bits")
             object.__setattr__(self, "labels", _frozen(labels, np.int64))
         object.__setattr__(self, "notes", tuple(self.notes))
 

@@ -36,5 +36,5 @@ def _sequence(random_state, keys):
         return np.random.SeedSequence()
     if isinstance(random_state, bool) or not isinstance(random_state, (int, np.integer)) or random_state < 0:
         raise InputError("random_state", repr(random_state), "a non-negative integer, a numpy.random.Generator or None")
-    words = [k if isinstance(k, int) else zlib.crc32(k.encode()) for k in keys]
+    words = [zlib.crc32(k.encode()) if isinstance(k, str) else int(k) for k in keys]
     return np.random.SeedSequence(int(random_state), spawn_key=tuple(words))

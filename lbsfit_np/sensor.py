@@ -17,6 +17,8 @@ _PIXELS = 256
 _STEEPEST = 8.0
 # Batches of surface points, drawn until enough of them are seen.
 _BATCHES = 20
+# Sides that are tried until one shows anything.
+_SIDES = 20
 _CLUTTER_BOX, _FLOOR_BOX = 1.3, 1.5
 
 
@@ -55,9 +57,12 @@ def sample_seen_surface(vertices, faces, n, rng, *, up, density=0.0):
     Returns
     -------
     points, triangle, barycentric
-        As there; fewer than n only where next to nothing is seen.
+        As there; fewer than n only where next to nothing is seen, none where nothing is from any of some sides.
     """
-    view = View(vertices, faces, _random_side(up, rng))
+    for _ in range(_SIDES):  # a flat mesh has a back
+        view = View(vertices, faces, _random_side(up, rng))
+        if view.facing.any():
+            break
     weight = _densities(vertices, faces, density, rng) * view.facing
     batches, found = [], 0
     for _ in range(_BATCHES):

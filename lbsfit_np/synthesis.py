@@ -5,7 +5,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from .errors import InputError, brief, check_array, did_you_mean
+from .errors import InputError, as_array, brief, check_array, did_you_mean
 from .rig.chains import chains
 from .rig.frames import up_axis
 from .rotations import matrix_from_rotvec, rotvec_from_matrix
@@ -87,6 +87,8 @@ _RANGES = {
     "least_holes": (Integral, 0, _MOST),
     "least_hole": (Real, 0, 1),
     "noise": (Real, 0, 1),
+    "shape": (Real, 0, 0.4),
+    "density": (Real, 0, 10),
     "hole_radius": (Real, 0, 10),
     "scale": (Real, 0, 0.9),
     "one_sided": (bool, False, True),
@@ -181,7 +183,7 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
         if poses != "uniform":
             _check_library(rig, poses)
     elif poses is not None:
-        shape = np.shape(poses)
+        shape = as_array("poses", poses, f"shape (k, {len(rig.parents)}, 3) with k ≥ 1").shape
         if len(shape) != 3 or shape[1:] != rig.lower.shape or not shape[0]:
             raise InputError("poses", f"shape {shape}", f"shape (k, {len(rig.parents)}, 3) with k ≥ 1")
         poses = check_array("poses", poses, shape)
@@ -370,6 +372,8 @@ def synthesize_one(rig, pose, template, settings, rng):
     up, n = up_axis(rig), _n_before_holes(settings)
     if settings.one_sided:
         points, triangle, bary = sample_seen_surface(vertices, rig.faces, n, rng, up=up, density=settings.density)
+        if not len(points):
+            raise InputError("one_sided", "on, of a rig without any surface to be seen", "triangles that have an area")
     else:
         points, triangle, bary = sample_surface(vertices, rig.faces, n, rng, density=settings.density)
     labels = rig.vertex_labels[rig.faces[triangle, bary.argmax(axis=1)]]

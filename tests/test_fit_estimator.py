@@ -9,6 +9,7 @@ from fit_checks import assert_same
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.pretraining import pretrained_from
 from lbsfit_np.losses import PRESETS
 from lbsfit_np.segmentation import cache
 from lbsfit_np.synthesis import Synthesis
@@ -125,6 +126,13 @@ def test_what_was_pretrained_with_other_parameters_is_not_used(changed, given, t
     assert (fitter.segmenter_ is before[0]) == given and fitter.regressor_ is not before[1]
     other = lbs.LBSFitter(**fitter.get_params()).pretrain(segmenter=own)
     assert_same(found, other.fit_scan(tube_scan.points))
+
+
+@pytest.mark.parametrize("training, anew", [({}, False), ({"one_sided": True}, True), ({"floor": 0.1}, True)])
+def test_where_up_is_matters_to_training_that_depends_on_it(training, anew, tube_rig):
+    """To that alone: the rig's digest does not know of it."""
+    made = [pretrained_from(lbs.LBSFitter(replace(tube_rig, up=up), training=training, random_state=0)) for up in ("+y", "-x")]
+    assert (made[0] != made[1]) == anew
 
 
 def test_learning_does_not_use_what_was_pretrained_with_other_parameters_either(tube_rig, fitter):

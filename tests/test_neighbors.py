@@ -61,7 +61,11 @@ def test_parts_that_the_points_do_not_have():
     labels = np.where(labels == 1, 2, labels)  # a gap in the middle; parts beyond the last are asked for, too
     index = _check(points, labels, queries, asked + 1)
     assert (index < 0).any() and (index >= 0).any()
-    assert (PointIndex(points, labels).nearest(queries, np.full(len(queries), 99)) == -1).all()
+    for part in (99, -1, -7):  # negative: of none
+        assert (PointIndex(points, labels).nearest(queries, np.full(len(queries), part)) == -1).all()
+    some = np.where(np.arange(len(asked)) % 3 == 0, -1, asked)
+    known = PointIndex(points, labels).nearest(queries, asked)
+    np.testing.assert_array_equal(PointIndex(points, labels).nearest(queries, some), np.where(some < 0, -1, known))
 
 
 @pytest.mark.parametrize("far", [1e1, 1e3, 1e6, 1e12])

@@ -46,6 +46,25 @@ def test_rig_is_immutable_and_leaves_the_data_alone():
     assert abs(rig.weights.sum(axis=1) - 1).max() < 1e-12
 
 
+def test_templates_leave_their_givers_arrays_alone(tube_rig):
+    vertices, joints, theta = tube_rig.vertices + 0.1, tube_rig.joints + 0.1, np.zeros((4, 3))
+    rig = replace(tube_rig.with_template(vertices, joints), poses={"mine": theta})
+    before = rig.vertices.copy()
+    vertices += 1.0
+    joints += 1.0
+    theta += 1.0
+    np.testing.assert_array_equal(rig.vertices, before)
+    assert not rig.poses["mine"].any() and not rig.poses["mine"].flags.writeable
+    assert rig.with_parts("joints").vertices is rig.vertices  # what nobody can write to is not copied
+
+
+def test_loose_vertices_are_no_measure_of_the_size(tube_rig):
+    data = make_tube_data()
+    weights = sparse.csr_array(sparse.vstack([data.weights, data.weights[[0]]]))
+    loose = build_rig(replace(data, vertices=np.vstack([data.vertices, [[0, 99, 0]]]), weights=weights, regressor=None))
+    assert loose.size == tube_rig.size and "1 vertices belong to no face" in loose.notes
+
+
 def test_rig_travels_to_other_processes(tube_rig):
     tube_rig.welded.vertex_labels  # noqa: B018 - what has been computed goes along
     again = pickle.loads(pickle.dumps(tube_rig))

@@ -175,6 +175,39 @@ def test_off_in_its_many_spellings(tmp_path, head):
     assert "2 triangles" in load_scan(tmp_path / "m.off", n_samples=9).notes[-1]
 
 
+MARK = b"\xef\xbb\xbf"
+
+
+@pytest.mark.parametrize(
+    "name, text",
+    [
+        ("m.obj", obj()),
+        ("m.off", off()),
+        ("p.xyz", rows(POINTS)),
+        ("p.csv", rows(POINTS, sep=";").replace(".", ",")),
+        ("p.txt", "x y z\n" + rows(POINTS)),
+        ("s.stl", ascii_stl()),
+    ],
+)
+def test_a_mark_of_utf_8_is_no_part_of_the_text(tmp_path, name, text):
+    """Some editors write it; a vertex in the first line of an OBJ was lost for it, and all faces moved by one."""
+    text = text if isinstance(text, bytes) else text.encode()
+    if name == "m.obj":
+        text = text[text.index(b"v ") :]
+    plain, marked = load_scan(write(tmp_path, name, text)), load_scan(write(tmp_path, "marked-" + name, MARK + text))
+    np.testing.assert_array_equal(marked.points, plain.points)
+    if name != "p.csv":
+        np.testing.assert_array_equal(marked.points[:4], POINTS[:4])
+
+
+@pytest.mark.parametrize("change", [bytes.upper, lambda t: b" \n " + t, lambda t: t.replace(b"solid", b"solid vertex group")])
+def test_ascii_stl_in_its_many_spellings(tmp_path, change):
+    text = ascii_stl()
+    text = text if isinstance(text, bytes) else text.encode()
+    plain, other = load_scan(write(tmp_path, "a.stl", text)), load_scan(write(tmp_path, "b.stl", change(text)))
+    np.testing.assert_array_equal(other.points, plain.points)
+
+
 @pytest.mark.parametrize("order", ["<", ">", None])
 def test_ply_with_mixed_polygons(tmp_path, order):
     polygons = [[0, 1, 2, 3], [0, 1, 2], [1, 2]]

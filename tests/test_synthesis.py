@@ -360,6 +360,9 @@ def test_samples_are_uniform_by_area_and_on_their_triangles(tube_rig):
         ({"noise": None}, ["noise: got None"]),
         ({"noise": np.nan}, ["noise: got nan"]),
         ({"density": np.inf}, ["density: got inf"]),
+        ({"density": 300}, ["density: got 300", "at most 10"]),
+        ({"shape": 0.6}, ["shape: got 0.6", "at most 0.4"]),
+        ({"poses": [[[0.0]], [[0.0, 0.0]]]}, ["poses: got rows of different lengths", "(k, 4, 3)"]),
         ({"hole_radius": 50}, ["hole_radius: got 50", "at most 10. It is in half sizes of the rig."]),
         ({"holes": 1.5}, ["holes: got 1.5", "integer"]),
         ({"holes": True}, ["holes: got True", "integer"]),
@@ -392,6 +395,11 @@ def test_settings_pass_through():
     assert made == Synthesis(n_points=10, turn=1)
     assert make_settings(made) is made
     assert make_settings({"n_points": np.int64(5), "noise": np.float32(0.5)}).n_points == 5
+
+
+def test_numpy_numbers_name_scans_as_well(tube_rig):
+    made = [synthesize_nth(tube_rig, i, Synthesis(n_points=20), random_state=4) for i in (3, np.int64(3))]
+    np.testing.assert_array_equal(made[0].points, made[1].points)
 
 
 def test_no_scans_is_an_empty_list(tube_rig):

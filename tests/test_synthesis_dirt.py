@@ -1,5 +1,7 @@
 """What a sensor makes of a body: one-sided views, clutter and floors, which no segmenter learns as parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -13,6 +15,19 @@ from lbsfit_np.synthesis import Synthesis, make_settings
 
 CLEAN = {"noise": 0.0, "holes": 0, "density": 0.0}
 X, Y, Z = np.eye(3)
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_of_a_flat_mesh_a_side_is_taken_that_shows_something(seed):
+    square = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]), np.array([[0, 1, 2], [0, 2, 3]])
+    points, _, _ = sample_seen_surface(*square, 30, np.random.default_rng(seed), up=Y)
+    assert len(points) == 30
+
+
+def test_a_mesh_that_no_camera_sees_is_an_error(tube_rig):
+    thread = replace(tube_rig, vertices=tube_rig.vertices * [0, 1, 0])
+    with pytest.raises(InputError, match="one_sided: got on, of a rig without any surface"):
+        lbs.synthesize(thread, random_state=1, n_points=20, one_sided=True, poses=np.zeros((1, 4, 3)), shape=0.0)
 
 
 def _box(points):

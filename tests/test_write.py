@@ -150,6 +150,8 @@ def test_points_come_back(tmp_path):
         ({"colors": COLORS / 255}, "colors: got float64.*unsigned bytes"),
         ({"normals": POINTS[:, :2]}, "normals"),
         ({"confidence": np.zeros((40, 2))}, "confidence"),
+        ({"labels": LABELS + 2**40}, "labels: got .*whole numbers from -2147483648 to 2147483647"),
+        ({"colors": np.full((40, 3), 300, dtype=np.uint16)}, "colors: got 300 to 300; expected whole numbers from 0 to 255"),
     ],
 )
 def test_arrays_that_do_not_fit_the_points(tmp_path, wrong, words):
@@ -157,6 +159,11 @@ def test_arrays_that_do_not_fit_the_points(tmp_path, wrong, words):
         write_points_ply(tmp_path / "p.ply", POINTS, **wrong)
     with pytest.raises(InputError, match="faces"):
         write_mesh_ply(tmp_path / "p.ply", POINTS, FACES[:, :2])
+    for wrong in (FACES + 40, FACES - 40, FACES + 2**33):
+        with pytest.raises(InputError, match="faces: got .*whole numbers from 0 to 39"):
+            write_mesh_ply(tmp_path / "p.ply", POINTS, wrong)
+    with pytest.raises(InputError, match="points: got complex numbers"):
+        write_points_ply(tmp_path / "p.ply", POINTS * 1j)
     assert names(tmp_path) == []
 
 

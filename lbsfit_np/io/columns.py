@@ -1,5 +1,6 @@
 """Scans as tables: CSV, XYZ and TXT files, with or without a header, and the arrays of NPY and NPZ files."""
 
+import codecs
 import re
 import warnings
 
@@ -77,12 +78,13 @@ def read_table(path):
     return cloud
 
 
+_MARK = codecs.BOM_UTF8
 # A picture has at least so many rows and columns, and at most so many times as many of one as of the other.
 _PICTURE, _LONG = 48, 4
 
 
 def read_npy(path):
-    """Read an (n, 3) or (n, 6+) array, or a structured one with fields x, y, z; see :func:`read_table` for further columns."""
+    """Read an (n, 3 or more) array, or a structured one with fields x, y, z; see :func:`read_table` for further columns."""
     array = npz.read_npy(path)
     if array.dtype.names:
         return cloud_from_columns(path, "fields", array.dtype.names, lambda k: array.reshape(-1)[array.dtype.names[k]])
@@ -164,6 +166,12 @@ def _is_header(cells, delimiter):
     return any(cell and not _is_number(cell) for cell in cells) and not all(map(_is_number, cells[:3]))
 
 
+def _begins_with_a_mark(path):
+    """Whether a file has the mark that some programs write before UTF-8."""
+    with open(path, "rb") as file:
+        return file.read(len(_MARK)) == _MARK
+
+
 def _load(path, skip, delimiter, usecols, decimal_comma):
     """The wanted columns as an (n, c) array."""
     options = {"delimiter": delimiter, "usecols": usecols, "ndmin": 2, "skiprows": skip, "encoding": "latin-1", "quotechar": '"'}
@@ -171,15 +179,17 @@ def _load(path, skip, delimiter, usecols, decimal_comma):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            if decimal_comma:
-                source = [line.replace(",", ".") for line in path.read_text("latin-1").splitlines()]
+            if decimal_comma or _begins_with_a_mark(path):
+                lines = path.read_text("latin-1").removeprefix(_MARK.decode("latin-1")).splitlines()
+                source = [line.replace(",", ".") for line in lines] if decimal_comma else lines
             try:
                 return np.loadtxt(source, **options)
             except ValueError:
                 if delimiter is None:
                     raise
-                # Slower: an empty cell is a missing value, and becomes NaN.
-                return np.loadtxt(source, converters=lambda cell: float(cell) if cell.strip() else np.nan, **options)
+                # Slower: an empty cell is a missing value, and becomes NaN; a decimal comma may come after a first row without.
+                point = "," if delimiter == ";" else "."
+                return np.loadtxt(source, converters=lambda c: float(c.replace(point, ".")) if c.strip() else np.nan, **options)
     except (ValueError, IndexError) as error:
         what = re.sub(r"at row (\d+)", lambda m: f"in row {int(m[1]) + 1}", str(error).split(";")[0]).rstrip(".")
         expected = "one point per line, the same number of columns in each"

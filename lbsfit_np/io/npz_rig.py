@@ -83,7 +83,12 @@ def save_rig(rig, path):
     ----------
     rig : Rig
     path : path-like
-        Should end in ``.npz``, by which ``load_rig`` knows it.
+        Ends in ``.npz``, by which ``load_rig`` knows it.
+
+    Raises
+    ------
+    FileError
+        Another ending, or a place that cannot be written to.
     """
     check_npz_name(path)
     write_npz(path, **rig_arrays(rig))

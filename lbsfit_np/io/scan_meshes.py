@@ -19,6 +19,8 @@ from .cloud import CloudData, fans
 __all__ = ["read_obj", "read_off", "read_stl"]
 
 _TRUNCATED = "The file is truncated or damaged, or its extension is wrong."
+# The mark that some programs write before UTF-8, as Latin-1 has it.
+_BOM = "\xef\xbb\xbf"
 
 
 def read_obj(path):
@@ -33,15 +35,15 @@ def read_obj(path):
 
         def vertex_lines():  # one pass over the file: loadtxt pulls the vertices, the rest is put aside on the way
             for number, line in enumerate(file, 1):
-                words = line.split(None, 1)
+                words = (line.removeprefix(_BOM) if number == 1 else line).split(None, 1)
                 if not words or len(words) < 2:
                     continue
                 if words[0] == "v":
                     counts["v"] += 1
-                    yield line
+                    yield line.removeprefix(_BOM)
                 elif words[0] == "vn":
                     counts["vn"] += 1
-                    normal_lines.append(line)
+                    normal_lines.append(line.removeprefix(_BOM))
                 elif words[0] == "f":
                     _face(words[1], number)
 
@@ -80,7 +82,7 @@ def read_stl(path):
     if len(data) == 84 + 50 * count:
         corners = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("extra", "<u2")]), count, 84)
         corners = corners["corners"].reshape(-1, 3)
-    elif data[:5].lower() == b"solid" and b"facet" in data[:4096]:
+    elif (start := data[:4096].removeprefix(_BOM.encode("latin-1")).lstrip().lower()).startswith(b"solid") and b"facet" in start:
         corners = _ascii_corners(path, data)
     elif count >= 0:
         got = f"{len(data)} bytes where its header announces {count} triangles"
@@ -103,7 +105,7 @@ def read_off(path):
     """Read an ASCII OFF file (also COFF, NOFF and the like), its polygons as fans of triangles; colours are not looked at."""
     with open(path, "rb") as file:
         head = file.read(512)
-    magic = re.match(rb"(?:\s|#[^\n]*\n)*(ST)?(C)?(N)?(4)?(n)?OFF(?![a-zA-Z])", head)
+    magic = re.match(rb"(?:\xef\xbb\xbf)?(?:\s|#[^\n]*\n)*(ST)?(C)?(N)?(4)?(n)?OFF(?![a-zA-Z])", head)
     if magic is None or magic[4] or magic[5] or b"BINARY" in head or b"\0" in head:
         got = "content that does not start with 'OFF'" if magic is None else "a binary or higher-dimensional OFF file"
         raise FileError(
@@ -177,7 +179,8 @@ def _normals_of_vertices(normals, n, corners, corner_normals):
 
 
 def _ascii_corners(path, data):
-    words = data.split()
+    names = rb"^[ \t]*solid\b(?:(?!facet)[^\r\n])*|(?<=endsolid)(?:(?!solid)[^\r\n])*"  # which may hold any word
+    words = re.sub(names, b"", data.lower(), flags=re.MULTILINE).split()
     corners = [k for k, word in enumerate(words) if word == b"vertex"]
     facets = words.count(b"endfacet")
     if b"endsolid" not in words or len(corners) != 3 * facets:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, as_array, check_real
 
 __all__ = [
     *("atomic_path", "check_folder", "check_npz_name", "make_folder", "remove_empty"),
@@ -168,6 +168,7 @@ def write_mesh_ply(path, vertices, faces, *, vertex_labels=None, colors=None, no
     faces = np.asarray(faces)
     if faces.ndim != 2 or faces.shape[1] != 3 or faces.dtype.kind not in "iu":
         raise InputError("faces", f"{faces.dtype} values of shape {faces.shape}", "whole numbers of shape (F, 3)")
+    _check_range("faces", faces, 0, len(table) - 1)
     rows = np.empty(len(faces), dtype=[("count", "u1"), ("rows", "<i4", 3)])
     rows["count"], rows["rows"] = 3, faces
     _write_ply(path, table, rows, part_names)
@@ -232,13 +233,15 @@ def write_npz(path, /, **arrays):
 
 
 _PLY_NAMES = {"f8": "double", "f4": "float", "i4": "int", "u1": "uchar"}
+_WHOLE = {"|u1": (0, 255), "<i4": (-(2**31), 2**31 - 1)}
 
 
 def _vertex_table(points, *, normals=None, colors=None, labels=None, confidence=None):
     """The vertex element as a structured array, one field per property."""
-    points = np.asarray(points)
+    points = as_array("points", points, "shape (n, 3)")
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError("points", f"an array of shape {points.shape}", "shape (n, 3)")
+    check_real("points", points, "numbers of shape (n, 3)")
     n = len(points)
     columns = [(("x", "y", "z"), "<f8", points)]
     for names, kind, argument, values, allowed in (
@@ -254,12 +257,20 @@ def _vertex_table(points, *, normals=None, colors=None, labels=None, confidence=
         if values.shape != wanted or values.dtype.kind not in allowed:
             what = {"u": "unsigned bytes (0–255)", "iu": "whole numbers"}.get(allowed, "numbers")
             raise InputError(argument, f"{values.dtype} values of shape {values.shape}", f"{what} of shape {wanted}")
+        if kind in _WHOLE:
+            _check_range(argument, values, *_WHOLE[kind])
         columns.append((names, kind, values))
     table = np.empty(n, dtype=[(name, kind) for names, kind, _ in columns for name in names])
     for names, _, values in columns:
         for k, name in enumerate(names):
             table[name] = values if values.ndim == 1 else values[:, k]
     return table
+
+
+def _check_range(argument, values, least, most):
+    """Raise where whole numbers would become others in the file."""
+    if values.size and not least <= int(values.min()) <= int(values.max()) <= most:
+        raise InputError(argument, f"{values.min()} to {values.max()}", f"whole numbers from {least} to {most}")
 
 
 def _write_ply(path, table, faces, part_names):

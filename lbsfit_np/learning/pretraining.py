@@ -44,7 +44,7 @@ def pretrain_segmenter(rig, synthesis, n_scans, *, random_state, n_jobs, cache, 
         scans = TrainingScans(rig, synthesis, seed)
         return train_segmenter(rig, scans, n_scans, random_state=seed, n_jobs=n_jobs, progress=progress)
 
-    key = rig.digest, synthesis, n_scans, Descriptor(), Training(), int(seed)
+    key = rig.digest, synthesis, n_scans, Descriptor(), Training(), int(seed), *_seen_from(rig, synthesis)
     return cached("segmenter", key, train, Segmenter.load) if cache else train()
 
 
@@ -69,14 +69,20 @@ def pretrain_library(rig, synthesis, n_scans, *, random_state, jobs, cache, prog
     def train():
         return build_library(StartScans(rig, synthesis, seed), n, random_state=seed, jobs=jobs, progress=progress)
 
-    key = rig.digest, rig.poses_digest, synthesis, n, int(seed)
+    key = rig.digest, rig.poses_digest, synthesis, n, int(seed), *_seen_from(rig, synthesis)
     return cached("library", key, train, PoseLibrary.load) if cache else train()
 
 
 def pretrained_from(fitter):
     """What pretraining goes by, of a fitter as it now is; seeds that no run has again say nothing."""
     rig, seed = fitter.rig, fitter.random_state if fitter._repeatable() else None
-    return rig.digest, rig.poses_digest, fitter._synthesis(), fitter.training_scans, seed
+    synthesis = fitter._synthesis()
+    return rig.digest, rig.poses_digest, synthesis, fitter.training_scans, seed, *_seen_from(rig, synthesis)
+
+
+def _seen_from(rig, synthesis):
+    """The up axis where training scans depend on it, which the rig's digest does not know."""
+    return (rig.up,) if synthesis.one_sided or synthesis.floor else ()
 
 
 def is_stale(fitter):

@@ -34,7 +34,7 @@ def chamfer(X, V, *, x_weights=None, v_weights=None, x_index=None):
     Raises
     ------
     InputError
-        Wrong shapes, an empty set, numbers that are not finite, weights that are negative or all 0.
+        Wrong shapes, an empty set, numbers that are not finite or beyond 1e150, weights that are negative or all 0.
     """
     X, V = check_set("X", X), check_set("V", V)
     x_weights, v_weights = check_weights("x_weights", x_weights, len(X)), check_weights("v_weights", v_weights, len(V))

@@ -5,18 +5,21 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import InputError, brief, check_unmasked, not_finite
+from ..errors import InputError, as_array, brief, check_real, check_unmasked, not_finite
 from ..neighbors import PointIndex
 
 __all__ = ["check_index", "check_labels", "check_number", "check_same_length", "check_set", "check_weights"]
 
 # Searching within parts takes memory, and loses digits, in proportion to the largest label.
 _MOST_PARTS = 2**16
+# Sums of many squares of coordinates have to stay within double precision.
+_LARGEST = 1e150
 
 
 def check_set(argument, value):
     """A point set as a finite, non-empty (k, 3) float array; the input itself where it is one."""
     check_unmasked(argument, value)
+    check_real(argument, value, "numbers of shape (k, 3)")
     try:
         a = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -27,8 +30,11 @@ def check_set(argument, value):
         raise InputError(argument, f"shape {a.shape}", "shape (k, 3), one point a row")
     if not len(a):
         raise InputError(argument, "an empty set", "at least one point")
-    finite = np.isfinite(a)
-    if not finite.all():
+    largest = np.abs(a).max()
+    if not largest < _LARGEST:  # not: NaN fails every comparison
+        finite = np.isfinite(a)
+        if finite.all():
+            raise InputError(argument, f"coordinates of up to {largest:.3g}", f"coordinates below {_LARGEST:.0e}")
         bad = np.flatnonzero(~finite.all(axis=1))
         raise InputError(argument, f"{not_finite(len(bad), 'point')}, the first at row {bad[0]}", "finite numbers")
     return a
@@ -43,7 +49,7 @@ def check_same_length(argument, a, other, b):
 def check_labels(argument, value, n):
     """Parts of n points as an int array of values from 0."""
     check_unmasked(argument, value)
-    a = np.asarray(value)
+    a = as_array(argument, value, f"integers of shape ({n},)")
     if a.shape != (n,):
         raise InputError(argument, f"shape {a.shape}", f"shape ({n},), one label a point")
     if a.dtype.kind not in "iu":
@@ -54,7 +60,7 @@ def check_labels(argument, value, n):
     if a.max() >= _MOST_PARTS:
         got = f"{a.max()} at index {a.argmax()}"
         raise InputError(argument, got, f"integers below {_MOST_PARTS}", "Number the parts from 0 on.")
-    return a
+    return a.astype(np.intp, copy=False)
 
 
 def check_weights(argument, value, n):

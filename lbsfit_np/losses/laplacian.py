@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError
+from ..errors import InputError, as_array
 from .checks import check_set
 
 __all__ = ["cotangent_matrix", "laplacian_offsets", "laplacian_posed"]
@@ -90,12 +90,12 @@ def laplacian_offsets(offsets, K, *, squared=False):
 
 
 def _faces(faces, m):
-    faces = np.asarray(faces)
+    faces = as_array("faces", faces, "integers of shape (F, 3)")
     if faces.ndim != 2 or faces.shape[1] != 3 or (faces.dtype.kind not in "iu" and faces.size):
         raise InputError("faces", f"{faces.dtype} values of shape {faces.shape}", "integers of shape (F, 3)")
     if faces.size and (faces.min() < 0 or faces.max() >= m):
         raise InputError("faces", f"rows from {faces.min()} to {faces.max()}", f"rows of the {m} vertices, 0 to {m - 1}")
-    return faces
+    return faces.astype(np.intp, copy=False)
 
 
 def _norm(argument, Y, K, squared):
@@ -103,9 +103,11 @@ def _norm(argument, Y, K, squared):
     if getattr(K, "shape", None) != (len(Y), len(Y)):
         got = type(K).__name__ if not hasattr(K, "shape") else f"shape {K.shape}"
         raise InputError("K", got, f"shape ({len(Y)}, {len(Y)}), one row for each of the {len(Y)} vertices in {argument}")
-    KY = K @ Y
+    KY = np.asarray(K @ Y)
     square = float(np.vdot(KY, KY))
+    if not np.isfinite(square):
+        raise InputError("K", f"a matrix whose product with {argument} is not finite", "finite numbers")
     if squared:
-        return square, 2.0 * (K.T @ KY)
+        return square, 2.0 * np.asarray(K.T @ KY)
     norm = np.sqrt(square)
-    return norm, (K.T @ KY) / norm if norm > 0 else np.zeros_like(Y)
+    return norm, np.asarray(K.T @ KY) / norm if norm > 0 else np.zeros_like(Y)

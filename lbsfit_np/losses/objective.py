@@ -158,6 +158,8 @@ def objective(
         else:
             if offsets is None:
                 raise InputError("offsets", "None", "U^d − U, shape (m, 3)", "The 'offsets' Laplacian looks at them.")
+            offsets = check_set("offsets", offsets)
+            check_same_length("offsets", offsets, "V", V)
             terms["laplacian"], g = laplacian_offsets(offsets, K, squared=weights.squared)
             grad_offsets += weights.lam_lap * g
         value += weights.lam_lap * terms["laplacian"]

@@ -2,6 +2,7 @@
 
 import shlex
 from collections.abc import Mapping
+from numbers import Real
 
 import numpy as np
 from scipy import sparse
@@ -25,6 +26,8 @@ __all__ = [
 _ROUNDING = 1e-5
 # Weight sums within 1 % of 1 are put right; others are not what the artist meant.
 _TOLERATED = 0.01
+# Beyond, squares of lengths leave double precision.
+_LARGEST = 1e100
 
 
 class Reporter:
@@ -46,6 +49,8 @@ class Reporter:
             a = np.asarray(value)
         except (TypeError, ValueError):
             self.fail(field, type(value).__name__, f"an array of {kind} of shape {words}")
+        if np.ma.is_masked(value):
+            self.fail(field, "a masked array", f"an array of {kind} of shape {words}", "Fill it: numpy.ma.filled.")
         if a.dtype.kind not in "fiu" or (kind == "indices" and a.dtype.kind == "f"):
             self.fail(
                 field, f"an array of type {a.dtype}", f"an array of {kind if kind == 'numbers' else 'integers'} of shape {words}"
@@ -85,6 +90,8 @@ def check_mesh(report, vertices, faces):
     m = len(vertices)
     if m < 3:
         report.fail("vertices", f"{m} vertices", "at least 3")
+    if (most := np.abs(vertices).max()) > _LARGEST:
+        report.fail("vertices", f"coordinates of up to {most:.3g}", f"coordinates of at most {_LARGEST:.0e}")
     if np.ptp(vertices, axis=0).max() == 0:
         report.fail("vertices", f"{m} vertices that are all at one point", "a mesh with some size")
     if len(faces) == 0:
@@ -233,9 +240,7 @@ def check_limits(report, lower, upper, names):
 
 def check_directions(report, unit, up, forward, card=""):
     """Unit and axes, where known; some of them by a card, which is named."""
-    if unit is not None and not (
-        isinstance(unit, (int, float)) and not isinstance(unit, bool) and np.isfinite(unit) and unit > 0
-    ):
+    if unit is not None and not (isinstance(unit, Real) and not isinstance(unit, bool) and 0 < unit < np.inf):
         report.fail("metres_per_unit", repr(unit), "a positive number, or None where unknown")
     for field, value in (("up", up), ("forward", forward)):
         if value is not None and value not in AXES:

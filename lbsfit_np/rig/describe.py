@@ -20,8 +20,8 @@ def describe(rig, *, degrees=False):
     Returns
     -------
     str
-        Several lines. Of each joint: its state (root, moves, locked, merged), its part, the share of the skinning weight that
-        it carries (of all vertices), and its limits about x, y, z; axes that do not turn are shown as a dash.
+        Several lines. Of each joint: its state (root, moves, locked, merged, still), its part, the share of the skinning weight
+        that it carries (of all vertices), and its limits about x, y, z; axes that do not turn are shown as a dash.
     """
     lines = [f"Rig {rig.name}", *(f"  {label:<10}{value}" for label, value in _facts(rig)), ""]
     unit = "degrees" if degrees else "radians"

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from ..errors import InputError, brief, check_array
+from .locked import locked
 from .partition import check_partition, parts_of_joints, vertex_parts
 from .proportions import proportions
 from .shapes import ShapeSpace
@@ -34,7 +35,7 @@ class Rig:
         U, the template in the rest pose.
     faces : (F, 3) int array
     weights : (m, J) sparse csr_array
-        Skinning weights w, rows sum to 1; a merged joint's weights stand in its parent's column.
+        Skinning weights w, rows sum to 1; a merged joint's stand in the column of the nearest joint above that is not merged.
     parents : (J,) int array
         K, the joint hierarchy; −1 for the root.
     joint_names : tuple of str
@@ -46,7 +47,7 @@ class Rig:
         (R_l, R_u), joint-angle limits in radians about the rest frame's axes; 0, 0 for locked and merged joints.
         The root's serve for sampling poses only: a fit leaves the root unbounded.
     regressor : (J, m) sparse csr_array
-        Joint regressor R, rows sum to 1, R U = J.
+        Joint regressor R, rows sum to 1, R U = J wherever the vertices reach: not of a joint off the plane of a flat mesh.
     merged, locked : (J,) bool arrays
         Merged joints have given their weights to their parents; locked joints keep their weights but never turn.
     partitions : mapping of str to mapping of str to tuple of str
@@ -90,11 +91,9 @@ class Rig:
     smpl_rest: np.ndarray | None = None
 
     def __post_init__(self):
-        for value in (*self.__dict__.values(), *self.poses.values()):
-            arrays = (value.data, value.indices, value.indptr) if sparse.issparse(value) else (value,)
-            for array in arrays:
-                if isinstance(array, np.ndarray):
-                    array.flags.writeable = False
+        for name, value in list(self.__dict__.items()):
+            object.__setattr__(self, name, locked(value))
+        object.__setattr__(self, "poses", {name: locked(pose) for name, pose in self.poses.items()})
 
     def __repr__(self):
         m, J = self.weights.shape
@@ -102,8 +101,9 @@ class Rig:
 
     def __setstate__(self, state):
         """Restore a pickled rig; NumPy's pickles forget that arrays were locked."""
-        self.__dict__.update(state)
-        self.__post_init__()
+        self.__dict__.update({name: locked(value, copy=False) for name, value in state.items()})
+        for pose in self.poses.values():
+            locked(pose, copy=False)
 
     def __deepcopy__(self, memo):
         return self  # immutable: a copy would be the same rig
@@ -136,8 +136,9 @@ class Rig:
 
     @cached_property
     def size(self):
-        """Longest side of the rest pose's bounding box, in rig units."""
-        return float(np.ptp(self.vertices, axis=0).max())
+        """Longest side of the bounding box of the rest pose's faces, in rig units: loose vertices are no part of the surface."""
+        used = np.unique(self.faces) if len(self.faces) else slice(None)
+        return float(np.ptp(self.vertices[used], axis=0).max())
 
     @cached_property
     def weights_transposed(self):
@@ -185,7 +186,10 @@ class Rig:
 
     @cached_property
     def digest(self):
-        """Hex digest of all that a segmenter or a fit depends on: geometry, weights, regressor, hierarchy, limits, parts."""
+        """Hex digest of what segmenters and fits are of: geometry, weights, regressor, hierarchy, limits, parts.
+
+        Not of the unit and the axes, which only tell how a scan may lie and be measured.
+        """
         h = hashlib.sha256()
         for a in (self.vertices, self.faces, self.parents, self.joints, self.frames, self.lower, self.upper):
             h.update(_bytes(a))

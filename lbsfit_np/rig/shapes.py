@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError
+from .locked import locked
 
 __all__ = ["ShapeSpace", "check_shapes", "from_counts", "to_counts"]
 
@@ -52,14 +53,12 @@ class ShapeSpace:
     joints: np.ndarray
 
     def __post_init__(self):
-        for value in self.__dict__.values():
-            if isinstance(value, np.ndarray):
-                value.flags.writeable = False
+        for name, value in list(self.__dict__.items()):
+            object.__setattr__(self, name, locked(value))
 
     def __setstate__(self, state):
         """Restore a pickled space; NumPy's pickles forget that arrays were locked."""
-        self.__dict__.update(state)
-        self.__post_init__()
+        self.__dict__.update({name: locked(value, copy=False) for name, value in state.items()})
 
     def __len__(self):
         return len(self.names)

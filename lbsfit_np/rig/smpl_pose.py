@@ -7,7 +7,7 @@ rotations are W_j = G_j A_jᵀ, and what it calls the pose are the rotation vect
 
 import numpy as np
 
-from ..errors import InputError, check_array
+from ..errors import InputError, as_array, check_array
 from ..rotations import matrix_from_rotvec, rotvec_from_matrix
 
 __all__ = ["from_smpl_pose", "to_smpl_pose"]
@@ -25,9 +25,10 @@ def from_smpl_pose(rig, pose):
     """``Rig.from_smpl_pose``."""
     _check(rig)
     J = len(rig.parents)
-    if np.shape(pose) not in ((J, 3), (3 * J,)):
-        raise InputError("pose", f"shape {np.shape(pose)}", f"shape ({J}, 3) or ({3 * J},)")
-    pose = check_array("pose", pose, np.shape(pose)).reshape(J, 3)
+    shape = as_array("pose", pose, f"shape ({J}, 3) or ({3 * J},)").shape
+    if shape not in ((J, 3), (3 * J,)):
+        raise InputError("pose", f"shape {shape}", f"shape ({J}, 3) or ({3 * J},)")
+    pose = check_array("pose", pose, shape).reshape(J, 3)
     G = _to_global(rig, matrix_from_rotvec(pose)) @ rig.smpl_rest
     return np.einsum("jab,ja->jb", rig.frames, rotvec_from_matrix(_to_local(rig, G)))
 

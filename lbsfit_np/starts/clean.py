@@ -81,7 +81,7 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, 
     ------
     InputError
         Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed"; fewer
-        points that take part than the rig has parts; weights that are all 0.
+        points than the rig has parts once some are left out; weights that are all 0.
     """
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if not len(rows):

@@ -1,0 +1,19 @@
+"""Arrays that nobody can write to any more: what makes rigs and their parts immutable."""
+
+import numpy as np
+from scipy import sparse
+
+__all__ = ["locked"]
+
+
+def locked(value, copy=True):
+    """An array or sparse matrix read-only, by default a copy where its maker could still write to it; others as they are."""
+    if isinstance(value, np.ndarray):
+        value = value.copy() if copy and value.flags.writeable else value
+        value.flags.writeable = False
+    elif sparse.issparse(value):
+        if copy and any(a.flags.writeable for a in (value.data, value.indices, value.indptr)):
+            value = value.copy()
+        for a in (value.data, value.indices, value.indptr):
+            a.flags.writeable = False
+    return value
