@@ -6,7 +6,14 @@ import numpy as np
 
 from .errors import InputError
 
-__all__ = ["generator", "integer_seed"]
+__all__ = ["check_random_state", "generator", "integer_seed"]
+
+
+def check_random_state(random_state):
+    """Raise InputError unless it is a seed, a Generator or None."""
+    number = isinstance(random_state, (int, np.integer)) and not isinstance(random_state, bool) and random_state >= 0
+    if not (number or random_state is None or isinstance(random_state, np.random.Generator)):
+        raise InputError("random_state", repr(random_state), "a non-negative integer, a numpy.random.Generator or None")
 
 
 def generator(random_state, *keys):
@@ -34,7 +41,6 @@ def integer_seed(random_state, *keys):
 def _sequence(random_state, keys):
     if random_state is None:
         return np.random.SeedSequence()
-    if isinstance(random_state, bool) or not isinstance(random_state, (int, np.integer)) or random_state < 0:
-        raise InputError("random_state", repr(random_state), "a non-negative integer, a numpy.random.Generator or None")
+    check_random_state(random_state)
     words = [zlib.crc32(k.encode()) if isinstance(k, str) else int(k) for k in keys]
     return np.random.SeedSequence(int(random_state), spawn_key=tuple(words))

@@ -137,8 +137,9 @@ def test_parameters_of_the_fitter_that_cannot_be(quick_fitter, clouds, parameter
 
 
 def test_what_cannot_be_sent_to_processes(quick_fitter, clouds):
-    with pytest.raises(InputError, match="n_jobs: .*cannot be sent.*top level of a module"):
-        fit_scans(quick_fitter, clouds, n_jobs=2, finish=lambda index, scan, result: None)
+    untrained = lbs.LBSFitter(quick_fitter.rig, random_state=0)
+    with pytest.raises(InputError, match="finish: .*cannot be sent to a worker.*at the top of a module"):
+        fit_scans(untrained, clouds, n_jobs=2, finish=lambda index, scan, result: None, pretrain=pytest.fail)
     sources = [lambda: clouds[0], clouds[1], lambda: 1 / 0, threading.Lock(), lambda: threading.Lock()]
     outcomes = fit_scans(quick_fitter, sources, n_jobs=2)
     assert [o.error is None for o in outcomes] == [True, True, False, False, False]

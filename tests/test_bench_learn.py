@@ -4,6 +4,7 @@ import json
 import warnings
 from contextlib import suppress
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,9 +12,11 @@ import pytest
 from cli_runs import content_with_few_starts
 
 from lbsfit_np.bench.hand import SCAN, hand_rig, natural_poses
-from lbsfit_np.bench.learn import _measured, _poses_digest, collection, learn_bench, learn_table, touching_pose
+from lbsfit_np.bench.learn import VARIANT_ROWS, _measured, _poses_digest, collection, learn_bench, learn_table, touching_pose
 from lbsfit_np.cli import main as run
+from lbsfit_np.cli.bench import VARIANT_NAMES
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.checkpoint import Checkpoint, steps_in
 
 
 def test_the_scans_are_of_three_subjects_and_the_same_for_one_seed(shared_rigs):
@@ -208,6 +211,38 @@ def test_the_command_keeps_each_row_and_goes_on(shared_rigs, quick, monkeypatch,
     assert set(seen[0]["one by one"]) == {"3", "4"} and set(seen[0]["cd"]) == {"3"} == set(rows()["cd"])
 
 
+def test_steps_of_a_seed_are_kept_until_it_is_done(shared_rigs, quick, monkeypatch, tmp_path, capsys):
+    measured = {"joint_error": 0.1, "vertex_error": 0.2, "joint_error_median": 0.1, "template_gap": 0.05}
+    monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: measured)
+    command = ["bench", "learn", "hand", "--data", str(shared_rigs), "-o", str(tmp_path), "--scans", "3", "--seeds", "3"]
+    seen = []
+
+    def fit(self, scans, subjects, checkpoint, **options):
+        seen.append((Path(checkpoint), steps_in(checkpoint)))
+        Checkpoint(checkpoint).slot("round-1-pose", self.variant).keep(1.0)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+        _nothing_learned(self)
+
+    monkeypatch.setattr("lbsfit_np.LBSFitter.fit", fit)
+    with suppress(KeyboardInterrupt):
+        assert run([*command, "--variants", "joint,cd"]) == 130
+    kept = tmp_path / "results.json.unfinished"
+    assert seen == [(kept, 0), (kept, 1)] and steps_in(kept) == 2
+    assert "what is done is kept in" in capsys.readouterr().out
+    assert run([*command, "--variants", "joint,cd"]) == 0
+    assert seen[2:] == [(kept, 2)] and not kept.exists()
+    rows = json.loads((tmp_path / "results.json").read_text())["rows"]
+    assert rows["joint"]["3"]["seconds"] is not None and rows["cd"]["3"]["seconds"] is None
+    assert "has 2 steps of a run that was stopped" in capsys.readouterr().err
+
+
+def test_a_motion_of_few_frames_is_named_before_any_training(shared_rigs, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained first"))
+    with pytest.raises(InputError, match=r"scans: got more scans than the motion has frames \(.*as many as \d+ in all"):
+        learn_bench("body", shared_rigs, n_scans=5000, seeds=(3,))
+
+
 def test_label_errors_are_noted_after_each_round(shared_rigs, quick, monkeypatch):
     def fit(self, scans, subjects, on_round, **options):
         for k, segmenter in ((1, None if self.variant == "cd" else "s"), (2, None if self.variant == "cd" else "s")):
@@ -233,6 +268,10 @@ def test_poses_are_others_when_any_of_their_files_is(tmp_path):
         assert len(seen) == 1 + len(paths)
         (tmp_path / paths[0]).with_name("notes.txt").write_text("read by nobody")
         assert _poses_digest(name, tmp_path) in seen
+
+
+def test_the_command_knows_the_variants():
+    assert VARIANT_NAMES == VARIANT_ROWS
 
 
 @pytest.mark.parametrize("bad", [{"variants": ("other",)}, {"seeds": (1, 1)}, {"seeds": ()}])

@@ -28,7 +28,7 @@ def test_of_fits_that_call_themselves_right_wrong_joints_are_told_or_not():
     [
         (slice(0, 4), 2, ", 50 % of them called guesses by joint_std; of the others 50.0 % are.", 75),
         (slice(2, 4), 2, ", 50 % of them called guesses by joint_std.", 50),
-        (slice(0, 2), 0, "; of the others 50.0 % are.", 100),
+        (slice(0, 2), 0, "; 50.0 % are called guesses by joint_std.", 100),
     ],
 )
 def test_the_table_says_so_whether_some_or_all_or_none_are_wrong(joints, wrong, told, within, monkeypatch):

@@ -139,6 +139,14 @@ def test_files_in_subfolders_and_the_table_among_them(folder, meshes, tube_rig):
     assert "3 of 6 scan files" in notes[0]
 
 
+def test_names_are_the_same_however_their_letters_are_put_together(folder, meshes, tube_rig):
+    """As macOS and spreadsheets have them."""
+    write_meshes(folder, tube_rig, meshes[:1], "zoe\u0301.ply")
+    (folder / "truth.csv").write_text("scan,subject\nzo\u00e9,zo\u00e9\ns0.ply,zoe\u0301\n", encoding="utf-8")
+    scans, _, _ = read_truth(folder / "truth.csv", folder)
+    assert len(scans) == 2 and scans[0].subject == scans[1].subject == "zo\u00e9"
+
+
 def test_without_subjects_all_are_one(folder):
     scans, _, notes = _read(folder, "scan\ns0\ns1\ns2\n")
     assert {s.subject for s in scans} == {"0"}

@@ -106,5 +106,16 @@ def test_demo(made, tmp_path, run):
     assert code == 2 and "never overwritten" in one_line(err)
 
 
+def test_a_demo_without_a_fit_leaves_nothing_in_the_way_of_the_next(made, tmp_path, run, monkeypatch):
+    arguments = ("demo", "-o", tmp_path / "a demo", "--rig", made / "tube.npz", *TRAINING)
+    assert run(*arguments, "--points", 3)[0] == 1 and not (tmp_path / "a demo").exists()
+    with monkeypatch.context() as patched:
+        patched.setattr("lbsfit_np.learning.batch.fit_scans", lambda *a, **k: (_ for _ in ()).throw(KeyboardInterrupt))
+        code, text, _ = run(*arguments)
+        assert code == 130 and "the same command begins again" in text and not (tmp_path / "a demo").exists()
+    code, text, _ = run(*arguments, "--points", 500)
+    assert code == 0 and f"lbsfit fit '{tmp_path}/a demo/rig.npz' '{tmp_path}/a demo/scan.ply' -o OUT" in text
+
+
 def test_the_demos_default_is_the_bundled_hand():
     assert {o.name: o.default for o in demo._OPTIONS}["rig"] in lbs.io.rigs.bundled_rigs()

@@ -94,6 +94,8 @@ def test_bad_scans_are_named_before_any_training(tube_rig, tube_scan, monkeypatc
         ({"random_state": 1.5}, ["random_state: got 1.5"]),
         ({"rig": None}, ["rig: got NoneType", "load_rig"]),
         ({"variant": "best"}, ["variant: got 'best'", "'joint'", "'free-form'"]),
+        ({"variant": ["joint"]}, ["variant: got ['joint']", "'joint'"]),
+        ({"random_state": np.random.RandomState(0)}, ["random_state: got RandomState", "numpy.random.Generator or None"]),
         ({"rounds": 0}, ["rounds: got 0", "positive integer"]),
         ({"held_out": 1.0}, ["held_out: got 1.0", "at most 0.9"]),
         ({"held_out": "some"}, ["held_out: got 'some'", "a number"]),

@@ -89,7 +89,9 @@ def test_how_many_scans_are_enough_is_said(share, enough, left_out, tube_rig, cl
 # ---- no lists of scans, no lists of ids ----
 
 
-@pytest.mark.parametrize("given, words", [(5, "a int"), (None, "a NoneType"), ("scans", "a str"), (b"x", "a bytes")])
+@pytest.mark.parametrize(
+    "given, words", [(5, "a int"), (None, "a NoneType"), ("scans", "a str"), (b"x", "a bytes"), (np.array(None), "a ndarray")]
+)
 def test_scans_that_are_no_sequence(given, words, tube_rig, learned):
     for call in (lbs.LBSFitter(tube_rig, **QUICK).fit, learned.transform, learned.score):
         with pytest.raises(InputError, match=f"scans: got {words}; expected a sequence of scans"):
@@ -102,7 +104,29 @@ def test_a_single_scan_wants_a_list(learned, clouds):
             call(lbs.Scan(clouds[0]))
 
 
-@pytest.mark.parametrize("ids", ["abcd", 5, iter("abcd")])
+class Frame:
+    """What a data frame is to us: two-dimensional, and its names where one goes through it."""
+
+    def __init__(self, points):
+        self._points, self.ndim, self.shape = points, 2, points.shape
+
+    def __array__(self, dtype=None, copy=None):
+        return self._points
+
+    def __len__(self):
+        return len(self._points)
+
+    def __iter__(self):
+        return iter("xyz")
+
+
+def test_a_data_frame_is_one_scan(learned, clouds):
+    for call in (learned.fit, learned.transform):
+        with pytest.raises(InputError, match=r"scans: got one array of shape \(.*, 3\); .* Put a single scan in a list, too"):
+            call(Frame(clouds[0]))
+
+
+@pytest.mark.parametrize("ids", ["abcd", 5, iter("abcd"), np.array("a")])
 def test_ids_that_are_no_sequence(ids, learned, clouds):
     for call in (learned.transform, learned.score):
         with pytest.raises(InputError, match="subjects: got .*; expected a sequence with one id for each scan"):

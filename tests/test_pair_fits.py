@@ -37,6 +37,17 @@ def test_fits_are_kept_and_taken_up(pair_scans, fitter, pair_meshes, tmp_path, m
     assert fits.has("s3") and not fits.has("s2") and np.array_equal(fits.load("s0").vertices, pair_meshes[0])
 
 
+def test_where_nothing_was_made_other_settings_are_taken(pair_scans, fitter, pair_meshes, tmp_path, monkeypatch):
+    """A run that could not learn may say how to, and then has to let that be done."""
+    given = {s.name: v for s, v in zip(pair_scans, pair_meshes)}
+    fits_are_given(monkeypatch, given)
+    monkeypatch.setattr("lbsfit_np.bench.pair_fits._learn", lambda *a: (_ for _ in ()).throw(InputError("scans", "2", "3")))
+    with pytest.raises(InputError, match="scans: got 2"):
+        fit_scans_of(fitter, pair_scans, tmp_path, learn_from=pair_scans, settings={"held_out": 0.1})
+    fits = fit_scans_of(fitter, pair_scans, tmp_path, settings={"held_out": 0.0})
+    assert len(fits.entries) == len(pair_scans)
+
+
 def test_fits_of_other_settings_or_scans_are_not_taken(pair_folder, fitter, tube_rig, pair_meshes, tmp_path, monkeypatch):
     copies = write_meshes(tmp_path / "in", tube_rig, pair_meshes[:2])
     scans = [PairScan(f"s{i}", copies / f"s{i}.ply", "ann") for i in range(2)]

@@ -6,8 +6,10 @@ import zlib
 import numpy as np
 import pytest
 
+import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.report.colors import part_colors
+from lbsfit_np.report.fit_picture import fit_picture
 from lbsfit_np.report.render import (
     Mesh,
     Points,
@@ -240,7 +242,6 @@ def test_fits_are_drawn_as_the_rig_stands(tube_rig, tube_scan, tube_result):
     from dataclasses import replace
 
     from lbsfit_np.optimize.frame import turned_root
-    from lbsfit_np.report.fit_picture import fit_picture
     from lbsfit_np.rotations import matrix_from_rotvec
 
     shown = fit_picture(tube_rig, tube_scan.points, tube_result, size=(60, 80))
@@ -254,8 +255,6 @@ def test_fits_are_drawn_as_the_rig_stands(tube_rig, tube_scan, tube_result):
 
 def test_points_off_the_mesh_are_in_the_picture(tube_rig, tube_scan, tube_result):
     """Where a fit is wrong they are what is to be seen; a single wild one is not."""
-    from lbsfit_np.report.fit_picture import fit_picture
-
     def drawn(points):
         shown = fit_picture(tube_rig, points, tube_result, size=(60, 80))
         mesh = shown[:, shown.shape[1] // 2 :]
@@ -334,6 +333,13 @@ def test_a_rig_that_says_less_is_drawn_as_well(tube_rig, tube_scan, tube_result,
 
     calls = drawn_items(replace(tube_rig, up=up, forward=forward), tube_scan.points, tube_result)
     assert {(how["up"], how["forward"]) for _, how in calls} == {seen}
+
+
+def test_scans_are_drawn_as_their_points(tube_rig, tube_scan, tube_result):
+    drawn = [fit_picture(tube_rig, points, tube_result) for points in (tube_scan.points, lbs.Scan(tube_scan.points))]
+    np.testing.assert_array_equal(*drawn)
+    with pytest.raises(InputError, match=r"points: got \d+; expected the \d+ that the fit is of"):
+        fit_picture(tube_rig, tube_scan.points[1:], tube_result)
 
 
 def test_points_of_a_floor_have_the_colour_of_no_part(tube_rig, tube_scan, tube_result, drawn_items):

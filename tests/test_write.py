@@ -167,6 +167,12 @@ def test_arrays_that_do_not_fit_the_points(tmp_path, wrong, words):
     assert names(tmp_path) == []
 
 
+def test_json_holds_names_of_files_that_are_not_unicode(tmp_path):
+    name = os.fsdecode(b"caf\xe9.ply")
+    write_json(tmp_path / "a.json", {"name": name, "more": "ü"})
+    assert json.loads((tmp_path / "a.json").read_text(encoding="utf-8")) == {"name": name, "more": "ü"}
+
+
 def test_json_holds_numpy_and_no_nan(tmp_path):
     obj = {
         "z": np.float32(0.5), "a": [np.int64(3), float("nan"), (True, np.bool_(False))], "path": Path("a") / "b",

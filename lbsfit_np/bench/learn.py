@@ -6,6 +6,7 @@ segmenter's labels are judged.
 
 import hashlib
 import time
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from itertools import count
@@ -15,6 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from ..errors import InputError
+from ..learning.checkpoint import remove_checkpoint, steps_in
 from ..seeds import generator
 from ..skinning import skin
 from ..synthesis import synthesize_one, uniform_poses
@@ -100,6 +102,7 @@ def _body_poses(rig, data, seed, n):
     from .retarget import bvh_thetas
 
     motion = read_bvh(_motion(data))
+    body.check_frames(motion, n)
     frames = generator(seed, "learn frames").choice(np.arange(1, len(motion.rotations)), n, replace=False)
     thetas = bvh_thetas(rig, motion, [int(f) for f in frames], face_forward=True)
     return lambda i, rng: thetas[i]
@@ -149,6 +152,7 @@ def learn_bench(
     training_scans=4000,
     jobs=1,
     before=None,
+    steps=None,
     progress=None,
     on_row=None,
 ):
@@ -167,6 +171,9 @@ def learn_bench(
     jobs : int, default 1
     before : dict, optional
         A report of the same settings: what it has is not done again.
+    steps : path-like, optional
+        Folder for the steps of a seed until all of it is done: a run that was stopped goes on within a variant, too, whose
+        seconds are None then. By default a temporary one.
     progress : callable (variant, seed, stage, share, figures), optional
         As for ``LBSFitter.fit``; variant and seed are None while what all share is trained.
     on_row : callable (report, variant, seed), optional
@@ -192,6 +199,7 @@ def learn_bench(
         raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
     if not variants or not set(variants) <= set(VARIANT_ROWS):
         raise InputError("variants", repr(variants), f"some of {', '.join(VARIANT_ROWS)}")
+    collection(name, data, n_scans, seed=seeds[0])  # before the training, as there may be too few frames
     rig, some, *_ = collection(name, data, 3, seed=0)
     read = {"rig": rig.digest, "poses": _poses_digest(name, data), "people": people_digest(rig), "scans": scans_digest(rig, some)}
     empty = {
@@ -229,15 +237,16 @@ def learn_bench(
             singles[str(seed)] = entry | {"label_error": _wrong(first, others)}
             if on_row is not None:
                 on_row(report, _ONE_BY_ONE, seed)
-        with TemporaryDirectory() as steps:  # in which variants that learn from labels find each other's first fits
+        with _kept_until_done(steps) as (kept, gone_on):  # in which variants that learn from labels find each other's first fits
             for variant in todo:
                 one = clone(fitter).set_params(variant=variant)
                 one._pretrained = pretrained
                 say = None if progress is None else partial(progress, variant, seed)
                 wrong = []
                 started = time.perf_counter()
-                one.fit(points, subjects, checkpoint=steps, progress=say, on_round=partial(_note_wrong, wrong, others))
-                entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "commit": environment()["commit"]}
+                one.fit(points, subjects, checkpoint=kept, progress=say, on_round=partial(_note_wrong, wrong, others))
+                seconds = None if gone_on else time.perf_counter() - started
+                entry = {"seconds": seconds, "jobs": jobs, "commit": environment()["commit"]}
                 entry |= _measured(rig, one.results_, one.template_, scans, subjects, unit)
                 entry |= {"rounds": max(0, len(one.history_) - 1), "history": one.history_, "label_error_of_rounds": wrong}
                 if one.segmenter_ is not None:
@@ -248,6 +257,17 @@ def learn_bench(
     ran = {s for row in report["rows"].values() for s in row}
     report["complete"] = all(set(row) == ran for row in report["rows"].values())
     return report
+
+
+@contextmanager
+def _kept_until_done(folder):
+    """A folder for steps, and whether a run that was stopped has left some there; it goes once all is done."""
+    if folder is None:
+        with TemporaryDirectory() as made:
+            yield made, False
+        return
+    yield folder, steps_in(folder) > 0
+    remove_checkpoint(folder)
 
 
 def _one_by_one(fitter, points, jobs, progress):

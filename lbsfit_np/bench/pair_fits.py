@@ -125,7 +125,7 @@ def fit_scans_of(
     folder, reporter = Path(folder), reporter or _Silent()
     read = {s.name: functools.partial(_load, s.path, n_samples, fitter.random_state) for s in scans}
     record = _Record.of(fitter.rig, scans, learn_from, settings or {})
-    before = _Record.read(folder / _RECORD) if existing == "resume" else None
+    before = _Record.read(folder / _RECORD) if existing == "resume" and _any_made(folder) else None
     if before is not None:
         before.check(record, folder)
     fits = Fits(folder)
@@ -271,6 +271,11 @@ def _learned_before(folder, fitter):
         return None
     learned.n_jobs = fitter.n_jobs
     return learned if learned.rig.digest == fitter.rig.digest else None
+
+
+def _any_made(folder):
+    """Whether an earlier run has left anything that settings matter to."""
+    return any((folder / _FITS).glob("*.npz")) or (folder / _MODEL).is_file() or checkpoint_in(folder).is_dir()
 
 
 def _file(folder, name):

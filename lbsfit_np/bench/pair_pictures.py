@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..report.colors import part_colors
+from ..report.fit_picture import axes_of
 from ..report.render import Mesh, Points, montage, render
 from .pictures import evenly
 
@@ -38,6 +39,6 @@ def gallery(rig, shown, *, size=(260, 340)):
     for points, result in shown:
         cloud, mesh = Points(points, colors[result.labels]), Mesh(result.vertices, rig.faces, colors[rig.vertex_labels])
         pictures = ((cloud,), (mesh,), (cloud, Mesh(result.vertices, rig.faces, _GREY)))
-        axes = {"up": rig.up or "+y", "forward": rig.forward, "frame": np.concatenate([points, result.vertices])}
+        axes = axes_of(rig) | {"frame": np.concatenate([points, result.vertices])}
         lines.append([render(*items, view=view, size=size, **axes) for view in _VIEWS for items in pictures])
     return montage(lines)

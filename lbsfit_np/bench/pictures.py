@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..report.colors import part_colors
+from ..report.fit_picture import axes_of
 from ..report.render import Mesh, Points, montage, render
 
 __all__ = ["evenly", "picture", "shown"]
@@ -52,6 +53,6 @@ def picture(rig, fits, rows, *, size=(300, 340)):
             Mesh(result.vertices, rig.faces, colors[rig.vertex_labels]),
         )
         frame = np.concatenate([scan.vertices, result.vertices])
-        axes = {"up": rig.up or "+y", "forward": rig.forward, "frame": frame}
+        axes = axes_of(rig) | {"frame": frame}
         lines.append([render(item, view=view, size=size, **axes) for view in _VIEWS for item in items])
     return montage(lines)

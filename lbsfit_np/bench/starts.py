@@ -149,7 +149,7 @@ def _row_entry(report, name, rig, row, condition):
     """Where the figures of a row are kept; emptied where they are of another rig or of another condition."""
     described = {key: getattr(condition, key) for key in ("what", "goal", "close", "fitter", "unit", "subjects")}
     described["scan"] = asdict(condition.scan)
-    facts = {"digest": rig.digest, "size": rig.size, "vertices": len(rig.vertices)}
+    facts = {"digest": rig.digest, "poses": rig.poses_digest, "up": rig.up, "size": rig.size, "vertices": len(rig.vertices)}
     kept = report["rigs"].get(name, {})
     if any(kept.get(key) != value for key, value in facts.items()):
         kept = report["rigs"][name] = facts | {"rows": {}}
@@ -336,9 +336,12 @@ def _legend(report):
         ]
     joints = known.get("joints")
     if joints is not None:
-        told = "" if not joints["wrong"] else f", {100 * joints['wrong_told']:.0f} % of them called guesses by joint_std"
+        called = "called guesses by joint_std"
+        told = "" if not joints["wrong"] else f", {100 * joints['wrong_told']:.0f} % of them {called}"
         others = joints["right_called_guesses"]
-        told += "." if others is None else f";\nof the others {100 * others:.1f} % are."
+        if others is not None:
+            told += f";\nof the others {100 * others:.1f} % are" if told else f";\n{100 * others:.1f} % are {called}"
+        told += "."
         lines += [
             f"Of {joints['joints']} joints, hidden ones too, of fits that call themselves right {joints['wrong']} are off by",
             f"more than {100 * _WRONG:g} % of the size{told} Within twice their joint_std are "

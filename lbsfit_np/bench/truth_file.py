@@ -3,6 +3,7 @@
 import csv
 import math
 from pathlib import Path
+from unicodedata import normalize
 
 from ..errors import FileError, brief, counted, did_you_mean, listed
 from .pair_fits import made_files
@@ -51,13 +52,14 @@ def read_truth(path, folder, *, subject_column="subject", output=None):
     """
     path, folder, subject_column = Path(path), Path(folder), subject_column.lower()
     files = _scan_files(folder, path)
+    named = _Named(files, folder)
     columns, rows = _table(path)
     form = _form(path, columns, subject_column)
     with_subject = subject_column in columns
     scans, at, entries = [], {}, []
     for line, row in rows:
-        file = _file_of(path, line, row["scan"], files, folder)
-        subject = row[subject_column] if with_subject else "0"
+        file = named.file_of(path, line, row["scan"])
+        subject = normalize("NFC", row[subject_column]) if with_subject else "0"
         if not subject:
             raise FileError(str(path), f"no {subject_column} in line {line}", "an id for each scan")
         if file not in at:
@@ -153,24 +155,29 @@ def _scan_files(folder, truth):
     return [p for p in files if not (truth.exists() and p.samefile(truth))]
 
 
-def _file_of(path, line, name, files, folder):
-    """The file that a row means: a path in the folder, else a file name, each with or without the extension."""
-    wanted = name.replace("\\", "/")
-    keys = (
-        lambda p: p.relative_to(folder).as_posix(),
-        lambda p: p.relative_to(folder).with_suffix("").as_posix(),
-        lambda p: p.name,
-        lambda p: p.stem,
-    )
-    for key in keys:
-        found = [p for p in files if key(p) == wanted]
+class _Named:
+    """The files of a folder by what a row may call them: a path there, else a file name, each with or without the extension."""
+
+    def __init__(self, files, folder):
+        self.files, self.folder = files, folder
+        self._by = [{} for _ in range(4)]
+        for p in files:
+            there = p.relative_to(folder)
+            for by, key in zip(self._by, (there.as_posix(), there.with_suffix("").as_posix(), p.name, p.stem), strict=True):
+                by.setdefault(normalize("NFC", key), []).append(p)
+
+    def file_of(self, path, line, name):
+        """The file that a row of the table at ``path`` means."""
+        wanted = normalize("NFC", name.replace("\\", "/"))
+        found = next((by[wanted] for by in self._by if wanted in by), [])
         if len(found) > 1:
-            names = listed([p.relative_to(folder).as_posix() for p in found], 4)
+            names = listed([p.relative_to(self.folder).as_posix() for p in found], 4)
             raise FileError(str(path), f"{brief(name)} in line {line}, which may be {names}", "a name that says which file")
         if found:
             return found[0]
-    remedy = did_you_mean(wanted, [p.name for p in files] + [p.stem for p in files])
-    raise FileError(str(path), f"{brief(name)} in line {line}, which is no scan file in {folder}", "names of scans", remedy)
+        remedy = did_you_mean(wanted, [p.name for p in self.files] + [p.stem for p in self.files])
+        got = f"{brief(name)} in line {line}, which is no scan file in {self.folder}"
+        raise FileError(str(path), got, "names of scans", remedy)
 
 
 def _name(file, folder):

@@ -40,7 +40,7 @@ def main(argv=None):
         The exit code: 0 all done, 1 some scans failed, 2 usage or unreadable input, 130 stopped by Ctrl-C, 143 by SIGTERM.
     """
     if argv is None:
-        for stream in (sys.stdout, sys.stderr):
+        for stream in filter(None, (sys.stdout, sys.stderr)):  # a closed one is None
             stream.reconfigure(errors="replace")  # a terminal that lacks a letter shows "?" rather than an error
     try:
         arguments = _parser().parse_args(argv)

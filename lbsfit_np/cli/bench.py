@@ -13,6 +13,7 @@ __all__ = ["add_parser"]
 ROW_NAMES = ("own", "plain", "oracle", "paper")
 CONDITION_NAMES = ("0.3", "0.6", "1.0", "turned", "rotated", "unit", "touching", "partial", "dirty", "subjects")
 FIT_NAMES = ("own", "plain", "oracle")
+VARIANT_NAMES = ("joint", "pose-only", "rand", "cd", "free-form")
 STUDY_NAMES = (
     *("free-form", "free-form-augmented", "free-form-supervised", "free-form-supervised-3x"),
     *("cd", "rand", "pose-only", "joint", "oracle-labels", "oracle-fit"),
@@ -150,7 +151,13 @@ def _add_learn(benches):
         *_of_data("folder for results.json; made if need be"),
         Option("scans", "scans to learn from, of all subjects together", positive, 60, metavar="N"),
         _seeds_option("the collections", "100,101,102"),
-        Option("variants", "what to learn, with commas: joint, pose-only, rand, cd, free-form", str, "joint,pose-only,rand,cd"),
+        Option(
+            "variants",
+            f"what to learn, with commas: {', '.join(VARIANT_NAMES)}",
+            _some_of(VARIANT_NAMES),
+            "joint,pose-only,rand,cd",
+            "NAME,…",
+        ),
         *_TRAINING,
         _MARKDOWN,
         _RESUMING,

@@ -7,6 +7,7 @@ from ..errors import FileError, InputError
 from ..io.write import make_folder
 from .outputs import check_outputs
 from .progress import LearningProgress, Progress, bar, say
+from .stopping import say_steps, terminable
 
 __all__ = [
     *("RESULTS", "failures_code", "made_results", "numbers", "read_results"),
@@ -68,32 +69,44 @@ def run_learn(name, values):
     """``lbsfit bench learn``: the loop and its ablations; the exit code."""
     from ..bench.learn import learn_bench, learn_table
     from ..io.write import write_json
+    from ..learning.checkpoint import checkpoint_of, remove_checkpoint, steps_in
 
     _checked_data(name, values)
     results = made_results(values)
     resumed = values["existing"] == "resume" and results.exists()
-    progress = _VariantsProgress()
+    progress, steps = _VariantsProgress(), checkpoint_of(results)
+    if values["existing"] == "replace":
+        remove_checkpoint(steps)
+    say_steps(steps)
 
     def on_row(report, variant, seed):
         write_json(results, report)
         progress.close()
         entry = report["rows"][variant][str(seed)]
         error = f"joints {entry['joint_error']:.4f}, vertices {entry['vertex_error']:.4f} {report['unit']}"
-        say(f"seed {seed}, {variant}: {error}, {entry['seconds']:.0f} s")
+        say(f"seed {seed}, {variant}: {error}" + ("" if entry["seconds"] is None else f", {entry['seconds']:.0f} s"))
 
     try:
-        report = learn_bench(
-            name,
-            values["data"],
-            n_scans=values["scans"],
-            seeds=numbers(values["seeds"]),
-            variants=values["variants"].split(","),
-            training_scans=values["training_scans"],
-            jobs=values["jobs"],
-            before=read_results(results) if resumed else None,
-            progress=progress,
-            on_row=on_row,
-        )
+        with terminable():
+            report = learn_bench(
+                name,
+                values["data"],
+                n_scans=values["scans"],
+                seeds=numbers(values["seeds"]),
+                variants=values["variants"].split(","),
+                training_scans=values["training_scans"],
+                jobs=values["jobs"],
+                before=read_results(results) if resumed else None,
+                steps=steps,
+                progress=progress,
+                on_row=on_row,
+            )
+    except KeyboardInterrupt:
+        progress.close()
+        if steps_in(steps):
+            again = "the same command" + (" without --existing replace" if values["existing"] == "replace" else "")
+            say(f"stopped: what is done is kept in {values['output']}, and {again} goes on")
+        raise
     finally:
         progress.close()
     write_json(results, report)

@@ -1,13 +1,14 @@
 """``lbsfit demo``: a scan with known truth, fitted as a user would fit it, and compared with that truth."""
 
 import os
+import shlex
 import time
 from pathlib import Path
 
 from ..errors import InputError
-from ..io.write import make_folder
+from ..io.write import make_folder, remove_empty
 from .fit import OPTIONS, fit_files
-from .outputs import SUMMARY, check_outputs
+from .outputs import SUMMARY, check_outputs, remove
 from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import say
 
@@ -43,7 +44,7 @@ In {out}:
   summary.json     how the fit went, with all settings and versions
   truth.npz        the true pose, translation, template, vertices, joints and labels, by these keys
   demo.png         left to right: the scan coloured by the parts found, the true mesh, the registered mesh; two views
-Again, as for a scan of your own: lbsfit fit {out}/rig.npz {out}/scan.ply -o OUT"""
+Again, as for a scan of your own: lbsfit fit {rig} {scan} -o OUT"""
 
 
 def add_parser(commands):
@@ -84,7 +85,7 @@ def _run(arguments):
     }  # fmt: skip
     fits = [out / f"scan.{ending}" for ending in ("fit.npz", "mesh.ply", "labels.ply")]
     check_outputs([*paths.values(), *fits, out / SUMMARY], out, inputs=[values["rig"]], existing=values["existing"])
-    make_folder(out)
+    folders = make_folder(out)
     truth = _scan_with_truth(rig, values)
     rig.save(paths["rig"])
     write_points_ply(paths["scan"], truth.points)
@@ -93,13 +94,18 @@ def _run(arguments):
         pose=truth.pose, translation=truth.translation, scale=truth.scale, template=truth.template,
         template_joints=truth.template_joints, vertices=truth.vertices, joints=truth.joints, labels=truth.labels,
     )  # fmt: skip
-    code = fit_files(str(paths["rig"]), [str(paths["scan"])], chosen | {"existing": "replace"})
+    try:
+        code = fit_files(str(paths["rig"]), [str(paths["scan"])], chosen | {"existing": "replace"})
+    finally:
+        if not fits[0].is_file():  # without a fit, nothing that would be in the way of the same command
+            remove([*paths.values(), out / SUMMARY])
+            remove_empty(folders)
     if code:
         return code
     result = FitResult.load(out / "scan.fit.npz")
     write_png(paths["picture"], fit_picture(rig, truth.points, result, truth=truth.vertices))
     say(_report(rig, truth, result))
-    say(_FILES.format(out=out))
+    say(_FILES.format(out=out, rig=shlex.quote(str(paths["rig"])), scan=shlex.quote(str(paths["scan"]))))
     say(f"{time.perf_counter() - started:.0f} s in all")
     return 0
 

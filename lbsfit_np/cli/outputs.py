@@ -137,12 +137,12 @@ def check_outputs(paths, out, *, inputs, existing, argument="-o"):
     """Raise where files to write have names that are too long, are inputs, folders, or, with ``existing="error"``, there."""
     if os.path.exists(out) and not os.path.isdir(out):
         raise FileError(str(out), "a file", "a folder to write to, or a name for a new one")
+    read = _Inputs(inputs)
     for path in paths:
         _check_length(path, "Rename the scan.")
-        for source in inputs:
-            if same_file(path, source):
-                remedy = "An input is never overwritten: choose another folder, or leave it out where it is a result of before."
-                raise InputError(argument, f"{out}, where {path.name} is an input ({source})", "a folder for the results", remedy)
+        if (source := read.same(path)) is not None:
+            remedy = "An input is never overwritten: choose another folder, or leave it out where it is a result of before."
+            raise InputError(argument, f"{out}, where {path.name} is an input ({source})", "a folder for the results", remedy)
         if os.path.isdir(path):
             raise FileError(str(path), "a folder", "the name of a file to write")
     there = [path for path in paths if os.path.lexists(path)]
@@ -160,6 +160,33 @@ def check_file(path, *, inputs, existing):
     _check_length(Path(path), "Choose a shorter one.")
     if os.path.lexists(path) and existing == "error":
         raise FileError(str(path), "a file that exists already", "a new name", "Choose another, or --existing replace.")
+
+
+class _Inputs:
+    """Files that are read, found again by their names and by what they are: as :func:`same_file`, of many at once."""
+
+    def __init__(self, sources):
+        self._files, self._names, self._missing = {}, {}, {}
+        for source in sources:
+            name = folded(os.path.abspath(source))
+            self._names.setdefault(name, source)
+            try:
+                self._files.setdefault(_identity(source), source)
+            except (OSError, ValueError):
+                self._missing.setdefault(name, source)
+
+    def same(self, path):
+        """The input that a path is, or would be where upper and lower case are the same; None where it is none."""
+        name = folded(os.path.abspath(path))
+        try:
+            return self._files.get(_identity(path), self._missing.get(name))
+        except (OSError, ValueError):
+            return self._names.get(name)
+
+
+def _identity(path):
+    found = os.stat(path)
+    return found.st_dev, found.st_ino
 
 
 def same_file(a, b):

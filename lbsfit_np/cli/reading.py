@@ -1,6 +1,7 @@
 """The scans of ``lbsfit learn``, read when it is their turn; each that cannot be used is told at once."""
 
 import functools
+from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,8 +32,12 @@ class Reading:
 
     def name(self, i):
         """The file name without its extension, or the path where others are called the same."""
-        stems = [Path(p).stem for p in self.paths]
-        return stems[i] if stems.count(stems[i]) == 1 else self.paths[i]
+        stem = Path(self.paths[i]).stem
+        return stem if self._stems[stem] == 1 else self.paths[i]
+
+    @functools.cached_property
+    def _stems(self):
+        return Counter(Path(p).stem for p in self.paths)
 
     def read(self, i):
         """Scan i; what is wrong with it is said, and raised."""

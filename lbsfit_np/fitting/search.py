@@ -110,7 +110,7 @@ class Search:
             state,
             model.rig,
             free,
-            max_iterations=max_iterations or self.settings.pose_iterations,
+            max_iterations=self.settings.pose_iterations if max_iterations is None else max_iterations,
             tolerance=tolerance,
         )
         self.evaluations += outcome.evaluations

@@ -201,7 +201,7 @@ def write_json(path, obj):
     """
     text = json.dumps(_plain(obj), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n"
     with atomic_path(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_text(text, encoding="utf-8", errors="backslashreplace")  # file names need not be Unicode: as JSON escapes
 
 
 def check_npz_name(path):

@@ -90,6 +90,8 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     if hasattr(fitter, "_check"):
         fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
         subjects = known_subjects(getattr(fitter, "template_", None), subjects, len(scans))
+    if n_jobs > 1 and finish is not None:
+        _check_sent("finish", finish)  # before the training
     outcomes = {}
 
     def report(outcome):
@@ -105,6 +107,15 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     else:
         _fit_by_workers(_Work(fitter, finish), scans, subjects, deque(todo), int(n_jobs), report)
     return [outcomes[i] for i in range(len(scans))]
+
+
+def _check_sent(argument, value):
+    """Raise InputError where something cannot go to another process."""
+    try:
+        pickle.dumps(value)
+    except (pickle.PicklingError, AttributeError, TypeError) as error:
+        remedy = "Define it at the top of a module, or take n_jobs=1."
+        raise InputError(argument, f"what cannot be sent to a worker process ({error})", "what pickle takes", remedy) from None
 
 
 def _pretrained(fitter, scans, report, pretrain):

@@ -203,8 +203,9 @@ class LBSFitter(BaseEstimator):
         Raises
         ------
         InputError
-            Before any work: parameters, ids of the wrong number, different units, no scan that can be used, or too few to hold
-            any out. A single scan that cannot be used is left out, with a warning and its reason in ``failures_``.
+            Before any work: parameters, ids of the wrong number, extents of different units, no scan that can be used, or too
+            few to hold any out; after the first fits: scales of different units within a subject. A single scan that cannot be
+            used is left out, with a warning and its reason in ``failures_``.
         KeyboardInterrupt
             On Ctrl-C; what a finished round has learned is there then, ``results_`` are None each.
         """

@@ -12,6 +12,7 @@ from ..losses.objective import as_weights
 from ..rig.frames import AXES
 from ..rig.rig import Rig
 from ..scan import check_points, count_distinct
+from ..seeds import check_random_state
 from ..segmentation.segmenter import Segmenter, jobs_of
 from ..skinning import JOINT_MODES
 from ..starts.turns import ORIENTATIONS
@@ -71,6 +72,7 @@ def check_parameters(fitter):
             remedy = "Leave it out, or choose 'upright'."
             raise InputError("up", f"{fitter.up!r} with orientation 'any'", "an orientation that has an up axis", remedy)
     as_variant(fitter.variant)
+    check_random_state(fitter.random_state)
     for name, most in (("held_out", 0.9), ("smooth", 1e6)):
         value = getattr(fitter, name)
         if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 0 <= value <= most:

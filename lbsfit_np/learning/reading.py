@@ -31,10 +31,11 @@ def as_scans(scans):
     if isinstance(scans, (Mapping, Set)):
         remedy = "Pass list(scans.values())." if isinstance(scans, Mapping) else "Make a list: a set has no order."
         raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
-    if isinstance(scans, (str, bytes, Scan)) or not hasattr(scans, "__iter__"):
+    if isinstance(scans, (str, bytes, Scan)) or not hasattr(scans, "__iter__") or getattr(scans, "ndim", 1) == 0:
         remedy = "Put a single scan in a list, too." if isinstance(scans, Scan) else "Make a list of load_scan(path), one each."
         raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
-    if isinstance(scans, np.ndarray) and scans.dtype != object and scans.ndim == 2:
+    of_objects = getattr(getattr(scans, "dtype", None), "kind", "") == "O"
+    if getattr(scans, "ndim", 1) == 2 and not of_objects:  # a data frame is one, too
         got = f"one array of shape {scans.shape}"
         raise InputError("scans", got, "a sequence of scans, (n, 3) each", "Put a single scan in a list, too.")
     scans = list(scans)

@@ -15,7 +15,8 @@ def as_subjects(subjects, n):
     if isinstance(subjects, (Mapping, Set)):
         remedy = "Make a list, in the order of the scans."
         raise InputError("subjects", f"a {type(subjects).__name__}", "a sequence with one id for each scan", remedy)
-    if isinstance(subjects, (str, bytes)) or not hasattr(subjects, "__len__") or not hasattr(subjects, "__iter__"):
+    some = hasattr(subjects, "__len__") and hasattr(subjects, "__iter__") and getattr(subjects, "ndim", 1)
+    if isinstance(subjects, (str, bytes)) or not some:
         raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
     subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
     if len(subjects) != n:

@@ -57,7 +57,7 @@ VARIANTS = {
 
 def as_variant(name):
     """The Variant of that name."""
-    if name not in VARIANTS:
+    if not isinstance(name, str) or name not in VARIANTS:
         raise InputError("variant", brief(name), " or ".join(map(repr, VARIANTS)), did_you_mean(name, VARIANTS))
     return VARIANTS[name]
 

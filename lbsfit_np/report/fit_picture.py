@@ -2,11 +2,13 @@
 
 import numpy as np
 
+from ..errors import InputError
 from ..optimize.frame import root_turn
+from ..scan import check_points
 from .colors import part_colors
 from .render import Mesh, Points, montage, render
 
-__all__ = ["fit_picture"]
+__all__ = ["axes_of", "fit_picture"]
 
 _VIEWS = ("front", "oblique")
 # Of a larger scan, so many points are drawn.
@@ -16,14 +18,21 @@ _MOST_POINTS = 30_000
 _OFF, _OFF_COLOR, _ROOM = 0.05, (205, 205, 205), 0.6
 
 
+def axes_of(rig):
+    """How a rig stands, as ``render`` takes it: "up" and "forward"."""
+    up = rig.up or "+y"
+    forward = None if rig.forward and rig.forward[-1] == up[-1] else rig.forward  # where up is but assumed
+    return {"up": up, "forward": forward}
+
+
 def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
     """Draw a fit.
 
     Parameters
     ----------
     rig : Rig
-    points : (n, 3) array
-        The scan.
+    points : (n, 3) array or Scan
+        What was fitted.
     result : FitResult
         Of it.
     truth : (m, 3) array, optional
@@ -38,11 +47,14 @@ def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
         mesh in the same colours; the first line seen from the front, the second obliquely. All turned back as the rig stands,
         so that subjects are seen from their own front however their scans lie.
     """
+    points = check_points(points)
+    if len(points) != len(result.labels):
+        raise InputError("points", f"{len(points)}", f"the {len(result.labels)} that the fit is of")
     turn, colors = root_turn(rig, result.pose), part_colors(len(rig.parts))
     rows = np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(int)
     found = result.vertices @ turn
     shown = np.where(result.confidence[rows, None] < _OFF, np.array(_OFF_COLOR, colors.dtype), colors[result.labels[rows]])
-    items = [Points(np.asarray(points)[rows] @ turn, shown)]
+    items = [Points(points[rows] @ turn, shown)]
     if truth is not None:
         items.append(Mesh(truth @ turn, rig.faces))
     items.append(Mesh(found, rig.faces, colors[rig.vertex_labels]))
@@ -51,7 +63,5 @@ def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
     room = _ROOM * np.ptp(found, axis=0).max()
     around = np.clip(around, found.min(axis=0) - room, found.max(axis=0) + room)
     frame = np.vstack([found, around] if truth is None else [found, around, truth @ turn])
-    up = rig.up or "+y"
-    forward = None if rig.forward and rig.forward[-1] == up[-1] else rig.forward  # where up is but assumed
-    axes = {"up": up, "forward": forward, "frame": frame}
+    axes = axes_of(rig) | {"frame": frame}
     return montage([[render(item, view=view, size=size, **axes) for item in items] for view in _VIEWS])

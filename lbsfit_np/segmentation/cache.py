@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+import tempfile
 import warnings
 from pathlib import Path
 
@@ -20,10 +21,15 @@ _MEMORY, _WARNED_OF = {}, set()
 
 
 def cache_folder():
-    """The folder of the cache: $LBSFIT_CACHE, else lbsfit_np in the user's cache folder."""
+    """The folder of the cache: $LBSFIT_CACHE, else lbsfit_np in the user's cache folder, or where there is none in that for
+    temporary files.
+    """
     if os.environ.get("LBSFIT_CACHE"):
         return _expanded(os.environ["LBSFIT_CACHE"])
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lbsfit_np"
+    try:
+        return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "lbsfit_np"
+    except RuntimeError:  # a user without a home folder
+        return Path(tempfile.gettempdir()) / "lbsfit_np"
 
 
 def _expanded(folder):

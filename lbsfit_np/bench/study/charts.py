@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...learning.mixture import Mixture
+from ...report.fit_picture import axes_of
 from ...report.render import Mesh, Points, render
 from ...rig.chains import chains
 from ...synthesis import Synthesis
@@ -96,7 +97,7 @@ def local_optimum(shown, path, steps=41):
     ends = scan[scan[:, 1] > np.quantile(scan[:, 1], 0.45)] if rig.up in (None, "+y") else scan
     for i in (0, top, steps - 1):
         items = Mesh(rig.pose(poses[i]), rig.faces, colors), Points(points, np.array((40, 40, 40)), 1.1)
-        views.append(render(*items, size=(236, 200), view="front", up=rig.up or "+y", forward=rig.forward, frame=ends))
+        views.append(render(*items, size=(236, 200), view="front", **axes_of(rig), frame=ends))
     finger = " finger" if any("thumb" in name for name in rig.joint_names) else ""
     name, away, toward = (found[key].rstrip("0123456789") + finger for key in ("chain", "from", "to"))
     with sheet(path, 3 * 240 + 500, 310) as figure:

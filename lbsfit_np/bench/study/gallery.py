@@ -4,6 +4,7 @@ import numpy as np
 
 from ...correspondence import at_places, surface_places, transfer
 from ...report.colors import part_colors
+from ...report.fit_picture import axes_of
 from ...report.render import Mesh, Points, render
 from .canvas import tiles
 from .data import part_groups
@@ -168,12 +169,12 @@ def _mesh(rig, vertices, colors=SKIN, *, size=_TILE, view="front", frame=None):
     if not np.isfinite(vertices).all():
         return None
     item = Mesh(np.asarray(vertices, dtype=float), rig.faces, np.asarray(colors))
-    return render(item, size=size, view=view, up=rig.up or "+y", forward=rig.forward, frame=frame)
+    return render(item, size=size, view=view, **axes_of(rig), frame=frame)
 
 
 def _points(rig, points, colors, *, size=_TILE, view="front", frame=None):
     item = Points(points, np.array((128, 138, 150)) if colors is None else colors, _RADIUS[size])
-    return render(item, size=size, view=view, up=rig.up or "+y", forward=rig.forward, frame=frame)
+    return render(item, size=size, view=view, **axes_of(rig), frame=frame)
 
 
 def _frame(scan, found):

@@ -1,5 +1,7 @@
 """The study's page: its tables in Markdown, beside the paper's, written from the report and nothing else."""
 
+from urllib.parse import quote
+
 from . import tables
 from .cells import cells_of
 from .rows import ROWS
@@ -129,7 +131,7 @@ def page(report, captions):
     if captions:
         parts.append("## Figures")
         files = sorted(captions, key=_place)
-        parts += [f"![{file.removesuffix('.png').replace('-', ' ')}]({file})\n\n{captions[file]}" for file in files]
+        parts += [f"![{file.removesuffix('.png').replace('-', ' ')}]({quote(file)})\n\n{captions[file]}" for file in files]
     parts.append(_provenance(report))
     return "\n\n".join(p.strip("\n") for p in parts if p) + "\n"
 
