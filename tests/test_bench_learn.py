@@ -234,7 +234,7 @@ def test_steps_of_a_seed_are_kept_until_it_is_done(shared_rigs, quick, monkeypat
     assert seen[2:] == [(kept, 2)] and not kept.exists()
     rows = json.loads((tmp_path / "results.json").read_text())["rows"]
     assert rows["joint"]["3"]["seconds"] is not None and rows["cd"]["3"]["seconds"] is None
-    assert "has 2 steps of a run that was stopped" in capsys.readouterr().err
+    assert "has 2 steps of a run that was stopped" in capsys.readouterr().out
 
 
 def test_a_motion_of_few_frames_is_named_before_any_training(shared_rigs, monkeypatch):
