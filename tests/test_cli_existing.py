@@ -389,11 +389,16 @@ def test_a_picture_of_a_fit_that_is_replaced_goes_with_it(readable, made, tmp_pa
     assert run(*arguments, "--pictures")[0] == 0 and picture.is_file()
     if not readable:
         scan.write_bytes(b"ply")
+    ours = picture.read_bytes()
     for drawn in (None, b"of others"):
         if drawn is not None:
             picture.write_bytes(drawn)
         assert run(*arguments, "--existing", "replace")[0] == (0 if readable else 1)
         assert (picture.read_bytes() if picture.exists() else None) == drawn
+    for path in picture.parent.glob("one.*"):
+        path.unlink()
+    picture.write_bytes(ours)  # of nothing that is there: it stays
+    assert run(*arguments)[0] == (0 if readable else 1) and picture.read_bytes() == ours
 
 
 def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):

@@ -108,7 +108,8 @@ def test_demo(made, tmp_path, run):
 
 def test_a_demo_without_a_fit_leaves_nothing_in_the_way_of_the_next(made, tmp_path, run, monkeypatch):
     arguments = ("demo", "-o", tmp_path / "a demo", "--rig", made / "tube.npz", *TRAINING)
-    assert run(*arguments, "--points", 3)[0] == 1 and not (tmp_path / "a demo").exists()
+    code, text, _ = run(*arguments, "--points", 3)
+    assert code == 1 and not (tmp_path / "a demo").exists() and "nothing of this demo is kept in" in text
     with monkeypatch.context() as patched:
         patched.setattr("lbsfit_np.learning.batch.fit_scans", lambda *a, **k: (_ for _ in ()).throw(KeyboardInterrupt))
         code, text, _ = run(*arguments)

@@ -146,6 +146,9 @@ def test_the_odd_ones_are_far_from_the_largest_group():
     assert list(odd_ones(np.array([3.0]), 1.6)) == []
     assert list(odd_ones(np.array([1.0] * 10 + [0.8, 1.3]), 1.6)) == []  # no two far apart are far from the others
     assert list(odd_ones(np.array([1.61] + [1.0] * 12 + [1.2, 1.4]), 1.6)) == [0]  # which makes none of the two odd
+    for alike in ([1.0, 1.5, 1.9], np.arange(0.8, 1.31, 0.05), np.arange(0.8, 1.41, 0.1)):  # near the middle, all of them
+        assert not len(odd_ones(np.array(alike), 1.6))
+    assert list(odd_ones(np.array([1.0, 4.5, 100.0]), 1.6)) == [0, 2]  # never all
 
 
 @pytest.mark.parametrize(

@@ -54,6 +54,11 @@ def test_templates_leave_their_givers_arrays_alone(tube_rig):
     joints += 1.0
     theta += 1.0
     np.testing.assert_array_equal(rig.vertices, before)
+    view = vertices.view()
+    view.flags.writeable = False
+    other, before = replace(rig, vertices=view), vertices.copy()
+    vertices += 1.0  # by way of what it is a view of
+    np.testing.assert_array_equal(other.vertices, before)
     assert not rig.poses["mine"].any() and not rig.poses["mine"].flags.writeable
     assert rig.with_parts("joints").vertices is rig.vertices  # what nobody can write to is not copied
 
@@ -63,6 +68,8 @@ def test_loose_vertices_are_no_measure_of_the_size(tube_rig):
     weights = sparse.csr_array(sparse.vstack([data.weights, data.weights[[0]]]))
     loose = build_rig(replace(data, vertices=np.vstack([data.vertices, [[0, 99, 0]]]), weights=weights, regressor=None))
     assert loose.size == tube_rig.size and "1 vertices belong to no face" in loose.notes
+    line = replace(loose, faces=np.vstack([loose.faces, [[242, 242, 0]]]))
+    assert line.size == line.welded.size == tube_rig.size
 
 
 def test_rig_travels_to_other_processes(tube_rig):

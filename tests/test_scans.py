@@ -1,6 +1,7 @@
 """Scans in files: every format gives back what was written."""
 
 import json
+import re
 import struct
 
 import numpy as np
@@ -186,6 +187,7 @@ MARK = b"\xef\xbb\xbf"
         ("p.xyz", rows(POINTS)),
         ("p.csv", rows(POINTS, sep=";").replace(".", ",")),
         ("p.txt", "x y z\n" + rows(POINTS)),
+        ("p.xyz", "# gemessen in Å\n" + rows(POINTS)),
         ("s.stl", ascii_stl()),
     ],
 )
@@ -200,7 +202,16 @@ def test_a_mark_of_utf_8_is_no_part_of_the_text(tmp_path, name, text):
         np.testing.assert_array_equal(marked.points[:4], POINTS[:4])
 
 
-@pytest.mark.parametrize("change", [bytes.upper, lambda t: b" \n " + t, lambda t: t.replace(b"solid", b"solid vertex group")])
+@pytest.mark.parametrize(
+    "change",
+    [
+        bytes.upper,
+        lambda t: b" \n " + t,
+        *(lambda t, n=n: re.sub(rb"solid\b[^\n]*", b"solid " + n, t) for n in (b"vertex group", b"Solid1", b"solid")),
+        *(lambda t, n=n: MARK + re.sub(rb"solid\b[^\n]*", b"solid " + n, t) for n in (b"vertex", b"facet vertex", b"")),
+        lambda t: t.replace(b"\n", b" "),
+    ],
+)
 def test_ascii_stl_in_its_many_spellings(tmp_path, change):
     text = ascii_stl()
     text = text if isinstance(text, bytes) else text.encode()

@@ -24,10 +24,7 @@ def body_rig(data, shape="female_avg"):
     return load_rig(Path(data) / "mpfb2_body" / "mpfb2_cmu_mb.npz", card=card, shape=shape)
 
 
-def check_frames(motion, n):
-    """Raise InputError unless a motion has a frame for each of n scans, beside the first."""
-    if n > (most := len(motion.rotations) - 1):
-        raise InputError("scans", f"more scans than the motion has frames ({n})", f"as many as {most} in all, or fewer")
+
 
 
 def body_scans(rig, data, n=20, *, seed):
@@ -39,7 +36,8 @@ def body_scans(rig, data, n=20, *, seed):
     motion = read_bvh(Path(data) / "motion" / "01_01.bvh")
     subjects = [body_rig(data, shape) for shape in SHAPES]
     rng = generator(seed, "body frames")
-    check_frames(motion, n)
+    if n > (most := len(motion.rotations) - 1):
+        raise InputError("scans", f"more scans than the motion has frames ({n})", f"at most {most}")
     frames = np.sort(rng.choice(np.arange(1, len(motion.rotations)), n, replace=False))
     scans = []
     for i, frame in enumerate(frames):

@@ -6,7 +6,7 @@ segmenter's labels are judged.
 
 import hashlib
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import asdict
 from functools import partial
 from itertools import count
@@ -27,7 +27,10 @@ from .resume import REMEDY, begun
 from .run import TRAINING_SEED
 from .subjects import people_digest, scans_digest, subject
 
-__all__ = ["COLLECTIONS", "MEASURES", "VARIANT_ROWS", "collection", "learn_bench", "learn_table", "touching_pose"]
+__all__ = [
+    *("COLLECTIONS", "MEASURES", "VARIANT_ROWS"),
+    *("collection", "learn_bench", "learn_table", "steps_of", "touching_pose"),
+]
 
 COLLECTIONS = ("hand", "body")
 N_SUBJECTS = 3
@@ -102,7 +105,9 @@ def _body_poses(rig, data, seed, n):
     from .retarget import bvh_thetas
 
     motion = read_bvh(_motion(data))
-    body.check_frames(motion, n)
+    if n > (frames := len(motion.rotations) - 1):
+        got = f"more scans than the motion has frames, with a third more for labels ({n})"
+        raise InputError("scans", got, f"at most {3 * frames // 4}")
     frames = generator(seed, "learn frames").choice(np.arange(1, len(motion.rotations)), n, replace=False)
     thetas = bvh_thetas(rig, motion, [int(f) for f in frames], face_forward=True)
     return lambda i, rng: thetas[i]
@@ -172,8 +177,8 @@ def learn_bench(
     before : dict, optional
         A report of the same settings: what it has is not done again.
     steps : path-like, optional
-        Folder for the steps of a seed until all of it is done: a run that was stopped goes on within a variant, too, whose
-        seconds are None then. By default a temporary one.
+        Folder for the steps of each seed until all of it is done: a run that was stopped goes on within a variant, too. What is
+        then made of the seed has None as its seconds. By default a temporary one.
     progress : callable (variant, seed, stage, share, figures), optional
         As for ``LBSFitter.fit``; variant and seed are None while what all share is trained.
     on_row : callable (report, variant, seed), optional
@@ -225,6 +230,7 @@ def learn_bench(
     for seed in seeds:
         todo = [variant for variant in variants if str(seed) not in report["rows"].get(variant, {})]
         if not todo:
+            _forget(steps, seed)
             continue
         _, scans, subjects, others = collection(name, data, n_scans, seed=seed)
         points = [scan.points for scan in scans]
@@ -237,7 +243,8 @@ def learn_bench(
             singles[str(seed)] = entry | {"label_error": _wrong(first, others)}
             if on_row is not None:
                 on_row(report, _ONE_BY_ONE, seed)
-        with _kept_until_done(steps) as (kept, gone_on):  # in which variants that learn from labels find each other's first fits
+        # Where variants that learn from labels find each other's first fits.
+        with _kept_until_done(steps, seed) as (kept, gone_on):
             for variant in todo:
                 one = clone(fitter).set_params(variant=variant)
                 one._pretrained = pretrained
@@ -259,15 +266,29 @@ def learn_bench(
     return report
 
 
+def steps_of(steps, seed):
+    """The folder for the steps of a seed."""
+    return Path(steps) / str(seed)
+
+
 @contextmanager
-def _kept_until_done(folder):
+def _kept_until_done(steps, seed):
     """A folder for steps, and whether a run that was stopped has left some there; it goes once all is done."""
-    if folder is None:
+    if steps is None:
         with TemporaryDirectory() as made:
             yield made, False
         return
+    folder = steps_of(steps, seed)
     yield folder, steps_in(folder) > 0
-    remove_checkpoint(folder)
+    _forget(steps, seed)
+
+
+def _forget(steps, seed):
+    """Remove what is kept of a seed, and the folder of all where nothing is left in it."""
+    if steps is not None:
+        remove_checkpoint(steps_of(steps, seed))
+        with suppress(OSError):
+            Path(steps).rmdir()
 
 
 def _one_by_one(fitter, points, jobs, progress):

@@ -274,8 +274,8 @@ def _learned_before(folder, fitter):
 
 
 def _any_made(folder):
-    """Whether an earlier run has left anything that settings matter to."""
-    return any((folder / _FITS).glob("*.npz")) or (folder / _MODEL).is_file() or checkpoint_in(folder).is_dir()
+    """Whether an earlier run has left fits or a model; steps know themselves what they are made of."""
+    return any((folder / _FITS).glob("*.npz")) or (folder / _MODEL).is_file()
 
 
 def _file(folder, name):

@@ -150,8 +150,8 @@ def _row_entry(report, name, rig, row, condition):
     described = {key: getattr(condition, key) for key in ("what", "goal", "close", "fitter", "unit", "subjects")}
     described["scan"] = asdict(condition.scan)
     facts = {"digest": rig.digest, "poses": rig.poses_digest, "up": rig.up, "size": rig.size, "vertices": len(rig.vertices)}
-    kept = report["rigs"].get(name, {})
-    if any(kept.get(key) != value for key, value in facts.items()):
+    kept = report["rigs"].get(name, {"digest": None})
+    if any(kept.get(key, value) != value for key, value in facts.items()):  # earlier reports have fewer
         kept = report["rigs"][name] = facts | {"rows": {}}
     entry = kept["rows"].get(row, {})
     if entry.get("condition") != described:

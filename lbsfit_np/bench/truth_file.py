@@ -50,7 +50,7 @@ def read_truth(path, folder, *, subject_column="subject", output=None):
     FileError
         No such file or folder, columns of none of the forms, rows that make no sense, with their line; scans that are not there.
     """
-    path, folder, subject_column = Path(path), Path(folder), subject_column.lower()
+    path, folder, subject_column = Path(path), Path(folder), _in_one_form(subject_column.lower())
     files = _scan_files(folder, path)
     named = _Named(files, folder)
     columns, rows = _table(path)
@@ -59,7 +59,7 @@ def read_truth(path, folder, *, subject_column="subject", output=None):
     scans, at, entries = [], {}, []
     for line, row in rows:
         file = named.file_of(path, line, row["scan"])
-        subject = normalize("NFC", row[subject_column]) if with_subject else "0"
+        subject = _in_one_form(row[subject_column]) if with_subject else "0"
         if not subject:
             raise FileError(str(path), f"no {subject_column} in line {line}", "an id for each scan")
         if file not in at:
@@ -111,7 +111,7 @@ def _table(path):
             got = f"{brief(line)} in line {k}, which cannot be read ({error})"
             raise FileError(str(path), got, "a row of the table") from None
         table.append((k, [cell.strip() for cell in cells]))
-    columns = [name.lower() for name in table[0][1]]
+    columns = [_in_one_form(name.lower()) for name in table[0][1]]
     while columns and not columns[-1]:  # spreadsheets export empty columns
         columns.pop()
     rows = []
@@ -155,21 +155,28 @@ def _scan_files(folder, truth):
     return [p for p in files if not (truth.exists() and p.samefile(truth))]
 
 
+def _in_one_form(text):
+    """Text with each letter put together in one way: macOS and spreadsheets have their own."""
+    return normalize("NFC", text)
+
+
 class _Named:
     """The files of a folder by what a row may call them: a path there, else a file name, each with or without the extension."""
 
     def __init__(self, files, folder):
         self.files, self.folder = files, folder
-        self._by = [{} for _ in range(4)]
+        self._by = [{} for _ in range(8)]  # as they are, then as text in one form
         for p in files:
             there = p.relative_to(folder)
-            for by, key in zip(self._by, (there.as_posix(), there.with_suffix("").as_posix(), p.name, p.stem), strict=True):
-                by.setdefault(normalize("NFC", key), []).append(p)
+            keys = there.as_posix(), there.with_suffix("").as_posix(), p.name, p.stem
+            for by, key in zip(self._by, (*keys, *map(_in_one_form, keys)), strict=True):
+                by.setdefault(key, []).append(p)
 
     def file_of(self, path, line, name):
         """The file that a row of the table at ``path`` means."""
-        wanted = normalize("NFC", name.replace("\\", "/"))
-        found = next((by[wanted] for by in self._by if wanted in by), [])
+        wanted = name.replace("\\", "/")
+        found = [by.get(wanted) for by in self._by[:4]] + [by.get(_in_one_form(wanted)) for by in self._by[4:]]
+        found = next(filter(None, found), [])
         if len(found) > 1:
             names = listed([p.relative_to(self.folder).as_posix() for p in found], 4)
             raise FileError(str(path), f"{brief(name)} in line {line}, which may be {names}", "a name that says which file")
@@ -216,7 +223,7 @@ def _landmarks(read):
         for scan, rows in zip(scans, entries, strict=True):
             here, where = {}, {}
             for line, row in rows:
-                name = row["name"]
+                name = _in_one_form(row["name"])
                 if not name:
                     raise FileError(str(path), f"no name in line {line}", "a name for each place")
                 if name in here:

@@ -67,17 +67,18 @@ def run_starts(rigs, values):
 
 def run_learn(name, values):
     """``lbsfit bench learn``: the loop and its ablations; the exit code."""
-    from ..bench.learn import learn_bench, learn_table
+    from ..bench.learn import learn_bench, learn_table, steps_of
     from ..io.write import write_json
-    from ..learning.checkpoint import checkpoint_of, remove_checkpoint, steps_in
+    from ..learning.checkpoint import checkpoint_of, remove_checkpoint
 
     _checked_data(name, values)
     results = made_results(values)
     resumed = values["existing"] == "resume" and results.exists()
     progress, steps = _VariantsProgress(), checkpoint_of(results)
-    if values["existing"] == "replace":
-        remove_checkpoint(steps)
-    say_steps(steps)
+    for seed in numbers(values["seeds"]):
+        if values["existing"] == "replace":
+            remove_checkpoint(steps_of(steps, seed))
+        say_steps(steps_of(steps, seed))
 
     def on_row(report, variant, seed):
         write_json(results, report)
@@ -103,7 +104,7 @@ def run_learn(name, values):
             )
     except KeyboardInterrupt:
         progress.close()
-        if steps_in(steps):
+        if results.exists() or steps.is_dir():
             again = "the same command" + (" without --existing replace" if values["existing"] == "replace" else "")
             say(f"stopped: what is done is kept in {values['output']}, and {again} goes on")
         raise

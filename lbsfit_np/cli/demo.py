@@ -87,19 +87,21 @@ def _run(arguments):
     check_outputs([*paths.values(), *fits, out / SUMMARY], out, inputs=[values["rig"]], existing=values["existing"])
     folders = make_folder(out)
     truth = _scan_with_truth(rig, values)
-    rig.save(paths["rig"])
-    write_points_ply(paths["scan"], truth.points)
-    write_npz(
-        paths["truth"],
-        pose=truth.pose, translation=truth.translation, scale=truth.scale, template=truth.template,
-        template_joints=truth.template_joints, vertices=truth.vertices, joints=truth.joints, labels=truth.labels,
-    )  # fmt: skip
+    remove(fits)  # of an earlier demo, which would pass for this one's
     try:
+        rig.save(paths["rig"])
+        write_points_ply(paths["scan"], truth.points)
+        write_npz(
+            paths["truth"],
+            pose=truth.pose, translation=truth.translation, scale=truth.scale, template=truth.template,
+            template_joints=truth.template_joints, vertices=truth.vertices, joints=truth.joints, labels=truth.labels,
+        )  # fmt: skip
         code = fit_files(str(paths["rig"]), [str(paths["scan"])], chosen | {"existing": "replace"})
     finally:
         if not fits[0].is_file():  # without a fit, nothing that would be in the way of the same command
             remove([*paths.values(), out / SUMMARY])
             remove_empty(folders)
+            say(f"without a fit, nothing of this demo is kept in {out}")
     if code:
         return code
     result = FitResult.load(out / "scan.fit.npz")

@@ -69,10 +69,11 @@ class ScanFiles:
         paths = {"fit": self.fit, "mesh": self.mesh, "labels": self.labels, "picture": self.picture}
         return {what: path for what, path in paths.items() if path is not None}
 
-    def written(self):
-        """The files that an earlier run has written, also a picture where none is wanted now; none that others have drawn."""
+    def beside(self):
+        """What an earlier run has written beside its fit, a picture that is not wanted now, too; none that others have drawn."""
         picture = self.fit.with_name(self.name + _ENDINGS["picture"])
-        return [self.fit, self.mesh, self.labels, *([] if _is_of_others(picture) else [picture])]
+        ours = (self.picture is not None or self.fit.is_file()) and not _is_of_others(picture)
+        return [self.mesh, self.labels, *([picture] if ours else [])]
 
 
 def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, may_skip=False):
@@ -244,7 +245,7 @@ class Writer:
                 normals=scan.normals,
                 part_names=rig.parts,
             )
-            for path in files.written():  # by an earlier run, which would then pass for this one's
+            for path in files.beside():  # of an earlier fit, which would then pass for this one's
                 path.unlink(missing_ok=True)
         undrawn = [] if files.picture is None else draw(files, rig, scan.points, result)
         return fitted_entry(files, result, notes=[*scan.notes, *undrawn])
@@ -257,7 +258,7 @@ def with_reasons(message, notes):
 
 def unfitted_entry(files, message, **facts):
     """The entry of a scan that could not be fitted now; removes what an earlier run has written of it, as if it were its fit."""
-    return entry(files, "failed", message="; ".join([message, *remove(files.written())]), **facts)
+    return entry(files, "failed", message="; ".join([message, *remove([files.fit, *files.beside()])]), **facts)
 
 
 def remove(paths):

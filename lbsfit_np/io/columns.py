@@ -172,24 +172,30 @@ def _begins_with_a_mark(path):
         return file.read(len(_MARK)) == _MARK
 
 
+def _lines(path, decimal_comma):
+    """The lines of a file without that mark, numbers with decimal points."""
+    with open(path, encoding="latin-1") as file:
+        for k, line in enumerate(file):
+            line = line if k else line.removeprefix(_MARK.decode("latin-1"))
+            yield line.replace(",", ".") if decimal_comma else line
+
+
 def _load(path, skip, delimiter, usecols, decimal_comma):
     """The wanted columns as an (n, c) array."""
     options = {"delimiter": delimiter, "usecols": usecols, "ndmin": 2, "skiprows": skip, "encoding": "latin-1", "quotechar": '"'}
-    source = path
+    plain = not decimal_comma and not _begins_with_a_mark(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            if decimal_comma or _begins_with_a_mark(path):
-                lines = path.read_text("latin-1").removeprefix(_MARK.decode("latin-1")).splitlines()
-                source = [line.replace(",", ".") for line in lines] if decimal_comma else lines
             try:
-                return np.loadtxt(source, **options)
+                return np.loadtxt(path if plain else _lines(path, decimal_comma), **options)
             except ValueError:
                 if delimiter is None:
                     raise
                 # Slower: an empty cell is a missing value, and becomes NaN; a decimal comma may come after a first row without.
                 point = "," if delimiter == ";" else "."
-                return np.loadtxt(source, converters=lambda c: float(c.replace(point, ".")) if c.strip() else np.nan, **options)
+                options |= {"converters": lambda c: float(c.replace(point, ".")) if c.strip() else np.nan}
+                return np.loadtxt(path if plain else _lines(path, decimal_comma), **options)
     except (ValueError, IndexError) as error:
         what = re.sub(r"at row (\d+)", lambda m: f"in row {int(m[1]) + 1}", str(error).split(";")[0]).rstrip(".")
         expected = "one point per line, the same number of columns in each"

@@ -21,6 +21,8 @@ __all__ = ["read_obj", "read_off", "read_stl"]
 _TRUNCATED = "The file is truncated or damaged, or its extension is wrong."
 # The mark that some programs write before UTF-8, as Latin-1 has it.
 _BOM = "\xef\xbb\xbf"
+# Names of solids in an ASCII STL, which may hold any word: to the line's end, or to where facets begin in the same line.
+_NAMES = rb"^\s*solid\b(?:(?!\bfacet\s+normal\b)[^\r\n])*|(?<=\bendsolid)\b(?:(?!\bsolid\b[^\r\n]*\bfacet\s+normal)[^\r\n])*"
 
 
 def read_obj(path):
@@ -179,8 +181,8 @@ def _normals_of_vertices(normals, n, corners, corner_normals):
 
 
 def _ascii_corners(path, data):
-    names = rb"^[ \t]*solid\b(?:(?!facet)[^\r\n])*|(?<=endsolid)(?:(?!solid)[^\r\n])*"  # which may hold any word
-    words = re.sub(names, b"", data.lower(), flags=re.MULTILINE).split()
+    text = data.removeprefix(_BOM.encode("latin-1")).lower()
+    words = re.sub(_NAMES, b" ", text, flags=re.MULTILINE).split()
     corners = [k for k, word in enumerate(words) if word == b"vertex"]
     facets = words.count(b"endfacet")
     if b"endsolid" not in words or len(corners) != 3 * facets:

@@ -90,7 +90,7 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     if hasattr(fitter, "_check"):
         fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
         subjects = known_subjects(getattr(fitter, "template_", None), subjects, len(scans))
-    if n_jobs > 1 and finish is not None:
+    if n_jobs > 1 and len(scans) > 1 and finish is not None:
         _check_sent("finish", finish)  # before the training
     outcomes = {}
 

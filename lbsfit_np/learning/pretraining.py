@@ -82,7 +82,7 @@ def pretrained_from(fitter):
 
 def _seen_from(rig, synthesis):
     """The up axis where training scans depend on it, which the rig's digest does not know."""
-    return (rig.up,) if synthesis.one_sided or synthesis.floor else ()
+    return (rig.up or "+y",) if synthesis.one_sided or synthesis.floor else ()
 
 
 def is_stale(fitter):

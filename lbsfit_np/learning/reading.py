@@ -116,7 +116,7 @@ def odd_ones(sizes, most):
     ----------
     sizes : (n,) array
     most : float
-        Ratio of the largest to the smallest up to which all are alike, and to the group's median beyond which one is not.
+        Ratio of the largest to the smallest up to which all are alike, and to the group's middle beyond which one is not.
 
     Returns
     -------
@@ -127,7 +127,10 @@ def odd_ones(sizes, most):
     if gaps.sum() <= np.log(most):
         return np.empty(0, dtype=int)
     groups = np.split(order, np.flatnonzero(gaps >= gaps.max() / 2) + 1)
-    typical = np.median(sizes[max(groups, key=len)])
+    middle = np.median(np.log(sizes))
+    members = [group[len(group) // 2] for group in groups]  # of groups as large, the one in the middle
+    _, _, k = max((len(group), -abs(np.log(sizes[m]) - middle), m) for group, m in zip(groups, members))
+    typical = sizes[k]
     return np.flatnonzero(np.abs(np.log(sizes / typical)) > np.log(most))
 
 

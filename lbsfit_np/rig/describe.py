@@ -49,7 +49,7 @@ def _facts(rig):
     unit = rig.metres_per_unit
     name = next((word for word, metres in UNITS.items() if metres == unit), None)
     words = "unknown" if unit is None else name or f"{unit:g} m"
-    sides = " × ".join(f"{side:.4g}" for side in np.ptp(rig.vertices, axis=0))
+    sides = " × ".join(f"{side:.4g}" for side in rig.sides)
     yield "unit", words
     yield "size", f"{sides}" + (f" {name}" if name else "" if unit is None else " units")
     yield "axes", f"up {rig.up or 'unknown'}, forward {rig.forward or 'unknown'}"

@@ -9,11 +9,16 @@ __all__ = ["locked"]
 def locked(value, copy=True):
     """An array or sparse matrix read-only, by default a copy where its maker could still write to it; others as they are."""
     if isinstance(value, np.ndarray):
-        value = value.copy() if copy and value.flags.writeable else value
+        value = value.copy() if copy and _is_shared(value) else value
         value.flags.writeable = False
     elif sparse.issparse(value):
-        if copy and any(a.flags.writeable for a in (value.data, value.indices, value.indptr)):
+        if copy and any(map(_is_shared, (value.data, value.indices, value.indptr))):
             value = value.copy()
         for a in (value.data, value.indices, value.indptr):
             a.flags.writeable = False
     return value
+
+
+def _is_shared(array):
+    """Whether others may write to it, or to what it is a view of."""
+    return array.flags.writeable or not array.flags.owndata

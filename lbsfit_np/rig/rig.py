@@ -136,9 +136,15 @@ class Rig:
 
     @cached_property
     def size(self):
-        """Longest side of the bounding box of the rest pose's faces, in rig units: loose vertices are no part of the surface."""
-        used = np.unique(self.faces) if len(self.faces) else slice(None)
-        return float(np.ptp(self.vertices[used], axis=0).max())
+        """Longest side of the bounding box of the rest pose's surface, in rig units."""
+        return float(self.sides.max())
+
+    @property
+    def sides(self):
+        """(3,): sides of that box. Loose vertices, and those of degenerate faces alone, are no part of the surface."""
+        proper = _proper(self.weld[self.faces])
+        used = np.unique(self.faces[proper]) if proper.any() else slice(None)
+        return np.ptp(self.vertices[used], axis=0)
 
     @cached_property
     def weights_transposed(self):
@@ -384,12 +390,17 @@ def _bytes(a):
     return np.ascontiguousarray(np.round(a, 12) + 0.0 if a.dtype.kind == "f" else a.astype(np.int64)).tobytes()
 
 
+def _proper(faces):
+    """(F,) bool: the faces with three corners that differ."""
+    return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+
+
 def weld_rig(rig):
     """A rig on the distinct vertices of ``rig``: faces renumbered, degenerate ones dropped, weights averaged."""
     weld = rig.weld
     n = int(weld.max()) + 1
     faces = weld[rig.faces]
-    proper = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    proper = _proper(faces)
     if n == len(weld):
         return rig if proper.all() else replace(rig, faces=faces[proper])
     m = len(weld)

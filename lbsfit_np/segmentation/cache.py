@@ -12,10 +12,10 @@ from . import context
 
 __all__ = ["RECIPE", "cache_folder", "cached", "could_not_keep"]
 
-# To be raised by one with every change of segmentation/, starts/look.py, starts/library.py, synthesis.py, sensor.py or
-# rig/proportions.py after which the same settings and seed train another segmenter or another library: what an earlier state
-# of the code has cached is then never taken for this one's.
-RECIPE = 2
+# To be raised by one with every change of segmentation/, starts/look.py, starts/library.py, synthesis.py, sensor.py,
+# rig/proportions.py, or Rig.size after which the same settings and seed train another segmenter or another library: what an
+# earlier state of the code has cached is then never taken for this one's.
+RECIPE = 3
 
 _MEMORY, _WARNED_OF = {}, set()
 
