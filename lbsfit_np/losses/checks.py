@@ -16,8 +16,8 @@ _MOST_PARTS = 2**16
 _LARGEST = 1e150
 
 
-def check_set(argument, value):
-    """A point set as a finite, non-empty (k, 3) float array; the input itself where it is one."""
+def check_set(argument, value, most=_LARGEST):
+    """A point set as a finite, non-empty (k, 3) float array, all below ``most``; the input itself where it is one."""
     check_unmasked(argument, value)
     check_real(argument, value, "numbers of shape (k, 3)")
     try:
@@ -31,10 +31,10 @@ def check_set(argument, value):
     if not len(a):
         raise InputError(argument, "an empty set", "at least one point")
     largest = np.abs(a).max()
-    if not largest < _LARGEST:  # not: NaN fails every comparison
+    if not largest < most:  # not: NaN fails every comparison
         finite = np.isfinite(a)
         if finite.all():
-            raise InputError(argument, f"coordinates of up to {largest:.3g}", f"coordinates below {_LARGEST:.0e}")
+            raise InputError(argument, f"coordinates of up to {largest:.3g}", f"coordinates below {most:.0e}")
         bad = np.flatnonzero(~finite.all(axis=1))
         raise InputError(argument, f"{not_finite(len(bad), 'point')}, the first at row {bad[0]}", "finite numbers")
     return a
