@@ -16,6 +16,7 @@ from lbsfit_np.bench.learn import VARIANT_ROWS, _measured, _poses_digest, collec
 from lbsfit_np.cli import main as run
 from lbsfit_np.cli.bench import VARIANT_NAMES
 from lbsfit_np.errors import InputError
+from lbsfit_np.io.bvh import read_bvh
 from lbsfit_np.learning.checkpoint import Checkpoint, steps_in
 
 
@@ -236,11 +237,21 @@ def test_steps_of_a_seed_are_kept_until_it_is_done(shared_rigs, quick, monkeypat
     assert rows["joint"]["3"]["seconds"] is not None and rows["cd"]["3"]["seconds"] is None
     assert "has 2 steps of a run that was stopped" in capsys.readouterr().out
 
+    def stopped(self, *given, **options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", stopped)  # nothing of a replacing run is kept then
+    assert run([*command, "--variants", "cd", "--existing", "replace"]) == 130
+    assert "what is done is kept in" not in capsys.readouterr().out
+
 
 def test_a_motion_of_few_frames_is_named_before_any_training(shared_rigs, monkeypatch):
     monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained first"))
-    with pytest.raises(InputError, match=r"scans: got more scans than the motion has frames, .*at most \d+"):
+    with pytest.raises(InputError, match=r"scans: got 5000, more than the motion has frames for; .*at most \d+") as error:
         learn_bench("body", shared_rigs, n_scans=5000, seeds=(3,))
+    most = int(str(error.value).rstrip(".").split()[-1])
+    frames = len(read_bvh(shared_rigs / "motion" / "01_01.bvh").rotations) - 1
+    assert most + most // 3 <= frames < most + 1 + (most + 1) // 3
 
 
 def test_label_errors_are_noted_after_each_round(shared_rigs, quick, monkeypatch):

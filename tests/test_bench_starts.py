@@ -426,3 +426,14 @@ def test_failures_are_named_and_do_not_end_the_run(run, known, tmp_path):
 def test_usage(run, arguments, words):
     code, _, err = run(*arguments)
     assert code == 2 and err.count("\n") == 1 and words in err
+
+
+def test_rows_of_a_rig_with_other_poses_are_not_kept(tube_rig):
+    """Of a report that knows less of the rig, what it does not know is noted from then on."""
+    report = {"rigs": {}}
+    condition = CONDITIONS["0.3"]
+    module._row_entry(report, "tube", tube_rig, "0.3", condition)["fits"]["own"] = "kept"
+    del report["rigs"]["tube"]["poses"]
+    assert module._row_entry(report, "tube", tube_rig, "0.3", condition)["fits"] == {"own": "kept"}
+    other = replace(tube_rig, poses={"bent": np.full(tube_rig.lower.shape, 0.1)})
+    assert module._row_entry(report, "tube", other, "0.3", condition)["fits"] == {}

@@ -149,6 +149,8 @@ def test_the_odd_ones_are_far_from_the_largest_group():
     for alike in ([1.0, 1.5, 1.9], np.arange(0.8, 1.31, 0.05), np.arange(0.8, 1.41, 0.1)):  # near the middle, all of them
         assert not len(odd_ones(np.array(alike), 1.6))
     assert list(odd_ones(np.array([1.0, 4.5, 100.0]), 1.6)) == [0, 2]  # never all
+    for sizes in ([1.0, 1.0, 5.0, 5.0], [1.0, 2.0], [1.0, 1.1, 2.5, 2.6]):  # whatever their order
+        assert list(odd_ones(np.array(sizes[::-1]), 1.6)) == [len(sizes) - 1 - k for k in odd_ones(np.array(sizes), 1.6)[::-1]]
 
 
 @pytest.mark.parametrize(

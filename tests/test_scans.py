@@ -210,6 +210,8 @@ def test_a_mark_of_utf_8_is_no_part_of_the_text(tmp_path, name, text):
         *(lambda t, n=n: re.sub(rb"solid\b[^\n]*", b"solid " + n, t) for n in (b"vertex group", b"Solid1", b"solid")),
         *(lambda t, n=n: MARK + re.sub(rb"solid\b[^\n]*", b"solid " + n, t) for n in (b"vertex", b"facet vertex", b"")),
         lambda t: t.replace(b"\n", b" "),
+        lambda t: t.replace(b"\n", b"\r"),
+        lambda t: (t + t).replace(b"solid", b"solid my facet normal vertex").replace(b"\n", b" "),
     ],
 )
 def test_ascii_stl_in_its_many_spellings(tmp_path, change):

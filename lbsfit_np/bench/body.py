@@ -24,7 +24,12 @@ def body_rig(data, shape="female_avg"):
     return load_rig(Path(data) / "mpfb2_body" / "mpfb2_cmu_mb.npz", card=card, shape=shape)
 
 
-
+def check_frames(motion, n, more=lambda n: 0):
+    """Raise InputError unless a motion has frames, beside the first, for n scans and ``more`` (n) others."""
+    frames = len(motion.rotations) - 1
+    if n + more(n) > frames:
+        most = max(k for k in range(frames + 1) if k + more(k) <= frames)
+        raise InputError("scans", f"{n}, more than the motion has frames for", f"at most {most}")
 
 
 def body_scans(rig, data, n=20, *, seed):
@@ -36,8 +41,7 @@ def body_scans(rig, data, n=20, *, seed):
     motion = read_bvh(Path(data) / "motion" / "01_01.bvh")
     subjects = [body_rig(data, shape) for shape in SHAPES]
     rng = generator(seed, "body frames")
-    if n > (most := len(motion.rotations) - 1):
-        raise InputError("scans", f"more scans than the motion has frames ({n})", f"at most {most}")
+    check_frames(motion, n)
     frames = np.sort(rng.choice(np.arange(1, len(motion.rotations)), n, replace=False))
     scans = []
     for i, frame in enumerate(frames):

@@ -74,7 +74,7 @@ def collection(name, data, n_scans, *, seed):
     rig = hand.hand_rig(data) if name == "hand" else body.body_rig(data).welded
     settings = hand.SCAN if name == "hand" else body.SCAN
     templates = [subject(rig, generator(seed, "learn subject", k)) for k in range(N_SUBJECTS)]
-    poses = _hand_poses(rig, data) if name == "hand" else _body_poses(rig, data, seed, n_scans + n_scans // 3)
+    poses = _hand_poses(rig, data) if name == "hand" else _body_poses(rig, data, seed, n_scans)
     scans = []
     for i in range(n_scans + n_scans // 3):
         rng = generator(seed, "learn scan", i)
@@ -100,14 +100,13 @@ def _hand_poses(rig, data):
     return pose
 
 
-def _body_poses(rig, data, seed, n):
+def _body_poses(rig, data, seed, n_scans):
     from ..io.bvh import read_bvh
     from .retarget import bvh_thetas
 
     motion = read_bvh(_motion(data))
-    if n > (frames := len(motion.rotations) - 1):
-        got = f"more scans than the motion has frames, with a third more for labels ({n})"
-        raise InputError("scans", got, f"at most {3 * frames // 4}")
+    body.check_frames(motion, n_scans, more=lambda n: n // 3)
+    n = n_scans + n_scans // 3
     frames = generator(seed, "learn frames").choice(np.arange(1, len(motion.rotations)), n, replace=False)
     thetas = bvh_thetas(rig, motion, [int(f) for f in frames], face_forward=True)
     return lambda i, rng: thetas[i]

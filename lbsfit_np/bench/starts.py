@@ -152,7 +152,8 @@ def _row_entry(report, name, rig, row, condition):
     facts = {"digest": rig.digest, "poses": rig.poses_digest, "up": rig.up, "size": rig.size, "vertices": len(rig.vertices)}
     kept = report["rigs"].get(name, {"digest": None})
     if any(kept.get(key, value) != value for key, value in facts.items()):  # earlier reports have fewer
-        kept = report["rigs"][name] = facts | {"rows": {}}
+        kept = report["rigs"][name] = {"rows": {}}
+    kept |= facts
     entry = kept["rows"].get(row, {})
     if entry.get("condition") != described:
         entry = kept["rows"][row] = {"condition": described, "fits": {}}

@@ -69,7 +69,7 @@ def run_learn(name, values):
     """``lbsfit bench learn``: the loop and its ablations; the exit code."""
     from ..bench.learn import learn_bench, learn_table, steps_of
     from ..io.write import write_json
-    from ..learning.checkpoint import checkpoint_of, remove_checkpoint
+    from ..learning.checkpoint import checkpoint_of, remove_checkpoint, steps_in
 
     _checked_data(name, values)
     results = made_results(values)
@@ -80,8 +80,11 @@ def run_learn(name, values):
             remove_checkpoint(steps_of(steps, seed))
         say_steps(steps_of(steps, seed))
 
+    made = []  # rows of this run
+
     def on_row(report, variant, seed):
         write_json(results, report)
+        made.append((variant, seed))
         progress.close()
         entry = report["rows"][variant][str(seed)]
         error = f"joints {entry['joint_error']:.4f}, vertices {entry['vertex_error']:.4f} {report['unit']}"
@@ -104,7 +107,7 @@ def run_learn(name, values):
             )
     except KeyboardInterrupt:
         progress.close()
-        if results.exists() or steps.is_dir():
+        if made or any(steps_in(steps_of(steps, seed)) for seed in numbers(values["seeds"])):
             again = "the same command" + (" without --existing replace" if values["existing"] == "replace" else "")
             say(f"stopped: what is done is kept in {values['output']}, and {again} goes on")
         raise

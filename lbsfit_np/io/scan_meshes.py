@@ -21,8 +21,6 @@ __all__ = ["read_obj", "read_off", "read_stl"]
 _TRUNCATED = "The file is truncated or damaged, or its extension is wrong."
 # The mark that some programs write before UTF-8, as Latin-1 has it.
 _BOM = "\xef\xbb\xbf"
-# Names of solids in an ASCII STL, which may hold any word: to the line's end, or to where facets begin in the same line.
-_NAMES = rb"^\s*solid\b(?:(?!\bfacet\s+normal\b)[^\r\n])*|(?<=\bendsolid)\b(?:(?!\bsolid\b[^\r\n]*\bfacet\s+normal)[^\r\n])*"
 
 
 def read_obj(path):
@@ -181,9 +179,13 @@ def _normals_of_vertices(normals, n, corners, corner_normals):
 
 
 def _ascii_corners(path, data):
-    text = data.removeprefix(_BOM.encode("latin-1")).lower()
-    words = re.sub(_NAMES, b" ", text, flags=re.MULTILINE).split()
-    corners = [k for k, word in enumerate(words) if word == b"vertex"]
+    words = data.lower().split()
+    corners, inside = [], False  # of a loop: names of solids may hold any word
+    for k, word in enumerate(words):
+        if word in (b"loop", b"endloop"):
+            inside = word == b"loop" and words[k - 1] == b"outer"
+        elif inside and word == b"vertex":
+            corners.append(k)
     facets = words.count(b"endfacet")
     if b"endsolid" not in words or len(corners) != 3 * facets:
         got = f"{len(corners)} corners in {facets} complete facets" + ("" if b"endsolid" in words else ", without 'endsolid'")

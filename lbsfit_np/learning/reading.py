@@ -128,9 +128,10 @@ def odd_ones(sizes, most):
         return np.empty(0, dtype=int)
     groups = np.split(order, np.flatnonzero(gaps >= gaps.max() / 2) + 1)
     middle = np.median(np.log(sizes))
-    members = [group[len(group) // 2] for group in groups]  # of groups as large, the one in the middle
-    _, _, k = max((len(group), -abs(np.log(sizes[m]) - middle), m) for group, m in zip(groups, members))
-    typical = sizes[k]
+    typical = [sizes[group[len(group) // 2]] for group in groups]
+    # Of groups as large the one nearest to the middle, of two as near the smaller.
+    apart = [round(abs(np.log(size) - middle), 9) for size in typical]
+    *_, typical = max((len(group), -away, -size, size) for group, away, size in zip(groups, apart, typical))
     return np.flatnonzero(np.abs(np.log(sizes / typical)) > np.log(most))
 
 

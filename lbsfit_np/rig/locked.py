@@ -10,15 +10,27 @@ def locked(value, copy=True):
     """An array or sparse matrix read-only, by default a copy where its maker could still write to it; others as they are."""
     if isinstance(value, np.ndarray):
         value = value.copy() if copy and _is_shared(value) else value
-        value.flags.writeable = False
+        _lock(value)
     elif sparse.issparse(value):
         if copy and any(map(_is_shared, (value.data, value.indices, value.indptr))):
             value = value.copy()
         for a in (value.data, value.indices, value.indptr):
-            a.flags.writeable = False
+            _lock(a)
     return value
 
 
 def _is_shared(array):
     """Whether others may write to it, or to what it is a view of."""
-    return array.flags.writeable or not array.flags.owndata
+    return any(a.flags.writeable for a in _with_bases(array))
+
+
+def _lock(array):
+    for a in _with_bases(array):
+        a.flags.writeable = False
+
+
+def _with_bases(array):
+    """The array, and the arrays that it is a view of."""
+    while isinstance(array, np.ndarray):
+        yield array
+        array = array.base

@@ -91,7 +91,7 @@ class Segmenter:
         InputError
             Points, a scale or rows that cannot be used.
         """
-        points = check_set("points", getattr(points, "points", points), most=np.inf)
+        points = check_set("points", getattr(points, "points", points), most=1e305)  # with room for what is computed of them
         if isinstance(scale, bool) or not isinstance(scale, Real) or not 0 < scale < np.inf:
             raise InputError("scale", brief(scale), "a positive finite number")
         rows = np.arange(len(points)) if rows is None else _checked_rows(rows, len(points))
