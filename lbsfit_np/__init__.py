@@ -17,6 +17,7 @@ _HOMES = {
     "LBSFitter": "learning.fitter",
     "fit_scan": "learning.one_call",
     "FitResult": "fitting.result",
+    "save_animation": "report.animation",
     "transfer": "correspondence",
     "LbsfitError": "errors",
     "InputError": "errors",

@@ -11,7 +11,9 @@ from lbsfit_np.cli.progress import SILENCE, Progress
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
-@pytest.mark.parametrize("command", [(), ("fit",), ("demo",), ("rig",), ("rig", "show"), ("rig", "card"), ("rig", "list")])
+@pytest.mark.parametrize(
+    "command", [(), ("fit",), ("animate",), ("demo",), ("rig",), ("rig", "show"), ("rig", "card"), ("rig", "list")]
+)
 def test_help_has_an_example(command, run):
     code, text, err = run(*command, "--help")
     assert (code, err) == (0, "")

@@ -13,13 +13,15 @@ from .stopping import exit_code
 __all__ = ["main"]
 
 # Modules of this package; each has add_parser(commands), which sets ``run``. Heavy imports wait until a command runs.
-_COMMANDS = ("fit", "learn", "demo", "rig", "bench")
+_COMMANDS = ("fit", "learn", "animate", "demo", "rig", "bench")
 
 _EPILOG = """\
 examples:
   lbsfit demo -o demo                        see it work on a rig and a scan that the package makes itself
   lbsfit fit hand.glb scans/*.ply -o fits    fit scans
   lbsfit learn hand scans/*.ply -o m.npz     learn from a collection of scans, for better fits
+  lbsfit animate hand.glb fits/*.fit.npz -o hand-moves.glb
+                                             the fits as an animated rig, for other programs
   lbsfit rig show hand.glb                   what is in a rig
 
 exit codes: 0 all done, 1 some scans failed, 2 usage or unreadable rig, 130 stopped by Ctrl-C, 143 by SIGTERM

@@ -1,0 +1,117 @@
+"""``lbsfit animate``: fits as an animated rig that other programs open."""
+
+import os
+
+from ..errors import InputError, counted, listed
+from ..rig.card import UNITS
+from .fit import RIG_OPTIONS, load_rig_with
+from .outputs import check_file
+from .parsing import Option, add_options, amount, formatter, settings
+from .progress import say
+from .sequences import order_note
+
+__all__ = ["add_parser"]
+
+_OPTIONS = (
+    Option("output", "the file to write, which must end in .glb", metavar="OUT.glb", flag="-o"),
+    *RIG_OPTIONS,
+    Option(
+        "offsets",
+        "whose template the frames have: the mean of all, so that bones keep their lengths, or each its own, as morph targets",
+        default="mean",
+        choices=("mean", "each"),
+    ),
+    Option("fps", "frames a second", amount, 30.0, metavar="N", parameter="frames_per_second"),
+    Option(
+        "up",
+        "the scans' up axis, such as --up=+z, which becomes y, as glTF has it; by default the rig's",
+        choices=("+x", "-x", "+y", "-y", "+z", "-z"),
+    ),
+    Option("unit", "the scans' unit; lengths in glTF are metres", default="m", choices=tuple(UNITS)),
+    Option("existing", "what to do where OUT.glb exists already", default="error", choices=("error", "replace")),
+)
+
+_DESCRIPTION = """\
+Write fits as one animated glTF file (.glb), with the rig's mesh, skeleton and skinning weights and a key frame for each fit, in
+the order in which they are given. Blender, game engines and viewers open it. One fit alone gives the rig in its pose.
+"""
+
+_EPILOG = """\
+examples:
+  lbsfit fit hand scans/*.ply -o fits && lbsfit animate hand fits/*.fit.npz -o hand.glb
+  lbsfit animate model.npz fits/*.fit.npz -o walk.glb --fps 60 --up=+z
+  lbsfit animate body.glb fits/scan.fit.npz -o posed.glb --card body.toml --unit mm
+
+RIG is what the fits are of: the rig, with the options that it was read with, or the model.
+Exit code: 0 written, 2 usage, an unreadable rig or fit, or a fit of another rig; nothing is written then.
+"""
+
+
+def add_parser(commands):
+    """Add ``lbsfit animate`` to the subparsers ``commands``."""
+    parser = commands.add_parser(
+        "animate",
+        help="write fits as an animated rig (glTF)",
+        description=_DESCRIPTION,
+        epilog=_EPILOG,
+        formatter_class=formatter,
+    )
+    rigs = "a rig file (.npz .glb .gltf .pkl), a bundled rig (see: lbsfit rig list), or a model that lbsfit learn has written"
+    parser.add_argument("rig", metavar="RIG", help=rigs)
+    parser.add_argument("fits", metavar="FIT", nargs="+", help="results of lbsfit fit or learn: NAME.fit.npz")
+    add_options(parser, _OPTIONS)
+    parser.set_defaults(run=_run)
+
+
+def _run(arguments):
+    from ..fitting.result import FitResult
+    from ..report.animation import check_fit, save_animation
+
+    values = settings(arguments, _OPTIONS)
+    path, fits = values["output"], arguments.fits
+    if path is None:
+        raise InputError("-o/--output", "nothing", "the file to write", "Add -o OUT.glb.")
+    if not path.lower().endswith(".glb"):
+        raise InputError("-o/--output", path, "a name that ends in .glb")
+    for fit in fits:
+        if not fit.lower().endswith(".npz"):
+            raise InputError("FIT", fit, "results that lbsfit fit or learn has written: NAME.fit.npz", "Such as fits/*.fit.npz.")
+    inputs = [(arguments.rig, "the rig itself"), *((fit, "one of the fits") for fit in fits)]
+    check_file(path, inputs=inputs, existing=values["existing"])
+    rig = load_rig_with(arguments.rig, values)
+    results = []
+    for fit in fits:
+        results.append(FitResult.load(fit))
+        check_fit(rig, results[-1], fit)
+    if note := order_note(fits):
+        say(f"note: {note}")
+    _say_doubtful(fits, results)
+    people = sorted({result.subject for result in results})
+    if len(people) > 1 and values["offsets"] == "mean":
+        names = listed([repr(name) if name else "nobody that was learned" for name in people])
+        say(f"note: the fits are of several subjects ({names}): frames have the mean of their templates")
+    options = {"frames_per_second": values["fps"], "metres_per_unit": UNITS[values["unit"]]}
+    errors = save_animation(path, rig, results, offsets=values["offsets"], up=values["up"], **options)
+    say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, errors, values['offsets'])}")
+    return 0
+
+
+def _say_doubtful(fits, results):
+    """Name the fits whose poses may well be wrong: frames of them jump."""
+    for status in ("failed", "suspect"):
+        names = [os.path.basename(fit) for fit, result in zip(fits, results, strict=True) if result.status == status]
+        if names:
+            say(f"note: {counted(len(names), 'fit')} {'is' if len(names) == 1 else 'are'} {status}: {listed(names)}")
+
+
+def _distance(rig, results, errors, offsets):
+    """In words, how far the frames are from the registered meshes, where they are not the same."""
+    if offsets == "each" or len(results) == 1:
+        return ""
+    shares = [100 * error / (rig.size * result.scale) for error, result in zip(errors, results, strict=True)]
+    worst = max(range(len(shares)), key=shares.__getitem__)
+    mean = sum(shares) / len(shares)
+    return (
+        f", whose vertices are {mean:.2g} % of the rig's size away from the registered meshes in the mean, "
+        f"at most {shares[worst]:.2g} % (frame {worst + 1}); with --offsets each they would be these"
+    )

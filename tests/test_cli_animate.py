@@ -1,0 +1,91 @@
+"""``lbsfit animate`` as a user runs it."""
+
+import re
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from cli_runs import one_line, program
+from test_animation import Viewer
+
+import lbsfit_np as lbs
+
+pytestmark = pytest.mark.usefixtures("own_cache")
+
+
+def test_fits_become_an_animation(fitted, made, cli_cache, tmp_path):
+    fits = [fitted[0] / f"{name}.fit.npz" for name in ("one", "two")]
+    done = program("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb", "--fps", "10", cache=cli_cache)
+    assert (done.returncode, done.stderr) == (0, "")
+    words = r"a.glb written: 2 frames, whose vertices are (\S+) % of the rig's size away .* at most (\S+) % \(frame [12]\)"
+    mean, most = map(float, re.search(words, done.stdout).groups())
+    rig, results = lbs.load_rig(made / "tube.npz"), [lbs.FitResult.load(fit) for fit in fits]
+    viewer = Viewer(tmp_path / "a.glb")
+    np.testing.assert_allclose(viewer.times, [0, 0.1], rtol=1e-6)
+    away = []
+    for time, r in zip(viewer.times, results, strict=True):
+        away.append(100 * np.linalg.norm(viewer.draw(time) - r.vertices, axis=1).mean() / (rig.size * r.scale))
+    assert mean == pytest.approx(np.mean(away), rel=0.06) and most == pytest.approx(max(away), rel=0.06) and most < 5
+
+
+def test_each_its_own_offsets_in_the_unit_of_gltf(fitted, made, tmp_path, run):
+    fits = [fitted[0] / f"{name}.fit.npz" for name in ("one", "two")]
+    options = ("--offsets", "each", "--unit", "mm", "--up=+z")
+    code, out, err = run("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb", *options)
+    assert (code, err) == (0, "") and out.endswith("a.glb written: 2 frames\n")
+    viewer = Viewer(tmp_path / "a.glb")
+    for time, fit in zip(viewer.times, fits, strict=True):
+        x, y, z = lbs.FitResult.load(fit).vertices.T
+        np.testing.assert_allclose(1000 * viewer.draw(time), np.column_stack([x, z, -y]), atol=1e-5)
+
+
+def test_a_models_fits_of_one_subject_differ_by_residuals_alone(tube_model, tmp_path, run):
+    model, folder = tube_model
+    code, out, err = run("animate", model, *sorted(folder.glob("*.fit.npz")), "-o", tmp_path / "a.glb")
+    assert (code, err) == (0, "") and "is a learned model" in out and "4 frames" in out and "several subjects" not in out
+    assert float(re.search(r"are (\S+) %", out)[1]) < 1.0
+
+
+def test_fits_that_may_be_wrong_are_named(fitted, made, tmp_path, run):
+    for name, status, subject in (("a10", "ok", "tom"), ("a9", "suspect", "tom"), ("a11", "failed", "")):
+        replace(lbs.FitResult.load(fitted[0] / "one.fit.npz"), status=status, subject=subject).save(tmp_path / f"{name}.fit.npz")
+    fits = [tmp_path / f"{name}.fit.npz" for name in ("a10", "a9", "a11")]
+    code, out, _ = run("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb")
+    assert code == 0 and (tmp_path / "a.glb").is_file()
+    assert "note: 1 fit is suspect: a9.fit.npz" in out and "note: 1 fit is failed: a11.fit.npz" in out
+    assert "note: a9.fit.npz is given after a10.fit.npz, which is no order of numbers" in out
+    assert "several subjects (nobody that was learned, 'tom')" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("FIT", "-o", "a.gltf"), ("-o/--output", "ends in .glb")),
+        (("FIT",), ("-o/--output", "Add -o OUT.glb")),
+        (("FIT", "-o", "there.glb"), ("exists already", "--existing replace")),
+        (("SCAN", "-o", "a.glb"), ("FIT", "one.ply", "NAME.fit.npz")),
+        (("RIG", "-o", "a.glb"), ("tube.npz", "without the key lbsfit_np_result")),
+        (("none.fit.npz", "-o", "a.glb"), ("none.fit.npz", "no such file")),
+        (("OTHER", "-o", "a.glb"), ("other.fit.npz", "a fit of another rig", "'tube'")),
+        (("NAN", "-o", "a.glb"), ("nan.fit.npz", "not finite")),
+        (("FIT", "-o", "a.glb", "--fps", "0"), ("--fps", "a positive number")),
+        (("FIT", "-o", "no/a.glb"), ("no/a.glb", "Create it first")),
+    ],
+)
+def test_what_cannot_be_written_is_one_line(arguments, words, fitted, made, tmp_path, run, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "there.glb").write_bytes(b"mine")
+    fit = lbs.FitResult.load(fitted[0] / "one.fit.npz")
+    replace(fit, rig_digest="other").save("other.fit.npz")
+    replace(fit, offsets=fit.offsets * np.nan).save("nan.fit.npz")
+    shutil.copy(fitted[0] / "one.fit.npz", "one.fit.npz")
+    files = {"FIT": "one.fit.npz", "OTHER": "other.fit.npz", "NAN": "nan.fit.npz"}
+    files |= {"SCAN": made / "one.ply", "RIG": made / "tube.npz"}
+    code, _, err = run("animate", made / "tube.npz", *(files.get(a, a) for a in arguments))
+    line = one_line(err)
+    assert code == 2 and all(word in line for word in words), line
+    assert not (tmp_path / "a.glb").exists() and (tmp_path / "there.glb").read_bytes() == b"mine"
+    if "there.glb" in arguments:
+        assert run("animate", made / "tube.npz", "one.fit.npz", *arguments[1:], "--existing", "replace")[0] == 0
+        assert Viewer(tmp_path / "there.glb").mesh
