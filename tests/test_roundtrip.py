@@ -104,8 +104,11 @@ def test_usage(run, tmp_path, tube_rig):
     tube_rig.save(tmp_path / "tube.npz")
     code, _, err = run(tmp_path / "tube.npz", *QUICK)
     assert code == 2 and "no library of natural poses" in err and err.count("\n") == 1
-    code, _, err = run("hnad", *QUICK)
-    assert code == 2 and "hand-coarse" in err and err.count("\n") == 1
+    (tmp_path / "mine").mkdir()
+    for out in (tmp_path / "new" / "out", tmp_path / "mine" / "out", tmp_path / "mine"):
+        code, _, err = run("hnad", "-o", out, *QUICK)
+        assert code == 2 and "hand-coarse" in err and err.count("\n") == 1
+    assert {path.name for path in tmp_path.rglob("*")} == {"tube.npz", "mine"}  # no empty folder is left
     code, _, err = run("hand", "--seeds", "1,1")
     assert code == 2 and "different whole numbers" in err
     code, text, _ = run("--help")

@@ -1,7 +1,9 @@
 """``lbsfit bench``: the figures of the documentation, measured again on real rigs."""
 
 import argparse
+from contextlib import nullcontext
 
+from ..io.write import without_empty
 from . import bench_faust, bench_pairs
 from . import bench_runs as runs
 from .bench_study import run_study
@@ -249,7 +251,13 @@ def _add_options(bench, options, run):
     """Options, and what runs with them: ``run(arguments, values)``."""
     add_options(bench, options)
     bench.set_defaults(flags=bench.get_default("flags") | {"before": "-o"})  # the report of an earlier run is in that folder
-    bench.set_defaults(run=lambda arguments: run(arguments, settings(arguments, options)))
+
+    def in_its_folder(arguments):
+        values = settings(arguments, options)
+        with without_empty(values["output"]) if values["output"] else nullcontext():  # of what is wrong after it was made
+            return run(arguments, values)
+
+    bench.set_defaults(run=in_its_folder)
 
 
 def _seeds(text):

@@ -14,7 +14,7 @@ from ..errors import FileError, InputError, as_array, check_real
 
 __all__ = [
     *("atomic_path", "check_folder", "check_npz_name", "make_folder", "remove_empty"),
-    *("write_json", "write_mesh_ply", "write_npz", "write_points_ply"),
+    *("without_empty", "write_json", "write_mesh_ply", "write_npz", "write_points_ply"),
 ]
 
 
@@ -122,6 +122,16 @@ def remove_empty(folders):
     for folder in folders:
         with suppress(OSError, ValueError):  # there is something in it, or it was never there
             folder.rmdir()
+
+
+@contextmanager
+def without_empty(folder):
+    """A block at whose end ``folder``, and what it is in, are removed where they were not there before and are empty."""
+    new = [path for path in (Path(folder), *Path(folder).parents) if not os.path.lexists(path)]
+    try:
+        yield
+    finally:
+        remove_empty(new)
 
 
 def _cannot_make(folder, error):
