@@ -78,6 +78,7 @@ BAD = {
     "stretched frames": (broken(frames=lambda f: f * 1.1), "frames.*'root'.*not orthonormal"),
     "left-handed frames": (broken(frames=lambda f: f * np.array([1, 1, -1.0])), "left-handed.*'root'"),
     "limits reversed": (broken(lower=put((2, 1), 0.9)), r"limits of joint 'long' reversed about y: lower 0\.9, upper 0\.2"),
+    "limits in degrees": (broken(upper=put((1, 0), 90.0)), r"limits of joint 'elbow' of up to 90.*at most one turn.*pi / 180"),
     "only lower limits": (broken(upper=None), "only one of lower and upper"),
     "limits that are NaN": (broken(lower=put((0, 0), np.nan)), "lower.*NaN"),
     "regressor of a wrong shape": (broken(regressor=sparse.csr_array((4, 5))), r"regressor.*\(4, 5\).*\(4, 242\)"),

@@ -227,7 +227,7 @@ def check_tree(report, parents, names, explained):
 
 
 def check_limits(report, lower, upper, names):
-    """Limits as two (J, 3) arrays, none reversed."""
+    """Limits as two (J, 3) arrays, none reversed, none of more than a turn."""
     if lower is None or upper is None:
         report.fail("limits", "only one of lower and upper", "both, or none")
     lower, upper = report.array("lower", lower, (len(names), 3)), report.array("upper", upper, (len(names), 3))
@@ -235,6 +235,10 @@ def check_limits(report, lower, upper, names):
         j, axis = np.argwhere(lower > upper)[0]
         got = f"limits of joint {names[j]!r} reversed about {'xyz'[axis]}: lower {lower[j, axis]:.4g}, upper {upper[j, axis]:.4g}"
         report.fail("limits", got, "lower limits that are not above the upper ones", "Swap the two.")
+    most = np.maximum(np.abs(lower), np.abs(upper)).max(axis=1)
+    if most.max() > 2 * np.pi:
+        got = f"limits of joint {names[int(most.argmax())]!r} of up to {most.max():.4g}"
+        report.fail("limits", got, "radians, at most one turn", "Multiply degrees by pi / 180.")
     return lower, upper
 
 
