@@ -25,7 +25,9 @@ def test_fits_become_an_animation(fitted, made, cli_cache, tmp_path):
     np.testing.assert_allclose(viewer.times, [0, 0.1], rtol=1e-6)
     away = []
     for time, r in zip(viewer.times, results, strict=True):
-        away.append(100 * np.linalg.norm(viewer.draw(time) - r.vertices, axis=1).mean() / (rig.size * r.scale))
+        drawn = viewer.draw(time) / rig.metres_per_unit  # the tube is 0.25 m long, and so are the scans
+        away.append(100 * np.linalg.norm(drawn - r.vertices, axis=1).mean() / (rig.size * r.scale))
+    assert "the scans seem to be in the rig's unit (--unit says otherwise)" in done.stdout
     assert mean == pytest.approx(np.mean(away), rel=0.06) and most == pytest.approx(max(away), rel=0.06) and most < 5
 
 
@@ -52,7 +54,7 @@ def test_fits_that_may_be_wrong_are_named(fitted, made, tmp_path, run):
         replace(lbs.FitResult.load(fitted[0] / "one.fit.npz"), status=status, subject=subject).save(tmp_path / f"{name}.fit.npz")
     fits = [tmp_path / f"{name}.fit.npz" for name in ("a10", "a9", "a11")]
     code, out, _ = run("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb")
-    assert code == 0 and (tmp_path / "a.glb").is_file()
+    assert code == 0 and (tmp_path / "a.glb").is_file() and "registered meshes" not in out  # which are the same one
     assert "note: 1 fit is suspect: a9.fit.npz" in out and "note: 1 fit is failed: a11.fit.npz" in out
     assert "note: a9.fit.npz is given after a10.fit.npz, which is no order of numbers" in out
     assert "several subjects (nobody that was learned, 'tom')" in out
@@ -70,6 +72,7 @@ def test_fits_that_may_be_wrong_are_named(fitted, made, tmp_path, run):
         (("OTHER", "-o", "a.glb"), ("other.fit.npz", "a fit of another rig", "'tube'")),
         (("NAN", "-o", "a.glb"), ("nan.fit.npz", "not finite")),
         (("FIT", "-o", "a.glb", "--fps", "0"), ("--fps", "a positive number")),
+        (("FIT", "-o", "a.glb", "--influences", "0"), ("--influences", "at least 1")),
         (("FIT", "-o", "no/a.glb"), ("no/a.glb", "Create it first")),
     ],
 )

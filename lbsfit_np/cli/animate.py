@@ -6,11 +6,13 @@ from ..errors import InputError, counted, listed
 from ..rig.card import UNITS
 from .fit import RIG_OPTIONS, load_rig_with
 from .outputs import check_file
-from .parsing import Option, add_options, amount, formatter, settings
+from .parsing import Option, add_options, amount, formatter, positive, settings
 from .progress import say
 from .sequences import order_note
 
 __all__ = ["add_parser"]
+
+_ROUNDING = 1e-4  # % of the rig's size
 
 _OPTIONS = (
     Option("output", "the file to write, which must end in .glb", metavar="OUT.glb", flag="-o"),
@@ -27,7 +29,18 @@ _OPTIONS = (
         "the scans' up axis, such as --up=+z, which becomes y, as glTF has it; by default the rig's",
         choices=("+x", "-x", "+y", "-y", "+z", "-z"),
     ),
-    Option("unit", "the scans' unit; lengths in glTF are metres", default="m", choices=tuple(UNITS)),
+    Option(
+        "unit",
+        "the scans' unit, as lengths in glTF are metres; auto: told from the rig's unit and the fits' scales",
+        default="auto",
+        choices=("auto", *UNITS),
+    ),
+    Option(
+        "influences",
+        "on how many joints a vertex may hang at most; by default on all that it does, of which many programs show four",
+        positive,
+        metavar="N",
+    ),
     Option("existing", "what to do where OUT.glb exists already", default="error", choices=("error", "replace")),
 )
 
@@ -40,7 +53,7 @@ _EPILOG = """\
 examples:
   lbsfit fit hand scans/*.ply -o fits && lbsfit animate hand fits/*.fit.npz -o hand.glb
   lbsfit animate model.npz fits/*.fit.npz -o walk.glb --fps 60 --up=+z
-  lbsfit animate body.glb fits/scan.fit.npz -o posed.glb --card body.toml --unit mm
+  lbsfit animate body.glb fits/scan.fit.npz -o posed.glb --card body.toml --unit mm --influences 4
 
 RIG is what the fits are of: the rig, with the options that it was read with, or the model.
 Exit code: 0 written, 2 usage, an unreadable rig or fit, or a fit of another rig; nothing is written then.
@@ -65,7 +78,7 @@ def add_parser(commands):
 
 def _run(arguments):
     from ..fitting.result import FitResult
-    from ..report.animation import check_fit, save_animation
+    from ..report.animation import check_fit, save_animation, unit_of
 
     values = settings(arguments, _OPTIONS)
     path, fits = values["output"], arguments.fits
@@ -90,9 +103,22 @@ def _run(arguments):
     if len(people) > 1 and values["offsets"] == "mean":
         names = listed([repr(name) if name else "nobody that was learned" for name in people])
         say(f"note: the fits are of several subjects ({names}): frames have the mean of their templates")
-    options = {"frames_per_second": values["fps"], "metres_per_unit": UNITS[values["unit"]]}
-    errors = save_animation(path, rig, results, offsets=values["offsets"], up=values["up"], **options)
-    say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, errors, values['offsets'])}")
+    unit = values["unit"]
+    if unit == "auto":
+        name = unit_of(rig, results)[0]
+        known = f"the scans seem to be in {name}" if name else "the scans' unit is not known, and taken as metres"
+        say(f"{known} (--unit says otherwise)")
+    away = save_animation(
+        path,
+        rig,
+        results,
+        offsets=values["offsets"],
+        frames_per_second=values["fps"],
+        up=values["up"],
+        metres_per_unit=UNITS.get(unit),
+        influences=values["influences"],
+    )
+    say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, away, values['offsets'])}")
     return 0
 
 
@@ -104,14 +130,14 @@ def _say_doubtful(fits, results):
             say(f"note: {counted(len(names), 'fit')} {'is' if len(names) == 1 else 'are'} {status}: {listed(names)}")
 
 
-def _distance(rig, results, errors, offsets):
+def _distance(rig, results, away, offsets):
     """In words, how far the frames are from the registered meshes, where they are not the same."""
-    if offsets == "each" or len(results) == 1:
-        return ""
-    shares = [100 * error / (rig.size * result.scale) for error, result in zip(errors, results, strict=True)]
+    shares = [100 * one / (rig.size * result.scale) for one, result in zip(away, results, strict=True)]
     worst = max(range(len(shares)), key=shares.__getitem__)
-    mean = sum(shares) / len(shares)
+    if shares[worst] < _ROUNDING:
+        return ""
+    hint = "; with --offsets each they would be these" if offsets == "mean" and len(results) > 1 else ""
     return (
-        f", whose vertices are {mean:.2g} % of the rig's size away from the registered meshes in the mean, "
-        f"at most {shares[worst]:.2g} % (frame {worst + 1}); with --offsets each they would be these"
+        f", whose vertices are {sum(shares) / len(shares):.2g} % of the rig's size away from the registered meshes in the mean, "
+        f"at most {shares[worst]:.2g} % (frame {worst + 1}){hint}"
     )

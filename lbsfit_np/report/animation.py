@@ -1,31 +1,38 @@
 """Fits as an animated glTF file: the rig's skeleton, its mesh skinned to it, and a key frame for each fit.
 
-A joint's node is, relative to its parent's,
+Template and joints are brought into glTF's frame first: y up, metres, and the size that the fits have in the mean, so that rest
+pose, bones and posed mesh are of one size. Then a joint's node is, relative to its parent's,
 
     translation F_pᵀ ((J_j − J_p) + R_j δ_j − δ_p),   rotation F_pᵀ F_j exp(θ_j),
 
 with the rest frames F, the rest joints J of the key frame's template, R_j = F_j exp(θ_j) F_jᵀ, and δ = J̄ − J, where J̄ are the
-joints of the file's bind matrices [F_j | J̄_j]. The root's node carries translation and scale as well. Then the skinning matrices
-(glTF 2.0, 3.7.3.3) are those of ``skinning.skin``: v ↦ scale · (A_j (v − J_j) + P_j) + translation.
+joints of the file's bind matrices [F_j | J̄_j]. The root's node carries translation and scale as well. The skinning matrices
+(glTF 2.0, 3.7.3.3) are then those of ``skinning.skin``: v ↦ scale · (A_j (v − J_j) + P_j) + translation.
 """
 
-from numbers import Real
+from dataclasses import dataclass, replace
+from numbers import Integral, Real
 
 import numpy as np
+from scipy import sparse
 
 from ..errors import InputError, brief
 from ..fitting.result import FitResult
 from ..rig.frames import AXES
 from ..rig.rig import Rig
 from ..rotations import matrix_from_rotvec
+from ..starts.scale import UNITS, same_unit, unit_name
 
-__all__ = ["OFFSETS", "check_fit", "save_animation"]
+__all__ = ["check_fit", "save_animation", "unit_of"]
 
-OFFSETS = ("mean", "each")
-_SETS = 4  # influences in one set of attributes (3.7.3.3)
+_OFFSETS = ("mean", "each")
+_SET = 4  # influences in one set of attributes (3.7.3.3)
+_MOST = 1e30  # of any number: single precision ends at 3e38
 
 
-def save_animation(path, rig, results, *, offsets="mean", frames_per_second=30.0, up=None, metres_per_unit=1.0):
+def save_animation(
+    path, rig, results, *, offsets="mean", frames_per_second=30.0, up=None, metres_per_unit=None, influences=None
+):
     """Write fits as an animation that other programs open: binary glTF with the rig's mesh, skeleton and skinning weights.
 
     Parameters
@@ -35,80 +42,99 @@ def save_animation(path, rig, results, *, offsets="mean", frames_per_second=30.0
     rig : Rig
         That the fits are of.
     results : FitResult or sequence of FitResult
-        A key frame each, in this order. One alone is a rig that stands in its pose.
+        A key frame each, in this order. One alone is a rig that stands in its pose, without an animation.
     offsets : {"mean", "each"}, default "mean"
         Whose template U + offsets the frames have: their mean, with its joints, so that bones keep their lengths; or each its own
         (by morph targets and moved joints), so that each frame is the registered mesh. The same of one fit alone.
     frames_per_second : float, default 30
     up : str, optional
-        Axis of the scans that is up, such as "+z": what is written is turned so that it becomes glTF's, which is +y. By default
-        the rig's own, +y where that is not known.
-    metres_per_unit : float, default 1
-        Of the scans' unit. Lengths in glTF are metres.
+        Axis of the scans that is up, such as "+z": all is turned so that it becomes glTF's, which is +y. By default the rig's
+        own, +y where that is not known, and then the rig's front becomes glTF's, which is +z.
+    metres_per_unit : float, optional
+        Of the scans' unit, as lengths in glTF are metres. By default told from the rig's unit and the fits' scales
+        (``unit_of``); 1 where that does not tell it.
+    influences : int, optional
+        On how many joints a vertex may hang at most: its largest weights, scaled to a sum of 1. By default on all that it does
+        hang on; many programs show four.
 
     Returns
     -------
     (N,) array
-        Mean distance of each frame's vertices from those of its fit, in the scans' unit. Not more than single precision
-        leaves with ``offsets="each"``.
+        Mean distance of each frame's vertices from those of its fit, in the scans' unit, but for rounding to single precision:
+        0 with ``offsets="each"`` and all influences.
 
     Raises
     ------
     InputError
-        No results, results of another rig or with what is not finite, parameters out of their ranges.
+        No results, results of another rig or with what is not finite, parameters out of their ranges. Nothing is written.
     FileError
         A path that cannot be written to.
 
     Notes
     -----
-    Vertices, faces and joints are the rig's, in its order and with its names; normals are of the mean template. Materials and
-    texture coordinates are not, as a ``Rig`` has none. A vertex may hang on more than four joints: further ones are in further
-    sets of attributes, which some viewers leave out.
+    Vertices, faces and joints are the rig's, in its order and with its names; normals are of the mean template. The material is
+    plain grey, and there are no texture coordinates, as a ``Rig`` has none.
     """
-    rig, results = _checked(path, rig, results, offsets, frames_per_second, up, metres_per_unit)
-    turn = _up_to_y(up or rig.up or "+y")
-    theta = np.stack([r.pose for r in results])
-    own = np.stack([r.offsets for r in results])
-    mean, mean_joints = own.mean(axis=0), np.mean([r.rest_joints for r in results], axis=0)
+    results = _checked(path, rig, results)
+    _check_options(offsets, frames_per_second, up, metres_per_unit, influences)
+    if influences is not None:
+        rig = replace(rig, weights=_strongest(rig.weights, influences))
+    metres = unit_of(rig, results)[1] if metres_per_unit is None else float(metres_per_unit)
     exact = offsets == "each" or len(results) == 1
-    joints = np.stack([r.rest_joints for r in results]) if exact else np.broadcast_to(mean_joints, theta.shape)
-    translation, scale = np.stack([r.translation for r in results]), np.array([r.scale for r in results])
+    mean, joints = _mean([r.offsets for r in results]), _mean([r.rest_joints for r in results])
+    shown = [(r.offsets, r.rest_joints) if exact else (mean, joints) for r in results]
+    away = np.array([_distance(rig, r, *of) for r, of in zip(results, shown, strict=True)])
+    motion = _in_gltf(rig, results, shown, mean, joints, _turn(rig, up), metres)
 
     from .. import __version__
     from ..io.glb import GlbWriter
 
     writer = GlbWriter(f"lbsfit_np {__version__}")
-    values = _skeleton(writer, rig, theta, joints, mean_joints, translation, scale)
-    morphs = own - mean if exact and np.abs(own - mean).max() > 0 else None
-    mesh = _mesh(writer, rig, rig.vertices + mean, morphs)
-    binds = _inverse_binds(writer, rig, mean_joints)
+    values = _skeleton(writer, motion)
+    mesh = _mesh(writer, motion)
+    binds = _inverse_binds(writer, motion.rig)
     skin = writer.add("skins", name=rig.name, joints=list(range(len(rig.parents))), inverseBindMatrices=binds)
-    body = writer.add("nodes", name=rig.name, mesh=mesh, skin=skin)
-    top = rig.root
-    if not (np.array_equal(turn, np.eye(3)) and metres_per_unit == 1):
-        placed = {"rotation": _quaternions(turn[None])[0].tolist(), "scale": [float(metres_per_unit)] * 3}
-        top = writer.add("nodes", name="scan", children=[rig.root], **placed)
-    writer.add("scenes", nodes=[top, body])
+    body = writer.add("nodes", name=f"{rig.name} mesh", mesh=mesh, skin=skin)
+    writer.add("scenes", nodes=[rig.root, body])
     writer.root["scene"] = 0
-    _animate(writer, rig, values, np.arange(len(results)) / frames_per_second, body, morphs)
+    if len(results) > 1:
+        _animate(writer, motion, values, np.arange(len(results)) / frames_per_second, body)
     writer.save(path)
-    each = zip(results, joints, strict=True)
-    return np.array([_distance(rig, r, r.offsets if exact else mean, rest) for r, rest in each])
+    return away
+
+
+def unit_of(rig, results):
+    """The unit that scans seem to be in, in words, and metres in it; None and 1 where rig and scales do not tell it."""
+    scale = float(np.median([r.scale for r in results]))
+    if rig.metres_per_unit is not None:
+        if same_unit(scale):
+            return unit_name(1.0, rig) or "the rig's unit", rig.metres_per_unit
+        if name := unit_name(scale, rig):
+            return name, UNITS[name]
+    return None, 1.0
 
 
 def check_fit(rig, result, name):
-    """Raise InputError, about ``name``, unless a result is of this rig and finite."""
+    """Raise InputError, about ``name``, unless a result is of this rig and its numbers can be written."""
     if not isinstance(result, FitResult):
         raise InputError(name, brief(result), "a FitResult")
     if result.rig_digest != rig.digest:
         remedy = "Load the rig as for the fit, with the same card, shape and parts."
         raise InputError(name, "a fit of another rig", f"a fit of {rig.name!r}", remedy)
-    numbers = (result.pose, result.translation, result.scale, result.offsets, result.rest_joints)
-    if not all(np.isfinite(a).all() for a in numbers):
-        raise InputError(name, "a fit with values that are not finite", "finite values", "Leave it out, or fit again.")
+    J, m = rig.joints.shape, rig.vertices.shape
+    shapes = {"pose": J, "rest_joints": J, "offsets": m, "vertices": m, "translation": (3,), "scale": ()}
+    for field, shape in shapes.items():
+        array = np.asarray(getattr(result, field))
+        if array.shape != shape:
+            raise InputError(name, f"a fit with {field} of shape {array.shape}", f"shape {shape}")
+        if not (np.abs(array) < _MOST).all():  # nor of NaN
+            got = f"a fit whose {field} are not finite, or beyond {_MOST:g}"
+            raise InputError(name, got, "finite values", "Leave it out, or fit again.")
+    if result.scale <= 0:
+        raise InputError(name, f"a fit with the scale {result.scale}", "a positive scale")
 
 
-def _checked(path, rig, results, offsets, frames_per_second, up, metres_per_unit):
+def _checked(path, rig, results):
     if not str(path).lower().endswith(".glb"):
         raise InputError("path", brief(str(path)), "a name that ends in .glb")
     if not isinstance(rig, Rig):
@@ -122,33 +148,105 @@ def _checked(path, rig, results, offsets, frames_per_second, up, metres_per_unit
         raise InputError("results", "none", "one or more")
     for k, result in enumerate(results):
         check_fit(rig, result, "results" if one else f"results[{k}]")
-    if offsets not in OFFSETS:
-        raise InputError("offsets", brief(offsets), " or ".join(map(repr, OFFSETS)))
-    if up is not None and up not in AXES:
+    return results
+
+
+def _check_options(offsets, frames_per_second, up, metres_per_unit, influences):
+    if not isinstance(offsets, str) or offsets not in _OFFSETS:
+        raise InputError("offsets", brief(offsets), " or ".join(map(repr, _OFFSETS)))
+    if up is not None and not (isinstance(up, str) and up in AXES):
         raise InputError("up", brief(up), f"one of {', '.join(AXES)}, or None")
-    for name, value in (("frames_per_second", frames_per_second), ("metres_per_unit", metres_per_unit)):
-        if not isinstance(value, Real) or isinstance(value, bool) or not 1e-12 <= value <= 1e12:
-            raise InputError(name, brief(value), "a positive number")
-    return rig, results
+    numbers = {"frames_per_second": frames_per_second, "metres_per_unit": 1.0 if metres_per_unit is None else metres_per_unit}
+    for name, value in numbers.items():
+        if not isinstance(value, Real) or isinstance(value, bool) or not 1e-6 <= value <= 1e6:
+            raise InputError(name, brief(value), "a positive number, from 1e-6 to 1e6")
+    if influences is not None and (not isinstance(influences, Integral) or isinstance(influences, bool) or influences < 1):
+        raise InputError("influences", brief(influences), "a whole number of at least 1, or None")
 
 
-def _up_to_y(up):
-    """The rotation that brings an axis to +y, by a quarter turn, or half of one about x."""
-    a, y = np.array(AXES[up], dtype=float), np.array([0.0, 1.0, 0.0])
-    if up[1] == "y":
-        return np.eye(3) if up == "+y" else np.diag([1.0, -1.0, -1.0])
-    return np.round(matrix_from_rotvec(np.pi / 2 * np.cross(a, y)))
+# ---- from the scans' frame to glTF's ----
 
 
-def _skeleton(writer, rig, theta, joints, bind_joints, translation, scale):
+@dataclass(frozen=True)
+class _Motion:
+    """What is written, in metres, y up. ``rig`` is the mean template's, its ``joints`` those of the bind matrices."""
+
+    rig: Rig
+    theta: np.ndarray  # (N, J, 3)
+    joints: np.ndarray  # (N, J, 3) rest joints of each frame
+    translation: np.ndarray  # (N, 3)
+    scale: np.ndarray  # (N,), 1 in the (geometric) mean
+    morphs: np.ndarray | None  # (N, m, 3), what each frame's template differs by; None where all have the mean
+
+
+def _in_gltf(rig, results, shown, mean, joints, turn, metres):
+    scales = np.array([r.scale for r in results])
+    scale = scales[0] if (scales == scales[0]).all() else np.exp(np.log(scales).mean())
+    unit = metres * scale  # metres in a rig unit
+    placed = replace(
+        rig,
+        vertices=unit * (rig.vertices + mean) @ turn.T,
+        joints=unit * joints @ turn.T,
+        frames=turn @ rig.frames,
+        shapes=None,
+    )
+    morphs = np.stack([unit * (offsets - mean) @ turn.T for offsets, _ in shown])
+    return _Motion(
+        placed,
+        np.stack([r.pose for r in results]),
+        np.stack([unit * rest @ turn.T for _, rest in shown]),
+        np.stack([metres * r.translation @ turn.T for r in results]),
+        scales / scale,
+        morphs if morphs.any() else None,
+    )
+
+
+def _mean(arrays):
+    """The mean of arrays, to the last bit one of them where all are the same."""
+    return arrays[0] if all(np.array_equal(a, arrays[0]) for a in arrays) else np.mean(arrays, axis=0)
+
+
+def _turn(rig, up):
+    """The rotation from the scans' axes to glTF's, whose y is up and whose z is the front."""
+    stands = up is None or up == rig.up
+    up, y = np.array(AXES[up or rig.up or "+y"]), np.array([0.0, 1.0, 0.0])
+    front = np.array(AXES[rig.forward]) if stands and rig.up and rig.forward else None
+    if front is not None and up @ front == 0:
+        return np.stack([np.cross(up, front), up, front])
+    if np.abs(up) @ y:
+        return np.diag([1.0, up[1], up[1]])
+    return np.round(matrix_from_rotvec(np.pi / 2 * np.cross(up, y)))
+
+
+def _strongest(weights, n):
+    """The n largest weights of each row, scaled to a sum of 1."""
+    joints, values = (np.hstack(a) for a in zip(*_influences(weights), strict=True))
+    joints, values = joints[:, :n], values[:, :n]
+    rows = np.repeat(np.arange(len(joints)), joints.shape[1])
+    values /= values.sum(axis=1, keepdims=True)
+    kept = sparse.csr_array((values.ravel(), (rows, joints.ravel())), shape=weights.shape)
+    kept.eliminate_zeros()
+    return kept
+
+
+def _distance(rig, result, offsets, joints):
+    vertices = rig.pose(result.pose, result.translation, result.scale, offsets, joints=joints)
+    return np.linalg.norm(vertices - result.vertices, axis=1).mean()
+
+
+# ---- what is written ----
+
+
+def _skeleton(writer, motion):
     """Add the joints' nodes, rows as in the rig, in the first frame's pose; their values in all frames by (row, path)."""
+    rig, joints = motion.rig, motion.joints
     F, root, below = rig.frames, rig.root, np.flatnonzero(rig.parents >= 0)
     up = rig.parents[below]
-    turns = matrix_from_rotvec(theta)
-    delta = bind_joints - joints
+    turns = matrix_from_rotvec(motion.theta)
+    delta = rig.joints - joints
     turned = np.einsum("jab,kjbc,jdc,kjd->kja", F, turns, F, delta)  # R_j δ_j
-    T = np.empty(theta.shape)
-    T[:, root] = translation + scale[:, None] * (joints[:, root] + turned[:, root])
+    T = np.empty(joints.shape)
+    T[:, root] = motion.translation + motion.scale[:, None] * (joints[:, root] + turned[:, root])
     bones = joints[:, below] - joints[:, up] + turned[:, below] - delta[:, up]
     T[:, below] = np.einsum("jba,kjb->kja", F[up], bones)
     local = F.copy()
@@ -157,10 +255,9 @@ def _skeleton(writer, rig, theta, joints, bind_joints, translation, scale):
     for j, name in enumerate(rig.joint_names):
         values[j, "translation"] = T[:, j].astype("<f4")
         values[j, "rotation"] = _quaternions(local[j] @ turns[:, j])
-        node = {path: values[j, path][0].tolist() for path in ("translation", "rotation")}
         if j == root:
-            values[j, "scale"] = np.repeat(scale[:, None], 3, axis=1).astype("<f4")
-            node["scale"] = values[j, "scale"][0].tolist()
+            values[j, "scale"] = np.repeat(motion.scale[:, None], 3, axis=1).astype("<f4")
+        node = {path: values[j, path][0].tolist() for path in ("translation", "rotation", "scale") if (j, path) in values}
         children = np.flatnonzero(rig.parents == j).tolist()
         writer.add("nodes", name=name, **node, **({"children": children} if children else {}))
     return values
@@ -176,24 +273,28 @@ def _quaternions(R):
     return q.astype("<f4")
 
 
-def _mesh(writer, rig, rest, morphs):
-    """Add the mesh in the rest pose; ``morphs``, (N, m, 3), what each frame's template differs by."""
+def _mesh(writer, motion):
+    """Add the mesh in the rest pose, with a morph target for each frame where these differ."""
     from ..optimize.surface import vertex_normals
 
-    welded = np.empty((len(rig.welded.vertices), 3))
-    welded[rig.weld] = rest
-    normals = vertex_normals(welded, rig.welded.faces)[rig.weld]
+    rig, morphs = motion.rig, motion.morphs
+    normals = vertex_normals(rig.welded.vertices, rig.welded.faces)[rig.weld]
     normals[np.linalg.norm(normals, axis=1) < 0.5] = 0.0, 0.0, 1.0  # without a face, where any will do
-    attributes = {"POSITION": writer.accessor(rest, use="vertices", bounds=True)}
+    attributes = {"POSITION": writer.accessor(rig.vertices, use="vertices", bounds=True)}
     attributes["NORMAL"] = writer.accessor(normals, use="vertices")
-    for k, (rows, weights) in enumerate(_influences(rig.weights)):
-        attributes[f"JOINTS_{k}"] = writer.accessor(rows, use="vertices")
+    for k, (joints, weights) in enumerate(_influences(rig.weights)):
+        attributes[f"JOINTS_{k}"] = writer.accessor(joints, use="vertices")
         attributes[f"WEIGHTS_{k}"] = writer.accessor(weights, use="vertices")
-    primitive = {"attributes": attributes, "indices": writer.accessor(rig.faces.astype("<u4").ravel(), use="indices")}
+    # Without one, glTF's default is metal, which is all but black where nothing is mirrored in it.
+    plain = {"baseColorFactor": [0.8, 0.8, 0.8, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
+    material = writer.add("materials", name="plain", pbrMetallicRoughness=plain, doubleSided=True)
+    indices = writer.accessor(rig.faces.astype("<u4").ravel(), use="indices")
+    primitive = {"attributes": attributes, "indices": indices, "material": material}
     fields = {}
     if morphs is not None:
         primitive["targets"] = [{"POSITION": writer.accessor(morph, use="vertices", bounds=True)} for morph in morphs]
         fields["weights"] = [1.0] + [0.0] * (len(morphs) - 1)
+        fields["extras"] = {"targetNames": [f"fit {k + 1}" for k in range(len(morphs))]}
     return writer.add("meshes", name=rig.name, primitives=[primitive], **fields)
 
 
@@ -205,21 +306,20 @@ def _influences(weights):
     row, column, value = row[order], column[order], value[order]
     counts = np.bincount(row, minlength=len(weights.indptr) - 1)
     place = np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
-    sets = -(-counts.max() // _SETS)
-    shape = len(counts), _SETS * sets
-    joints, values = np.zeros(shape, "<u2"), np.zeros(shape, "<f4")
+    sets = -(-counts.max() // _SET)
+    shape = len(counts), _SET * sets
+    joints, values = np.zeros(shape, "<u2"), np.zeros(shape)
     joints[row, place], values[row, place] = column, value
-    values[:, 0] += 1.0 - values.sum(axis=1, dtype=float)  # what rounding has taken
     return list(zip(np.split(joints, sets, axis=1), np.split(values, sets, axis=1), strict=True))
 
 
-def _inverse_binds(writer, rig, joints):
-    bind = np.tile(np.eye(4), (len(joints), 1, 1))
-    bind[:, :3, :3], bind[:, :3, 3] = rig.frames, joints
+def _inverse_binds(writer, rig):
+    bind = np.tile(np.eye(4), (len(rig.joints), 1, 1))
+    bind[:, :3, :3], bind[:, :3, 3] = rig.frames, rig.joints
     return writer.accessor(np.linalg.inv(bind))
 
 
-def _animate(writer, rig, values, times, body, morphs):
+def _animate(writer, motion, values, times, body):
     """Add the animation: a channel for all that changes, and for the root's rotation in any case, as there has to be one."""
     at, samplers, channels = writer.accessor(times, bounds=True), [], []
 
@@ -228,13 +328,8 @@ def _animate(writer, rig, values, times, body, morphs):
         samplers.append({"input": at, "output": writer.accessor(output), "interpolation": "LINEAR"})
 
     for (j, path), output in values.items():
-        if (j, path) == (rig.root, "rotation") or (output != output[0]).any():
+        if (j, path) == (motion.rig.root, "rotation") or (output != output[0]).any():
             channel(j, path, output)
-    if morphs is not None:
-        channel(body, "weights", np.eye(len(morphs)).ravel())
+    if motion.morphs is not None:
+        channel(body, "weights", np.eye(len(times)).ravel())
     writer.add("animations", name="fits", samplers=samplers, channels=channels)
-
-
-def _distance(rig, result, offsets, joints):
-    vertices = rig.pose(result.pose, result.translation, result.scale, offsets, joints=joints)
-    return np.linalg.norm(vertices - result.vertices, axis=1).mean()

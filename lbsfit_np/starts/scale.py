@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import InputError
 
 __all__ = [
+    "UNITS",
     "ReferenceScale",
     "checked_extent",
     "extent",
@@ -31,7 +32,7 @@ _PEOPLE = 1.6
 # Scans of one person, as fits find it, by less than this.
 _ONE_PERSON = 1.35
 # Metres in the units that scans are usually in.
-_UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
+UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def reference_scale(points, rig, mode):
         return ReferenceScale(1.0, "scan and rig are in one unit")
     fitting = {}
     if rig.metres_per_unit is not None:
-        fitting = {name: rig.metres_per_unit / metres for name, metres in _UNITS.items()}
+        fitting = {name: rig.metres_per_unit / metres for name, metres in UNITS.items()}
         fitting = {name: unit for name, unit in fitting.items() if _SAME_UNIT[0] <= ratio / unit <= _SAME_UNIT[1]}
     if fitting:
         name, unit = min(fitting.items(), key=lambda item: abs(np.log(ratio / item[1] / 0.9)))
@@ -143,7 +144,7 @@ def unit_name(scale, rig):
     """The unit that scans seem to be in, in the plural; None where it is none that is known, or the rig's unit is not known."""
     if rig.metres_per_unit is None:
         return None
-    ratios = {name: scale * metres / rig.metres_per_unit for name, metres in _UNITS.items()}
+    ratios = {name: scale * metres / rig.metres_per_unit for name, metres in UNITS.items()}
     name, ratio = min(ratios.items(), key=lambda item: abs(np.log(item[1])))
     return name if abs(np.log(ratio)) < np.log(_PEOPLE) else None
 
