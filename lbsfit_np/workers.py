@@ -5,16 +5,27 @@ import signal
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from .errors import InputError
+from .errors import InputError, in_words
 from .threads import one_thread
 
-__all__ = ["Workers", "beside", "each", "kept_processes"]
+__all__ = ["Unsent", "Workers", "beside", "each", "kept_processes"]
 
 _READY = "ready"
 # In place of work for a process that is to end.
-_NOTHING = pickle.dumps(None)
+_NOTHING = pickle.dumps(None, protocol=pickle.HIGHEST_PROTOCOL)
 # Processes without work, while they are kept.
 _SPARE = None
+
+
+@dataclass(frozen=True)
+class Unsent:
+    """In place of an answer: something that pickle could not take from one process to another, and why.
+
+    ``task``: whether it was the task, with which nothing was done then, or the answer.
+    """
+
+    task: bool
+    why: str
 
 
 @contextmanager
@@ -102,6 +113,9 @@ def _come(workers):
     for (k, _), answer, death in workers.answers():
         if death is not None:
             raise InputError("n_jobs", f"a process that ended ({death})", "processes that live", "Use fewer of them.")
+        if isinstance(answer, Unsent):
+            got = f"more than 1 where {'a task' if answer.task else 'an answer'} cannot be sent between processes ({answer.why})"
+            raise InputError("n_jobs", got, "what pickle takes", "Use functions from the top level of a module, or n_jobs=1.")
         answer, error = answer
         if error is not None:
             raise error
@@ -128,7 +142,17 @@ class _Caught:
         try:
             return self.work(task[1]), None
         except Exception as error:  # noqa: BLE001 (raised again where the answer arrives)
-            return None, error
+            return None, _as_sent(error)
+
+
+def _as_sent(error):
+    """An error, or one with its words where it would not arrive as itself."""
+    try:
+        if type(pickle.loads(pickle.dumps(error))) is type(error):
+            return error
+    except Exception:  # noqa: BLE001 (whatever its class does there)
+        pass
+    return RuntimeError(in_words(error))
 
 
 def _spare():
@@ -164,7 +188,7 @@ class Workers:
             got = f"more than 1 with what cannot be sent to processes ({error})"
             raise InputError("n_jobs", got, "picklable work", remedy) from None
         self._n = n
-        self._workers = []
+        self._workers, self._come = [], []
 
     def __enter__(self):
         return self
@@ -192,14 +216,18 @@ class Workers:
         worker.give(task)
 
     def answers(self):
-        """Wait for at least one answer; a list of (task, answer, None), or (task, None, how its process died)."""
+        """Wait for at least one answer; a list of (task, answer or Unsent, None), or (task, None, how its process died)."""
         from multiprocessing.connection import wait
 
         ready = set(wait([w.connection for w in self._workers if w.task is not None]))
-        return [a for w in list(self._workers) if w.connection in ready for a in self._received(w)]
+        for w in list(self._workers):
+            if w.connection in ready:
+                self._come += self._received(w)  # where they stay if Ctrl-C comes between
+        come, self._come = self._come, []
+        return come
 
     def stop(self):
-        """End the work, in the middle of a task if need be; returns answers that had been given by then."""
+        """End the work, in the middle of a task if need be; returns answers that had come by then, and were not returned."""
         workers, self._workers = self._workers, []
         if _SPARE is not None:
             # One that has not said yet that it is ready would say so to the next.
@@ -210,7 +238,7 @@ class Workers:
             workers = [w for w in workers if w not in idle]
         for w in workers:
             w.ask_to_end()
-        late = []
+        late, self._come = self._come, []
         for w in workers:
             w.join()
             late += w.last_answers()
@@ -277,9 +305,12 @@ class _Worker:
 
     def receive(self):
         self._torn = True  # until all of the message is here: after a Ctrl-C in between, the rest of it means nothing
-        message = self.connection.recv()
+        data = self.connection.recv_bytes()
         self._torn = False
-        return message
+        try:
+            return pickle.loads(data)
+        except Exception as error:  # noqa: BLE001 (whatever a class does when it is read)
+            return Unsent(False, in_words(error))
 
     def ask_to_end(self):
         if self.task is None:
@@ -345,11 +376,24 @@ def _serve(connection):
         with one_thread():  # the processes share the cores
             while (work := pickle.loads(connection.recv_bytes())) is not None:
                 connection.send(_READY)
-                while (task := pickle.loads(connection.recv_bytes())) is not None:
-                    connection.send(work(task))
-                del work, task
+                while (data := connection.recv_bytes()) != _NOTHING:
+                    connection.send_bytes(_done(work, data))
+                del work, data
     except (EOFError, BrokenPipeError, ConnectionResetError):
         pass  # the parent is gone
+
+
+def _done(work, data):
+    """The pickled answer to a pickled task."""
+    try:
+        task = pickle.loads(data)
+    except Exception as error:  # noqa: BLE001 (such as of a function that only the other process has)
+        return pickle.dumps(Unsent(True, in_words(error)))
+    answer = work(task)
+    try:
+        return pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
+    except Exception as error:  # noqa: BLE001 (whatever a class does when it is written)
+        return pickle.dumps(Unsent(False, in_words(error)))
 
 
 def _end(signum, frame):

@@ -9,6 +9,7 @@ import subprocess
 import sys
 import threading
 import time
+import types
 from dataclasses import replace
 from pathlib import Path
 
@@ -148,6 +149,47 @@ def test_what_cannot_be_sent_to_processes(quick_fitter, clouds):
     assert "cannot be sent" in outcomes[3].error and "lock" in outcomes[4].error
 
 
+def test_a_function_that_only_this_process_has_is_called_here(quick_fitter, clouds, alone, monkeypatch):
+    """Such as of a notebook: pickle takes its name, which other processes do not know."""
+    module = types.ModuleType("only_here")
+    for k in (0, 1):
+        exec(f"def read_{k}():\n    return clouds[{k}]", module.__dict__)
+    exec("def broken():\n    return 1 / 0", module.__dict__)
+    module.clouds = clouds
+    monkeypatch.setitem(sys.modules, "only_here", module)
+    outcomes = fit_scans(quick_fitter, [module.read_0, module.broken, module.read_1], n_jobs=2)
+    assert [o.error for o in outcomes] == [None, "ZeroDivisionError: division by zero", None]
+    for ours, theirs in zip(outcomes[::2], alone, strict=False):
+        assert_same(ours.result, theirs.result)
+
+
+def test_what_finish_makes_has_to_come_back(quick_fitter, clouds):
+    outcomes = fit_scans(quick_fitter, clouds, n_jobs=2, finish=_locked_at_1)
+    assert [o.result for o in outcomes] == [0, None, 2]
+    assert "its fit cannot be sent from a worker process" in outcomes[1].error and "lock" in outcomes[1].error
+
+
+def test_fits_that_have_come_are_reported_though_one_report_is_stopped(quick_fitter, clouds, monkeypatch):
+    seen = []
+
+    class AllAtOnce(Workers):
+        def answers(self):
+            come = []
+            while len(come) < 2:
+                come += super().answers()
+            return come
+
+    def on_result(outcome):
+        seen.append(outcome.index)
+        if len(seen) == 1:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("lbsfit_np.learning.batch.Workers", AllAtOnce)
+    with pytest.raises(KeyboardInterrupt):
+        fit_scans(quick_fitter, clouds[:2], n_jobs=2, on_result=on_result)
+    assert sorted(seen) == [0, 1]
+
+
 @POSIX
 def test_the_death_of_a_worker_costs_its_scan_only(quick_fitter, clouds):
     outcomes = fit_scans(quick_fitter, clouds, n_jobs=2, finish=_killed_at_1)
@@ -206,6 +248,10 @@ def _broken():
 
 def _described(index, scan, result):
     return index, len(scan), result.status
+
+
+def _locked_at_1(index, scan, result):
+    return threading.Lock() if index == 1 else index
 
 
 def _killed_at_1(index, scan, result):

@@ -5,7 +5,7 @@ import pytest
 from segmenter_training import describe
 
 import lbsfit_np as lbs
-from lbsfit_np.segmentation.descriptors import Descriptor
+from lbsfit_np.segmentation.descriptors import Descriptor, within_reach
 
 
 def test_a_row_a_point(tube_rig, tube_scan):
@@ -60,3 +60,10 @@ def test_clutter_far_away_is_described_without_harm(tube_rig, tube_scan):
 @pytest.mark.parametrize("points", [[[0.0, 0, 0]], [[0.0, 0, 0], [0.0, 0, 0.1]], [[-9.0, 0, 0], [9.0, 0, 0]]])
 def test_few_points_are_described_too(points):
     assert np.isfinite(Descriptor()(np.array(points))).all()
+
+
+def test_points_that_are_all_far_from_each_other_take_no_memory():
+    """Two of them are equally far from their median: one is kept, not all that lies between."""
+    points = np.array([[0.0, 0.0, 0.0], [100.0, 100.0, 100.0]])
+    np.testing.assert_array_equal(within_reach(points), [True, False])
+    assert np.isfinite(Descriptor()(points)).all()

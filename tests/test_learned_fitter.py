@@ -355,3 +355,30 @@ def test_whatever_was_learned_counts_for_the_digest(change, own, learned):
 def test_settings_of_a_fit_do_not_count_for_the_digest(own, learned):
     own.set_params(max_points=100, weights="paper", random_state=7, n_jobs=2, scale="fixed")
     assert model_digest(own) == model_digest(learned)
+
+
+def test_a_fitter_of_another_variant_is_refused_before_any_scan(learned, clouds):
+    fitter = copy.copy(learned)
+    fitter.variant = "joint"
+    with pytest.raises(InputError, match="variant: got 'joint'; expected one without labels, as the fitter learned with"):
+        fit_scans(fitter, clouds[:2])
+
+
+def test_what_was_learned_is_taken_whole_or_not_at_all(tube_rig, clouds, monkeypatch):
+    """Ctrl-C comes while templates are made."""
+    fitter = lbs.LBSFitter(tube_rig, **QUICK).pretrain()
+    library, make = fitter.regressor_, type(tube_rig).with_template
+
+    def stopped(*given):
+        monkeypatch.setattr(type(tube_rig), "with_template", make)
+        raise KeyboardInterrupt
+
+    def take(self, *given):
+        monkeypatch.setattr(type(tube_rig), "with_template", stopped)
+        return take_all(self, *given)
+
+    take_all = lbs.LBSFitter._take
+    monkeypatch.setattr(lbs.LBSFitter, "_take", take)
+    with pytest.raises(KeyboardInterrupt):
+        fitter.fit(clouds, list("ababab"))
+    assert fitter.regressor_ is library and getattr(fitter, "template_", None) is None

@@ -173,10 +173,19 @@ def test_variants_have_first_fits_in_common_and_nothing_else(make_learner, point
 
 
 @pytest.mark.parametrize(
-    "changes", [{"up": "+z"}, {"forward": "+x"}, {"metres_per_unit": 0.5}, {"locked": [0, 0, 1, 0]}, {"poses": {}}]
+    "changes",
+    [
+        {"up": "+z"},
+        {"forward": "+x"},
+        {"metres_per_unit": 0.5},
+        {"locked": [0, 0, 1, 0]},
+        {"poses": {}},
+        {"partitions": {"two": {"fingers": ("long", "short"), "arm": ("root", "elbow")}}},  # in another order
+    ],
 )
 def test_what_a_card_changes_of_a_rig_counts(changes, tube_rig, make_learner, tmp_path):
-    rig = replace(tube_rig, poses={"rest": np.zeros((4, 3))})
+    two = {"two": {"arm": ("root", "elbow"), "fingers": ("long", "short")}}
+    rig = replace(tube_rig, poses={"rest": np.zeros((4, 3))}, partitions=two, granularity="two")
     if "locked" in changes:
         changes = {"locked": np.array(changes["locked"], dtype=bool)}
 

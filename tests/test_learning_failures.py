@@ -56,6 +56,17 @@ def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube
     assert fitter.fit_scan(clouds[0]).status != "failed"
 
 
+def test_where_only_what_was_held_out_is_left_it_is_learned_from(tube_rig, clouds, monkeypatch):
+    held = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds[:3]).roles_.index("held out of learning")
+    given = [cloud if k == held else cloud[:399] for k, cloud in enumerate(clouds[:3])]
+    assert lbs.LBSFitter(tube_rig, **QUICK).fit(given).roles_.index("held out of learning") == held
+    _failing(monkeypatch, tasks, "FirstFit", 399)
+    with pytest.warns(UserWarning, match="2 of 3 scans cannot be used"):
+        fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(given)
+    assert [fitter.roles_[k] for k in range(3)] == ["learned from" if k == held else None for k in range(3)]
+    assert all(np.isfinite(entry["recon"]) and entry["recon_held_out"] is None for entry in fitter.history_)
+
+
 def test_free_form_fits_that_fail_are_left_out(tube_rig, clouds, monkeypatch):
     _failing(monkeypatch, free_form, "_FreeForm", 399)
     with pytest.warns(UserWarning, match="scan 0: ZeroDivisionError"):

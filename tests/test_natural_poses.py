@@ -126,3 +126,12 @@ def test_other_words_are_refused(hand):
 def test_how_many_is_a_whole_number(hand, n):
     with pytest.raises(InputError, match="n: got .*an integer of at least 0"):
         natural_poses(hand, n)
+
+
+def test_the_digest_of_poses_knows_their_order():
+    """By which they are drawn: a library that is kept for one order is not another's."""
+    rig = load_rig("hand-coarse")
+    names = list(rig.poses)
+    turned = replace(rig, poses={name: rig.poses[name] for name in names[::-1]})
+    assert turned.digest == rig.digest and turned.poses_digest != rig.poses_digest
+    assert replace(rig, poses=dict(rig.poses)).poses_digest == rig.poses_digest

@@ -23,7 +23,7 @@ from lbsfit_np.segmentation.segmenter import Segmenter
         (np.zeros((5, 2)), {}, r"points: got shape \(5, 2\)"),
         ("abc", {}, "points: got str"),
         ([[10**400, 0, 0]], {}, "points: got .*double precision"),
-        (np.eye(3), {"scale": 0.0}, "scale: got 0.0; expected a positive finite number"),
+        (np.eye(3), {"scale": 0.0}, "scale: got 0.0; expected a positive number, from 1e-100 to 1e100"),
         (np.eye(3), {"scale": -1}, "scale"),
         (np.eye(3), {"scale": np.nan}, "scale"),
         (np.eye(3), {"scale": "2"}, "scale"),

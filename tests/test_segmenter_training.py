@@ -8,6 +8,7 @@ from segmenter_training import ONE, Scans, in_parts, scans_of, train_small
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.segmentation.descriptors import Descriptor
 from lbsfit_np.segmentation.segmenter import train_segmenter
 from lbsfit_np.segmentation.stage import Training, in_half_precision, train_stage
 from lbsfit_np.synthesis import Synthesis, TrainingScans
@@ -174,3 +175,37 @@ def test_scans_in_a_wrong_unit_are_no_errors_of_arithmetic(tube_rig, tube_scan):
     scans = Scans([(p, y, 1e-5) for p, y, _ in scans_of(tube_rig, 4).scans])
     s = train_segmenter(tube_rig, scans, 4, training=Training(points_per_scan=20, epochs=1), random_state=0)
     assert np.isfinite(s.predict_proba(tube_scan.points)).all() and np.isfinite(s.predict_proba(1e6 * tube_scan.points)).all()
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"points_per_scan": 0},
+        {"points_per_scan": 1.5},
+        {"epochs": 0},
+        {"average_from": -1},
+        {"hidden": ()},
+        {"hidden": (64, 0)},
+        {"hidden": 64},
+        {"learning_rate": 0.0},
+        {"second": 1.0},
+        {"second": float("nan")},
+    ],
+)
+def test_training_that_cannot_be(values):
+    with pytest.raises(InputError) as error:
+        Training(**values)
+    assert error.value.argument == next(iter(values))
+
+
+def test_what_training_cannot_begin_with(tube_rig, small_segmenter):
+    for n in (0, -1, 2.0, True):
+        with pytest.raises(InputError, match="n_scans: got .*; expected a whole number of at least 1"):
+            train_segmenter(tube_rig, pytest.fail, n)
+    for rig, options, words in (
+        (in_parts(ONE), {}, "a segmenter of 4 parts; expected one of the rig's 1"),
+        (tube_rig, {"training": Training(hidden=(7,))}, r"a segmenter with layers of \(.*; expected the training's \(7,\)"),
+        (tube_rig, {"descriptor": Descriptor(voxel=0.1)}, "voxel=0.05.*; expected one with .*voxel=0.1"),
+    ):
+        with pytest.raises(InputError, match=f"start: got .*{words}"):
+            train_segmenter(rig, pytest.fail, 4, start=small_segmenter, **options)

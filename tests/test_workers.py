@@ -5,6 +5,7 @@ import pickle
 import signal
 import subprocess
 import sys
+import threading
 import time
 from functools import partial
 from multiprocessing import active_children
@@ -43,6 +44,27 @@ def test_a_process_that_dies_is_said():
     with pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
         each(_killed, [1, 2, 3], jobs=2)
     with beside(partial(_killed, 1)) as answer, pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
+        answer()
+
+
+class _TwoWords(Exception):
+    """Pickles, and cannot be made again: its message is made of what pickle does not know."""
+
+    def __init__(self, one, two):
+        super().__init__(f"{one} and {two}")
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_errors_that_pickle_cannot_take_pass_on_in_words(jobs):
+    with pytest.raises(_TwoWords if jobs == 1 else RuntimeError, match="this and that"):
+        each(_raising_two_words, [1, 2], jobs=jobs)
+
+
+def test_answers_that_pickle_cannot_take_are_said():
+    words = "n_jobs: got more than 1 where an answer cannot be sent between processes .*lock.*n_jobs=1"
+    with pytest.raises(InputError, match=words):
+        each(_a_lock, [1, 2], jobs=2)
+    with beside(partial(_a_lock, 1)) as answer, pytest.raises(InputError, match=words):
         answer()
 
 
@@ -150,6 +172,14 @@ def _threads(_):
     from threadpoolctl import threadpool_info
 
     return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+def _raising_two_words(k):
+    raise _TwoWords("this", "that")
+
+
+def _a_lock(k):
+    return threading.Lock()
 
 
 def _squared(x):

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InputError, LbsfitError, in_words
 from ..scan import check_points
-from ..workers import Workers
+from ..workers import Unsent, Workers
 from .parameters import check_callables
 from .reading import as_scans
 from .subjects import as_subjects, known_subjects
@@ -78,7 +78,8 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     Raises
     ------
     InputError
-        ``n_jobs``, ``subjects``, what is no function, or parameters of the fitter, cannot be used.
+        ``n_jobs``, ``subjects``, what is no function, or parameters of the fitter, cannot be used; the rig or the variant is not
+        what the fitter learned with.
     KeyboardInterrupt
         On Ctrl-C, once workers have ended and ``on_result`` has had all that was finished.
     """
@@ -89,6 +90,8 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     subjects = [None] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
     if hasattr(fitter, "_check"):
         fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
+        if getattr(fitter, "template_", None) is not None:
+            fitter._check_learned()
         subjects = known_subjects(getattr(fitter, "template_", None), subjects, len(scans))
     if n_jobs > 1 and len(scans) > 1 and finish is not None:
         _check_sent("finish", finish)  # before the training
@@ -175,11 +178,22 @@ class _Work:
 
 
 def _fit_by_workers(work, scans, subjects, todo, jobs, report):
+    come = deque()
     with Workers(work, min(jobs, len(todo))) as workers:
 
-        def take(answers):
-            for (index, *_), outcome, death in answers:
-                report(outcome if death is None else ScanOutcome(index, error=f"the process that fitted it ended: {death}"))
+        def take(answers, *, again=True):
+            come.extend(answers)
+            while come:  # what is left where one is stopped in the middle is reported then
+                (index, *_), outcome, death = come.popleft()
+                if death is not None:
+                    report(ScanOutcome(index, error=f"the process that fitted it ended: {death}"))
+                elif not isinstance(outcome, Unsent):
+                    report(outcome)
+                elif again and outcome.task and callable(scans[index]):
+                    _give_called(workers, index, scans, subjects, report)
+                else:
+                    what = "it cannot be sent to" if outcome.task else "its fit cannot be sent from"
+                    report(ScanOutcome(index, error=f"{what} a worker process: {outcome.why}"))
 
         try:
             while todo or workers.busy:
@@ -188,19 +202,25 @@ def _fit_by_workers(work, scans, subjects, todo, jobs, report):
                 if workers.busy:
                     take(workers.answers())
         except BaseException:
-            take(workers.stop())
+            take(workers.stop(), again=False)
             raise
 
 
 def _give(workers, index, scans, subjects, report):
-    source, started = scans[index], time.perf_counter()
+    source = scans[index]
     try:
         workers.give((index, source, subjects[index]))
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        if not callable(source):
+        if callable(source):
+            _give_called(workers, index, scans, subjects, report)
+        else:
             report(ScanOutcome(index, error=f"it cannot be sent to a worker process: {error}"))
-            return
-        try:  # such as a lambda: what it returns can be sent
-            workers.give((index, source(), subjects[index]))
-        except Exception as error:  # noqa: BLE001 (the same as in _fit_one)
-            report(_failure(index, error, started))
+
+
+def _give_called(workers, index, scans, subjects, report):
+    """Of a callable that cannot be sent, such as a lambda, what it returns."""
+    started = time.perf_counter()
+    try:
+        workers.give((index, scans[index](), subjects[index]))
+    except Exception as error:  # noqa: BLE001 (the same as in _fit_one)
+        report(_failure(index, error, started))

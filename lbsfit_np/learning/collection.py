@@ -177,7 +177,10 @@ class Collection:
         return [m for m in self.members if m.role == role and (subject is None or m.subject == subject)]
 
     def keep_one_held_out(self):
-        """Hold another scan out where none is any more, of the subject whose template misses it least."""
+        """Hold another scan out where none is any more, of the subject whose template misses it least; none where all are."""
+        if not self.with_role(LEARNED_FROM):
+            for m in self.members:
+                m.held_out = False
         if self.with_role(HELD_OUT) or len(self.with_role(LEARNED_FROM)) < 3:
             return
         most = max(self.subjects, key=lambda s: len(self.with_role(LEARNED_FROM, s)))

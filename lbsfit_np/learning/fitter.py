@@ -7,6 +7,7 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from ..errors import InputError, brief
+from ..interrupts import held
 from ..optimize.model import Model
 from ..seeds import integer_seed
 from ..segmentation.segmenter import jobs_of
@@ -271,15 +272,17 @@ class LBSFitter(BaseEstimator):
         some = ("rig", "n_jobs", "variant", "rounds", "held_out", "sequence", "smooth", "random_state", "training")
         parameters = {name: value for name, value in self.get_params(deep=False).items() if name not in some}
         pretrained = learned_arrays(segmenter, library)
-        return self.rig, parameters, self._synthesis(), seed, pretrained
+        return self.rig.digest, self.rig, parameters, self._synthesis(), seed, pretrained  # the first knows the parts' order
 
     def _take(self, learned, collection):
         """Have what was learned, as yet without results: what a round has learned stays where a later one is stopped."""
-        self.segmenter_, self.regressor_, self.pose_prior_ = learned.segmenter, learned.library, learned.pose_prior
-        self.template_ = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
-        self.unit_, self.history_, self._learned_with = learned.units, learned.history, learned_with(self)
-        self.results_ = [None] * collection.n
-        self._set_aside(collection)
+        templates = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
+        with held():  # all of it, or nothing
+            self.segmenter_, self.regressor_, self.pose_prior_ = learned.segmenter, learned.library, learned.pose_prior
+            self.template_, self.unit_, self.history_ = templates, learned.units, learned.history
+            self._learned_with = learned_with(self)
+            self.results_ = [None] * collection.n
+            self._set_aside(collection)
 
     def _finished(self, collection, results):
         digests, subjects = learned_digests(self), {m.index: m.subject for m in collection.members}

@@ -207,8 +207,8 @@ class Rig:
 
     @property
     def poses_digest(self):
-        """Hex digest of the natural poses, of which ``digest`` knows nothing."""
-        return hashlib.sha256(repr([(name, pose.tolist()) for name, pose in sorted(self.poses.items())]).encode()).hexdigest()
+        """Hex digest of the natural poses, of which ``digest`` knows nothing; in their order, by which they are drawn."""
+        return hashlib.sha256(repr([(name, pose.tolist()) for name, pose in self.poses.items()]).encode()).hexdigest()
 
     # ---- what people do with a rig ----
 

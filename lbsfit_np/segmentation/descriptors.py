@@ -81,9 +81,11 @@ def directions(n, seed):
 
 
 def within_reach(points):
-    """(n,) bool: which points lie no more than 3 from the median point along any axis; the nearest, where none does."""
+    """(n,) bool: which points lie no more than 3 from the median point along any axis; where none does, from the nearest one."""
     away = np.abs(points - np.median(points, axis=0)).max(axis=1)
-    return away <= max(_REACH, away.min())
+    if away.min() > _REACH:
+        away = np.abs(points - points[away.argmin()]).max(axis=1)
+    return away <= _REACH
 
 
 class VoxelGrid:

@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass
-from numbers import Real
+from numbers import Integral, Real
 
 import numpy as np
 
@@ -52,7 +52,9 @@ class Segmenter:
     turn: float
 
     def __post_init__(self):
-        """Raise ValueError unless the stages fit the descriptor and each other, and the turn is one of training."""
+        """Raise ValueError unless the stages fit the descriptor and each other, and half and turn can be."""
+        if not 0 < self.half < np.inf:
+            raise ValueError(f"half a size of {self.half}")
         if not 0 <= self.turn <= _TURN:
             raise ValueError(f"views turned by {self.turn}")
         widths = [self.descriptor.size, self.descriptor.size + context_size(self.n_parts)]
@@ -92,8 +94,8 @@ class Segmenter:
             Points, a scale or rows that cannot be used.
         """
         points = check_set("points", getattr(points, "points", points), most=1e305)  # with room for what is computed of them
-        if isinstance(scale, bool) or not isinstance(scale, Real) or not 0 < scale < np.inf:
-            raise InputError("scale", brief(scale), "a positive finite number")
+        if isinstance(scale, bool) or not isinstance(scale, Real) or not 1e-100 <= scale <= 1e100:
+            raise InputError("scale", brief(scale), "a positive number, from 1e-100 to 1e100")
         rows = np.arange(len(points)) if rows is None else _checked_rows(rows, len(points))
         if isinstance(views, bool) or views not in (1, len(_AXES)):
             raise InputError("views", brief(views), f"{len(_AXES)}, or 1")
@@ -161,7 +163,7 @@ class Segmenter:
             version = header["format"]
             if version == _FORMAT:
                 return cls.from_arrays(header, arrays, "stage")
-        except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as error:
+        except (KeyError, TypeError, ValueError, AttributeError, IndexError, OverflowError, RecursionError) as error:
             raise FileError(str(path), f"a file whose content does not fit ({error})", expected, "Train it again.") from None
         raise FileError(str(path), f"segmenter format {version}", f"format {_FORMAT}", "Train it again.")
 
@@ -198,7 +200,8 @@ def train_segmenter(
     Raises
     ------
     InputError
-        ``n_jobs`` cannot be used, ``scan`` cannot be sent to processes, or one of them was killed.
+        ``n_scans`` or ``n_jobs`` cannot be used, ``start`` is of other parts or layers, or has another descriptor, ``scan``
+        cannot be sent to processes, or one of them was killed.
     KeyboardInterrupt
         On Ctrl-C, once all processes have ended.
     """
@@ -206,6 +209,10 @@ def train_segmenter(
     descriptor, training = descriptor or (start.descriptor if start else Descriptor()), training or Training()
     progress = progress or (lambda share: None)
     n_parts, half = len(rig.parts), rig.size / 2
+    if isinstance(n_scans, bool) or not isinstance(n_scans, Integral) or n_scans < 1:
+        raise InputError("n_scans", brief(n_scans), "a whole number of at least 1")
+    if start is not None:
+        _check_start(start, n_parts, descriptor, training)
     n_second = int(training.second * n_scans) if n_parts > 1 else 0
     n_first = n_scans - n_second
     spans = [(0, n_first), (n_first, n_scans)] if n_second else [(0, n_first)]
@@ -227,6 +234,17 @@ def train_segmenter(
         stages += (stage,)
     root = (rig.upper[rig.root] - rig.lower[rig.root]).min() / 2
     return Segmenter(stages, descriptor, n_parts, half, rig.digest, _TURN * min(1.0, root / _ROOT))
+
+
+def _check_start(start, n_parts, descriptor, training):
+    """Raise InputError unless a segmenter is one that training can go on from."""
+    if start.n_parts != n_parts:
+        raise InputError("start", f"a segmenter of {start.n_parts} parts", f"one of the rig's {n_parts}")
+    if start.descriptor != descriptor:
+        raise InputError("start", f"a segmenter with {start.descriptor}", f"one with {descriptor}")
+    for stage in start.stages:
+        if stage.hidden not in (None, tuple(training.hidden)):
+            raise InputError("start", f"a segmenter with layers of {stage.hidden}", f"the training's {tuple(training.hidden)}")
 
 
 @dataclass(frozen=True)

@@ -2,9 +2,11 @@
 
 import warnings
 from dataclasses import dataclass
+from numbers import Integral, Real
 
 import numpy as np
 
+from ..errors import InputError, brief
 from ..interrupts import passing_interrupts
 from ..seeds import generator, integer_seed
 from ..threads import one_thread
@@ -37,6 +39,22 @@ class Training:
     average_from: int = 1
     learning_rate: float = 2e-3
     second: float = 0.5
+
+    def __post_init__(self):
+        """Raise InputError where a value is out of its range."""
+        for name, least in (("points_per_scan", 1), ("epochs", 1), ("average_from", 0)):
+            if not _is_whole(value := getattr(self, name), least):
+                raise InputError(name, brief(value), f"a whole number of at least {least}")
+        if not isinstance(self.hidden, (tuple, list)) or not self.hidden or not all(_is_whole(h, 1) for h in self.hidden):
+            raise InputError("hidden", brief(self.hidden), "sizes of one or more layers")
+        for name, least, most in (("learning_rate", 1e-12, 1.0), ("second", 0.0, 0.9)):
+            value = getattr(self, name)
+            if not isinstance(value, Real) or isinstance(value, bool) or not least <= value <= most:
+                raise InputError(name, brief(value), f"a number from {least:g} to {most:g}")
+
+
+def _is_whole(value, least):
+    return isinstance(value, Integral) and not isinstance(value, bool) and value >= least
 
 
 # Chunks an epoch: how often the weights are looked at for the average, and what part of the data is standardised at a time.
@@ -86,6 +104,11 @@ class Stage:
         outputs = width if width > 1 else 2
         if classes.dtype.kind not in "iu" or classes.shape != (outputs,) or classes.min() < 0 or classes.max() >= self.n_parts:
             raise ValueError("classes that do not fit the parts")
+
+    @property
+    def hidden(self):
+        """Sizes of the hidden layers; None without a classifier."""
+        return None if self.classifier is None else tuple(w.shape[1] for w in self.classifier.coefs_[:-1])
 
     def predict_proba(self, X):
         """(k, n_parts) probabilities of (k, d) float32 descriptions."""
