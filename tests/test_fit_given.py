@@ -1,5 +1,6 @@
 """What a fit can be given besides points: a start, labels, weights of points."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -13,6 +14,7 @@ from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.search import Search
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.rig.regressor import exact_regressor
 
 
 def test_a_known_start_is_used(tube_rig, tube_fitter, tube_scan):
@@ -44,6 +46,23 @@ def test_a_start_outside_the_limits_is_moved_inside(shared_rigs, tube_rig, fitte
     assert held.any() and (r.pose[held] == 0).all()
     bounded = np.arange(len(rig.parents)) != rig.root
     assert (r.pose[bounded] >= rig.lower[bounded]).all() and (r.pose[bounded] <= rig.upper[bounded]).all()
+
+
+@pytest.mark.parametrize("given", ["theta0", "labels"])
+def test_a_rig_may_lie_anywhere(tube_rig, tube_scan, given):
+    """Far from its own origin as a character may in its scene: scale and precision are what they are at the origin."""
+    known = {"theta0": tube_scan.pose, "labels": tube_scan.labels}[given]
+    found = []
+    for away in (0.0, 40.0):
+        moved = {"vertices": tube_rig.vertices + away, "joints": tube_rig.joints + away}
+        rig = replace(tube_rig, **moved, regressor=exact_regressor(tube_rig.regressor, moved["vertices"], moved["joints"]))
+        fitter = lbs.LBSFitter(rig, random_state=0, orientation="aligned", training_scans=40, training={"n_points": 200})
+        found.append(fitter.fit_scan(1.4 * tube_scan.points, **{given: known}))
+    here, there = found
+    assert there.scale == pytest.approx(here.scale, rel=0.01) and here.scale == pytest.approx(1.4, rel=0.03)
+    np.testing.assert_allclose(there.joints, here.joints, atol=0.003 * tube_rig.size)
+    np.testing.assert_allclose(there.joint_std, here.joint_std, rtol=0.15)
+    assert mean_error(tube_rig, there.joints, 1.4 * tube_scan.joints) < 0.1
 
 
 def test_given_labels_are_kept(fitter, tube_scan):

@@ -76,10 +76,13 @@ def _columns(model, state, rows, block, turning, h=1e-5, of="vertices"):
             d = np.zeros_like(state.theta)
             d[j, a] = h
             columns.append(moved(state.replace(theta=state.theta + d)) - moved(state.replace(theta=state.theta - d)))
+    elif block == "scale":  # about the root joint
+        root = model.rig.joints[model.rig.root]
+        up, down = (state.replace(scale=state.scale + s * h, translation=state.translation - s * h * root) for s in (1, -1))
+        columns.append(moved(up) - moved(down))
     else:
         value = getattr(state, FIELDS[block])
         for d in h * np.eye(np.size(value)):
-            d = d[0] if np.ndim(value) == 0 else d
             up, down = (state.replace(**{FIELDS[block]: value + s * d}) for s in (1, -1))
             columns.append(moved(up) - moved(down))
     return np.stack(columns, axis=2) / (2 * h)

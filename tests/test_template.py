@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
+from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.subjects import subject as bench_subject
@@ -13,6 +15,7 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.precision import told_angles
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.surface import vertex_normals
+from lbsfit_np.rig.build import build_rig
 
 CLEAN = {"noise": 0.002, "holes": 0, "density": 0.0, "n_points": 800}
 
@@ -23,6 +26,25 @@ def one_thread():
 
     with threadpool_limits(1):
         yield
+
+
+@pytest.mark.parametrize("faces", [[], [[242, 243, 244]]])
+def test_vertices_that_no_surface_hangs_on_are_left_where_they_are(tube_rig, faces):
+    """One without a face, or those of a triangle without area: nothing says how they move, and they spoil no others."""
+    data = make_tube_data()
+    along = data.vertices[:1] + np.outer([0.1, 0.2, 0.3], [0.0, 1.0, 0.0])
+    more = replace(
+        data,
+        vertices=np.vstack([data.vertices, along]),
+        weights=sparse.vstack([data.weights, data.weights[[5, 5, 5]]]).tocsr(),
+        faces=np.vstack([data.faces, np.array(faces, dtype=int).reshape(-1, 3)]),
+    )
+    case = Case(build_rig(more), (np.vstack([tube_rig.vertices, along]), tube_rig.joints), n=3)
+    U, _, c = case.found()
+    own = case.model.rig.vertices + (case.model.basis @ c).reshape(-1, 3)
+    assert np.isfinite(U).all()
+    np.testing.assert_allclose(U[242:] / case.half, own[242:], atol=1e-9)
+    assert np.abs(U[:242] / case.half - own[:242]).max() > 1e-6
 
 
 class Case:

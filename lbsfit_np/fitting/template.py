@@ -23,6 +23,9 @@ from .labels import refined_labels
 
 __all__ = ["TemplateSettings", "shared_template"]
 
+# Share of the surface below which a vertex has none.
+_NO_AREA = 1e-12
+
 
 @dataclass(frozen=True)
 class TemplateSettings:
@@ -125,6 +128,7 @@ def _heights(model, U, J, problems, states, settings):
     K = cotangent_matrix(U, rig.faces)
     prior = sparse.csc_array(settings.smooth * (K.T @ K) + settings.small * sparse.diags_array(model.areas))
     h = np.zeros(m)
+    on = np.flatnonzero(model.areas > _NO_AREA)  # others, of no face or of one without area, stay where they are
     for _ in range(settings.rounds):
         H, g = sparse.csr_array((m, m)), np.zeros(m)
         for problem, state in zip(problems, states):
@@ -132,7 +136,7 @@ def _heights(model, U, J, problems, states, settings):
             H = H + A.T @ (A * w[:, None])
             g += A.T @ (w * r)
         n = len(problems)
-        h = h + _solved(prior + sparse.csc_array(H / n), g / n - prior @ h)
+        h[on] += _solved((prior + sparse.csc_array(H / n))[on][:, on], (g / n - prior @ h)[on])
     return h[:, None] * normals
 
 

@@ -248,7 +248,7 @@ class GaussNewton:
             lower, upper = layout.bounds()
             # An unknown at its bound that would leave it stays out of this step.
             free = ~(((x <= lower) & (m.g[:n] < 0)) | ((x >= upper) & (m.g[:n] > 0)))
-            chain = layout.gradient_of(states[i])[free]
+            chain = layout.units(states[i])[free]
             H = m.H[:n, :n][np.ix_(free, free)] * np.outer(chain, chain)
             H[np.diag_indices_from(H)] += damping * H.diagonal() + 1e-5
             right = np.column_stack([m.H[:n, n:][free] * chain[:, None], m.g[:n][free] * chain])

@@ -4,8 +4,9 @@ A turn of joint j moves every point that hangs on it about the joint's posed pos
 
     ∂v_i/∂(θ_j)_a = ω_ja × arm_ij,  arm_ij = Σ_{k below j} w_ik (T_k u_i − P_j),  ω_ja = A_parent(j) J_l(F_j θ_j) F_j e_a · scale,
 
-T_k the rigid motion of joint k, J_l the left Jacobian of rotation vectors. Translation and scale are plain; vertices are
-linear in the coefficients of the template's family, B_i b_ik through the blended rotation and the joints' own moves.
+T_k the rigid motion of joint k, J_l the left Jacobian of rotation vectors. Translation is plain; the scale is one about the root
+joint of the template, as in ``state.Layout``; vertices are linear in the coefficients of the template's family, B_i b_ik through
+the blended rotation and the joints' own moves.
 
 ω is the same for all points: what steps sum over points are products of arms, of which there are fewer than columns.
 """
@@ -127,7 +128,7 @@ def vertex_motion(model, state, posed, rows, blocks, turning):
     """
     plain = {
         "translation": lambda: np.broadcast_to(_I, (len(rows), 3, 3)),
-        "scale": lambda: ((posed.vertices[rows] - state.translation) / state.scale)[:, :, None],
+        "scale": lambda: _scaled(state, posed, posed.vertices[rows]),
         "proportions": lambda: _family(model, posed, rows),
     }
     turning = turning if "pose" in blocks else np.zeros_like(turning)
@@ -151,11 +152,16 @@ def joint_motion(state, posed, blocks, turning):
         Of J places.
     """
     n = len(posed.joints)
-    moved = posed.joints - state.translation
-    plain = {"translation": np.broadcast_to(_I, (n, 3, 3)), "scale": (moved / state.scale)[:, :, None]}
+    plain = {"translation": np.broadcast_to(_I, (n, 3, 3)), "scale": _scaled(state, posed, posed.joints)}
     turning = turning if "pose" in blocks else np.zeros_like(turning)
     columns = np.concatenate([np.empty((n, 3, 0)), *(plain[block] for block in blocks if block != "pose")], axis=2)
     return VertexMotion(*_turns(posed, np.eye(n), posed.rest_joints, turning), columns)  # a joint hangs on itself alone
+
+
+def _scaled(state, posed, places):
+    """(k, 3, 1): ∂/∂scale of places of the posed template, the root joint of the template held."""
+    rig = posed.rig
+    return ((places - state.translation) / state.scale - rig.joints[rig.root])[:, :, None]
 
 
 def _turns(posed, w, u, turning):

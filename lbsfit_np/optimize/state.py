@@ -34,6 +34,9 @@ class State:
 class Layout:
     """Which blocks of a State are free, and where they stand in the vector x.
 
+    In x, the place of the scan is that of the template's root joint, t + s J_root, and the scale is one about it: of a rig that
+    lies far from its own origin a change of scale alone would carry the mesh away.
+
     Parameters
     ----------
     rig : Rig
@@ -61,6 +64,7 @@ class Layout:
         lower, upper = rig.lower.copy(), rig.upper.copy()
         lower[rig.root], upper[rig.root] = -np.inf, np.inf
         self._all_limits = lower, upper
+        self._root = rig.joints[rig.root]
         self._limits = lower[turning], upper[turning]
 
     def pack(self, state):
@@ -68,7 +72,7 @@ class Layout:
         x = np.empty(self.size)
         values = {
             "pose": lambda: state.theta[self.turning],
-            "translation": lambda: state.translation,
+            "translation": lambda: state.translation + state.scale * self._root,
             "scale": lambda: np.log(state.scale),
             "proportions": lambda: state.coefficients,
             "residual": lambda: 0.0 if state.residual is None else state.residual.ravel() / self._residual_unit,
@@ -79,7 +83,7 @@ class Layout:
 
     def unpack(self, x, base):
         """x → State; blocks that are not free come from ``base``."""
-        changes = {}
+        changes, place, scale = {}, base.translation + base.scale * self._root, base.scale
         for block, span in self._spans.items():
             value = x[span]
             if block == "pose":
@@ -87,13 +91,15 @@ class Layout:
                 theta[self.turning] = value
                 changes["theta"] = theta
             elif block == "translation":
-                changes["translation"] = value.copy()
+                place = value
             elif block == "scale":
-                changes["scale"] = float(np.exp(value[0]))
+                changes["scale"] = scale = float(np.exp(value[0]))
             elif block == "proportions":
                 changes["coefficients"] = value.copy()
             else:
                 changes["residual"] = value.reshape(-1, 3) * self._residual_unit
+        if self._free & {"translation", "scale"}:
+            changes["translation"] = place - scale * self._root
         return base.replace(**changes)
 
     def gradient(self, state, theta, translation, scale, coefficients, residual):
@@ -105,20 +111,20 @@ class Layout:
             elif block == "translation":
                 g[span] = translation
             elif block == "scale":
-                g[span] = scale * state.scale
+                g[span] = (scale - translation @ self._root) * state.scale
             elif block == "proportions":
                 g[span] = coefficients
             else:
                 g[span] = residual.ravel() * self._residual_unit
         return g
 
-    def gradient_of(self, state):
-        """(size,) ∂field/∂x of each entry: what turns a Jacobian to the State's fields into one to x."""
-        ones = np.ones_like
-        m3 = self._spans["residual"].stop - self._spans["residual"].start if "residual" in self._spans else 0
-        return self.gradient(
-            state, ones(state.theta), ones(state.translation), 1.0, ones(state.coefficients), np.ones(m3)
-        )
+    def units(self, state):
+        """(size,): what a step of 1 in x is in the unit of its block, in which ``optimize.jacobian`` has its columns."""
+        units = np.ones(self.size)
+        for block, unit in (("scale", state.scale), ("residual", self._residual_unit)):
+            if block in self._spans:
+                units[self._spans[block]] = unit
+        return units
 
     def bounds(self):
         """(lower, upper) of x: joint limits on the pose, a factor of 3 on the scale, ±``MOST_PROPORTION`` on proportions."""
