@@ -8,8 +8,8 @@ from .optimize.surface import closest_on_mesh, faces_around
 
 __all__ = ["at_places", "surface_places", "transfer"]
 
-# Points at a time: with some tens of triangles each, arrays stay below 100 MB.
-_CHUNK = 20_000
+# Points at a time, and pairs of a point and a triangle: arrays stay below 200 MB.
+_CHUNK, _PAIRS = 20_000, 200_000
 # Triangles of one kind that a point is compared with at first; four times as many where these may not be all that matter.
 _FIRST = 4
 
@@ -118,23 +118,29 @@ def _kinds(vertices, faces):
 
 def _improve(best, x, vertices, faces, tree, which, radius):
     """Compare with all triangles of one kind that may be closer: those whose centroids are within ``away + radius``."""
-    rows, k = np.arange(len(x)), _FIRST
+    rows, k = np.arange(len(x)), min(_FIRST, len(which))
     while len(rows):
-        k = min(k, len(which))
-        distance, index = (q.reshape(len(rows), k) for q in tree.query(x[rows], k=k))
-        near = distance[:, 0] <= best.away[rows] + radius
-        rows, distance, index = rows[near], distance[near], index[near]
-        if not len(rows):
-            return
-        found = closest_on_mesh(x[rows], np.arange(len(rows)), vertices, faces, which[index])
-        away = np.linalg.norm(x[rows] - found.points, axis=1)
-        closer = away < best.away[rows]
-        at = rows[closer]
-        best.corners[at], best.barycentric[at], best.away[at] = found.corners[closer], found.barycentric[closer], away[closer]
+        at_once = max(1, _PAIRS // k)
+        blocks = [rows[i : i + at_once] for i in range(0, len(rows), at_once)]
+        rows = np.concatenate([_compared(best, x, block, vertices, faces, tree, which, radius, k) for block in blocks])
         if k == len(which):
             return
-        rows = rows[distance[:, -1] <= best.away[rows] + radius]
-        k *= 4
+        k = min(4 * k, len(which))
+
+
+def _compared(best, x, rows, vertices, faces, tree, which, radius, k):
+    """Compare some points with the k triangles of a kind whose centroids are nearest; those that further ones may matter to."""
+    distance, index = (q.reshape(len(rows), k) for q in tree.query(x[rows], k=k))
+    near = distance[:, 0] <= best.away[rows] + radius
+    rows, distance, index = rows[near], distance[near], index[near]
+    if not len(rows):
+        return rows
+    found = closest_on_mesh(x[rows], np.arange(len(rows)), vertices, faces, which[index])
+    away = np.linalg.norm(x[rows] - found.points, axis=1)
+    closer = away < best.away[rows]
+    at = rows[closer]
+    best.corners[at], best.barycentric[at], best.away[at] = found.corners[closer], found.barycentric[closer], away[closer]
+    return rows[distance[:, -1] <= best.away[rows] + radius]
 
 
 def _checked_points(argument, value):

@@ -244,6 +244,29 @@ def test_few_points_for_the_angles_count(model, right):
     assert _evidence(model, state, X[:10])[0]["sparse"] == 1.0
 
 
+def test_points_at_one_place_are_one(model, right):
+    state, X, _ = right
+    rng = np.random.default_rng(0)
+    rows, proba = rng.choice(len(X), 60, replace=False), rng.dirichlet(np.ones(len(model.source.parts)), 60)
+    once, _ = _evidence(model, state, X[rows], proba=proba)
+    often, _ = _evidence(model, state, np.repeat(X[rows], 40, axis=0), proba=np.repeat(proba, 40, axis=0))
+    assert often == pytest.approx(once)
+    twice = np.concatenate([rows, rows[:30]])  # which these count for
+    weights = np.where(np.isin(rows, rows[:30]), 2.0, 1.0)
+    weighted, _ = _evidence(model, state, X[rows], proba=proba, x_weights=weights)
+    assert _evidence(model, state, X[twice], proba=np.vstack([proba, proba[:30]]))[0] == pytest.approx(weighted)
+
+
+def test_a_handful_of_points_is_never_enough(model, right):
+    """They lie on the mesh of many a pose."""
+    state, X, _ = right
+    evidence, _ = _evidence(model, state, X[:20])
+    assert evidence["sparse"] == 1.0
+    perfect = dict.fromkeys(evidence, 0.0)
+    assert probability_of(perfect) > 0.9 and probability_of(perfect | {"sparse": 0.51}) == 0.25
+    assert probability_of(perfect | {"sparse": 0.49}) > 0.5
+
+
 def test_clutter_is_not_among_the_points_there_are(model, right):
     """What stands for nothing does not tell the angles."""
     state, X, _ = right
@@ -309,8 +332,9 @@ def test_no_evidence_raises_the_probability():
         # … of wrong ones, a limb elsewhere, facing the wrong way …
         ((0.01, 0.03, 0.15, 0.3, 0.25, 0.2, 0.01), 0.05, 0.3),
         ((0.03, 0.05, 0.3, 0.3, 0.3, 0.2, 0.02), 0.0, 0.05),
-        # … and of scans with hardly more points than angles.
-        ((0.001, 0.05, 0.02, 0.3, 0.2, 0.0, 0.9), 0.3, 0.7),
+        # … and of scans with two or three points for each angle, or hardly more points than angles.
+        ((0.001, 0.05, 0.02, 0.3, 0.2, 0.0, 0.45), 0.4, 0.7),
+        ((0.001, 0.05, 0.02, 0.3, 0.2, 0.0, 0.9), 0.2, 0.3),
     ],
 )
 def test_each_piece_of_evidence_has_its_own_weight(evidence, low, high):

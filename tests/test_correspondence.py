@@ -2,9 +2,11 @@
 
 import numpy as np
 import pytest
+import trimesh
 from posed_samples import state_within
 
 import lbsfit_np as lbs
+from lbsfit_np import correspondence
 from lbsfit_np.correspondence import at_places, surface_places
 from lbsfit_np.errors import InputError
 from lbsfit_np.optimize.model import Model
@@ -89,6 +91,24 @@ def test_many_points_are_done_in_pieces(tube_rig, poses, monkeypatch):
     monkeypatch.setattr("lbsfit_np.correspondence._CHUNK", 7)
     for a, b in zip(whole, surface_places(x, poses[0], tube_rig.faces), strict=True):
         np.testing.assert_array_equal(a, b)
+
+
+def test_pairs_of_points_and_triangles_are_done_in_pieces(monkeypatch):
+    """From the middle of a sphere all its triangles are about equally far away."""
+    ball = trimesh.creation.icosphere(2)
+    points = 0.01 * np.random.default_rng(0).standard_normal((30, 3))
+    whole = surface_places(points, np.array(ball.vertices), np.array(ball.faces))
+    asked, closest = [], correspondence.closest_on_mesh
+
+    def counted(points, rows, vertices, faces, triangles):
+        asked.append(triangles.size)
+        return closest(points, rows, vertices, faces, triangles)
+
+    monkeypatch.setattr(correspondence, "closest_on_mesh", counted)
+    monkeypatch.setattr(correspondence, "_PAIRS", 1000)
+    for a, b in zip(surface_places(points, np.array(ball.vertices), np.array(ball.faces)), whole, strict=True):
+        np.testing.assert_array_equal(a, b)
+    assert max(asked) <= 1000 and sum(asked) > 5000
 
 
 def test_a_point_goes_to_the_same_place_of_the_other_registration(tube_rig, poses):

@@ -43,6 +43,16 @@ def test_a_floor_goes_and_the_body_stays(hand, share):
     assert found >= 9
 
 
+def test_clusters_far_away_take_no_memory(hand):
+    """The squares between them and the body are not counted one by one."""
+    scan = lbs.synthesize(hand, 1, poses="natural", random_state=1, floor=1.0)[0]
+    kept = _kept(scan.points, ups=[UP])
+    rng = np.random.default_rng(0)
+    far = [1e7 * np.array(d) + 1e-3 * rng.standard_normal((10, 3)) for d in ((1, 0, 0), (-1, 0, 0), (0, 0, 1), (0, 0, -1))]
+    with_them = _kept(np.vstack([scan.points, *far]), ups=[UP])
+    assert not kept.all() and (with_them[: len(kept)] == kept).mean() > 0.95
+
+
 @pytest.mark.parametrize("share", [0.3, 1.0])
 def test_a_floor_goes_from_among_clutter(hand, share):
     """Points here and there above a floor do not make it a body's."""

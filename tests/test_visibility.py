@@ -1,9 +1,12 @@
 """What one depth camera shows of a mesh: where it was, and what is behind what it has seen."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import lbsfit_np as lbs
+from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.surface import vertex_normals
 from lbsfit_np.optimize.visibility import camera_direction, shown
 from lbsfit_np.sensor import View, sample_surface
@@ -25,6 +28,12 @@ def _views(rig, n):
 
 def _angle(a, b):
     return np.degrees(np.arccos(np.clip(a @ b / np.linalg.norm(a) / np.linalg.norm(b), -1.0, 1.0)))
+
+
+def test_faces_that_are_turned_inwards_are_turned_out(tube_rig):
+    inside_out = replace(tube_rig, faces=tube_rig.faces[:, ::-1], vertices=tube_rig.vertices + 9.0, joints=tube_rig.joints + 9.0)
+    np.testing.assert_array_equal(Model(inside_out).rig.faces, Model(tube_rig).rig.faces)
+    np.testing.assert_array_equal(Model(tube_rig).rig.faces, tube_rig.welded.faces)
 
 
 @pytest.mark.parametrize("which", ["hand-coarse", "body-coarse"])

@@ -110,12 +110,14 @@ def evidence_of(
         points; "part_unexplained" and "part_unreached": the largest of each over single parts; "disagreement": 1 − mean
         probability that the segmenter gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals';
         "at_limits": share of the angles that are at a limit; "sparse": angles ÷ points; "proportions" as given. All in [0, 1];
-        what is not known is 0. Points far from all others, and unexplained ones far from all others of these, count for nothing.
+        what is not known is 0. Points at one place are one. Points far from all others, and unexplained ones far from all others
+        of these, count for nothing.
     worst : dict of str to int
         The parts of "part_unexplained" and "part_unreached"; −1 where nothing is.
     """
     a = np.full(len(vertices), 1.0 / len(vertices)) if areas is None else areas
     w = np.full(len(X), 1.0 / len(X)) if x_weights is None else x_weights / x_weights.sum()
+    X, w, proba = _distinct(X, w, proba)
     on = PointIndex(vertices).nearest(X)
     away = ((X - vertices[on]) ** 2).sum(axis=1)
     surface = Surface(rig.vertices, rig.faces)
@@ -153,6 +155,14 @@ def evidence_of(
         "proportions": float(np.clip(proportions, 0.0, 1.0)),
     }
     return out, {"part_unexplained": of_points[1], "part_unreached": of_surface[1]}
+
+
+def _distinct(X, w, proba):
+    """Points, their weights and probabilities, those at one place as one: they tell no more than that."""
+    places, first, of = np.unique(X, axis=0, return_index=True, return_inverse=True)
+    if len(places) == len(X):
+        return X, w, proba
+    return places, np.bincount(of.ravel(), w), None if proba is None else proba[first]
 
 
 def shown_problem(model, problem, state, partial):
@@ -252,6 +262,8 @@ _WEIGHTS = (0.0, -2.63, -1.31, -1.77, -0.56, -1.04, -0.41, -0.62, -1.89)
 # like it: such a fit is not believed more than this. Nor is one on somebody else's template: at an earlier state, which called
 # scans so from a share of 0.2 on, 4 of 27 were right.
 _NOT_THE_RIG, _MOST_THEN = 0.6, 0.25
+# Nor one of fewer points than two for each angle, of "sparse": these can all lie on the mesh of a wrong pose.
+_TOO_FEW = 0.5
 # Below the first a fit has failed, below the second it is suspect.
 _FAILED, _SUSPECT = 0.05, 0.5
 
@@ -259,8 +271,8 @@ _FAILED, _SUSPECT = 0.05, 0.5
 def probability_of(evidence):
     """The probability that the mean joint error is below 1.5 % of the rig's size."""
     p = float(1.0 / (1.0 + np.exp(-(_INTERCEPT + np.dot(_WEIGHTS, logarithms(evidence))))))
-    doubtful = evidence["distance"] > _NOT_THE_RIG or evidence["proportions"] > SOMEBODY_ELSE
-    return min(p, _MOST_THEN) if doubtful else p
+    most = {"distance": _NOT_THE_RIG, "proportions": SOMEBODY_ELSE, "sparse": _TOO_FEW}
+    return min(p, _MOST_THEN) if any(evidence[name] > value for name, value in most.items()) else p
 
 
 def logarithms(evidence):

@@ -38,7 +38,7 @@ class Model:
     def __init__(self, rig, joints="follow", *, shifts=0.0, half=None, shared=False):
         self.source = rig
         self.half = rig.size / 2 if half is None else half
-        self.rig = rig.welded.scaled(1.0 / self.half)
+        self.rig = _outward(rig.welded.scaled(1.0 / self.half))
         self.follow = joints == "follow"
         self._residual_moves_joints = self.follow and not shared
         self.labels = self.rig.vertex_labels
@@ -151,6 +151,12 @@ class Model:
         if self._residual_moves_joints:
             to_vertices = to_vertices + self.rig.regressor_transposed @ g.rest_joints
         return coefficients, to_vertices
+
+
+def _outward(rig):
+    """The rig with its faces turned outwards, by the sign of the volume: views of one side tell what is hidden by these."""
+    a, b, c = (rig.vertices[corner] - rig.vertices.mean(axis=0) for corner in rig.faces.T)
+    return rig if np.vdot(a, np.cross(b, c)) >= 0 else replace(rig, faces=rig.faces[:, ::-1])
 
 
 def _shifts(rig, size):

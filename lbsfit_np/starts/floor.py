@@ -93,12 +93,15 @@ def _share_beyond(x, on, n):
     """Share of the plane's points whose square has no more than clutter above it."""
     axes = np.linalg.svd(n[None])[2][1:]
     square = np.floor(x @ axes.T / _SQUARE).astype(int)
-    square -= square.min(axis=0)
-    above = np.zeros(square.max(axis=0) + 3)
-    for dx in range(3):
-        for dy in range(3):  # and the squares around
-            np.add.at(above, (square[~on, 0] + dx, square[~on, 1] + dy), 1)
-    around = above[square[:, 0] + 1, square[:, 1] + 1]
+    square -= square.min(axis=0) - 1
+    step = np.array([square[:, 1].max() + 2, 1])  # numbers of squares, from which those around differ by no others' numbers
+    occupied, count = np.unique(square[~on] @ step, return_counts=True)
+    around = np.zeros(len(x))
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):  # and the squares around
+            wanted = (square + [dx, dy]) @ step
+            at = np.minimum(np.searchsorted(occupied, wanted), len(occupied) - 1)
+            around += np.where(occupied[at] == wanted, count[at], 0)
     free = around <= _SOMETHING * np.median(around[~on])
     if len(np.unique(square[on], axis=0)) < _WIDER * len(np.unique(square[~on & ~free], axis=0)):
         return 0.0
