@@ -95,7 +95,7 @@ def test_what_is_on_or_off_in_training_may_be_said_so(word, value, tmp_path):
     "arguments, words",
     [
         ((), ["COMMAND"]),
-        (("fitt",), ["'fitt'", "(choose from 'fit', 'learn', 'demo', 'rig', 'bench'). Did you mean 'fit'?"]),
+        (("fitt",), ["'fitt'", "(choose from 'fit', 'learn', 'animate', 'demo', 'rig', 'bench'). Did you mean 'fit'?"]),
         (("fti",), ["'fti'", "Did you mean 'fit'?"]),
         (("rig", "shw", "tube.npz"), ["'shw'", "Did you mean 'show'?"]),
         (("fit", "tube.npz"), ["SCAN"]),
