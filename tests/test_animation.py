@@ -29,7 +29,7 @@ def a_fit(rig, seed, *, amount=0.02, rest_joints=None, subject=""):
     J, m = rig.joints.shape[0], len(rig.vertices)
     pose = rng.uniform(rig.lower, rig.upper)
     pose[rig.root] = rng.normal(size=3)
-    translation, scale = rng.normal(size=3), float(rng.uniform(0.5, 2.0))
+    translation, scale = rng.normal(size=3), float(rng.uniform(0.8, 1.2))
     offsets = amount * rig.size * rng.normal(size=(m, 3))
     joints = rig.joints + amount * rig.size * rng.normal(size=(J, 3)) if rest_joints is None else rest_joints
     posed = pose, translation, scale, offsets

@@ -18,8 +18,8 @@ def test_fits_become_an_animation(fitted, made, cli_cache, tmp_path):
     fits = [fitted[0] / f"{name}.fit.npz" for name in ("one", "two")]
     done = program("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb", "--fps", "10", cache=cli_cache)
     assert (done.returncode, done.stderr) == (0, "")
-    words = r"a.glb written: 2 frames, whose vertices are (\S+) % of the rig's size away .* at most (\S+) % \(frame [12]\)"
-    mean, most = map(float, re.search(words, done.stdout).groups())
+    words = r"a.glb written: 2 frames, whose vertices are (\S+) % of the rig's size away .* at most (\S+) % \((one|two)\.fit\.npz\)"
+    mean, most = map(float, re.search(words, done.stdout).groups()[:2])
     rig, results = lbs.load_rig(made / "tube.npz"), [lbs.FitResult.load(fit) for fit in fits]
     viewer = Viewer(tmp_path / "a.glb")
     np.testing.assert_allclose(viewer.times, [0, 0.1], rtol=1e-6)
@@ -47,6 +47,27 @@ def test_a_models_fits_of_one_subject_differ_by_residuals_alone(tube_model, tmp_
     code, out, err = run("animate", model, *sorted(folder.glob("*.fit.npz")), "-o", tmp_path / "a.glb")
     assert (code, err) == (0, "") and "is a learned model" in out and "4 frames" in out and "several subjects" not in out
     assert float(re.search(r"are (\S+) %", out)[1]) < 1.0
+
+
+def test_scans_in_other_units_are_named(fitted, made, tmp_path, run):
+    fit = lbs.FitResult.load(fitted[0] / "one.fit.npz")
+    for name, scale in (("a", 1.0), ("b", 1.2), ("c", 100.0)):
+        vertices = scale * (fit.vertices - fit.translation) + fit.translation
+        replace(fit, scale=scale * fit.scale, vertices=vertices).save(tmp_path / f"{name}.fit.npz")
+    fits = [tmp_path / f"{name}.fit.npz" for name in "abc"]
+    code, out, err = run("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb")
+    assert (code, err) == (0, "")
+    assert "note: scales that differ by more than people do: of c.fit.npz; are the scans in one unit?" in out
+    assert "one unit?" not in run("animate", made / "tube.npz", *fits[:2], "-o", tmp_path / "b.glb")[1]
+    with pytest.warns(UserWarning, match=r"of results\[2\]; are the scans in one unit"):
+        lbs.save_animation(tmp_path / "c.glb", lbs.load_rig(made / "tube.npz"), [lbs.FitResult.load(f) for f in fits])
+
+
+def test_fewer_influences_are_not_made_up_for_by_offsets(fitted, made, tmp_path, run):
+    fits = [fitted[0] / f"{name}.fit.npz" for name in ("one", "two")]
+    for options, hint in (((), True), (("--influences", "1"), False), (("--influences", "1", "--offsets", "each"), False)):
+        out = run("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb", "--existing", "replace", *options)[1]
+        assert "registered meshes" in out and ("with --offsets each" in out) == hint, options
 
 
 def test_fits_that_may_be_wrong_are_named(fitted, made, tmp_path, run):

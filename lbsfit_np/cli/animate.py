@@ -1,6 +1,7 @@
 """``lbsfit animate``: fits as an animated rig that other programs open."""
 
 import os
+import warnings
 
 from ..errors import InputError, counted, listed
 from ..rig.card import UNITS
@@ -78,7 +79,7 @@ def add_parser(commands):
 
 def _run(arguments):
     from ..fitting.result import FitResult
-    from ..report.animation import check_fit, save_animation, unit_of
+    from ..report.animation import check_fit, odd_scales, save_animation, unit_of
 
     values = settings(arguments, _OPTIONS)
     path, fits = values["output"], arguments.fits
@@ -103,22 +104,25 @@ def _run(arguments):
     if len(people) > 1 and values["offsets"] == "mean":
         names = listed([repr(name) if name else "nobody that was learned" for name in people])
         say(f"note: the fits are of several subjects ({names}): frames have the mean of their templates")
-    unit = values["unit"]
-    if unit == "auto":
+    if odd := [os.path.basename(fits[k]) for k in odd_scales(results)]:
+        say(f"note: scales that differ by more than people do: of {listed(odd)}; are the scans in one unit?")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of the same, without names
+        away = save_animation(
+            path,
+            rig,
+            results,
+            offsets=values["offsets"],
+            frames_per_second=values["fps"],
+            up=values["up"],
+            metres_per_unit=UNITS.get(values["unit"]),
+            influences=values["influences"],
+        )
+    if values["unit"] == "auto":
         name = unit_of(rig, results)[0]
         known = f"the scans seem to be in {name}" if name else "the scans' unit is not known, and taken as metres"
         say(f"{known} (--unit says otherwise)")
-    away = save_animation(
-        path,
-        rig,
-        results,
-        offsets=values["offsets"],
-        frames_per_second=values["fps"],
-        up=values["up"],
-        metres_per_unit=UNITS.get(unit),
-        influences=values["influences"],
-    )
-    say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, away, values['offsets'])}")
+    say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, fits, away, values)}")
     return 0
 
 
@@ -130,14 +134,15 @@ def _say_doubtful(fits, results):
             say(f"note: {counted(len(names), 'fit')} {'is' if len(names) == 1 else 'are'} {status}: {listed(names)}")
 
 
-def _distance(rig, results, away, offsets):
+def _distance(rig, results, fits, away, values):
     """In words, how far the frames are from the registered meshes, where they are not the same."""
     shares = [100 * one / (rig.size * result.scale) for one, result in zip(away, results, strict=True)]
     worst = max(range(len(shares)), key=shares.__getitem__)
     if shares[worst] < _ROUNDING:
         return ""
-    hint = "; with --offsets each they would be these" if offsets == "mean" and len(results) > 1 else ""
+    mean = values["offsets"] == "mean" and values["influences"] is None and len(results) > 1
+    hint = "; with --offsets each they would be these" if mean else ""
     return (
         f", whose vertices are {sum(shares) / len(shares):.2g} % of the rig's size away from the registered meshes in the mean, "
-        f"at most {shares[worst]:.2g} % (frame {worst + 1}){hint}"
+        f"at most {shares[worst]:.2g} % ({os.path.basename(fits[worst])}){hint}"
     )

@@ -10,20 +10,21 @@ joints of the file's bind matrices [F_j | J̄_j]. The root's node carries transl
 (glTF 2.0, 3.7.3.3) are then those of ``skinning.skin``: v ↦ scale · (A_j (v − J_j) + P_j) + translation.
 """
 
+import warnings
 from dataclasses import dataclass, replace
 from numbers import Integral, Real
 
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, brief
+from ..errors import InputError, brief, listed
 from ..fitting.result import FitResult
 from ..rig.frames import AXES
 from ..rig.rig import Rig
 from ..rotations import matrix_from_rotvec
 from ..starts.scale import UNITS, same_unit, unit_name
 
-__all__ = ["check_fit", "save_animation", "unit_of"]
+__all__ = ["check_fit", "odd_scales", "save_animation", "unit_of"]
 
 _OFFSETS = ("mean", "each")
 _SET = 4  # influences in one set of attributes (3.7.3.3)
@@ -42,7 +43,7 @@ def save_animation(
     rig : Rig
         That the fits are of.
     results : FitResult or sequence of FitResult
-        A key frame each, in this order. One alone is a rig that stands in its pose, without an animation.
+        A key frame each, in this order; of scans in one unit. One alone is a rig that stands in its pose, without an animation.
     offsets : {"mean", "each"}, default "mean"
         Whose template U + offsets the frames have: their mean, with its joints, so that bones keep their lengths; or each its own
         (by morph targets and moved joints), so that each frame is the registered mesh. The same of one fit alone.
@@ -70,6 +71,11 @@ def save_animation(
     FileError
         A path that cannot be written to.
 
+    Warns
+    -----
+    UserWarning
+        Fits whose scales differ from the others' by more than people do, as of scans in another unit.
+
     Notes
     -----
     Vertices, faces and joints are the rig's, in its order and with its names; normals are of the mean template. The material is
@@ -79,6 +85,8 @@ def save_animation(
     _check_options(offsets, frames_per_second, up, metres_per_unit, influences)
     if influences is not None:
         rig = replace(rig, weights=_strongest(rig.weights, influences))
+    if odd := [f"results[{k}]" for k in odd_scales(results)]:
+        warnings.warn(f"scales that differ by more than people do: of {listed(odd)}; are the scans in one unit?", stacklevel=2)
     metres = unit_of(rig, results)[1] if metres_per_unit is None else float(metres_per_unit)
     exact = offsets == "each" or len(results) == 1
     mean, joints = _mean([r.offsets for r in results]), _mean([r.rest_joints for r in results])
@@ -112,6 +120,13 @@ def unit_of(rig, results):
         if name := unit_name(scale, rig):
             return name, UNITS[name]
     return None, 1.0
+
+
+def odd_scales(results):
+    """Rows of the fits whose scales are further from the median than people differ in size."""
+    scales = np.array([r.scale for r in results])
+    middle = np.sort(scales)[(len(scales) - 1) // 2]
+    return [k for k, scale in enumerate(scales) if not same_unit(scale / middle)]
 
 
 def check_fit(rig, result, name):
