@@ -235,6 +235,7 @@ def test_normals_point_out_and_are_of_length_one(rig, tmp_path):
     save(tmp_path / "a.glb", rig, a_fit(rig, 0, amount=0.0))
     viewer = Viewer(tmp_path / "a.glb")
     normals, v = viewer.attribute("NORMAL"), viewer.attribute("POSITION")
+    assert viewer.root["materials"][viewer.primitive["material"]]["pbrMetallicRoughness"]["metallicFactor"] == 0
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0, atol=1e-6)
     a, b, c = v[rig.faces[:, 0]], v[rig.faces[:, 1]], v[rig.faces[:, 2]]
     assert (np.einsum("ia,ia->i", normals[rig.faces[:, 0]], np.cross(b - a, c - a)) > 0).mean() > 0.98
@@ -266,6 +267,7 @@ def test_rest_pose_bones_and_fits_are_of_one_size_in_metres(tube_rig, tmp_path):
     [
         (1.0, [1.0], "metres", 1.0),
         (1.0, [990.0, 1100.0, 20.0], "millimetres", 0.001),
+        (1.0, [1.0, 990.0, 1100.0], "millimetres", 0.001),
         (0.01, [0.9], "centimetres", 0.01),
         (0.01, [0.012], "metres", 1.0),
         (0.25, [1.1], "the rig's unit", 0.25),
@@ -320,6 +322,17 @@ def test_a_root_that_is_not_the_first_row_and_a_seam(tmp_path):
     assert viewer.root["scenes"][0]["nodes"] == [2, 4]
     normals = viewer.attribute("NORMAL")
     np.testing.assert_array_equal(normals[:m], normals[m:])
+
+
+def test_a_vertex_without_a_face_has_a_normal_and_a_front_that_is_up_is_none(tube_rig, tmp_path):
+    data = make_tube_data()
+    weights = sparse.vstack([data.weights, data.weights[[5]]]).tocsr()
+    loose = build_rig(replace(data, vertices=np.vstack([data.vertices, [[0.0, 0.0, 2.0]]]), weights=weights))
+    save(tmp_path / "a.glb", loose, a_fit(loose, 0))
+    np.testing.assert_allclose(np.linalg.norm(Viewer(tmp_path / "a.glb").attribute("NORMAL"), axis=1), 1.0, atol=1e-6)
+    result = a_fit(tube_rig, 0)
+    save(tmp_path / "b.glb", replace(tube_rig, up="+y", forward="-y"), result)
+    np.testing.assert_allclose(Viewer(tmp_path / "b.glb").draw(), result.vertices, atol=closeness(tube_rig))
 
 
 def test_a_rig_of_one_joint(tmp_path):
@@ -389,6 +402,8 @@ def _wrong(rig):
         "a NaN": ("results[0]", "a.glb", [replace(fit, pose=pose)], {}),
         "vertices of NaN": ("results", "a.glb", replace(fit, vertices=np.nan * fit.vertices), {}),
         "beyond single precision": ("results", "a.glb", replace(fit, translation=np.full(3, 1e39)), {}),
+        "products beyond single precision": ("results", "a.glb", replace(fit, scale=1e29, offsets=1e29 + fit.offsets), {}),
+        "next to no scale": ("results", "a.glb", replace(fit, scale=1e-300), {}),
         "a negative scale": ("results", "a.glb", replace(fit, scale=-1.0), {}),
         "another shape": ("results", "a.glb", replace(fit, offsets=fit.offsets[1:]), {}),
         "offsets": ("offsets", "a.glb", fit, {"offsets": "both"}),

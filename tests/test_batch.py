@@ -163,6 +163,23 @@ def test_a_function_that_only_this_process_has_is_called_here(quick_fitter, clou
         assert_same(ours.result, theirs.result)
 
 
+def test_what_such_a_function_returns_is_called_for_once(quick_fitter, clouds, monkeypatch):
+    """Where other processes do not know the class of that either."""
+    module, calls = types.ModuleType("only_here"), []
+    exec("import numpy\nclass Points(numpy.ndarray):\n    pass", module.__dict__)
+    exec("def read():\n    calls.append(0)\n    return cloud.view(Points)", module.__dict__)
+    module.calls, module.cloud = calls, clouds[0]
+    monkeypatch.setitem(sys.modules, "only_here", module)
+    outcomes = fit_scans(quick_fitter, [module.read, clouds[1]], n_jobs=2)
+    assert "it cannot be sent to a worker process" in outcomes[0].error and "only_here" in outcomes[0].error
+    assert outcomes[1].error is None and len(calls) == 1
+
+
+def test_a_scan_that_cannot_be_pickled_costs_itself_only(quick_fitter, clouds):
+    outcomes = fit_scans(quick_fitter, [_Unpicklable(), clouds[1]], n_jobs=2)
+    assert "it cannot be sent to a worker process: not today" in outcomes[0].error and outcomes[1].error is None
+
+
 def test_what_finish_makes_has_to_come_back(quick_fitter, clouds):
     outcomes = fit_scans(quick_fitter, clouds, n_jobs=2, finish=_locked_at_1)
     assert [o.result for o in outcomes] == [0, None, 2]
@@ -248,6 +265,11 @@ def _broken():
 
 def _described(index, scan, result):
     return index, len(scan), result.status
+
+
+class _Unpicklable:
+    def __reduce__(self):
+        raise RuntimeError("not today")
 
 
 def _locked_at_1(index, scan, result):

@@ -18,7 +18,7 @@ def test_fits_become_an_animation(fitted, made, cli_cache, tmp_path):
     fits = [fitted[0] / f"{name}.fit.npz" for name in ("one", "two")]
     done = program("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb", "--fps", "10", cache=cli_cache)
     assert (done.returncode, done.stderr) == (0, "")
-    words = r"a.glb written: 2 frames, whose vertices are (\S+) % of the rig's size away .* at most (\S+) % \((one|two)\.fit\.npz\)"
+    words = r"a.glb written: 2 frames, whose vertices are (\S+) % of the rig's size .* at most (\S+) % \((one|two)\.fit\.npz\)"
     mean, most = map(float, re.search(words, done.stdout).groups()[:2])
     rig, results = lbs.load_rig(made / "tube.npz"), [lbs.FitResult.load(fit) for fit in fits]
     viewer = Viewer(tmp_path / "a.glb")

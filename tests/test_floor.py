@@ -12,6 +12,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.learning import new_scan
 from lbsfit_np.learning.new_scan import scan_fit
 from lbsfit_np.rotations import matrix_from_rotvec
+from lbsfit_np.starts import floor
 from lbsfit_np.starts.clean import clean_rows, taking_part
 from lbsfit_np.starts.floor import off_floor
 from lbsfit_np.starts.scale import reference_scale
@@ -41,6 +42,19 @@ def test_a_floor_goes_and_the_body_stays(hand, share):
         assert (body & ~kept).sum() < 0.06 * body.sum()
         found += (~body & kept).sum() < 0.05 * (~body).sum()
     assert found >= 9
+
+
+def test_squares_and_those_around_are_counted():
+    """Against a count of all pairs; at the borders, too."""
+    rng = np.random.default_rng(0)
+    n = np.array([0.0, 1.0, 0.0])
+    axes = np.linalg.svd(n[None])[2][1:]
+    for seed in range(5):
+        x = rng.uniform(-0.5, 0.5, (400, 3)) * [0.2 + 0.2 * seed, 0.1, 1.0]
+        on = rng.random(400) < 0.5
+        square = np.floor(x @ axes.T / floor._SQUARE).astype(int)
+        near = (np.abs(square[:, None] - square[None]).max(axis=2) <= 1)[:, ~on]
+        np.testing.assert_array_equal(floor._around(square, on), near.sum(axis=1))
 
 
 def test_clusters_far_away_take_no_memory(hand):

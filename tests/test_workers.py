@@ -68,6 +68,29 @@ def test_answers_that_pickle_cannot_take_are_said():
         answer()
 
 
+def test_answers_that_came_before_ctrl_c_are_given_at_the_end(monkeypatch):
+    """It comes as the second of two answers is read."""
+    with Workers(_squared, 2) as work:
+        work.give(3)
+        work.give(4)
+        receive, calls = Workers._received, []
+
+        def interrupted(self, worker):
+            answer = receive(self, worker)
+            calls.extend(answer)
+            if len(calls) == 2:
+                raise KeyboardInterrupt
+            return answer
+
+        monkeypatch.setattr(Workers, "_received", interrupted)
+        monkeypatch.setattr("multiprocessing.connection.wait", _all_of(work))
+        with pytest.raises(KeyboardInterrupt):
+            while True:
+                assert not work.answers()  # both say first that they are ready
+        monkeypatch.undo()
+        assert work.stop() == calls[:1]
+
+
 def test_work_beside_other_work():
     with kept_processes():
         with beside(partial(_process, None)) as answer:
@@ -172,6 +195,17 @@ def _threads(_):
     from threadpoolctl import threadpool_info
 
     return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+
+
+def _all_of(work):
+    """Waits until all connections have something to say."""
+
+    def wait(connections):
+        for connection in connections:
+            connection.poll(None)
+        return connections
+
+    return wait
 
 
 def _raising_two_words(k):

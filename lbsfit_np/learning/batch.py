@@ -178,7 +178,7 @@ class _Work:
 
 
 def _fit_by_workers(work, scans, subjects, todo, jobs, report):
-    come = deque()
+    come, called = deque(), set()
     with Workers(work, min(jobs, len(todo))) as workers:
 
         def take(answers, *, again=True):
@@ -189,7 +189,8 @@ def _fit_by_workers(work, scans, subjects, todo, jobs, report):
                     report(ScanOutcome(index, error=f"the process that fitted it ended: {death}"))
                 elif not isinstance(outcome, Unsent):
                     report(outcome)
-                elif again and outcome.task and callable(scans[index]):
+                elif again and outcome.task and callable(scans[index]) and index not in called:
+                    called.add(index)  # what it returns may be no better
                     _give_called(workers, index, scans, subjects, report)
                 else:
                     what = "it cannot be sent to" if outcome.task else "its fit cannot be sent from"
@@ -210,7 +211,7 @@ def _give(workers, index, scans, subjects, report):
     source = scans[index]
     try:
         workers.give((index, source, subjects[index]))
-    except (pickle.PicklingError, AttributeError, TypeError) as error:
+    except Exception as error:  # noqa: BLE001 (whatever a class does when it is written)
         if callable(source):
             _give_called(workers, index, scans, subjects, report)
         else:

@@ -28,7 +28,7 @@ __all__ = ["check_fit", "odd_scales", "save_animation", "unit_of"]
 
 _OFFSETS = ("mean", "each")
 _SET = 4  # influences in one set of attributes (3.7.3.3)
-_MOST = 1e30  # of any number: single precision ends at 3e38
+_MOST = 1e15  # of any number, so that products stay within single precision
 
 
 def save_animation(
@@ -145,8 +145,8 @@ def check_fit(rig, result, name):
         if not (np.abs(array) < _MOST).all():  # nor of NaN
             got = f"a fit whose {field} are not finite, or beyond {_MOST:g}"
             raise InputError(name, got, "finite values", "Leave it out, or fit again.")
-    if result.scale <= 0:
-        raise InputError(name, f"a fit with the scale {result.scale}", "a positive scale")
+    if result.scale < 1 / _MOST:
+        raise InputError(name, f"a fit with the scale {result.scale}", f"a positive scale, of at least {1 / _MOST:g}")
 
 
 def _checked(path, rig, results):

@@ -93,16 +93,22 @@ def _share_beyond(x, on, n):
     """Share of the plane's points whose square has no more than clutter above it."""
     axes = np.linalg.svd(n[None])[2][1:]
     square = np.floor(x @ axes.T / _SQUARE).astype(int)
-    square -= square.min(axis=0) - 1
-    step = np.array([square[:, 1].max() + 2, 1])  # numbers of squares, from which those around differ by no others' numbers
-    occupied, count = np.unique(square[~on] @ step, return_counts=True)
-    around = np.zeros(len(x))
-    for dx in (-1, 0, 1):
-        for dy in (-1, 0, 1):  # and the squares around
-            wanted = (square + [dx, dy]) @ step
-            at = np.minimum(np.searchsorted(occupied, wanted), len(occupied) - 1)
-            around += np.where(occupied[at] == wanted, count[at], 0)
+    around = _around(square, on)
     free = around <= _SOMETHING * np.median(around[~on])
     if len(np.unique(square[on], axis=0)) < _WIDER * len(np.unique(square[~on & ~free], axis=0)):
         return 0.0
     return float(free[on].mean())
+
+
+def _around(square, on):
+    """(n,): how many of the points that are not ``on`` are in each one's square, (n, 2) whole numbers, and around it."""
+    square = square - square.min(axis=0) + 1
+    step = np.array([square[:, 1].max() + 2, 1])  # numbers of squares, of which none is that of one beyond a border
+    occupied, count = np.unique(square[~on] @ step, return_counts=True)
+    around = np.zeros(len(square))
+    for dx in (-1, 0, 1):
+        for dy in (-1, 0, 1):
+            wanted = (square + [dx, dy]) @ step
+            at = np.minimum(np.searchsorted(occupied, wanted), len(occupied) - 1)
+            around += np.where(occupied[at] == wanted, count[at], 0)
+    return around
