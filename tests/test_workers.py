@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 from functools import partial
-from multiprocessing import active_children
+from multiprocessing import active_children, connection
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -83,7 +83,8 @@ def test_answers_that_came_before_ctrl_c_are_given_at_the_end(monkeypatch):
             return answer
 
         monkeypatch.setattr(Workers, "_received", interrupted)
-        monkeypatch.setattr("multiprocessing.connection.wait", _all_of(work))
+        wait = connection.wait
+        monkeypatch.setattr(connection, "wait", lambda several: [one for each in several for one in wait([each])])  # for all
         with pytest.raises(KeyboardInterrupt):
             while True:
                 assert not work.answers()  # both say first that they are ready
@@ -195,17 +196,6 @@ def _threads(_):
     from threadpoolctl import threadpool_info
 
     return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
-
-
-def _all_of(work):
-    """Waits until all connections have something to say."""
-
-    def wait(connections):
-        for connection in connections:
-            connection.poll(None)
-        return connections
-
-    return wait
 
 
 def _raising_two_words(k):
