@@ -5,7 +5,11 @@ import pytest
 from turned_scans import any_turn, error_of, upright
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import Runner
 from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.optimize.frame import Frame, turned_root
+from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.turns import ORIENTATIONS
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -111,6 +115,20 @@ def test_labels_are_seen_in_the_frame_that_was_found(make_scout, clean_scans, tu
     np.testing.assert_allclose(found.proba.sum(axis=1), 1.0, atol=1e-5)
     assert (found.proba.argmax(axis=1) == s.labels).mean() > 0.75
     assert make_scout("any", segmenter=False)(s.points @ turn.T).proba is None
+
+
+@pytest.mark.parametrize("angle, along", [(0.5, False), (2.0, True), (3.1, True)])
+def test_labels_are_seen_from_where_steps_have_turned_the_root_to(make_scout, clean_scans, angle, along):
+    """A scan that leans further than those of training does so in the pose, too: it is turned back before it is seen."""
+    scout, x = make_scout("any"), clean_scans[1].points
+    lean = matrix_from_rotvec(angle * np.array([0.6, 0.0, 0.8]))
+    frame, rest = Frame(x.mean(axis=0), scout.model.half), scout.model.rest()
+    upright, leaning = (Problem(frame.inside(x) @ turn.T) for turn in (np.eye(3), lean))
+    leans = rest.replace(theta=turned_root(scout.model.rig, rest.theta, lean))
+    seen = scout._seen(Runner(leaning, leans, frame))
+    expected = scout._seen(Runner(upright, rest, frame)) if along else scout._labels(leaning)
+    np.testing.assert_allclose(seen, expected, atol=1e-6)
+    assert (seen.argmax(axis=1) == clean_scans[1].labels).mean() > (0.75 if along else 0.5)
 
 
 def test_without_a_segmenter_scans_are_found_as_well(tube_rig, make_scout, clean_scans):

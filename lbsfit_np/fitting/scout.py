@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..optimize.frame import Frame
+from ..optimize.frame import Frame, root_turn
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
 from ..rig.frames import up_axis
@@ -50,7 +50,7 @@ class Found:
     state : State
         Pose, place and proportions.
     proba : (n, n_parts) array or None
-        What the segmenter says of the points, seen in that frame.
+        What the segmenter says of the points, seen in that frame, turned along where the state's root is turned far.
     value : float
         What the state leaves unexplained: E of ``optimize.gauss_newton`` where a scout has found it, L_c where a refit has.
     rivals : tuple of float
@@ -147,7 +147,7 @@ class Scout:
             finals[0] = replace(finals[0], state=state, value=value)
         others = [replace(r, value=r.value * helped) for r in near[len(finals) :]]
         best, *others = self._resized([*finals, *others], finals[0])
-        seen = None if self.segmenter is None else self._labels(best.problem)
+        seen = None if self.segmenter is None else self._seen(best)
         rivals = tuple(r.value for r in others)
         return Found(best.name, best.problem, best.state, seen, best.value, rivals, self._free)
 
@@ -203,7 +203,7 @@ class Scout:
             frames = [replace(runners[0].name, turn=runners[0].name.turn @ flip) for flip in flips]
         out = [runners[0].name]
         for frame in [*frames, *(r.name for r in runners)]:
-            apart = [np.arccos(np.clip((np.trace(frame.turn.T @ f.turn) - 1) / 2, -1, 1)) for f in out]
+            apart = [_angle(frame.turn.T @ f.turn) for f in out]
             if len(out) < self.effort.facings and min(apart) > _ELSEWHERE:
                 out.append(frame)
         return out
@@ -218,9 +218,19 @@ class Scout:
         """What the segmenter says of the points."""
         return self.segmenter.predict_proba(problem.X * self.model.half, views=1)
 
+    def _seen(self, runner):
+        """The same where a runner has come to: a root that the steps have turned far is turned back, as training hardly leans."""
+        turn = root_turn(self.model.rig, runner.state.theta)
+        return self._labels(runner.problem if _angle(turn) <= _ELSEWHERE else Problem(runner.problem.X @ turn))
+
     def _ended(self, runner):
         state, value = self._to_the_end(runner.problem, runner.state)
         return replace(runner, state=state, value=value)
 
     def _joints(self, runner):
         return runner.name.outside(self.model.deformed(runner.state).joints)
+
+
+def _angle(rotation):
+    """Of a (3, 3) rotation, radians."""
+    return np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))

@@ -1,12 +1,14 @@
 """Levenberg–Marquardt with residuals measured to the surface: the last step of a pose, and of the template that scans share.
 
-Each scan point x pulls on the closest point p of the posed mesh, and some vertices pull on their nearest scan points:
+Each scan point x pulls on the closest point p of the posed mesh, and places v of the mesh (``pulling``) pull on their nearest
+scan points:
 
     E = Σ_i a_i ρ(e_i²) + Σ_v b_v ρ(e_v²) + ridge ‖c‖²,   e² = (n · r)² + τ ‖r‖²,   ρ(e²) = e² / (1 + e²/s²),
 
-r the residual vector, n the surface normal, τ small: points slide along the surface almost freely, as their true partners are
-unknown, and what lies further away than some s hardly counts. Near the optimum this takes some ten steps where L-BFGS on the
-Chamfer distance takes hundreds, and is more exact, as points are compared with triangles. Far from it L-BFGS is the better guide.
+r the residual vector, n the surface normal, of v halfway between its own and that at its scan point, τ small: points slide along
+the surface almost freely, as their true partners are unknown, and what lies further away than some s hardly counts. Near the
+optimum this takes some ten steps where L-BFGS on the Chamfer distance takes hundreds, and is more exact, as points are compared
+with triangles. Far from it L-BFGS is the better guide.
 
 Closest points move with the mesh, which no derivative here knows of, so that steps fall short where points slide along the
 surface: there they go further than the equations say, each a little more than the last, until one of them does not help
@@ -19,8 +21,9 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from .jacobian import vertex_motion
+from .pulling import Pulling, between
 from .state import MOST_PROPORTION, Layout
-from .surface import Surface, faces_at, summed_normals
+from .surface import Surface
 from .visibility import shown
 
 __all__ = ["GaussNewton", "as_weights"]
@@ -50,7 +53,7 @@ class GaussNewton:
     ridge : float, default 1e-5
         On the family's coefficients.
     vertices : int, default 1000
-        How many vertices, evenly spread, pull on the scan.
+        How many vertices, evenly spread, pull on the scan; on a mesh that has fewer, points on its faces.
     tolerance : float, default 1e-4
         Steps end where one lowers E by less than this share.
     partial : bool, default False
@@ -58,21 +61,11 @@ class GaussNewton:
     """
 
     def __init__(self, model, *, tangential=0.05, reach=0.05, ridge=1e-5, vertices=1000, tolerance=1e-4, partial=False):
-        from .model import farthest_points
-
         self.model, self.tangential, self.reach, self.ridge, self.tolerance = model, tangential, reach, ridge, tolerance
         self.partial = partial
         rig = model.rig
         self._surface = Surface(rig.vertices, rig.faces, model.labels)
-        rows = self._surface.rows  # what has no face has no side to pull on
-        few = farthest_points(rig.vertices[rows], vertices) if len(rows) > vertices else slice(None)
-        self._pulling = rows[few]
-        pulls = np.zeros(len(rig.vertices), dtype=bool)
-        pulls[self._pulling] = True
-        self._pulling_faces = rig.faces[pulls[rig.faces].any(axis=1)]
-        self._pulling_at = faces_at(self._pulling_faces, self._pulling)
-        areas = model.areas[self._pulling]
-        self._pull_weights = areas / max(areas.sum(), np.finfo(float).tiny)
+        self._pulling = Pulling(model, self._surface.rows, vertices)  # what has no face has no side to pull on
 
     def pose(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12, prior=None):
         """The pose of one scan, its template as it is.
@@ -206,20 +199,21 @@ class GaussNewton:
         if proba is not None:
             a = a * np.where(proba.any(axis=1), proba[np.arange(len(X)), model.labels[nearest]], 1.0)
         on = self._surface.closest(X, nearest, V, None if labels is None else labels[known])
-        r, normals, weights, pulling = X - on.points, on.normals, a, self._pulling[:0]
+        r, normals, weights, hangs = X - on.points, on.normals, a, [(on.corners, on.barycentric)]
         if labels is None and of_vertices:
             pulling = self._pulling
-            to_X = problem.x_index.nearest(V[pulling])
-            facing, pull = summed_normals(V, self._pulling_faces, self._pulling_at), self._pull_weights
+            places, facing = pulling.of(V)
+            to_X, pull = problem.x_index.nearest(places), pulling.weights
             if self.partial:
-                pull = np.where(shown(V[pulling], facing, X, on.normals, to_X), pull, 0.0)
+                pull = np.where(shown(places, facing, X, on.normals, to_X), pull, 0.0)
                 pull = pull / max(pull.sum(), np.finfo(float).tiny)
-            r, weights = np.vstack([r, problem.X[to_X] - V[pulling]]), np.concatenate([weights, pull])
-            normals = np.vstack([normals, facing])
+            r, weights = np.vstack([r, X[to_X] - places]), np.concatenate([weights, pull])
+            normals = np.vstack([normals, between(facing, on.normals[to_X])])
+            hangs.append((pulling.corners, pulling.barycentric))
 
         def motion():
             blocks = layout.blocks + (("proportions",) if shared else ())
-            rows, places = _places(on, pulling, len(V))
+            rows, places = _places(hangs, len(V))
             return vertex_motion(model, state, posed, rows, blocks, layout.turning).at(places)
 
         return _Normal(r, normals, weights, self.tangential, self.reach, motion)
@@ -278,16 +272,24 @@ def as_weights(weights, turning):
     return weights if np.ndim(weights) == 2 else weights * np.eye(int(turning.sum()))
 
 
-def _places(on, pulling, m):
-    """Vertices that points of the mesh, and vertices besides, hang on, and how: (r,) rows, and (k, r) sparse weights."""
-    n, v = len(on.corners), len(pulling)
-    vertex = np.concatenate([on.corners.ravel(), pulling])
+def _places(hangs, m):
+    """Vertices that places of the mesh hang on, and how: (r,) rows, and (k, r) sparse weights.
+
+    Parameters
+    ----------
+    hangs : list of ((n, c) int array, (n, c) array)
+        Of some places each: vertices, and their shares.
+    m : int
+        Vertices of the mesh.
+    """
+    vertex = np.concatenate([corners.ravel() for corners, _ in hangs])
     used = np.zeros(m, dtype=bool)
     used[vertex] = True
     place = np.cumsum(used) - 1
-    start = np.concatenate([np.arange(0, 3 * n, 3), np.arange(3 * n, 3 * n + v + 1)])
-    share = np.concatenate([on.barycentric.ravel(), np.ones(v)])
-    return np.flatnonzero(used), csr_array((share, place[vertex], start), shape=(n + v, int(used.sum())))
+    each = np.concatenate([np.full(len(corners), corners.shape[1]) for corners, _ in hangs])
+    start = np.concatenate([[0], np.cumsum(each)])
+    share = np.concatenate([shares.ravel() for _, shares in hangs])
+    return np.flatnonzero(used), csr_array((share, place[vertex], start), shape=(len(each), int(used.sum())))
 
 
 class _Normal:

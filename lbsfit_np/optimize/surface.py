@@ -6,7 +6,7 @@ import numpy as np
 
 from ..neighbors import PointIndex
 
-__all__ = ["Closest", "Surface", "closest_on_mesh", "faces_around", "faces_at", "summed_normals", "vertex_normals"]
+__all__ = ["Closest", "Surface", "closest_on_mesh", "divided", "faces_around", "faces_at", "summed_normals", "vertex_normals"]
 
 # Where some triangle has a longer edge than this, half sizes, triangles are looked for by points on them, too, so far apart at
 # most; on each edge there are at most so many. On other meshes the triangles at the nearest vertex all but always have the
@@ -97,8 +97,19 @@ def _on_long_faces(vertices, faces):
     if longest.max(initial=0.0) <= _LONG:
         return np.empty(0, dtype=int), np.empty((0, 3))
     parts = np.minimum(np.ceil(longest / _APART), _MOST).astype(int)
+    return divided(np.where(parts > 1, parts, 0))
+
+
+def divided(parts):
+    """(p,) faces and (p, 3) barycentric: centres of the n² equal triangles of each face with its edges divided by its n.
+
+    Parameters
+    ----------
+    parts : (F,) int array
+        n of each face; one with 0 is left out.
+    """
     face, barycentric = [np.empty(0, dtype=int)], [np.empty((0, 3))]
-    for n in np.unique(parts[parts > 1]):
+    for n in np.unique(parts[parts > 0]):
         rows, own = np.flatnonzero(parts == n), _centres(n)
         face.append(np.repeat(rows, len(own)))
         barycentric.append(np.tile(own, (len(rows), 1)))
