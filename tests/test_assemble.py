@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import sparse
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.assemble import assemble
+from lbsfit_np.fitting.assemble import _guessed, assemble
 from lbsfit_np.fitting.confidence import evidence_of
 from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.losses.chamfer import chamfer
@@ -22,6 +23,7 @@ from lbsfit_np.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
+_HARDLY = "hardly any points tell where these joints are, see joint_std: "
 TURNS = {
     "none": np.eye(3),
     "about the up axis": matrix_from_rotvec(np.array([0.0, 2.4, 0.0])),
@@ -226,6 +228,14 @@ def test_a_fit_that_has_failed_asks_about_what_was_given(given, asks, rigs, monk
     assert r.message.startswith(f"a reason; is it the right rig{asks}")
 
 
+def test_joints_without_skin_are_not_named_as_guesses(rigs):
+    """No scan could tell where they are, such as a root on the ground between the feet."""
+    rig, skinned = rigs["hand"], np.arange(16) != 5
+    bare = replace(rig, weights=sparse.csr_array(rig.weights @ sparse.diags_array(skinned.astype(float))))
+    assert [_guessed(r, np.where(skinned, 0.0, 0.1)) for r in (rig, bare)] == [f"{_HARDLY}{rig.joint_names[5]}", ""]
+    assert _guessed(bare, np.full(16, 0.1)) != "" and rig.joint_names[5] not in _guessed(bare, np.linspace(0.1, 0.2, 16)[::-1])
+
+
 def test_joints_that_are_guesses_are_named_the_worst_first(rigs, monkeypatch):
     """In the scan's unit; those that do not turn are none; at most six."""
     rig = rigs["hand"]
@@ -236,7 +246,7 @@ def test_joints_that_are_guesses_are_named_the_worst_first(rigs, monkeypatch):
     np.testing.assert_allclose(r.joint_std, 5 * std)
     assert "joint_std" not in r.message  # 2 % of the size are 0.04 half sizes
     std[[3, 5]] = 0.041, 0.2
-    named = f"hardly any points tell where these joints are, see joint_std: {rig.joint_names[5]}, {rig.joint_names[3]}"
+    named = f"{_HARDLY}{rig.joint_names[5]}, {rig.joint_names[3]}"
     r = _at_rest(model, V, joint_std=std, frame=frame, points=5 * V)
     assert r.message == named
     r = _at_rest(model, V, joint_std=np.linspace(0.1, 0.2, J))

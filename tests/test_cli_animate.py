@@ -63,6 +63,23 @@ def test_scans_in_other_units_are_named(fitted, made, tmp_path, run):
         lbs.save_animation(tmp_path / "c.glb", lbs.load_rig(made / "tube.npz"), [lbs.FitResult.load(f) for f in fits])
 
 
+def test_fits_that_would_lie_are_told_how_to_stand(fitted, made, tmp_path, run):
+    """As those of scans along z are with a rig along y: by the turn of the whole, of all of them."""
+    fit = lbs.FitResult.load(fitted[0] / "one.fit.npz")
+    pose = fit.pose.copy()
+    pose[0] = [np.pi / 2 - 0.2, 0.0, 0.0]
+    replace(fit, pose=pose).save(tmp_path / "z.fit.npz")
+    lying = ["animate", made / "tube.npz", tmp_path / "z.fit.npz", "--existing", "replace", "-o", tmp_path / "a.glb"]
+    code, out, err = run(*lying)
+    assert (code, err) == (0, "")
+    assert "note: the fits stand along +z: with --up=+z the animation is upright, unless they lie\n" in out
+    assert "stand along" not in run(*lying, "--up=+z")[1]
+    assert "fits stand along +z" in run(*lying, "--up=+y")[1]
+    assert "stand along" not in run(*lying, fitted[0] / "one.fit.npz")[1]  # one that stands and one that leans
+    with pytest.warns(UserWarning, match=r"stand along \+z: with up='\+z'"):
+        lbs.save_animation(tmp_path / "c.glb", lbs.load_rig(made / "tube.npz"), replace(fit, pose=pose))
+
+
 def test_fewer_influences_are_not_made_up_for_by_offsets(fitted, made, tmp_path, run):
     fits = [fitted[0] / f"{name}.fit.npz" for name in ("one", "two")]
     for options, hint in (((), True), (("--influences", "1"), False), (("--influences", "1", "--offsets", "each"), False)):

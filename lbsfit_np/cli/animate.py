@@ -79,7 +79,7 @@ def add_parser(commands):
 
 def _run(arguments):
     from ..fitting.result import FitResult
-    from ..report.animation import check_fit, odd_scales, save_animation, unit_of
+    from ..report.animation import check_fit, odd_scales, save_animation, stands_along, unit_of
 
     values = settings(arguments, _OPTIONS)
     path, fits = values["output"], arguments.fits
@@ -104,6 +104,8 @@ def _run(arguments):
     if len(people) > 1 and values["offsets"] == "mean":
         names = listed([repr(name) if name else "nobody that was learned" for name in people])
         say(f"note: the fits are of several subjects ({names}): frames have the mean of their templates")
+    if axis := stands_along(rig, results, values["up"]):
+        say(f"note: the fits stand along {axis}: with --up={axis} the animation is upright, unless they lie")
     if odd := [os.path.basename(fits[k]) for k in odd_scales(results)]:
         say(f"note: scales that differ by more than people do: of {listed(odd)}; are the scans in one unit?")
     with warnings.catch_warnings():

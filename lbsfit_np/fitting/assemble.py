@@ -203,8 +203,12 @@ def _terms(model, problem, state, weights, x_labels, pivot, turn):
 
 
 def _guessed(rig, std):
-    """Which joints are guesses, in words, by how precisely they are told in shares of the rig's size; the worst first."""
-    rows = np.flatnonzero(rig.moving & (std > GUESS))
+    """Which joints are guesses, in words, by how precisely they are told in shares of the rig's size; the worst first.
+
+    Joints without skin are left out, such as a root on the ground between the feet: no point could ever tell where they are.
+    """
+    skinned = rig.weights.sum(axis=0) > 0
+    rows = np.flatnonzero(rig.moving & skinned & (std > GUESS))
     if not len(rows):
         return ""
     names = [rig.joint_names[j] for j in rows[np.argsort(-std[rows], kind="stable")]]

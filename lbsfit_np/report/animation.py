@@ -19,15 +19,17 @@ from scipy import sparse
 
 from ..errors import InputError, brief, listed
 from ..fitting.result import FitResult
-from ..rig.frames import AXES
+from ..optimize.frame import root_turn
+from ..rig.frames import AXES, up_axis
 from ..rig.rig import Rig
 from ..rotations import matrix_from_rotvec
 from ..starts.scale import UNITS, same_unit, unit_name
 
-__all__ = ["check_fit", "odd_scales", "save_animation", "unit_of"]
+__all__ = ["check_fit", "odd_scales", "save_animation", "stands_along", "unit_of"]
 
 _OFFSETS = ("mean", "each")
 _SET = 4  # influences in one set of attributes (3.7.3.3)
+_ALONG = np.cos(np.radians(30.0))  # what stands no further than this from an axis stands along it
 _MOST = 1e15  # of any number, so that products stay within single precision
 
 
@@ -74,7 +76,8 @@ def save_animation(
     Warns
     -----
     UserWarning
-        Fits whose scales differ from the others' by more than people do, as of scans in another unit.
+        Fits whose scales differ from the others' by more than people do, as of scans in another unit; fits that stand along
+        another axis than ``up``, and lie in the animation.
 
     Notes
     -----
@@ -85,6 +88,8 @@ def save_animation(
     _check_options(offsets, frames_per_second, up, metres_per_unit, influences)
     if influences is not None:
         rig = replace(rig, weights=_strongest(rig.weights, influences))
+    if axis := stands_along(rig, results, up):
+        warnings.warn(f"the fits stand along {axis}: with up={axis!r} the animation is upright, unless they lie", stacklevel=2)
     if odd := [f"results[{k}]" for k in odd_scales(results)]:
         warnings.warn(f"scales that differ by more than people do: of {listed(odd)}; are the scans in one unit?", stacklevel=2)
     metres = unit_of(rig, results)[1] if metres_per_unit is None else float(metres_per_unit)
@@ -120,6 +125,13 @@ def unit_of(rig, results):
         if name := unit_name(scale, rig):
             return name, UNITS[name]
     return None, 1.0
+
+
+def stands_along(rig, results, up=None):
+    """The axis, such as "+z", that the rig's up axis lies along in the fits' mean, where it is not ``up``; else None."""
+    along = np.mean([root_turn(rig, r.pose) @ up_axis(rig) for r in results], axis=0)
+    axis = max(AXES, key=lambda name: along @ AXES[name])
+    return axis if along @ AXES[axis] > _ALONG and axis != (up or rig.up or "+y") else None
 
 
 def odd_scales(results):
