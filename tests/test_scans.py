@@ -115,6 +115,20 @@ def test_gltf_applies_world_transforms(tmp_path, extension):
     assert on_tetrahedron(sampled.points - [10, 0, 0]) < 1e-5 and "8 triangles" in sampled.notes[-1]
 
 
+@pytest.mark.parametrize("fine, uneven", [(0.0, False), (1.0, False), (0.2, True)])
+def test_vertices_that_lie_unevenly_are_told(tmp_path, fine, uneven):
+    """As those of a face on an artist's body: a square whose left ``fine`` has 9 of 10 columns of vertices."""
+    x = np.linspace(0, 1, 20) if fine in (0.0, 1.0) else np.r_[np.linspace(0, fine, 18), np.linspace(fine, 1, 3)[1:]]
+    u, v = (axis.ravel() for axis in np.meshgrid(x, x, indexing="ij"))
+    corner = (20 * np.arange(19)[:, None] + np.arange(19)).ravel()
+    faces = np.vstack([corner[:, None] + [0, 1, 20], corner[:, None] + [1, 21, 20]])
+    lines = [f"v {a} {b} 0" for a, b in zip(u, v)] + ["f {} {} {}".format(*face) for face in 1 + faces]
+    path = write(tmp_path, "square.obj", "\n".join(lines))
+    told = [note for note in load_scan(path).notes if "unevenly" in note]
+    assert bool(told) == uneven and all("--samples" in note for note in told)
+    assert not any("unevenly" in note for note in load_scan(path, n_samples=100).notes)
+
+
 def test_gltf_skins_stand_in_the_pose_of_the_file(tmp_path):
     root, blob = (json.loads(part) if k == 0 else part for k, part in enumerate(gltf(inline=False)))
     # Joint 4 has moved by (0, 5, 0) since the bind pose, joint 5 has turned by 180° about y; the mesh's own node does not count.
