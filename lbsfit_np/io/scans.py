@@ -40,8 +40,8 @@ _READERS = {
 
 SCAN_EXTENSIONS = tuple(_READERS)
 
-# Vertices that do the work of less than this share of as many evenly spread points are uneven. Of the bundled meshes it is 0.54 or
-# more, of an artist's body, with its face and hands, 0.30: what lies in the middle of its back has no points near it.
+# Vertices that do the work of less than this share of as many evenly spread points are uneven. Of the bundled meshes it is 0.54
+# or more, of an artist's body, with its face and hands, 0.30: the middle of its back has no points near it.
 _UNEVEN = 0.45
 
 
