@@ -155,6 +155,12 @@ def test_the_unit_is_told_by_the_scale(scale, metres, given, expected):
     assert unit_of(SimpleNamespace(metres_per_unit=metres), fits, given) == expected
 
 
+def test_fits_that_were_told_the_unit_say_it():
+    fits = SimpleNamespace(entries={"a": {"scale": 0.4, "unit": "cm"}, "b": {"failed": "x"}, "c": {"scale": 0.5, "unit": "cm"}})
+    rig = SimpleNamespace(metres_per_unit=0.01)
+    assert unit_of(rig, fits) == ("cm", 1.0) and unit_of(rig, fits, "mm") == ("mm", 0.1)
+
+
 def test_one_fit_of_a_wrong_scale_does_not_change_the_unit():
     fits = SimpleNamespace(entries={name: {"scale": scale} for name, scale in zip("abc", (1.0, 1.1, 40.0))})
     assert unit_of(SimpleNamespace(metres_per_unit=1.0), fits) == ("m", 100.0)

@@ -176,7 +176,7 @@ def test_the_unit_of_the_scans_is_told(unit, options, words, tubes, tmp_path, ru
 )
 def test_units_are_told_by_subject_where_they_differ(units, words, tubes):
     rig = lbs.load_rig(tubes / "tube.npz")
-    assert learn._units(SimpleNamespace(scale="estimate", unit_=units, rig=rig)) == words
+    assert learn._units(SimpleNamespace(scale="estimate", unit=None, unit_=units, rig=rig)) == words
 
 
 FREE_FORM = "note: in the variant free-form scans have to face the rig's way"
@@ -341,7 +341,7 @@ def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):
         "subjects": ["a", "b", "a", "7"], "cache": True, "points": [350] * 4, "held_out": 0.25, "sequence": True,
         "smooth": 1e-5, "rounds": 3, "variant": "rand", "weights": "paper", "joints": "fixed", "scale": "fixed",
         "max_points": 300, "random_state": 4, "training_scans": 50, "training": {"turn": 3.14}, "n_jobs": 2,
-        "orientation": "any", "up": None, "effort": "fast", "partial": True,
+        "orientation": "any", "up": None, "effort": "fast", "partial": True, "unit": None,
     }  # fmt: skip
 
 
@@ -352,7 +352,7 @@ def test_defaults_are_the_librarys():
         if option.key in parameters and option.key != "training":
             assert option.default == parameters[option.key].default, option.name
             checked += 1
-    assert checked == 14
+    assert checked == 15
     same = {option.key: option for option in fit.OPTIONS}
     for key in ("orientation", "up", "partial", "effort"):
         assert next(option for option in learn.OPTIONS if option.key == key) is same[key]

@@ -265,8 +265,9 @@ def test_of_views_from_several_sides_the_one_that_leaves_least_is_taken(tube_rig
 @pytest.mark.parametrize("factor, known", [(1.3, True), (1 / 1.3, True), (1.4, False), (1 / 1.4, False), (50.0, False)])
 def test_the_subjects_unit_is_a_scans_where_its_size_allows_that(factor, known):
     learned = 1000.0
-    assert new_scan._unit(factor * learned, learned, FitSettings()) == (learned if known else None)
-    assert new_scan._unit(factor * learned, learned, FitSettings(scale="fixed")) == 1.0
+    fitter = SimpleNamespace(rig=None, unit_={"anna": learned}, learned_unit_=None)
+    assert new_scan._unit(fitter, "anna", factor * learned, FitSettings()) == (learned if known else None)
+    assert new_scan._unit(fitter, "anna", factor * learned, FitSettings(scale="fixed")) == 1.0
 
 
 def test_what_fit_scan_takes_counts_after_learning_too(tube_rig, learned_people, people_scans):

@@ -282,7 +282,8 @@ def test_a_doubt_that_has_come_to_nothing_is_not_said_of_a_fit_that_is_ok(status
         return Result(status=status)
 
     fit = SimpleNamespace(proportions=lambda *given: 0.0, finish=finished, refit=SimpleNamespace(turning=None))
-    work = finish._Finish(tube_rig, {}, SimpleNamespace(scale="estimate"), (), None)
+    fit.model = SimpleNamespace(source=tube_rig)
+    work = finish._Finish(tube_rig, {}, SimpleNamespace(scale="estimate", unit=None), (), None)
     work.__dict__["_fit"] = lambda subject: fit
     assert work((m, finish._Size(1.0, m.state, own), 1.0)).message == ("odd; done" if said else "done")
     # A scale of its own was looked for where it has one.

@@ -32,8 +32,8 @@ class Fits:
     ----------
     folder : Path
     entries : dict of str to dict
-        By the scan's name: "status", "probability", "recon", "scale", "seconds", "points", "message", "kept" (an earlier run
-        has made it); where there is no fit, "failed", the reason.
+        By the scan's name: "status", "probability", "recon", "scale", "unit", "seconds", "points", "message", "kept" (an
+        earlier run has made it); where there is no fit, "failed", the reason.
     history : list of dict
         Of ``LBSFitter.history_``; empty where nothing was learned.
     """
@@ -234,6 +234,7 @@ def _entry(result, kept=False):
         "probability": round(result.probability, 4),
         "recon": result.terms["recon"],
         "scale": result.scale,
+        "unit": result.unit,
         "seconds": round(result.seconds, 3),
         "points": len(result.labels),
         "message": result.message,

@@ -20,7 +20,7 @@ __all__ = ["KINDS", "UNITS", "choose_pairs", "measure_pairs", "pairs_bench", "pa
 # Pairs of scans of one subject, and of different ones.
 KINDS = ("intra", "inter")
 # Centimetres in a unit.
-UNITS = {"m": 100.0, "cm": 1.0, "mm": 0.1, "in": 2.54}
+UNITS = {"m": 100.0, "cm": 1.0, "mm": 0.1, "in": 2.54, "ft": 30.48}
 _NAMES = {"metres": "m", "centimetres": "cm", "millimetres": "mm", "inches": "in"}
 _PERCENTILES = (50, 90, 95)
 
@@ -201,12 +201,15 @@ def summary(errors):
 def unit_of(rig, fits, given="auto"):
     """The scans' unit, and centimetres in it: (name, number), or ("unknown", None).
 
-    By the median scale of the fits, where the rig's own unit is known: people differ less than units do.
+    What the fits were told, else by their median scale, where the rig's own unit is known: people differ less than units do.
     """
     from ..starts.scale import unit_name
 
     scales = [entry["scale"] for entry in fits.entries.values() if "scale" in entry]
-    if given == "auto":
+    said = {entry["unit"] for entry in fits.entries.values() if entry.get("unit")}
+    if given == "auto" and len(said) == 1:
+        (given,) = said
+    elif given == "auto":
         given = _NAMES.get(unit_name(float(np.median(scales)), rig)) if scales else None
     return (given, UNITS[given]) if given else ("unknown", None)
 

@@ -32,7 +32,7 @@ _OPTIONS = (
     ),
     Option(
         "unit",
-        "the scans' unit, as lengths in glTF are metres; auto: told from the rig's unit and the fits' scales",
+        "the scans' unit, as lengths in glTF are metres; auto: what the fits were told, else by the rig's unit and their scales",
         default="auto",
         choices=("auto", *UNITS),
     ),
@@ -79,7 +79,7 @@ def add_parser(commands):
 
 def _run(arguments):
     from ..fitting.result import FitResult
-    from ..report.animation import check_fit, odd_scales, save_animation, stands_along, unit_of
+    from ..report.animation import check_fit, odd_scales, said_unit, save_animation, stands_along, unit_of
 
     values = settings(arguments, _OPTIONS)
     path, fits = values["output"], arguments.fits
@@ -123,6 +123,7 @@ def _run(arguments):
     if values["unit"] == "auto":
         name = unit_of(rig, results)[0]
         known = f"the scans seem to be in {name}" if name else "the scans' unit is not known, and taken as metres"
+        known = f"the scans are in {name}, as the fits were told" if said_unit(results) else known
         say(f"{known} (--unit says otherwise)")
     say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, fits, away, values)}")
     return 0

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, brief, counted, did_you_mean
 from ..io.write import make_folder, remove_empty
+from ..rig.card import UNITS
 from . import outputs
 from .kept_fits import kept_entries
-from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subjects_of
+from .models import about_model, is_model, load_model, model_in_words, said_unit, say_model_as_rig, subjects_of
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, of_all, say
 from .stopped_fits import named, settled
@@ -43,6 +44,11 @@ OPTIONS = (
         is_path=True,
     ),
     Option("scale", "whether the scan's scale is found, or is the rig's", default="estimate", choices=("estimate", "fixed")),
+    Option(
+        "unit",
+        "the scans' unit, where it is known: their size is found all the same; auto: not known, as by default, but for a model's",
+        choices=("auto", *UNITS),
+    ),
     Option(
         "orientation",
         "how scans may be turned: about the up axis, not at all, or in any way",
@@ -101,8 +107,9 @@ and OUT/summary.json tells how each of this run's scans went. Files appear when 
 overwritten. After Ctrl-C, the same command with --existing skip does the rest.
 
 A model keeps its rig, its segmenter and how these were made: options about the rig (--card, --shape, --skin,
---normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale,
---orientation, --up, --partial, --effort, --weights, --max-points and --seed are the model's unless they are given.
+--normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale, --unit,
+--orientation, --up, --partial, --effort, --weights, --max-points and --seed are the model's unless they are given: of scans
+in another unit than those that the model was told it learned from say --unit.
 """
 
 _EPILOG = """\
@@ -110,6 +117,7 @@ examples:
   lbsfit fit hand scan.ply -o fits
   lbsfit fit body.glb scans/*.ply -o fits --card body.toml --jobs 4 --existing skip
   lbsfit fit body.glb scans/*.ply --config fit.toml
+  lbsfit fit fox.glb kits/*.ply -o fits --unit cm
   lbsfit learn hand scans/*.ply -o model.npz && lbsfit fit model.npz new.ply -o fits
   lbsfit fit model.npz new/*.ply -o fits --subjects who.csv
 
@@ -310,6 +318,7 @@ def _fitter(rig_path, values, given):
         weights=values["weights"],
         joints=values["joints"],
         scale=values["scale"],
+        unit=said_unit(values),
         orientation=values["orientation"],
         up=values["up"],
         partial=values["partial"],

@@ -14,7 +14,7 @@ from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, check_training, load_rig_with, scan_options
-from .models import about_model, is_model
+from .models import about_model, is_model, said_unit
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, of_all, say, span
 from .reading import Reading
@@ -28,7 +28,7 @@ __all__ = ["OPTIONS", "add_parser", "learn_files"]
 
 # Options that mean the same here as in lbsfit fit.
 _SHARED = (
-    *("scale", "orientation", "up", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
+    *("scale", "unit", "orientation", "up", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
     *("training-scans", "training", "seed", "jobs"),
 )
 
@@ -270,6 +270,7 @@ def _fitter(rig, values):
     return LBSFitter(
         rig,
         **{name: values[name] for name in (*names, "variant", "rounds", "held_out", "sequence", "smooth")},
+        unit=said_unit(values),
         n_jobs=values["jobs"],
         random_state=values["seed"],
     )
@@ -322,8 +323,16 @@ def _learned(fitter, reading, model, seconds):
 
 def _units(fitter):
     """The unit of the scans, or of each subject's where they differ, in a line."""
-    from ..starts.scale import same_unit, unit_name
+    from ..starts.scale import UNIT_WORDS, same_unit, unit_name, unit_scale
 
+    if fitter.unit is not None:
+        words = f"scans are in {UNIT_WORDS[fitter.unit]}, as was said"
+        if fitter.scale == "fixed" or not VARIANTS[fitter.variant].skinning:
+            return words
+        per, own = unit_scale(fitter.rig, fitter.unit), fitter.rig.size  # templates take up part of how large a subject is
+        sizes = [unit / per * fitter.template_[subject].size / own for subject, unit in fitter.unit_.items()]
+        low, high = f"{min(sizes):.2f}", f"{max(sizes):.2f}"
+        return f"{words}, and subjects {low if low == high else f'{low} to {high}'} times as large as the rig"
     if fitter.scale == "fixed":
         return "scans are taken to be in the rig's unit (scale fixed at 1)"
     told = {}

@@ -9,12 +9,12 @@ from ..learning.variants import note_on, unused
 from .progress import say
 from .subjects import read_subjects
 
-__all__ = ["about_model", "is_model", "load_model", "model_in_words", "say_model_as_rig", "subjects_of"]
+__all__ = ["about_model", "is_model", "load_model", "model_in_words", "said_unit", "say_model_as_rig", "subjects_of"]
 
 # Options of lbsfit fit that a model has settled: its rig's, and those of training.
 _SETTLED = ("card", "shape", "skin", "normalize-weights", "parts", "joints", "segmenter", "training-scans", "training")
 # Options that a model has settled, too, but that may be changed for another scan.
-_FREE = ("scale", "orientation", "up", "partial", "effort", "weights", "max_points")
+_FREE = ("scale", "unit", "orientation", "up", "partial", "effort", "weights", "max_points")
 
 
 def is_model(path):
@@ -66,7 +66,7 @@ def load_model(path, values, given):
     idle = unused(fitter.variant, wanted)
     for key in wanted:
         if key not in idle:
-            setattr(fitter, key, values[key])
+            setattr(fitter, key, said_unit(values) if key == "unit" else values[key])
     if fitter.orientation == "any" and "orientation" in given and "up" not in given:
         fitter.up = None  # no axis is known then, and the model's cannot be unsaid otherwise
     if "seed" in given or type(fitter.random_state) is not int:
@@ -74,6 +74,11 @@ def load_model(path, values, given):
     values |= {key: _plain(getattr(fitter, key)) for key in (*_FREE, "joints", "training_scans")}
     values |= {"training": _plain(fitter.training or {}), "seed": fitter.random_state}
     return fitter
+
+
+def said_unit(values):
+    """The parameter ``unit`` by the option of that name; None where nobody knows it."""
+    return None if values["unit"] == "auto" else values["unit"]  # the word for what a model's would be otherwise
 
 
 def about_model(path):

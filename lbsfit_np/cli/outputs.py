@@ -298,6 +298,7 @@ def fitted_entry(files, result, *, kept=False, notes=()):
         evaluations=result.evaluations,
         seconds=round(result.seconds, 3),
         scale=result.scale,
+        unit=result.unit or None,
         subject=result.subject or None,
         points=len(result.labels),
         files={kind: path.name for kind, path in files.paths.items() if path.is_file()},

@@ -43,6 +43,7 @@ def assemble(
     partial=False,
     proportions=0.0,
     judged=True,
+    unit=None,
     found=(),
     further=(),
     given=(),
@@ -87,6 +88,8 @@ def assemble(
     partial : bool
     proportions : float
         As for ``confidence.evidence_of``.
+    unit : str, optional
+        The scan's, where it is known.
     found : sequence of str
         What the fit says of the scan, such as its unit; of one that has failed, with that reserve, of one that is not finite,
         nothing.
@@ -185,6 +188,7 @@ def assemble(
         seconds=time.perf_counter() - started,
         parts=rig.parts,
         rig_digest=rig.digest,
+        unit=unit or "",
     )
 
 

@@ -6,14 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import FileError
+from ..rig.card import UNITS
 
 __all__ = ["FitResult"]
 
-_FORMAT = 5
+_FORMAT = 6
 _SHORT = 80  # letters of the message in repr
 _ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "joint_std", "labels", "confidence")
 _SCALARS = ("scale", "converged", "status", "message", "evaluations", "probability", "seconds")
-_SCALARS += ("rig_digest", "model_digest", "subject")
+_SCALARS += ("rig_digest", "model_digest", "subject", "unit")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -70,6 +71,8 @@ class FitResult:
     subject : str
         Whose learned template it is on, the id as text, "0" for the one subject of a model that was learned without ids; empty
         where it is on none, as of a single scan or of somebody else.
+    unit : {"m", "cm", "mm", "in", "ft", ""}
+        The scan's, where the caller has said it; else empty, and ``message`` says what it seems to be.
     """
 
     pose: np.ndarray
@@ -94,6 +97,7 @@ class FitResult:
     rig_digest: str
     model_digest: str = ""
     subject: str = ""
+    unit: str = ""
 
     def __repr__(self):
         message = self.message if len(self.message) <= _SHORT else f"{self.message[:_SHORT]}…"
@@ -105,8 +109,8 @@ class FitResult:
 
         Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``rest_joints``, ``vertices``, ``joints``,
         ``joint_std``, ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``probability``,
-        ``evaluations``, ``seconds``, ``rig_digest``, ``model_digest``, ``subject`` as 0-d arrays; ``parts`` as text; ``terms``
-        and ``evidence`` as JSON text; ``lbsfit_np_result``, the format's number.
+        ``evaluations``, ``seconds``, ``rig_digest``, ``model_digest``, ``subject``, ``unit`` as 0-d arrays; ``parts`` as text;
+        ``terms`` and ``evidence`` as JSON text; ``lbsfit_np_result``, the format's number.
         """
         from ..io.write import check_npz_name, write_npz
 
@@ -165,10 +169,12 @@ def _check(fields, terms, evidence):
         if fields[name].shape != shape or fields[name].dtype.kind not in ("iu" if name == "labels" else "f"):
             raise ValueError(f"{name} of type {fields[name].dtype} and shape {fields[name].shape}")
     kinds = {"scale": float, "converged": bool, "status": str, "message": str, "evaluations": int}
-    kinds |= {"probability": float, "seconds": float, "rig_digest": str, "model_digest": str, "subject": str}
+    kinds |= {"probability": float, "seconds": float, "rig_digest": str, "model_digest": str, "subject": str, "unit": str}
     for name, kind in kinds.items():
         if not isinstance(fields[name], kind):
             raise ValueError(f"{name} is {fields[name]!r}")
+    if fields["unit"] not in ("", *UNITS):
+        raise ValueError(f"unit is {fields['unit']!r}")
     for name, numbers in (("terms", terms), ("evidence", evidence)):
         if not isinstance(numbers, dict) or not all(isinstance(v, float) for v in numbers.values()):
             raise ValueError(f"{name} that are no numbers")

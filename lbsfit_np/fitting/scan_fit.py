@@ -53,6 +53,8 @@ class FitSettings:
     weights : LossWeights
         Of the full objective.
     scale : {"estimate", "fixed"}
+    unit : {"m", "cm", "mm", "in", "ft"} or None
+        The scans', where it is known; the rig's is then known, too.
     effort : {"fast", "balanced", "thorough"}
         How many starts go how far.
     partial : bool
@@ -80,6 +82,7 @@ class FitSettings:
 
     weights: LossWeights = field(default_factory=lambda: PRESETS["default"])
     scale: str = "estimate"
+    unit: str | None = None
     effort: str = "balanced"
     partial: bool = False
     max_points: int = 2500
@@ -162,7 +165,7 @@ class ScanFit:
     def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, labels=None):
         """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
         known = {"point_weights": point_weights, "labels": labels}
-        limits = {"most": self.settings.max_points, "scale": self.settings.scale, "ups": ups}
+        limits = {"most": self.settings.max_points, "scale": self.settings.scale, "unit": self.settings.unit, "ups": ups}
         return taking_part(points, self.model.source, rng=generator(random_state, "thin"), **limits, **known)
 
     def _fit(self, points, theta0, labels, point_weights, part, started, found):
@@ -187,7 +190,7 @@ class ScanFit:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
             last = replace(last, state=self._refit.polish(dense, last.state, **known))
         stands = stands_words(self.facing, model.source, frame, last.state.theta) if theta0 is None else ""
-        unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale)
+        unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale, unit=settings.unit)
         return assemble(
             model.source,
             model,
@@ -209,6 +212,7 @@ class ScanFit:
             given=given,
             started=started,
             partial=settings.partial,
+            unit=settings.unit,
             **rivals,
         )
 

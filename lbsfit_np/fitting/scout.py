@@ -18,6 +18,7 @@ from ..optimize.state import IN_UNIT, SIZED
 from ..rig.frames import up_axis
 from ..rotations import matrix_from_rotvec
 from ..starts.limbs import LimbPoses
+from ..starts.scale import sizes_in, unit_scale
 from ..starts.turns import any_side_up
 from .bends import Bends
 from .confidence import evidence_of, probability_of
@@ -91,7 +92,8 @@ class Scout:
     def __init__(self, model, library, facing, segmenter, settings, *, unit=None, proportions=True, nearest=True):
         self.model, self.library, self.facing, self.segmenter = model, library, facing, segmenter
         self.settings, self.nearest, self.effort = settings, nearest, EFFORTS[settings.effort]
-        self.unit = 1.0 if settings.scale == "fixed" else unit
+        self.unit = (unit_scale(model.source, settings.unit) or 1.0) if settings.scale == "fixed" else unit
+        self._sizes = {"unit": self.unit} if self.unit else sizes_in(model.source, settings.unit)
         self._free = IN_UNIT if self.unit else SIZED
         self._refit = Refit(model, self._free, partial=settings.partial)
         up = up_axis(model.source)
@@ -161,7 +163,7 @@ class Scout:
 
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points
-        starts = self.library.starts(points, self.facing.turns, self.effort.starts, unit=self.unit)
+        starts = self.library.starts(points, self.facing.turns, self.effort.starts, **self._sizes)
         # f answers for a scan that faces the rig's way.
         seen = self.library.regress(points @ self.facing.turns[starts[0].turn])
         if self.nearest:

@@ -140,4 +140,5 @@ class TemplateFit:
             rivals=rivals,
             proportions=proportions,
             partial=settings.partial,
+            unit=settings.unit,
         )

@@ -16,13 +16,14 @@ from ..errors import FileError, InputError
 from ..fitting.drawn import PosePrior
 from ..losses.objective import LossWeights
 from ..optimize.state import Layout
+from ..rig.card import UNITS
 from ..segmentation.segmenter import Segmenter
 from ..starts.library import PoseLibrary
 
 __all__ = ["MODEL_KEY", "learned_arrays", "learned_digests", "model_digest", "read_fitter", "write_fitter"]
 
 MODEL_KEY = "lbsfit_np_model"
-_FORMAT = 4
+_FORMAT = 5
 _EXPECTED = "a model that was saved with LBSFitter.save or written by lbsfit learn"
 _OTHERS = "lbs.load_rig reads rigs, lbs.FitResult.load results."
 
@@ -55,6 +56,7 @@ def write_fitter(fitter, path):
         "parameters": parameters,
         "subjects": subjects,
         "units": [fitter.unit_[s] for s in subjects],
+        "learned_unit": getattr(fitter, "learned_unit_", None),
         "history": fitter.history_,
         "rig_digest": fitter.rig.digest,
     }
@@ -80,7 +82,9 @@ def model_digest(fitter, subject=None):
     h = hashlib.sha256()
     templates = fitter.template_ if subject is None else {subject: fitter.template_[subject]}
     subjects = [(s, float(fitter.unit_[s])) for s in templates]
-    h.update(repr((fitter.rig.digest, fitter.variant, fitter.joints, subjects, subject is not None)).encode())
+    learned_unit = getattr(fitter, "learned_unit_", None)
+    known = () if learned_unit is None else (learned_unit,)
+    h.update(repr((fitter.rig.digest, fitter.variant, fitter.joints, subjects, subject is not None, *known)).encode())
     for name, array in sorted(_arrays(fitter, templates.values()).items()):
         h.update(f"{name} {array.dtype.str} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return h.hexdigest()
@@ -172,6 +176,7 @@ def read_fitter(path, make):
         fields = {
             "template_": {s: rig.with_template(u, j) for s, u, j in zip(subjects, U, J, strict=True)},
             "unit_": dict(zip(subjects, map(float, header["units"]), strict=True)),
+            "learned_unit_": _known_unit(header["learned_unit"]),
             "segmenter_": segmenter,
             "regressor_": library,
             "pose_prior_": prior,
@@ -182,6 +187,12 @@ def read_fitter(path, make):
         raise
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError) as error:
         raise FileError(str(path), f"a model whose content does not fit ({error})", _EXPECTED, "Learn it again.") from None
+
+
+def _known_unit(name):
+    if name is not None and name not in UNITS:
+        raise ValueError(f"the unit {name!r}")
+    return name
 
 
 def _plain(value):

@@ -116,7 +116,8 @@ class _Finish(_OnTemplates):
         if m.own is not None:
             m = _in_its_unit(m, fit, size, others)
         free = SIZED if size is not None and m.state is size.own else IN_UNIT
-        unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale)
+        size = fit.model.source.size / self.rig.size
+        unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale, unit=self.settings.unit, size=size)
         place = {"points": m.points, "rows": m.rows, "frame": m.frame, "free": free}
         problem = m.problem
         proportions = fit.proportions(problem, m.state)

@@ -40,7 +40,9 @@ class LBSFitter(BaseEstimator):
     joints : {"follow", "fixed"}, default "follow"
         Whether joints follow the changed template, or stay where the rig has them, as in the paper.
     scale : {"estimate", "fixed"}, default "estimate"
-        Whether isotropic scale is found with the pose, or is 1 (scan and rig in one unit).
+        Whether isotropic scale is found with the pose, or is 1 (scan and rig in one unit; with ``unit`` of one size).
+    unit : {"m", "cm", "mm", "in", "ft"}, optional
+        The scans', where it is known; their size stays free. The rig's has to be known, too.
     orientation : {"upright", "aligned", "any"}, default "upright"
         How a scan may be turned: about the up axis, not at all (it faces the rig's way, within the root joint's limits), or in
         any way. The turn is found by hypotheses; the less is open, the surer and the faster.
@@ -83,6 +85,8 @@ class LBSFitter(BaseEstimator):
         After :meth:`fit`, as all below: the rig on each subject's own template. Ids are those that it was given; 0 without any.
     unit_ : dict of id to float
         Scan units in a rig unit.
+    learned_unit_ : str or None
+        ``unit`` of the scans learned from; that of new scans may be another.
     pose_prior_ : PosePrior or None
         How angles vary among the poses learned from, which holds those that a scan leaves open.
     results_ : list of FitResult or None
@@ -102,6 +106,7 @@ class LBSFitter(BaseEstimator):
         weights="default",
         joints="follow",
         scale="estimate",
+        unit=None,
         orientation="upright",
         up=None,
         partial=False,
@@ -121,6 +126,7 @@ class LBSFitter(BaseEstimator):
         self.weights = weights
         self.joints = joints
         self.scale = scale
+        self.unit = unit
         self.orientation = orientation
         self.up = up
         self.partial = partial
@@ -217,16 +223,9 @@ class LBSFitter(BaseEstimator):
             raise InputError("checkpoint", got, "a seed", "Pass random_state=0, say.")
         checkpoint = as_checkpoint(checkpoint)
         variant, seed, facing = as_variant(self.variant), self._seed(), facing_of(self.rig, self.orientation, self.up)
-        collection = read_collection(
-            self.rig,
-            scans,
-            subjects,
-            max_points=self.max_points,
-            held_out=self.held_out if variant.skinning else 0.0,
-            scale=self.scale,
-            ups=facing.floors,
-            random_state=seed,
-        )
+        held_out = self.held_out if variant.skinning else 0.0
+        known = {"scale": self.scale, "unit": self.unit, "ups": facing.floors, "max_points": self.max_points}
+        collection = read_collection(self.rig, scans, subjects, held_out=held_out, random_state=seed, **known)
         collection.warn(stacklevel=2)
         progress = progress or (lambda stage, share, figures=None: None)
         settings, jobs = fit_settings(self), jobs_of(self.n_jobs, None)
@@ -236,7 +235,7 @@ class LBSFitter(BaseEstimator):
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress, checkpoint=kept)
             self.segmenter_ = self.regressor_ = self.pose_prior_ = None
             self.template_, self.unit_ = dict.fromkeys(units, self.rig), units
-            self.history_, self._learned_with = [], learned_with(self)
+            self.history_, self._learned_with, self.learned_unit_ = [], learned_with(self), self.unit
             return self._finished(collection, results)
         segmenter, library = getattr(self, "_pretrained", None) or (None, None)
         if library is None or (variant.labels and segmenter is None) or is_stale(self):
@@ -280,7 +279,7 @@ class LBSFitter(BaseEstimator):
         with held():  # all of it, or nothing
             self.segmenter_, self.regressor_, self.pose_prior_ = learned.segmenter, learned.library, learned.pose_prior
             self.template_, self.unit_, self.history_ = templates, learned.units, learned.history
-            self._learned_with = learned_with(self)
+            self._learned_with, self.learned_unit_ = learned_with(self), self.unit
             self.results_ = [None] * collection.n
             self._set_aside(collection)
 

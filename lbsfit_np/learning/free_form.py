@@ -27,9 +27,10 @@ def fit_free_form(model, collection, settings, *, jobs, progress, checkpoint=NO_
     list of FitResult or None
     """
     for m in collection.members:
-        if settings.scale != "fixed":
+        if settings.scale != "fixed" and settings.unit is None:
             m.doubt = extent_doubt(m.points[m.rows], model.source, m.unit)
-        own = reference_scale(m.points[m.rows], model.source, settings.scale).scale if m.doubt else m.unit
+        apart = m.doubt or settings.unit is not None  # in a known unit subjects may be of any size
+        own = reference_scale(m.points[m.rows], model.source, settings.scale, settings.unit).scale if apart else m.unit
         m.use_frame(own, model.half)
     work = _FreeForm(model, settings)
     kept = [checkpoint.slot("free-form", m) for m in collection.members]
@@ -67,7 +68,7 @@ def free_form(model, settings, problem, points, rows, frame, started, left_out="
     # Chamfer shrinks a resting template onto a posed scan: its scale says nothing of the unit, so the offsets take it up.
     grown = outcome.state.scale * (model.rig.vertices + outcome.state.residual)
     outcome = replace(outcome, state=outcome.state.replace(scale=1.0, residual=grown - model.rig.vertices))
-    unit = unit_note(frame.unit / model.half, model.source, settings.scale, guessed=True)
+    unit = unit_note(frame.unit / model.half, model.source, settings.scale, guessed=True, unit=settings.unit)
     # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
     return assemble(
         model.source,
@@ -84,4 +85,5 @@ def free_form(model, settings, problem, points, rows, frame, started, left_out="
         found=(unit,),
         started=started,
         judged=False,
+        unit=settings.unit,
     )

@@ -230,12 +230,12 @@ class Loop:
             check_scales(self.collection.of(subject), found)
         if hold_out:  # those that were may be in another unit, or have failed
             self.collection.keep_one_held_out()
-        if self.fit_settings.scale == "estimate" and (apart := units_apart(scales)):
+        if self.fit_settings.scale == "estimate" and self.fit_settings.unit is None and (apart := units_apart(scales)):
             warnings.warn(apart, stacklevel=2)
         # The scans of a subject have one scale. Where it is near 1, people differ in size: the template takes it up, all bones
         # longer and thicker by that share. Otherwise it is the unit.
         for subject in self.collection.subjects:
-            scale = float(np.median(scales[subject])) if self.fit_settings.scale == "estimate" else 1.0
+            scale = float(np.median(scales[subject])) if self.fit_settings.scale == "estimate" else guess
             near, grown = (_SIZE, scale / guess) if self.joints == "follow" else (_TOLD, 1.0)
             size, unit = (grown, guess) if 1 / near < scale / guess < near else (1.0, scale)
             c = np.zeros(self.shifting.n_coefficients)

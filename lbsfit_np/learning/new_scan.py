@@ -26,9 +26,10 @@ from ..optimize.frame import Frame
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..optimize.state import SIZED
+from ..rig.card import UNITS
 from ..seeds import generator
 from ..starts.clean import taking_part
-from ..starts.scale import same_size, unit_note
+from ..starts.scale import same_size, sizes_in, unit_note, unit_scale
 from ..starts.turns import facing_of
 from ..threads import one_thread
 from .free_form import free_form
@@ -66,7 +67,8 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
     started = time.perf_counter()
     with one_thread():
         seed, settings = fitter._seed(), fit_settings(fitter)
-        limits = {"most": settings.max_points, "scale": settings.scale, "point_weights": point_weights, "labels": labels}
+        limits = {"most": settings.max_points, "scale": settings.scale, "unit": settings.unit}
+        limits |= {"point_weights": point_weights, "labels": labels}
         return with_floor_or_without(
             lambda ups: taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, **limits),
             lambda part: _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started),
@@ -80,7 +82,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     x = points[rows]
     a = shares(point_weights, rows)
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
-        unit = guess if subjects is None else _unit(guess, fitter.unit_[subjects[0]], settings) or guess
+        unit = guess if subjects is None else _unit(fitter, subjects[0], guess, settings) or guess
         frame = Frame(x.mean(axis=0), unit * half)
         return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started, left_out)
     seen, known, given = None, None if labels is None else labels[rows], given_names(theta0, labels)
@@ -102,7 +104,8 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
-    unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale)
+    known = {"unit": settings.unit, "size": fitter.template_[subject].size / rig.size}
+    unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale, **known)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     place |= {"proportions": proportions, "notes": [whose, left_out], "found": (unit, stands), "given": given, "free": best.free}
@@ -138,7 +141,8 @@ def _asking(result, subjects):
 def _scouted(fitter, subject, x, a, settings):
     """A scan of which nothing is known; in the subject's unit where its size allows that."""
     facing, library, segmenter = _facing(fitter), fitter.regressor_, fitter.segmenter_
-    unit = _unit(library.starts(x, facing.turns, 1)[0].scale, fitter.unit_[subject], settings)
+    seen = library.starts(x, facing.turns, 1, **sizes_in(fitter.rig, settings.unit))[0].scale
+    unit = _unit(fitter, subject, seen, settings)
     model, nearest = _template_fit(fitter, subject, settings).model, as_variant(fitter.variant).library
 
     def make():
@@ -180,7 +184,7 @@ def _on_templates(fitter, subjects, seen, settings):
 
 def _begun(fitter, subject, seen, settings):
     unit = seen.state.scale * seen.frame.unit / (fitter.rig.size / 2)
-    learned = _unit(unit, fitter.unit_[subject], settings)
+    learned = _unit(fitter, subject, unit, settings)
     ratio = (learned or unit) / (seen.frame.unit / (fitter.rig.size / 2))
     frame = replace(seen.frame, unit=seen.frame.unit * ratio)
     problem = Problem(seen.problem.X / ratio, seen.problem.x_weights)
@@ -201,7 +205,7 @@ def _gone_on(begun, seen):
 
 def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     """A scan with a start, which says how it is turned, or with known labels, which tell it."""
-    unit = _unit(guess, fitter.unit_[subject], settings)
+    unit = _unit(fitter, subject, guess, settings)
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
         refit = refit.freeing(SIZED)
@@ -216,10 +220,13 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     return best
 
 
-def _unit(seen, learned, settings):
+def _unit(fitter, subject, seen, settings):
     """Scan units in a rig unit where they are known: as learned, if what is seen of the scan allows that; else None."""
     if settings.scale == "fixed":
-        return 1.0
+        return unit_scale(fitter.rig, settings.unit) or 1.0
+    learned = fitter.unit_[subject]
+    if settings.unit and fitter.learned_unit_:  # the subject's size is known then, in whatever unit it was scanned
+        learned *= UNITS[fitter.learned_unit_] / UNITS[settings.unit]
     return learned if same_size(seen, learned) else None
 
 

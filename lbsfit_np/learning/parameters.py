@@ -9,6 +9,7 @@ from ..errors import InputError, brief, check_array, check_unmasked, counted, di
 from ..fitting.effort import EFFORTS
 from ..fitting.scan_fit import FitSettings
 from ..losses.objective import as_weights
+from ..rig.card import UNITS
 from ..rig.frames import AXES
 from ..rig.rig import Rig
 from ..scan import check_points, count_distinct
@@ -71,6 +72,8 @@ def check_parameters(fitter):
         if fitter.orientation == "any":
             remedy = "Leave it out, or choose 'upright'."
             raise InputError("up", f"{fitter.up!r} with orientation 'any'", "an orientation that has an up axis", remedy)
+    if fitter.unit is not None:
+        _check_unit(fitter.unit, fitter.rig)
     as_variant(fitter.variant)
     check_random_state(fitter.random_state)
     for name, most in (("held_out", 0.9), ("smooth", 1e6)):
@@ -89,6 +92,15 @@ def check_parameters(fitter):
             raise InputError(name, brief(value), "a positive integer")
     if fitter.max_points < len(fitter.rig.parts):
         raise InputError("max_points", str(fitter.max_points), f"at least {len(fitter.rig.parts)}, as many as the rig has parts")
+
+
+def _check_unit(unit, rig):
+    if not isinstance(unit, str) or unit not in UNITS:
+        raise InputError("unit", brief(unit), f"{', '.join(map(repr, UNITS))} or None", did_you_mean(unit, UNITS))
+    if rig.metres_per_unit is None:
+        got = f"{unit!r} with the rig {rig.name!r}, whose own unit is not known"
+        remedy = "Say the rig's in a card ([rig] unit), or leave this one out."
+        raise InputError("unit", got, "a rig whose unit is known", remedy)
 
 
 def check_callables(**given):
@@ -137,7 +149,7 @@ def check_learned(fitter):
 def fit_settings(fitter):
     """The FitSettings of a fitter."""
     free = isinstance(fitter.weights, str) and fitter.weights == "default" and not as_variant(fitter.variant).skinning
-    given = {name: getattr(fitter, name) for name in ("scale", "effort", "max_points")}
+    given = {name: getattr(fitter, name) for name in ("scale", "unit", "effort", "max_points")}
     return FitSettings(weights=LOOSE if free else as_weights(fitter.weights), partial=bool(fitter.partial), **given)
 
 

@@ -14,7 +14,7 @@ from ..optimize.frame import Frame
 from ..scan import Scan, check_points
 from ..seeds import generator
 from ..starts.clean import taking_part
-from ..starts.scale import extent
+from ..starts.scale import extent, unit_scale
 from .collection import Collection, Member
 from .subjects import as_subjects, check_ids
 
@@ -46,7 +46,7 @@ def as_scans(scans):
     return scans
 
 
-def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state, ups=None):
+def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state, unit=None, ups=None):
     """Read and check the scans of a collection.
 
     Parameters
@@ -59,6 +59,8 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     held_out : float
         Share of the scans to hold out, at least one where positive.
     scale : {"estimate", "fixed"}
+    unit : str, optional
+        The scans', where it is known: their extents may then differ as subjects' sizes do.
     ups : sequence of (3,) arrays, optional
         As for ``starts.clean.taking_part``.
     random_state : int
@@ -81,7 +83,8 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     collection, found = Collection(len(scans), asked=list(dict.fromkeys(subjects))), {}
 
     def looked_at(i, points, ups):
-        return taking_part(points, rig, most=max_points, rng=generator(random_state, "thin", i), scale=scale, ups=ups)
+        known = {"scale": scale, "unit": unit, "ups": ups}
+        return taking_part(points, rig, most=max_points, rng=generator(random_state, "thin", i), **known)
 
     for i, (source, subject) in enumerate(zip(scans, subjects)):
         try:
@@ -104,7 +107,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     if not collection.members:
         first = next(iter(collection.failures.values()))
         raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be read")
-    _check_units(collection, rig.size / 2)
+    _set_units(collection, rig.size / 2, _common_unit(collection) if unit is None else unit_scale(rig, unit))
     _hold_out(collection, held_out, random_state)
     return collection
 
@@ -141,8 +144,8 @@ def mixed_units(got):
     return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
 
 
-def _check_units(collection, half):
-    """All members get the unit that most of them are in; leave a few out that are in another, and refuse a mixture."""
+def _common_unit(collection):
+    """The unit that most members are in; a few that are in another are left out, and a mixture is refused."""
     extents = np.array([extent(m.points[m.rows]) for m in collection.members])
     odd = odd_ones(extents, _ONE_UNIT)
     others = np.median(np.delete(extents, odd))
@@ -156,7 +159,11 @@ def _check_units(collection, half):
         what = "points" if m.name == f"{m.index}" else m.name  # its number is said with every failure, its file is not
         collection.failures[m.index] = str(InputError(what, got, "scans of one collection in one unit", remedy))
     collection.members = [m for i, m in enumerate(collection.members) if i not in odd]
-    unit = float(np.median([m.unit for m in collection.members]))
+    return float(np.median([m.unit for m in collection.members]))
+
+
+def _set_units(collection, half, unit):
+    """All members get one unit; their first fits find it better."""
     for m in collection.members:
         m.unit, m.frame = unit, replace(m.frame, unit=unit * half)
 

@@ -20,12 +20,13 @@ from scipy import sparse
 from ..errors import InputError, brief, listed
 from ..fitting.result import FitResult
 from ..optimize.frame import root_turn
+from ..rig.card import UNITS as METRES
 from ..rig.frames import AXES, up_axis
 from ..rig.rig import Rig
 from ..rotations import matrix_from_rotvec
-from ..starts.scale import UNITS, same_unit, unit_name
+from ..starts.scale import UNIT_WORDS, UNITS, same_unit, unit_name
 
-__all__ = ["check_fit", "odd_scales", "save_animation", "stands_along", "unit_of"]
+__all__ = ["check_fit", "odd_scales", "said_unit", "save_animation", "stands_along", "unit_of"]
 
 _OFFSETS = ("mean", "each")
 _SET = 4  # influences in one set of attributes (3.7.3.3)
@@ -54,8 +55,8 @@ def save_animation(
         Axis of the scans that is up, such as "+z": all is turned so that it becomes glTF's, which is +y. By default the rig's
         own, +y where that is not known, and then the rig's front becomes glTF's, which is +z.
     metres_per_unit : float, optional
-        Of the scans' unit, as lengths in glTF are metres. By default told from the rig's unit and the fits' scales
-        (``unit_of``); 1 where that does not tell it.
+        Of the scans' unit, as lengths in glTF are metres. By default that of the fits' ``unit``, where these say one, else told
+        from the rig's unit and the fits' scales (``unit_of``); 1 where that does not tell it.
     influences : int, optional
         On how many joints a vertex may hang at most: its largest weights, scaled to a sum of 1. By default on all that it does
         hang on; many programs show four.
@@ -69,15 +70,16 @@ def save_animation(
     Raises
     ------
     InputError
-        No results, results of another rig or with what is not finite, parameters out of their ranges. Nothing is written.
+        No results, results of another rig or with what is not finite, or that say several units, parameters out of their ranges.
+        Nothing is written.
     FileError
         A path that cannot be written to.
 
     Warns
     -----
     UserWarning
-        Fits whose scales differ from the others' by more than people do, as of scans in another unit; fits that stand along
-        another axis than ``up``, and lie in the animation.
+        Fits whose scales differ from the others' by more than people do, as of scans in another unit; not where they say theirs.
+        Fits that stand along another axis than ``up``, and lie in the animation.
 
     Notes
     -----
@@ -117,7 +119,12 @@ def save_animation(
 
 
 def unit_of(rig, results):
-    """The unit that scans seem to be in, in words, and metres in it; None and 1 where rig and scales do not tell it."""
+    """The unit that fits say, else the one that scans seem to be in, in words, and metres in it.
+
+    None and 1 where nothing is said, and rig and scales do not tell it.
+    """
+    if said := said_unit(results):
+        return UNIT_WORDS[said], METRES[said]
     scale = float(np.median([r.scale for r in results]))
     if rig.metres_per_unit is not None:
         if same_unit(scale):
@@ -134,8 +141,25 @@ def stands_along(rig, results, up=None):
     return axis if along @ AXES[axis] > _ALONG and axis != (up or rig.up or "+y") else None
 
 
+def said_unit(results):
+    """The unit that fits say their scans are in, of all where some do; empty where none does.
+
+    Raises
+    ------
+    InputError
+        They say several.
+    """
+    said = sorted({r.unit for r in results if r.unit})
+    if len(said) > 1:
+        remedy = "Write an animation of each unit, or convert the scans and fit again."
+        raise InputError("results", f"fits of scans in {listed(said)}", "scans in one unit", remedy)
+    return said[0] if said else ""
+
+
 def odd_scales(results):
-    """Rows of the fits whose scales are further from the median than people differ in size."""
+    """Rows of the fits whose scales are further from the median than people differ in size; none where all say their unit."""
+    if all(r.unit for r in results):
+        return []
     scales = np.array([r.scale for r in results])
     middle = np.sort(scales)[(len(scales) - 1) // 2]
     return [k for k, scale in enumerate(scales) if not same_unit(scale / middle)]
@@ -157,6 +181,8 @@ def check_fit(rig, result, name):
         if not (np.abs(array) < _MOST).all():  # nor of NaN
             got = f"a fit whose {field} are not finite, or beyond {_MOST:g}"
             raise InputError(name, got, "finite values", "Leave it out, or fit again.")
+    if result.unit and result.unit not in METRES:
+        raise InputError(name, f"a fit with the unit {brief(result.unit)}", f"one of {', '.join(METRES)}, or an empty one")
     if result.scale < 1 / _MOST:
         raise InputError(name, f"a fit with the scale {result.scale}", f"a positive scale, of at least {1 / _MOST:g}")
 
@@ -175,6 +201,7 @@ def _checked(path, rig, results):
         raise InputError("results", "none", "one or more")
     for k, result in enumerate(results):
         check_fit(rig, result, "results" if one else f"results[{k}]")
+    said_unit(results)
     return results
 
 

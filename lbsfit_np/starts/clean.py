@@ -54,7 +54,7 @@ class TakingPart:
         return bool(self.below)
 
 
-def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, labels=None):
+def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_weights=None, labels=None):
     """What of a scan its fit looks at.
 
     Parameters
@@ -65,6 +65,7 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, 
         Points at most; where there are more they are drawn.
     rng : numpy.random.Generator
     scale : {"estimate", "fixed"}
+    unit : str, optional
         As for :func:`~lbsfit_np.starts.scale.reference_scale`.
     ups : sequence of (3,) arrays, optional
         As for :func:`clean_rows`.
@@ -80,8 +81,8 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, 
     Raises
     ------
     InputError
-        Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed"; fewer
-        points than the rig has parts once some are left out; weights that are all 0.
+        Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed", or than
+        ``unit``; fewer points than the rig has parts once some are left out; weights that are all 0.
     """
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if not len(rows):
@@ -105,7 +106,7 @@ def taking_part(points, rig, *, most, rng, scale, ups=None, point_weights=None, 
     if labels is not None and labels[kept].min() >= 0:  # where steps go by labels, they go by all
         others = others[labels[others] >= 0]
     more = _alike(points, kept, dropped, others, (_LAST - 1) * most, rng)
-    return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale).scale, below)
+    return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale, unit).scale, below)
 
 
 def _alike(points, kept, dropped, others, most, rng):

@@ -90,7 +90,7 @@ class PoseLibrary:
         widths = " → ".join(str(w) for w in (self.looks.shape[1], *(len(b) for _, b in self.layers)))
         return f"<PoseLibrary: {n} poses of {J} joints, f {widths}>"
 
-    def starts(self, points, turns, k, *, unit=None):
+    def starts(self, points, turns, k, *, unit=None, within=_SAME_SIZE):
         """Poses whose scans look most like a scan, under any of some turns.
 
         Parameters
@@ -104,6 +104,8 @@ class PoseLibrary:
         unit : float, optional
             Scan units in a rig unit, where known: only poses of about this size are taken, or, where fewer than k are, the k
             nearest in size.
+        within : float, default 1.35
+            Factor by which sizes may differ from it.
 
         Returns
         -------
@@ -115,7 +117,7 @@ class PoseLibrary:
         away = (self.looks**2).sum(axis=1) - 2 * seen.vectors @ self.looks.T + (seen.vectors**2).sum(axis=1)[:, None]
         if unit is not None:
             off = np.abs(np.log(scales / unit))
-            away[:, off > max(np.log(_SAME_SIZE), np.sort(off)[: max(k, 1)][-1])] = np.inf
+            away[:, off > max(np.log(within), np.sort(off)[: max(k, 1)][-1])] = np.inf
         most = k if len(turns) == 1 else -(-k // 3)
         turn = away.argmin(axis=0)
         best = away[turn, np.arange(len(self.poses))]

@@ -5,9 +5,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
+from ..rig.card import UNITS as METRES
 
 __all__ = [
     "UNITS",
+    "UNIT_WORDS",
     "ReferenceScale",
     "checked_extent",
     "extent",
@@ -16,8 +18,10 @@ __all__ = [
     "reference_scale",
     "same_size",
     "same_unit",
+    "sizes_in",
     "unit_name",
     "unit_note",
+    "unit_scale",
 ]
 
 # Extents from a scan's median point beyond which nothing of a body lies.
@@ -31,8 +35,16 @@ _SAME_UNIT = 0.4, 1.8
 _PEOPLE = 1.6
 # Scans of one person, as fits find it, by less than this.
 _ONE_PERSON = 1.35
-# Metres in the units that scans are usually in.
-UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001, "inches": 0.0254}
+# Subjects of one rig, such as young and old animals, by less than this one.
+_SUBJECTS = 4.0
+# A size that is found further from the rig's than this makes one ask whether the unit is as was said.
+_DOUBTED = 5.0
+# Where none was said, units in which the size would be nearer than this are named.
+_MAYBE = 3.0
+# Units by the names that cards and the parameter ``unit`` have for them, in words.
+UNIT_WORDS = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "inches", "ft": "feet"}
+# Metres in the units that scans are usually in, among which one is guessed where none is said.
+UNITS = {UNIT_WORDS[name]: METRES[name] for name in ("m", "cm", "mm", "in")}
 
 
 @dataclass(frozen=True)
@@ -43,7 +55,17 @@ class ReferenceScale:
     note: str
 
 
-def reference_scale(points, rig, mode):
+def unit_scale(rig, unit):
+    """Scan units in a rig unit, of a scan in a unit that is known, by its name; None where ``unit`` is."""
+    return None if unit is None else rig.metres_per_unit / METRES[unit]
+
+
+def sizes_in(rig, unit):
+    """What restricts ``PoseLibrary.starts`` to sizes that subjects may have in a known unit; nothing where ``unit`` is None."""
+    return {} if unit is None else {"unit": unit_scale(rig, unit), "within": _SUBJECTS}
+
+
+def reference_scale(points, rig, mode, unit=None):
     """Scan units in a rig unit.
 
     Parameters
@@ -53,19 +75,25 @@ def reference_scale(points, rig, mode):
     rig : Rig
     mode : {"estimate", "fixed"}
         ``fixed``: scan and rig are in one unit, 1; a scan whose extent cannot be the rig's is an error.
+    unit : {"m", "cm", "mm", "in", "ft"}, optional
+        The scan's, where it is known; the rig's is then known, too.
 
     Returns
     -------
     ReferenceScale
         ``estimate``: 1 where the extents allow it; else from metres, centimetres, millimetres or inches to the rig's unit, where
-        that is known and the extents allow one of these; else the ratio of the extents.
+        that is known and the extents allow one of these; else the ratio of the extents. In a known unit: that one where the
+        extents allow it; else, of a subject of another size, the ratio of the extents.
 
     Raises
     ------
     InputError
-        As :func:`checked_extent`; a scan that is not in the rig's unit and shall be.
+        As :func:`checked_extent`; a scan that is not in the rig's unit and shall be; one that is in another unit than said, as no
+        subject is of such a size.
     """
     ratio = checked_extent(points) / extent(rig.vertices)
+    if unit is not None:
+        return _in_known_unit(ratio, rig, mode, unit)
     if mode == "fixed":
         if not _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
             raise InputError(
@@ -87,12 +115,31 @@ def reference_scale(points, rig, mode):
     return ReferenceScale(ratio, _guess(ratio))
 
 
+def _in_known_unit(ratio, rig, mode, unit):
+    scale, (least, most) = unit_scale(rig, unit), _SAME_UNIT
+    size = ratio / scale
+    if mode == "fixed":
+        if not least <= size <= most:
+            got = f"'fixed' for a scan in {unit!r} whose extent is {size:.3g} times the rig's"
+            remedy = "Check unit (--unit), or pass scale='estimate' (--scale estimate), which finds the size."
+            raise InputError("scale", got, "a scan of the rig's size", remedy)
+    elif not least / _SUBJECTS <= size <= most * _SUBJECTS:
+        raise InputError(
+            "unit",
+            f"{unit!r}, in which the scan's extent is {size:.3g} times the rig's",
+            f"the scan's unit, in which it is {least / _SUBJECTS:g} to {most * _SUBJECTS:g} times the rig's",
+            "Pass the scan's, or None (--unit auto), which finds it.",
+        )
+    same = least <= size <= most
+    return ReferenceScale(scale if same else ratio, f"the scan is in {UNIT_WORDS[unit]}")
+
+
 def _guess(ratio):
     return f"the scale is a guess from the extents: one rig unit taken as {ratio:.4g} scan units"
 
 
-def unit_note(scale, rig, mode, *, guessed=False):
-    """In words, what a scale that was found, or guessed from extents, says of the scan's unit.
+def unit_note(scale, rig, mode, *, guessed=False, unit=None, size=1.0):
+    """In words, what a scale that was found, or guessed from extents, says of the scan's unit, or in a known one of its size.
 
     Parameters
     ----------
@@ -101,17 +148,47 @@ def unit_note(scale, rig, mode, *, guessed=False):
     rig : Rig
     mode : {"estimate", "fixed"}
     guessed : bool, default False
+    unit : {"m", "cm", "mm", "in", "ft"}, optional
+        The scan's, where it is known.
+    size : float, default 1
+        Of the template that was fitted, in sizes of the rig: learned ones take up part of how large a subject is.
     """
+    if unit is not None:
+        return _size_note(scale / unit_scale(rig, unit) * size, mode, guessed, unit)
     if mode == "fixed":
         return "scale fixed at 1"
     if same_unit(scale):
         return "scan and rig are in one unit"
     name = unit_name(scale, rig)
-    if name is not None:
-        return f"the scan seems to be in {name}: one rig unit is {scale:.4g} scan units"
-    if guessed:
+    if name is None and guessed:
         return _guess(scale)
-    return f"the scan is in another unit or of another size: one rig unit is {scale:.4g} scan units"
+    words = "is in another unit or of another size" if name is None else f"seems to be in {name}"
+    also = _otherwise(scale, rig, name) if name in (None, "inches") else ""
+    return f"the scan {words}: one rig unit is {scale:.4g} scan units{also}"
+
+
+def _size_note(size, mode, guessed, unit):
+    words = UNIT_WORDS[unit]
+    if mode == "fixed":
+        return f"the scan is in {words}, and its size fixed at the rig's"
+    if guessed:  # by extents, which a pose changes as much
+        return f"the scan is in {words}"
+    doubt = "" if 1 / _DOUBTED <= size <= _DOUBTED else f": is the scan in {words}?"
+    return f"the scan is in {words}, and the subject is {size:.2f} times as large as the rig{doubt}"
+
+
+def _otherwise(scale, rig, name):
+    """How large the subject is in units that a scale may well be of, too: small animals in centimetres look like inches."""
+    if rig.metres_per_unit is None:
+        return ""
+    metres = {word: metres for word, metres in UNITS.items() if word != name}
+    if rig.metres_per_unit not in UNITS.values():
+        metres["the rig's unit"] = rig.metres_per_unit
+    sizes = {word: scale * unit / rig.metres_per_unit for word, unit in metres.items()}
+    told = [f"in {word} {size:.2f}" for word, size in sizes.items() if 1 / _MAYBE <= size <= _MAYBE]
+    if not told:
+        return ""
+    return f" ({' or '.join(told)} times as large as the rig: where the unit is known, say so with unit, --unit)"
 
 
 def extent_doubt(points, rig, unit):
