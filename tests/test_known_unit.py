@@ -120,7 +120,8 @@ def test_a_fixed_scale_is_the_conversion(quick_fitter, tube_scan):
     r = fitter.fit_scan(CM / tube_scan.scale * tube_scan.points)
     assert r.scale == pytest.approx(CM, rel=1e-12) and r.unit == "cm" and "its size fixed at the rig's" in r.message
     same = copy.copy(quick_fitter).set_params(scale="fixed").fit_scan(tube_scan.points / tube_scan.scale)
-    np.testing.assert_allclose(r.pose, same.pose, atol=0.02)  # but for rounding
+    apart = np.linalg.norm(r.joints / CM - same.joints, axis=1).max() / fitter.rig.size
+    assert apart < 0.005  # rounding alone, which decides between points that are as near
 
 
 @pytest.mark.parametrize("given", ["theta0", "labels"])
