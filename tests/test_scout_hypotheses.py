@@ -303,7 +303,7 @@ def test_bends_are_tried_under_what_is_known(tube_rig):
     problem, start = Problem(tube_rig.vertices / scout.model.half), scout.model.rest().replace(translation=np.full(3, 0.02))
     (state, value), (end, left) = scout._to_the_end(problem, start), scout._refit.to_the_end(problem, start)
     np.testing.assert_array_equal(state.theta, end.theta)
-    assert value == left < 1e-4
+    assert value == left < 2e-4  # points at vertices alone, between which places pull on none
     assert Scout(scout.model, scout.library, scout.facing, None, FitSettings(polish=0))._bends is None
 
 

@@ -95,7 +95,7 @@ def test_joints_that_hardly_bend_stay_where_the_skin_says():
     poses = 0.05 * lbs.natural_poses(rig, 6, random_state=2)
     case = Case(rig, (subject.vertices, subject.joints), 6, poses, noise=0.004)
     away = {s: case.gap(case.found(Model(rig, shifts=s))[1], case.J) for s in (TemplateSettings().shifts, 0.3)}
-    assert away[TemplateSettings().shifts] < 0.85 * away[0.3]
+    assert away[TemplateSettings().shifts] < 0.9 * away[0.3]
 
 
 @pytest.mark.parametrize("labelled", [False, True])

@@ -56,7 +56,7 @@ def _new_scan(monkeypatch):
     monkeypatch.setattr(new_scan, "taking_part", lambda *of, **more: None)
     monkeypatch.setattr(new_scan, "_fit_new", _look)
     monkeypatch.setattr(new_scan, "_facing", lambda fitter: SimpleNamespace(floors=None))
-    settings = SimpleNamespace(max_points=1, scale="fixed")
+    settings = SimpleNamespace(max_points=1, scale="fixed", unit=None)
     monkeypatch.setattr(new_scan, "fit_settings", lambda fitter: settings)
     fitter = SimpleNamespace(regressor_=1, rig=None, _seed=lambda: 0)
     return new_scan.fit_new(fitter, None, ("ann",), None, None, None)
