@@ -97,7 +97,7 @@ def test_what_is_right_stays(bends, short_fingers):
     problem, true = short_fingers
     state, value = bends._to_the_end(problem, true)
     same, left = bends(problem, state, value)
-    assert left <= value and np.abs(same.theta - state.theta).max() < 0.1  # at most the last steps go on
+    assert same is state and left == value
 
 
 def test_which_bends_are_tried(rig):
@@ -228,8 +228,8 @@ ALL = (0.0, 0.0, 0.0)
         ({GIVEN: 0.9, ELBOW: 1.01, FINGER: 1.03}, {ELBOW: 0.5, FINGER: 0.1}, (ELBOW, 0.5), [GIVEN, ELBOW]),
         ({GIVEN: 1.021, ELBOW: 1.021}, {GIVEN: 0.1}, (START, 1.0), []),
         # By much.
-        ({GIVEN: 0.9}, {GIVEN: 0.996}, (START, 1.0), [GIVEN]),
-        ({GIVEN: 0.9}, {GIVEN: 0.994}, (GIVEN, 0.994), [GIVEN]),
+        ({GIVEN: 0.9}, {GIVEN: 0.981}, (START, 1.0), [GIVEN]),
+        ({GIVEN: 0.9}, {GIVEN: 0.979}, (GIVEN, 0.979), [GIVEN]),
         # What was near besides is tried on what is kept; what failed, or was far, is not.
         ({FINGER: 0.9, ELBOW: 0.95, ALL: 0.9}, {FINGER: 0.8, ELBOW: 0.1, ALL: 0.5}, (ALL, 0.5), [FINGER, ALL]),
         ({FINGER: 0.9, ELBOW: 0.95, ALL: 0.9}, {FINGER: 0.8, ALL: 0.799}, (FINGER, 0.8), [FINGER, ALL]),

@@ -10,6 +10,7 @@ from cli_runs import one_line, program
 from test_animation import Viewer
 
 import lbsfit_np as lbs
+from lbsfit_np.report.animation import stands_along
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -74,10 +75,15 @@ def test_fits_that_would_lie_are_told_how_to_stand(fitted, made, tmp_path, run):
     assert (code, err) == (0, "")
     assert "note: the fits stand along +z: with --up=+z the animation is upright, unless they lie\n" in out
     assert "stand along" not in run(*lying, "--up=+z")[1]
+    for angle, axis in ((0.9, None), (1.2, "+z"), (-1.2, "-z")):  # what leans by half stands along none
+        leans = replace(fit, pose=np.vstack([[angle, 0.0, 0.0], pose[1:]]))
+        assert stands_along(lbs.load_rig(made / "tube.npz"), [leans]) == axis
     assert "fits stand along +z" in run(*lying, "--up=+y")[1]
     assert "stand along" not in run(*lying, fitted[0] / "one.fit.npz")[1]  # one that stands and one that leans
     with pytest.warns(UserWarning, match=r"stand along \+z: with up='\+z'"):
         lbs.save_animation(tmp_path / "c.glb", lbs.load_rig(made / "tube.npz"), replace(fit, pose=pose))
+    rig = replace(lbs.load_rig(made / "tube.npz"), up=None, forward=None)
+    assert stands_along(rig, [replace(fit, pose=pose)]) is None  # nobody knows how it stands
 
 
 def test_fewer_influences_are_not_made_up_for_by_offsets(fitted, made, tmp_path, run):

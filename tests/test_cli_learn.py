@@ -143,7 +143,7 @@ def test_the_statuses_of_all_fits_are_told_and_failed_ones_count(status, code, w
     "unit, options, words",
     [
         (1.0, (), "scans are in the rig's unit\n"),
-        (250.0, (), r"scans are in millimetres \(2\d\d(\.\d)? per rig unit\)\n"),  # one unit of this rig is 250 mm
+        (250.0, (), r"scans seem to be in millimetres \(2\d\d(\.\d)? per rig unit\)\n"),  # one unit of this rig is 250 mm
         (60.0, (), r"scans are in another unit, or of another size \([56]\d(\.\d+)? per rig unit\)\n"),
         (1.0, ("--scale", "fixed"), r"scans are taken to be in the rig's unit \(scale fixed at 1\)\n"),
     ],
@@ -163,10 +163,10 @@ def test_the_unit_of_the_scans_is_told(unit, options, words, tubes, tmp_path, ru
     "units, words",
     [
         ({"anna": 1.0, "ben": 1.1}, "scans are in the rig's unit"),
-        ({"anna": 250.0, "ben": 240.0}, "scans are in millimetres (240 to 250 per rig unit)"),
+        ({"anna": 250.0, "ben": 240.0}, "scans seem to be in millimetres (240 to 250 per rig unit)"),
         (
             {"anna": 1.0, "ben": 250.0, "carl": 0.9},
-            "scans of anna, carl are in the rig's unit; scans of ben are in millimetres (250 per rig unit)",
+            "scans of anna, carl are in the rig's unit; scans of ben seem to be in millimetres (250 per rig unit)",
         ),
         (
             {1: 60.0, 2: 1.0},

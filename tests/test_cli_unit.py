@@ -71,6 +71,15 @@ def test_a_small_animal_in_centimetres(tubes, kits, cli_cache, tmp_path, run):
     assert animated(run, rig, fit, tmp_path / "b.glb", "--unit", "m")[1] == pytest.approx(100 * metres)
 
 
+def test_fits_in_another_unit_are_not_kept(tubes, kits, tmp_path, run):
+    fit = ["fit", tubes / "tube.npz", kits[0], "-o", tmp_path, *QUICK]
+    assert run(*fit, "--unit", "cm")[0] == 0
+    assert run(*fit, "--unit", "cm", "--existing", "skip")[0] == 0
+    for unit, said in (("in", "in 'in'"), ("auto", "in a unit that was not said")):
+        code, _, err = run(*fit, "--unit", unit, "--existing", "skip")
+        assert code == 2 and f"of a scan in 'cm'; expected fits of scans {said}. Give --unit as in that run" in one_line(err)
+
+
 def test_without_a_unit_the_message_says_that_it_may_be_another(tubes, kits, tmp_path, run):
     assert run("fit", tubes / "tube.npz", kits[0], "-o", tmp_path / "fits", *QUICK)[0] == 0
     r, told = lbs.FitResult.load(tmp_path / "fits" / "t0.fit.npz"), summary(tmp_path / "fits")

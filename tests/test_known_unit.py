@@ -13,11 +13,14 @@ from test_animation import Viewer
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.scout import Scout
 from lbsfit_np.learning import new_scan
 from lbsfit_np.learning.reading import read_collection
+from lbsfit_np.optimize.model import Model
 from lbsfit_np.report.animation import odd_scales, unit_of
 from lbsfit_np.rig.build import build_rig
-from lbsfit_np.starts.scale import UNIT_WORDS, reference_scale, unit_note
+from lbsfit_np.starts.scale import UNIT_WORDS, reference_scale, sizes_in, unit_note
+from lbsfit_np.starts.turns import facing_of
 
 # One unit of the tube rig is 0.25 m.
 CM, MM = 25.0, 250.0
@@ -57,6 +60,23 @@ def test_a_fixed_scale_wants_the_rigs_size(tube_rig, tube_scan):
             reference_scale(points, tube_rig, "fixed", "cm")
 
 
+def test_starts_are_of_sizes_that_subjects_have(tube_rig, quick_fitter, tube_scan):
+    """0.25 to 4 times the rig's, where the scan's unit is known; about as large, where its size is."""
+    library, points, turns = quick_fitter.regressor_, CM / tube_scan.scale * tube_scan.points, np.eye(3)[None]
+
+    def sizes(size, **known):
+        return np.array([s.scale / CM for s in library.starts(size * points, turns, 10, **known)])
+
+    known = sizes_in(tube_rig, "cm")
+    assert sizes_in(tube_rig, None) == {} and sizes(4.2).max() > 4.1 > 4 > sizes(4.2, **known).max()
+    assert sizes(0.24).min() < 0.245 < 0.25 < sizes(0.24, **known).min()
+    np.testing.assert_array_equal(sizes(1.5, **known), sizes(1.5))
+    assert sizes(1.5, unit=CM).max() < 1.35 < sizes(1.5).max()
+    for scale, expected in (("estimate", known), ("fixed", {"unit": CM})):
+        scout = Scout(Model(tube_rig), library, facing_of(tube_rig, "aligned"), None, FitSettings(unit="cm", scale=scale))
+        assert scout._sizes == expected
+
+
 @pytest.mark.parametrize(
     "scale, size, mode, words",
     [
@@ -82,8 +102,12 @@ def test_the_message_says_the_size(tube_rig, scale, size, mode, words):
             *(2.7, 0.015, "is in another unit or of another size: one rig unit is 2.7 scan units"),
             "in centimetres 1.80 or in the rig's unit 2.70",
         ),
-        (2.0, 0.25, "is in another unit or of another size: one rig unit is 2 scan units", "in the rig's unit 2.00"),
-        (5.0, 1.0, "is in another unit or of another size: one rig unit is 5 scan units", None),
+        (
+            *(2.0, 0.25, "is in another unit or of another size: one rig unit is 2 scan units"),
+            "in feet 2.44 or in the rig's unit 2.00",
+        ),
+        (5.0, 1.0, "is in another unit or of another size: one rig unit is 5 scan units", "in feet 1.52"),
+        (12.0, 1.0, "is in another unit or of another size: one rig unit is 12 scan units", None),
         (2.0, None, "is in another unit or of another size: one rig unit is 2 scan units", None),
         (96.0, 1.0, "seems to be in centimetres: one rig unit is 96 scan units", None),
     ],
@@ -146,7 +170,7 @@ def test_a_unit_is_one_of_a_cards(fitter, tube_scan, unit):
 
 
 def test_a_unit_needs_a_rig_whose_own_is_known(unknown_rig, tube_scan):
-    words = r"^unit: got 'cm' with the rig 'tube', whose own unit is not known; expected .*card \(\[rig\] unit\), or leave"
+    words = r"^unit: got 'cm' with the rig 'tube', whose own unit is not known; expected .*card \(\[rig\] unit\), before learning"
     with pytest.raises(InputError, match=words):
         lbs.fit_scan(unknown_rig, tube_scan.points, unit="cm")
     with pytest.raises(InputError, match=words):
@@ -178,6 +202,8 @@ def test_fits_say_the_unit_of_an_animation(tube_rig, tube_result, tmp_path):
     with pytest.raises(InputError, match="^results: got a fit with the unit 'ell'"):
         lbs.save_animation(tmp_path / "a.glb", tube_rig, replace(tube_result, unit="ell"))
     assert not (tmp_path / "a.glb").exists()
+    with pytest.warns(UserWarning, match="are the scans in one unit"):  # they are in what is said at last
+        lbs.save_animation(tmp_path / "a.glb", tube_rig, [*said, replace(mixed[1], scale=1e3)], metres_per_unit=0.01)
 
 
 # ---- collections, and what was learned ----
@@ -222,7 +248,21 @@ def test_a_subjects_size_is_known_in_any_unit(kit_and_fox, people_scans, unit, f
     fitter = copy.copy(kit_and_fox).set_params(unit=unit)
     r = fitter.fit_scan(factor * 0.5 * CM * people_scans[8].points, subject="kit")
     assert r.scale == pytest.approx(factor * fitter.unit_["kit"], rel=1e-9)  # as learned, not found anew
-    assert r.unit == unit and f"the scan is in {UNIT_WORDS[unit]}, and the subject is 0." in r.message
+    size = r.scale / (factor * CM) * fitter.template_["kit"].size / fitter.rig.size  # the template takes up part of it
+    assert r.unit == unit and f"the scan is in {UNIT_WORDS[unit]}, and the subject is {size:.2f} times" in r.message
+    with pytest.raises(InputError, match=f"^unit: got {unit!r}, in which the scan's extent is"):
+        fitter.fit_scan(100 * factor * CM * people_scans[8].points, subject="kit")
+
+
+@pytest.mark.parametrize("unit", ["cm", None])
+def test_a_subject_of_another_size_than_learned_is_asked_about(kit_and_fox, people_scans, unit):
+    """The unit that was said may be that of other scans, as the model's own is where none is said."""
+    fitter = copy.copy(kit_and_fox).set_params(unit=unit)
+    r = fitter.fit_scan(3 * 0.5 * CM * people_scans[8].points, subject="kit")
+    ratio = r.scale / fitter.unit_["kit"]
+    assert ratio == pytest.approx(3.0, rel=0.15)
+    asked = f" times as large as the rig, and {ratio:.3g} times as large as was learned: is the scan in centimetres?"
+    assert (asked in r.message) == (unit == "cm") and ("as was learned" in r.message) == (unit == "cm")
 
 
 def test_learned_sizes_are_converted_where_both_units_were_said(kit_and_fox):
@@ -232,7 +272,17 @@ def test_learned_sizes_are_converted_where_both_units_were_said(kit_and_fox):
         fitter.learned_unit_ = then
         assert new_scan._unit(fitter, "kit", factor * learned, FitSettings(unit=now)) == pytest.approx(factor * learned)
         assert new_scan._unit(fitter, "kit", 3 * factor * learned, FitSettings(unit=now)) is None
-    assert new_scan._unit(kit_and_fox, "kit", 1.0, FitSettings(scale="fixed", unit="mm")) == MM
+
+
+def test_a_fixed_scale_is_not_that_of_a_subject_of_another_size(kit_and_fox):
+    fixed, fitter = FitSettings(scale="fixed", unit="mm"), copy.copy(kit_and_fox)
+    words = r"^scale: got 'fixed', the rig's size, for subject 'kit', who is 0\.\d\d times as large"
+    with pytest.raises(InputError, match=words):
+        new_scan._unit(fitter, "kit", 1.0, fixed)
+    fitter.unit_ = {"kit": CM}
+    assert new_scan._unit(fitter, "kit", 1.0, fixed) == MM
+    fitter.unit_, fitter.learned_unit_ = kit_and_fox.unit_, None  # of what size nobody knows
+    assert new_scan._unit(fitter, "kit", 1.0, fixed) == MM
 
 
 def test_the_unit_is_part_of_what_was_learned(kit_and_fox):

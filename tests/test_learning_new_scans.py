@@ -152,7 +152,11 @@ def test_a_few_steps_tell_whose_template_suits_a_scan_in_any_unit(tube_rig):
         left[unit] = {s: new_scan._begun(fitter, s, found, fit_settings(fitter)).left for s in fitter.template_}
         assert left[unit]["own"] < 0.7 * left[unit]["thin"]
     assert left[1000.0]["own"] == pytest.approx(1e6 * left[1.0]["own"])
-    assert 0.7 < left[1.0]["millimetres"] / left[1.0]["own"] <= 1.01  # scale is free where units are apart
+    grown = found_at_the_truth(tube_rig, replace(scan, points=1.1 * scan.points))
+    fitter.unit_ = {"own": 1.0, "millimetres": 1000.0}
+    held, free = (new_scan._begun(fitter, s, grown, fit_settings(fitter)).left for s in ("own", "millimetres"))
+    assert free < 0.5 * held  # scale is free where units are apart, and held where they are not
+    assert free == pytest.approx(1.21 * left[1.0]["own"], rel=0.05)
 
 
 def test_views_of_one_side_are_compared_by_what_they_show(tube_rig):

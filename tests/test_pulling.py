@@ -6,12 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from posed_samples import joint_error, sampled, state_within
+from scipy.spatial import cKDTree
 
 import lbsfit_np as lbs
 from lbsfit_np.optimize.gauss_newton import GaussNewton
-from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.model import Model, farthest_points
 from lbsfit_np.optimize.pulling import Pulling, between
 from lbsfit_np.optimize.surface import Surface, vertex_normals
+from lbsfit_np.synthesis import sample_surface
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -21,24 +23,27 @@ def hand():
     return Model(lbs.load_rig("hand-coarse"))
 
 
+def _places(model, most):
+    return Pulling(model, np.arange(len(model.rig.vertices)), most)
+
+
 def test_vertices_have_the_normals_of_the_whole_mesh(hand):
     """Of all triangles at them, be the other corners of these among the few or not."""
-    pulling = Pulling(hand, np.arange(len(hand.rig.vertices)), 100)
-    assert pulling.corners.shape == (100, 1) and (pulling.barycentric == 1.0).all()
-    V = hand.deformed(state_within(hand, 0)).vertices
+    pulling, V = _places(hand, 100), hand.deformed(state_within(hand, 0)).vertices
+    rows = pulling.corners[:, 0]
+    np.testing.assert_array_equal(rows, farthest_points(hand.rig.vertices, 100))  # spread evenly
     places, normals = pulling.of(V)
-    np.testing.assert_array_equal(places, V[pulling.corners[:, 0]])
-    np.testing.assert_allclose(normals, vertex_normals(V, hand.rig.faces)[pulling.corners[:, 0]], atol=1e-12)
-    assert pulling.weights.sum() == pytest.approx(1.0)
+    np.testing.assert_array_equal(places, V[rows])
+    np.testing.assert_allclose(normals, vertex_normals(V, hand.rig.faces)[rows], atol=1e-12)
+    np.testing.assert_allclose(pulling.weights, hand.areas[rows] / hand.areas[rows].sum())
 
 
-@pytest.mark.parametrize("most", [556, 1000, 5000])
+@pytest.mark.parametrize("most", [556, 1000, 4000, 5000])
 def test_a_mesh_of_fewer_vertices_pulls_by_its_faces(hand, most):
-    """By as many places as can be, each on a face, that stand for about as much surface each."""
-    pulling = Pulling(hand, np.arange(len(hand.rig.vertices)), most)
+    """By as many places as can be, each on a face, that stand for the surface about them."""
+    pulling, V = _places(hand, most), hand.deformed(state_within(hand, 1)).vertices
     k = len(pulling.corners)
     assert 0.8 * most <= k <= most
-    V = hand.deformed(state_within(hand, 1)).vertices
     places, normals = pulling.of(V)
     assert (pulling.barycentric > 0).all() and np.allclose(pulling.barycentric.sum(axis=1), 1.0)
     on = Surface(hand.rig.vertices, hand.rig.faces).closest(places, pulling.corners[:, 0], V)
@@ -47,20 +52,35 @@ def test_a_mesh_of_fewer_vertices_pulls_by_its_faces(hand, most):
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1.0)
     assert max(np.abs(np.einsum("va,va->v", normals, side)).max() for side in (b - a, c - a)) < 1e-12
     assert (np.einsum("va,va->v", normals, np.cross(b - a, c - a)) > 0).all()
-    assert pulling.weights.sum() == pytest.approx(1.0) and pulling.weights.max() < 6 / k
+    assert pulling.weights.sum() == pytest.approx(1.0)
+    # Against a hundred times as many points, each counted for the nearest place.
+    X, *_ = sample_surface(hand.rig.vertices, hand.rig.faces, 100 * k, np.random.default_rng(0))
+    rest, _ = pulling.of(hand.rig.vertices)
+    near = np.bincount(cKDTree(rest).query(X)[1], minlength=k) / len(X)
+    assert k * np.abs(near - pulling.weights).mean() < 0.2
+    if most == 4000:  # no place is left out: exactly the faces' own shares
+        face, counted = np.unique(pulling.corners, axis=0, return_inverse=True)
+        p = hand.rig.vertices[face]
+        area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+        np.testing.assert_allclose(np.bincount(counted.ravel(), pulling.weights), area / area.sum())
 
 
-@pytest.mark.parametrize("most", [100, 1000])
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("most", [100, 4000])
 def test_faces_without_area_stand_for_nothing(hand, most):
-    """Be it some of them or all."""
-    for flat in (hand.rig.vertices * [1.0, 1.0, 0.0], np.zeros_like(hand.rig.vertices)):
+    """Those of a finger that is but a point; or all, and then no place does."""
+    tip = np.linalg.norm(hand.rig.vertices - hand.rig.vertices[hand.rig.vertices[:, 0].argmax()], axis=1) < 0.2
+    point = np.where(tip[:, None], hand.rig.vertices[tip][0], hand.rig.vertices)
+    for vertices, all_flat in ((point, False), (np.zeros_like(point), True)):
         model = copy.copy(hand)
-        model.rig = replace(hand.rig, vertices=flat)
+        model.rig = replace(hand.rig, vertices=vertices)
         model.__dict__.pop("areas", None)
-        pulling = Pulling(model, np.arange(len(flat)), most)
-        places, normals = pulling.of(flat)
-        assert np.isfinite(places).all() and np.isfinite(normals).all() and np.isfinite(pulling.weights).all()
-        assert len(places) <= 1000
+        pulling = _places(model, most)
+        places, normals = pulling.of(vertices)
+        assert np.isfinite(places).all() and np.isfinite(normals).all()
+        flat = tip[pulling.corners].all(axis=1) & (pulling.corners.shape[1] == 3)
+        assert (pulling.weights[flat] == 0).all() and (all_flat or most < len(point) or flat.any())
+        assert pulling.weights.sum() == pytest.approx(0.0 if all_flat else 1.0)
 
 
 def test_the_normal_between_is_at_right_angles_to_what_lies_on_one_sphere():

@@ -6,6 +6,7 @@ import struct
 
 import numpy as np
 import pytest
+import trimesh
 from scan_files import (
     ALL,
     FACES,
@@ -127,6 +128,22 @@ def test_vertices_that_lie_unevenly_are_told(tmp_path, fine, uneven):
     told = [note for note in load_scan(path).notes if "unevenly" in note]
     assert bool(told) == uneven and all("--samples" in note for note in told)
     assert not any("unevenly" in note for note in load_scan(path, n_samples=100).notes)
+    # Not of a cloud with some faces, whose other points no sample would have.
+    loose = [f"v {a} 0 1" for a in np.linspace(0, 1, 30)]
+    path = write(tmp_path, "loose.obj", "\n".join([*lines, *loose]))
+    assert not any("unevenly" in note for note in load_scan(path).notes)
+
+
+def test_a_floor_does_not_make_vertices_uneven(tmp_path):
+    """Two large triangles, which nearly all samples would be of."""
+    solid = trimesh.creation.icosphere(3)
+    m = len(solid.vertices)
+    floor = np.array([[-9.0, -1, -9], [9, -1, -9], [9, -1, 9], [-9, -1, 9]])
+    vertices = np.vstack([solid.vertices, floor])
+    faces = np.vstack([solid.faces, [[m, m + 1, m + 2], [m, m + 2, m + 3]]])
+    trimesh.Trimesh(vertices, faces, process=False).export(tmp_path / "floor.ply")
+    scan = load_scan(tmp_path / "floor.ply")
+    assert len(scan.points) == m + 4 and not any("unevenly" in note for note in scan.notes)
 
 
 def test_gltf_skins_stand_in_the_pose_of_the_file(tmp_path):

@@ -126,9 +126,16 @@ def test_labels_are_seen_from_where_steps_have_turned_the_root_to(make_scout, cl
     upright, leaning = (Problem(frame.inside(x) @ turn.T) for turn in (np.eye(3), lean))
     leans = rest.replace(theta=turned_root(scout.model.rig, rest.theta, lean))
     seen = scout._seen(Runner(leaning, leans, frame))
-    expected = scout._seen(Runner(upright, rest, frame)) if along else scout._labels(leaning)
+    expected = scout._seen(Runner(upright, rest, frame)) if along else scout._labels(leaning.X)
     np.testing.assert_allclose(seen, expected, atol=1e-6)
     assert (seen.argmax(axis=1) == clean_scans[1].labels).mean() > (0.75 if along else 0.5)
+
+
+def test_labels_of_the_pose_that_is_found_are_those(make_scout, clean_scans, monkeypatch):
+    scout = make_scout()
+    monkeypatch.setattr(scout, "_seen", lambda runner: runner.state)
+    found = scout(clean_scans[1].points)
+    assert found.proba is found.state
 
 
 def test_without_a_segmenter_scans_are_found_as_well(tube_rig, make_scout, clean_scans):

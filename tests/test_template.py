@@ -90,12 +90,14 @@ def tube_case(tube_rig):
 
 def test_joints_that_hardly_bend_stay_where_the_skin_says():
     """No scan shows then where they are, and noise would shift them."""
-    rig = lbs.load_rig("hand-coarse")
-    subject = rig.subject(5, amount=1.5)
+    rig, away = lbs.load_rig("hand-coarse"), {TemplateSettings().shifts: [], 0.3: []}
     poses = 0.05 * lbs.natural_poses(rig, 6, random_state=2)
-    case = Case(rig, (subject.vertices, subject.joints), 6, poses, noise=0.004)
-    away = {s: case.gap(case.found(Model(rig, shifts=s))[1], case.J) for s in (TemplateSettings().shifts, 0.3)}
-    assert away[TemplateSettings().shifts] < 0.9 * away[0.3]
+    for person in (5, 6, 7):
+        subject = rig.subject(person, amount=1.5)
+        case = Case(rig, (subject.vertices, subject.joints), 6, poses, noise=0.004)
+        for shifts, gaps in away.items():
+            gaps.append(case.gap(case.found(Model(rig, shifts=shifts))[1], case.J))
+    assert np.mean(away[TemplateSettings().shifts]) < 0.85 * np.mean(away[0.3])
 
 
 @pytest.mark.parametrize("labelled", [False, True])

@@ -9,7 +9,7 @@ from ..io.write import make_folder, remove_empty
 from ..rig.card import UNITS
 from . import outputs
 from .kept_fits import kept_entries
-from .models import about_model, is_model, load_model, model_in_words, said_unit, say_model_as_rig, subjects_of
+from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subjects_of, unit_parameter
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, of_all, say
 from .stopped_fits import named, settled
@@ -318,7 +318,7 @@ def _fitter(rig_path, values, given):
         weights=values["weights"],
         joints=values["joints"],
         scale=values["scale"],
-        unit=said_unit(values),
+        unit=unit_parameter(values),
         orientation=values["orientation"],
         up=values["up"],
         partial=values["partial"],

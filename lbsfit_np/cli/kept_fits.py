@@ -32,6 +32,10 @@ def kept_entries(files, fitter, subjects):
             )
         if result.model_digest not in made.wanted(subjects[f.name]):
             raise made.refusal(f, result)
+        if result.unit != (fitter.unit or ""):
+            said = [f"in {unit!r}" if unit else "in a unit that was not said" for unit in (result.unit, fitter.unit)]
+            remedy = "Give --unit as in that run (auto: not said), choose another folder, or --existing replace."
+            raise InputError("--existing skip", f"{f.fit}, a fit of a scan {said[0]}", f"fits of scans {said[1]}", remedy)
         if f.picture is not None and not _is_newer(f.picture, f.fit):
             _draw_kept(f, rig, result)
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)

@@ -14,7 +14,7 @@ from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, check_training, load_rig_with, scan_options
-from .models import about_model, is_model, said_unit
+from .models import about_model, is_model, unit_parameter
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, of_all, say, span
 from .reading import Reading
@@ -270,7 +270,7 @@ def _fitter(rig, values):
     return LBSFitter(
         rig,
         **{name: values[name] for name in (*names, "variant", "rounds", "held_out", "sequence", "smooth")},
-        unit=said_unit(values),
+        unit=unit_parameter(values),
         n_jobs=values["jobs"],
         random_state=values["seed"],
     )
@@ -344,7 +344,8 @@ def _units(fitter):
         whose = f" of {', '.join(map(str, units))}" if len(told) > 1 else ""
         low, high = f"{min(units.values()):.4g}", f"{max(units.values()):.4g}"
         per = "" if name == "the rig's unit" else f" ({low if low == high else f'{low} to {high}'} per rig unit)"
-        words.append(f"scans{whose} are in {name}{per}")
+        verb = "seem to be" if name in UNIT_WORDS.values() else "are"
+        words.append(f"scans{whose} {verb} in {name}{per}")
     return "; ".join(words)
 
 

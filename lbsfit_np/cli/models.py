@@ -9,7 +9,7 @@ from ..learning.variants import note_on, unused
 from .progress import say
 from .subjects import read_subjects
 
-__all__ = ["about_model", "is_model", "load_model", "model_in_words", "said_unit", "say_model_as_rig", "subjects_of"]
+__all__ = ["about_model", "is_model", "load_model", "model_in_words", "unit_parameter", "say_model_as_rig", "subjects_of"]
 
 # Options of lbsfit fit that a model has settled: its rig's, and those of training.
 _SETTLED = ("card", "shape", "skin", "normalize-weights", "parts", "joints", "segmenter", "training-scans", "training")
@@ -66,7 +66,7 @@ def load_model(path, values, given):
     idle = unused(fitter.variant, wanted)
     for key in wanted:
         if key not in idle:
-            setattr(fitter, key, said_unit(values) if key == "unit" else values[key])
+            setattr(fitter, key, unit_parameter(values) if key == "unit" else values[key])
     if fitter.orientation == "any" and "orientation" in given and "up" not in given:
         fitter.up = None  # no axis is known then, and the model's cannot be unsaid otherwise
     if "seed" in given or type(fitter.random_state) is not int:
@@ -76,7 +76,7 @@ def load_model(path, values, given):
     return fitter
 
 
-def said_unit(values):
+def unit_parameter(values):
     """The parameter ``unit`` by the option of that name; None where nobody knows it."""
     return None if values["unit"] == "auto" else values["unit"]  # the word for what a model's would be otherwise
 

@@ -23,7 +23,7 @@ _POINTS, _VERTICES, _FIRST_STEPS, _FEW, _OTHER_STEPS = 900, 300, 2, 8, 4
 # So many of those that come this near to the pose as it was go to the end.
 _NEAR, _FINALS = 1.02, 3
 # What is kept leaves less than this share unexplained.
-_BETTER = 0.995
+_BETTER = 0.98
 
 
 class Bends:

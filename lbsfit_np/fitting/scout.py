@@ -214,16 +214,17 @@ class Scout:
         """A start from what the segmenter says in one frame."""
         problem = Problem(frame.inside(points), x_weights)
         few = problem.thinned(_LABELLED)
-        return Runner(problem, self._refit.from_parts(few, self._labels(few)), frame)
+        return Runner(problem, self._refit.from_parts(few, self._labels(few.X)), frame)
 
-    def _labels(self, problem):
-        """What the segmenter says of the points."""
-        return self.segmenter.predict_proba(problem.X * self.model.half, views=1)
+    def _labels(self, X):
+        """What the segmenter says of points in half sizes."""
+        return self.segmenter.predict_proba(X * self.model.half, views=1)
 
     def _seen(self, runner):
         """The same where a runner has come to: a root that the steps have turned far is turned back, as training hardly leans."""
         turn = root_turn(self.model.rig, runner.state.theta)
-        return self._labels(runner.problem if _angle(turn) <= _ELSEWHERE else Problem(runner.problem.X @ turn))
+        X = runner.problem.X
+        return self._labels(X if _angle(turn) <= _ELSEWHERE else X @ turn)
 
     def _ended(self, runner):
         state, value = self._to_the_end(runner.problem, runner.state)

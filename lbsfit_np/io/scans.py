@@ -43,6 +43,8 @@ SCAN_EXTENSIONS = tuple(_READERS)
 # Vertices that do the work of less than this share of as many evenly spread points are uneven. Of the bundled meshes it is 0.54
 # or more, of an artist's body, with its face and hands, 0.30: the middle of its back has no points near it.
 _UNEVEN = 0.45
+# A surface to sample from has at least this share of a file's points; of its vertices this share may be a floor's.
+_SURFACE, _FLOOR = 0.95, 0.01
 
 
 def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
@@ -102,7 +104,7 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
             None if normals is None else normals[keep],
             None if labels is None else labels[keep],
         )
-    elif n_samples is None and _evenness(points, faces) < _UNEVEN:
+    elif len(faces) and _evenness(points, faces) < _UNEVEN:
         notes.append("Its vertices lie unevenly: n_samples (--samples), such as 20000, takes points of its surface instead.")
     for array in (points, normals, labels):  # these are ours alone: Scan need not copy what nobody else can write to
         if array is not None:
@@ -114,13 +116,20 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
 
 
 def _evenness(points, faces):
-    """Of how many evenly spread points vertices do the work, ÷ their number; 1 where there is no surface."""
+    """Of how many evenly spread points vertices do the work, ÷ their number; 1 where hardly all points are vertices of a surface.
+
+    The vertices that stand for the most of it are left out: they are a floor's.
+    """
     with np.errstate(all="ignore"):  # of lengths whose squares are beyond all numbers, which tell nothing
-        a, b, c = (points[corner] for corner in faces.T) if len(faces) else (np.empty((0, 3)),) * 3
+        a, b, c = (points[corner] for corner in faces.T)
         area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        area = area / area.sum()
-        own = sum(np.bincount(corner, area, minlength=len(points)) for corner in faces.T) if len(faces) else np.zeros(1)
-        evenness = (own.sum() / np.linalg.norm(own)) ** 2 / len(points)
+        own = np.sort(sum(np.bincount(corner, area, minlength=len(points)) for corner in faces.T))
+        on_surface = np.count_nonzero(own)
+        if on_surface < _SURFACE * len(points):
+            return 1.0
+        own = own[len(own) - on_surface : len(own) - int(np.ceil(_FLOOR * on_surface))]
+        own = own / own.max(initial=0.0)
+        evenness = own.sum() ** 2 / (own @ own) / len(own)
     return evenness if np.isfinite(evenness) else 1.0
 
 

@@ -56,7 +56,7 @@ def write_fitter(fitter, path):
         "parameters": parameters,
         "subjects": subjects,
         "units": [fitter.unit_[s] for s in subjects],
-        "learned_unit": getattr(fitter, "learned_unit_", None),
+        "learned_unit": fitter.learned_unit_,
         "history": fitter.history_,
         "rig_digest": fitter.rig.digest,
     }
@@ -82,9 +82,8 @@ def model_digest(fitter, subject=None):
     h = hashlib.sha256()
     templates = fitter.template_ if subject is None else {subject: fitter.template_[subject]}
     subjects = [(s, float(fitter.unit_[s])) for s in templates]
-    learned_unit = getattr(fitter, "learned_unit_", None)
-    known = () if learned_unit is None else (learned_unit,)
-    h.update(repr((fitter.rig.digest, fitter.variant, fitter.joints, subjects, subject is not None, *known)).encode())
+    made_of = fitter.rig.digest, fitter.variant, fitter.joints, subjects, subject is not None, fitter.learned_unit_
+    h.update(repr(made_of).encode())
     for name, array in sorted(_arrays(fitter, templates.values()).items()):
         h.update(f"{name} {array.dtype.str} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())
     return h.hexdigest()

@@ -235,7 +235,7 @@ class LBSFitter(BaseEstimator):
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress, checkpoint=kept)
             self.segmenter_ = self.regressor_ = self.pose_prior_ = None
             self.template_, self.unit_ = dict.fromkeys(units, self.rig), units
-            self.history_, self._learned_with, self.learned_unit_ = [], learned_with(self), self.unit
+            self.history_, self._learned_with, self.learned_unit_ = [], learned_with(self), settings.unit
             return self._finished(collection, results)
         segmenter, library = getattr(self, "_pretrained", None) or (None, None)
         if library is None or (variant.labels and segmenter is None) or is_stale(self):
@@ -279,7 +279,7 @@ class LBSFitter(BaseEstimator):
         with held():  # all of it, or nothing
             self.segmenter_, self.regressor_, self.pose_prior_ = learned.segmenter, learned.library, learned.pose_prior
             self.template_, self.unit_, self.history_ = templates, learned.units, learned.history
-            self._learned_with, self.learned_unit_ = learned_with(self), self.unit
+            self._learned_with, self.learned_unit_ = learned_with(self), fit_settings(self).unit
             self.results_ = [None] * collection.n
             self._set_aside(collection)
 

@@ -29,7 +29,7 @@ from ..optimize.state import SIZED
 from ..rig.card import UNITS
 from ..seeds import generator
 from ..starts.clean import taking_part
-from ..starts.scale import same_size, sizes_in, unit_note, unit_scale
+from ..starts.scale import UNIT_WORDS, same_size, sizes_in, unit_note, unit_scale
 from ..starts.turns import facing_of
 from ..threads import one_thread
 from .free_form import free_form
@@ -104,8 +104,8 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
-    known = {"unit": settings.unit, "size": fitter.template_[subject].size / rig.size}
-    unit = unit_note(best.state.scale * best.frame.unit / half, rig, settings.scale, **known)
+    scale, size = best.state.scale * best.frame.unit / half, fitter.template_[subject].size / rig.size
+    unit = unit_note(scale, rig, settings.scale, unit=settings.unit, size=size) + _doubted(fitter, subject, scale, settings)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     place |= {"proportions": proportions, "notes": [whose, left_out], "found": (unit, stands), "given": given, "free": best.free}
@@ -222,12 +222,29 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
 
 def _unit(fitter, subject, seen, settings):
     """Scan units in a rig unit where they are known: as learned, if what is seen of the scan allows that; else None."""
+    learned = _learned_unit(fitter, subject, settings)
     if settings.scale == "fixed":
-        return unit_scale(fitter.rig, settings.unit) or 1.0
+        fixed = unit_scale(fitter.rig, settings.unit) or 1.0
+        if settings.unit and fitter.learned_unit_ and not same_size(learned, fixed):
+            got = f"'fixed', the rig's size, for subject {subject!r}, who is {learned / fixed:.2f} times as large"
+            raise InputError("scale", got, "'estimate'", "Leave it out (--scale estimate): the size was learned.")
+        return fixed
+    return learned if same_size(seen, learned) else None
+
+
+def _learned_unit(fitter, subject, settings):
     learned = fitter.unit_[subject]
     if settings.unit and fitter.learned_unit_:  # the subject's size is known then, in whatever unit it was scanned
         learned *= UNITS[fitter.learned_unit_] / UNITS[settings.unit]
-    return learned if same_size(seen, learned) else None
+    return learned
+
+
+def _doubted(fitter, subject, scale, settings):
+    """A question, where a subject whose size was learned is of another one in the unit that was said; else empty."""
+    learned = _learned_unit(fitter, subject, settings)
+    if not (settings.unit and fitter.learned_unit_) or settings.scale == "fixed" or same_size(scale, learned):
+        return ""
+    return f", and {scale / learned:.3g} times as large as was learned: is the scan in {UNIT_WORDS[settings.unit]}?"
 
 
 def _template_fit(fitter, subject, settings):

@@ -99,7 +99,7 @@ def _check_unit(unit, rig):
         raise InputError("unit", brief(unit), f"{', '.join(map(repr, UNITS))} or None", did_you_mean(unit, UNITS))
     if rig.metres_per_unit is None:
         got = f"{unit!r} with the rig {rig.name!r}, whose own unit is not known"
-        remedy = "Say the rig's in a card ([rig] unit), or leave this one out."
+        remedy = "Say the rig's in a card ([rig] unit), before learning where it is a model's, or leave this one out."
         raise InputError("unit", got, "a rig whose unit is known", remedy)
 
 
@@ -150,6 +150,7 @@ def fit_settings(fitter):
     """The FitSettings of a fitter."""
     free = isinstance(fitter.weights, str) and fitter.weights == "default" and not as_variant(fitter.variant).skinning
     given = {name: getattr(fitter, name) for name in ("scale", "unit", "effort", "max_points")}
+    given["unit"] = None if fitter.unit is None else str(fitter.unit)  # plain, as it becomes part of digests
     return FitSettings(weights=LOOSE if free else as_weights(fitter.weights), partial=bool(fitter.partial), **given)
 
 

@@ -106,7 +106,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
         collection.members.append(Member(i, points, part.rows, frame, subject, **known))
     if not collection.members:
         first = next(iter(collection.failures.values()))
-        raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be read")
+        raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be used")
     _set_units(collection, rig.size / 2, _common_unit(collection) if unit is None else unit_scale(rig, unit))
     _hold_out(collection, held_out, random_state)
     return collection
@@ -140,7 +140,7 @@ def odd_ones(sizes, most):
 
 def mixed_units(got):
     """The InputError of a collection whose scans are in different units, ``got`` in words."""
-    remedy = "Convert them, learn from each kind by itself, or leave out those that are wrong."
+    remedy = "Convert them, name their subjects (--subjects), learn from each kind by itself, or leave out those that are wrong."
     return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
 
 

@@ -93,4 +93,4 @@ def units_apart(scales):
         return ""
     ratio = units[most] / units[least]
     words = f"scans of subject {most!r} have {ratio:.3g} times the scale of those of {least!r}: in another unit? "
-    return words + "Each subject's template is learned in its own; where they are of one unit, convert them and learn again"
+    return words + "Each subject's template is learned in its own; where it is one unit that is known, say so with unit (--unit)"

@@ -7,6 +7,7 @@ bends evenly the way from place to x is at right angles to it (Rusinkiewicz, A s
 """
 
 import numpy as np
+from scipy.sparse import eye_array
 
 from .model import farthest_points
 from .surface import divided, faces_at, summed_normals
@@ -35,9 +36,10 @@ class Pulling:
 
     def __init__(self, model, rows, most):
         vertices, faces = model.rig.vertices, model.rig.faces
-        if len(rows) < most and len(faces):
-            face, barycentric, areas = _on_faces(vertices, faces, most)
-            self.corners, self.barycentric, self._faces, self._at = faces[face], barycentric, faces[face], None
+        if len(rows) < most:
+            face, self.barycentric, areas = _on_faces(vertices, faces, most)
+            self.corners = self._faces = faces[face]
+            self._at = eye_array(len(face), format="csr")
         else:
             rows = rows[farthest_points(vertices[rows], most)] if len(rows) > most else rows
             self.corners, self.barycentric, areas = rows[:, None], np.ones((len(rows), 1)), model.areas[rows]
@@ -49,9 +51,7 @@ class Pulling:
 
     def of(self, V):
         """Where they are on the posed vertices V (m, 3), and the unit normals there: two (v, 3) arrays."""
-        if self._at is None:
-            return np.einsum("vk,vka->va", self.barycentric, V[self.corners]), _face_normals(V, self._faces)
-        return V[self.corners[:, 0]], summed_normals(V, self._faces, self._at)
+        return np.einsum("vk,vka->va", self.barycentric, V[self.corners]), summed_normals(V, self._faces, self._at)
 
 
 def between(normals, others):
@@ -77,9 +77,3 @@ def _on_faces(vertices, faces, most):
     rows = farthest_points(points, most)
     nearest = cKDTree(points[rows]).query(points)[1]
     return face[rows], barycentric[rows], np.bincount(nearest, areas, minlength=most)
-
-
-def _face_normals(V, faces):
-    a, b, c = (V[corner] for corner in faces.T)
-    normals = np.cross(b - a, c - a)
-    return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(float).tiny)

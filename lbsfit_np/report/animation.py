@@ -135,7 +135,12 @@ def unit_of(rig, results):
 
 
 def stands_along(rig, results, up=None):
-    """The axis, such as "+z", that the rig's up axis lies along in the fits' mean, where it is not ``up``; else None."""
+    """The axis, such as "+z", that the rig's up axis lies along in the fits' mean, where it is not ``up``; else None.
+
+    None also where nobody knows the rig's up axis: it stands no way then.
+    """
+    if rig.up is None:
+        return None
     along = np.mean([root_turn(rig, r.pose) @ up_axis(rig) for r in results], axis=0)
     axis = max(AXES, key=lambda name: along @ AXES[name])
     return axis if along @ AXES[axis] > _ALONG and axis != (up or rig.up or "+y") else None
@@ -158,7 +163,7 @@ def said_unit(results):
 
 def odd_scales(results):
     """Rows of the fits whose scales are further from the median than people differ in size; none where all say their unit."""
-    if all(r.unit for r in results):
+    if results[0].unit and len({r.unit for r in results}) == 1:
         return []
     scales = np.array([r.scale for r in results])
     middle = np.sort(scales)[(len(scales) - 1) // 2]
@@ -201,7 +206,6 @@ def _checked(path, rig, results):
         raise InputError("results", "none", "one or more")
     for k, result in enumerate(results):
         check_fit(rig, result, "results" if one else f"results[{k}]")
-    said_unit(results)
     return results
 
 

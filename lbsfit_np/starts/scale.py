@@ -163,7 +163,7 @@ def unit_note(scale, rig, mode, *, guessed=False, unit=None, size=1.0):
     if name is None and guessed:
         return _guess(scale)
     words = "is in another unit or of another size" if name is None else f"seems to be in {name}"
-    also = _otherwise(scale, rig, name) if name in (None, "inches") else ""
+    also = _otherwise(scale * size, rig, name) if name in (None, "inches") else ""
     return f"the scan {words}: one rig unit is {scale:.4g} scan units{also}"
 
 
@@ -178,11 +178,14 @@ def _size_note(size, mode, guessed, unit):
 
 
 def _otherwise(scale, rig, name):
-    """How large the subject is in units that a scale may well be of, too: small animals in centimetres look like inches."""
+    """How large the subject is in units that a scale may well be of, too: small animals in centimetres look like inches.
+
+    ``scale`` is scan units in a rig unit, of a subject that is as large as the rig.
+    """
     if rig.metres_per_unit is None:
         return ""
-    metres = {word: metres for word, metres in UNITS.items() if word != name}
-    if rig.metres_per_unit not in UNITS.values():
+    metres = {word: METRES[unit] for unit, word in UNIT_WORDS.items() if word != name}
+    if rig.metres_per_unit not in METRES.values():
         metres["the rig's unit"] = rig.metres_per_unit
     sizes = {word: scale * unit / rig.metres_per_unit for word, unit in metres.items()}
     told = [f"in {word} {size:.2f}" for word, size in sizes.items() if 1 / _MAYBE <= size <= _MAYBE]
