@@ -106,6 +106,7 @@ def learning_is_given(patch, registrations):
         found = [registrations.get(scan.name) for scan in scans]
         known = [s for s, vertices in zip(subjects, found) if vertices is not None]
         self.template_, self.unit_ = dict.fromkeys(known, self.rig), dict.fromkeys(known, 1.0)
+        self.learned_unit_ = None
         self.segmenter_ = self.regressor_ = None
         self.history_, self._learned_with = [{"round": 0}], learned_with(self)
         digests = learned_digests(self)

@@ -190,7 +190,7 @@ def test_what_was_learned_from_is_counted_as_such_without_a_result(tubes, tube_m
 
     def fit(self, sources, *given, **options):
         learned = lbs.LBSFitter.load(tube_model[0])
-        for name in ("template_", "unit_", "segmenter_", "regressor_", "history_", "_learned_with"):
+        for name in ("template_", "unit_", "learned_unit_", "segmenter_", "regressor_", "history_", "_learned_with"):
             setattr(self, name, getattr(learned, name))
         for source in sources:
             with suppress(FileError):

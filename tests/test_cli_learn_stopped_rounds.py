@@ -22,6 +22,7 @@ def stop_after_a_round(tube_model, monkeypatch):
         def fit(self, *given, **options):
             learned = lbs.LBSFitter.load(tube_model[0])
             self.template_, self.unit_ = (dict.fromkeys(subjects, getattr(learned, name)[0]) for name in ("template_", "unit_"))
+            self.learned_unit_ = None
             self.segmenter_, self.regressor_, self.history_ = learned.segmenter_, learned.regressor_, learned.history_
             self.failures_, self._learned_with = {1: "nobody foresaw this"}, learned._learned_with
             raise KeyboardInterrupt
