@@ -19,6 +19,7 @@ __all__ = [
     "SOMEBODY_ELSE",
     "evidence_of",
     "logarithms",
+    "lonely_odd",
     "probability_of",
     "shown_problem",
     "verdict_of",
@@ -138,7 +139,7 @@ def evidence_of(
     typical = float(np.sqrt(_median(away, w)))
     away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
     rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
-    w = _without(w, _lonely_odd(X, rho_x))
+    w = _without(w, lonely_odd(X, away))
     a = np.where(seen, a, 0.0)
     parts = labels[on]
     of_points, of_surface = _worst(parts, w, rho_x), _worst(labels, a, rho_v)
@@ -208,10 +209,22 @@ def _neighbour(of, among, k):
     return cKDTree(among).query(of, k=[k + 1])[0][:, 0]
 
 
-def _lonely_odd(X, rho):
-    """(n,) bool: unexplained points with hardly another unexplained one near them."""
+def lonely_odd(X, away):
+    """Unexplained points with hardly another unexplained one near them: clutter near the body.
+
+    Parameters
+    ----------
+    X : (n, 3) array
+        In half sizes.
+    away : (n,) array
+        Squared distances from the surface.
+
+    Returns
+    -------
+    (n,) bool array
+    """
     k = int(np.clip(len(X) // _POINTS_PER_K, 1, _MOST_K))
-    odd = np.flatnonzero(rho > _ODD)
+    odd = np.flatnonzero(away / (away + _SCALE**2) > _ODD)
     lonely = np.zeros(len(X), dtype=bool)
     if len(odd):
         lonely[odd] = _neighbour(X[odd], X[odd], k) > _LONELY_ODD * np.median(_neighbour(X, X, k))

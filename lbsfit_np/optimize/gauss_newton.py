@@ -58,13 +58,17 @@ class GaussNewton:
         Steps end where one lowers E by less than this share.
     partial : bool, default False
         Whether scans show one side only: vertices then do not pull whose nearest point lies on surface that faces another way.
+    parts : (m,) int array, optional
+        Of the vertices, for labelled points; the model's by default.
     """
 
-    def __init__(self, model, *, tangential=0.05, reach=0.05, ridge=1e-5, vertices=1000, tolerance=1e-4, partial=False):
+    def __init__(
+        self, model, *, tangential=0.05, reach=0.05, ridge=1e-5, vertices=1000, tolerance=1e-4, partial=False, parts=None
+    ):
         self.model, self.tangential, self.reach, self.ridge, self.tolerance = model, tangential, reach, ridge, tolerance
-        self.partial = partial
+        self.partial, self._parts = partial, model.labels if parts is None else parts
         rig = model.rig
-        self._surface = Surface(rig.vertices, rig.faces, model.labels)
+        self._surface = Surface(rig.vertices, rig.faces, self._parts)
         self._pulling = Pulling(model, self._surface.rows, vertices)  # what has no face has no side to pull on
 
     def pose(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12, prior=None):
@@ -225,7 +229,7 @@ class GaussNewton:
         s = self._surface.rows
         if labels is None:
             return s[PointIndex(V[s], moving=True).nearest(X)], slice(None)
-        nearest = PointIndex(V[s], self.model.labels[s], moving=True).nearest(X, labels)
+        nearest = PointIndex(V[s], self._parts[s], moving=True).nearest(X, labels)
         known = np.flatnonzero(nearest >= 0)
         return s[nearest[known]], known
 

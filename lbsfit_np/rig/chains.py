@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["bones", "chains"]
+__all__ = ["bones", "chains", "vertex_bones"]
 
 
 def bones(rig):
@@ -11,6 +11,11 @@ def bones(rig):
     for level, up in rig.levels:
         bone[level] = np.where(rig.moving[level], level, bone[up])
     return bone
+
+
+def vertex_bones(rig):
+    """(m,) int: of :func:`bones`, the one that each vertex follows most."""
+    return bones(rig)[np.asarray(rig.weights.copy().argmax(axis=1)).ravel()]  # a copy: scipy sorts in place
 
 
 def chains(rig):

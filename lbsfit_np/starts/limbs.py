@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from ..optimize.model import farthest_points
-from ..rig.chains import chains
+from ..rig.chains import chains, vertex_bones
 from ..rotations import matrix_from_rotvec
 from ..segmentation.descriptors import VoxelGrid
 
@@ -79,12 +79,12 @@ class LimbPoses:
                 below[p] |= below[j]
         poses = poses[np.linspace(0, len(poses) - 1, min(len(poses), _POSES)).astype(int)]
         chain = chains(rig)
-        dominant = np.asarray(rig.weights.copy().argmax(axis=1)).ravel()  # a copy: scipy sorts in place
+        bone = vertex_bones(rig)
         self._limbs = []
         for c in range(1, chain.max() + 1):
             own = np.flatnonzero((chain == c) & rig.moving)
             hangs = below[own[below[np.ix_(own, own)].sum(axis=1).argmax()]]
-            skin = hangs[dominant]
+            skin = hangs[bone]
             rows = np.flatnonzero(skin)
             if len(rows) > _LIMB_VERTICES:
                 rows = rows[farthest_points(rig.vertices[rows], _LIMB_VERTICES)]
