@@ -104,6 +104,28 @@ def test_bones_of_hardly_any_points_are_not_judged(rig, model):
     assert Doubt(model).of(few, true)[rig.joint_names.index("left_hand")] == 0
 
 
+def test_points_that_do_not_count_are_no_evidence(rig, model):
+    beside = np.array([0.6, -0.9, 0.3]) + 0.02 * np.random.default_rng(2).standard_normal((120, 3))
+    problem, true = _scan(rig, model, _angles(rig), 0.004, [beside])
+    weights = np.ones(len(problem.X))
+    assert Doubt(model).of(problem, true).max() > 100
+    weights[-120:] = 0.0
+    left_out = Doubt(model).of(Problem(problem.X, weights / weights.sum()), true)
+    assert left_out.max() < 4
+    weights[-120:] = 1e-4
+    counted = Doubt(model).of(Problem(problem.X, weights / weights.sum()), true)
+    assert counted.max() < 0.1 * Doubt(model).of(problem, true).max()
+
+
+def test_doubt_is_of_points_each_once_and_of_no_unit(rig, model, folded):
+    problem, _, stuck, _ = folded
+    doubt = Doubt(model).of(problem, stuck)
+    again = Problem(np.vstack([problem.X, np.tile(problem.X[:1], (1600, 1))]))
+    np.testing.assert_array_equal(Doubt(model).of(again, stuck) > 4, doubt > 4)
+    larger = stuck.replace(scale=3 * stuck.scale, translation=3 * stuck.translation)
+    np.testing.assert_allclose(Doubt(model).of(Problem(3 * problem.X), larger), doubt, rtol=1e-6)
+
+
 @pytest.mark.parametrize("way", ["exchanges", "sweeps"])
 def test_a_folded_knee_comes_out_of_the_fold(model, bends, to_the_end, folded, way, monkeypatch):
     problem, true, stuck, value = folded
@@ -127,6 +149,56 @@ def test_without_doubt_nothing_more_is_tried(bends, to_the_end, folded, monkeypa
     bends(problem, *to_the_end(problem, true))
 
 
+@pytest.mark.parametrize(("helps", "rounds"), [(True, 3), (False, 1)])
+def test_rounds_go_on_from_what_helped_while_it_helps(rig, model, bends, folded, monkeypatch, helps, rounds):
+    """Each round looks at where the last one has come to; none that helped nothing is followed by another."""
+    problem, _, stuck, value = folded
+    seen = []
+
+    def of_exchanges(self, few, state, doubted):
+        seen.append(("exchanges", state.scale))
+        return ["exchanged"]
+
+    def of_sweeps(rig, theta):
+        seen.append(("sweeps", theta[0, 0]))
+        return ["swept"]
+
+    def best(problem, few, state, value, moves, *limits):
+        if not helps or moves not in (["exchanged"], ["swept"]):
+            return state, value
+        theta = state.theta.copy()
+        theta[0, 0] += 1.0
+        return state.replace(theta=theta, scale=state.scale + 1.0), 0.9 * value
+
+    monkeypatch.setattr(Exchanges, "of", of_exchanges)
+    monkeypatch.setattr(bends_module, "swept", of_sweeps)
+    monkeypatch.setattr(bends, "_best", best)
+    monkeypatch.setattr(bends._doubt, "of", lambda problem, state: np.full(len(rig.parents), 9.0))
+    _, left = bends(problem, stuck, value)
+    assert [name for name, _ in seen] == ["exchanges", "sweeps"] * rounds
+    gone = np.arange(2 * rounds) if helps else np.zeros(2)
+    np.testing.assert_allclose([at for name, at in seen if name == "exchanges"], stuck.scale + gone[::2])
+    np.testing.assert_allclose([at for name, at in seen if name == "sweeps"], stuck.theta[0, 0] + gone[1::2])
+    assert np.isclose(left, value * 0.9 ** (2 * rounds if helps else 0))
+
+
+def test_of_many_sweeps_the_likely_ones_go_on(rig, model, bends, folded, monkeypatch):
+    problem, true, stuck, value = folded
+    names = ("left_hip", "left_knee", "left_ankle", "right_hip", "right_knee", "right_ankle")
+    legs = [rig.joint_names.index(name) for name in names]
+    right, rng = (tuple(legs), true.theta[legs]), np.random.default_rng(3)
+    wrong = [(tuple(legs), rng.uniform(rig.lower[legs], rig.upper[legs])) for _ in range(60)]
+    monkeypatch.setattr(Exchanges, "of", lambda self, problem, state, doubted: [])
+    monkeypatch.setattr(bends_module, "other_bends", lambda rig, theta: [])
+    monkeypatch.setattr(bends_module, "swept", lambda rig, theta: [*wrong, right])
+    steps, moved = [], bends._moved
+    monkeypatch.setattr(bends, "_moved", lambda few, state, n: steps.append(n) or moved(few, state, n))
+    state, _ = bends(problem, stuck, value)
+    assert _off(model, state, true).max() < 0.02
+    once = steps[: steps.index(6, 1)] if 6 in steps[1:] else steps
+    assert once.count(0) == 61 and once.count(2) == 32 and once.count(4) == 12
+
+
 def test_what_is_freed_is_freed_in_exchanges_as_well(bends, to_the_end):
     fixed = bends.freeing(("pose",), to_the_end)
     assert fixed._exchanges._free == ("pose",) and bends._exchanges._free == FREE
@@ -145,6 +217,49 @@ def test_ends_of_limbs_are_exchanged_where_one_is_in_doubt(rig, model, folded):
     assert not any({"pelvis", "spine1", "spine3"} & each for each in names)  # other limbs hang on these
     for joints, angles in moves:
         assert (angles >= rig.lower[list(joints)] - 1e-12).all() and (angles <= rig.upper[list(joints)] + 1e-12).all()
+
+
+def test_the_nearest_pairs_are_exchanged(rig, model, monkeypatch):
+    problem, true = _scan(rig, model, _angles(rig))
+    monkeypatch.setattr("lbsfit_np.fitting.exchanges._PAIRS", 1)
+    doubted = np.arange(len(rig.parents)) == rig.joint_names.index("left_foot")
+    names = {rig.joint_names[j] for joints, _ in Exchanges(model, FREE).of(problem, true, doubted) for j in joints}
+    assert names == {f"{side}_{joint}" for side in ("left", "right") for joint in ("hip", "knee", "ankle", "foot")}
+
+
+def test_the_last_bones_are_the_deepest_in_whatever_order_a_file_has_them(rig, model):
+    order = np.arange(len(rig.parents))[::-1]
+    place = np.argsort(order)
+    turned_round = replace(
+        rig,
+        joint_names=tuple(rig.joint_names[j] for j in order),
+        parents=np.array([place[rig.parents[j]] if rig.parents[j] >= 0 else -1 for j in order]),
+        **{name: getattr(rig, name)[order] for name in ("joints", "frames", "lower", "upper", "locked")},
+        weights=rig.weights[:, order],
+        regressor=rig.regressor[order],
+        poses={},
+        shapes=None,
+        smpl_rest=None,
+    )
+
+    def ends(made):
+        limbs = Exchanges(Model(made), FREE)._limbs
+        return {tuple(made.joint_names[j] for j in joints) for joints, _ in limbs}
+
+    assert ends(turned_round) == ends(rig) and ("left_hip", "left_knee", "left_ankle", "left_foot") in ends(rig)
+
+
+def test_joints_that_no_vertex_follows_most_move_with_the_others(rig):
+    """Each ankle outweighs its knee wherever that has skin: the knee has no bone to exchange, but turns all the same."""
+    weights = rig.weights.toarray()
+    for side in ("left", "right"):
+        knee, ankle = (rig.joint_names.index(f"{side}_{name}") for name in ("knee", "ankle"))
+        both = weights[:, knee] + weights[:, ankle]
+        weights[:, knee], weights[:, ankle] = 0.49 * both, 0.51 * both
+    mixed = replace(rig, weights=type(rig.weights)(weights))
+    knee = mixed.joint_names.index("left_knee")
+    limb = next(limb for limb in Exchanges(Model(mixed), FREE)._limbs if knee in limb[0])
+    assert knee not in limb[1]
 
 
 def test_each_end_goes_towards_the_others_place(rig, model):
@@ -170,16 +285,35 @@ def test_joints_are_swept_through_their_range(rig):
     alone = np.array([angles[0, 0] for joints, angles in moves if joints == (knee,)])
     assert alone.min() == rig.lower[knee, 0] and np.isclose(alone.max(), rig.upper[knee, 0])
     assert (np.abs(alone - 0.6) > 0.35).all() and np.diff(np.r_[np.sort(alone), 0.6]).max() < 1.5
-    against = [angles for joints, angles in moves if joints == (knee, hip)]
-    assert len(against) == 2 * len(alone)
-    for own, other in against:
-        a = (rig.upper[hip] - rig.lower[hip]).argmax()
-        turn = own[0] - 0.6
-        shares = np.clip([-0.5 * turn, -turn], rig.lower[hip, a], rig.upper[hip, a])
-        assert np.isclose(other[a], shares).any() and not np.delete(other, a).any()
+    assert sum(joints == (knee, hip) for joints, _ in moves) == 2 * len(alone)
     assert all(rig.root not in joints for joints, _ in moves)
     for joints, angles in moves:
         assert (angles >= rig.lower[list(joints)] - 1e-12).all() and (angles <= rig.upper[list(joints)] + 1e-12).all()
+
+
+@pytest.mark.parametrize("name", ["left_knee", "right_elbow", "left_wrist"])
+def test_what_hangs_on_both_turns_less_where_the_joint_before_turns_back(rig, name):
+    wide = replace(rig, lower=np.full_like(rig.lower, -3.0), upper=np.full_like(rig.upper, 3.0))
+    j = rig.joint_names.index(name)
+    rest = np.zeros(rig.joints.shape)
+    R = {len(joints): [] for joints, _ in swept(wide, rest) if joints[0] == j}
+    for joints, angles in swept(wide, rest):
+        if joints[0] == j and 0.3 < np.linalg.norm(angles[0]) < 1.2:
+            theta = rest.copy()
+            theta[list(joints)] = angles
+            turned = lbs.skinning.skin(wide, theta).A[j]
+            R[len(joints)].append(np.arccos(np.clip((np.trace(turned) - 1) / 2, -1, 1)))
+    assert R[1] and len(R[2]) == 2 * len(R[1])
+    back = np.reshape(R[2], (-1, 2))  # by half, and by all
+    np.testing.assert_allclose(back[:, 0], np.array(R[1]) / 2, atol=1e-6)
+    np.testing.assert_allclose(back[:, 1], 0, atol=1e-6)
+
+
+def test_of_axes_that_are_as_wide_none_is_left_out(rig):
+    wide = replace(rig, lower=np.full_like(rig.lower, -0.8), upper=np.full_like(rig.upper, 0.8))
+    j = rig.joint_names.index("left_shoulder")
+    axes = {int(np.flatnonzero(angles[0])[0]) for joints, angles in swept(wide, np.zeros(rig.joints.shape)) if joints == (j,)}
+    assert axes == {0, 1, 2}
 
 
 def test_joints_that_do_not_move_are_not_swept(rig):

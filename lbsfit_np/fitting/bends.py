@@ -29,13 +29,14 @@ _POINTS, _VERTICES, _FIRST_STEPS, _FEW, _OTHER_STEPS = 900, 300, 2, 8, 4
 _NEAR, _FINALS = 1.02, 3
 # What is kept leaves less than this share unexplained.
 _BETTER = 0.98
-# A bone is in doubt from this ratio of ``Doubt`` on; then more is tried so many times at most, as long as it helps, and of swept
-# joints so many are compared after the first steps. Where there are more than so many other bends, steps go from the likely ones
-# alone: of those that helped on scans of the tuning seeds none was further back than 28th by what it leaves unexplained at once.
-_DOUBTED, _ROUNDS, _MANY, _LIKELY = 4.0, 3, 12, 32
+# A bone is in doubt from this ratio of ``Doubt`` on; then more is tried so many times at most, as long as it helps. Of swept
+# joints steps go from so many that leave least unexplained at once, and so many of these are compared further: of those that
+# helped on tuning seeds none was further back than 28th of some 200, and than 14th after the first steps. Limbs that come from
+# far are further from their ends then than bends are.
+_DOUBTED, _ROUNDS, _LIKELY, _MANY, _NEAR_IN_DOUBT = 4.0, 3, 32, 12, 1.15
 # Joints are swept in steps of at most this, radians; what is nearer than the second to where they are is left out. The joint
-# before turns back by these shares.
-_SWEEP, _NEARBY, _BACK = 0.7, 0.35, (0.5, 1.0)
+# before turns back by these shares. Ranges that differ by less than the last number are as wide.
+_SWEEP, _NEARBY, _BACK, _SAME_ROOM = 0.7, 0.35, (0.5, 1.0), 0.01
 
 
 class Bends:
@@ -76,31 +77,31 @@ class Bends:
         """
         few = problem.thinned(_POINTS)
 
-        def best(moves, most):
-            return self._best(problem, few, state, value, moves, most)
+        def best(moves, *limits):
+            return self._best(problem, few, state, value, moves, *limits)
 
-        state, value = best(other_bends(self.model.rig, state.theta), _FEW)
+        state, value = best(other_bends(self.model.rig, state.theta))
         for _ in range(_ROUNDS):
             doubted = self._doubt.of(problem, state) > _DOUBTED
             if not doubted.any():
                 break
             before = value
-            state, value = best(self._exchanges.of(few, state, doubted), _FEW)
-            state, value = best(swept(self.model.rig, state.theta), _MANY)
+            state, value = best(self._exchanges.of(few, state, doubted), _NEAR_IN_DOUBT)
+            state, value = best(swept(self.model.rig, state.theta), _NEAR_IN_DOUBT, _MANY, _LIKELY)
             if value == before:
                 break
         return state, value
 
-    def _best(self, problem, few, state, value, moves, most):
-        """The state, or what came of moves if that leaves less unexplained; ``most`` go on after the first steps."""
+    def _best(self, problem, few, state, value, moves, near=_NEAR, most=_FEW, likely=None):
+        """The state, or what came of moves if that leaves less unexplained; of the ``likely`` ones ``most`` go on."""
         while moves:
             _, own = self._moved(few, state, _FIRST_STEPS + _OTHER_STEPS)
-            if len(moves) > _LIKELY:
-                moves = sorted(moves, key=lambda move: self._moved(few, _changed(state, move), 0)[1])[:_LIKELY]
+            if likely:
+                moves = sorted(moves, key=lambda move: self._moved(few, _changed(state, move), 0)[1])[:likely]
             tried = [(*self._moved(few, _changed(state, move), _FIRST_STEPS), move) for move in moves]
             tried = sorted(tried, key=lambda t: t[1])[:most]
             tried = [(*self._moved(few, s, _OTHER_STEPS), move) for s, _, move in tried]
-            tried = sorted((t for t in tried if t[1] < _NEAR * own), key=lambda t: t[1])
+            tried = sorted((t for t in tried if t[1] < near * own), key=lambda t: t[1])
             moves = []
             for k, (start, _, _) in enumerate(tried[:_FINALS]):
                 end, left = self._to_the_end(problem, start)
@@ -175,24 +176,24 @@ def swept(rig, theta):
     Returns
     -------
     list of (tuple of int, (k, 3) array)
-        A joint below the root and its other angles, alone or with those of the joint that it hangs on, turned back about the axis
-        that that one turns most about.
+        A joint below the root and its other angles, of joints that turn as far about several axes about each of these; alone, or
+        with those of the joint that it hangs on, turned back about the same axis as far as its limits allow, so that what hangs
+        on both hardly turns.
     """
     bone, out = bones(rig), []
     room = rig.upper - rig.lower
-    axis = room.argmax(axis=1)
     for j in np.flatnonzero(rig.moving & (np.arange(len(bone)) != rig.root)):
-        a, p = axis[j], bone[rig.parents[j]]
-        b = axis[p]
-        angles = np.linspace(rig.lower[j, a], rig.upper[j, a], int(np.ceil(room[j, a] / _SWEEP)) + 1)
-        for angle in angles[np.abs(angles - theta[j, a]) > _NEARBY]:
-            own = theta[j].copy()
-            own[a] = angle
-            out.append(((j,), own[None]))
-            if p == rig.root or not rig.moving[p]:
-                continue
-            for share in _BACK:
-                other = theta[p].copy()
-                other[b] = np.clip(theta[p, b] - share * (angle - theta[j, a]), rig.lower[p, b], rig.upper[p, b])
-                out.append(((j, p), np.array([own, other])))
+        p = bone[rig.parents[j]]
+        for a in np.flatnonzero(room[j] > room[j].max() - _SAME_ROOM):
+            back = rig.frames[p].T @ rig.frames[j][:, a]
+            angles = np.linspace(rig.lower[j, a], rig.upper[j, a], int(np.ceil(room[j, a] / _SWEEP)) + 1)
+            for angle in angles[np.abs(angles - theta[j, a]) > _NEARBY]:
+                own = theta[j].copy()
+                own[a] = angle
+                out.append(((j,), own[None]))
+                if p == rig.root or not rig.moving[p]:
+                    continue
+                for share in _BACK:
+                    other = np.clip(theta[p] - share * (angle - theta[j, a]) * back, rig.lower[p], rig.upper[p])
+                    out.append(((j, p), np.array([own, other])))
     return out

@@ -20,9 +20,11 @@ __all__ = [
     "evidence_of",
     "logarithms",
     "lonely_odd",
+    "merged",
     "probability_of",
     "shown_problem",
     "verdict_of",
+    "without",
 ]
 
 # What a fit is judged by; docs/fitting.md has the same list. The regression is on all but the last, which only fits on learned
@@ -118,7 +120,7 @@ def evidence_of(
     """
     a = np.full(len(vertices), 1.0 / len(vertices)) if areas is None else areas
     w = np.full(len(X), 1.0 / len(X)) if x_weights is None else x_weights / x_weights.sum()
-    X, w, proba = _distinct(X, w, proba)
+    X, w, proba = merged(X, w, proba)
     on = PointIndex(vertices).nearest(X)
     away = ((X - vertices[on]) ** 2).sum(axis=1)
     surface = Surface(rig.vertices, rig.faces)
@@ -129,7 +131,7 @@ def evidence_of(
     to_X = index.nearest(vertices)
     # Between points there is nothing to reach.
     third = _neighbour(X, X, 3)
-    w = _without(w, third > _LONELY * np.median(third))
+    w = without(w, third > _LONELY * np.median(third))
     spacing = 2.0 * float(np.median(third))  # how far apart points are where they are sparse
     back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing, _SPARSEST), 0.0) ** 2
     seen = np.ones(len(vertices), dtype=bool)
@@ -139,7 +141,7 @@ def evidence_of(
     typical = float(np.sqrt(_median(away, w)))
     away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
     rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
-    w = _without(w, lonely_odd(X, away))
+    w = without(w, lonely_odd(X, away))
     a = np.where(seen, a, 0.0)
     parts = labels[on]
     of_points, of_surface = _worst(parts, w, rho_x), _worst(labels, a, rho_v)
@@ -158,7 +160,7 @@ def evidence_of(
     return out, {"part_unexplained": of_points[1], "part_unreached": of_surface[1]}
 
 
-def _distinct(X, w, proba):
+def merged(X, w, proba):
     """Points, their weights and probabilities, those at one place as one: they tell no more than that."""
     places, first, of = np.unique(X, axis=0, return_index=True, return_inverse=True)
     if len(places) == len(X):
@@ -231,7 +233,7 @@ def lonely_odd(X, away):
     return lonely
 
 
-def _without(w, clutter):
+def without(w, clutter):
     """Weights of the points, those of clutter 0."""
     kept = np.where(clutter, 0.0, w)
     return kept / kept.sum() if kept.sum() > _LEAST_KEPT else w

@@ -10,7 +10,7 @@ import numpy as np
 from ..neighbors import PointIndex
 from ..optimize.surface import Surface
 from ..rig.chains import vertex_bones
-from .confidence import lonely_odd
+from .confidence import lonely_odd, merged, without
 
 __all__ = ["Doubt"]
 
@@ -42,17 +42,20 @@ class Doubt:
         Returns
         -------
         (J,) array
-            Mean squared distance from the surface of the points that are nearest to each bone's skin, ÷ the median over the
-            bones, or ÷ 0.002² where that is less; 0 for bones of few points, and for joints that no vertex follows most. Clutter
-            does not count.
+            Mean squared distance from the surface of the points that are nearest to each bone's skin, as the points weigh, ÷ the
+            median over the other bones, or ÷ 0.002² where that is less; 0 for bones of few points, which do not count for others
+            either, and for joints that no vertex follows most. Clutter does not count.
         """
-        V, X, rows = self.model.deformed(state).vertices, problem.X, self._surface.rows
+        w = np.ones(len(problem.X)) if problem.x_weights is None else problem.x_weights
+        X, w, _ = merged(problem.X[w > 0] / state.scale, w[w > 0], None)
+        V, rows = self.model.deformed(state).vertices / state.scale, self._surface.rows
         nearest = rows[PointIndex(V[rows]).nearest(X)]
         away = ((X - self._surface.closest(X, nearest, V).points) ** 2).sum(axis=1)
-        some, J = ~lonely_odd(X, away), len(self.model.rig.parents)
-        away, bone = away[some], self._bone[nearest[some]]
-        count = np.bincount(bone, minlength=J)
-        judged = count >= _FEWEST
-        mean = np.bincount(bone, away, minlength=J) / np.maximum(count, 1)
-        typical = np.median(mean[judged]) if judged.any() else 0.0
-        return np.where(judged, mean, 0.0) / max(typical, _NEAREST**2)
+        w, bone, J = without(w, lonely_odd(X, away)), self._bone[nearest], len(self.model.rig.parents)
+        judged = np.bincount(bone[w > 0], minlength=J) >= _FEWEST
+        mean = (np.bincount(bone, w * away, J) / np.maximum(np.bincount(bone, w, J), np.finfo(float).tiny))[judged]
+        out = np.zeros(J)
+        if len(mean) > 1:
+            others = [np.median(np.delete(mean, k)) for k in range(len(mean))]
+            out[judged] = mean / np.maximum(others, _NEAREST**2)
+        return out
