@@ -153,8 +153,12 @@ def brief(value, most=100):
     return text if len(text) <= most else f"{text[:most]}…"
 
 
+# A beginning of so many letters says which name was meant.
+_BEGINNING = 3
+
+
 def did_you_mean(given, names):
-    """The question whether one of some names was meant that is like what was given; None where there is none such.
+    """The question whether one of some names was meant that is like what was given, or the only one that begins so; else None.
 
     None, too, where what was given is written like one of them: then its spelling is not what was wrong.
     """
@@ -163,5 +167,8 @@ def did_you_mean(given, names):
         return None
     bare = {name.lstrip("+-").casefold(): name for name in reversed(names)}  # signs and hyphens are no likeness
     alike = [name for name in names if name.casefold() == given.casefold()]
-    alike += [bare[name] for name in get_close_matches(given.lstrip("+-").casefold(), bare, n=1)]
+    bare_given = given.lstrip("+-").casefold()
+    alike += [bare[name] for name in get_close_matches(bare_given, bare, n=1)]
+    begun = [bare[name] for name in bare if name.startswith(bare_given)]
+    alike += begun if len(begun) == 1 and len(bare_given) >= _BEGINNING else []
     return f"Did you mean {alike[0]!r}?" if alike else None

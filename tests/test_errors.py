@@ -103,6 +103,10 @@ def test_whole_numbers_become_floats():
         ("Anna", ["anna", "ben"], "Did you mean 'anna'?"),
         ("up", ["--up"], "Did you mean '--up'?"),
         ("anna", ["ben"], None),
+        ("--pic", ["--pictures", "--partial"], "Did you mean '--pictures'?"),
+        ("--tra", ["--training", "--training-scans"], None),  # which of them?
+        ("--p", ["--pictures"], None),
+        ("", ["--pictures"], None),
         ("1", [1, 2], None),  # written the same: a question would offer what was given
         (1, ["1", "10"], None),
         ("ann", ["ann", "anna"], None),
