@@ -129,6 +129,7 @@ def test_doubt_is_of_points_each_once_and_of_no_unit(rig, model, folded):
 @pytest.mark.parametrize("way", ["exchanges", "sweeps"])
 def test_a_folded_knee_comes_out_of_the_fold(model, bends, to_the_end, folded, way, monkeypatch):
     problem, true, stuck, value = folded
+    monkeypatch.setattr(bends_module, "other_bends", lambda rig, theta: [])  # which would straighten it, too
     if way == "exchanges":
         monkeypatch.setattr(bends_module, "swept", lambda rig, theta: [])
     else:
@@ -197,6 +198,13 @@ def test_of_many_sweeps_the_likely_ones_go_on(rig, model, bends, folded, monkeyp
     assert _off(model, state, true).max() < 0.02
     once = steps[: steps.index(6, 1)] if 6 in steps[1:] else steps
     assert once.count(0) == 61 and once.count(2) == 32 and once.count(4) == 12
+
+
+def test_who_takes_no_point_for_any_limbs_looks_at_none(model, to_the_end, folded, monkeypatch):
+    problem, true, stuck, value = folded
+    monkeypatch.setattr(bends_module, "other_bends", lambda rig, theta: [])
+    state, _ = Bends(model, FREE, to_the_end, other_limbs=False, **STEPS)(problem, stuck, value)
+    assert _off(model, state, true).max() > 0.5
 
 
 def test_what_is_freed_is_freed_in_exchanges_as_well(bends, to_the_end):

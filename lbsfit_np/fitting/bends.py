@@ -50,13 +50,16 @@ class Bends:
         Steps on all points; the value is what is to be small.
     proportions : bool, default True
         Whether the template's proportions are found as well, or are known.
+    other_limbs : bool, default True
+        Whether limbs are looked at where a bone is in doubt. It takes points for those of a limb, as Chamfer alone does not.
     **options
         Of the ``GaussNewton`` that compares.
     """
 
-    def __init__(self, model, free, to_the_end, *, proportions=True, **options):
+    def __init__(self, model, free, to_the_end, *, proportions=True, other_limbs=True, **options):
         self.model, self._free, self._to_the_end, self._proportions = model, free, to_the_end, proportions
         self._steps = GaussNewton(model, vertices=_VERTICES, **options)
+        self._rounds = _ROUNDS if other_limbs else 0
         self._doubt, self._exchanges = Doubt(model), Exchanges(model, free)
 
     def __call__(self, problem, state, value):
@@ -81,7 +84,7 @@ class Bends:
             return self._best(problem, few, state, value, moves, *limits)
 
         state, value = best(other_bends(self.model.rig, state.theta))
-        for _ in range(_ROUNDS):
+        for _ in range(self._rounds):
             doubted = self._doubt.of(problem, state) > _DOUBTED
             if not doubted.any():
                 break

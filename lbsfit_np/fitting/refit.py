@@ -88,15 +88,19 @@ class Refit:
         Whether scans show one side only.
     bends : bool, default False
         Whether other bends of joints are tried in the end.
+    other_limbs : bool, default True
+        As for ``Bends``.
     """
 
-    def __init__(self, model, free=IN_UNIT, *, partial=False, bends=False):
+    def __init__(self, model, free=IN_UNIT, *, partial=False, bends=False, other_limbs=True):
         self.model, self.free, self.partial = model, free, partial
         near = {"reach": _NEAR, "tangential": 0.02, "partial": partial}
         self._far = GaussNewton(model, reach=_FAR, vertices=_FAR_VERTICES, partial=partial)
         self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
         self._last = GaussNewton(model, **near)
-        self._bends = Bends(model, free, self.to_the_end, proportions=False, **near) if bends else None
+        self._bends = None
+        if bends:
+            self._bends = Bends(model, free, self.to_the_end, proportions=False, other_limbs=other_limbs, **near)
 
     @property
     def turning(self):

@@ -104,7 +104,8 @@ class Scout:
         if settings.polish:
             last = Proportioned(model, settings, self._free) if proportions else self._refit
             self._to_the_end = last.to_the_end
-            self._bends = Bends(model, self._free, last.to_the_end, proportions=proportions, **step_options(settings))
+            known = {"proportions": proportions, "other_limbs": nearest}
+            self._bends = Bends(model, self._free, last.to_the_end, **known, **step_options(settings))
 
     def __call__(self, points, x_weights=None):
         """Look at one scan.

@@ -26,11 +26,14 @@ class TemplateFit:
     model : Model
         Of the template.
     settings : FitSettings
+    other_limbs : bool, default True
+        As for ``Bends``.
     """
 
-    def __init__(self, rig, model, settings):
+    def __init__(self, rig, model, settings, *, other_limbs=True):
         self.rig, self.model, self.settings = rig, model, settings
-        self.refit = Refit(model, partial=settings.partial, bends=EFFORTS[settings.effort].bends)
+        bends = EFFORTS[settings.effort].bends
+        self.refit = Refit(model, partial=settings.partial, bends=bends, other_limbs=other_limbs)
 
     @cached_property
     def _proportioned(self):

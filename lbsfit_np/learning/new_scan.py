@@ -249,11 +249,13 @@ def _doubted(fitter, subject, scale, settings):
 
 def _template_fit(fitter, subject, settings):
     template, half = fitter.template_[subject], fitter.rig.size / 2
+    other_limbs = as_variant(fitter.variant).library
 
     def make():
-        return TemplateFit(fitter.rig, Model(template, fitter.joints, half=half, shared=True), settings)
+        model = Model(template, fitter.joints, half=half, shared=True)
+        return TemplateFit(fitter.rig, model, settings, other_limbs=other_limbs)
 
-    return _kept(fitter, (subject, "fit"), (template, fitter.joints, settings), make)
+    return _kept(fitter, (subject, "fit"), (template, fitter.joints, settings, other_limbs), make)
 
 
 def scan_fit(fitter, segmenter=None, library=None):

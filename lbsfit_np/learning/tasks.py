@@ -102,7 +102,8 @@ class Pose:
         model, limbs, effort = self.models[subject], None, EFFORTS[self.settings.effort]
         if self.other_limbs:
             limbs = LimbSearch(LimbPoses(model, self.library.poses), effort)
-        return Refit(model, partial=self.settings.partial, bends=effort.bends), limbs
+        refit = Refit(model, partial=self.settings.partial, bends=effort.bends, other_limbs=self.other_limbs)
+        return refit, limbs
 
     def __call__(self, task):
         subject, X, state, beside, proba = task
