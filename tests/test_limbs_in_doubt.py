@@ -10,6 +10,8 @@ from lbsfit_np.fitting import bends as bends_module
 from lbsfit_np.fitting.bends import Bends, swept
 from lbsfit_np.fitting.doubt import Doubt
 from lbsfit_np.fitting.exchanges import Exchanges
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.template_fit import TemplateFit
 from lbsfit_np.optimize.gauss_newton import GaussNewton
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
@@ -205,6 +207,15 @@ def test_who_takes_no_point_for_any_limbs_looks_at_none(model, to_the_end, folde
     monkeypatch.setattr(bends_module, "other_bends", lambda rig, theta: [])
     state, _ = Bends(model, FREE, to_the_end, other_limbs=False, **STEPS)(problem, stuck, value)
     assert _off(model, state, true).max() > 0.5
+
+
+@pytest.mark.parametrize("other_limbs", [True, False])
+def test_fits_on_templates_look_at_limbs_as_their_variant_does(rig, model, other_limbs, monkeypatch):
+    asked = []
+    monkeypatch.setattr(Doubt, "of", lambda self, problem, state: asked.append(1) or np.zeros(len(rig.parents)))
+    problem, true = _scan(rig, model, _angles(rig))
+    TemplateFit(rig, model, FitSettings(), other_limbs=other_limbs).refit(problem, [true])
+    assert bool(asked) == other_limbs
 
 
 def test_what_is_freed_is_freed_in_exchanges_as_well(bends, to_the_end):
