@@ -107,9 +107,9 @@ def test_files_that_no_fit_belongs_to_are_nothing_to_skip(made, tmp_path, run):
     "statuses, doubts",
     [
         (["ok", "ok"], ""),
-        (["ok", "suspect", "failed", "failed", "none"], ", 1 could not be (of these fits 1 is suspect, 2 have failed)"),
+        (["ok", "suspect", "failed", "failed", "none"], ", 1 could not be (status: 1 ok, 1 suspect, 2 failed)"),
         (["none", "none"], ", 2 could not be"),
-        (["failed", "suspect", "suspect"], " (of these fits 2 are suspect, 1 has failed)"),
+        (["failed", "suspect", "suspect"], " (status: 2 suspect, 1 failed)"),
     ],
 )
 def test_what_could_not_be_fitted_is_told_from_what_was_fitted_wrongly(statuses, doubts):
@@ -199,13 +199,13 @@ def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     scans = [made / "one.ply", made / "two.xyz"]
     arguments = ("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", "skip", *QUICK)
-    for status, words, probability, code in (("suspect", "is suspect", 0.3, 0), ("failed", "has failed", 0.01, 1)):
+    for status, probability, code in (("suspect", 0.3, 0), ("failed", 0.01, 1)):
         doubtful = replace(lbs.FitResult.load(fitted[0] / "two.fit.npz"), status=status, probability=probability, message="odd")
         (tmp_path / "two.fit.npz").unlink()
         doubtful.save(tmp_path / "two.fit.npz")
         found, text, _ = run(*arguments)
         assert found == code
-        assert f"2 of 2 scans fitted (of these fits 1 {words}), 2 of the fits kept from before; results in" in text
+        assert f"2 of 2 scans fitted (status: 1 ok, 1 {status}), 2 of the fits kept from before; results in" in text
         assert f"two   {status.ljust(len('status'))}  {probability:.2f}" in text and text.rstrip().count("odd") == 1
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert [(s["name"], s["status"], s["kept"]) for s in summary["scans"]] == [("two", status, True), ("one", "ok", True)]

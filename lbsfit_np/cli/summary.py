@@ -20,12 +20,12 @@ def counts_of(entries):
 
 
 def doubts_of(counts):
-    """How many scans have no fit, and in brackets how many fits are suspect or have failed; nothing where all are well."""
-    suspect, failed = counts["suspect"], counts["failed"] - counts["unfitted"]
-    doubts = [f"{suspect} {'is' if suspect == 1 else 'are'} suspect"] if suspect else []
-    doubts += [f"{failed} {'has' if failed == 1 else 'have'} failed"] if failed else []
+    """How many scans have no fit, and in brackets how many fits have which status; nothing where all are well."""
+    fits = {"ok": counts["ok"], "suspect": counts["suspect"], "failed": counts["failed"] - counts["unfitted"]}
     unfitted = f", {counts['unfitted']} could not be" if counts["unfitted"] else ""
-    return unfitted + (f" (of these fits {', '.join(doubts)})" if doubts else "")
+    if not fits["suspect"] + fits["failed"]:
+        return unfitted
+    return f"{unfitted} (status: {', '.join(f'{n} {status}' for status, n in fits.items() if n)})"
 
 
 def written_of(entries):
