@@ -5,6 +5,7 @@ from functools import cached_property
 import numpy as np
 
 from .raster import Buffer, splat_triangles
+from .triangles import area_vectors, inside_out
 
 __all__ = ["View", "clutter", "floor", "sample_seen_surface", "sample_surface"]
 
@@ -130,9 +131,8 @@ class View:
     def _normals(self):
         """Outer normals in pixels, (F, 3); which side is out follows from the sign of the mesh's volume."""
         V = self._vertices - self._vertices.mean(axis=0)
-        a, b, c = (V[self._faces[:, k]] for k in range(3))
-        n = np.cross(b - a, c - a)
-        return n if np.vdot(a, n) >= 0 else -n
+        n = area_vectors(V, self._faces)
+        return -n if inside_out(V, self._faces) else n
 
 
 def clutter(points, share, rng):
@@ -181,8 +181,7 @@ def _random_side(up, rng):
 
 def _densities(vertices, faces, density, rng):
     """Of each triangle, how many of the points it is to get, in shares of any sum."""
-    p = vertices[faces]
-    normal = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    p, normal = vertices[faces], area_vectors(vertices, faces)
     weight = np.linalg.norm(normal, axis=1)
     if density:
         centre = (p[:, 0] + p[:, 1] + p[:, 2]) / 3

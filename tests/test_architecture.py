@@ -23,6 +23,7 @@ ROOMS = (
     "interrupts",
     "workers",
     "rotations",
+    "triangles",
     "rig",
     "scan",
     "skinning",
@@ -40,7 +41,7 @@ ROOMS = (
 )
 # The rooms at the edge, and what each may import besides itself.
 EDGE = {
-    "io": {"errors", "seeds", "rotations", "rig", "scan"},
+    "io": {"errors", "seeds", "rotations", "triangles", "rig", "scan"},
     "report": {*ROOMS, "io"},
     "bench": {*ROOMS, "io", "report"},
     "cli": {*ROOMS, "io", "report", "bench"},

@@ -11,6 +11,7 @@ import hashlib
 import numpy as np
 
 from ..rig.chains import bones, chains
+from ..triangles import area_vectors
 
 __all__ = ["people_digest", "scans_digest", "subject"]
 
@@ -117,9 +118,8 @@ def _outwards(vertices, faces, radius):
 
 
 def _normals(vertices, faces):
-    """(m, 3): each vertex's normal, as long as the area of its faces."""
-    p = vertices[faces]
-    face = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    """(m, 3): each vertex's normal, as long as its faces are large."""
+    face = area_vectors(vertices, faces)
     n = np.zeros_like(vertices)
     for k in range(3):
         np.add.at(n, faces[:, k], face)

@@ -8,6 +8,7 @@ import numpy as np
 from ..errors import FileError, InputError, LbsfitError, brief
 from ..scan import Scan, check_points
 from ..seeds import generator
+from ..triangles import area_vectors, areas_around
 
 __all__ = ["SCAN_EXTENSIONS", "load_mesh", "load_scan"]
 
@@ -121,9 +122,7 @@ def _evenness(points, faces):
     The vertices that stand for the most of it are left out: they are a floor's.
     """
     with np.errstate(all="ignore"):  # of lengths whose squares are beyond all numbers, which tell nothing
-        a, b, c = (points[corner] for corner in faces.T)
-        area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
-        own = np.sort(sum(np.bincount(corner, area, minlength=len(points)) for corner in faces.T))
+        own = np.sort(areas_around(points, faces))
         on_surface = np.count_nonzero(own)
         if on_surface < _SURFACE * len(points):
             return 1.0
@@ -230,8 +229,7 @@ def _sampled(points, faces, normals, labels, n, random_state, shown):
     """Points on the surface, with what their triangles' corners know."""
     from ..synthesis import sample_surface
 
-    p = points[faces]
-    if not np.any(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])):
+    if not area_vectors(points, faces).any():
         raise FileError(
             shown, "a mesh whose triangles have no area", "a surface to sample from", "Leave n_samples out to use its vertices."
         )

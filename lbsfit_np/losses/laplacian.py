@@ -4,6 +4,7 @@ import numpy as np
 from scipy import sparse
 
 from ..errors import InputError, as_array
+from ..triangles import face_areas
 from .checks import check_set
 
 __all__ = ["cotangent_matrix", "laplacian_offsets", "laplacian_posed"]
@@ -34,13 +35,13 @@ def cotangent_matrix(vertices, faces):
     m = len(vertices)
     rows, cols, vals = [], [], []
     p = vertices[faces]
-    double_area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
+    area = face_areas(vertices, faces)
     longest = np.max([np.sum((p[:, (k + 1) % 3] - p[:, k]) ** 2, axis=1) for k in range(3)], axis=0)
-    fine = double_area > 1e-12 * longest
+    fine = area > 5e-13 * longest
     for k in range(3):
         i, j = faces[fine, (k + 1) % 3], faces[fine, (k + 2) % 3]
         a, b = p[fine, (k + 1) % 3] - p[fine, k], p[fine, (k + 2) % 3] - p[fine, k]
-        half_cot = 0.5 * np.einsum("ij,ij->i", a, b) / double_area[fine]
+        half_cot = 0.25 * np.einsum("ij,ij->i", a, b) / area[fine]
         rows += [i, j, i, j]
         cols += [j, i, i, j]
         vals += [-half_cot, -half_cot, half_cot, half_cot]

@@ -8,6 +8,7 @@ from scipy import sparse
 
 from ..losses.laplacian import cotangent_matrix
 from ..skinning import skin
+from ..triangles import areas_around, inside_out
 from .state import State
 
 __all__ = ["Model", "farthest_points"]
@@ -67,11 +68,7 @@ class Model:
     @cached_property
     def areas(self):
         """(m,) share of the surface that each vertex stands for."""
-        p = self.rig.vertices[self.rig.faces]
-        area = np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=1)
-        share = np.zeros(len(self.rig.vertices))
-        for k in range(3):
-            share += np.bincount(self.rig.faces[:, k], area, minlength=len(share))
+        share = areas_around(self.rig.vertices, self.rig.faces)
         return share / max(share.sum(), np.finfo(float).tiny)
 
     @cached_property
@@ -155,8 +152,7 @@ class Model:
 
 def _outward(rig):
     """The rig with its faces turned outwards, by the sign of the volume: views of one side tell what is hidden by these."""
-    a, b, c = (rig.vertices[corner] - rig.vertices.mean(axis=0) for corner in rig.faces.T)
-    return rig if np.vdot(a, np.cross(b, c)) >= 0 else replace(rig, faces=rig.faces[:, ::-1])
+    return replace(rig, faces=rig.faces[:, ::-1]) if inside_out(rig.vertices, rig.faces) else rig
 
 
 def _shifts(rig, size):

@@ -9,6 +9,7 @@ bends evenly the way from place to x is at right angles to it (Rusinkiewicz, A s
 import numpy as np
 from scipy.sparse import eye_array
 
+from ..triangles import face_areas
 from .model import farthest_points
 from .surface import divided, faces_at, summed_normals
 
@@ -65,8 +66,7 @@ def _on_faces(vertices, faces, most):
     """(k,) faces, (k, 3) barycentric and (k,) areas of at most so many points, each the centre of a piece of a face."""
     from scipy.spatial import cKDTree
 
-    a, b, c = (vertices[corner] for corner in faces.T)
-    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    area = face_areas(vertices, faces)
     pieces = np.sqrt(most * area / max(area.sum(), np.finfo(float).tiny))
     pieces = np.maximum(np.rint(pieces), 1).astype(int)
     face, barycentric = divided(pieces)

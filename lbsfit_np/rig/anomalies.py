@@ -4,6 +4,7 @@ import numpy as np
 from scipy import sparse
 
 from ..errors import listed
+from ..triangles import inside_out
 from .partition import leading_joint
 
 __all__ = ["mesh_notes", "size_notes", "skin_notes"]
@@ -34,8 +35,7 @@ def mesh_notes(rig):
     if (same_way > 1).any():
         notes.append(f"neighbouring faces are turned opposite ways at {np.count_nonzero(same_way > 1)} edges")
     elif (counts == 2).all():
-        a, b, c = (rig.welded.vertices[faces[:, k]] for k in range(3))
-        if np.einsum("ij,ij->", a, np.cross(b, c)) < 0:
+        if inside_out(rig.welded.vertices, faces):
             notes.append("the mesh is inside out: its faces are turned inwards")
     graph = sparse.coo_array((np.ones(len(edges)), edges.T), shape=(n, n))
     from scipy.sparse.csgraph import connected_components

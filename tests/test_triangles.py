@@ -1,0 +1,30 @@
+"""Areas, normals and which way a mesh looks."""
+
+import numpy as np
+
+from lbsfit_np.triangles import area_vectors, areas_around, face_areas, inside_out
+
+# A tetrahedron of a corner of the unit cube, and a point that no face has.
+VERTICES = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [5, 5, 5]], dtype=float)
+FACES = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+
+
+def test_areas_and_normals_of_a_tetrahedron():
+    vectors = area_vectors(VERTICES, FACES)
+    np.testing.assert_allclose(vectors, [[0, 0, -0.5], [0, -0.5, 0], [-0.5, 0, 0], [0.5, 0.5, 0.5]])
+    np.testing.assert_allclose(vectors.sum(axis=0), 0, atol=1e-15)  # a closed surface
+    slant = np.sqrt(3) / 2
+    np.testing.assert_allclose(face_areas(VERTICES, FACES), [0.5, 0.5, 0.5, slant])
+    np.testing.assert_allclose(areas_around(VERTICES, FACES), [1.5, 1 + slant, 1 + slant, 1 + slant, 0])
+
+
+def test_inside_out_wherever_the_mesh_stands():
+    for shift in (0.0, 1000.0, -1000.0):
+        assert not inside_out(VERTICES[:4] + shift, FACES)
+        assert inside_out(VERTICES[:4] + shift, FACES[:, ::-1])
+
+
+def test_nothing_of_no_faces():
+    none = np.empty((0, 3), dtype=int)
+    assert face_areas(VERTICES, none).shape == (0,) and not inside_out(VERTICES, none)
+    np.testing.assert_array_equal(areas_around(VERTICES, none), np.zeros(5))
