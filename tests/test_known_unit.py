@@ -19,7 +19,8 @@ from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.report.animation import odd_scales, unit_of
 from lbsfit_np.rig.build import build_rig
-from lbsfit_np.starts.scale import UNIT_WORDS, reference_scale, sizes_in, unit_note
+from lbsfit_np.rig.units import WORDS
+from lbsfit_np.starts.scale import reference_scale, sizes_in, unit_note
 from lbsfit_np.starts.turns import facing_of
 
 # One unit of the tube rig is 0.25 m.
@@ -43,7 +44,7 @@ def test_the_reference_scale_is_the_conversion(tube_rig, tube_scan, unit, metres
         assert reference_scale(one * tube_scan.points, tube_rig, "fixed", unit).scale == one
     for size in (0.25, 4.0):  # as far from the rig's as animals are
         found = reference_scale(size * one * tube_scan.points, tube_rig, "estimate", unit)
-        assert 0.5 < found.scale / (size * one) < 1.8 and found.note == f"the scan is in {UNIT_WORDS[unit]}"
+        assert 0.5 < found.scale / (size * one) < 1.8 and found.note == f"the scan is in {WORDS[unit]}"
 
 
 @pytest.mark.parametrize("size", [0.04, 15.0])
@@ -249,7 +250,7 @@ def test_a_subjects_size_is_known_in_any_unit(kit_and_fox, people_scans, unit, f
     r = fitter.fit_scan(factor * 0.5 * CM * people_scans[8].points, subject="kit")
     assert r.scale == pytest.approx(factor * fitter.unit_["kit"], rel=1e-9)  # as learned, not found anew
     size = r.scale / (factor * CM) * fitter.template_["kit"].size / fitter.rig.size  # the template takes up part of it
-    assert r.unit == unit and f"the scan is in {UNIT_WORDS[unit]}, and the subject is {size:.2f} times" in r.message
+    assert r.unit == unit and f"the scan is in {WORDS[unit]}, and the subject is {size:.2f} times" in r.message
     with pytest.raises(InputError, match=f"^unit: got {unit!r}, in which the scan's extent is"):
         fitter.fit_scan(100 * factor * CM * people_scans[8].points, subject="kit")
 

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..rig.frames import up_axis
+from ..rig.units import METRES, USUAL
 from ..rotations import matrix_from_rotvec, rotvec_from_matrix
 from ..seeds import generator
 from ..synthesis import Synthesis, natural_poses, synthesize_one
@@ -14,8 +15,7 @@ from .learn import touching_pose
 
 __all__ = ["CONDITIONS", "SEEN", "Condition", "condition_scan", "conditions_of", "starts_scan"]
 
-# Metres in the units of scans of the row "unit".
-_UNITS = (1.0, 0.01, 0.001, 0.0254)
+# Of the row "unit", the scale besides the unit, uniform in its logarithm.
 _SCALES = 0.5, 2.0
 # Poses of a library with this in their name are fists.
 _FIST = "fist"
@@ -108,7 +108,7 @@ def condition_scan(rig, condition, i, rng):
 def _in_a_unit(rig, scan, rng):
     """The scan in a random unit, at a random scale besides."""
     low, high = np.log(_SCALES)
-    factor = (rig.metres_per_unit or 1.0) / _UNITS[rng.integers(len(_UNITS))] * np.exp(rng.uniform(low, high))
+    factor = (rig.metres_per_unit or 1.0) / METRES[USUAL[rng.integers(len(USUAL))]] * np.exp(rng.uniform(low, high))
     return replace(
         scan,
         points=factor * scan.points,

@@ -15,13 +15,10 @@ from ..seeds import generator
 from .environment import environment
 from .pair_fits import fit_scans_of
 
-__all__ = ["KINDS", "UNITS", "choose_pairs", "measure_pairs", "pairs_bench", "pairs_table", "read_all", "summary", "unit_of"]
+__all__ = ["KINDS", "choose_pairs", "measure_pairs", "pairs_bench", "pairs_table", "read_all", "summary", "unit_of"]
 
 # Pairs of scans of one subject, and of different ones.
 KINDS = ("intra", "inter")
-# Centimetres in a unit.
-UNITS = {"m": 100.0, "cm": 1.0, "mm": 0.1, "in": 2.54, "ft": 30.48}
-_NAMES = {"metres": "m", "centimetres": "cm", "millimetres": "mm", "inches": "in"}
 _PERCENTILES = (50, 90, 95)
 
 
@@ -203,15 +200,16 @@ def unit_of(rig, fits, given="auto"):
 
     What the fits were told, else by their median scale, where the rig's own unit is known: people differ less than units do.
     """
-    from ..starts.scale import unit_name
+    from ..rig.units import METRES
+    from ..starts.scale import likely_unit
 
     scales = [entry["scale"] for entry in fits.entries.values() if "scale" in entry]
     said = {entry["unit"] for entry in fits.entries.values() if entry.get("unit")}
     if given == "auto" and len(said) == 1:
         (given,) = said
     elif given == "auto":
-        given = _NAMES.get(unit_name(float(np.median(scales)), rig)) if scales else None
-    return (given, UNITS[given]) if given else ("unknown", None)
+        given = likely_unit(float(np.median(scales)), rig) if scales else None
+    return (given, METRES[given] / METRES["cm"]) if given else ("unknown", None)
 
 
 class _Places:

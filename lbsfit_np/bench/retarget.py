@@ -6,6 +6,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.handpose import WEBXR_JOINTS
+from ..rig.frames import AXES, up_axis
 from ..rotations import matrix_from_rotvec, rotvec_from_matrix
 
 __all__ = ["bvh_thetas", "handpose_theta", "limit_excess", "theta_from_globals", "theta_residual"]
@@ -196,14 +197,8 @@ def _least_turn(a, b):
 
 def _rig_basis(rig):
     """Rotation from the motion's axes (y up, facing +z) to the rig's."""
-    up, forward = _axis(rig.up or "+y"), _axis(rig.forward or "+z")
+    up, forward = up_axis(rig), np.array(AXES[rig.forward or "+z"])
     return np.column_stack([np.cross(up, forward), up, forward])
-
-
-def _axis(name):
-    v = np.zeros(3)
-    v["xyz".index(name[1])] = -1.0 if name[0] == "-" else 1.0
-    return v
 
 
 def _turn_back(root, basis):

@@ -4,7 +4,8 @@ import os
 import warnings
 
 from ..errors import InputError, counted, listed
-from ..rig.card import UNITS
+from ..rig.frames import AXES
+from ..rig.units import METRES
 from .fit import RIG_OPTIONS, load_rig_with
 from .outputs import check_file
 from .parsing import Option, add_options, amount, formatter, positive, settings
@@ -28,13 +29,13 @@ _OPTIONS = (
     Option(
         "up",
         "the scans' up axis, such as --up=+z, which becomes y, as glTF has it; by default the rig's",
-        choices=("+x", "-x", "+y", "-y", "+z", "-z"),
+        choices=tuple(AXES),
     ),
     Option(
         "unit",
         "the scans' unit, as lengths in glTF are metres; auto: what the fits were told, else by the rig's unit and their scales",
         default="auto",
-        choices=("auto", *UNITS),
+        choices=("auto", *METRES),
     ),
     Option(
         "influences",
@@ -117,7 +118,7 @@ def _run(arguments):
             offsets=values["offsets"],
             frames_per_second=values["fps"],
             up=values["up"],
-            metres_per_unit=UNITS.get(values["unit"]),
+            metres_per_unit=METRES.get(values["unit"]),
             influences=values["influences"],
         )
     if values["unit"] == "auto":

@@ -6,7 +6,8 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, brief, counted, did_you_mean
 from ..io.write import make_folder, remove_empty
-from ..rig.card import UNITS
+from ..rig.frames import AXES
+from ..rig.units import METRES
 from . import outputs
 from .kept_fits import kept_entries
 from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subjects_of, unit_parameter
@@ -47,7 +48,7 @@ OPTIONS = (
     Option(
         "unit",
         "the scans' unit, where it is known: their size is found all the same; auto: not known, as by default, but for a model's",
-        choices=("auto", *UNITS),
+        choices=("auto", *METRES),
     ),
     Option(
         "orientation",
@@ -58,7 +59,7 @@ OPTIONS = (
     Option(
         "up",
         "the scans' up axis, such as --up=+z; by default the rig's, or another one where that does not suit a scan",
-        choices=("+x", "-x", "+y", "-y", "+z", "-z"),
+        choices=tuple(AXES),
     ),
     Option("partial", "scans show one side only, as single depth views do", bool, False),
     Option("effort", "how many starts go how far", default="balanced", choices=("fast", "balanced", "thorough")),

@@ -323,10 +323,11 @@ def _learned(fitter, reading, model, seconds):
 
 def _units(fitter):
     """The unit of the scans, or of each subject's where they differ, in a line."""
-    from ..starts.scale import UNIT_WORDS, same_unit, unit_name, unit_scale
+    from ..rig.units import WORDS
+    from ..starts.scale import likely_unit, same_unit, unit_scale
 
     if fitter.unit is not None:
-        words = f"scans are in {UNIT_WORDS[fitter.unit]}, as was said"
+        words = f"scans are in {WORDS[fitter.unit]}, as was said"
         if fitter.scale == "fixed" or not VARIANTS[fitter.variant].skinning:
             return words
         per, own = unit_scale(fitter.rig, fitter.unit), fitter.rig.size  # templates take up part of how large a subject is
@@ -337,14 +338,15 @@ def _units(fitter):
         return "scans are taken to be in the rig's unit (scale fixed at 1)"
     told = {}
     for subject, unit in fitter.unit_.items():
-        name = "the rig's unit" if same_unit(unit) else unit_name(unit, fitter.rig) or "another unit, or of another size"
+        found = likely_unit(unit, fitter.rig)
+        name = "the rig's unit" if same_unit(unit) else WORDS.get(found, "another unit, or of another size")
         told.setdefault(name, {})[subject] = unit
     words = []
     for name, units in told.items():
         whose = f" of {', '.join(map(str, units))}" if len(told) > 1 else ""
         low, high = f"{min(units.values()):.4g}", f"{max(units.values()):.4g}"
         per = "" if name == "the rig's unit" else f" ({low if low == high else f'{low} to {high}'} per rig unit)"
-        verb = "seem to be" if name in UNIT_WORDS.values() else "are"
+        verb = "seem to be" if name in WORDS.values() else "are"
         words.append(f"scans{whose} {verb} in {name}{per}")
     return "; ".join(words)
 

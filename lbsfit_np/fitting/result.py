@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import FileError
-from ..rig.card import UNITS
+from ..rig.units import METRES
 
 __all__ = ["FitResult"]
 
@@ -173,7 +173,7 @@ def _check(fields, terms, evidence):
     for name, kind in kinds.items():
         if not isinstance(fields[name], kind):
             raise ValueError(f"{name} is {fields[name]!r}")
-    if fields["unit"] not in ("", *UNITS):
+    if fields["unit"] not in ("", *METRES):
         raise ValueError(f"unit is {fields['unit']!r}")
     for name, numbers in (("terms", terms), ("evidence", evidence)):
         if not isinstance(numbers, dict) or not all(isinstance(v, float) for v in numbers.values()):

@@ -16,7 +16,7 @@ from ..errors import FileError, InputError
 from ..fitting.drawn import PosePrior
 from ..losses.objective import LossWeights
 from ..optimize.state import Layout
-from ..rig.card import UNITS
+from ..rig.units import METRES
 from ..segmentation.segmenter import Segmenter
 from ..starts.library import PoseLibrary
 
@@ -189,7 +189,7 @@ def read_fitter(path, make):
 
 
 def _known_unit(name):
-    if name is not None and name not in UNITS:
+    if name is not None and name not in METRES:
         raise ValueError(f"the unit {name!r}")
     return name
 

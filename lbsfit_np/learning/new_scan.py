@@ -26,10 +26,10 @@ from ..optimize.frame import Frame
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..optimize.state import SIZED
-from ..rig.card import UNITS
+from ..rig.units import METRES, WORDS
 from ..seeds import generator
 from ..starts.clean import taking_part
-from ..starts.scale import UNIT_WORDS, same_size, sizes_in, unit_note, unit_scale
+from ..starts.scale import same_size, sizes_in, unit_note, unit_scale
 from ..starts.turns import facing_of
 from ..threads import one_thread
 from .free_form import free_form
@@ -235,7 +235,7 @@ def _unit(fitter, subject, seen, settings):
 def _learned_unit(fitter, subject, settings):
     learned = fitter.unit_[subject]
     if settings.unit and fitter.learned_unit_:  # the subject's size is known then, in whatever unit it was scanned
-        learned *= UNITS[fitter.learned_unit_] / UNITS[settings.unit]
+        learned *= METRES[fitter.learned_unit_] / METRES[settings.unit]
     return learned
 
 
@@ -244,7 +244,7 @@ def _doubted(fitter, subject, scale, settings):
     learned = _learned_unit(fitter, subject, settings)
     if not (settings.unit and fitter.learned_unit_) or settings.scale == "fixed" or same_size(scale, learned):
         return ""
-    return f", and {scale / learned:.3g} times as large as was learned: is the scan in {UNIT_WORDS[settings.unit]}?"
+    return f", and {scale / learned:.3g} times as large as was learned: is the scan in {WORDS[settings.unit]}?"
 
 
 def _template_fit(fitter, subject, settings):

@@ -9,9 +9,9 @@ from ..errors import InputError, brief, check_array, check_unmasked, counted, di
 from ..fitting.effort import EFFORTS
 from ..fitting.scan_fit import FitSettings
 from ..losses.objective import as_weights
-from ..rig.card import UNITS
 from ..rig.frames import AXES
 from ..rig.rig import Rig
+from ..rig.units import METRES
 from ..scan import check_points, count_distinct
 from ..seeds import check_random_state
 from ..segmentation.segmenter import Segmenter, jobs_of
@@ -95,8 +95,8 @@ def check_parameters(fitter):
 
 
 def _check_unit(unit, rig):
-    if not isinstance(unit, str) or unit not in UNITS:
-        raise InputError("unit", brief(unit), f"{', '.join(map(repr, UNITS))} or None", did_you_mean(unit, UNITS))
+    if not isinstance(unit, str) or unit not in METRES:
+        raise InputError("unit", brief(unit), f"{', '.join(map(repr, METRES))} or None", did_you_mean(unit, METRES))
     if rig.metres_per_unit is None:
         got = f"{unit!r} with the rig {rig.name!r}, whose own unit is not known"
         remedy = "Say the rig's in a card ([rig] unit), before learning where it is a model's, or leave this one out."

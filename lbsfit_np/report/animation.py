@@ -20,11 +20,11 @@ from scipy import sparse
 from ..errors import InputError, brief, listed
 from ..fitting.result import FitResult
 from ..optimize.frame import root_turn
-from ..rig.card import UNITS as METRES
 from ..rig.frames import AXES, up_axis
 from ..rig.rig import Rig
+from ..rig.units import METRES, WORDS
 from ..rotations import matrix_from_rotvec
-from ..starts.scale import UNIT_WORDS, UNITS, same_unit, unit_name
+from ..starts.scale import likely_unit, same_unit
 
 __all__ = ["check_fit", "odd_scales", "said_unit", "save_animation", "stands_along", "unit_of"]
 
@@ -124,13 +124,13 @@ def unit_of(rig, results):
     None and 1 where nothing is said, and rig and scales do not tell it.
     """
     if said := said_unit(results):
-        return UNIT_WORDS[said], METRES[said]
+        return WORDS[said], METRES[said]
     scale = float(np.median([r.scale for r in results]))
     if rig.metres_per_unit is not None:
         if same_unit(scale):
-            return unit_name(1.0, rig) or "the rig's unit", rig.metres_per_unit
-        if name := unit_name(scale, rig):
-            return name, UNITS[name]
+            return WORDS.get(likely_unit(1.0, rig), "the rig's unit"), rig.metres_per_unit
+        if unit := likely_unit(scale, rig):
+            return WORDS[unit], METRES[unit]
     return None, 1.0
 
 

@@ -13,6 +13,7 @@ import numpy as np
 from ..errors import InputError
 from ..io.write import atomic_path
 from ..raster import Buffer, splat_points, splat_triangles
+from ..rig.frames import AXES
 
 __all__ = ["VIEWS", "Mesh", "Points", "is_signed", "montage", "render", "render_mesh", "render_points", "write_png"]
 
@@ -201,9 +202,9 @@ def _camera_axes(view, up, forward):
 
 
 def _axis(name, argument):
-    if not (isinstance(name, str) and len(name) == 2 and name[0] in "+-" and name[1] in "xyz"):
-        raise InputError(argument, repr(name), "one of +x -x +y -y +z -z")
-    return (1.0 if name[0] == "+" else -1.0) * np.eye(3)["xyz".index(name[1])]
+    if not isinstance(name, str) or name not in AXES:
+        raise InputError(argument, repr(name), f"one of {' '.join(AXES)}")
+    return np.array(AXES[name])
 
 
 def _fit(seen, width, height, margin):

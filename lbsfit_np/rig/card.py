@@ -45,11 +45,9 @@ import numpy as np
 
 from ..errors import FileError, InputError, brief, did_you_mean, listed
 from .frames import AXES
+from .units import METRES
 
-__all__ = ["UNITS", "Card", "card_text", "matching", "read_card", "write_card"]
-
-# Metres in one unit.
-UNITS = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254, "ft": 0.3048}
+__all__ = ["Card", "card_text", "matching", "read_card", "write_card"]
 
 _TABLES = {
     "rig": ("unit", "up", "forward", "use_parts"),
@@ -231,11 +229,11 @@ class _Parser:
     def unit(self, value):
         if value is None:
             return None
-        if isinstance(value, str) and value in UNITS:
-            return UNITS[value]
+        if isinstance(value, str) and value in METRES:
+            return METRES[value]
         if _is_finite(value) and value > 0:
             return float(value)
-        self.fail(f"[rig] unit = {brief(value)}", f"one of {', '.join(map(repr, UNITS))}, or the number of metres in one unit")
+        self.fail(f"[rig] unit = {brief(value)}", f"one of {', '.join(map(repr, METRES))}, or the number of metres in one unit")
 
     def axis(self, rig, key):
         value = rig.get(key)

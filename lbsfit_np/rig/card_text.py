@@ -4,9 +4,9 @@ import re
 
 import numpy as np
 
-from .card import UNITS
 from .data import RigData
 from .limits import all_derived, derived_limits
+from .units import METRES
 
 __all__ = ["card_text", "guessed_chains"]
 
@@ -78,7 +78,7 @@ def guessed_chains(names, joints):
 
 def _rig_table(rig):
     unit = rig.metres_per_unit
-    named = next((f'"{name}"' for name, metres in UNITS.items() if unit == metres), repr(unit))
+    named = next((f'"{name}"' for name, metres in METRES.items() if unit == metres), repr(unit))
     granularity = getattr(rig, "granularity", None) or getattr(rig, "parts", None)
     use = granularity if isinstance(granularity, str) else None
     return [

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..errors import listed
-from .card import UNITS
+from .units import METRES
 
 __all__ = ["describe"]
 
@@ -47,7 +47,7 @@ def _facts(rig):
     others = [name for name in ("joints", *rig.partitions) if name != rig.granularity]
     yield "parts", f"{len(rig.parts)}, partition {rig.granularity!r}" + (f" (others: {', '.join(others)})" if others else "")
     unit = rig.metres_per_unit
-    name = next((word for word, metres in UNITS.items() if metres == unit), None)
+    name = next((word for word, metres in METRES.items() if metres == unit), None)
     words = "unknown" if unit is None else name or f"{unit:g} m"
     sides = " × ".join(f"{side:.4g}" for side in rig.sides)
     yield "unit", words

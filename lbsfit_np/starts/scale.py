@@ -5,21 +5,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..rig.card import UNITS as METRES
+from ..rig.units import METRES, USUAL, WORDS
 
 __all__ = [
-    "UNITS",
-    "UNIT_WORDS",
     "ReferenceScale",
     "checked_extent",
     "extent",
     "extent_doubt",
+    "likely_unit",
     "near_rows",
     "reference_scale",
     "same_size",
     "same_unit",
     "sizes_in",
-    "unit_name",
     "unit_note",
     "unit_scale",
 ]
@@ -41,10 +39,6 @@ _SUBJECTS = 4.0
 _DOUBTED = 5.0
 # Where none was said, units in which the size would be nearer than this are named.
 _MAYBE = 3.0
-# Units by the names that cards and the parameter ``unit`` have for them, in words.
-UNIT_WORDS = {"m": "metres", "cm": "centimetres", "mm": "millimetres", "in": "inches", "ft": "feet"}
-# Metres in the units that scans are usually in, among which one is guessed where none is said.
-UNITS = {UNIT_WORDS[name]: METRES[name] for name in ("m", "cm", "mm", "in")}
 
 
 @dataclass(frozen=True)
@@ -107,11 +101,11 @@ def reference_scale(points, rig, mode, unit=None):
         return ReferenceScale(1.0, "scan and rig are in one unit")
     fitting = {}
     if rig.metres_per_unit is not None:
-        fitting = {name: rig.metres_per_unit / metres for name, metres in UNITS.items()}
+        fitting = {name: rig.metres_per_unit / METRES[name] for name in USUAL}
         fitting = {name: unit for name, unit in fitting.items() if _SAME_UNIT[0] <= ratio / unit <= _SAME_UNIT[1]}
     if fitting:
         name, unit = min(fitting.items(), key=lambda item: abs(np.log(ratio / item[1] / 0.9)))
-        return ReferenceScale(unit, f"the scan seems to be in {name}: one rig unit is {unit:.6g} scan units")
+        return ReferenceScale(unit, f"the scan seems to be in {WORDS[name]}: one rig unit is {unit:.6g} scan units")
     return ReferenceScale(ratio, _guess(ratio))
 
 
@@ -131,7 +125,7 @@ def _in_known_unit(ratio, rig, mode, unit):
             "Pass the scan's, or None (--unit auto), which finds it.",
         )
     same = least <= size <= most
-    return ReferenceScale(scale if same else ratio, f"the scan is in {UNIT_WORDS[unit]}")
+    return ReferenceScale(scale if same else ratio, f"the scan is in {WORDS[unit]}")
 
 
 def _guess(ratio):
@@ -159,16 +153,16 @@ def unit_note(scale, rig, mode, *, guessed=False, unit=None, size=1.0):
         return "scale fixed at 1"
     if same_unit(scale):
         return "scan and rig are in one unit"
-    name = unit_name(scale, rig)
+    name = likely_unit(scale, rig)
     if name is None and guessed:
         return _guess(scale)
-    words = "is in another unit or of another size" if name is None else f"seems to be in {name}"
-    also = _otherwise(scale * size, rig, name) if name in (None, "inches") else ""
+    words = "is in another unit or of another size" if name is None else f"seems to be in {WORDS[name]}"
+    also = _otherwise(scale * size, rig, name) if name in (None, "in") else ""
     return f"the scan {words}: one rig unit is {scale:.4g} scan units{also}"
 
 
 def _size_note(size, mode, guessed, unit):
-    words = UNIT_WORDS[unit]
+    words = WORDS[unit]
     if mode == "fixed":
         return f"the scan is in {words}, and its size fixed at the rig's"
     if guessed:  # by extents, which a pose changes as much
@@ -184,7 +178,7 @@ def _otherwise(scale, rig, name):
     """
     if rig.metres_per_unit is None:
         return ""
-    metres = {word: METRES[unit] for unit, word in UNIT_WORDS.items() if word != name}
+    metres = {word: METRES[unit] for unit, word in WORDS.items() if unit != name}
     if rig.metres_per_unit not in METRES.values():
         metres["the rig's unit"] = rig.metres_per_unit
     sizes = {word: scale * unit / rig.metres_per_unit for word, unit in metres.items()}
@@ -220,11 +214,11 @@ def same_size(scale, other):
     return abs(np.log(scale / other)) < np.log(_ONE_PERSON)
 
 
-def unit_name(scale, rig):
-    """The unit that scans seem to be in, in the plural; None where it is none that is known, or the rig's unit is not known."""
+def likely_unit(scale, rig):
+    """The unit of ``USUAL`` that scans seem to be in; None where it is none of these, or the rig's unit is not known."""
     if rig.metres_per_unit is None:
         return None
-    ratios = {name: scale * metres / rig.metres_per_unit for name, metres in UNITS.items()}
+    ratios = {name: scale * METRES[name] / rig.metres_per_unit for name in USUAL}
     name, ratio = min(ratios.items(), key=lambda item: abs(np.log(item[1])))
     return name if abs(np.log(ratio)) < np.log(_PEOPLE) else None
 

@@ -103,8 +103,7 @@ def contradicts_note(along, up):
 
 
 def _axis_name(along):
-    axis = int(np.abs(along).argmax())
-    return f"{'-' if along[axis] < 0 else '+'}{'xyz'[axis]}"
+    return max(AXES, key=lambda name: along @ AXES[name])
 
 
 def _turn_from(a, b):
