@@ -59,9 +59,9 @@ class Fits:
                 yield name, entry["message"]
 
 
-def fit_files(folder, scans):
-    """The files that :func:`fit_scans_of` writes."""
-    return [folder / _RECORD, folder / _MODEL, *(_file(folder, s.name) for s in scans)]
+def fit_files(folder, names):
+    """The files that :func:`fit_scans_of` writes, of scans of such names."""
+    return [folder / _RECORD, folder / _MODEL, *(_file(folder, name) for name in names)]
 
 
 def has_record(folder):
@@ -130,7 +130,7 @@ def fit_scans_of(
         before.check(record, folder)
     fits = Fits(folder)
     if existing == "replace":
-        for path in (*fit_files(folder, scans), *made_of_fits):
+        for path in (*fit_files(folder, [s.name for s in scans]), *made_of_fits):
             path.unlink(missing_ok=True)
         remove_checkpoint(checkpoint_in(folder))
     (folder / _FITS).mkdir(exist_ok=True)

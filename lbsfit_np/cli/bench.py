@@ -4,7 +4,7 @@ import argparse
 from contextlib import nullcontext
 
 from ..io.write import without_empty
-from . import bench_faust, bench_pairs
+from . import bench_faust, bench_pairs, bench_people
 from . import bench_runs as runs
 from .bench_study import run_study
 from .fit import OPTIONS
@@ -116,6 +116,7 @@ def add_parser(commands):
     _add_roundtrip(benches)
     _add_learn(benches)
     _add_starts(benches)
+    bench_people.add_parser(benches)
     bench_pairs.add_parser(benches)
     bench_faust.add_parser(benches)
     _add_study(benches)

@@ -57,7 +57,7 @@ def _run(folder, values):
     fitter = pair_runs.fitter_of(values)
     scans = [*found.training, *found.test]
     more = [file for archive, files in challenge_files(Path(values["output"]), found).values() for file in (archive, *files)]
-    out = pair_runs.made_output(values, scans, inputs=found.files, more=more)
+    out = pair_runs.made_output(values, [s.name for s in scans], inputs=[*(s.path for s in scans), *found.files], more=more)
     people = len({s.subject for s in found.training})
     training, test = counted(len(found.training), "training scan"), counted(len(found.test), "test scan")
     say(f"{training} of {counted(people, 'subject')}, {test}")

@@ -56,7 +56,7 @@ def _run(folder, values):
     column = values["subject_column"]
     scans, truth, notes = read_truth(values["truth"], folder, subject_column=column, output=values["output"])
     fitter = pair_runs.fitter_of(values)
-    out = pair_runs.made_output(values, scans, inputs=[values["truth"]])
+    out = pair_runs.made_output(values, [s.name for s in scans], inputs=[*(s.path for s in scans), values["truth"]])
     for note in notes:
         say(f"note: {note}")
 

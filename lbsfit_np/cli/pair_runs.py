@@ -1,4 +1,4 @@
-"""What ``lbsfit bench pairs`` and ``lbsfit bench faust`` share: options, the fitter, what is written, what people are told."""
+"""What ``lbsfit bench pairs``, ``people`` and ``faust`` share: options, the fitter, what is written, what people are told."""
 
 import functools
 import time
@@ -36,20 +36,20 @@ pairs count), 2 usage or unreadable data, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
 
-def add_command(benches, name, run, own, *, help, description, epilog, folder, samples=None):
-    """Add a benchmark of a folder of scans.
+def add_command(benches, name, run, own, *, help, description, epilog, folder=None, samples=None):
+    """Add a benchmark of correspondences.
 
     Parameters
     ----------
     benches : subparsers of ``lbsfit bench``
     name : str
-    run : callable (folder, values) → exit code
+    run : callable (folder, values) → exit code, or (values) where there is no folder
     own : sequence of Option
-        Those that the other one does not have.
+        Those that the others do not have.
     help, description, epilog : str
         The epilog without the exit codes.
-    folder : str
-        What DIR is.
+    folder : str, optional
+        What DIR is, of benchmarks that read one.
     samples : int, optional
         Points of a scan for its fit, by default.
     """
@@ -57,14 +57,15 @@ def add_command(benches, name, run, own, *, help, description, epilog, folder, s
     bench = benches.add_parser(
         name, help=help, description=description, epilog=epilog + _EXIT_CODES, formatter_class=formatter
     )
-    bench.add_argument("folder", metavar="DIR", help=folder)
+    if folder:
+        bench.add_argument("folder", metavar="DIR", help=folder)
     add_options(bench, options)
 
     def checked(arguments):
         values = settings(arguments, options)
         if values["output"] is None:
             raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT.")
-        return run(arguments.folder, values)
+        return run(arguments.folder, values) if folder else run(values)
 
     bench.set_defaults(run=checked)
 
@@ -121,13 +122,29 @@ def _fit_settings(values):
     return {name: values[name] for name in names if values["learn"] or name not in ("rounds", "held_out")}
 
 
-def made_output(values, scans, inputs, more=()):
-    """The folder to write to, made, once it is known that neither what is read nor what others have made is replaced there."""
+def made_output(values, names, inputs, more=()):
+    """The folder to write to, made, once it is known that neither what is read nor what others have made is replaced there.
+
+    Parameters
+    ----------
+    values : dict
+        Of the options.
+    names : iterable of str
+        Of the scans.
+    inputs : iterable of path-like
+        What is read beside the rig and its card.
+    more : iterable of Path
+        What is written beside results and fits.
+
+    Returns
+    -------
+    Path
+    """
     from ..bench.pair_fits import fit_files, has_record
 
     out = Path(values["output"])
-    read = [*(s.path for s in scans), *inputs, *(values[k] for k in ("rig", "card") if values[k] and values[k] != "none")]
-    written = [out / RESULTS, out / GALLERY, *fit_files(out, scans), *more]
+    read = [*inputs, *(values[k] for k in ("rig", "card") if values[k] and values[k] != "none")]
+    written = [out / RESULTS, out / GALLERY, *fit_files(out, names), *more]
     # What this benchmark has left may be gone on with, or replaced; what somebody else has, only where people say so.
     replaced = values["existing"] == "replace" or has_record(out)
     check_outputs(written, out, inputs=read, existing="replace" if replaced else "error")
