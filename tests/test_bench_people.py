@@ -9,6 +9,7 @@ from registered_sets import fits_are_given
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.body import SHAPES, body_rig
+from lbsfit_np.bench.hand import hand_rig
 from lbsfit_np.bench.people import people_scans
 from lbsfit_np.optimize.surface import Surface
 
@@ -17,7 +18,8 @@ pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one
 
 @pytest.fixture(scope="module")
 def people(shared_rigs):
-    return people_scans(shared_rigs, n_people=5, n_scans=2, seed=3)
+    """Bodies."""
+    return people_scans("body", shared_rigs, n_people=5, n_scans=2, seed=5)
 
 
 def test_the_first_three_are_the_rigs_shapes_and_others_mixtures_of_them(people, shared_rigs):
@@ -51,26 +53,38 @@ def test_points_lie_on_the_true_mesh_and_every_second_pose_is_bent_further(peopl
     assert len({scan.pose.tobytes() for _, _, scan in scans}) == len(scans)
 
 
+def test_hands_point_up_and_differ_from_person_to_person(shared_rigs):
+    scans, faces = people_scans("hand", shared_rigs, n_people=3, n_scans=2, seed=3)
+    rig = hand_rig(shared_rigs)
+    assert np.array_equal(faces, rig.faces)
+    np.testing.assert_array_equal(scans[0][2].template, rig.vertices)
+    assert all(np.abs(scan.template - rig.vertices).max() > 0.002 for _, _, scan in scans[2:])
+    tips = [j for j, name in enumerate(rig.joint_names) if name.endswith("middle-finger-phalanx-proximal")]
+    for _, _, scan in scans:
+        along = scan.joints[tips[0]] - scan.joints[rig.root]
+        assert along[1] > 0.85 * np.linalg.norm(along) and len(scan.points) == 4_000
+
+
 def test_a_scan_is_the_same_however_many_there_are(people, shared_rigs):
-    fewer, _ = people_scans(shared_rigs, n_people=4, n_scans=1, seed=3)
+    fewer, _ = people_scans("body", shared_rigs, n_people=4, n_scans=1, seed=3)
     by_name = {name: scan for name, _, scan in people[0]}
     assert all(np.array_equal(scan.points, by_name[name].points) for name, _, scan in fewer)
-    other, _ = people_scans(shared_rigs, n_people=4, n_scans=1, seed=4)
+    other, _ = people_scans("body", shared_rigs, n_people=4, n_scans=1, seed=4)
     assert not np.array_equal(other[0][2].points, fewer[0][2].points)
 
 
 def test_the_command_measures_between_people(shared_rigs, tmp_path, run, monkeypatch):
-    made, _ = people_scans(shared_rigs, n_people=2, n_scans=2, seed=7)
+    made, _ = people_scans("body", shared_rigs, n_people=2, n_scans=2, seed=7)
     rig = body_rig(shared_rigs)
     fits_are_given(monkeypatch, {name: scan.vertices for name, _, scan in made})
     rig.save(tmp_path / "same.npz")
-    command = ("bench", "people", "--data", shared_rigs, "--people", 2, "--scans", 2, "--scan-seed", 7, "--no-learn")
+    command = ("bench", "people", "body", "--data", shared_rigs, "--people", 2, "--scans", 2, "--scan-seed", 7, "--no-learn")
     command += ("--rig", tmp_path / "same.npz", "--points", 200, "--pictures", 1, "-o", tmp_path / "out")
     code, text, err = run(*command)
     assert code == 0, err
     assert "4 scans of 2 people" in text and "inter" in text and "gallery.png" in text
     report = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert report["benchmark"] == "people" and report["people"] == {"people": 2, "scans": 2, "scan_seed": 7}
+    assert report["benchmark"] == "people" and report["people"] == {"kind": "body", "people": 2, "scans": 2, "scan_seed": 7}
     assert report["unit"] == "m" and report["cm_per_unit"] == 100
     assert len(report["pairs"]) == 12 and report["figures"]["inter"]["before"]["mean"] < 0.01  # noise alone
     assert {path.stem for path in (tmp_path / "out" / "fits").iterdir()} == {name for name, _, _ in made}
@@ -89,13 +103,15 @@ def test_the_command_measures_between_people(shared_rigs, tmp_path, run, monkeyp
 
 
 def test_bad_usage_is_told_before_any_work(shared_rigs, tmp_path, run):
-    command = ("bench", "people", "-o", tmp_path / "out")
+    command = ("bench", "people", "body", "-o", tmp_path / "out")
     code, _, err = run(*command)
     assert code == 2 and "--data" in one_line(err)
     code, _, err = run(*command, "--data", tmp_path)
     assert code == 2 and "mpfb2_body" in one_line(err)
     code, _, err = run(*command, "--data", shared_rigs, "--people", 1)
     assert code == 2 and "two people at least" in one_line(err)
+    code, _, err = run("bench", "people", "feet", "--data", shared_rigs, "-o", tmp_path / "out")
+    assert code == 2 and "'hand', 'body'" in one_line(err)
     (tmp_path / "out" / "scans").mkdir(parents=True)
     (tmp_path / "out" / "scans" / "person1-0.ply").write_bytes(b"of somebody else")
     code, _, err = run(*command, "--data", shared_rigs, "--people", 2, "--scans", 1)

@@ -1,4 +1,4 @@
-"""Scans of people whom no rig of ours is of: the three shapes of mpfb2_cmu_mb and mixtures of them, in large poses.
+"""Scans of people whom no rig of ours is of: an artist's hand or body, its shapes and others, in large poses.
 
 A stand-in for registered scans of real people, with a truth that is exact: a rig with another mesh, other joints and other
 proportions than the people's is fitted, and judged by where it carries places of one scan on another (``bench.pairs``).
@@ -12,41 +12,52 @@ import numpy as np
 from ..errors import InputError
 from ..io.bvh import read_bvh
 from ..io.write import make_folder, write_mesh_ply, write_points_ply
+from ..rotations import matrix_from_rotvec, rotvec_from_matrix
 from ..seeds import generator
 from ..synthesis import Synthesis, synthesize_one
 from .body import SHAPES, body_rig
+from .hand import hand_rig, natural_poses
 from .retarget import bvh_thetas
 
-__all__ = ["SCANS", "people_files", "people_scans", "write_people"]
+__all__ = ["OTHER_RIGS", "SCANS", "people_files", "people_scans", "write_people"]
 
+# The bundled rig that is fitted to each kind of people.
+OTHER_RIGS = {"hand": "hand-left", "body": "body"}
 SCANS = "scans"
 _REGISTRATIONS, _TRUTH = "registrations", "truth.csv"
-# Lengths in half sizes of the rig: noise of 1.2 mm and two holes of up to 10 cm on a body of 1.6 m.
-_SCAN = Synthesis(n_points=12_000, noise=0.0015, holes=2, hole_radius=0.12, density=0.5)
-# People beyond the three are mixtures with weights that add up to 1, each from minus a seventh on.
+# Lengths in half sizes of the people's rig: noise of 0.4 mm on a hand of 21 cm, of 1.2 mm on a body of 1.6 m.
+_SCANS = {
+    "hand": Synthesis(n_points=4_000, noise=0.004, holes=1, hole_radius=0.12, density=0.5),
+    "body": Synthesis(n_points=12_000, noise=0.0015, holes=2, hole_radius=0.12, density=0.5),
+}
+# Bodies beyond the three are mixtures with weights that add up to 1, each from minus a seventh on.
 _BEYOND = 1 / 7
 # Of each person's scans every second one is bent further, each angle by so much of its range at most.
 _FURTHER = 0.3
+# Hands differ from natural poses by so much at most, and stand so far from upright, radians.
+_NATURAL, _TILT = 0.1, 0.3
 
 
-def people_scans(data, *, n_people=6, n_scans=5, seed):
+def people_scans(kind, data, *, n_people=6, n_scans=5, seed):
     """Scans and what they are of.
 
     Parameters
     ----------
+    kind : {"hand", "body"}
     data : str or Path
-        Where the folders mpfb2_body and motion are.
+        Where the folders of real rigs, poses and motion are.
     n_people : int, default 6
-        The first three are the rig's own shapes.
+        The first hand is the rig's own, others differ in lengths and thickness; the first three bodies are the rig's shapes,
+        others mixtures of these.
     n_scans : int, default 5
-        Of each person, each in a frame of the motion of its own; every second one bent further, at random.
+        Of each person. Hands are near natural poses, bodies in frames of the motion; every second one is bent further.
     seed : int
 
     Returns
     -------
     scans : list of (str, str, SyntheticScan)
-        Name, subject, and the scan with its truth. Metres, y up, facing z. Person k and their scan i are the same however many
-        there are of both.
+        Name, subject, and the scan with its truth. Metres, y up; bodies face z, hands point up. Person k and their scan i are the
+        same however many there are of both.
     faces : (F, 3) array
         Of the true meshes.
 
@@ -57,30 +68,61 @@ def people_scans(data, *, n_people=6, n_scans=5, seed):
     """
     if n_people < 2:
         raise InputError("people", str(n_people), "two people at least")
-    rig = body_rig(data)
-    shapes = [rig, *(body_rig(data, shape) for shape in SHAPES)]
-    motion = read_bvh(Path(data) / "motion" / "01_01.bvh")
+    rig = hand_rig(data) if kind == "hand" else body_rig(data)
+    person, pose = (_hands if kind == "hand" else _bodies)(rig, data)
     scans = []
     for k in range(n_people):
-        mixture = _mixture(k, len(shapes), generator(seed, "people", k))
-        template = tuple(sum(w * getattr(s, of) for w, s in zip(mixture, shapes)) for of in ("vertices", "joints"))
+        template = person(k, generator(seed, "people", kind, k))
         for i in range(n_scans):
-            rng = generator(seed, "people", k, i)
-            frame = int(rng.integers(1, len(motion.rotations)))  # frame 0 is a calibration pose
-            pose = bvh_thetas(rig, motion, [frame], face_forward=True)[0]
+            rng = generator(seed, "people", kind, k, i)
+            theta = pose(rng)
             if i % 2:
-                further = pose + _FURTHER * rng.uniform(rig.lower, rig.upper)
-                further = np.clip(further, np.minimum(rig.lower, pose), np.maximum(rig.upper, pose))
-                pose = np.where(np.arange(len(pose))[:, None] == rig.root, pose, further)
-            scans.append((f"person{k}-{i}", f"person{k}", synthesize_one(rig, pose, template, _SCAN, rng)))
+                theta = _bent_further(rig, theta, rng)
+            scans.append((f"person{k}-{i}", f"person{k}", synthesize_one(rig, theta, template, _SCANS[kind], rng)))
     return scans, rig.faces
 
 
-def _mixture(k, n, rng):
-    """(n,) weights of the shapes, of person k."""
-    if k < n:
-        return np.eye(n)[k]
-    return (1 + n * _BEYOND) * rng.dirichlet(np.ones(n)) - _BEYOND
+def _hands(rig, data):
+    """Who and in which pose: functions of (k, rng) → vertices and joints, and of rng → Θ."""
+    natural, turning = natural_poses(rig, data), rig.upper > rig.lower
+    frame = rig.frames[rig.root]
+    upwards = frame.T @ np.diag([-1.0, -1.0, 1.0]) @ frame  # the file's hand points down
+
+    def person(k, rng):
+        who = rig.subject(rng) if k else rig
+        return who.vertices, who.joints
+
+    def pose(rng):
+        theta = natural[rng.integers(len(natural))] + _NATURAL * rng.uniform(-1, 1, rig.lower.shape) * turning
+        theta[rig.root] = rotvec_from_matrix(upwards @ matrix_from_rotvec(rng.uniform(-_TILT, _TILT, 3)))
+        return theta
+
+    return person, pose
+
+
+def _bodies(rig, data):
+    """The same for bodies."""
+    shapes = [rig, *(body_rig(data, shape) for shape in SHAPES)]
+    motion = read_bvh(Path(data) / "motion" / "01_01.bvh")
+
+    def person(k, rng):
+        n = len(shapes)
+        mixture = np.eye(n)[k] if k < n else (1 + n * _BEYOND) * rng.dirichlet(np.ones(n)) - _BEYOND
+        return tuple(sum(w * getattr(s, of) for w, s in zip(mixture, shapes)) for of in ("vertices", "joints"))
+
+    def pose(rng):
+        frame = int(rng.integers(1, len(motion.rotations)))  # frame 0 is a calibration pose
+        return bvh_thetas(rig, motion, [frame], face_forward=True)[0]
+
+    return person, pose
+
+
+def _bent_further(rig, theta, rng):
+    """A pose with each joint below the root turned further, within its limits where it was within them."""
+    further = theta + _FURTHER * rng.uniform(rig.lower, rig.upper)
+    further = np.clip(further, np.minimum(rig.lower, theta), np.maximum(rig.upper, theta))
+    further[rig.root] = theta[rig.root]
+    return further
 
 
 def people_files(folder, scans):

@@ -44,7 +44,7 @@ def add_parser(benches):
         help="the MPI-FAUST data set, for people who have it",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        folder="MPI-FAUST, or the folder that it is in",
+        argument={"metavar": "DIR", "help": "MPI-FAUST, or the folder that it is in"},
         samples=20_000,
     )
 

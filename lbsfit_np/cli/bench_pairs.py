@@ -43,7 +43,7 @@ def add_parser(benches):
         help="correspondence between scans of your own whose truth is known",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        folder="where the scans are, in any format that lbsfit fit reads",
+        argument={"metavar": "DIR", "help": "where the scans are, in any format that lbsfit fit reads"},
     )
 
 

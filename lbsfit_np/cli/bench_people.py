@@ -1,5 +1,6 @@
 """``lbsfit bench people``: correspondence between scans of people whom the rig is not of."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import InputError
@@ -9,22 +10,25 @@ from .progress import say
 
 __all__ = ["add_parser"]
 
+_RIG = replace(pair_runs.RIG, help="the rig to fit, a file or a bundled one; by default hand-left or body", default=None)
 _OWN = (
     Option("data", "the folder of real rigs, poses and motion", metavar="DIR"),
-    Option("people", "how many; the first three are shapes of DIR/mpfb2_body, others mixtures", positive, 6, metavar="N"),
+    Option("people", "how many; the first is the rig of DIR itself, or the first three are its shapes", positive, 6, metavar="N"),
     Option("scans", "scans of each", positive, 5, metavar="N"),
     Option("scan-seed", "seed of people, poses and scans; fits have their own", natural, 600, metavar="N"),
 )
 
 _DESCRIPTION = """\
-Make scans of people of DIR/mpfb2_body in poses from DIR/motion, every second one bent further, fit a rig with another mesh and
-other joints to them, and measure how far each place of a scan is carried from where it is on another scan: for pairs of one
-person (intra) and of different ones (inter), in cm. A stand-in for registered scans of real people, whose truth is exact.
+Make scans of people of DIR/webxr_hand near the poses of DIR/hand_poses, or of DIR/mpfb2_body in poses from DIR/motion, every
+second one bent further, fit a rig with another mesh and other joints to them, and measure how far each place of a scan is
+carried from where it is on another scan: for pairs of one person (intra) and of different ones (inter), in cm. A stand-in for
+registered scans of real people, whose truth is exact.
 """
 
 _EPILOG = """\
-example:
-  lbsfit bench people --data rigs -o bench-people --jobs 2
+examples:
+  lbsfit bench people body --data rigs -o bench-people --jobs 2
+  lbsfit bench people hand --data rigs --no-learn -o bench-hands
 
 OUT gets the scans (scans/), the true meshes (registrations/) and truth.csv, which lbsfit bench pairs reads, too; and what that
 writes: results.json, gallery.png, fits/NAME.npz and model.npz. The same command once more does what is not there yet.
@@ -41,20 +45,23 @@ def add_parser(benches):
         help="correspondence between scans of people whom the rig is not of",
         description=_DESCRIPTION,
         epilog=_EPILOG,
+        argument={"choices": ("hand", "body"), "metavar": "{hand,body}", "help": "whom to scan"},
+        rig=_RIG,
     )
 
 
-def _run(values):
+def _run(kind, values):
     from ..bench.pairs import pairs_bench, pairs_table
-    from ..bench.people import SCANS, people_files, people_scans, write_people
+    from ..bench.people import OTHER_RIGS, SCANS, people_files, people_scans, write_people
     from ..bench.run import BENCHES
     from ..bench.truth_file import read_truth
 
     if values["data"] is None:
         raise InputError("--data", "nothing", "a folder", "Add --data DIR.")
-    BENCHES["body"].check_data(values["data"])
+    BENCHES[kind].check_data(values["data"])
+    values["rig"] = values["rig"] or OTHER_RIGS[kind]
     made, faces = people_scans(
-        values["data"], n_people=values["people"], n_scans=values["scans"], seed=values["scan_seed"]
+        kind, values["data"], n_people=values["people"], n_scans=values["scans"], seed=values["scan_seed"]
     )
     fitter = pair_runs.fitter_of(values)
     out = pair_runs.made_output(
@@ -66,7 +73,7 @@ def _run(values):
     def work(progress):
         options = pair_runs.bench_keywords(values, out) | {"unit": "m", "reporter": progress}
         report, fits = pairs_bench(fitter, scans, truth, out, **options)
-        report |= {"benchmark": "people", "people": {k: values[k] for k in ("people", "scans", "scan_seed")}}
+        report |= {"benchmark": "people", "people": {"kind": kind, **{k: values[k] for k in ("people", "scans", "scan_seed")}}}
         return pair_runs.finished(out, report, pairs_table(report, markdown=values["markdown"]), fitter.rig, scans, fits, values)
 
     return pair_runs.run_stoppable(work, values, out)

@@ -16,14 +16,14 @@ from .progress import SILENCE, LearningProgress, Progress, bar, say
 from .stopping import exit_code, say_steps, terminable
 
 __all__ = [
-    *("GALLERY", "RESULTS", "PairsProgress", "add_command"),
+    *("GALLERY", "RESULTS", "RIG", "PairsProgress", "add_command"),
     *("bench_keywords", "finished", "fitter_of", "made_output", "run_stoppable"),
 ]
 
 GALLERY = "gallery.png"
 
 _OUTPUT = Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o")
-_RIG = Option("rig", "a rig file, or a bundled rig, see: lbsfit rig list", default="body", metavar="RIG")
+RIG = Option("rig", "a rig file, or a bundled rig, see: lbsfit rig list", default="body", metavar="RIG")
 
 # Options of the fits that mean the same as in lbsfit fit and lbsfit learn, and are part of what fits are kept by.
 _OF_FITS = ("scale", "orientation", "up", "partial", "effort", "max-points", "training-scans", "seed")
@@ -36,36 +36,37 @@ pairs count), 2 usage or unreadable data, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
 
-def add_command(benches, name, run, own, *, help, description, epilog, folder=None, samples=None):
+def add_command(benches, name, run, own, *, help, description, epilog, argument, rig=RIG, samples=None):
     """Add a benchmark of correspondences.
 
     Parameters
     ----------
     benches : subparsers of ``lbsfit bench``
     name : str
-    run : callable (folder, values) → exit code, or (values) where there is no folder
+    run : callable (argument, values) → exit code
     own : sequence of Option
         Those that the others do not have.
     help, description, epilog : str
         The epilog without the exit codes.
-    folder : str, optional
-        What DIR is, of benchmarks that read one.
+    argument : dict
+        The positional one, as for ``argparse``.
+    rig : Option, optional
+        Which one is fitted.
     samples : int, optional
         Points of a scan for its fit, by default.
     """
-    options = (_OUTPUT, _RIG, *own, *_fitting_options(samples), *_MEASURING)
+    options = (_OUTPUT, rig, *own, *_fitting_options(samples), *_MEASURING)
     bench = benches.add_parser(
         name, help=help, description=description, epilog=epilog + _EXIT_CODES, formatter_class=formatter
     )
-    if folder:
-        bench.add_argument("folder", metavar="DIR", help=folder)
+    bench.add_argument("what", **argument)
     add_options(bench, options)
 
     def checked(arguments):
         values = settings(arguments, options)
         if values["output"] is None:
             raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT.")
-        return run(arguments.folder, values) if folder else run(values)
+        return run(arguments.what, values)
 
     bench.set_defaults(run=checked)
 
