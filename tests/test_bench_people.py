@@ -11,7 +11,7 @@ import lbsfit_np as lbs
 from lbsfit_np.bench.body import SHAPES, body_rig
 from lbsfit_np.bench.hand import hand_rig
 from lbsfit_np.bench.people import people_scans
-from lbsfit_np.optimize.surface import Surface
+from lbsfit_np.correspondence import at_places, surface_places
 
 pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
 
@@ -44,10 +44,8 @@ def test_points_lie_on_the_true_mesh_and_every_second_pose_is_bent_further(peopl
     turned = []
     for name, _, scan in scans:
         assert len(scan.points) == 12_000 and np.ptp(scan.vertices[:, 1]) > 0.9  # metres, y up
-        surface = Surface(scan.vertices, faces)
-        near = np.linalg.norm(scan.vertices[:, None] - scan.points[:50], axis=2).argmin(axis=0)
-        away = np.linalg.norm(scan.points[:50] - surface.closest(scan.points[:50], near, scan.vertices).points, axis=1)
-        assert away.max() < 0.01, name
+        places = at_places(*surface_places(scan.points[:50], scan.vertices, faces), scan.vertices)
+        assert 0 < np.linalg.norm(scan.points[:50] - places, axis=1).max() < 0.006, name
         turned.append(np.linalg.norm(np.delete(scan.pose, rig.root, axis=0), axis=1).mean())
     assert np.mean(turned[1::2]) > 1.1 * np.mean(turned[::2])
     assert len({scan.pose.tobytes() for _, _, scan in scans}) == len(scans)
@@ -66,7 +64,7 @@ def test_hands_point_up_and_differ_from_person_to_person(shared_rigs):
 
 
 def test_a_scan_is_the_same_however_many_there_are(people, shared_rigs):
-    fewer, _ = people_scans("body", shared_rigs, n_people=4, n_scans=1, seed=3)
+    fewer, _ = people_scans("body", shared_rigs, n_people=4, n_scans=1, seed=5)
     by_name = {name: scan for name, _, scan in people[0]}
     assert all(np.array_equal(scan.points, by_name[name].points) for name, _, scan in fewer)
     other, _ = people_scans("body", shared_rigs, n_people=4, n_scans=1, seed=4)
