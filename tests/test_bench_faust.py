@@ -306,14 +306,15 @@ def test_bad_usage(made, tmp_path, run):
 
 
 @pytest.mark.parametrize("name", ["results.json", "challenge-inter/000_020.txt"])
-def test_an_input_is_never_overwritten(own, tmp_path, run, monkeypatch, name):
+@pytest.mark.parametrize("source", ["test/challenge_pairs/inter_challenge.txt", "training/scans/tr_scan_001.ply"])
+def test_an_input_is_never_overwritten(own, tmp_path, run, monkeypatch, name, source):
     """One file by two names."""
     fits_are_given(monkeypatch, {})
-    source = own / "test" / "challenge_pairs" / "inter_challenge.txt"
+    before = (own / source).read_bytes()
     (tmp_path / "out" / name).parent.mkdir(parents=True)
-    os.link(source, tmp_path / "out" / name)
+    os.link(own / source, tmp_path / "out" / name)
     code, _, err = run(*_command(own, tmp_path / "out", "--no-learn"))
-    assert code == 2 and "never overwritten" in one_line(err) and source.read_text() == "000_020\n"
+    assert code == 2 and "never overwritten" in one_line(err) and (own / source).read_bytes() == before
 
 
 def test_the_table_without_pairs_of_a_kind():

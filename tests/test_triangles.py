@@ -24,6 +24,12 @@ def test_inside_out_wherever_the_mesh_stands():
         assert inside_out(VERTICES[:4] + shift, FACES[:, ::-1])
 
 
+def test_an_open_mesh_is_seen_from_its_middle():
+    for shift in ([9.0, 9.0, 9.0], [-9.0, -9.0, -9.0]):  # the open side towards the origin, or away from it
+        assert not inside_out(VERTICES[:4] + shift, FACES[:3])
+        assert inside_out(VERTICES[:4] + shift, FACES[:3, ::-1])
+
+
 def test_nothing_of_no_faces():
     none = np.empty((0, 3), dtype=int)
     assert face_areas(VERTICES, none).shape == (0,) and not inside_out(VERTICES, none)

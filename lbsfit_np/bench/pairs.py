@@ -59,7 +59,7 @@ def pairs_bench(
         Places of a scan that are asked for, at most: a random choice, the same in all its pairs.
     seed : int, default 0
         Of both.
-    unit : {"auto", "m", "cm", "mm", "in"}
+    unit : {"auto", "m", "cm", "mm", "in", "ft"}
         Of the scans; "auto": what the scale of the fits says.
     settings, jobs, reporter, **options
         As for ``pair_fits.fit_scans_of``; ``reporter.measured(done, total)`` as well.

@@ -5,13 +5,14 @@ proportions than the people's is fitted, and judged by where it carries places o
 """
 
 import csv
+import json
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
 from ..io.bvh import read_bvh
-from ..io.write import make_folder, write_mesh_ply, write_points_ply
+from ..io.write import atomic_path, make_folder, write_json, write_mesh_ply, write_points_ply
 from ..rotations import matrix_from_rotvec, rotvec_from_matrix
 from ..seeds import generator
 from ..synthesis import Synthesis, synthesize_one
@@ -19,12 +20,13 @@ from .body import SHAPES, body_rig
 from .hand import hand_rig, natural_poses
 from .retarget import bvh_thetas
 
-__all__ = ["OTHER_RIGS", "SCANS", "people_files", "people_scans", "write_people"]
+__all__ = ["OTHER_RIGS", "SCANS", "people_before", "people_files", "people_names", "people_scans", "write_people"]
 
 # The bundled rig that is fitted to each kind of people.
 OTHER_RIGS = {"hand": "hand-left", "body": "body"}
 SCANS = "scans"
-_REGISTRATIONS, _TRUTH = "registrations", "truth.csv"
+_REGISTRATIONS, _TRUTH, _RECORD = "registrations", "truth.csv", "people.json"
+_WHOSE = {"kind": str, "people": int, "scans": int, "scan_seed": int}
 # Lengths in half sizes of the people's rig: noise of 0.4 mm on a hand of 21 cm, of 1.2 mm on a body of 1.6 m.
 _SCANS = {
     "hand": Synthesis(n_points=4_000, noise=0.004, holes=1, hole_radius=0.12, density=0.5),
@@ -32,7 +34,7 @@ _SCANS = {
 }
 # Bodies beyond the three are mixtures with weights that add up to 1, each from minus a seventh on.
 _BEYOND = 1 / 7
-# Of each person's scans every second one is bent further, each angle by so much of its range at most.
+# Of each person's scans every second one has each joint turned at random besides, by so much of its limits at most.
 _FURTHER = 0.3
 # Hands differ from natural poses by so much at most, and stand so far from upright, radians.
 _NATURAL, _TILT = 0.1, 0.3
@@ -50,7 +52,8 @@ def people_scans(kind, data, *, n_people=6, n_scans=5, seed):
         The first hand is the rig's own, others differ in lengths and thickness; the first three bodies are the rig's shapes,
         others mixtures of these.
     n_scans : int, default 5
-        Of each person. Hands are near natural poses, bodies in frames of the motion; every second one is bent further.
+        Of each person. Hands are near natural poses, bodies in frames of the motion; of every second one each joint
+        is turned at random besides.
     seed : int
 
     Returns
@@ -70,15 +73,15 @@ def people_scans(kind, data, *, n_people=6, n_scans=5, seed):
         raise InputError("people", str(n_people), "two people at least")
     rig = hand_rig(data) if kind == "hand" else body_rig(data)
     person, pose = (_hands if kind == "hand" else _bodies)(rig, data)
-    scans = []
+    names, scans = iter(people_names(n_people, n_scans)), []
     for k in range(n_people):
         template = person(k, generator(seed, "people", kind, k))
         for i in range(n_scans):
             rng = generator(seed, "people", kind, k, i)
             theta = pose(rng)
             if i % 2:
-                theta = _bent_further(rig, theta, rng)
-            scans.append((f"person{k}-{i}", f"person{k}", synthesize_one(rig, theta, template, _SCANS[kind], rng)))
+                theta = _turned_further(rig, theta, rng)
+            scans.append((next(names), f"person{k}", synthesize_one(rig, theta, template, _SCANS[kind], rng)))
     return scans, rig.faces
 
 
@@ -117,26 +120,43 @@ def _bodies(rig, data):
     return person, pose
 
 
-def _bent_further(rig, theta, rng):
-    """A pose with each joint below the root turned further, within its limits where it was within them."""
+def _turned_further(rig, theta, rng):
+    """A pose with each joint below the root turned at random, within its limits where it was within them."""
     further = theta + _FURTHER * rng.uniform(rig.lower, rig.upper)
     further = np.clip(further, np.minimum(rig.lower, theta), np.maximum(rig.upper, theta))
     further[rig.root] = theta[rig.root]
     return further
 
 
-def people_files(folder, scans):
-    """The files that :func:`write_people` writes."""
-    ply = [folder / kind / f"{name}.ply" for name, _, _ in scans for kind in (SCANS, _REGISTRATIONS)]
-    return [*ply, folder / _TRUTH]
+def people_before(folder):
+    """What an earlier run has made scans of in a folder: "kind", "people", "scans" and "scan_seed"; None where there is none."""
+    try:
+        record = json.loads((folder / _RECORD).read_text(encoding="utf-8"))
+        return {key: type_(record[key]) for key, type_ in _WHOSE.items()}
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
 
 
-def write_people(folder, scans, faces):
-    """Write scans, true meshes and the table that ``lbsfit bench pairs`` reads.
+def people_files(folder, whose):
+    """The files that :func:`write_people` writes, of people as :func:`people_before` has them."""
+    names = people_names(whose["people"], whose["scans"])
+    ply = [folder / of / f"{name}.ply" for name in names for of in (SCANS, _REGISTRATIONS)]
+    return [folder / _RECORD, *ply, folder / _TRUTH]
+
+
+def people_names(n_people, n_scans):
+    """Of scans, in their order."""
+    return [f"person{k}-{i}" for k in range(n_people) for i in range(n_scans)]
+
+
+def write_people(folder, whose, scans, faces):
+    """Write scans, true meshes and the table that ``lbsfit bench pairs`` reads, and first of all whose they are.
 
     Parameters
     ----------
     folder : Path
+    whose : dict
+        As of :func:`people_before`.
     scans, faces : of :func:`people_scans`
 
     Returns
@@ -144,12 +164,13 @@ def write_people(folder, scans, faces):
     Path
         The table.
     """
-    for kind in (SCANS, _REGISTRATIONS):
-        make_folder(folder / kind)
+    write_json(folder / _RECORD, whose)
+    for of in (SCANS, _REGISTRATIONS):
+        make_folder(folder / of)
     for name, _, scan in scans:
         write_points_ply(folder / SCANS / f"{name}.ply", scan.points)
         write_mesh_ply(folder / _REGISTRATIONS / f"{name}.ply", scan.vertices, faces)
-    with (folder / _TRUTH).open("w", encoding="utf-8", newline="") as file:
+    with atomic_path(folder / _TRUTH) as path, open(path, "w", encoding="utf-8", newline="") as file:
         table = csv.writer(file)
         table.writerow(("scan", "subject", "registration"))
         table.writerows((name, subject, f"{_REGISTRATIONS}/{name}.ply") for name, subject, _ in scans)

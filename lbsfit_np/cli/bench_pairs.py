@@ -2,6 +2,7 @@
 
 from ..bench.truth_file import TRUTH_FILES
 from ..errors import InputError
+from ..rig.units import METRES
 from . import pair_runs
 from .parsing import Option
 from .progress import say
@@ -11,7 +12,7 @@ __all__ = ["add_parser"]
 _OWN = (
     Option("truth", "the table of scans, subjects and what corresponds", metavar="FILE"),
     Option("subject-column", "the column of FILE that says who was scanned", default="subject", metavar="NAME"),
-    Option("unit", "the scans'; auto: what the scale of the fits says", default="auto", choices=("auto", "m", "cm", "mm", "in")),
+    Option("unit", "the scans'; auto: what the scale of the fits says", default="auto", choices=("auto", *METRES)),
 )
 
 _DESCRIPTION = f"""\

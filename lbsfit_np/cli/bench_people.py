@@ -5,6 +5,8 @@ from pathlib import Path
 
 from ..errors import InputError
 from . import pair_runs
+from .bench_runs import checked_data
+from .outputs import check_outputs
 from .parsing import Option, natural, positive
 from .progress import say
 
@@ -20,9 +22,9 @@ _OWN = (
 
 _DESCRIPTION = """\
 Make scans of people of DIR/webxr_hand near the poses of DIR/hand_poses, or of DIR/mpfb2_body in poses from DIR/motion, every
-second one bent further, fit a rig with another mesh and other joints to them, and measure how far each place of a scan is
-carried from where it is on another scan: for pairs of one person (intra) and of different ones (inter), in cm. A stand-in for
-registered scans of real people, whose truth is exact.
+second one with all joints turned at random besides, fit a rig with another mesh and other joints to them, and measure how far
+each place of a scan is carried from where it is on another scan: for pairs of one person (intra) and of different ones (inter),
+in cm. A stand-in for registered scans of real people, whose truth is exact.
 """
 
 _EPILOG = """\
@@ -30,8 +32,8 @@ examples:
   lbsfit bench people body --data rigs -o bench-people --jobs 2
   lbsfit bench people hand --data rigs --no-learn -o bench-hands
 
-OUT gets the scans (scans/), the true meshes (registrations/) and truth.csv, which lbsfit bench pairs reads, too; and what that
-writes: results.json, gallery.png, fits/NAME.npz and model.npz. The same command once more does what is not there yet.
+OUT gets people.json, the scans (scans/), the true meshes (registrations/) and truth.csv, which lbsfit bench pairs reads, too; and
+what that writes: results.json, gallery.png, fits/NAME.npz and model.npz. The same command once more does what is not there yet.
 """
 
 
@@ -51,29 +53,45 @@ def add_parser(benches):
 
 
 def _run(kind, values):
+    from ..bench.pair_fits import fit_files
     from ..bench.pairs import pairs_bench, pairs_table
-    from ..bench.people import OTHER_RIGS, SCANS, people_files, people_scans, write_people
-    from ..bench.run import BENCHES
+    from ..bench.people import OTHER_RIGS, SCANS, people_before, people_files, people_names, people_scans, write_people
     from ..bench.truth_file import read_truth
 
-    if values["data"] is None:
-        raise InputError("--data", "nothing", "a folder", "Add --data DIR.")
-    BENCHES[kind].check_data(values["data"])
+    checked_data(kind, values)
     values["rig"] = values["rig"] or OTHER_RIGS[kind]
+    whose, out = {"kind": kind, **{k: values[k] for k in ("people", "scans", "scan_seed")}}, Path(values["output"])
+    before, resumes = people_before(out), values["existing"] == "resume"
+    if before is None:
+        check_outputs(people_files(out, whose), out, inputs=[], existing="error" if resumes else "replace")
+    elif resumes and before != whose:
+        remedy = "Choose another folder, or --existing replace."
+        raise InputError("-o", f"{out}, which has scans of {_in_words(before)}", f"scans of {_in_words(whose)}", remedy)
+    names = people_names(values["people"], values["scans"])
     made, faces = people_scans(
         kind, values["data"], n_people=values["people"], n_scans=values["scans"], seed=values["scan_seed"]
     )
     fitter = pair_runs.fitter_of(values)
-    out = pair_runs.made_output(
-        values, [name for name, _, _ in made], inputs=(), more=people_files(Path(values["output"]), made)
-    )
-    scans, truth, _ = read_truth(write_people(out, made, faces), out / SCANS)
-    say(f"{len(scans)} scans of {values['people']} people in {out / SCANS}")
+    pair_runs.made_output(values, names, inputs=())
+    if before not in (None, whose):
+        for path in (*people_files(out, before), *fit_files(out, people_names(before["people"], before["scans"]))):
+            path.unlink(missing_ok=True)
+    scans, truth, notes = read_truth(write_people(out, whose, made, faces), out / SCANS)
+    say(f"{out / SCANS} has scans of {_in_words(whose)}")
+    for note in notes:
+        say(f"note: {note}")
 
     def work(progress):
         options = pair_runs.bench_keywords(values, out) | {"unit": "m", "reporter": progress}
         report, fits = pairs_bench(fitter, scans, truth, out, **options)
-        report |= {"benchmark": "people", "people": {"kind": kind, **{k: values[k] for k in ("people", "scans", "scan_seed")}}}
-        return pair_runs.finished(out, report, pairs_table(report, markdown=values["markdown"]), fitter.rig, scans, fits, values)
+        report |= {"benchmark": "people", "people": whose}
+        table = f"{pairs_table(report, markdown=values['markdown'])}\nScans of {_in_words(whose)}."
+        return pair_runs.finished(out, report, table, fitter.rig, scans, fits, values)
 
     return pair_runs.run_stoppable(work, values, out)
+
+
+def _in_words(whose):
+    """Of whom scans are, by the options."""
+    kinds = {"hand": "hands", "body": "bodies"}
+    return f"{whose['people']} {kinds[whose['kind']]}, {whose['scans']} each, --scan-seed {whose['scan_seed']}"

@@ -71,7 +71,7 @@ def run_learn(name, values):
     from ..io.write import write_json
     from ..learning.checkpoint import checkpoint_of, remove_checkpoint, steps_in
 
-    _checked_data(name, values)
+    checked_data(name, values)
     results = made_results(values)
     resumed = values["existing"] == "resume" and results.exists()
     progress, steps = _VariantsProgress(), checkpoint_of(results)
@@ -160,7 +160,7 @@ def run_data(name, values):
     from ..bench.run import run_bench
     from ..io.write import write_json
 
-    bench = _checked_data(name, values)
+    bench = checked_data(name, values)
     seeds, out = numbers(values["seeds"]), Path(values["output"])
     pictures = {seed: out / f"seed-{seed}.png" for seed in seeds} if values["pictures"] and "own" in values["rows"] else {}
     results = made_results(values, pictures.values())
@@ -275,7 +275,7 @@ class _VariantsProgress:
 # ---- what runs share ----
 
 
-def _checked_data(name, values):
+def checked_data(name, values):
     """The benchmark of real rigs of that name, once its data and the folder for its results are known."""
     from ..bench.run import BENCHES
 

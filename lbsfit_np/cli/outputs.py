@@ -403,7 +403,8 @@ def _check_strays(files, out):
 
 
 def _there_in_words(out, there):
-    return f"{out}, where {listed([path.name for path in there], 5)} exist{'s' if len(there) == 1 else ''} already"
+    names = listed([os.path.relpath(path, out) for path in there], 5)
+    return f"{out}, where {names} exist{'s' if len(there) == 1 else ''} already"
 
 
 def _is_of_others(picture):
