@@ -17,7 +17,7 @@ _OWN = (
     Option("data", "the folder of real rigs, poses and motion", metavar="DIR"),
     Option("people", "how many; the first is the rig of DIR itself, or the first three are its shapes", positive, 6, metavar="N"),
     Option("scans", "scans of each", positive, 5, metavar="N"),
-    Option("scan-seed", "seed of people, poses and scans; fits have their own", natural, 600, metavar="N"),
+    Option("scan-seed", "seed of people, poses and scans; --seed is that of training and fits", natural, 600, metavar="N"),
 )
 
 _DESCRIPTION = """\
@@ -32,8 +32,9 @@ examples:
   lbsfit bench people body --data rigs -o bench-people --jobs 2
   lbsfit bench people hand --data rigs --no-learn -o bench-hands
 
-OUT gets people.json, the scans (scans/), the true meshes (registrations/) and truth.csv, which lbsfit bench pairs reads, too; and
-what that writes: results.json, gallery.png, fits/NAME.npz and model.npz. The same command once more does what is not there yet.
+OUT gets people.json, the scans (scans/), the true meshes (registrations/) and truth.csv, which make a folder for
+lbsfit bench pairs OUT/scans --truth OUT/truth.csv; and what that writes: results.json, gallery.png, fits/NAME.npz and model.npz.
+The same command once more does what is not there yet.
 """
 
 
