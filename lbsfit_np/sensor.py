@@ -16,6 +16,8 @@ _PIXELS = 256
 # A point is seen if it is less than a pixel behind what its pixel shows, and what its triangle's slope, cut here, adds on the way
 # from the pixel's centre.
 _STEEPEST = 8.0
+# Triangles of less than this, square pixels, have no area: which way they look is rounding.
+_LEAST_AREA = 1e-6
 # Batches of surface points, drawn until enough of them are seen.
 _BATCHES = 20
 # Sides that are tried until one shows anything.
@@ -100,9 +102,10 @@ class View:
 
     @cached_property
     def facing(self):
-        """(F,) array: cosine between each triangle's outer normal and the camera's direction, 0 where it looks away."""
+        """(F,): cosine between each triangle's outer normal and the camera's direction, 0 where it looks away or has no area."""
         n = self._normals
-        return np.maximum(n[:, 2], 0.0) / np.maximum(np.linalg.norm(n, axis=1), 1e-300)
+        area = np.linalg.norm(n, axis=1)
+        return np.where(area > _LEAST_AREA, np.maximum(n[:, 2], 0.0) / np.maximum(area, 1e-300), 0.0)
 
     def sees(self, points, triangle):
         """Which points of the mesh's surface nothing hides.

@@ -24,5 +24,5 @@ def areas_around(vertices, faces):
 
 def inside_out(vertices, faces):
     """Whether faces look inwards, by the sign of the volume; of open meshes by that seen from their middle."""
-    a, b, c = (vertices[corner] - vertices.mean(axis=0) for corner in faces.T)
-    return bool(np.vdot(a, np.cross(b, c)) < 0)
+    centred = vertices - vertices.mean(axis=0)
+    return bool(np.vdot(centred[faces[:, 0]], area_vectors(centred, faces)) < 0)
