@@ -1,6 +1,7 @@
 """``lbsfit bench people``: the scans, what is written of them, the command."""
 
 import json
+import os
 
 import numpy as np
 import pytest
@@ -203,7 +204,7 @@ def test_bad_usage_is_told_before_any_work(shared_rigs, tmp_path, run):
 
 
 @pytest.mark.parametrize("file", ["scans/person1-0.ply", "registrations/person0-1.ply", "truth.csv", "people.json"])
-def test_files_of_others_are_not_replaced(file, shared_rigs, tmp_path, run, monkeypatch):
+def test_files_of_others_are_replaced_where_people_say_so_alone(file, shared_rigs, same_rig, tmp_path, run, monkeypatch):
     _given(monkeypatch, shared_rigs, 7)
     path = tmp_path / "out" / file
     path.parent.mkdir(parents=True)
@@ -214,3 +215,27 @@ def test_files_of_others_are_not_replaced(file, shared_rigs, tmp_path, run, monk
     assert code == 2 and f"{file} exists already" in one_line(err)
     assert path.read_bytes() == b"of somebody else"
     assert {p.name for p in (tmp_path / "out").rglob("*") if p.is_file()} == {"fits.json", path.name}
+    options = ("--rig", same_rig, "--points", 50, "--pictures", 0, "--existing", "replace")
+    code, _, err = run(*command, *options)
+    assert code == 0 and path.read_bytes() != b"of somebody else", err
+
+
+@pytest.mark.parametrize(
+    "record", ["[]", '{"kind": "feet", "people": 2, "scans": 2, "scan_seed": 7}', '{"kind": "body", "people": Infinity}']
+)
+def test_a_record_that_is_none_counts_as_a_file_of_others(record, shared_rigs, tmp_path, run):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "people.json").write_text(record)
+    code, _, err = run(*_command(shared_rigs, tmp_path / "out"))
+    assert code == 2 and "people.json exists already" in one_line(err)
+
+
+@pytest.mark.parametrize("file", ["truth.csv", "scans/person0-0.ply"])
+def test_an_input_is_never_overwritten(file, shared_rigs, same_rig, tmp_path, run):
+    path = tmp_path / "out" / file
+    path.parent.mkdir(parents=True)
+    os.link(same_rig, path.parent / "same.npz")
+    os.link(same_rig, path)
+    command = _command(shared_rigs, tmp_path / "out", "--rig", path.parent / "same.npz", "--existing", "replace")
+    code, _, err = run(*command)
+    assert code == 2 and "never overwritten" in one_line(err) and path.read_bytes() == same_rig.read_bytes()

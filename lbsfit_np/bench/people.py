@@ -27,6 +27,7 @@ OTHER_RIGS = {"hand": "hand-left", "body": "body"}
 SCANS = "scans"
 _REGISTRATIONS, _TRUTH, _RECORD = "registrations", "truth.csv", "people.json"
 _WHOSE = {"kind": str, "people": int, "scans": int, "scan_seed": int}
+_MOST = 10_000  # people, or scans of one: a record with more is none of ours
 # Lengths in half sizes of the people's rig: noise of 0.4 mm on a hand of 21 cm, of 1.2 mm on a body of 1.6 m.
 _SCANS = {
     "hand": Synthesis(n_points=4_000, noise=0.004, holes=1, hole_radius=0.12, density=0.5),
@@ -132,9 +133,11 @@ def people_before(folder):
     """What an earlier run has made scans of in a folder: "kind", "people", "scans" and "scan_seed"; None where there is none."""
     try:
         record = json.loads((folder / _RECORD).read_text(encoding="utf-8"))
-        return {key: type_(record[key]) for key, type_ in _WHOSE.items()}
+        whose = {key: record[key] for key in _WHOSE}
     except (OSError, ValueError, KeyError, TypeError):
         return None
+    ours = all(type(whose[key]) is kind for key, kind in _WHOSE.items()) and whose["kind"] in OTHER_RIGS
+    return whose if ours and max(whose["people"], whose["scans"]) <= _MOST else None
 
 
 def people_files(folder, whose):

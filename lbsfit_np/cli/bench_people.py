@@ -63,9 +63,10 @@ def _run(kind, values):
     values["rig"] = values["rig"] or OTHER_RIGS[kind]
     whose, out = {"kind": kind, **{k: values[k] for k in ("people", "scans", "scan_seed")}}, Path(values["output"])
     before, resumes = people_before(out), values["existing"] == "resume"
-    if before is None:
-        check_outputs(people_files(out, whose), out, inputs=[], existing="error" if resumes else "replace")
-    elif resumes and before != whose:
+    files = {*people_files(out, whose), *(() if before is None else people_files(out, before))}
+    read = [values[k] for k in ("rig", "card") if values[k] and values[k] != "none"]
+    check_outputs(sorted(files), out, inputs=read, existing="error" if before is None and resumes else "replace")
+    if resumes and before not in (None, whose):
         remedy = "Choose another folder, or --existing replace."
         raise InputError("-o", f"{out}, which has scans of {_in_words(before)}", f"scans of {_in_words(whose)}", remedy)
     names = people_names(values["people"], values["scans"])
