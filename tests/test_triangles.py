@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from lbsfit_np.sensor import View
 from lbsfit_np.triangles import area_vectors, areas_around, face_areas, inside_out
 
 # A tetrahedron of a corner of the unit cube, and a point that no face has.
@@ -34,3 +35,17 @@ def test_nothing_of_no_faces():
     none = np.empty((0, 3), dtype=int)
     assert face_areas(VERTICES, none).shape == (0,) and not inside_out(VERTICES, none)
     np.testing.assert_array_equal(areas_around(VERTICES, none), np.zeros(5))
+
+
+def test_small_triangles_face_the_camera_and_those_without_area_nobody():
+    n = 500  # most triangles are slivers of a thousandth of a square pixel
+    x, y = np.meshgrid(np.linspace(0, 1, n), np.r_[np.linspace(0, 0.01, n - 1), 1.0], indexing="ij")
+    rows = np.arange(n * n).reshape(n, n)
+    corners = [rows[:-1, :-1], rows[1:, :-1], rows[1:, 1:]]
+    vertices = np.stack([x.ravel(), y.ravel(), np.zeros(n * n)], axis=1)
+    faces = np.stack([c.ravel() for c in corners], axis=1)
+    bottom = vertices + [0, 0, -1.0]  # so that outside is where the normals look
+    both = np.concatenate([faces, faces[:, ::-1] + n * n])
+    view = View(np.concatenate([vertices, bottom]), np.concatenate([both, [[0, 1, 0]]]), np.array([0.0, 0.0, 1.0]))
+    np.testing.assert_allclose(view.facing[: len(faces)], 1.0)
+    assert not view.facing[len(faces) :].any()
