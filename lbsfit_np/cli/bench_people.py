@@ -15,7 +15,7 @@ __all__ = ["add_parser"]
 _RIG = replace(pair_runs.RIG, help="the rig to fit, a file or a bundled one; by default hand-left or body", default=None)
 _OWN = (
     Option("data", "the folder of real rigs, poses and motion", metavar="DIR"),
-    Option("people", "how many, two at least; the first is the rig of DIR itself, or the first three are its shapes", positive, 6, metavar="N"),
+    Option("people", "how many, two at least; the first, or three, are the rig of DIR or its shapes", positive, 6, metavar="N"),
     Option("scans", "scans of each", positive, 5, metavar="N"),
     Option("scan-seed", "seed of people, poses and scans; --seed is that of training and fits", natural, 600, metavar="N"),
 )
