@@ -328,6 +328,19 @@ def test_what_hangs_on_both_turns_less_where_the_joint_before_turns_back(rig, na
     np.testing.assert_allclose(back[:, 1], 0, atol=1e-6)
 
 
+def test_the_joint_before_turns_back_as_far_as_its_limits_allow(rig):
+    wide = replace(rig, lower=np.full_like(rig.lower, -3.0), upper=np.full_like(rig.upper, 3.0))
+    j, p = (rig.joint_names.index(name) for name in ("left_knee", "left_hip"))
+    lower, upper = wide.lower.copy(), wide.upper.copy()
+    lower[p], upper[p] = -0.2, 0.3
+    rest = np.zeros(rig.joints.shape)
+    rigs = wide, replace(wide, lower=lower, upper=upper)
+    free, narrow = ([angles for joints, angles in swept(one, rest) if joints == (j, p)] for one in rigs)
+    assert len(free) == len(narrow) > 0 and max(np.abs(angles[1]).max() for angles in free) > 1.0
+    for there, here in zip(free, narrow, strict=True):
+        np.testing.assert_allclose(here, [there[0], np.clip(there[1], -0.2, 0.3)], atol=1e-12)
+
+
 def test_of_axes_that_are_as_wide_none_is_left_out(rig):
     wide = replace(rig, lower=np.full_like(rig.lower, -0.8), upper=np.full_like(rig.upper, 0.8))
     j = rig.joint_names.index("left_shoulder")
