@@ -31,7 +31,7 @@ def body():
     return lbs.load_rig("body-coarse")
 
 
-def test_rows_and_goals_are_the_issues():
+def test_rows_and_goals_are_those_set_for_them():
     goals = {row: (c.goal, c.close) for row, c in CONDITIONS.items()}
     assert goals == {
         "0.3": (0.99, 0.015),
@@ -44,6 +44,7 @@ def test_rows_and_goals_are_the_issues():
         "partial": (0.85, 0.03),
         "dirty": (0.95, 0.03),
         "subjects": (0.95, 0.03),
+        "arm": (0.90, 0.015),
     }
     assert (AIM_AUC, AIM_CAUGHT, RIGS) == (0.97, 0.80, ("hand", "body"))
     assert CONDITION_NAMES == tuple(CONDITIONS) and FIT_NAMES == tuple(FITS)
@@ -68,7 +69,11 @@ def test_the_truth_is_of_the_scan(hand, body, row):
             assert away.max() < 0.15 * rig.size * s.scale
             assert of_the_body.sum() == 2500 or CONDITIONS[row].scan.holes
             assert (s.template is rig.vertices) == (row != "subjects")
-            assert (~of_the_body).sum() == (0.1 * of_the_body.sum() if row == "dirty" else 0)
+            if row == "arm":  # of a hand, 0.2 to 1.3 times as long
+                assert 0.1 < (~of_the_body).sum() / of_the_body.sum() < 1.5
+                assert (s.triangle[~of_the_body] == -1).all() and (s.barycentric[~of_the_body] == 0).all()
+            else:
+                assert (~of_the_body).sum() == (0.1 * of_the_body.sum() if row == "dirty" else 0)
 
 
 def test_a_scan_depends_on_seed_rig_row_and_number_only(hand, body):
@@ -145,7 +150,7 @@ def test_touching_hands_are_fists_and_fingers_that_touch(hand):
 
 def test_rigs_take_part_in_the_rows_that_are_for_them(hand, body):
     assert conditions_of(hand) == list(CONDITIONS)
-    assert conditions_of(body) == [row for row in CONDITIONS if row != "touching"]
+    assert conditions_of(body) == [row for row in CONDITIONS if row not in ("touching", "arm")]
     with pytest.raises(InputError, match="no library of natural poses"):
         conditions_of(replace(hand, poses={}))
     fistless = replace(hand, poses={"flat": hand.poses["flat"], "ok": hand.poses["ok"]})
@@ -224,7 +229,7 @@ def test_fitters_are_told_what_the_row_is_about(known):
     orientation = {row: parameters.get("orientation") for row, parameters in told.items()}
     assert orientation == {
         **dict.fromkeys(("0.3", "0.6", "1.0", "subjects"), "aligned"),
-        **dict.fromkeys(("turned", "unit", "partial", "dirty"), "upright"),
+        **dict.fromkeys(("turned", "unit", "partial", "dirty", "arm"), "upright"),
         "rotated": "any",
         "touching": None,
     }

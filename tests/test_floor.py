@@ -293,7 +293,7 @@ def fitted(request, tube_fitter, tube_result, monkeypatch):
     def fit_of(points, ends, *, scale="estimate", **given):
         fits.clear()
         outcomes[:] = ends
-        fitter = copy.copy(tube_fitter).set_params(scale=scale)
+        fitter = copy.copy(tube_fitter).set_params(scale=scale, effort="fast")  # which looks for nothing beyond the rig
         given = {"theta0": None, "labels": None, "point_weights": None} | given
         if request.param == "after learning":
             monkeypatch.setattr(new_scan, "_fit_new", lambda fitter, points, part, *_: one(part))
@@ -340,7 +340,7 @@ def test_a_floor_below_another_axis_may_be_a_side_of_the_body(given, ends, tries
 def test_a_second_look_is_at_the_same_points(random_state, tube_rig, tube_result, monkeypatch):
     """What differs between the two is the floor alone; where a seed is given, every time."""
     points, looked_at = np.tile(_before_a_wall(tube_rig)[0], (2, 1)) + 1e-3 * np.random.default_rng(1).random((1800, 3)), []
-    fit = scan_fit(lbs.LBSFitter(tube_rig, max_points=300))
+    fit = scan_fit(lbs.LBSFitter(tube_rig, max_points=300, effort="fast"))
 
     def taking(points, rig, *, rng, **more):
         looked_at.append(rng.random())

@@ -10,7 +10,9 @@ from ..rig.frames import up_axis
 from ..rig.units import METRES, USUAL
 from ..rotations import matrix_from_rotvec, rotvec_from_matrix
 from ..seeds import generator
+from ..starts.beyond import end_of
 from ..synthesis import Synthesis, natural_poses, synthesize_one
+from .arm import with_an_arm
 from .learn import touching_pose
 
 __all__ = ["CONDITIONS", "SEEN", "Condition", "condition_scan", "conditions_of", "starts_scan"]
@@ -49,6 +51,8 @@ class Condition:
         Whether a scan comes in a random unit and scale.
     subjects : bool
         Whether each scan is of another person.
+    arm : bool
+        Whether scans go on beyond the end of the rig; only rigs that have one are in such a row.
     only : tuple of str
         Joint names that a rig needs for this row; any rig by default.
     """
@@ -61,19 +65,21 @@ class Condition:
     scan: Synthesis = _SCAN
     unit: bool = False
     subjects: bool = False
+    arm: bool = False
     only: tuple = ()
 
     @property
     def labelled(self):
         """Whether all points of the scans are of some part."""
-        return not (self.scan.clutter or self.scan.floor)
+        return not (self.scan.clutter or self.scan.floor or self.arm)
 
 
 def conditions_of(rig):
     """The rows that a rig can be in, in their order; raises InputError where it has no library of natural poses."""
     if not rig.poses:
         raise InputError("rig", f"{rig.name}, which has no library of natural poses", "a rig with one", "See: lbsfit rig list")
-    return [row for row, condition in CONDITIONS.items() if set(condition.only) <= set(rig.joint_names)]
+    ends = end_of(rig) is not None
+    return [row for row, c in CONDITIONS.items() if set(c.only) <= set(rig.joint_names) and (ends or not c.arm)]
 
 
 def starts_scan(rig, row, i, seed):
@@ -102,6 +108,8 @@ def condition_scan(rig, condition, i, rng):
     person = rig.subject(rng) if condition.subjects else rig
     pose = condition.pose(rig, i, rng)
     scan = synthesize_one(rig, pose, (person.vertices, person.joints), condition.scan, rng)
+    if condition.arm:
+        scan = with_an_arm(rig, scan, condition.scan.noise, rng)
     return _in_a_unit(rig, scan, rng) if condition.unit else scan
 
 
@@ -224,4 +232,5 @@ CONDITIONS = {
     "subjects": Condition(
         "other people, 0.6 rad a joint, facing known", 0.95, _Bent(0.6), close=0.03, fitter=_ALIGNED, subjects=True
     ),
+    "arm": Condition("natural poses, any turn, the arm beyond the wrist", 0.90, _upright, fitter=_UPRIGHT, arm=True),
 }

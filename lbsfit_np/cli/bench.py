@@ -13,7 +13,7 @@ from .parsing import Option, add_options, formatter, natural, positive, settings
 __all__ = ["add_parser"]
 
 ROW_NAMES = ("own", "plain", "oracle", "paper")
-CONDITION_NAMES = ("0.3", "0.6", "1.0", "turned", "rotated", "unit", "touching", "partial", "dirty", "subjects")
+CONDITION_NAMES = ("0.3", "0.6", "1.0", "turned", "rotated", "unit", "touching", "partial", "dirty", "subjects", "arm")
 FIT_NAMES = ("own", "plain", "oracle")
 VARIANT_NAMES = ("joint", "pose-only", "rand", "cd", "free-form")
 STUDY_NAMES = (

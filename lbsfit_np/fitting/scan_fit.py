@@ -25,6 +25,7 @@ from .proportioned import Proportioned
 from .refit import Refit, Runner
 from .scout import Scout
 from .search import Search
+from .second_look import looked_at_again
 
 __all__ = [
     "FitSettings",
@@ -35,13 +36,7 @@ __all__ = [
     "given_views",
     "shares",
     "stands_words",
-    "with_floor_or_without",
 ]
-
-
-# Of a plane below another axis than the likeliest that was taken for a floor at first.
-_FLOOR = "with the points of that floor it is no likelier"
-_NO_FLOOR = "a flat side that might be a floor takes part, as the fit is likelier with it"
 
 
 @dataclass(frozen=True)
@@ -155,26 +150,30 @@ class ScanFit:
             random_state = integer_seed(random_state)  # a second look draws the same points
         with one_thread():  # threads on arrays this small cost more than they give
             if part is not None:
-                return self._fit(points, theta0, labels, point_weights, part, started, found)
-            return with_floor_or_without(
-                lambda ups: self.taking_part(points, point_weights, random_state, ups=ups, labels=labels),
-                lambda part: self._fit(points, theta0, labels, point_weights, part, started, None),
-                self.facing.floors,
+                return self._fit(points, theta0, labels, point_weights, part, started, found, False)
+            return looked_at_again(
+                lambda ups, among: self.taking_part(points, point_weights, random_state, ups=ups, labels=labels, among=among),
+                lambda part, once: self._fit(points, theta0, labels, point_weights, part, started, None, once),
+                points,
+                self.model.source,
+                ups=self.facing.floors,
+                settings=self.settings,
+                labels=labels,
             )
 
-    def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, labels=None):
+    def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, labels=None, among=None):
         """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
-        known = {"point_weights": point_weights, "labels": labels}
+        known = {"point_weights": point_weights, "labels": labels, "among": among}
         limits = {"most": self.settings.max_points, "scale": self.settings.scale, "unit": self.settings.unit, "ups": ups}
         return taking_part(points, self.model.source, rng=generator(random_state, "thin"), **limits, **known)
 
-    def _fit(self, points, theta0, labels, point_weights, part, started, found):
+    def _fit(self, points, theta0, labels, point_weights, part, started, found, once):
         model, settings = self.model, self.settings
         rows, guess = part.rows, part.scale
         a = shares(point_weights, rows)
         given = given_names(theta0, labels)
         if not given:
-            found = found or self.scout(points[rows], a)
+            found = found or self.scout(points[rows], a, once=once)
             frame, problem, proba, state, before = found.frame, found.problem, found.proba, found.state, 0
             rivals = {"value": found.value, "rivals": found.rivals}
         else:
@@ -275,38 +274,6 @@ def all_points(points, part, point_weights, frame, problem):
 def shares(point_weights, rows):
     """Weights of some points as shares of 1; None without any."""
     return None if point_weights is None else point_weights[rows] / point_weights[rows].sum()
-
-
-def with_floor_or_without(taking_part, fit, ups):
-    """The fit of a scan; where it is in doubt, with what may be no floor taking part, too, and the likelier of the two.
-
-    A floor below another axis than the likeliest may be a flat side of the body, such as a palm that faces the camera.
-
-    Parameters
-    ----------
-    taking_part : callable (ups) → TakingPart
-    fit : callable (TakingPart) → FitResult
-        Seconds go on from where the first fit began.
-    ups : (k, 3) array or None
-        Directions that may be up where there is a floor, the likeliest first; None where any may.
-
-    Returns
-    -------
-    FitResult
-        With the seconds and the evaluations of both.
-    """
-    part = taking_part(ups)
-    result = fit(part)
-    if result.status == "ok" or not part.floor_elsewhere:
-        return result
-    try:
-        whole = taking_part(ups[:1])
-    except InputError:  # of a wide wall: with it the scan is none that can be worked with
-        return result
-    other = fit(whole)
-    both = {"seconds": other.seconds, "evaluations": result.evaluations + other.evaluations}
-    best, words = (result, _FLOOR) if result.probability >= other.probability else (other, _NO_FLOOR)
-    return replace(best, message=f"{best.message}; {words}", **both)
 
 
 def given_names(theta0, labels):

@@ -107,7 +107,7 @@ class Scout:
             known = {"proportions": proportions, "other_limbs": nearest}
             self._bends = Bends(model, self._free, last.to_the_end, **known, **step_options(settings))
 
-    def __call__(self, points, x_weights=None):
+    def __call__(self, points, x_weights=None, *, once=False):
         """Look at one scan.
 
         Parameters
@@ -115,13 +115,15 @@ class Scout:
         points : (n, 3) array
             Those that take part.
         x_weights : (n,) array, optional
+        once : bool, default False
+            Whether there is no second look where the first leaves the pose in doubt.
 
         Returns
         -------
         Found
         """
         found = self._look(points, x_weights)
-        again = EFFORTS.get(self.effort.again)
+        again = None if once else EFFORTS.get(self.effort.again)
         if again and (again != self.effort or self.facing.open_up) and self._probability(found) < _SURE:
             closer = copy(self)
             closer.effort = again

@@ -18,9 +18,9 @@ from ..fitting.scan_fit import (
     given_views,
     shares,
     stands_words,
-    with_floor_or_without,
 )
 from ..fitting.scout import Found, Scout
+from ..fitting.second_look import looked_at_again
 from ..fitting.template_fit import TemplateFit
 from ..optimize.frame import Frame
 from ..optimize.model import Model
@@ -69,14 +69,20 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
         seed, settings = fitter._seed(), fit_settings(fitter)
         limits = {"most": settings.max_points, "scale": settings.scale, "unit": settings.unit}
         limits |= {"point_weights": point_weights, "labels": labels}
-        return with_floor_or_without(
-            lambda ups: taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, **limits),
-            lambda part: _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started),
-            _facing(fitter).floors,
+        return looked_at_again(
+            lambda ups, among: taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, among=among, **limits),
+            lambda part, once: _fit_new(
+                fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, once
+            ),
+            points,
+            fitter.rig,
+            ups=_facing(fitter).floors,
+            settings=settings,
+            labels=labels,
         )
 
 
-def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started):
+def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, once):
     rig, half = fitter.rig, fitter.rig.size / 2
     rows, left_out, guess = part.rows, part.left_out, part.scale
     x = points[rows]
@@ -89,9 +95,9 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if given:
         found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
     elif len(subjects) == 1:
-        found = [(s, _scouted(fitter, s, x, a, settings)) for s in subjects]
+        found = [(s, _scouted(fitter, s, x, a, settings, once)) for s in subjects]
     else:  # one look for all, on the rig's own template with proportions
-        seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a)
+        seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a, once=once)
         found = _on_templates(fitter, subjects, seen, settings)
     subject, best = min(found, key=lambda f: _left(fitter, *f, settings))
     whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
@@ -138,7 +144,7 @@ def _asking(result, subjects):
     return replace(result, message=f"{result.message}; if you know who it is, name the subject (--subject, --subjects)")
 
 
-def _scouted(fitter, subject, x, a, settings):
+def _scouted(fitter, subject, x, a, settings, once):
     """A scan of which nothing is known; in the subject's unit where its size allows that."""
     facing, library, segmenter = _facing(fitter), fitter.regressor_, fitter.segmenter_
     seen = library.starts(x, facing.turns, 1, **sizes_in(fitter.rig, settings.unit))[0].scale
@@ -149,7 +155,7 @@ def _scouted(fitter, subject, x, a, settings):
         return Scout(model, library, facing, segmenter, settings, unit=unit, proportions=False, nearest=nearest)
 
     made_of = model, library, segmenter, settings, _facing_words(fitter), nearest, unit
-    return _kept(fitter, (subject, "scout", unit is None), made_of, make)(x, a)
+    return _kept(fitter, (subject, "scout", unit is None), made_of, make)(x, a, once=once)
 
 
 @dataclass(frozen=True)

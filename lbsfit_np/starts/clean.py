@@ -54,7 +54,7 @@ class TakingPart:
         return bool(self.below)
 
 
-def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_weights=None, labels=None):
+def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_weights=None, labels=None, among=None):
     """What of a scan its fit looks at.
 
     Parameters
@@ -73,6 +73,8 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
         Points of weight 0 never take part.
     labels : (n,) int array, optional
         Known parts: what has one is of no floor; −1 where one is not known.
+    among : (n,) bool array, optional
+        Which points may take part, where others lie beyond the end of the rig; by default all.
 
     Returns
     -------
@@ -87,6 +89,10 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if not len(rows):
         raise InputError("point_weights", "all zeros", "at least one positive weight")
+    past = 0
+    if among is not None:
+        rows, given = rows[among[rows]], len(rows)
+        past = given - len(rows)
     rows, same = _in_places_of_their_own(points, rows)
     drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
     sides = {"ups": ups, "body": None if labels is None else labels >= 0}
@@ -97,7 +103,8 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
         body, left_out, below = clean_rows(points, drawn, **sides)
     kept = body if len(body) <= most else np.sort(rng.choice(body, most, replace=False))
     told = f"{same} identical points left out" if same else ""
-    words = "; ".join(filter(None, (told, left_out)))
+    ends = f"the scan goes on beyond the rig: {past} point{'' if past == 1 else 's'} of that left out" if past else ""
+    words = "; ".join(filter(None, (ends, told, left_out)))
     if words and len(kept) < len(rig.parts):
         got = f"{len(kept)} point{'' if len(kept) == 1 else 's'} that may be of the body ({words})"
         raise InputError("points", got, f"at least {len(rig.parts)} points, one a part")

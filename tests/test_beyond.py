@@ -1,0 +1,233 @@
+"""Scans that go on beyond the end of the rig, such as hands with a forearm: what is left out, and that the fit comes out."""
+
+from dataclasses import make_dataclass, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.sparse import csr_matrix
+
+import lbsfit_np as lbs
+from lbsfit_np.bench.conditions import CONDITIONS, condition_scan
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.fitting.second_look import looked_at_again
+from lbsfit_np.optimize.frame import root_turn, turned_root
+from lbsfit_np.rotations import matrix_from_rotvec
+from lbsfit_np.starts.beyond import beyond, cuts, end_of, scales_of
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return lbs.load_rig("hand-coarse")
+
+
+@pytest.fixture(scope="module")
+def scans(hand):
+    """Hands with arms, facing the rig's way or turned."""
+    return [condition_scan(hand, CONDITIONS["arm"], i, np.random.default_rng(i)) for i in range(6)]
+
+
+def _true(rig, scan):
+    """As a fit that has found the truth has it."""
+    return SimpleNamespace(
+        offsets=scan.template - rig.vertices,
+        rest_joints=scan.template_joints,
+        pose=scan.pose,
+        joints=scan.joints,
+        vertices=scan.vertices,
+        scale=scan.scale,
+    )
+
+
+# ---- where a rig ends ----
+
+
+def _hanging_on(rig, joint):
+    """The rig with all skin of the root on another joint."""
+    weights, j = rig.weights.toarray(), rig.joint_names.index(joint)
+    weights[:, j] += weights[:, rig.root]
+    weights[:, rig.root] = 0
+    return replace(rig, weights=csr_matrix(weights))
+
+
+def test_a_hand_ends_at_its_wrist_and_a_body_nowhere(hand):
+    end, wrist = end_of(hand), hand.joints[hand.root]
+    tips = hand.joints[[hand.joint_names.index(name) for name in ("index3", "middle3", "ring3", "pinky3")]]
+    assert ((wrist - tips) @ end.direction > 0.5 * hand.size).all()
+    assert 0 < end.reach < 0.25 * end.length and end.length == pytest.approx(hand.size, rel=0.02)
+    body = lbs.load_rig("body-coarse")
+    assert end_of(body) is None
+    feet = body.vertices.min(axis=0) * [0, 1, 0]  # a root on the ground, which moves nothing by itself
+    on_the_ground = body.joints.copy()
+    on_the_ground[body.root] = feet
+    assert end_of(_hanging_on(body, "spine1"), joints=on_the_ground) is None
+
+
+def test_an_end_may_be_of_a_joint_that_never_moves(hand):
+    """As where all skin about the wrist hangs on bones of the palm."""
+    hanging = _hanging_on(hand, "middle1")
+    assert end_of(hanging) is None
+    locked = hanging.locked.copy()
+    locked[hanging.joint_names.index("middle1")] = True
+    assert end_of(replace(hanging, locked=locked)).reach == pytest.approx(end_of(hand).reach)
+
+
+# ---- what lies beyond ----
+
+
+@pytest.mark.parametrize("factor", [1.0, 250.0])
+def test_the_arm_lies_beyond_a_fit_that_is_right_and_the_hand_does_not(hand, scans, factor):
+    for scan in scans:
+        arm, found = scan.labels < 0, _true(hand, scan)
+        found.joints, found.vertices, found.scale = factor * found.joints, factor * found.vertices, factor
+        past = beyond(factor * scan.points, hand, found)
+        assert not past[~arm].any() and past[arm].mean() > 0.75
+        away = np.linalg.norm(scan.points[arm & ~past, None] - scan.vertices, axis=2).min(axis=1)
+        assert away.max() < 0.1 * hand.size  # what is left is at the wrist
+
+
+def test_a_point_that_a_finger_does_not_explain_does_not_lie_beyond(hand, scans):
+    scan = scans[0]
+    tip = scan.joints[hand.joint_names.index("index3")]
+    away = root_turn(hand, scan.pose) @ -end_of(hand).direction
+    odd = tip + np.outer(np.linspace(0.2, 1.0, 20), away) * hand.size
+    assert not beyond(odd, hand, _true(hand, scan)).any()
+    nowhere = _true(hand, scan)
+    nowhere.vertices = np.full_like(scan.vertices, np.nan)
+    assert not beyond(scan.points, hand, nowhere).any()
+
+
+def test_cuts_are_a_part_of_the_rigs_length_from_either_end():
+    rng = np.random.default_rng(0)
+    end = SimpleNamespace(length=1.0)
+    line = rng.uniform(0, 2, (2000, 1)) * [0.6, 0.8, 0] + 0.05 * rng.standard_normal((2000, 3))
+    along = line @ [0.6, 0.8, 0]
+    for (low, high), share in zip(cuts(line, end, (1.0,)), (0.7, 1.0), strict=True):
+        ends = sorted([along[low(line)], along[high(line)]], key=np.mean)  # which way the axis points does not matter
+        assert abs(ends[0].max() - share) < 0.1 and ends[0].min() == along.min()
+        assert abs(ends[1].min() - (2 - share)) < 0.1 and ends[1].max() == along.max()
+    assert len(list(cuts(line, end, (1.0, 1000.0, 0.001)))) == 2  # in other units it is too short, or too long
+    assert len(list(cuts(0.45 * line, end, (1.0,)))) == 1 and not list(cuts(0.35 * line, end, (1.0,)))
+
+
+def test_units_that_a_scan_may_have(hand):
+    assert set(scales_of(hand, "estimate")) >= {1.0, 100.0, 1000.0} and len(set(scales_of(hand, "estimate"))) == 4
+    assert scales_of(hand, "estimate", "mm") == (1000.0,) and scales_of(hand, "fixed") == (1.0,)
+    assert scales_of(replace(hand, metres_per_unit=None), "estimate") == (1.0,)
+
+
+# ---- the second look ----
+
+
+class _Fits:
+    """Fits whose ends, where they are and how probable, hang on what of a scan they are of."""
+
+    def __init__(self, rig, scan, **ends):
+        self.hand, self.scan, self.arm = rig, scan, scan.labels < 0
+        self.ends, self.of, self.once = ends, [], []
+
+    def taking_part(self, ups, among):
+        rows = np.arange(len(self.scan.points))
+        return SimpleNamespace(rows=rows if among is None else rows[among], among=among, floor_elsewhere=False)
+
+    def fit(self, part, once):
+        self.of.append(self._of(part.among))
+        self.once.append(once)
+        where, probability = self.ends[self.of[-1]]
+        status = "ok" if probability >= 0.5 else "suspect"
+        known = {"status": status, "probability": probability, "seconds": float(len(self.of)), "evaluations": 10}
+        return _Result(**vars(self._found(where)) | known)
+
+    def _of(self, among):
+        if among is None:
+            return "all"
+        hand, arm = among[~self.arm].mean(), among[self.arm].mean()
+        return "hand" if hand == 1 and arm < 0.4 else "hand_end" if hand > arm else "arm_end"
+
+    def _found(self, where):
+        found, root = _true(self.hand, self.scan), self.hand.root
+        if where == "turned":  # by 180 degrees about the wrist, the fingers in the arm
+            axis = np.cross(root_turn(self.hand, found.pose) @ end_of(self.hand).direction, [1.0, 2.0, 3.0])
+            turn, wrist = matrix_from_rotvec(np.pi * axis / np.linalg.norm(axis)), found.joints[root]
+            found.pose = turned_root(self.hand, found.pose, turn)
+            found.joints = (found.joints - wrist) @ turn.T + wrist
+            found.vertices = (found.vertices - wrist) @ turn.T + wrist
+        return found
+
+    def __call__(self, labels=None, **settings):
+        known = {"ups": None, "settings": FitSettings(**settings), "labels": labels}
+        return looked_at_again(self.taking_part, self.fit, self.scan.points, self.hand, **known)
+
+
+def _Result(**fields):
+    return make_dataclass("Result", list(fields), frozen=True, eq=False)(**fields)
+
+
+@pytest.fixture(scope="module")
+def long_scan(scans):
+    return max(scans, key=lambda s: len(s.points))
+
+
+@pytest.fixture(scope="module")
+def short_scan(scans):
+    return min(scans, key=lambda s: len(s.points))
+
+
+def _sure_of(where):
+    return {"hand_end": (where, 0.3), "arm_end": ("turned", 0.1), "hand": ("true", 0.9)}
+
+
+@pytest.mark.parametrize("of_all, before", [(("true", 0.2), ["all"]), (("turned", 0.3), ["all", "hand_end", "arm_end"])])
+def test_of_a_long_scan_the_hand_is_found_and_nothing_is_looked_at_twice(hand, long_scan, of_all, before):
+    """By a fit of all, which is right but for what it cannot explain, or by those of the two ends."""
+    fits = _Fits(hand, long_scan, all=of_all, **_sure_of("true"))
+    result = fits()
+    assert result.probability == 0.9 and sorted(set(fits.of[:-1])) == sorted(before) and fits.of[-1] == "hand" and all(fits.once)
+    assert (result.seconds, result.evaluations) == (len(fits.of), 10 * len(fits.of))
+
+
+def test_of_a_shorter_scan_all_is_done_for_the_whole_first(hand, short_scan):
+    fits = _Fits(hand, short_scan, all=("true", 0.2), **_sure_of("true"))
+    assert fits().probability == 0.9 and fits.of == ["all", "hand"] and fits.once == [False, True]
+    fits = _Fits(hand, short_scan, all=("true", 0.6))
+    assert fits().probability == 0.6 and fits.once == [False]
+
+
+def test_a_long_scan_that_is_right_is_of_a_large_hand(hand, long_scan):
+    fits = _Fits(hand, long_scan, all=("true", 0.85))
+    assert fits().probability == 0.85 and fits.of == ["all"]
+
+
+@pytest.mark.parametrize("of_the_hand, probability", [(("turned", 0.9), 0.4), (("true", 0.3), 0.4), (("true", 0.45), 0.45)])
+def test_what_does_not_help_is_not_taken(hand, long_scan, of_the_hand, probability):
+    """What lay beyond one fit's end has to lie beyond the other's, too; and with nothing sure the whole is looked at closely."""
+    known = {"hand_end": ("true", 0.3), "arm_end": ("turned", 0.1), "hand": of_the_hand}
+    fits = _Fits(hand, long_scan, all=("true", 0.4), **known)
+    result = fits()
+    assert result.probability == probability and result.status == "suspect"
+    assert fits.of[-1] == "all" and fits.once == [True] * (len(fits.of) - 1) + [False]
+    assert (result.seconds, result.evaluations) == (len(fits.of), 10 * len(fits.of))
+
+
+@pytest.mark.parametrize("known", ["effort", "labels"])
+def test_where_it_is_said_what_is_of_the_hand_nothing_is_looked_for(hand, long_scan, known):
+    fits = _Fits(hand, long_scan, all=("true", 0.2))
+    given = {"effort": "fast"} if known == "effort" else {"labels": long_scan.labels}
+    assert fits(**given).probability == 0.2 and fits.once == [False]
+
+
+# ---- the whole ----
+
+
+def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, scans):
+    known = {"orientation": "aligned", "training_scans": 200, "training": {"n_points": 800}, "random_state": 0}
+    fitter = lbs.LBSFitter(hand, **known).pretrain()
+    scan = condition_scan(hand, replace(CONDITIONS["0.3"], arm=True), 0, np.random.default_rng(1))
+    assert 1500 < (scan.labels < 0).sum() < 2500
+    result = fitter.fit_scan(scan.points)
+    error = np.linalg.norm(result.joints - scan.joints, axis=1).mean() / hand.size
+    assert error < 0.015 and result.status == "ok", (error, result.message)
+    assert "the scan goes on beyond the rig" in result.message
+    assert result.labels.shape == (len(scan.points),) and result.confidence[scan.labels < 0].mean() < 0.3
+    fast = fitter.set_params(effort="fast").fit_scan(scan.points)
+    assert fast.status != "ok" and "beyond the rig" not in fast.message
