@@ -103,7 +103,7 @@ def cases_of(rig, rigs):
     list of Case
     """
     turned = CONDITIONS["turned"]
-    rows = {row: CONDITIONS[row] for row in conditions_of(rig)}
+    rows = {row: CONDITIONS[row] for row in conditions_of(rig) if not CONDITIONS[row].arm}
     worse = {name: replace(turned, what=name, scan=replace(turned.scan, **settings)) for name, settings in _WORSE.items()}
     cases = [Case(rig, name, condition, rig) for name, condition in (rows | worse).items()]
     cases += [Case(rig, f"in truth {other.name}", turned, other) for other in rigs if other is not rig]

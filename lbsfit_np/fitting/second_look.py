@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from ..errors import InputError
 from ..starts.beyond import beyond, cuts, end_of, goes_on, scales_of
+from .assemble import GUESS
 
 __all__ = ["looked_at_again", "with_floor_or_without", "within_the_rig"]
 
@@ -14,8 +15,9 @@ _NO_FLOOR = "a flat side that might be a floor takes part, as the fit is likelie
 _LEAST, _MOST = 0.03, 0.85
 # A long scan whose first fit is right with this probability is looked at no further.
 _SURE = 0.8
-# A fit without what lay beyond another one's end has to find this share of it beyond its own.
-_STILL = 0.9
+# A fit without what lay beyond another one's end has to find this share of it beyond its own, and no more than this share of its
+# joints may be guesses: of boxes and capsules, whose ends look like fists, half of the joints are, of hands an eighth at most.
+_STILL, _GUESSES = 0.9, 0.4
 
 
 def looked_at_again(taking_part, fit, points, rig, *, ups, settings, labels=None):
@@ -46,7 +48,7 @@ def looked_at_again(taking_part, fit, points, rig, *, ups, settings, labels=None
     within, known = lambda among: taking_part(ups, among), (points, rig, scales_of(rig, settings.scale, settings.unit))
     if ends and goes_on(points[within(None).rows], end, known[-1]):
         first = fit(within(None), True)
-        if first.probability >= _SURE:
+        if first.probability >= _SURE or not first.evidence:  # without skinning nothing speaks for a fit or against it
             return first
         first = within_the_rig(within, fit, first, *known)
         if first.status == "ok":
@@ -151,14 +153,20 @@ class _Look:
     def without_what_is_beyond(self, found):
         """The fit without the points beyond the end that another fit has found.
 
-        None where there is none, where these are too few or too many, or where it does not find them beyond its own end.
+        None where there is none or where its joints are guesses, where these points are too few or too many, or where the fit
+        without them does not find them beyond its own end.
         """
-        if found is None:
+        if found is None or not self._tells(found):
             return None
         past = beyond(self._points, self._rig, found)
         if not _LEAST <= past[self.rows].mean() <= _MOST:
             return None
         other = self.at(~past)
-        if other is None or beyond(self._points[past], self._rig, other).mean() < _STILL:
+        if other is None or not self._tells(other) or beyond(self._points[past], self._rig, other).mean() < _STILL:
             return None
         return other
+
+    def _tells(self, found):
+        """Whether the scan tells where most of the joints are."""
+        guesses = found.joint_std > GUESS * self._rig.size * found.scale
+        return guesses[self._rig.moving].mean() <= _GUESSES
