@@ -25,7 +25,7 @@ class Fits:
 
     def __init__(self):
         self.scout, self.efforts, self.points, self.fitters = SimpleNamespace(effort=None), [], [], []
-        self.seeds = []
+        self.seeds, self.facing = [], SimpleNamespace(floors="up")
         self.truth, self.changed = None, lambda truth, k: truth.joints
 
     def fitter(self, rig, **parameters):
@@ -36,10 +36,14 @@ class Fits:
         self.truth = condition_scan(*arguments)
         return self.truth
 
-    def fit(self, points, random_state):
+    def taking_part(self, points, *, random_state, ups):
+        self.seeds.append(random_state)
+        return points, ups
+
+    def fit(self, points, *, part):
+        assert part[0] is points and part[1] == "up"
         self.efforts.append(self.scout.effort)
         self.points.append(points)
-        self.seeds.append(random_state)
         k = len(self.efforts) - 1
         return SimpleNamespace(joints=self.changed(self.truth, k), evidence={"number": k})
 

@@ -11,9 +11,11 @@ import lbsfit_np as lbs
 from lbsfit_np.bench.conditions import CONDITIONS, condition_scan
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.second_look import looked_at_again
+from lbsfit_np.learning import new_scan
 from lbsfit_np.optimize.frame import root_turn, turned_root
 from lbsfit_np.rotations import matrix_from_rotvec
-from lbsfit_np.starts.beyond import beyond, cuts, end_of, scales_of
+from lbsfit_np.starts.beyond import beyond, cuts, end_of, goes_on, scales_of
+from lbsfit_np.starts.clean import taking_part
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +112,12 @@ def test_cuts_are_a_part_of_the_rigs_length_from_either_end():
     assert len(list(cuts(0.45 * line, end, (1.0,)))) == 1 and not list(cuts(0.35 * line, end, (1.0,)))
 
 
+def test_a_scan_goes_on_that_is_longer_in_each_unit_that_it_may_be_in():
+    line, end = np.linspace(0, 1, 500)[:, None] * [1.0, 0, 0], SimpleNamespace(length=1.0)
+    assert [goes_on(size * line, end, (1.0,)) for size in (0.5, 1.2, 1.4, 5.0, 7.0)] == [False, False, True, True, False]
+    assert goes_on(2.0 * line, end, (1.0, 100.0)) and not goes_on(2.0 * line, end, (1.0, 2.5))
+
+
 def test_units_that_a_scan_may_have(hand):
     assert set(scales_of(hand, "estimate")) >= {1.0, 100.0, 1000.0} and len(set(scales_of(hand, "estimate"))) == 4
     assert scales_of(hand, "estimate", "mm") == (1000.0,) and scales_of(hand, "fixed") == (1.0,)
@@ -137,8 +145,9 @@ class _Fits:
         std = np.where(np.arange(len(self.hand.parents)) < sum(guesses), 0.1, 0.001) * self.hand.size
         status = "ok" if probability >= 0.5 else "suspect"
         known = {"status": status, "probability": probability, "seconds": float(len(self.of)), "evaluations": 10}
-        known |= {"joint_std": std, "evidence": {"unexplained": 0.1}}
-        return _Result(**vars(self._found(where)) | known)
+        known |= {"joint_std": std, "evidence": {"unexplained": 0.1}, "confidence": np.ones(len(self.arm))}
+        fields = vars(self._found(where)) | known
+        return make_dataclass("Result", list(fields), frozen=True, eq=False)(**fields)
 
     def _of(self, among):
         if among is None:
@@ -156,13 +165,9 @@ class _Fits:
             found.vertices = (found.vertices - wrist) @ turn.T + wrist
         return found
 
-    def __call__(self, labels=None, **settings):
-        known = {"ups": None, "settings": FitSettings(**settings), "labels": labels}
+    def __call__(self, *, given=(), **settings):
+        known = {"ups": None, "settings": FitSettings(**settings), "given": given}
         return looked_at_again(self.taking_part, self.fit, self.scan.points, self.hand, **known)
-
-
-def _Result(**fields):
-    return make_dataclass("Result", list(fields), frozen=True, eq=False)(**fields)
 
 
 @pytest.fixture(scope="module")
@@ -186,14 +191,32 @@ def test_of_a_long_scan_the_hand_is_found_and_nothing_is_looked_at_twice(hand, l
     result = fits()
     assert result.probability == 0.9 and sorted(set(fits.of[:-1])) == sorted(before) and fits.of[-1] == "hand" and all(fits.once)
     assert (result.seconds, result.evaluations) == (len(fits.of), 10 * len(fits.of))
+    assert (result.confidence[~fits.arm] == 1).all() and (result.confidence[fits.arm] == 0).mean() > 0.75
 
 
-def test_without_evidence_nothing_is_looked_for(hand, long_scan):
-    """As in the variant without skinning."""
-    fits = _Fits(hand, long_scan, all=("true", 0.0))
+@pytest.mark.parametrize("of_the_hand", [0.55, 0.3])
+def test_a_long_scan_that_is_none_too_sure_is_looked_at_closely(hand, long_scan, of_the_hand):
+    """It may be of a large hand; as with any other scan, a pose in doubt gets a second look."""
+    fits = _Fits(hand, long_scan, all=("true", 0.6), **_sure_of("true") | {"hand": ("true", of_the_hand)})
+    assert fits().probability == 0.6 and fits.of[-1] == "all" and not fits.once[-1] and all(fits.once[:-1])
+
+
+@pytest.mark.parametrize("status, of", [("ok", {"all"}), ("failed", {"all", "hand_end", "arm_end", "hand"})])
+def test_without_skinning_nothing_is_looked_for_but_where_a_fit_is_not_finite(hand, long_scan, status, of):
+    fits = _Fits(hand, long_scan, all=("turned", 0.0), **_sure_of("true"))
     one = fits.fit
-    fits.fit = lambda part, once: replace(one(part, once), evidence={}, status="ok")
-    assert fits().status == "ok" and fits.of == ["all"]
+
+    def fit(part, once):
+        found = one(part, once)
+        return replace(found, evidence={}, status=status) if fits.of[-1] == "all" else found
+
+    fits.fit = fit
+    assert fits().status == "ok" and set(fits.of) == of
+
+
+def test_a_given_pose_is_fitted_at_once(hand, long_scan):
+    fits = _Fits(hand, long_scan, all=("true", 0.2), **_sure_of("true"))
+    assert fits(given=("theta0",)).probability == 0.9 and fits.of == ["all", "hand"] and fits.once == [False, True]
 
 
 def test_of_a_shorter_scan_all_is_done_for_the_whole_first(hand, short_scan):
@@ -228,8 +251,45 @@ def test_what_does_not_help_is_not_taken(hand, long_scan, of_the_hand, probabili
 @pytest.mark.parametrize("known", ["effort", "labels"])
 def test_where_it_is_said_what_is_of_the_hand_nothing_is_looked_for(hand, long_scan, known):
     fits = _Fits(hand, long_scan, all=("true", 0.2))
-    given = {"effort": "fast"} if known == "effort" else {"labels": long_scan.labels}
+    given = {"effort": "fast"} if known == "effort" else {"given": ("labels",)}
     assert fits(**given).probability == 0.2 and fits.once == [False]
+
+
+def test_after_learning_the_hand_is_found_as_well(hand, long_scan, monkeypatch):
+    """The scout of a learned template, too, looks once at each part."""
+    fits, seen = _Fits(hand, long_scan, all=("turned", 0.1), **_sure_of("true")), []
+
+    def fit(fitter, points, part, *more, once):
+        seen.append(part)
+        past = np.ones(len(points), dtype=bool)
+        past[part.every] = False
+        among = None if len(part.every) == len(points) else ~past
+        return fits.fit(SimpleNamespace(among=among), once)
+
+    monkeypatch.setattr(new_scan, "_fit_new", fit)
+    fitter = lbs.LBSFitter(hand, random_state=0, max_points=10_000)
+    fitter.regressor_ = "a library"
+    result = new_scan.fit_new(fitter, long_scan.points, ("ann",), None, None, None)
+    assert result.probability == 0.9 and all(fits.once) and "taken to go on beyond the rig" in seen[-1].left_out
+
+
+# ---- what takes part ----
+
+
+def test_what_takes_part_is_told_of_the_body_alone(hand, long_scan):
+    """Points without depth and floors are told of by themselves, and what is thinned is filled up."""
+    rng, n = np.random.default_rng(0), len(long_scan.points)
+    low = long_scan.points[:, 1].min() - 0.02 * hand.size
+    floor = rng.uniform(-3, 3, (n, 3)) * [hand.size, 0, hand.size] + [0, low, 0]
+    points = np.concatenate([long_scan.points, floor, np.zeros((500, 3))])
+    among = np.ones(len(points), dtype=bool)
+    among[:n] = long_scan.labels >= 0
+    among[n : n + n // 2] = False  # of the floor, as much as lies beyond
+    part = taking_part(points, hand, most=1500, rng=rng, scale="estimate", ups=[np.array([0.0, 1.0, 0.0])], among=among)
+    share = (long_scan.labels < 0).mean()
+    assert f"beyond the rig, {share:.0%}"[:-2] in part.left_out and "500 identical points" in part.left_out
+    assert "of a floor" in part.left_out and len(part.rows) > 1200
+    assert among[part.every].all() and (part.every < n).all()
 
 
 # ---- the whole ----
@@ -243,7 +303,7 @@ def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, sca
     result = fitter.fit_scan(scan.points)
     error = np.linalg.norm(result.joints - scan.joints, axis=1).mean() / hand.size
     assert error < 0.015 and result.status == "ok", (error, result.message)
-    assert "the scan goes on beyond the rig" in result.message
+    assert "taken to go on beyond the rig" in result.message
     assert result.labels.shape == (len(scan.points),) and result.confidence[scan.labels < 0].mean() < 0.3
     fast = fitter.set_params(effort="fast").fit_scan(scan.points)
     assert fast.status != "ok" and "beyond the rig" not in fast.message

@@ -296,10 +296,10 @@ def fitted(request, tube_fitter, tube_result, monkeypatch):
         fitter = copy.copy(tube_fitter).set_params(scale=scale, effort="fast")  # which looks for nothing beyond the rig
         given = {"theta0": None, "labels": None, "point_weights": None} | given
         if request.param == "after learning":
-            monkeypatch.setattr(new_scan, "_fit_new", lambda fitter, points, part, *_: one(part))
+            monkeypatch.setattr(new_scan, "_fit_new", lambda fitter, points, part, *_, once: one(part))
             return new_scan.fit_new(fitter, points, ("ann",), **given), list(fits)
         fit = scan_fit(fitter)
-        monkeypatch.setattr(fit, "_fit", lambda points, theta0, labels, point_weights, part, *_: one(part))
+        monkeypatch.setattr(fit, "_fit", lambda points, theta0, labels, point_weights, part, *_, once: one(part))
         return fit.fit(points, random_state=0, **given), list(fits)
 
     return fit_of
@@ -347,7 +347,7 @@ def test_a_second_look_is_at_the_same_points(random_state, tube_rig, tube_result
         return taking_part(points, rig, rng=rng, **more)
 
     monkeypatch.setattr("lbsfit_np.fitting.scan_fit.taking_part", taking)
-    monkeypatch.setattr(fit, "_fit", lambda *given: replace(tube_result, status="suspect"))
+    monkeypatch.setattr(fit, "_fit", lambda *given, once: replace(tube_result, status="suspect"))
     given = np.random.default_rng(5) if random_state == "a generator" else random_state
     for _ in range(2):
         fit.fit(points, random_state=given)

@@ -149,7 +149,9 @@ def judged(case, n_scans, seed, training_scans):
         points, truth = case.scan(i, generator(seed, "calibrate", rig.name, case.name, i))
         for effort in (_CARELESS, EFFORTS["balanced"]):
             fit.scout.effort = replace(effort)
-            result = fit.fit(points, random_state=TRAINING_SEED)
+            # What takes part is given: a fit with more or less of the scan besides would be chosen by its evidence.
+            part = fit.taking_part(points, random_state=TRAINING_SEED, ups=fit.facing.floors)
+            result = fit.fit(points, part=part)
             error = np.inf
             if truth is not None:
                 counted = counted_joints(rig, case.condition, truth)

@@ -60,9 +60,9 @@ are not, and whether joint_std tells the joints that are wrong.
 
 Rows: 0.3, 0.6 and 1.0 rad a joint, facing known; natural poses under any turn about the up axis (turned) and any rotation
 (rotated), in an unknown unit and scale (unit), seen from one side (partial), with clutter, noise and holes (dirty); touching
-fingers and fists (touching; hands only); other people (subjects). Fits: as users get them (own); plain Chamfer from the rest
-pose (plain); with the true labels given (oracle). OUT gets results.json, after each row anew; the same command once more does
-only what is not there yet.
+fingers and fists (touching; hands only); other people (subjects); an arm beyond the wrist (arm; hands only). Fits: as users get
+them (own); plain Chamfer from the rest pose (plain); with the true labels given (oracle). OUT gets results.json, after each row
+anew; the same command once more does only what is not there yet.
 """
 
 _STUDY = """\

@@ -121,7 +121,9 @@ class ScanFit:
         """The Scout of these settings."""
         return Scout(self.model, self.library, self.facing, self.segmenter, self.settings, nearest=self.nearest)
 
-    def fit(self, points, *, theta0=None, labels=None, point_weights=None, random_state=None, part=None, found=None):
+    def fit(
+        self, points, *, theta0=None, labels=None, point_weights=None, random_state=None, part=None, found=None, once=False
+    ):
         """Fit one scan.
 
         Parameters
@@ -138,6 +140,8 @@ class ScanFit:
             What of the scan takes part, where that is known already: then this is fitted, no more and no less.
         found : Found, optional
             What the scout said of that ``part``, where it was asked already; only with a ``part``.
+        once : bool, default False
+            As for ``Scout``; only with a ``part``.
 
         Returns
         -------
@@ -150,15 +154,15 @@ class ScanFit:
             random_state = integer_seed(random_state)  # a second look draws the same points
         with one_thread():  # threads on arrays this small cost more than they give
             if part is not None:
-                return self._fit(points, theta0, labels, point_weights, part, started, found, False)
+                return self._fit(points, theta0, labels, point_weights, part, started, found, once=once)
             return looked_at_again(
                 lambda ups, among: self.taking_part(points, point_weights, random_state, ups=ups, labels=labels, among=among),
-                lambda part, once: self._fit(points, theta0, labels, point_weights, part, started, None, once),
+                lambda part, once: self._fit(points, theta0, labels, point_weights, part, started, None, once=once),
                 points,
                 self.model.source,
                 ups=self.facing.floors,
                 settings=self.settings,
-                labels=labels,
+                given=given_names(theta0, labels),
             )
 
     def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, labels=None, among=None):
@@ -167,7 +171,7 @@ class ScanFit:
         limits = {"most": self.settings.max_points, "scale": self.settings.scale, "unit": self.settings.unit, "ups": ups}
         return taking_part(points, self.model.source, rng=generator(random_state, "thin"), **limits, **known)
 
-    def _fit(self, points, theta0, labels, point_weights, part, started, found, once):
+    def _fit(self, points, theta0, labels, point_weights, part, started, found, *, once):
         model, settings = self.model, self.settings
         rows, guess = part.rows, part.scale
         a = shares(point_weights, rows)

@@ -2,11 +2,13 @@
 
 from dataclasses import replace
 
+import numpy as np
+
 from ..errors import InputError
 from ..starts.beyond import beyond, cuts, end_of, goes_on, scales_of
 from .assemble import GUESS
 
-__all__ = ["looked_at_again", "with_floor_or_without", "within_the_rig"]
+__all__ = ["looked_at_again"]
 
 # Of a plane below another axis than the likeliest that was taken for a floor at first.
 _FLOOR = "with the points of that floor it is no likelier"
@@ -20,7 +22,7 @@ _SURE = 0.8
 _STILL, _GUESSES = 0.9, 0.4
 
 
-def looked_at_again(taking_part, fit, points, rig, *, ups, settings, labels=None):
+def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=()):
     """The fit of a scan; where it is in doubt, the likeliest of those with and without what may be no part of the body.
 
     Parameters
@@ -35,97 +37,52 @@ def looked_at_again(taking_part, fit, points, rig, *, ups, settings, labels=None
         Directions that may be up where there is a floor, the likeliest first; None where any may.
     settings : FitSettings
         With ``effort`` "fast" nothing is looked for beyond the rig.
-    labels : (n,) int array, optional
-        Known parts, which say what is of the body: then nothing is looked for beyond it either.
+    given : sequence of {"theta0", "labels"}
+        What the caller knows. Labels say what is of the body: then nothing is looked for beyond it either.
 
     Returns
     -------
     FitResult
         With the seconds and the evaluations of all.
     """
-    end, first = end_of(rig), None
-    ends = labels is None and settings.effort != "fast" and end is not None
-    within, known = lambda among: taking_part(ups, among), (points, rig, scales_of(rig, settings.scale, settings.unit))
-    if ends and goes_on(points[within(None).rows], end, known[-1]):
-        first = fit(within(None), True)
-        if first.probability >= _SURE or not first.evidence:  # without skinning nothing speaks for a fit or against it
-            return first
-        first = within_the_rig(within, fit, first, *known)
-        if first.status == "ok":
-            return first
-    result = with_floor_or_without(lambda ups: taking_part(ups, None), lambda part: fit(part, False), ups)
-    if first is not None:
-        result = _with_costs(max((result, first), key=_probability), result, first)
-    elif ends and result.status != "ok":
-        result = within_the_rig(within, fit, result, *known)
-    return result
+    part = taking_part(ups, None)
+    look = None
+    if "labels" not in given and settings.effort != "fast" and end_of(rig) is not None:
+        look = _Look(lambda among: taking_part(ups, among), fit, part, points, rig, scales_of(rig, settings.scale, settings.unit))
+        if look.is_long and not given:  # what is given is fitted at once
+            first = look.at_all(once=True)
+            # Without skinning nothing speaks for a fit or against it.
+            if first.probability >= _SURE or (first.status == "ok" and not first.evidence):
+                return first
+            within = look.within_the_rig(first)
+            if within is not None and within.status == "ok" and within.probability >= first.probability:
+                return within
+            whole = _with_floor_or_without(part, taking_part, fit, ups)
+            return look.with_costs(whole if within is None else max(whole, within, key=_probability), whole)
+    result = _with_floor_or_without(part, taking_part, fit, ups)
+    if look is None or result.status == "ok":
+        return result
+    look.count(result)
+    within = look.within_the_rig(result)
+    return look.with_costs(result if within is None else max(result, within, key=_probability))
 
 
-def _with_costs(result, last, before):
-    """A result with the seconds of the last fit, and the evaluations of all."""
-    return replace(result, seconds=last.seconds, evaluations=last.evaluations + before.evaluations)
-
-
-def with_floor_or_without(taking_part, fit, ups):
-    """The fit of a scan; where it is in doubt, with what may be no floor taking part, too, and the likelier of the two.
+def _with_floor_or_without(part, taking_part, fit, ups):
+    """The fit of a part; where it is in doubt, with what may be no floor taking part, too, and the likelier of the two.
 
     A floor below another axis than the likeliest may be a flat side of the body, such as a palm that faces the camera.
-
-    Parameters
-    ----------
-    taking_part : callable (ups) → TakingPart
-    fit : callable (TakingPart) → FitResult
-    ups
-        As for :func:`looked_at_again`.
-
-    Returns
-    -------
-    FitResult
-        With the seconds and the evaluations of both.
     """
-    part = taking_part(ups)
-    result = fit(part)
+    result = fit(part, False)
     if result.status == "ok" or not part.floor_elsewhere:
         return result
     try:
-        whole = taking_part(ups[:1])
+        whole = taking_part(ups[:1], None)
     except InputError:  # of a wide wall: with it the scan is none that can be worked with
         return result
-    other = fit(whole)
+    other = fit(whole, False)
+    both = {"seconds": other.seconds, "evaluations": result.evaluations + other.evaluations}
     best, words = (result, _FLOOR) if result.probability >= other.probability else (other, _NO_FLOOR)
-    return _with_costs(replace(best, message=f"{best.message}; {words}"), other, result)
-
-
-def within_the_rig(taking_part, fit, result, points, rig, scales):
-    """A fit in doubt, or a likelier one without what goes on beyond the rig's end, such as the forearm of a hand.
-
-    What lies beyond is told by a fit: by the one in doubt, which may be right but for what it cannot explain; then, of a scan
-    longer than the rig, by the likelier of the fits of its two ends. One that leaves nothing of this in doubt ends the search.
-
-    Parameters
-    ----------
-    taking_part : callable (among) → TakingPart
-    result : FitResult
-        The one in doubt.
-    fit, points, rig
-        As for :func:`looked_at_again`.
-    scales : sequence of float
-        Scan units in a rig unit that the scan may have.
-
-    Returns
-    -------
-    FitResult
-        With the seconds and the evaluations of all.
-    """
-    look = _Look(taking_part, fit, result, points, rig)
-    best = max((result, look.without_what_is_beyond(result)), key=_probability)
-    if best.status != "ok":
-        for ends in cuts(points[look.rows], end_of(rig), scales):
-            there = max((look.at(one(points)) for one in ends), key=_probability)
-            best = max((best, look.without_what_is_beyond(there)), key=_probability)
-            if best.status == "ok":
-                break
-    return replace(best, seconds=look.seconds, evaluations=look.evaluations)
+    return replace(best, message=f"{best.message}; {words}", **both)
 
 
 def _probability(result):
@@ -133,25 +90,64 @@ def _probability(result):
 
 
 class _Look:
-    """Fits of parts of one scan, and what all of them have cost."""
+    """Fits of parts of one scan that may go on beyond the rig, and what all of them have cost."""
 
-    def __init__(self, taking_part, fit, first, points, rig):
-        self._taking_part, self._fit, self._points, self._rig = taking_part, fit, points, rig
-        self.seconds, self.evaluations = first.seconds, first.evaluations
-        self.rows = taking_part(None).rows  # floors and what else takes no part goes on from no end
+    def __init__(self, taking_part, fit, part, points, rig, scales):
+        self._taking_part, self._fit, self._part = taking_part, fit, part
+        self._points, self._rig, self._scales = points, rig, scales
+        self._body = points[part.rows]  # floors, and what else takes no part, go on from no end
+        self._seconds, self._evaluations = 0.0, 0
 
-    def at(self, among):
+    @property
+    def is_long(self):
+        """Whether the scan is sure to go on."""
+        return goes_on(self._body, end_of(self._rig), self._scales)
+
+    def count(self, result):
+        """Add what a fit has cost; it comes back."""
+        self._seconds, self._evaluations = result.seconds, self._evaluations + result.evaluations
+        return result
+
+    def with_costs(self, result, last=None):
+        """A result with what all have cost, and a last one that was not counted."""
+        if last is not None:
+            self.count(last)
+        return replace(result, seconds=self._seconds, evaluations=self._evaluations)
+
+    def at_all(self, *, once):
+        """The fit of the whole."""
+        return self.count(self._fit(self._part, once))
+
+    def within_the_rig(self, result):
+        """What is likelier than a fit in doubt without what goes on beyond the rig's end, such as the forearm of a hand.
+
+        What lies beyond is told by a fit: by the one in doubt, which may be right but for what it cannot explain; then, of a scan
+        longer than the rig, by the likelier of the fits of its two ends. One that is "ok" ends the search.
+
+        Returns
+        -------
+        FitResult or None
+            With the seconds and the evaluations of all so far; None where there is none, or it has failed.
+        """
+        best = self._without_what_is_beyond(result)
+        if best is None or best.status != "ok":
+            for ends in cuts(self._body, end_of(self._rig), self._scales):
+                there = max((self._at(one(self._points)) for one in ends), key=_probability)
+                best = max((best, self._without_what_is_beyond(there)), key=_probability)
+                if best is not None and best.status == "ok":
+                    break
+        return None if best is None or best.status == "failed" else self.with_costs(best)
+
+    def _at(self, among):
         """The fit of these points; None where they are none that can be worked with."""
         try:
             part = self._taking_part(among)
         except InputError:
             return None
-        other = self._fit(part, True)
-        self.seconds, self.evaluations = other.seconds, self.evaluations + other.evaluations
-        return other
+        return self.count(self._fit(part, True))
 
-    def without_what_is_beyond(self, found):
-        """The fit without the points beyond the end that another fit has found.
+    def _without_what_is_beyond(self, found):
+        """The fit without the points beyond the end that another fit has found, whose labels then have no confidence.
 
         None where there is none or where its joints are guesses, where these points are too few or too many, or where the fit
         without them does not find them beyond its own end.
@@ -159,12 +155,13 @@ class _Look:
         if found is None or not self._tells(found):
             return None
         past = beyond(self._points, self._rig, found)
-        if not _LEAST <= past[self.rows].mean() <= _MOST:
+        of_the_body = past[self._part.rows]
+        if not _LEAST <= of_the_body.mean() <= _MOST:
             return None
-        other = self.at(~past)
-        if other is None or not self._tells(other) or beyond(self._points[past], self._rig, other).mean() < _STILL:
+        other = self._at(~past)
+        if other is None or not self._tells(other) or beyond(self._body[of_the_body], self._rig, other).mean() < _STILL:
             return None
-        return other
+        return replace(other, confidence=np.where(past, 0.0, other.confidence))
 
     def _tells(self, found):
         """Whether the scan tells where most of the joints are."""

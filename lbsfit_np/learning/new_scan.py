@@ -72,17 +72,17 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
         return looked_at_again(
             lambda ups, among: taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, among=among, **limits),
             lambda part, once: _fit_new(
-                fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, once
+                fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, once=once
             ),
             points,
             fitter.rig,
             ups=_facing(fitter).floors,
             settings=settings,
-            labels=labels,
+            given=given_names(theta0, labels),
         )
 
 
-def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, once):
+def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, *, once):
     rig, half = fitter.rig, fitter.rig.size / 2
     rows, left_out, guess = part.rows, part.left_out, part.scale
     x = points[rows]
@@ -95,7 +95,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if given:
         found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
     elif len(subjects) == 1:
-        found = [(s, _scouted(fitter, s, x, a, settings, once)) for s in subjects]
+        found = [(s, _scouted(fitter, s, x, a, settings, once=once)) for s in subjects]
     else:  # one look for all, on the rig's own template with proportions
         seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a, once=once)
         found = _on_templates(fitter, subjects, seen, settings)
@@ -106,7 +106,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if anyone and proportions > SOMEBODY_ELSE:
         # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
         known = {"theta0": theta0, "labels": labels, "point_weights": point_weights}
-        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **known, part=part, found=seen)
+        alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **known, part=part, found=seen, once=once)
         nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
@@ -144,7 +144,7 @@ def _asking(result, subjects):
     return replace(result, message=f"{result.message}; if you know who it is, name the subject (--subject, --subjects)")
 
 
-def _scouted(fitter, subject, x, a, settings, once):
+def _scouted(fitter, subject, x, a, settings, *, once):
     """A scan of which nothing is known; in the subject's unit where its size allows that."""
     facing, library, segmenter = _facing(fitter), fitter.regressor_, fitter.segmenter_
     seen = library.starts(x, facing.turns, 1, **sizes_in(fitter.rig, settings.unit))[0].scale

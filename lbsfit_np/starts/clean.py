@@ -89,31 +89,39 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
     if not len(rows):
         raise InputError("point_weights", "all zeros", "at least one positive weight")
-    past = 0
-    if among is not None:
-        rows, given = rows[among[rows]], len(rows)
-        past = given - len(rows)
     rows, same = _in_places_of_their_own(points, rows)
     drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
-    sides = {"ups": ups, "body": None if labels is None else labels >= 0}
-    body, left_out, below = clean_rows(points, drawn, **sides)
+    sides = {"ups": ups, "body": None if labels is None else labels >= 0, "among": among}
+    body, left_out, below = _of_the_body(points, drawn, **sides)
     if len(drawn) < len(rows) and len(body) < _ENOUGH * most:
         enough = min(len(rows), int(most * most / max(len(body), most // 10)))
         drawn = np.sort(rng.choice(rows, enough, replace=False))
-        body, left_out, below = clean_rows(points, drawn, **sides)
+        body, left_out, below = _of_the_body(points, drawn, **sides)
     kept = body if len(body) <= most else np.sort(rng.choice(body, most, replace=False))
     told = f"{same} identical points left out" if same else ""
-    ends = f"the scan goes on beyond the rig: {past} point{'' if past == 1 else 's'} of that left out" if past else ""
-    words = "; ".join(filter(None, (ends, told, left_out)))
+    words = "; ".join(filter(None, (told, left_out)))
     if words and len(kept) < len(rig.parts):
         got = f"{len(kept)} point{'' if len(kept) == 1 else 's'} that may be of the body ({words})"
         raise InputError("points", got, f"at least {len(rig.parts)} points, one a part")
     dropped = np.setdiff1d(drawn, body, assume_unique=True)
     others = np.setdiff1d(rows, np.union1d(kept, dropped), assume_unique=True)
+    if among is not None:
+        others = others[among[others]]
     if labels is not None and labels[kept].min() >= 0:  # where steps go by labels, they go by all
         others = others[labels[others] >= 0]
     more = _alike(points, kept, dropped, others, (_LAST - 1) * most, rng)
     return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale, unit).scale, below)
+
+
+def _of_the_body(points, drawn, *, among, **sides):
+    """:func:`clean_rows`, without what lies beyond the end of the rig, which is told as well."""
+    body, left_out, below = clean_rows(points, drawn, **sides)
+    if among is None:
+        return body, left_out, below
+    within = body[among[body]]
+    share = 1.0 - len(within) / max(len(body), 1)
+    ends = f"taken to go on beyond the rig, {share:.0%} of its points left out"
+    return within, "; ".join(filter(None, (ends, left_out))), below
 
 
 def _alike(points, kept, dropped, others, most, rng):
