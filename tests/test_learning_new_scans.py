@@ -52,12 +52,12 @@ ASKS = "; if you know who it is, name the subject (--subject, --subjects)"
 def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, people, whose, somebody_else, monkeypatch):
     template = people[whose].vertices, people[whose].joints
     (scan,) = lbs.synthesize(tube_rig, 1, templates=[template], random_state=3, n_points=300)
-    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter = lbs.LBSFitter(tube_rig, random_state=0, effort="fast")  # which looks for nothing beyond the rig
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
     fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     seen, looks, alone, given = found_at_the_truth(tube_rig, scan), [], {"status": "ok"}, {}
 
-    def look(points, x_weights):
+    def look(points, x_weights, *, once):
         looks.append(points)
         return seen
 
@@ -67,7 +67,7 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
 
     by_itself = SimpleNamespace(scout=look, fit=fit)
     monkeypatch.setattr(new_scan, "scan_fit", lambda *made_of: by_itself)
-    monkeypatch.setattr(new_scan, "_scouted", lambda fitter, subject, x, a, settings: look(x, a))
+    monkeypatch.setattr(new_scan, "_scouted", lambda fitter, subject, x, a, settings, *, once: look(x, a, once=once))
     monkeypatch.setattr(TemplateFit, "proportions", lambda *known: 0.31 if somebody_else else 0.29)
     wild = np.vstack([scan.points, [[99.0, 0.0, 0.0]]])  # which takes no part
     r = new_scan.fit_new(fitter, wild, list(people), None, None, None)
@@ -96,7 +96,7 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
 def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, better, monkeypatch):
     """(E in the normalised frame, scan units in a rig unit) of each: it goes by the square of the frame's unit."""
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
-    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter = lbs.LBSFitter(tube_rig, random_state=0, effort="fast")
     fitter.template_, fitter.unit_ = people, {"ann": ann[1], "bob": bob[1]}
     fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     seen, told, alone = found_at_the_truth(tube_rig, scan), {}, {"status": "ok"}
@@ -110,7 +110,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
         told.update(place)
         return _Alone("seen", seen, **alone)
 
-    monkeypatch.setattr(new_scan, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a: seen))
+    monkeypatch.setattr(new_scan, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a, *, once: seen))
     monkeypatch.setattr(new_scan, "_begun", lambda fitter, subject, *known: SimpleNamespace(subject=subject, left=1.0))
     monkeypatch.setattr(new_scan, "_gone_on", gone_on)
     refit = SimpleNamespace(left=lambda problem, state: state.scale)
@@ -122,7 +122,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     for alone["status"] in ("suspect", "failed"):  # who knows the subject may help
         asks = new_scan.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message
         assert asks == "seen" + ASKS
-    monkeypatch.setattr(new_scan, "_scouted", lambda *known: seen)
+    monkeypatch.setattr(new_scan, "_scouted", lambda *known, once: seen)
     assert new_scan.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message == "seen"
 
 
@@ -187,7 +187,7 @@ def test_a_scan_of_somebody_else_than_named_is_told_to_leave_the_name_out(status
     fitter = lbs.LBSFitter(tube_rig, random_state=0, effort="fast")
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
     fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
-    monkeypatch.setattr(new_scan, "_scouted", lambda *known: found_at_the_truth(tube_rig, scan))
+    monkeypatch.setattr(new_scan, "_scouted", lambda *known, once: found_at_the_truth(tube_rig, scan))
     given = []
 
     def finished(problem, state, **place):
@@ -210,7 +210,7 @@ def test_what_a_scan_stands_along_is_only_said_where_no_start_told_it(tube_rig, 
     fitter.template_, fitter.unit_ = people, dict.fromkeys(people, 1.0)
     fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     for look in ("_scouted", "_given"):
-        monkeypatch.setattr(new_scan, look, lambda *known: found_at_the_truth(tube_rig, scan))
+        monkeypatch.setattr(new_scan, look, lambda *known, **once: found_at_the_truth(tube_rig, scan))
     monkeypatch.setattr(new_scan, "stands_words", lambda *known: "the scan stands along +z")
     fit = SimpleNamespace(proportions=lambda *of: 0.0, refit=LEFT, finish=lambda problem, state, **place: _Alone("", place))
     monkeypatch.setattr(new_scan, "_template_fit", lambda *made_of: fit)

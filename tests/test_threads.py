@@ -56,22 +56,21 @@ def _new_scan(monkeypatch):
     monkeypatch.setattr(new_scan, "taking_part", lambda *of, **more: None)
     monkeypatch.setattr(new_scan, "_fit_new", _look)
     monkeypatch.setattr(new_scan, "_facing", lambda fitter: SimpleNamespace(floors=None))
-    settings = SimpleNamespace(max_points=1, scale="fixed", unit=None)
+    settings = SimpleNamespace(max_points=1, scale="fixed", unit=None, effort="fast")
     monkeypatch.setattr(new_scan, "fit_settings", lambda fitter: settings)
     fitter = SimpleNamespace(regressor_=1, rig=None, _seed=lambda: 0)
     return new_scan.fit_new(fitter, None, ("ann",), None, None, None)
 
 
 X = np.random.default_rng(0).random((40, 3))
+MADE = {"facing": SimpleNamespace(floors=None), "model": SimpleNamespace(source=None), "settings": SimpleNamespace(effort="fast")}
 WORK = {
     "a stage": lambda _: train_stage(X, np.arange(40) % 2, 2, Training(epochs=1), 0, "a", _look),
     "labels": lambda _: Segmenter.predict_proba(SimpleNamespace(half=1.0, turn=0.0, _proba=_look), X),
     "the regressor f": _regressor,
     "the loop": lambda _: Loop.run(SimpleNamespace(_first_fits=_look)),
-    "a fit": lambda _: ScanFit.fit(
-        SimpleNamespace(taking_part=lambda *of, **more: None, _fit=_look, facing=SimpleNamespace(floors=None)), X
-    ),
-    "what takes part": lambda _: ScanFit.fit(SimpleNamespace(taking_part=_look, facing=SimpleNamespace(floors=None)), X),
+    "a fit": lambda _: ScanFit.fit(SimpleNamespace(taking_part=lambda *of, **more: None, _fit=_look, **MADE), X),
+    "what takes part": lambda _: ScanFit.fit(SimpleNamespace(taking_part=_look, **MADE), X),
     "a new scan": _new_scan,
     "tasks": lambda _: each(_look, [0]),
     "the oracle": lambda _: OracleFit.__call__(SimpleNamespace(_fit=_look), None),

@@ -236,7 +236,7 @@ def test_a_fit_on_a_learned_template_tells_it_as_well(tube_rig, fitter, found, r
     theta[0, 0] = np.radians(root)
     state, frame = model.rest().replace(theta=theta), Frame(np.zeros(3), model.half, turn)
     X = model.pose(state)[0].vertices
-    monkeypatch.setattr("lbsfit_np.learning.new_scan._scouted", lambda *given: Found(frame, Problem(X), state, None, 1.0, ()))
+    monkeypatch.setattr("lbsfit_np.learning.new_scan._scouted", lambda *_, once: Found(frame, Problem(X), state, None, 1.0, ()))
     r = _as_learned(fitter, tube_rig, monkeypatch).set_params(up=up).fit_scan(frame.outside(X), subject="ann")
     assert r.status == "ok" and ("the scan stands along its +z axis" in r.message) == told
 
