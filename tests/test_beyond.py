@@ -9,10 +9,12 @@ from scipy.sparse import csr_matrix
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.conditions import CONDITIONS, condition_scan
-from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
 from lbsfit_np.fitting.second_look import looked_at_again
 from lbsfit_np.learning import new_scan
 from lbsfit_np.optimize.frame import root_turn, turned_root
+from lbsfit_np.optimize.model import Model
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.beyond import beyond, cuts, end_of, goes_on, scales_of
 from lbsfit_np.starts.clean import taking_part
@@ -246,6 +248,40 @@ def test_what_does_not_help_is_not_taken(hand, long_scan, of_the_hand, probabili
     assert result.probability == probability and result.status == "suspect"
     assert fits.of[-1] == "all" and fits.once == [True] * (len(fits.of) - 1) + [False]
     assert (result.seconds, result.evaluations) == (len(fits.of), 10 * len(fits.of))
+
+
+def test_an_end_that_cannot_be_worked_with_takes_no_fit_away(hand, long_scan):
+    fits = _Fits(hand, long_scan, all=("turned", 0.3), **_sure_of("true"))
+    whole = fits.taking_part
+
+    def taking_part(ups, among):
+        if fits._of(among) == "arm_end":
+            raise InputError("points", "some", "others")
+        return whole(ups, among)
+
+    fits.taking_part = taking_part
+    assert fits().probability == 0.9 and "arm_end" not in fits.of
+
+
+def test_a_fit_of_guesses_does_not_say_what_lies_beyond(hand, long_scan):
+    """The ends are looked at first, which tell more."""
+    fits = _Fits(hand, long_scan, all=("true", 0.2, 7), **_sure_of("true"))
+    assert fits().probability == 0.9 and set(fits.of[1:3]) == {"hand_end", "arm_end"}
+
+
+@pytest.mark.parametrize("once", [False, True])
+def test_the_scout_is_told_to_look_once(hand, long_scan, once):
+    told, fit = [], ScanFit(Model(hand))
+
+    def scout(points, x_weights, *, once):
+        told.append(once)
+        raise KeyboardInterrupt  # that is all there is to know
+
+    fit.scout = scout
+    part = fit.taking_part(long_scan.points, random_state=0)
+    with pytest.raises(KeyboardInterrupt):
+        fit.fit(long_scan.points, part=part, once=once)
+    assert told == [once]
 
 
 @pytest.mark.parametrize("known", ["effort", "labels"])
