@@ -13,11 +13,15 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
 from lbsfit_np.fitting.second_look import looked_at_again
 from lbsfit_np.learning import new_scan
+from lbsfit_np.learning.checkpoint import digest_of
+from lbsfit_np.learning.collection import Member
+from lbsfit_np.learning.first_fits import FirstFit
 from lbsfit_np.optimize.frame import root_turn, turned_root
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.beyond import beyond, cuts, end_of, goes_on, scales_of
-from lbsfit_np.starts.clean import taking_part
+from lbsfit_np.starts.clean import TakingPart, taking_part
+from lbsfit_np.starts.turns import Facing
 
 
 @pytest.fixture(scope="module")
@@ -159,6 +163,7 @@ class _Fits:
 
     def _found(self, where):
         found, root = _true(self.hand, self.scan), self.hand.root
+        found.vertices = found.vertices.copy()  # each fit has its own
         if where == "turned":  # by 180 degrees about the wrist, the fingers in the arm
             axis = np.cross(root_turn(self.hand, found.pose) @ end_of(self.hand).direction, [1.0, 2.0, 3.0])
             turn, wrist = matrix_from_rotvec(np.pi * axis / np.linalg.norm(axis)), found.joints[root]
@@ -328,18 +333,76 @@ def test_what_takes_part_is_told_of_the_body_alone(hand, long_scan):
     assert among[part.every].all() and (part.every < n).all()
 
 
-# ---- the whole ----
+# ---- collections ----
 
 
-def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, scans):
-    known = {"orientation": "aligned", "training_scans": 200, "training": {"n_points": 800}, "random_state": 0}
-    fitter = lbs.LBSFitter(hand, **known).pretrain()
-    scan = condition_scan(hand, replace(CONDITIONS["0.3"], arm=True), 0, np.random.default_rng(1))
-    assert 1500 < (scan.labels < 0).sum() < 2500
-    result = fitter.fit_scan(scan.points)
-    error = np.linalg.norm(result.joints - scan.joints, axis=1).mean() / hand.size
-    assert error < 0.015 and result.status == "ok", (error, result.message)
-    assert "taken to go on beyond the rig" in result.message
-    assert result.labels.shape == (len(scan.points),) and result.confidence[scan.labels < 0].mean() < 0.3
-    fast = fitter.set_params(effort="fast").fit_scan(scan.points)
-    assert fast.status != "ok" and "beyond the rig" not in fast.message
+class _Scout:
+    """What a scout says of what takes part, and how often it was asked."""
+
+    def __init__(self, sure):
+        self.sure, self.of = sure, []
+
+    def __call__(self, points, *, once):
+        self.of.append((len(points), once))
+        problem = SimpleNamespace(evaluate=lambda *given: SimpleNamespace(value=0.5))
+        return SimpleNamespace(frame=None, state=len(points), proba=None, problem=problem)
+
+    def is_sure(self, found):
+        return self.sure
+
+
+def _first_fit(hand, fits, *, sure, **settings):
+    """A first fit whose fits are made ones, and its scout."""
+    work = FirstFit(Model(hand), FitSettings(**settings), None, None, Facing(), True, 0)
+    scout = _Scout(sure)
+
+    def fit(points, *, part, found):
+        assert found.state == len(part.rows)
+        return fits.fit(SimpleNamespace(among=part.among), scout.of[-1][1])
+
+    def taking(points, point_weights, seed, *, ups, among):
+        rows = np.arange(len(points)) if among is None else np.flatnonzero(among)
+        return TakingPart(rows, rows[:0], "", 1.0, None, among)
+
+    object.__setattr__(work, "_fit", SimpleNamespace(scout=scout, fit=fit, taking_part=taking))
+    return work, scout
+
+
+def _member(scan):
+    rows = np.arange(len(scan.points))
+    return Member(0, scan.points, TakingPart(rows, rows[:0], "", 1.0, None), None, "ann")
+
+
+@pytest.mark.parametrize("settings, sure", [({}, True), ({"effort": "fast"}, False)])
+def test_a_first_fit_that_is_sure_or_fast_is_not_looked_at_again(hand, short_scan, settings, sure):
+    fits = _Fits(hand, short_scan)
+    work, scout = _first_fit(hand, fits, sure=sure, **settings)
+    assert work(_member(short_scan)) == (None, len(short_scan.points), 0.5, None, None)
+    assert scout.of == [(len(short_scan.points), False)] and not fits.of
+
+
+@pytest.mark.parametrize("which", ["long_scan", "short_scan"])
+def test_a_first_fit_in_doubt_is_of_what_lies_within_the_rig(hand, which, request):
+    scan = request.getfixturevalue(which)
+    fits = _Fits(hand, scan, all=("true", 0.2), hand=("true", 0.9))
+    work, scout = _first_fit(hand, fits, sure=False)
+    *_, state, _, _, part = work(_member(scan))
+    arm = scan.labels < 0
+    assert part.among[~arm].all() and part.among[arm].mean() < 0.25 and state == len(part.rows) == part.among.sum()
+    # The scout's word on the whole is taken for the fit of the whole.
+    assert [n for n, _ in scout.of] == [len(scan.points), len(part.rows)] and scout.of[0][1] == (which == "long_scan")
+
+
+def test_a_first_fit_that_nothing_makes_likelier_stays(hand, short_scan):
+    fits = _Fits(hand, short_scan, all=("true", 0.4), hand=("true", 0.1), hand_end=("turned", 0.1), arm_end=("turned", 0.1))
+    work, scout = _first_fit(hand, fits, sure=False)
+    assert work(_member(short_scan)) == (None, len(short_scan.points), 0.5, None, None) and len(scout.of) > 1
+
+
+def test_what_is_kept_of_a_first_fit_hangs_on_all_points_where_the_rig_may_end_within_them(hand, short_scan):
+    member = _member(short_scan)
+    (work, _), (fast, _) = (_first_fit(hand, None, sure=True, effort=effort) for effort in ("balanced", "fast"))
+    assert digest_of(fast.made_of(member)) == digest_of(short_scan.points)
+    more = replace(member, points=np.concatenate([member.points, [[0.0, 0.0, 0.0]]]))
+    assert digest_of(fast.made_of(more)) == digest_of(fast.made_of(member))
+    assert digest_of(work.made_of(more)) != digest_of(work.made_of(member))

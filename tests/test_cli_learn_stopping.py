@@ -21,7 +21,7 @@ from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import make_folder
 from lbsfit_np.learning.archive import MODEL_KEY
 from lbsfit_np.learning.checkpoint import steps_in
-from lbsfit_np.learning.tasks import FirstFit
+from lbsfit_np.learning.first_fits import FirstFit
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -64,7 +64,7 @@ def test_a_run_that_was_killed_goes_on_with_the_same_command(jobs, tubes, tube_m
     process.communicate(timeout=120)
     assert process.returncode == -signal.SIGKILL and list(tmp_path.iterdir()) == [folder]
     kept, fitted, call = steps_in(folder), [], FirstFit.__call__
-    monkeypatch.setattr(FirstFit, "__call__", lambda self, points: fitted.append(points) or call(self, points))
+    monkeypatch.setattr(FirstFit, "__call__", lambda self, member: fitted.append(member) or call(self, member))
     code, text, err = run(*arguments[:-1], 1)
     assert (code, err, len(fitted)) == (0, "", max(len(scans) - kept, 0)) and kept >= 2
     some = "those that suit this one, if any, are taken"

@@ -204,7 +204,7 @@ def test_another_scan_tells_when_to_stop_where_the_one_held_out_is_in_another_un
     loop = loop_over(tube_rig, collection, "cd", None)
     (held,) = collection.with_role(HELD_OUT)
     frames, rest = [replace(m.frame, unit=loop.model.half) for m in collection.members], loop.model.rest()
-    found = [(f, rest.replace(scale=2.54 if m is held else 1.0), 0.01, None) for f, m in zip(frames, collection.members)]
+    found = [(f, rest.replace(scale=2.54 if m is held else 1.0), 0.01, None, None) for f, m in zip(frames, collection.members)]
     monkeypatch.setattr(loop, "_work", lambda *given: found)
     with pytest.warns(UserWarning, match=f"scan {held.index}: .*; not learned from"):
         loop._first_fits()
@@ -272,7 +272,7 @@ def test_what_is_kept_of_a_scan_grows_by_little_more_than_its_points(tube_rig, u
     collection = collected(tube_rig, [s.points for s in few_scans])
     loop_over(tube_rig, collection, "joint", unlearned.segmenter_, unlearned.regressor_).run()
     for m in collection.members:
-        n = len(m.rows)
+        n = len(m.part.rows)
         points, rows, proba = 2 * 3 * 8 * n, 8 * n, 2 * len(tube_rig.parts) * n
         assert len(pickle.dumps(m)) < points + rows + proba + 8000
         assert m.proba.dtype == np.float16 and m.problem is not m.problem

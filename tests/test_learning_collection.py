@@ -163,7 +163,7 @@ def test_the_odd_ones_are_far_from_the_largest_group():
     ],
 )
 def test_what_a_scan_is_to_learning(held_out, apart, role):
-    member = Member(0, np.zeros((0, 3)), np.arange(0), None, "a", held_out=held_out, apart=apart)
+    member = Member(0, np.zeros((0, 3)), None, None, "a", held_out=held_out, apart=apart)
     assert member.role == role and Collection(1, [member]).with_role(role, "a") == [member]
 
 
@@ -236,10 +236,10 @@ def test_subjects_of_one_scan_can_be_left_out_where_there_are_no_others(tube_rig
 def test_large_scans_are_thinned_by_the_seed_and_their_number(tube_rig, clouds):
     a, b, c = (collected(tube_rig, [*clouds[:3], clouds[0]], max_points=100, random_state=seed).members for seed in (0, 0, 1))
     for m, n in zip(a, b):
-        np.testing.assert_array_equal(m.rows, n.rows)
-    assert len(a[0].rows) == 100 and len(np.unique(a[0].rows)) == 100 and len(a[0].points) == len(clouds[0])
-    assert not np.array_equal(a[0].rows, c[0].rows) and not np.array_equal(a[0].rows, a[3].rows)
-    np.testing.assert_allclose(a[0].frame.centre, clouds[0][a[0].rows].mean(axis=0))
+        np.testing.assert_array_equal(m.part.rows, n.part.rows)
+    assert len(a[0].part.rows) == 100 and len(np.unique(a[0].part.rows)) == 100 and len(a[0].points) == len(clouds[0])
+    assert not np.array_equal(a[0].part.rows, c[0].part.rows) and not np.array_equal(a[0].part.rows, a[3].part.rows)
+    np.testing.assert_allclose(a[0].frame.centre, clouds[0][a[0].part.rows].mean(axis=0))
     np.testing.assert_array_equal(a[0].frame.turn, np.eye(3))
 
 
@@ -265,8 +265,9 @@ def test_a_floor_below_another_axis_is_one_where_half_of_the_scans_have_it(walls
         members = collected(tube_rig, clouds, held_out=0.0, ups=ups).members
         for m, points in zip(members, clouds, strict=True):
             floor = len(points) > 400 and not stays
-            assert ("of a floor" in m.left_out) == floor and len(m.rows) == pytest.approx(400 if floor else len(points), abs=15)
-            np.testing.assert_allclose(m.frame.centre, m.points[m.rows].mean(axis=0))
+            assert ("of a floor" in m.part.left_out) == floor
+            assert len(m.part.rows) == pytest.approx(400 if floor else len(points), abs=15)
+            np.testing.assert_allclose(m.frame.centre, m.x.mean(axis=0))
 
 
 def test_floors_are_counted_among_the_scans_that_can_be_used(tube_rig):
@@ -277,7 +278,7 @@ def test_floors_are_counted_among_the_scans_that_can_be_used(tube_rig):
     broken = [np.full((5, 3), np.nan)] * 3
     scans = [np.vstack([clouds[0], wall]), clouds[1], *broken]
     found = collected(tube_rig, scans, held_out=0.0, ups=facing_of(tube_rig, "upright").floors)
-    assert len(found.failures) == 3 and "of a floor" in found.members[0].left_out
+    assert len(found.failures) == 3 and "of a floor" in found.members[0].part.left_out
 
 
 def test_floors_below_several_axes_are_counted_by_axis(tube_rig):
@@ -292,7 +293,7 @@ def test_floors_below_several_axes_are_counted_by_axis(tube_rig):
                 wall[:, axis] = scan.points[:, axis].min() - 0.02 * size
             clouds.append(np.vstack([scan.points, wall[: 0 if axis is None else None]]))
         members = collected(tube_rig, clouds, held_out=0.0, ups=facing_of(tube_rig, "upright").floors).members
-        assert sum("of a floor" in m.left_out for m in members) == left_out
+        assert sum("of a floor" in m.part.left_out for m in members) == left_out
 
 
 def test_a_wall_that_cannot_take_part_stays_a_floor(tube_rig):
@@ -302,7 +303,7 @@ def test_a_wall_that_cannot_take_part_stays_a_floor(tube_rig):
     wall[:, 2] = clouds[0][:, 2].min() - 0.02
     clouds[0] = np.vstack([clouds[0], wall])
     found = collected(tube_rig, clouds, held_out=0.0, scale="fixed", ups=facing_of(tube_rig, "upright").floors)
-    assert not found.failures and len(found.members) == 4 and "of a floor" in found.members[0].left_out
+    assert not found.failures and len(found.members) == 4 and "of a floor" in found.members[0].part.left_out
 
 
 def _taught(n):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
-from lbsfit_np.learning import finish, free_form, tasks
+from lbsfit_np.learning import finish, first_fits, free_form, tasks
 from lbsfit_np.learning.collection import Collection, Member
 from lbsfit_np.learning.loop import LoopSettings
 from lbsfit_np.learning.variants import VARIANTS
@@ -39,7 +39,7 @@ def _failing(monkeypatch, module, name, bad):
     monkeypatch.setattr(step, "__call__", careless)
 
 
-@pytest.mark.parametrize("module, name", [(tasks, "FirstFit"), (tasks, "Pose"), (finish, "_Finish")])
+@pytest.mark.parametrize("module, name", [(first_fits, "FirstFit"), (tasks, "Pose"), (finish, "_Finish")])
 def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube_rig, clouds, monkeypatch):
     _failing(monkeypatch, module, name, 399)
     given = [clouds[0], clouds[1][:399], *clouds[2:]]
@@ -60,7 +60,7 @@ def test_where_only_what_was_held_out_is_left_it_is_learned_from(tube_rig, cloud
     held = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds[:3]).roles_.index("held out of learning")
     given = [cloud if k == held else cloud[:399] for k, cloud in enumerate(clouds[:3])]
     assert lbs.LBSFitter(tube_rig, **QUICK).fit(given).roles_.index("held out of learning") == held
-    _failing(monkeypatch, tasks, "FirstFit", 399)
+    _failing(monkeypatch, first_fits, "FirstFit", 399)
     with pytest.warns(UserWarning, match="2 of 3 scans cannot be used"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(given)
     assert [fitter.roles_[k] for k in range(3)] == ["learned from" if k == held else None for k in range(3)]
@@ -225,22 +225,22 @@ def test_a_scan_that_cannot_be_smoothed_is_left_out(tube_rig, clouds, monkeypatc
     assert [r is None for r in fitter.results_] == [False, True, False, False]
 
 
-@pytest.mark.parametrize("name", ["FirstFit", "Pose"])
-def test_a_loss_that_is_not_finite_does_not_spoil_those_of_others(name, tube_rig, clouds, monkeypatch):
-    answer, seen = tasks._finite, []
+@pytest.mark.parametrize("module, which", [(first_fits, 2), (tasks, 2)])
+def test_a_loss_that_is_not_finite_does_not_spoil_those_of_others(module, which, tube_rig, clouds, monkeypatch):
+    answer, seen = module.finite, []
 
     def sometimes(loss):
         seen.append(loss)
-        return answer(np.nan if len(seen) == (2 if name == "FirstFit" else 6) else loss)
+        return answer(np.nan if len(seen) == which else loss)
 
-    monkeypatch.setattr(tasks, "_finite", sometimes)
+    monkeypatch.setattr(module, "finite", sometimes)
     with pytest.warns(UserWarning, match="scan 1: points: got a fit that is not finite"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
     assert list(fitter.failures_) == [1] and np.isfinite([h["recon"] for h in fitter.history_]).all()
 
 
 def test_where_all_scans_fail_the_first_ones_error_passes_on(tube_rig, clouds, monkeypatch):
-    _failing(monkeypatch, tasks, "FirstFit", 400)
+    _failing(monkeypatch, first_fits, "FirstFit", 400)
     with pytest.raises(ZeroDivisionError, match="nobody foresaw this"):
         lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
 
@@ -270,7 +270,7 @@ def test_members_answers_stand_in_the_order_of_the_members():
 
 @pytest.mark.parametrize("taught", [False, True])
 def test_failures_after_learning_say_what_the_scan_was_to_it(taught):
-    members = [Member(i, np.zeros((0, 3)), np.arange(0), None, "a", held_out=i == 1, apart=i == 2) for i in range(4)]
+    members = [Member(i, np.zeros((0, 3)), None, None, "a", held_out=i == 1, apart=i == 2) for i in range(4)]
     collection = Collection(4, members)
     assert collection.work(lambda x: 1 / x, [0, 0, 0, 1], jobs=1, done=None, taught=taught) == [1]
     error, after = "ZeroDivisionError: division by zero", "{}, but there is no result of it: ".format

@@ -27,7 +27,7 @@ TOLD = "{}: in another unit, or a wrong fit? Its result will tell; learned from"
 
 
 def _members(n):
-    return [Member(k, np.zeros((0, 3)), np.arange(0), None, "a", name=str(k)) for k in range(n)]
+    return [Member(k, np.zeros((0, 3)), None, None, "a", name=str(k)) for k in range(n)]
 
 
 # ---- what first fits say ----
@@ -162,7 +162,7 @@ def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_s
     loop = loop_over(tube_rig, collection, "cd", None)
     rest = loop.model.rest()
     frames = [replace(m.frame, unit=loop.model.half) for m in collection.members]
-    found = [(frame, rest.replace(scale=k), 0.01, None) for frame, k in zip(frames, scales)]
+    found = [(frame, rest.replace(scale=k), 0.01, None, None) for frame, k in zip(frames, scales)]
     monkeypatch.setattr(loop, "_work", lambda *given: found)
     with pytest.warns(UserWarning, match="scan 2: .*; not learned from"):
         loop._first_fits()
@@ -178,8 +178,8 @@ def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_s
 def _in_doubt(rig, scan, unit=1.0):
     """A scan as rounds leave it, whose first fit had another unit."""
     (m,) = collected(rig, [unit * scan.points], held_out=0).members
-    m.state, m.own = "as it is", (2.54 * unit, np.full((4, 3), 0.1), np.full((len(m.rows), 4), 0.25))
-    m.proba, m.prior = np.zeros((len(m.rows), 4)), ("neighbours", 1e-5)
+    m.state, m.own = "as it is", (2.54 * unit, np.full((4, 3), 0.1), np.full((len(m.part.rows), 4), 0.25))
+    m.proba, m.prior = np.zeros((len(m.part.rows), 4)), ("neighbours", 1e-5)
     m.use_frame(unit, rig.size / 2)
     return m
 

@@ -124,7 +124,7 @@ class Scout:
         """
         found = self._look(points, x_weights)
         again = None if once else EFFORTS.get(self.effort.again)
-        if again and (again != self.effort or self.facing.open_up) and self._probability(found) < _SURE:
+        if again and (again != self.effort or self.facing.open_up) and not self.is_sure(found):
             closer = copy(self)
             closer.effort = again
             if self.facing.open_up:  # not every scan has the rig's up axis
@@ -156,13 +156,13 @@ class Scout:
         rivals = tuple(r.value for r in others)
         return Found(best.name, best.problem, best.state, seen, best.value, rivals, self._free)
 
-    def _probability(self, found):
-        """That the pose is right, by what is known of it before the full objective."""
+    def is_sure(self, found):
+        """Whether what was found is likely to be right, by what is known of it before the full objective."""
         model, state = self.model, found.state
         known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
         known |= {"partial": self.settings.partial, "areas": model.areas, "x_weights": found.problem.x_weights}
         V = model.deformed(state).vertices
-        return probability_of(evidence_of(model.rig, V, model.labels, found.problem.X, **known)[0])
+        return probability_of(evidence_of(model.rig, V, model.labels, found.problem.X, **known)[0]) >= _SURE
 
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points

@@ -8,7 +8,7 @@ from ..errors import InputError
 from ..starts.beyond import beyond, cuts, end_of, goes_on, scales_of
 from .assemble import GUESS
 
-__all__ = ["looked_at_again"]
+__all__ = ["is_long", "looked_at_again", "may_go_on"]
 
 # Of a plane below another axis than the likeliest that was taken for a floor at first.
 _FLOOR = "with the points of that floor it is no likelier"
@@ -47,9 +47,9 @@ def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=()):
     """
     part = taking_part(ups, None)
     look = None
-    if "labels" not in given and settings.effort != "fast" and end_of(rig) is not None:
-        look = _Look(lambda among: taking_part(ups, among), fit, part, points, rig, scales_of(rig, settings.scale, settings.unit))
-        if look.is_long and not given:  # what is given is fitted at once
+    if "labels" not in given and may_go_on(rig, settings):
+        look = _Look(lambda among: taking_part(ups, among), fit, part, points, rig, settings)
+        if not given and is_long(points, part, rig, settings):  # what is given is fitted at once
             first = look.at_all(once=True)
             # Without skinning nothing speaks for a fit or against it.
             if first.probability >= _SURE or (first.status == "ok" and not first.evidence):
@@ -85,6 +85,20 @@ def _with_floor_or_without(part, taking_part, fit, ups):
     return replace(best, message=f"{best.message}; {words}", **both)
 
 
+def may_go_on(rig, settings):
+    """Whether scans are looked at for what goes on beyond the rig, and how far."""
+    return settings.effort != "fast" and end_of(rig) is not None
+
+
+def is_long(points, part, rig, settings):
+    """Whether a scan, of which this takes part, is sure to go on beyond the rig."""
+    return goes_on(points[part.rows], end_of(rig), _scales(rig, settings))
+
+
+def _scales(rig, settings):
+    return scales_of(rig, settings.scale, settings.unit)
+
+
 def _probability(result):
     return -1.0 if result is None else result.probability
 
@@ -92,16 +106,11 @@ def _probability(result):
 class _Look:
     """Fits of parts of one scan that may go on beyond the rig, and what all of them have cost."""
 
-    def __init__(self, taking_part, fit, part, points, rig, scales):
+    def __init__(self, taking_part, fit, part, points, rig, settings):
         self._taking_part, self._fit, self._part = taking_part, fit, part
-        self._points, self._rig, self._scales = points, rig, scales
+        self._points, self._rig, self._settings = points, rig, settings
         self._body = points[part.rows]  # floors, and what else takes no part, go on from no end
         self._seconds, self._evaluations = 0.0, 0
-
-    @property
-    def is_long(self):
-        """Whether the scan is sure to go on."""
-        return goes_on(self._body, end_of(self._rig), self._scales)
 
     def count(self, result):
         """Add what a fit has cost; it comes back."""
@@ -131,7 +140,7 @@ class _Look:
         """
         best = self._without_what_is_beyond(result)
         if best is None or best.status != "ok":
-            for ends in cuts(self._body, end_of(self._rig), self._scales):
+            for ends in cuts(self._body, end_of(self._rig), _scales(self._rig, self._settings)):
                 there = max((self._at(one(self._points)) for one in ends), key=_probability)
                 best = max((best, self._without_what_is_beyond(there)), key=_probability)
                 if best is not None and best.status == "ok":

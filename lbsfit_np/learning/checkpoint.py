@@ -20,6 +20,7 @@ from ..errors import FileError, InputError, in_words
 from ..fitting.result import FitResult
 from ..optimize.frame import Frame
 from ..optimize.state import State
+from ..starts.clean import TakingPart
 from ..workers import each
 
 __all__ = [
@@ -39,7 +40,7 @@ __all__ = [
 # The step of one scan's fit by itself.
 FIRST_FIT = "first-fit"
 # Records that answers are made of.
-_RECORDS = {kind.__name__: kind for kind in (Frame, State, FitResult)}
+_RECORDS = {kind.__name__: kind for kind in (Frame, State, FitResult, TakingPart)}
 # Files that a checkpoint writes, and those that it was writing when a process was killed.
 _OURS = re.compile(rf"({FIRST_FIT}|round-\d+-\w+|result|free-form)-[0-9a-f]{{32}}\.npz|\..*\.tmp\.npz")
 

@@ -9,6 +9,7 @@ from ..errors import in_words
 from ..fitting.confidence import SOMEBODY_ELSE
 from ..optimize.frame import Frame
 from ..optimize.problem import Problem
+from ..starts.clean import TakingPart
 from .checkpoint import each_kept
 
 __all__ = ["APART", "Collection", "HELD_OUT", "LEARNED_FROM", "Member", "most_failed", "with_doubt"]
@@ -30,20 +31,18 @@ class Member:
     index : int
         Which of the scans given.
     points : (n, 3) array
-    rows : (k,) int array
-        Points that take part in the optimisation.
-    more : (l,) int array
-        Further ones, which the last steps of a pose and templates look at as well.
+    part : TakingPart
+        What of it takes part in the optimisation.
     frame : Frame
         The normalised frame; its turn is found by the first fit.
     subject : object
         Its subject's id.
     unit : float
         Scan units in a rig unit, as far as is known.
-    left_out : str
-        Which of its points take no part, in words.
     name : str
         What errors call it: the file where it came from one, else the index.
+    ups : sequence of (3,) arrays or None
+        As for ``starts.clean.taking_part``.
     held_out : bool
         Held out of learning, to tell when to stop.
     X : (k, 3) array or None
@@ -70,12 +69,12 @@ class Member:
 
     index: int
     points: np.ndarray
-    rows: np.ndarray
+    part: TakingPart
     frame: Frame
     subject: object
     unit: float = 1.0
-    left_out: str = ""
     name: str = ""
+    ups: object = None
     held_out: bool = False
     X: np.ndarray = None
     proba: np.ndarray = None
@@ -83,7 +82,6 @@ class Member:
     loss: float = np.inf
     prior: tuple = None
     noise: float = 0.0
-    more: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=int))
     doubt: str = ""
     apart: bool = False
     ratio: float = 1.0
@@ -95,14 +93,14 @@ class Member:
         return Problem(self.X)
 
     @property
-    def every(self):
-        """Rows of all points that the last steps look at."""
-        return np.union1d(self.rows, self.more)
+    def x(self):
+        """Those that take part, in the scan's own frame."""
+        return self.points[self.part.rows]
 
     @property
     def dense_X(self):
-        """These points in the frame."""
-        return self.frame.inside(self.points[self.every]) if len(self.more) else self.X
+        """All points that the last steps look at, in the frame."""
+        return self.frame.inside(self.points[self.part.every]) if len(self.part.more) else self.X
 
     @property
     def role(self):
@@ -124,7 +122,11 @@ class Member:
         self.loss *= (self.unit / unit) ** 2
         self.unit = unit
         self.frame = Frame(self.frame.centre, unit * half, self.frame.turn if turn is None else turn)
-        self.X = self.frame.inside(self.points[self.rows])
+        self.X = self.frame.inside(self.x)
+
+    def take(self, part):
+        """Have another part of the scan take part; X is as it was until the scan is put into a frame."""
+        self.part, self.frame = part, replace(self.frame, centre=self.points[part.rows].mean(axis=0))
 
 
 @dataclass
@@ -156,6 +158,11 @@ class Collection:
     def subjects(self):
         """Ids in the order of their first scans."""
         return list(dict.fromkeys(m.subject for m in self.members))
+
+    @property
+    def unit(self):
+        """Scan units in a rig unit by the extents of all members, which are in one unit."""
+        return float(np.median([m.part.scale for m in self.members]))
 
     def in_order(self, answers):
         """One entry for each scan given: the answer of its member, None where it could not be used."""

@@ -28,9 +28,9 @@ def fit_free_form(model, collection, settings, *, jobs, progress, checkpoint=NO_
     """
     for m in collection.members:
         if settings.scale != "fixed" and settings.unit is None:
-            m.doubt = extent_doubt(m.points[m.rows], model.source, m.unit)
+            m.doubt = extent_doubt(m.x, model.source, m.unit)
         apart = m.doubt or settings.unit is not None  # in a known unit subjects may be of any size
-        own = reference_scale(m.points[m.rows], model.source, settings.scale, settings.unit).scale if apart else m.unit
+        own = reference_scale(m.x, model.source, settings.scale, settings.unit).scale if apart else m.unit
         m.use_frame(own, model.half)
     work = _FreeForm(model, settings)
     kept = [checkpoint.slot("free-form", m) for m in collection.members]
@@ -44,11 +44,11 @@ class _FreeForm:
     settings: object
 
     def __call__(self, m):
-        result = free_form(self.model, self.settings, m.problem, m.points, m.rows, m.frame, time.perf_counter(), m.left_out)
+        result = free_form(self.model, self.settings, m.problem, m.points, m.part, m.frame, time.perf_counter())
         return with_doubt(m, result)
 
 
-def free_form(model, settings, problem, points, rows, frame, started, left_out=""):
+def free_form(model, settings, problem, points, part, frame, started):
     """One scan fitted without skinning: place and scale of the model's template, then its vertices; a FitResult."""
     weights = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=settings.weights.lam_lap)
     weights = weights.replace(laplacian=settings.weights.laplacian, squared=settings.weights.squared)
@@ -76,12 +76,12 @@ def free_form(model, settings, problem, points, rows, frame, started, left_out="
         problem,
         outcome,
         points=points,
-        rows=rows,
+        rows=part.rows,
         frame=frame,
         sigma=settings.refinements[-1],
         weights=weights,
         evaluations=place_only.evaluations + outcome.evaluations,
-        notes=["free-form, no skinning: joints stay at rest", left_out],
+        notes=["free-form, no skinning: joints stay at rest", part.left_out],
         found=(unit,),
         started=started,
         judged=False,

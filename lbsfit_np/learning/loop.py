@@ -26,20 +26,18 @@ from ..optimize.state import Layout
 from ..segmentation.segmenter import Segmenter, train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import PoseLibrary, build_library
-from ..starts.scale import same_size
 from ..threads import one_thread
 from ..workers import beside, kept_processes
 from .checkpoint import FIRST_FIT, NO_CHECKPOINT, kept_by_its_process
 from .collection import HELD_OUT, LEARNED_FROM
+from .first_fits import FirstFit
 from .mixture import Mixture
 from .pose_prior import looked_at, pose_prior
-from .scales import check_scales, scale_warnings, units_apart
-from .tasks import Drawn, FirstFit, Held, Labels, Pose, Template, Told
+from .scales import check_scales, scale_warnings, size_and_unit, units_apart, use_unit
+from .tasks import Drawn, Held, Labels, Pose, Template, Told
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
-# Scales nearer to 1 than this factor are a matter of people's size, others of units; where joints stay, those nearer are no news.
-_SIZE, _TOLD = 1.3, 1.02
 # Share of the time that poses take, before they are drawn to each other; of a turn's, that its templates do.
 _SEARCH, _OF_A_TURN = 0.8, 0.4
 # Of the smoothing of a sequence.
@@ -174,7 +172,7 @@ class Loop:
         self.pose_prior = None
         self.history = []
         self._first_kept = checkpoint.narrowed((variant.labels, variant.library))  # which is all that these hang on of a variant
-        scans = [(m.index, m.points, m.rows, m.subject, m.held_out) for m in collection.members]
+        scans = [(m.index, m.points, m.part, m.subject, m.held_out) for m in collection.members]
         self._kept = checkpoint.narrowed((variant, sequence, scans))
 
     @one_thread()
@@ -215,42 +213,37 @@ class Loop:
         """Each scan by itself, on the rig's own template with proportions."""
         members, half = self.collection.members, self.model.half
         hold_out = bool(self.collection.with_role(HELD_OUT))
-        guess = members[0].unit  # one for all
+        guess, estimate = members[0].unit, self.fit_settings.scale == "estimate"
         segmenter = self.segmenter if self.variant.labels else None
-        work = FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library)
-        tasks = [m.points[m.rows] for m in members]
-        answers = self._work(work, tasks, "first fits", [self._first_kept.slot(FIRST_FIT, points) for points in tasks])
+        work = FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library, self.seed)
+        kept = [self._first_kept.slot(FIRST_FIT, work.made_of(m)) for m in members]
+        answers = self._work(work, members, "first fits", kept)
         scales = {}
-        for m, (frame, state, loss, proba) in zip(self.collection.members, answers, strict=True):
+        for m, (frame, state, loss, proba, part) in zip(self.collection.members, answers, strict=True):
+            if part is not None:
+                m.take(part)
             m.use_frame(frame.unit / half, half, frame.turn)
             m.proba, m.loss = proba, loss
             scales.setdefault(m.subject, []).append(state.scale * m.unit)
             m.state = state
-        for subject, found in scales.items() if self.fit_settings.scale == "estimate" else ():
+        if estimate and self.fit_settings.unit is None and any(part is not None for *_, part in answers):
+            guess = self.collection.unit  # what is beyond the rig makes extents of its own
+        for subject, found in scales.items() if estimate else ():
             check_scales(self.collection.of(subject), found)
         if hold_out:  # those that were may be in another unit, or have failed
             self.collection.keep_one_held_out()
-        if self.fit_settings.scale == "estimate" and self.fit_settings.unit is None and (apart := units_apart(scales)):
+        if estimate and self.fit_settings.unit is None and (apart := units_apart(scales)):
             warnings.warn(apart, stacklevel=2)
-        # The scans of a subject have one scale. Where it is near 1, people differ in size: the template takes it up, all bones
-        # longer and thicker by that share. Otherwise it is the unit.
         for subject in self.collection.subjects:
-            scale = float(np.median(scales[subject])) if self.fit_settings.scale == "estimate" else guess
-            near, grown = (_SIZE, scale / guess) if self.joints == "follow" else (_TOLD, 1.0)
-            size, unit = (grown, guess) if 1 / near < scale / guess < near else (1.0, scale)
+            members, scale = self.collection.of(subject), float(np.median(scales[subject])) if estimate else guess
+            size, unit = size_and_unit(scale, guess, grows=self.joints == "follow")
             c = np.zeros(self.shifting.n_coefficients)
             c[: self.model.n_proportions] = size - 1.0
             self.coefficients[subject] = c
-            for words in scale_warnings(self.collection.of(subject)):
+            for words in scale_warnings(members):
                 warnings.warn(words, stacklevel=2)
-            for m in self.collection.of(subject):
-                if m.doubt or not same_size(m.ratio, 1.0):
-                    m.own = m.state.scale * m.unit / size, m.state.theta, m.proba
-                ratio = unit / m.unit
-                m.use_frame(unit, half)
-                # Templates grow about the root joint, scales about the origin: the root joint stays where it was found.
-                moved = (m.state.scale / ratio - 1.0) * self.model.rig.joints[self.rig.root]
-                m.state = m.state.replace(scale=1.0, translation=m.state.translation / ratio + moved, residual=None)
+            for m in members:
+                use_unit(m, size, unit, half, self.model.rig.joints[self.rig.root])
         self._follow()
 
     def _templates(self, k, stage="templates", span=(0.0, 1.0)):

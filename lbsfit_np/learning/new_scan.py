@@ -84,14 +84,13 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
 
 def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, *, once):
     rig, half = fitter.rig, fitter.rig.size / 2
-    rows, left_out, guess = part.rows, part.left_out, part.scale
-    x = points[rows]
-    a = shares(point_weights, rows)
+    x, guess = points[part.rows], part.scale
+    a = shares(point_weights, part.rows)
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
         unit = guess if subjects is None else _unit(fitter, subjects[0], guess, settings) or guess
         frame = Frame(x.mean(axis=0), unit * half)
-        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, rows, frame, started, left_out)
-    seen, known, given = None, None if labels is None else labels[rows], given_names(theta0, labels)
+        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, part, frame, started)
+    seen, known, given = None, None if labels is None else labels[part.rows], given_names(theta0, labels)
     if given:
         found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
     elif len(subjects) == 1:
@@ -113,8 +112,9 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     scale, size = best.state.scale * best.frame.unit / half, fitter.template_[subject].size / rig.size
     unit = unit_note(scale, rig, settings.scale, unit=settings.unit, size=size) + _doubted(fitter, subject, scale, settings)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
-    place = {"points": points, "rows": rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
-    place |= {"proportions": proportions, "notes": [whose, left_out], "found": (unit, stands), "given": given, "free": best.free}
+    place = {"points": points, "rows": part.rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
+    place |= {"proportions": proportions, "notes": [whose, part.left_out], "found": (unit, stands), "given": given}
+    place["free"] = best.free
     another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
     if not given and not another:
         place["further"] = further_words(settings, _facing(fitter))

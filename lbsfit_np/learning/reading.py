@@ -98,12 +98,12 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
         found[i] = points, subject, f"{i}" if path is None else f"{path}", part
     below = Counter(part.below for *_, part in found.values())
     for i, (points, subject, name, part) in found.items():
+        may_be_up = ups
         if part.floor_elsewhere and 2 * below[part.below] < len(found):  # too few: flat sides of bodies, such as palms
             with suppress(InputError):  # a wide wall, with which the scan is none that can be worked with
-                part = looked_at(i, points, ups[:1])
+                part, may_be_up = looked_at(i, points, ups[:1]), ups[:1]
         frame = Frame(points[part.rows].mean(axis=0), part.scale * rig.size / 2)
-        known = {"unit": part.scale, "left_out": part.left_out, "name": name, "more": part.more}
-        collection.members.append(Member(i, points, part.rows, frame, subject, **known))
+        collection.members.append(Member(i, points, part, frame, subject, part.scale, name=name, ups=may_be_up))
     if not collection.members:
         first = next(iter(collection.failures.values()))
         raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be used")
@@ -146,7 +146,7 @@ def mixed_units(got):
 
 def _common_unit(collection):
     """The unit that most members are in; a few that are in another are left out, and a mixture is refused."""
-    extents = np.array([extent(m.points[m.rows]) for m in collection.members])
+    extents = np.array([extent(m.x) for m in collection.members])
     odd = odd_ones(extents, _ONE_UNIT)
     others = np.median(np.delete(extents, odd))
     if len(odd) > _FEW * len(extents):
@@ -159,7 +159,7 @@ def _common_unit(collection):
         what = "points" if m.name == f"{m.index}" else m.name  # its number is said with every failure, its file is not
         collection.failures[m.index] = str(InputError(what, got, "scans of one collection in one unit", remedy))
     collection.members = [m for i, m in enumerate(collection.members) if i not in odd]
-    return float(np.median([m.unit for m in collection.members]))
+    return collection.unit
 
 
 def _set_units(collection, half, unit):

@@ -6,10 +6,12 @@ from ..starts.scale import same_size
 from .collection import LEARNED_FROM
 from .reading import mixed_units, odd_ones
 
-__all__ = ["check_scales", "scale_warnings", "units_apart"]
+__all__ = ["check_scales", "scale_warnings", "size_and_unit", "units_apart", "use_unit"]
 
 # First fits' scales of one subject differ by less than this factor, unless scans are in two units.
 _ONE_SCALE = 1.6
+# Scales nearer to 1 than this factor are a matter of people's size, others of units; where joints stay, those nearer are no news.
+_SIZE, _TOLD = 1.3, 1.02
 
 
 def check_scales(members, scales):
@@ -94,3 +96,51 @@ def units_apart(scales):
     ratio = units[most] / units[least]
     words = f"scans of subject {most!r} have {ratio:.3g} times the scale of those of {least!r}: in another unit? "
     return words + "Each subject's template is learned in its own; where it is one unit that is known, say so with unit (--unit)"
+
+
+def size_and_unit(scale, guess, *, grows):
+    """What the scale of a subject's scans says of its size, and of their unit.
+
+    Where it is near the guess, people differ in size: the template takes it up, all bones longer and thicker by that share.
+    Otherwise it is the unit.
+
+    Parameters
+    ----------
+    scale : float
+        Scan units in a rig unit that first fits found.
+    guess : float
+        The same by the extents of all scans.
+    grows : bool
+        Whether templates take up the size.
+
+    Returns
+    -------
+    size : float
+        Of the template, in sizes of the rig.
+    unit : float
+        Scan units in a rig unit.
+    """
+    near, grown = (_SIZE, scale / guess) if grows else (_TOLD, 1.0)
+    return (grown, guess) if 1 / near < scale / guess < near else (1.0, scale)
+
+
+def use_unit(member, size, unit, half, root):
+    """Put a scan into its subject's unit after its first fit, which is kept as its own where its scale is in doubt.
+
+    Parameters
+    ----------
+    member : Member
+    size, unit
+        As from :func:`size_and_unit`.
+    half : float
+        Rig units in one of the frame.
+    root : (3,) array
+        The rig's root joint, in half sizes.
+    """
+    if member.doubt or not same_size(member.ratio, 1.0):
+        member.own = member.state.scale * member.unit / size, member.state.theta, member.proba
+    ratio = unit / member.unit
+    member.use_frame(unit, half)
+    # Templates grow about the root joint, scales about the origin: the root joint stays where it was found.
+    moved = (member.state.scale / ratio - 1.0) * root
+    member.state = member.state.replace(scale=1.0, translation=member.state.translation / ratio + moved, residual=None)

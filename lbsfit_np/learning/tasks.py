@@ -9,38 +9,12 @@ from ..errors import InputError
 from ..fitting.drawn import drawn, prior_of
 from ..fitting.effort import EFFORTS
 from ..fitting.refit import LimbSearch, Refit
-from ..fitting.scout import Scout
 from ..fitting.template import TemplateSettings, shared_template
-from ..losses.objective import PLAIN
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..starts.limbs import LimbPoses
 
-__all__ = ["Drawn", "FirstFit", "Held", "Labels", "Pose", "Template", "Told", "in_full"]
-
-
-@dataclass(frozen=True)
-class FirstFit:
-    """Points of a scan → (Frame, State, L_c, probabilities or None), of the scan by itself on the rig's own template.
-
-    Probabilities are of half precision, in which they are kept: of thousands of scans they are the most of what is.
-    """
-
-    model: Model
-    settings: object
-    segmenter: object
-    library: object
-    facing: object
-    nearest: bool
-
-    @cached_property
-    def _scout(self):
-        return Scout(self.model, self.library, self.facing, self.segmenter, self.settings, nearest=self.nearest)
-
-    def __call__(self, points):
-        found = self._scout(points)
-        loss = found.problem.evaluate(self.model.coarse, found.state, PLAIN).value
-        return found.frame, found.state, _finite(loss), _short(found.proba)
+__all__ = ["Drawn", "Held", "Labels", "Pose", "Template", "Told", "finite", "in_full", "short"]
 
 
 @dataclass(frozen=True)
@@ -70,7 +44,7 @@ class Labels:
     segmenter: object
 
     def __call__(self, X):
-        return _short(self.segmenter.predict_proba(X * self.segmenter.half, views=1))
+        return short(self.segmenter.predict_proba(X * self.segmenter.half, views=1))
 
 
 @dataclass(frozen=True)
@@ -112,7 +86,7 @@ class Pose:
         if self.neighbours:
             poses += list(self.library.nearest(X, self.neighbours))
         state, loss, which = refit(Problem(X), [state], poses=poses, proba=in_full(proba), limbs=limbs)
-        return state, _finite(loss), which
+        return state, finite(loss), which
 
 
 @dataclass(frozen=True)
@@ -147,7 +121,7 @@ class Drawn(_LastSteps):
         subject, X, dense, state, noise = task
         refit = self._refit(subject)
         state = state if self.prior is None else drawn(refit, Problem(dense), state, self.prior, noise)
-        return state, _finite(refit.chamfer(Problem(X), state)), noise
+        return state, finite(refit.chamfer(Problem(X), state)), noise
 
 
 @dataclass(frozen=True)
@@ -167,7 +141,8 @@ class Held(_LastSteps):
         return refit.polish(Problem(X), state, prior=prior_of(self.prior, noise, refit.turning, wanted))
 
 
-def _short(proba):
+def short(proba):
+    """Probabilities in half precision, as they are kept: of thousands of scans they are the most of what is. None of None."""
     return None if proba is None else proba.astype(np.float16)
 
 
@@ -176,7 +151,7 @@ def in_full(proba):
     return None if proba is None else np.asarray(proba, float)
 
 
-def _finite(loss):
+def finite(loss):
     """The loss, unless it would spoil the means and medians that all scans go by."""
     if not np.isfinite(loss):
         raise InputError("points", "a fit that is not finite", "points without wild ones")

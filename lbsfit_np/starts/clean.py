@@ -35,6 +35,8 @@ class TakingPart:
         How many of the scan's units a rig unit seems to have.
     below : int or None
         Which of the directions that may be up a floor lies below that is left out.
+    among : (n,) bool array or None
+        Which points of the scan may take part, where others lie beyond the end of the rig; None where all may.
     """
 
     rows: np.ndarray
@@ -42,6 +44,7 @@ class TakingPart:
     left_out: str
     scale: float
     below: int | None
+    among: np.ndarray | None = None
 
     @property
     def every(self):
@@ -110,7 +113,7 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     if labels is not None and labels[kept].min() >= 0:  # where steps go by labels, they go by all
         others = others[labels[others] >= 0]
     more = _alike(points, kept, dropped, others, (_LAST - 1) * most, rng)
-    return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale, unit).scale, below)
+    return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale, unit).scale, below, among)
 
 
 def _of_the_body(points, drawn, *, among, **sides):

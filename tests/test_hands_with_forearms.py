@@ -1,0 +1,61 @@
+"""Hands with a forearm, which their rig has nothing of, fitted by themselves and learned from."""
+
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sklearn.base import clone
+
+import lbsfit_np as lbs
+from lbsfit_np.bench.conditions import CONDITIONS, condition_scan
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return lbs.load_rig("hand-coarse")
+
+
+@pytest.fixture(scope="module")
+def fitter(hand):
+    known = {"orientation": "aligned", "training_scans": 200, "training": {"n_points": 800}, "random_state": 0}
+    return lbs.LBSFitter(hand, **known).pretrain()
+
+
+def _with_an_arm(hand, i):
+    return condition_scan(hand, replace(CONDITIONS["0.3"], arm=True), i, np.random.default_rng(i))
+
+
+def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fitter):
+    scan = _with_an_arm(hand, 1)
+    assert 1500 < (scan.labels < 0).sum() < 2500
+    result = fitter.fit_scan(scan.points)
+    error = np.linalg.norm(result.joints - scan.joints, axis=1).mean() / hand.size
+    assert error < 0.015 and result.status == "ok", (error, result.message)
+    assert "taken to go on beyond the rig" in result.message
+    assert result.labels.shape == (len(scan.points),) and result.confidence[scan.labels < 0].mean() < 0.3
+    fast = clone(fitter).set_params(effort="fast")
+    fast._pretrained = fitter._pretrained
+    alone = fast.fit_scan(scan.points)
+    assert alone.status != "ok" and "beyond the rig" not in alone.message
+
+
+def test_hands_with_forearms_are_learned_from(hand, fitter, tmp_path):
+    """Their first fits find what lies beyond, and nothing is learned from that; in another unit, of which extents say nothing."""
+    scans = [_with_an_arm(hand, i) for i in (1, 2)] + [condition_scan(hand, CONDITIONS["0.3"], 4, np.random.default_rng(4))]
+    learner = clone(fitter).set_params(rounds=1, held_out=0)
+    learner._pretrained = fitter._pretrained
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        learner.fit([1000.0 * s.points for s in scans], checkpoint=tmp_path / "steps")
+    assert learner.unit_[0] == 1000.0
+    for scan, r in zip(scans, learner.results_, strict=True):
+        arm = scan.labels < 0
+        error = np.linalg.norm(r.joints - 1000.0 * scan.joints, axis=1).mean() / (1000.0 * hand.size)
+        assert error < 0.015 and r.status == "ok", (error, r.message)
+        assert ("taken to go on beyond the rig" in r.message) == arm.any()
+        assert (r.confidence[~arm] > 0).all() and not (r.confidence[arm] > 0).mean() > 0.25 if arm.any() else True
+    again = clone(learner)
+    again._pretrained = fitter._pretrained
+    again.fit([1000.0 * s.points for s in scans], checkpoint=tmp_path / "steps")
+    np.testing.assert_array_equal(again.results_[0].vertices, learner.results_[0].vertices)
