@@ -37,7 +37,8 @@ def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fit
     fast = clone(fitter).set_params(effort="fast")
     fast._pretrained = fitter._pretrained
     alone = fast.fit_scan(scan.points)
-    assert alone.status != "ok" and "beyond the rig" not in alone.message
+    assert alone.status != "ok" and "taken to go on beyond the rig" not in alone.message
+    assert "(--effort balanced) looks further, and for what goes on beyond the rig" in alone.message
 
 
 def test_hands_with_forearms_are_learned_from(hand, fitter, tmp_path):

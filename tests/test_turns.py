@@ -182,7 +182,8 @@ def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
     assert ("though up says '+y'" in r.message) == (told and up is not None) == ("spares the search" not in r.message and told)
 
 
-FASTER, AXES_TOO = "effort 'balanced' (--effort balanced) looks further", "without up (--up) other axes are tried, too"
+FASTER = "effort 'balanced' (--effort balanced) looks further, and for what goes on beyond the rig"
+AXES_TOO = "without up (--up) other axes are tried, too"
 
 
 @pytest.mark.parametrize(
@@ -199,7 +200,13 @@ FASTER, AXES_TOO = "effort 'balanced' (--effort balanced) looks further", "witho
     ],
 )
 def test_what_would_look_further(tube_rig, effort, orientation, up, words):
-    assert further_words(FitSettings(effort=effort), facing_of(tube_rig, orientation, up)) == words
+    assert further_words(tube_rig, FitSettings(effort=effort), facing_of(tube_rig, orientation, up)) == words
+
+
+def test_only_where_a_rig_ends_something_may_go_on_beyond_it():
+    body = lbs.load_rig("body-coarse")
+    (words,) = further_words(body, FitSettings(effort="fast"), facing_of(body, "upright"))
+    assert FASTER.startswith(words) and "beyond" not in words
 
 
 @pytest.mark.parametrize("effort, up, words", [("fast", None, FASTER), ("balanced", "+y", AXES_TOO), ("balanced", None, "")])

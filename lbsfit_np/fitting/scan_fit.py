@@ -13,6 +13,7 @@ from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
 from ..rig.frames import up_axis
 from ..seeds import generator, integer_seed
+from ..starts.beyond import end_of
 from ..starts.clean import taking_part
 from ..starts.scale import unit_note
 from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
@@ -211,7 +212,7 @@ class ScanFit:
             evaluations=before + search.evaluations,
             notes=[part.left_out],
             found=(unit, stands),
-            further=() if given else further_words(settings, self.facing),
+            further=() if given else further_words(model.source, settings, self.facing),
             given=given,
             started=started,
             partial=settings.partial,
@@ -344,10 +345,11 @@ def stands_words(facing, rig, frame, theta):
     return stands_note(turn, facing.up)
 
 
-def further_words(settings, facing):
+def further_words(rig, settings, facing):
     """What would look further at a scan in doubt than a search with these settings, a tuple of strings for users."""
     fast = settings.effort == "fast"
-    more = ("effort 'balanced' (--effort balanced) looks further",) if fast else ()
+    ends = ", and for what goes on beyond the rig" if end_of(rig) is not None else ""
+    more = (f"effort 'balanced' (--effort balanced) looks further{ends}",) if fast else ()
     if facing.told and len(facing.turns) > 1:  # by a second look, which "fast" has none of
         more += (f"{'with that, and ' if fast else ''}without up (--up) other axes are tried, too",)
     return more

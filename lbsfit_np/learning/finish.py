@@ -41,7 +41,7 @@ def results_of(rig, templates, joints, collection, settings, facing, prior, *, j
         done = {"jobs": jobs, "done": lambda p: progress("results", share * p)}
         sizes = collection.work(work, collection.members, **done, taught=True)
     tasks = list(zip(collection.members, sizes, _others(collection.members, sizes), strict=True))
-    further = further_words(settings, facing)
+    further = further_words(rig, settings, facing)
     kept = []
     for m, size, others in tasks:
         on = templates[m.subject]

@@ -117,7 +117,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     place["free"] = best.free
     another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
     if not given and not another:
-        place["further"] = further_words(settings, _facing(fitter))
+        place["further"] = further_words(rig, settings, _facing(fitter))
     place["dense"] = all_points(points, part, point_weights, best.frame, best.problem)
     state = best.state
     if (prior := getattr(fitter, "pose_prior_", None)) is not None and labels is None:  # with known labels the pose goes by these
