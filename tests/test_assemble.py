@@ -174,6 +174,18 @@ def _at_rest(model, X, *, state=None, x_weights=None, proba=None, **options):
     return assemble(model.source, model, problem, Outcome(state, 0.0, True, "", 1), proba=proba, **(given | options))
 
 
+@pytest.mark.parametrize("labels", [False, True])
+def test_labels_of_what_lies_beyond_the_rig_have_no_confidence(rigs, labels):
+    model = Model(rigs["tube"])
+    X = model.rig.vertices
+    among = np.arange(len(X)) % 3 > 0
+    known = {"labels": np.zeros(len(X), dtype=int)} if labels else {}
+    whole, r = _at_rest(model, X, **known), _at_rest(model, X, among=among, **known)
+    assert (whole.confidence > 0).all() and not r.confidence[~among].any()
+    np.testing.assert_array_equal(r.confidence[among], whole.confidence[among])
+    np.testing.assert_array_equal(r.labels, whole.labels)
+
+
 @pytest.mark.parametrize("without", ["proba", "rivals", "value", "theta", "partial", "areas", "x_weights"])
 def test_the_evidence_is_of_all_that_is_known(rigs, without):
     """Points of one side, half of which weigh little, on a hand with its angles at their limits."""

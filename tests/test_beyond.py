@@ -1,27 +1,21 @@
 """Scans that go on beyond the end of the rig, such as hands with a forearm: what is left out, and that the fit comes out."""
 
-from dataclasses import make_dataclass, replace
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from made_fits import MadeFits, hands_with_arms, true_fit
 from scipy.sparse import csr_matrix
 
 import lbsfit_np as lbs
-from lbsfit_np.bench.conditions import CONDITIONS, condition_scan
 from lbsfit_np.errors import InputError
-from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
-from lbsfit_np.fitting.second_look import looked_at_again
+from lbsfit_np.fitting.scan_fit import ScanFit
 from lbsfit_np.learning import new_scan
-from lbsfit_np.learning.checkpoint import digest_of
-from lbsfit_np.learning.collection import Member
-from lbsfit_np.learning.first_fits import FirstFit
-from lbsfit_np.optimize.frame import root_turn, turned_root
+from lbsfit_np.optimize.frame import root_turn
 from lbsfit_np.optimize.model import Model
-from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.beyond import beyond, cuts, end_of, goes_on, scales_of
-from lbsfit_np.starts.clean import TakingPart, taking_part
-from lbsfit_np.starts.turns import Facing
+from lbsfit_np.starts.clean import taking_part
 
 
 @pytest.fixture(scope="module")
@@ -31,20 +25,7 @@ def hand():
 
 @pytest.fixture(scope="module")
 def scans(hand):
-    """Hands with arms, facing the rig's way or turned."""
-    return [condition_scan(hand, CONDITIONS["arm"], i, np.random.default_rng(i)) for i in range(6)]
-
-
-def _true(rig, scan):
-    """As a fit that has found the truth has it."""
-    return SimpleNamespace(
-        offsets=scan.template - rig.vertices,
-        rest_joints=scan.template_joints,
-        pose=scan.pose,
-        joints=scan.joints,
-        vertices=scan.vertices,
-        scale=scan.scale,
-    )
+    return hands_with_arms(hand)
 
 
 # ---- where a rig ends ----
@@ -86,7 +67,7 @@ def test_an_end_may_be_of_a_joint_that_never_moves(hand):
 @pytest.mark.parametrize("factor", [1.0, 250.0])
 def test_the_arm_lies_beyond_a_fit_that_is_right_and_the_hand_does_not(hand, scans, factor):
     for scan in scans:
-        arm, found = scan.labels < 0, _true(hand, scan)
+        arm, found = scan.labels < 0, true_fit(hand, scan)
         found.joints, found.vertices, found.scale = factor * found.joints, factor * found.vertices, factor
         past = beyond(factor * scan.points, hand, found)
         assert not past[~arm].any() and past[arm].mean() > 0.75
@@ -99,8 +80,8 @@ def test_a_point_that_a_finger_does_not_explain_does_not_lie_beyond(hand, scans)
     tip = scan.joints[hand.joint_names.index("index3")]
     away = root_turn(hand, scan.pose) @ -end_of(hand).direction
     odd = tip + np.outer(np.linspace(0.2, 1.0, 20), away) * hand.size
-    assert not beyond(odd, hand, _true(hand, scan)).any()
-    nowhere = _true(hand, scan)
+    assert not beyond(odd, hand, true_fit(hand, scan)).any()
+    nowhere = true_fit(hand, scan)
     nowhere.vertices = np.full_like(scan.vertices, np.nan)
     assert not beyond(scan.points, hand, nowhere).any()
 
@@ -133,50 +114,6 @@ def test_units_that_a_scan_may_have(hand):
 # ---- the second look ----
 
 
-class _Fits:
-    """Fits whose ends, where they are and how probable, hang on what of a scan they are of."""
-
-    def __init__(self, rig, scan, **ends):
-        self.hand, self.scan, self.arm = rig, scan, scan.labels < 0
-        self.ends, self.of, self.once = ends, [], []
-
-    def taking_part(self, ups, among):
-        rows = np.arange(len(self.scan.points))
-        return SimpleNamespace(rows=rows if among is None else rows[among], among=among, floor_elsewhere=False)
-
-    def fit(self, part, once):
-        self.of.append(self._of(part.among))
-        self.once.append(once)
-        where, probability, *guesses = self.ends[self.of[-1]]
-        std = np.where(np.arange(len(self.hand.parents)) < sum(guesses), 0.1, 0.001) * self.hand.size
-        status = "ok" if probability >= 0.5 else "suspect"
-        known = {"status": status, "probability": probability, "seconds": float(len(self.of)), "evaluations": 10}
-        known |= {"joint_std": std, "evidence": {"unexplained": 0.1}, "confidence": np.ones(len(self.arm))}
-        fields = vars(self._found(where)) | known
-        return make_dataclass("Result", list(fields), frozen=True, eq=False)(**fields)
-
-    def _of(self, among):
-        if among is None:
-            return "all"
-        hand, arm = among[~self.arm].mean(), among[self.arm].mean()
-        return "hand" if hand == 1 and arm < 0.4 else "hand_end" if hand > arm else "arm_end"
-
-    def _found(self, where):
-        found, root = _true(self.hand, self.scan), self.hand.root
-        found.vertices = found.vertices.copy()  # each fit has its own
-        if where == "turned":  # by 180 degrees about the wrist, the fingers in the arm
-            axis = np.cross(root_turn(self.hand, found.pose) @ end_of(self.hand).direction, [1.0, 2.0, 3.0])
-            turn, wrist = matrix_from_rotvec(np.pi * axis / np.linalg.norm(axis)), found.joints[root]
-            found.pose = turned_root(self.hand, found.pose, turn)
-            found.joints = (found.joints - wrist) @ turn.T + wrist
-            found.vertices = (found.vertices - wrist) @ turn.T + wrist
-        return found
-
-    def __call__(self, *, given=(), **settings):
-        known = {"ups": None, "settings": FitSettings(**settings), "given": given}
-        return looked_at_again(self.taking_part, self.fit, self.scan.points, self.hand, **known)
-
-
 @pytest.fixture(scope="module")
 def long_scan(scans):
     return max(scans, key=lambda s: len(s.points))
@@ -194,23 +131,22 @@ def _sure_of(where):
 @pytest.mark.parametrize("of_all, before", [(("true", 0.2), ["all"]), (("turned", 0.3), ["all", "hand_end", "arm_end"])])
 def test_of_a_long_scan_the_hand_is_found_and_nothing_is_looked_at_twice(hand, long_scan, of_all, before):
     """By a fit of all, which is right but for what it cannot explain, or by those of the two ends."""
-    fits = _Fits(hand, long_scan, all=of_all, **_sure_of("true"))
+    fits = MadeFits(hand, long_scan, all=of_all, **_sure_of("true"))
     result = fits()
     assert result.probability == 0.9 and sorted(set(fits.of[:-1])) == sorted(before) and fits.of[-1] == "hand" and all(fits.once)
     assert (result.seconds, result.evaluations) == (len(fits.of), 10 * len(fits.of))
-    assert (result.confidence[~fits.arm] == 1).all() and (result.confidence[fits.arm] == 0).mean() > 0.75
 
 
 @pytest.mark.parametrize("of_the_hand", [0.55, 0.3])
 def test_a_long_scan_that_is_none_too_sure_is_looked_at_closely(hand, long_scan, of_the_hand):
     """It may be of a large hand; as with any other scan, a pose in doubt gets a second look."""
-    fits = _Fits(hand, long_scan, all=("true", 0.6), **_sure_of("true") | {"hand": ("true", of_the_hand)})
+    fits = MadeFits(hand, long_scan, all=("true", 0.6), **_sure_of("true") | {"hand": ("true", of_the_hand)})
     assert fits().probability == 0.6 and fits.of[-1] == "all" and not fits.once[-1] and all(fits.once[:-1])
 
 
 @pytest.mark.parametrize("status, of", [("ok", {"all"}), ("failed", {"all", "hand_end", "arm_end", "hand"})])
 def test_without_skinning_nothing_is_looked_for_but_where_a_fit_is_not_finite(hand, long_scan, status, of):
-    fits = _Fits(hand, long_scan, all=("turned", 0.0), **_sure_of("true"))
+    fits = MadeFits(hand, long_scan, all=("turned", 0.0), **_sure_of("true"))
     one = fits.fit
 
     def fit(part, once):
@@ -222,19 +158,19 @@ def test_without_skinning_nothing_is_looked_for_but_where_a_fit_is_not_finite(ha
 
 
 def test_a_given_pose_is_fitted_at_once(hand, long_scan):
-    fits = _Fits(hand, long_scan, all=("true", 0.2), **_sure_of("true"))
+    fits = MadeFits(hand, long_scan, all=("true", 0.2), **_sure_of("true"))
     assert fits(given=("theta0",)).probability == 0.9 and fits.of == ["all", "hand"] and fits.once == [False, True]
 
 
 def test_of_a_shorter_scan_all_is_done_for_the_whole_first(hand, short_scan):
-    fits = _Fits(hand, short_scan, all=("true", 0.2), **_sure_of("true"))
+    fits = MadeFits(hand, short_scan, all=("true", 0.2), **_sure_of("true"))
     assert fits().probability == 0.9 and fits.of == ["all", "hand"] and fits.once == [False, True]
-    fits = _Fits(hand, short_scan, all=("true", 0.6))
+    fits = MadeFits(hand, short_scan, all=("true", 0.6))
     assert fits().probability == 0.6 and fits.once == [False]
 
 
 def test_a_long_scan_that_is_right_is_of_a_large_hand(hand, long_scan):
-    fits = _Fits(hand, long_scan, all=("true", 0.85))
+    fits = MadeFits(hand, long_scan, all=("true", 0.85))
     assert fits().probability == 0.85 and fits.of == ["all"]
 
 
@@ -248,7 +184,7 @@ def test_what_does_not_help_is_not_taken(hand, long_scan, of_the_hand, probabili
     With nothing sure the whole is looked at closely.
     """
     known = {"hand_end": ("true", 0.3), "arm_end": ("turned", 0.1), "hand": of_the_hand}
-    fits = _Fits(hand, long_scan, all=("true", 0.4), **known)
+    fits = MadeFits(hand, long_scan, all=("true", 0.4), **known)
     result = fits()
     assert result.probability == probability and result.status == "suspect"
     assert fits.of[-1] == "all" and fits.once == [True] * (len(fits.of) - 1) + [False]
@@ -256,7 +192,7 @@ def test_what_does_not_help_is_not_taken(hand, long_scan, of_the_hand, probabili
 
 
 def test_an_end_that_cannot_be_worked_with_takes_no_fit_away(hand, long_scan):
-    fits = _Fits(hand, long_scan, all=("turned", 0.3), **_sure_of("true"))
+    fits = MadeFits(hand, long_scan, all=("turned", 0.3), **_sure_of("true"))
     whole = fits.taking_part
 
     def taking_part(ups, among):
@@ -270,7 +206,7 @@ def test_an_end_that_cannot_be_worked_with_takes_no_fit_away(hand, long_scan):
 
 def test_a_fit_of_guesses_does_not_say_what_lies_beyond(hand, long_scan):
     """The ends are looked at first, which tell more."""
-    fits = _Fits(hand, long_scan, all=("true", 0.2, 7), **_sure_of("true"))
+    fits = MadeFits(hand, long_scan, all=("true", 0.2, 7), **_sure_of("true"))
     assert fits().probability == 0.9 and set(fits.of[1:3]) == {"hand_end", "arm_end"}
 
 
@@ -291,14 +227,14 @@ def test_the_scout_is_told_to_look_once(hand, long_scan, once):
 
 @pytest.mark.parametrize("known", ["effort", "labels"])
 def test_where_it_is_said_what_is_of_the_hand_nothing_is_looked_for(hand, long_scan, known):
-    fits = _Fits(hand, long_scan, all=("true", 0.2))
+    fits = MadeFits(hand, long_scan, all=("true", 0.2))
     given = {"effort": "fast"} if known == "effort" else {"given": ("labels",)}
     assert fits(**given).probability == 0.2 and fits.once == [False]
 
 
 def test_after_learning_the_hand_is_found_as_well(hand, long_scan, monkeypatch):
     """The scout of a learned template, too, looks once at each part."""
-    fits, seen = _Fits(hand, long_scan, all=("turned", 0.1), **_sure_of("true")), []
+    fits, seen = MadeFits(hand, long_scan, all=("turned", 0.1), **_sure_of("true")), []
 
     def fit(fitter, points, part, *more, once):
         seen.append(part)
@@ -331,78 +267,3 @@ def test_what_takes_part_is_told_of_the_body_alone(hand, long_scan):
     assert f"beyond the rig, {share:.0%}"[:-2] in part.left_out and "500 identical points" in part.left_out
     assert "of a floor" in part.left_out and len(part.rows) > 1200
     assert among[part.every].all() and (part.every < n).all()
-
-
-# ---- collections ----
-
-
-class _Scout:
-    """What a scout says of what takes part, and how often it was asked."""
-
-    def __init__(self, sure):
-        self.sure, self.of = sure, []
-
-    def __call__(self, points, *, once):
-        self.of.append((len(points), once))
-        problem = SimpleNamespace(evaluate=lambda *given: SimpleNamespace(value=0.5))
-        return SimpleNamespace(frame=None, state=len(points), proba=None, problem=problem)
-
-    def is_sure(self, found):
-        return self.sure
-
-
-def _first_fit(hand, fits, *, sure, **settings):
-    """A first fit whose fits are made ones, and its scout."""
-    work = FirstFit(Model(hand), FitSettings(**settings), None, None, Facing(), True, 0)
-    scout = _Scout(sure)
-
-    def fit(points, *, part, found):
-        assert found.state == len(part.rows)
-        return fits.fit(SimpleNamespace(among=part.among), scout.of[-1][1])
-
-    def taking(points, point_weights, seed, *, ups, among):
-        rows = np.arange(len(points)) if among is None else np.flatnonzero(among)
-        return TakingPart(rows, rows[:0], "", 1.0, None, among)
-
-    object.__setattr__(work, "_fit", SimpleNamespace(scout=scout, fit=fit, taking_part=taking))
-    return work, scout
-
-
-def _member(scan):
-    rows = np.arange(len(scan.points))
-    return Member(0, scan.points, TakingPart(rows, rows[:0], "", 1.0, None), None, "ann")
-
-
-@pytest.mark.parametrize("settings, sure", [({}, True), ({"effort": "fast"}, False)])
-def test_a_first_fit_that_is_sure_or_fast_is_not_looked_at_again(hand, short_scan, settings, sure):
-    fits = _Fits(hand, short_scan)
-    work, scout = _first_fit(hand, fits, sure=sure, **settings)
-    assert work(_member(short_scan)) == (None, len(short_scan.points), 0.5, None, None)
-    assert scout.of == [(len(short_scan.points), False)] and not fits.of
-
-
-@pytest.mark.parametrize("which", ["long_scan", "short_scan"])
-def test_a_first_fit_in_doubt_is_of_what_lies_within_the_rig(hand, which, request):
-    scan = request.getfixturevalue(which)
-    fits = _Fits(hand, scan, all=("true", 0.2), hand=("true", 0.9))
-    work, scout = _first_fit(hand, fits, sure=False)
-    *_, state, _, _, part = work(_member(scan))
-    arm = scan.labels < 0
-    assert part.among[~arm].all() and part.among[arm].mean() < 0.25 and state == len(part.rows) == part.among.sum()
-    # The scout's word on the whole is taken for the fit of the whole.
-    assert [n for n, _ in scout.of] == [len(scan.points), len(part.rows)] and scout.of[0][1] == (which == "long_scan")
-
-
-def test_a_first_fit_that_nothing_makes_likelier_stays(hand, short_scan):
-    fits = _Fits(hand, short_scan, all=("true", 0.4), hand=("true", 0.1), hand_end=("turned", 0.1), arm_end=("turned", 0.1))
-    work, scout = _first_fit(hand, fits, sure=False)
-    assert work(_member(short_scan)) == (None, len(short_scan.points), 0.5, None, None) and len(scout.of) > 1
-
-
-def test_what_is_kept_of_a_first_fit_hangs_on_all_points_where_the_rig_may_end_within_them(hand, short_scan):
-    member = _member(short_scan)
-    (work, _), (fast, _) = (_first_fit(hand, None, sure=True, effort=effort) for effort in ("balanced", "fast"))
-    assert digest_of(fast.made_of(member)) == digest_of(short_scan.points)
-    more = replace(member, points=np.concatenate([member.points, [[0.0, 0.0, 0.0]]]))
-    assert digest_of(fast.made_of(more)) == digest_of(fast.made_of(member))
-    assert digest_of(work.made_of(more)) != digest_of(work.made_of(member))

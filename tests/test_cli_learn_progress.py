@@ -49,6 +49,7 @@ def test_rounds_with_the_time_left(terminal, capsys):
     assert ("no points" in out, "one: failed: no points" in err) == (False, True)
     alone = "each scan by itself, with proportions of its own"
     assert f"{alone}: recon 0.0200 on the scans learned from, 0.0300 on those held out; took 60 s\n" in shown
+    assert "beyond the rig" not in shown
     assert "; a new start won for 1 scan; took 60 s; at most about 3 min of rounds left\n" in shown  # three rounds like the first
     assert "; a new start won for 2 scans; took 3 min; at most about 4 min of rounds left\n" in shown  # two of 120 s
     if terminal:
@@ -56,6 +57,13 @@ def test_rounds_with_the_time_left(terminal, capsys):
         assert "results" in err and "left" not in err[err.rindex("results") :]
     else:
         assert out.count("round 2 of at most 4: poses of scans\n") == 1 and "\nresults\n" in out
+
+
+@pytest.mark.parametrize("n, words", [(1, "1 scan"), (3, "3 scans")])
+def test_scans_that_go_on_beyond_the_rig_are_told_of(n, words, capsys):
+    LearningProgress(4, terminal=False)("round", 1.0, _figures(0, beyond=n))
+    told = f"held out; {words} found to go on beyond the rig, and what lies there left out; took 60 s\n"
+    assert told in capsys.readouterr().out
 
 
 @pytest.fixture

@@ -9,6 +9,7 @@ from sklearn.base import clone
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.conditions import CONDITIONS, condition_scan
+from lbsfit_np.learning import first_fits
 
 
 @pytest.fixture(scope="module")
@@ -41,22 +42,27 @@ def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fit
     assert "(--effort balanced) looks further, and for what goes on beyond the rig" in alone.message
 
 
-def test_hands_with_forearms_are_learned_from(hand, fitter, tmp_path):
-    """Their first fits find what lies beyond, and nothing is learned from that; in another unit, of which extents say nothing."""
+def test_hands_with_forearms_are_learned_from(hand, fitter, tmp_path, monkeypatch):
+    """Their first fits find what lies beyond, and are not made again after a stop; in millimetres."""
     scans = [_with_an_arm(hand, i) for i in (1, 2)] + [condition_scan(hand, CONDITIONS["0.3"], 4, np.random.default_rng(4))]
     learner = clone(fitter).set_params(rounds=1, held_out=0)
     learner._pretrained = fitter._pretrained
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         learner.fit([1000.0 * s.points for s in scans], checkpoint=tmp_path / "steps")
-    assert learner.unit_[0] == 1000.0
+    assert learner.unit_[0] == 1000.0 and learner.history_[0]["beyond"] == 2
     for scan, r in zip(scans, learner.results_, strict=True):
         arm = scan.labels < 0
         error = np.linalg.norm(r.joints - 1000.0 * scan.joints, axis=1).mean() / (1000.0 * hand.size)
         assert error < 0.015 and r.status == "ok", (error, r.message)
         assert ("taken to go on beyond the rig" in r.message) == arm.any()
-        assert (r.confidence[~arm] > 0).all() and not (r.confidence[arm] > 0).mean() > 0.25 if arm.any() else True
+        assert (r.confidence[~arm] > 0).all() and (r.confidence[arm] == 0).sum() >= 0.75 * arm.sum()
+    (scan, *_) = scans  # as if it were a new one
+    result = learner.fit_scan(1000.0 * scan.points)
+    arm = scan.labels < 0
+    assert "taken to go on beyond the rig" in result.message and (result.confidence[arm] == 0).mean() > 0.75
     again = clone(learner)
     again._pretrained = fitter._pretrained
+    monkeypatch.setattr(first_fits.FirstFit, "__call__", None)
     again.fit([1000.0 * s.points for s in scans], checkpoint=tmp_path / "steps")
     np.testing.assert_array_equal(again.results_[0].vertices, learner.results_[0].vertices)

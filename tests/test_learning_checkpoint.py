@@ -220,7 +220,7 @@ def test_a_fit_that_fails_is_tried_again(make_learner, points, done, tmp_path, m
     call = loop.FirstFit.__call__
 
     def failing(self, given):
-        if np.array_equal(given.x, points[1]):
+        if np.array_equal(given[0], points[1]):
             raise InputError("points", "bad luck", "good")
         return call(self, given)
 

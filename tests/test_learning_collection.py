@@ -41,7 +41,7 @@ BAD_COLLECTIONS = [
     (lambda c: (c[:4], [10**5000] * 4), ["subjects: got a number of several thousand digits for scan 0", "64 bits"]),
     (lambda c: (c[:4], [1, 1, -(2**63), 1]), ["subjects: got -9223372036854775808 for scan 2", "64 bits"]),
     (lambda c: ([*c[:4], 1000 * c[4]], None), ["scans: got different units: scan 4 has", "in one unit", "Convert"]),
-    (lambda c: ([0.001 * c[0], *c[1:4], 100 * c[4]], None), ["different units: scans 0, 4 have"]),
+    (lambda c: ([0.001 * c[0], *c[1:4], 100 * c[4]], None), ["scans 0, 4 have extents of 0.000658 to 76.9, the others"]),
     (lambda c: ([NAN, *c[:8], 1000 * c[8]], None), ["different units: scan 9 has"]),  # of nine that can be used
     (lambda c: ([*c[:3], *(10 * x for x in c[3:6])], None), ["different units: scans 3, 4, 5 have"]),
     (lambda c: ([NAN, np.zeros((0, 3))], None), ["scans: got 2, none of which can be used (the first: points: got 50"]),

@@ -157,8 +157,8 @@ def test_scans_of_a_collection_have_more_points_in_their_frame(tube_rig):
     collection = collected(tube_rig, [s.points for s in scans], max_points=MOST, held_out=0)
     m = collection.members[0]
     m.use_frame(1.0, tube_rig.size / 2)
-    assert len(m.X) == MOST and len(m.dense_X) == len(m.every) > 3 * MOST
-    np.testing.assert_allclose(m.dense_X[np.searchsorted(m.every, m.rows)], m.X)
+    assert len(m.X) == MOST and len(m.dense_X) == len(m.part.every) > 3 * MOST
+    np.testing.assert_allclose(m.dense_X[np.searchsorted(m.part.every, m.part.rows)], m.X)
 
 
 def test_templates_and_last_poses_of_learning_and_after_it_see_more_points(make_learner, few_scans, monkeypatch):

@@ -202,6 +202,8 @@ class LearningProgress:
         if "new_starts_won" in figures:
             n = figures["new_starts_won"]
             words.append(f"a new start won for {counted(n, 'scan')}")
+        if n := figures.get("beyond"):
+            words.append(f"{counted(n, 'scan')} found to go on beyond the rig, and what lies there left out")
         words.append(f"took {span(figures['seconds'])}")
         if k < self.rounds and self._took:
             words.append(self._left_in_words())

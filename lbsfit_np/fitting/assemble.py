@@ -47,6 +47,7 @@ def assemble(
     found=(),
     further=(),
     given=(),
+    among=None,
 ):
     """The fit in the scan's frame and on the rig's original vertices, with a label for every point.
 
@@ -97,6 +98,8 @@ def assemble(
         What a fit in doubt says would look further.
     given : sequence of {"theta0", "labels"}
         What the caller knew of the pose, which one that has failed asks about.
+    among : (n,) bool array, optional
+        Which points may be of the body, where others lie beyond the end of the rig: labels of those have no confidence.
     judged : bool, default True
         False where the vertices say nothing of the pose: then there is no evidence, the probability is 0, and what is finite is
         "ok".
@@ -134,6 +137,8 @@ def assemble(
         if unknown.any() and finite:
             own = labels_from_mesh(points[unknown], frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit)
             labels[unknown], confidence[unknown] = own
+    if among is not None:
+        confidence = np.where(among, confidence, 0.0)
     evidence, probability, status, reason = {}, 0.0, "failed", "it is not finite; check the scan for wild points"
     if finite and not judged:
         status, reason = "ok", ""

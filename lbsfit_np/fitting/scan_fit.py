@@ -214,6 +214,7 @@ class ScanFit:
             found=(unit, stands),
             further=() if given else further_words(model.source, settings, self.facing),
             given=given,
+            among=part.among,
             started=started,
             partial=settings.partial,
             unit=settings.unit,

@@ -157,12 +157,16 @@ class Scout:
         return Found(best.name, best.problem, best.state, seen, best.value, rivals, self._free)
 
     def is_sure(self, found):
-        """Whether what was found is likely to be right, by what is known of it before the full objective."""
+        """Whether what was found is likely to be right."""
+        return self._probability(found) >= _SURE
+
+    def _probability(self, found):
+        """That the pose is right, by what is known of it before the full objective."""
         model, state = self.model, found.state
         known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
         known |= {"partial": self.settings.partial, "areas": model.areas, "x_weights": found.problem.x_weights}
         V = model.deformed(state).vertices
-        return probability_of(evidence_of(model.rig, V, model.labels, found.problem.X, **known)[0]) >= _SURE
+        return probability_of(evidence_of(model.rig, V, model.labels, found.problem.X, **known)[0])
 
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points

@@ -2,8 +2,6 @@
 
 from dataclasses import replace
 
-import numpy as np
-
 from ..errors import InputError
 from ..starts.beyond import beyond, cuts, end_of, goes_on, scales_of
 from .assemble import GUESS
@@ -86,7 +84,7 @@ def _with_floor_or_without(part, taking_part, fit, ups):
 
 
 def may_go_on(rig, settings):
-    """Whether scans are looked at for what goes on beyond the rig, and how far."""
+    """Whether scans of a rig are looked at for what goes on beyond it."""
     return settings.effort != "fast" and end_of(rig) is not None
 
 
@@ -156,7 +154,7 @@ class _Look:
         return self.count(self._fit(part, True))
 
     def _without_what_is_beyond(self, found):
-        """The fit without the points beyond the end that another fit has found, whose labels then have no confidence.
+        """The fit without the points beyond the end that another fit has found.
 
         None where there is none or where its joints are guesses, where these points are too few or too many, or where the fit
         without them does not find them beyond its own end.
@@ -170,7 +168,7 @@ class _Look:
         other = self._at(~past)
         if other is None or not self._tells(other) or beyond(self._body[of_the_body], self._rig, other).mean() < _STILL:
             return None
-        return replace(other, confidence=np.where(past, 0.0, other.confidence))
+        return other
 
     def _tells(self, found):
         """Whether the scan tells where most of the joints are."""

@@ -77,6 +77,7 @@ class TemplateFit:
         found=(),
         further=(),
         given=(),
+        among=None,
         started=None,
     ):
         """The full objective from a pose that was found, and the result.
@@ -101,7 +102,7 @@ class TemplateFit:
             As in ``GaussNewton.pose``.
         dense : (every (d,) int array, Problem), optional
             All points that the last steps look at, in the same frame; those of ``rows`` by default.
-        value, rivals, proportions, notes, found, further, given
+        value, rivals, proportions, notes, found, further, given, among
             As for :func:`~lbsfit_np.fitting.assemble.assemble`.
         started : float, optional
 
@@ -138,6 +139,7 @@ class TemplateFit:
             found=found,
             further=further,
             given=given,
+            among=among,
             started=started,
             value=value,
             rivals=rivals,

@@ -94,7 +94,7 @@ class Member:
 
     @property
     def x(self):
-        """Those that take part, in the scan's own frame."""
+        """The points that take part, in the scan's own frame."""
         return self.points[self.part.rows]
 
     @property
@@ -125,7 +125,7 @@ class Member:
         self.X = self.frame.inside(self.x)
 
     def take(self, part):
-        """Have another part of the scan take part; X is as it was until the scan is put into a frame."""
+        """Have another part of the scan take part; what is known of the one before is as it was."""
         self.part, self.frame = part, replace(self.frame, centre=self.points[part.rows].mean(axis=0))
 
 
@@ -160,8 +160,8 @@ class Collection:
         return list(dict.fromkeys(m.subject for m in self.members))
 
     @property
-    def unit(self):
-        """Scan units in a rig unit by the extents of all members, which are in one unit."""
+    def unit_by_extents(self):
+        """Scan units in a rig unit by what takes part of all members, as if they were in one unit."""
         return float(np.median([m.part.scale for m in self.members]))
 
     def in_order(self, answers):

@@ -118,7 +118,7 @@ class _Finish(_OnTemplates):
         free = SIZED if size is not None and m.state is size.own else IN_UNIT
         size = fit.model.source.size / self.rig.size
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale, unit=self.settings.unit, size=size)
-        place = {"points": m.points, "rows": m.part.rows, "frame": m.frame, "free": free}
+        place = {"points": m.points, "rows": m.part.rows, "frame": m.frame, "free": free, "among": m.part.among}
         problem = m.problem
         proportions = fit.proportions(problem, m.state)
         further = () if proportions > SOMEBODY_ELSE else self.further  # it is not more effort that would help
@@ -127,8 +127,6 @@ class _Finish(_OnTemplates):
         place["dense"] = m.part.every, Problem(m.dense_X) if len(m.part.more) else problem
         place["prior"] = prior_of(self.prior, m.noise, fit.refit.turning, m.prior)
         result = fit.finish(problem, m.state, proba=in_full(m.proba), **place)
-        if m.part.among is not None:
-            result = replace(result, confidence=np.where(m.part.among, result.confidence, 0.0))
         if m.own is None and result.status == "ok":  # then only first fits were wrong
             m = replace(m, doubt="")
         return with_doubt(m, replace(result, subject=str(m.subject)))

@@ -1,8 +1,9 @@
 """The first fit of each scan of a collection, by itself, which may find that the scan goes on beyond the rig."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
+from ..fitting.result import FitResult
 from ..fitting.scan_fit import ScanFit
 from ..fitting.second_look import is_long, looked_at_again, may_go_on
 from ..losses.objective import PLAIN
@@ -14,7 +15,7 @@ __all__ = ["FirstFit"]
 
 @dataclass(frozen=True)
 class FirstFit:
-    """Member → (Frame, State, L_c, probabilities or None, TakingPart or None), on the rig's own template with proportions.
+    """A task → (Frame, State, L_c, probabilities or None, TakingPart or None), on the rig's own template with proportions.
 
     The last is None, or what takes part without the points that are found to go on beyond the rig, as in fits of single scans
     (``fitting.second_look``); the others are of that then.
@@ -33,43 +34,58 @@ class FirstFit:
         known = {"segmenter": self.segmenter, "library": self.library, "facing": self.facing, "nearest": self.nearest}
         return ScanFit(self.model, self.settings, **known)
 
-    @cached_property
-    def _may_go_on(self):
-        return may_go_on(self.model.source, self.settings)
+    def task(self, member):
+        """What the answer for a scan depends on: the points that take part; all where some may lie beyond the rig."""
+        return (member.points, member.part, member.ups) if may_go_on(self.model.source, self.settings) else (member.x,)
 
-    def made_of(self, member):
-        """What the answer depends on that scans do not share."""
-        return (member.points, member.part, member.ups) if self._may_go_on else member.x
-
-    def __call__(self, member):
-        scout = self._fit.scout
-        long = self._may_go_on and is_long(member.points, member.part, self.model.source, self.settings)
-        found = scout(member.x, once=long)
-        return self._answer(found) if not self._may_go_on or scout.is_sure(found) else self._looked_at_again(member, found, long)
+    def __call__(self, task):
+        scout, (points, *more) = self._fit.scout, task
+        if not more:
+            return self._answer(scout(points))
+        part, ups = more
+        long = is_long(points, part, self.model.source, self.settings)
+        found = scout(points[part.rows], once=long)
+        return self._answer(found) if scout.is_sure(found) else self._looked_at_again(points, part, ups, found, long)
 
     def _answer(self, found, part=None):
         loss = found.problem.evaluate(self.model.coarse, found.state, PLAIN).value
         return found.frame, found.state, finite(loss), short(found.proba), part
 
-    def _looked_at_again(self, member, found, long):
-        """The answer for what lies within the rig, where a likelier fit finds something beyond; else for all that takes part.
+    def _looked_at_again(self, points, part, ups, found, long):
+        """The answer for what lies within the rig, where a likelier fit that is "ok" finds something beyond; else for all.
 
-        ``found`` is what the scout said of that, where ``long`` at a first look.
+        ``found`` is what the scout said of all, where ``long`` at a first look.
         """
-        points, fits = member.points, []
+        whole = replace(part, below=None)  # whether a floor is one is told by the whole collection, and has been
+        looks = {long: found}  # at the whole, by whether once
 
         def taking_part(ups, among):
-            if among is None and ups is member.ups:
-                return member.part
-            return self._fit.taking_part(points, None, self.seed, ups=ups, among=among)
+            # Points are drawn by the seed alone: the answer hangs on nothing but the scan.
+            return whole if among is None else self._fit.taking_part(points, None, self.seed, ups=ups, among=among)
+
+        def scouted(part, once):
+            if part is not whole:
+                return self._fit.scout(points[part.rows], once=once)
+            if once not in looks:
+                looks[once] = self._fit.scout(points[part.rows], once=once)
+            return looks[once]
 
         def fit(part, once):
-            seen = found if part is member.part and once == long else self._fit.scout(points[part.rows], once=once)
-            fits.append((part, seen, self._fit.fit(points, part=part, found=seen)))
-            return fits[-1][-1]
+            seen = scouted(part, once)
+            result = self._fit.fit(points, part=part, found=seen)
+            return _Fitted(**{f.name: getattr(result, f.name) for f in fields(result)}, part=part, seen=seen)
 
-        best = looked_at_again(taking_part, fit, points, self.model.source, ups=member.ups, settings=self.settings)
-        part, seen = next((part, seen) for part, seen, result in fits if result.vertices is best.vertices)
-        if part.among is not None:
-            return self._answer(seen, part)
-        return self._answer(seen if part is member.part else found)  # what may be a floor is told by the whole collection
+        best = looked_at_again(taking_part, fit, points, self.model.source, ups=ups, settings=self.settings)
+        if best.part is whole:
+            return self._answer(best.seen)
+        if best.status == "ok":  # what is left out here takes no part in learning, whatever comes later
+            return self._answer(best.seen, best.part)
+        return self._answer(scouted(whole, False))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class _Fitted(FitResult):
+    """A result that knows what of the scan it is of, and what the scout said of that."""
+
+    part: object = None
+    seen: object = None

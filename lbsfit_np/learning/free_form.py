@@ -44,11 +44,12 @@ class _FreeForm:
     settings: object
 
     def __call__(self, m):
-        result = free_form(self.model, self.settings, m.problem, m.points, m.part, m.frame, time.perf_counter())
+        place = m.points, m.part.rows, m.frame
+        result = free_form(self.model, self.settings, m.problem, *place, time.perf_counter(), m.part.left_out)
         return with_doubt(m, result)
 
 
-def free_form(model, settings, problem, points, part, frame, started):
+def free_form(model, settings, problem, points, rows, frame, started, left_out=""):
     """One scan fitted without skinning: place and scale of the model's template, then its vertices; a FitResult."""
     weights = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=settings.weights.lam_lap)
     weights = weights.replace(laplacian=settings.weights.laplacian, squared=settings.weights.squared)
@@ -76,12 +77,12 @@ def free_form(model, settings, problem, points, part, frame, started):
         problem,
         outcome,
         points=points,
-        rows=part.rows,
+        rows=rows,
         frame=frame,
         sigma=settings.refinements[-1],
         weights=weights,
         evaluations=place_only.evaluations + outcome.evaluations,
-        notes=["free-form, no skinning: joints stay at rest", part.left_out],
+        notes=["free-form, no skinning: joints stay at rest", left_out],
         found=(unit,),
         started=started,
         judged=False,

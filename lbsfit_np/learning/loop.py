@@ -25,6 +25,7 @@ from ..optimize.model import Model
 from ..optimize.state import Layout
 from ..segmentation.segmenter import Segmenter, train_segmenter
 from ..segmentation.stage import Training
+from ..starts.beyond import end_of
 from ..starts.library import PoseLibrary, build_library
 from ..threads import one_thread
 from ..workers import beside, kept_processes
@@ -181,7 +182,7 @@ class Loop:
         """All rounds; returns Learned, and leaves in each member its state, points in the frame and loss."""
         started = time.perf_counter()
         self._first_fits()
-        self._note(0, started, {})
+        self._note(0, started, {"beyond": sum(m.part.among is not None for m in self.collection.members)})
         self.progress("round", 1.0, self.history[-1])
         best, bring_back, learned = np.inf, None, None
         for k in range(1, self.settings.rounds + 1):
@@ -211,13 +212,13 @@ class Loop:
 
     def _first_fits(self):
         """Each scan by itself, on the rig's own template with proportions."""
-        members, half = self.collection.members, self.model.half
-        hold_out = bool(self.collection.with_role(HELD_OUT))
-        guess, estimate = members[0].unit, self.fit_settings.scale == "estimate"
+        half, hold_out = self.model.half, bool(self.collection.with_role(HELD_OUT))
+        unit, estimate = self.fit_settings.unit, self.fit_settings.scale == "estimate"
+        guess = self.collection.members[0].unit  # one for all
         segmenter = self.segmenter if self.variant.labels else None
         work = FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library, self.seed)
-        kept = [self._first_kept.slot(FIRST_FIT, work.made_of(m)) for m in members]
-        answers = self._work(work, members, "first fits", kept)
+        tasks = [work.task(m) for m in self.collection.members]
+        answers = self._work(work, tasks, "first fits", [self._first_kept.slot(FIRST_FIT, task) for task in tasks])
         scales = {}
         for m, (frame, state, loss, proba, part) in zip(self.collection.members, answers, strict=True):
             if part is not None:
@@ -226,13 +227,13 @@ class Loop:
             m.proba, m.loss = proba, loss
             scales.setdefault(m.subject, []).append(state.scale * m.unit)
             m.state = state
-        if estimate and self.fit_settings.unit is None and any(part is not None for *_, part in answers):
-            guess = self.collection.unit  # what is beyond the rig makes extents of its own
+        if unit is None:
+            guess = self.collection.unit_by_extents  # anew: what is beyond the rig made extents of its own
         for subject, found in scales.items() if estimate else ():
-            check_scales(self.collection.of(subject), found)
+            check_scales(self.collection.of(subject), found, ends=end_of(self.rig) is not None)
         if hold_out:  # those that were may be in another unit, or have failed
             self.collection.keep_one_held_out()
-        if estimate and self.fit_settings.unit is None and (apart := units_apart(scales)):
+        if estimate and unit is None and (apart := units_apart(scales)):
             warnings.warn(apart, stacklevel=2)
         for subject in self.collection.subjects:
             members, scale = self.collection.of(subject), float(np.median(scales[subject])) if estimate else guess

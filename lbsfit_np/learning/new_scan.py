@@ -89,7 +89,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
         unit = guess if subjects is None else _unit(fitter, subjects[0], guess, settings) or guess
         frame = Frame(x.mean(axis=0), unit * half)
-        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, part, frame, started)
+        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, part.rows, frame, started, part.left_out)
     seen, known, given = None, None if labels is None else labels[part.rows], given_names(theta0, labels)
     if given:
         found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
@@ -114,7 +114,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     place = {"points": points, "rows": part.rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     place |= {"proportions": proportions, "notes": [whose, part.left_out], "found": (unit, stands), "given": given}
-    place["free"] = best.free
+    place |= {"free": best.free, "among": part.among}
     another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
     if not given and not another:
         place["further"] = further_words(rig, settings, _facing(fitter))

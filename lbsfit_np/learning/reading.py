@@ -138,10 +138,10 @@ def odd_ones(sizes, most):
     return np.flatnonzero(np.abs(np.log(sizes / typical)) > np.log(most))
 
 
-def mixed_units(got):
-    """The InputError of a collection whose scans are in different units, ``got`` in words."""
+def mixed_units(got, others=""):
+    """The InputError of a collection whose scans are in different units, as ``got`` says, with ``others`` as a first remedy."""
     remedy = "Convert them, name their subjects (--subjects), learn from each kind by itself, or leave out those that are wrong."
-    return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
+    return InputError("scans", f"different units: {got}", "scans of one collection in one unit", others + remedy)
 
 
 def _common_unit(collection):
@@ -151,15 +151,16 @@ def _common_unit(collection):
     others = np.median(np.delete(extents, odd))
     if len(odd) > _FEW * len(extents):
         at = ", ".join(collection.members[i].name for i in odd[:5]) + ", …" * (len(odd) > 5)
-        have = f"scan {at} has" if len(odd) == 1 else f"scans {at} have"
-        raise mixed_units(f"{have} an extent of {extents[odd[0]]:.3g}, the others of about {others:.3g}")
+        least, most = (f"{size:.3g}" for size in (extents[odd].min(), extents[odd].max()))
+        have = f"scan {at} has an extent" if len(odd) == 1 else f"scans {at} have extents"
+        raise mixed_units(f"{have} of {least if least == most else f'{least} to {most}'}, the others of about {others:.3g}")
     for m, size in ((collection.members[i], extents[i]) for i in odd):
         got = f"an extent of {size:.3g}, the others of about {others:.3g}"
         remedy = "It is left out: convert it and learn again."
         what = "points" if m.name == f"{m.index}" else m.name  # its number is said with every failure, its file is not
         collection.failures[m.index] = str(InputError(what, got, "scans of one collection in one unit", remedy))
     collection.members = [m for i, m in enumerate(collection.members) if i not in odd]
-    return collection.unit
+    return collection.unit_by_extents
 
 
 def _set_units(collection, half, unit):

@@ -14,7 +14,7 @@ _ONE_SCALE = 1.6
 _SIZE, _TOLD = 1.3, 1.02
 
 
-def check_scales(members, scales):
+def check_scales(members, scales, *, ends=False):
     """Compare first fits' scales; set scans apart that have another than their subject's others: extents hide a small factor.
 
     Parameters
@@ -24,6 +24,8 @@ def check_scales(members, scales):
         doubt, in the same words, and learned from.
     scales : (n,) array
         Scan units in a rig unit that the first fits found.
+    ends : bool, default False
+        Whether scans may go on beyond the end of the rig, which then counts for part of it where it was not found.
 
     Raises
     ------
@@ -35,7 +37,8 @@ def check_scales(members, scales):
     if len(odd) > max(1, 0.2 * len(scales)):  # a few may just be wrong
         ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
         at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
-        raise mixed_units(f"of subject {members[0].subject!r}, scans {at} have {ratio:.3g} times the others' scale")
+        got = f"of subject {members[0].subject!r}, scans {at} have {ratio:.3g} times the others' scale"
+        raise mixed_units(got, "If they show more than the rig has, such as an arm, cut it off. " if ends else "")
     for i, m in enumerate(members if len(members) > 1 else ()):
         m.ratio = float(scales[i] / np.median(np.delete(scales, [*odd, i])))  # the odd one of three would shift the others'
     if len(members) == 2:

@@ -58,13 +58,8 @@ def size_notes(rig):
 
 
 def skin_notes(rig):
-    """Joints without weight, many influences per vertex, joints and parts that lead no vertex."""
+    """Joints without weight, joints and parts that lead no vertex."""
     notes = []
-    influences = np.diff(rig.weights.indptr)
-    if influences.max() > 4:
-        notes.append(
-            f"up to {influences.max()} joints share a vertex ({np.count_nonzero(influences > 4)} vertices with more than 4)"
-        )
     carried = np.asarray(rig.weights.sum(axis=0)).ravel()
     idle = [name for name, w, merged in zip(rig.joint_names, carried, rig.merged) if w == 0 and not merged]
     if idle:

@@ -1,0 +1,170 @@
+"""First fits of a collection's scans: what is looked at again, what takes part from then on, and what they depend on."""
+
+from dataclasses import fields, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from learning_runs import collected, loop_over
+from made_fits import MadeFits, hands_with_arms
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.result import FitResult
+from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.learning.checkpoint import digest_of
+from lbsfit_np.learning.collection import Member
+from lbsfit_np.learning.first_fits import FirstFit
+from lbsfit_np.learning.scales import check_scales
+from lbsfit_np.optimize.frame import Frame
+from lbsfit_np.optimize.model import Model
+from lbsfit_np.starts.clean import TakingPart
+from lbsfit_np.starts.turns import Facing
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return lbs.load_rig("hand-coarse")
+
+
+@pytest.fixture(scope="module")
+def long_scan(hand):
+    return max(hands_with_arms(hand), key=lambda s: len(s.points))
+
+
+@pytest.fixture(scope="module")
+def short_scan(hand):
+    return min(hands_with_arms(hand), key=lambda s: len(s.points))
+
+
+class _Scout:
+    """What a scout says of what takes part: how many points that are, and whether it looked once; and how often it was asked."""
+
+    def __init__(self, sure):
+        self.sure, self.of = sure, []
+
+    def __call__(self, points, *, once=False):
+        self.of.append((len(points), once))
+        problem = SimpleNamespace(evaluate=lambda *given: SimpleNamespace(value=0.5))
+        return SimpleNamespace(frame=None, state=self.of[-1], proba=None, problem=problem)
+
+    def is_sure(self, found):
+        return self.sure
+
+
+def _first_fit(hand, fits, *, sure, **settings):
+    """A first fit whose fits are made ones, and its scout."""
+    work, scout = FirstFit(Model(hand), FitSettings(**settings), None, None, Facing(), True, 0), _Scout(sure)
+
+    def fit(points, *, part, found):
+        n, once = found.state
+        assert n == len(part.rows)
+        known = vars(fits.fit(SimpleNamespace(among=part.among), once))
+        return FitResult(**dict.fromkeys((f.name for f in fields(FitResult)), None) | known)
+
+    def taking(points, point_weights, seed, *, ups, among):
+        assert ups is UPS
+        rows = np.flatnonzero(among)
+        return TakingPart(rows, rows[:0], "", 1.0, None, among)
+
+    object.__setattr__(work, "_fit", SimpleNamespace(scout=scout, fit=fit, taking_part=taking))
+    return work, scout
+
+
+# The likeliest up axis is the last one's other way: below the second one a floor has been left out.
+UPS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def _member(scan):
+    rows = np.arange(len(scan.points))
+    return Member(0, scan.points, TakingPart(rows, rows[:0], "", 1.0, 1), None, "ann", ups=UPS)
+
+
+@pytest.mark.parametrize("settings, sure", [({}, True), ({"effort": "fast"}, False)])
+def test_a_first_fit_that_is_sure_or_fast_is_not_looked_at_again(hand, short_scan, settings, sure):
+    fits, n = MadeFits(hand, short_scan), len(short_scan.points)
+    work, scout = _first_fit(hand, fits, sure=sure, **settings)
+    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, None)
+    assert scout.of == [(n, False)] and not fits.of
+
+
+@pytest.mark.parametrize("which", ["long_scan", "short_scan"])
+def test_a_first_fit_in_doubt_is_of_what_lies_within_the_rig(hand, which, request):
+    """Whether there is a floor, which the whole collection tells, is not asked again."""
+    scan = request.getfixturevalue(which)
+    n, arm, fits = len(scan.points), scan.labels < 0, MadeFits(hand, scan, all=("true", 0.2), hand=("true", 0.9))
+    work, scout = _first_fit(hand, fits, sure=False)
+    _, state, _, _, part = work(work.task(_member(scan)))
+    assert part.among[~arm].all() and part.among[arm].mean() < 0.25 and state == (len(part.rows), True)
+    # The scout's word on the whole is taken for the fit of the whole.
+    assert scout.of == [(n, which == "long_scan"), (part.among.sum(), True)]
+
+
+def test_a_part_that_is_none_too_sure_is_not_learned_from(hand, short_scan):
+    """What is left out of a result in doubt may be looked at again, what is not learned from is lost to all rounds."""
+    n, fits = len(short_scan.points), MadeFits(hand, short_scan, all=("true", 0.2), hand=("true", 0.3))
+    fits.ends |= {"hand_end": ("turned", 0.1), "arm_end": ("turned", 0.1)}
+    work, scout = _first_fit(hand, fits, sure=False)
+    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, None)
+    assert "hand" in fits.of and scout.of.count((n, False)) == 1
+
+
+class _FitsOfALook(MadeFits):
+    """Of a closer look at the whole, another probability."""
+
+    closely = 0.9
+
+    def fit(self, part, once):
+        if not once:
+            self.ends = self.ends | {"all": ("true", self.closely)}
+        return super().fit(part, once)
+
+
+@pytest.mark.parametrize("closely", [0.9, 0.25])
+def test_of_a_long_scan_with_nothing_beyond_the_closer_look_is_taken(hand, long_scan, closely):
+    n, ends = len(long_scan.points), {"hand_end": ("turned", 0.1), "arm_end": ("turned", 0.1)}
+    fits = _FitsOfALook(hand, long_scan, all=("turned", 0.2), hand=("turned", 0.3), **ends)
+    fits.closely = closely
+    work, scout = _first_fit(hand, fits, sure=False)
+    assert work(work.task(_member(long_scan))) == (None, (n, False), 0.5, None, None)
+    assert [once for m, once in scout.of if m == n] == [True, False]
+
+
+def test_a_first_fit_depends_on_what_takes_part_and_where_a_rig_ends_on_all(hand, short_scan):
+    member = _member(short_scan)
+    (work, _), (fast, _) = (_first_fit(hand, None, sure=True, effort=effort) for effort in ("balanced", "fast"))
+    further = np.concatenate([member.points, [[0.0, 0.0, 0.0]]])
+    others = [{"points": further}, {"ups": UPS[:1]}, {"part": replace(member.part, below=None)}]
+    for change in others:
+        other = replace(member, **change)
+        assert digest_of(fast.task(other)) == digest_of(fast.task(member))
+        assert digest_of(work.task(other)) != digest_of(work.task(member))
+    other = replace(member, part=replace(member.part, rows=member.part.rows[1:]))
+    assert all(digest_of(w.task(other)) != digest_of(w.task(member)) for w in (work, fast))
+
+
+def test_after_its_first_fit_a_member_is_what_lies_within_the_rig(tube_rig, few_scans, monkeypatch):
+    """Its points, their middle, and their unit: with what is beyond, extents seemed to be of another."""
+    scans = [s.points for s in few_scans[:3]]
+    collection = collected(tube_rig, [3.0 * x for x in scans], held_out=0)
+    loop = loop_over(tube_rig, collection, "cd", None)
+    assert collection.members[0].unit > 2
+    among = np.arange(len(scans[0])) % 2 == 0
+    part = TakingPart(np.flatnonzero(among), np.arange(0), "", 1.0, None, among)
+    frame, state = Frame(np.zeros(3), loop.model.half), loop.model.rest().replace(scale=1.1)
+    monkeypatch.setattr(loop, "_work", lambda *given: [(frame, state, 0.01, None, part)] * 3)
+    loop._first_fits()
+    assert loop.collection.unit_by_extents == 1.0
+    for m, x in zip(collection.members, scans, strict=True):
+        assert m.part is part and m.unit == 1.0
+        np.testing.assert_allclose(m.frame.centre, 3.0 * x[among].mean(axis=0))
+        np.testing.assert_allclose(m.X, (3.0 * x[among] - m.frame.centre) / loop.model.half)
+    np.testing.assert_allclose(loop.coefficients[0][: loop.model.n_proportions], 0.1)  # the subject's size, not its unit
+
+
+@pytest.mark.parametrize("ends", [False, True])
+def test_where_a_rig_ends_scales_that_are_apart_may_be_of_what_lies_beyond(ends):
+    members = [Member(k, np.zeros((0, 3)), None, None, "ann", name=str(k)) for k in range(5)]
+    with pytest.raises(InputError, match="different units") as error:
+        check_scales(members, [1.0, 1.0, 1.0, 1.75, 1.8], ends=ends)
+    assert ("such as an arm, cut it off. Convert them" in str(error.value)) == ends
