@@ -20,7 +20,7 @@ _SURE = 0.8
 _STILL, _GUESSES = 0.9, 0.4
 
 
-def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=(), ends_of_all=True):
+def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=()):
     """The fit of a scan; where it is in doubt, the likeliest of those with and without what may be no part of the body.
 
     Parameters
@@ -37,8 +37,6 @@ def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=(), e
         With ``effort`` "fast" nothing is looked for beyond the rig.
     given : sequence of {"theta0", "labels"}
         What the caller knows. Labels say what is of the body: then nothing is looked for beyond it either.
-    ends_of_all : bool, default True
-        Whether a scan that is not sure to go on is also fitted by its ends, which takes several times as long.
 
     Returns
     -------
@@ -63,7 +61,7 @@ def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=(), e
     if look is None or result.status == "ok":
         return result
     look.count(result)
-    within = look.within_the_rig(result, ends=ends_of_all)
+    within = look.within_the_rig(result)
     return look.with_costs(result if within is None else max(result, within, key=_probability))
 
 
@@ -127,12 +125,11 @@ class _Look:
         """The fit of the whole."""
         return self.count(self._fit(self._part, once))
 
-    def within_the_rig(self, result, *, ends=True):
+    def within_the_rig(self, result):
         """What is likelier than a fit in doubt without what goes on beyond the rig's end, such as the forearm of a hand.
 
-        What lies beyond is told by a fit: by the one in doubt, which may be right but for what it cannot explain; then, unless
-        ``ends`` is false, of a scan longer than the rig by the likelier of the fits of its two ends. One that is "ok" ends the
-        search.
+        What lies beyond is told by a fit: by the one in doubt, which may be right but for what it cannot explain; then, of a scan
+        longer than the rig, by the likelier of the fits of its two ends. One that is "ok" ends the search.
 
         Returns
         -------
@@ -140,9 +137,9 @@ class _Look:
             With the seconds and the evaluations of all so far; None where there is none, or it has failed.
         """
         best = self._without_what_is_beyond(result)
-        if ends and (best is None or best.status != "ok"):
-            for both in cuts(self._body, end_of(self._rig), _scales(self._rig, self._settings)):
-                there = max((self._at(one(self._points)) for one in both), key=_probability)
+        if best is None or best.status != "ok":
+            for ends in cuts(self._body, end_of(self._rig), _scales(self._rig, self._settings)):
+                there = max((self._at(one(self._points)) for one in ends), key=_probability)
                 best = max((best, self._without_what_is_beyond(there)), key=_probability)
                 if best is not None and best.status == "ok":
                     break

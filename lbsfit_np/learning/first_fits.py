@@ -75,9 +75,7 @@ class FirstFit:
             result = self._fit.fit(points, part=part, found=seen)
             return _Fitted(**{f.name: getattr(result, f.name) for f in fields(result)}, part=part, seen=seen)
 
-        # Shorter scans are not fitted by their ends: many are in doubt where all are noisy, and rounds have their subject's unit.
-        known = {"ups": ups, "settings": self.settings, "ends_of_all": False}
-        best = looked_at_again(taking_part, fit, points, self.model.source, **known)
+        best = looked_at_again(taking_part, fit, points, self.model.source, ups=ups, settings=self.settings)
         if best.part is whole:
             return self._answer(best.seen)
         if best.status == "ok":  # what is left out here takes no part in learning, whatever comes later
