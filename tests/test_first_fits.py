@@ -98,6 +98,7 @@ def test_a_first_fit_in_doubt_is_of_what_lies_within_the_rig(hand, which, reques
     assert part.among[~arm].all() and part.among[arm].mean() < 0.25 and state == (len(part.rows), True)
     # The scout's word on the whole is taken for the fit of the whole.
     assert scout.of == [(n, which == "long_scan"), (part.among.sum(), True)]
+    assert fits.of == ["all", "hand"]
 
 
 def test_a_part_that_is_none_too_sure_is_not_learned_from(hand, short_scan):
