@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from study_sizes import TINY
 
+from lbsfit_np.bench.environment import installed
+from lbsfit_np.bench.run import TRAINING_SEED
 from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
 from lbsfit_np.bench.study.data import SIZES, study_set
@@ -137,6 +139,13 @@ def test_the_size_has_to_be_the_same(coarse_hand, quick, monkeypatch):
         study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=report)
 
 
+def test_the_seed_of_the_training_is_kept_and_has_to_be_the_same(coarse_hand, quick):
+    report = study({"h": coarse_hand}, rows=("joint",), seeds=[1])
+    assert report["training_seed"] == TRAINING_SEED
+    with pytest.raises(InputError, match="results with training_seed 5; expected training_seed 0"):
+        study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=report | {"training_seed": 5})
+
+
 @pytest.mark.parametrize("lacking", ["people", "scans", "arrays"])
 def test_results_of_an_earlier_version_are_refused_whichever_rigs_are_run(coarse_hand, quick, lacking):
     report = study({"h": coarse_hand, "other": coarse_hand}, rows=("joint",), seeds=[1])
@@ -218,6 +227,7 @@ def test_pictures_of_other_rigs_stay_on_the_page(coarse_hand, quick, tmp_path, m
         run([*arguments, rigs, *more])
         text = (tmp_path / "README.md").read_text()
         assert all(word in text for word in words), (rigs, more)
+    assert json.loads((tmp_path / "results.json").read_text())["drawn_by"] == {"matplotlib": installed("matplotlib")}
     (tmp_path / "triplet-hand-left-coarse.png").unlink()
     run([*arguments, "hand-coarse", "--no-figures"])
     assert "of hand-left-coarse" not in (tmp_path / "README.md").read_text()

@@ -48,6 +48,7 @@ def _report(kind="hand", **rows):
         "benchmark": "study",
         "size": "small",
         "scan": asdict(SCAN),
+        "training_seed": 0,
         "rigs": {kind: entry},
         "complete": True,
     }
@@ -299,6 +300,21 @@ def test_the_foot_names_machines_and_time():
     of = f"Rows are of several states of the code, by commit: {'a' * 12}: hand 300 joint; {'b' * 12}: hand 300 cd. lbsfit_np"
     assert of in text
     assert re.search(r"2 CPUs \(A Processor\); and lbsfit_np \S+, Python \S+, numpy 1\.0, .*, 8 CPUs; 2\.6 min", text)
+
+
+def test_what_trained_and_what_drew_is_said():
+    report = _report(joint={}) | {"training_seed": 7, "drawn_by": {"matplotlib": "3.9.1"}}
+    text = page(report, {"a.png": "A picture."})
+    assert "what is trained has one seed, 7, so that" in text and "Pictures by matplotlib 3.9.1. `results.json`" in text
+    assert "matplotlib" not in page(report, {})
+
+
+@pytest.mark.parametrize("pose, reached", [(0.012, ("yes", "yes")), (0.0121, ("yes", "no")), (0.021, ("no", "no"))])
+def test_pose_has_a_goal_and_an_aim(pose, reached):
+    goals = _goals(_report(joint={"pose": pose}))
+    assert [goals[what] for what in ("Pose", "Pose, what it aims at")] == [
+        (f"{pose:.4f}", f"≤ {bound:g}", met) for bound, met in zip((0.02, 0.012), reached, strict=True)
+    ]
 
 
 def test_pictures_stand_in_reading_order_whatever_order_they_come_in():

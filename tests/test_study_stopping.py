@@ -283,14 +283,15 @@ def test_two_studies_fill_one_folder(command, tmp_path, monkeypatch):
 
 def test_reports_are_joined_where_they_are_of_the_same():
     entry = {"digest": "a", "poses": "b", "people": "c", "scans": "d", "size": {}}
-    ours = {"benchmark": "study", "size": "small", "scan": {}, "complete": True}
+    ours = {"benchmark": "study", "size": "small", "scan": {}, "training_seed": 0, "complete": True}
     x, y = {"seeds": {"9": {"cd": 2}, "10": {"cd": 3}}}, {"seeds": {"9": {"cd": 4}}}
     theirs = ours | {"rigs": {"x": entry | x, "y": entry | y}}
     ours["rigs"] = {"x": entry | {"seeds": {"10": {"cd": 1}}}}
     found = joined(ours, theirs)
     assert list(found["rigs"]["x"]["seeds"].items()) == [("9", {"cd": 2}), ("10", {"cd": 1})] and found["complete"]
     assert found["rigs"]["y"]["seeds"] == {"9": {"cd": 4}} and len(ours["rigs"]) == 1
-    assert joined(ours, theirs | {"size": "medium"}) == ours
+    for key, value in {"size": "medium", "training_seed": 1}.items():
+        assert joined(ours, theirs | {key: value}) == ours
     for key in ("digest", "poses", "people", "scans", "size"):
         other = {"x": entry | {key: "other", "seeds": {"9": {"cd": 2}}}}
         assert joined(ours, theirs | {"rigs": other}) == ours

@@ -5,26 +5,34 @@ import platform
 import subprocess
 from pathlib import Path
 
-__all__ = ["environment"]
+__all__ = ["environment", "installed"]
 
 
 def environment():
     """A dict of versions, the platform, the number of CPUs that may be used, and the commit (None outside a checkout)."""
-    from importlib.metadata import version
-
     from .. import __version__
 
     libraries = ("numpy", "scipy", "scikit-learn")
     affinity = getattr(os, "sched_getaffinity", None)
     return {
         "lbsfit_np": __version__,
-        **{name: version(name) for name in libraries},
+        **{name: installed(name) for name in libraries},
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
         "cpus": len(affinity(0)) if affinity else os.cpu_count(),
         "commit": _commit(),
     }
+
+
+def installed(name):
+    """The version of an installed package, None where it is not installed."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return None
 
 
 def _processor():

@@ -165,6 +165,7 @@ def _write_page(report, rigs, out, *, pictures):
     # Pictures of what this run did not draw again stay.
     captions, why = {file: text for file, text in report.get("captions", {}).items() if (out / file).exists()}, ""
     if pictures:
+        from ..bench.environment import installed
         from ..bench.study.figures import draw
 
         digests = {
@@ -176,6 +177,7 @@ def _write_page(report, rigs, out, *, pictures):
         try:
             drawn = draw(report, lambda cell: _arrays_of(out / _CELLS, cell, digests[cell]), out, rigs=rigs)
             captions = drawn | {file: text for file, text in captions.items() if file not in drawn}
+            report["drawn_by"] = {"matplotlib": installed("matplotlib")}
         except MissingExtraError as error:
             why = f", without pictures: {error}"
     report["captions"] = captions

@@ -91,7 +91,7 @@ _PROTOCOL = """\
   starts from the labels given and looks for nothing else.
 - Learning is told which training scans are of one person, who share a template; the paper's is not. Test scans come without.
   Three times the data has three times as many people, too.
-- Seeds are of the scans; what is trained has one seed, so that ranges over seeds say nothing of training.
+- Seeds are of the scans; what is trained has one seed, {training_seed}, so that ranges over seeds say nothing of training.
 - Labels: the paper's segmenter learns from uniform poses of U, and the gaps between its rows are what that leaves open. Here, in
   all rows, half of the uniform poses are correlated, so that fists occur, and bones of U are lengthened and thickened at random,
   as the shipped training does: part of both gaps is closed before anything is learned.
@@ -132,7 +132,7 @@ def page(report, captions):
         parts.append("## Figures")
         files = sorted(captions, key=_place)
         parts += [f"![{file.removesuffix('.png').replace('-', ' ')}]({quote(file)})\n\n{captions[file]}" for file in files]
-    parts.append(_provenance(report))
+    parts.append(_provenance(report, captions))
     return "\n\n".join(p.strip("\n") for p in parts if p) + "\n"
 
 
@@ -211,11 +211,11 @@ def _protocol(report):
     from .data import NATURAL
 
     scan, size = report["scan"], report["size"]
-    given = {"n_points": scan["n_points"], "noise": scan["noise"], "size": size}
+    given = {"n_points": scan["n_points"], "noise": scan["noise"], "size": size, "training_seed": report["training_seed"]}
     return _PROTOCOL.format(natural_hand=NATURAL["hand"], more="" if size == "paper" else _PAPERS_SIZE, **given)
 
 
-def _provenance(report):
+def _provenance(report, captions):
     cells = [c for rig in report["rigs"].values() for rows in rig["seeds"].values() for c in rows.values()]
     made = [_made_on(c["environment"]) for c in cells]
     commit = _commits(report)
@@ -225,7 +225,9 @@ def _provenance(report):
     took = f"{sum(known) / 60:.1f} min for {rows} rows" if known else "not timed"
     took += f", with {' or '.join(map(str, jobs))} process{'es' * (jobs != [1])}"
     where = "; and ".join(dict.fromkeys(made))  # each once, in the order of the rows
-    return f"---\n\n{commit}{where}; {took}. `results.json` beside this page has every figure."
+    drawn = report.get("drawn_by") if captions else None
+    pictures = f" Pictures by matplotlib {drawn['matplotlib']}." if drawn else ""
+    return f"---\n\n{commit}{where}; {took}.{pictures} `results.json` beside this page has every figure."
 
 
 def _commits(report):

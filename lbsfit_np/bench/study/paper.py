@@ -26,6 +26,14 @@ PAPER = {
 ON_TRAINING = {"free-form-supervised": 0.065, "joint": 0.069}
 # ‖U − U^gt‖ and ‖U^d − U^gt‖, of bodies.
 OF_GAPS = (0.03, 0.02)
-# To be reached by joint, over so many seeds: Recon ÷ its value at the truth, Pose, Corre. before the snap; labels; template
-# gap ÷ gap before.
-GOALS = {"ratio": 1.05, "pose": 0.020, "corre": 0.030, "accuracy": {"hand": 0.95, "body": 0.96}, "gap": 0.5, "seeds": 3}
+# To be reached by joint, over so many seeds: Recon ÷ its value at the truth, Pose (and what it aims at beyond that), Corre.
+# before the snap; labels; template gap ÷ gap before.
+GOALS = {
+    "ratio": 1.05,
+    "pose": 0.020,
+    "pose aim": 0.012,
+    "corre": 0.030,
+    "accuracy": {"hand": 0.95, "body": 0.96},
+    "gap": 0.5,
+    "seeds": 3,
+}

@@ -132,7 +132,7 @@ def joined(report, other):
     ``other`` counts for nothing where it is of another size, or of rigs, poses, people or scans that are not the same.
     """
     out = deepcopy(report)
-    if any(other.get(key) != out[key] for key in ("benchmark", "size", "scan")):
+    if any(other.get(key) != out[key] for key in ("benchmark", "size", "scan", "training_seed")):
         return out
     for name, theirs in other["rigs"].items():
         ours = out["rigs"].setdefault(name, theirs)
@@ -170,7 +170,8 @@ def cell_name(name, seed, row):
 
 def _begun(before, size, rigs):
     """The report to go on with."""
-    report = begun(before, {"benchmark": "study", "size": size, "scan": asdict(SCAN), "rigs": {}}, same=("size", "scan"))
+    same = {"size": size, "scan": asdict(SCAN), "training_seed": TRAINING_SEED}
+    report = begun(before, {"benchmark": "study", **same, "rigs": {}}, same=tuple(same))
     for name, entry in report["rigs"].items():
         whole = all("arrays" in cell for rows in entry["seeds"].values() for cell in rows.values())
         if not ({"people", "scans"} <= set(entry) and whole):
