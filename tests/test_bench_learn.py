@@ -44,15 +44,15 @@ def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
     content_with_few_starts(monkeypatch)
     monkeypatch.setattr("lbsfit_np.bench.hand.SCAN", replace(SCAN, n_points=800))
     rows = []
-    options = {"n_scans": 6, "seeds": (3,), "variants": ("cd", "free-form"), "training_scans": 40}
+    options = {"n_scans": 3, "seeds": (3,), "variants": ("cd", "free-form"), "training_scans": 40}
     report = learn_bench("hand", shared_rigs, on_row=lambda report, variant, seed: rows.append((variant, seed)), **options)
     assert rows == [("one by one", 3), ("cd", 3), ("free-form", 3)] and report["complete"]
     entry = report["rows"]["cd"]["3"]
-    assert entry["unfitted"] == 0 and entry["rounds"] >= 1 and len(entry["joints"]) == 6
+    assert entry["unfitted"] == 0 and entry["rounds"] >= 1 and len(entry["joints"]) == 3
     assert entry["joint_error"] == pytest.approx(np.mean(entry["joints"])) and 0 < entry["vertex_error"] < 0.5
     single = report["rows"]["one by one"]["3"]
     assert 0 < single["label_error"] < 1 and "label_error" not in entry and entry["label_error_of_rounds"] == []
-    assert len(single["joints"]) == 6 and single["unfitted"] == 0 and single["template_gap"] > 0
+    assert len(single["joints"]) == 3 and single["unfitted"] == 0 and single["template_gap"] > 0
     assert report["rows"]["free-form"]["3"]["rounds"] == 0
     # The same once more has nothing to do, and more does the rest.
     monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"unfitted": 7})
@@ -65,7 +65,7 @@ def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
     monkeypatch.setattr("lbsfit_np.bench.learn._one_by_one", None)  # that of seed 3 is there
     wider = learn_bench("hand", shared_rigs, before=report, **options | {"variants": ("rand",)})
     assert wider["rows"]["one by one"]["3"] == single and wider["rows"]["rand"]["3"]["unfitted"] == 7
-    with pytest.raises(InputError, match="before: got results with n_scans 6; expected n_scans 9"):
+    with pytest.raises(InputError, match="before: got results with n_scans 3; expected n_scans 9"):
         learn_bench("hand", shared_rigs, before=report, **options | {"n_scans": 9})
 
 

@@ -119,7 +119,7 @@ def test_what_was_pretrained_with_other_parameters_is_not_used(changed, given, t
     """But for a segmenter that was given, which is used as it is."""
     small = {"training_scans": 2, "training": {"n_points": 100}, "random_state": 9}
     own = lbs.LBSFitter(tube_rig, **small).pretrain().segmenter_ if given else None
-    before = fitter.pretrain(segmenter=own)._pretrained
+    before = fitter.set_params(max_points=200).pretrain(segmenter=own)._pretrained
     assert fitter.fit_scan(tube_scan.points) is not None and fitter._pretrained is before
     fitter.set_params(**{name: value(tube_rig) if callable(value) else value for name, value in changed.items()})
     found = fit_scans(fitter, [tube_scan.points])[0].result if "random_state" in changed else fitter.fit_scan(tube_scan.points)

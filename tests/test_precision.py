@@ -135,14 +135,14 @@ def test_a_scale_that_is_looked_for_makes_what_is_far_from_the_middle_less_certa
     assert (free >= fixed).all() and free[3] > 1.01 * fixed[3]
 
 
-def test_a_fit_says_how_precisely_joints_are_told(tube_rig, tube_fitter):
+def test_a_fit_says_how_precisely_joints_are_told(tube_rig, quick_fitter):
     """In the scan's unit; less so where the scan ends far below them."""
     (scan,) = lbs.synthesize(tube_rig, random_state=31, n_points=1500, holes=0)
-    fitter = copy.copy(tube_fitter).set_params(scale="fixed", partial=True)
+    fitter = copy.copy(quick_fitter).set_params(scale="fixed", partial=True, training_scans=100)
     whole, cut = (fitter.fit_scan(points, theta0=scan.pose) for points in (scan.points, scan.points[scan.labels < 1]))
     assert (whole.joint_std < 0.02 * tube_rig.size).all() and "joint_std" not in whole.message
     assert cut.joint_std[3] > 2 * whole.joint_std[3] and cut.joint_std[3] > 1.5 * cut.joint_std[0]
-    large = tube_fitter.fit_scan(1000 * scan.points)
-    np.testing.assert_allclose(large.joint_std, 1000 * tube_fitter.fit_scan(scan.points).joint_std, rtol=0.3)
-    known = tube_fitter.fit_scan(scan.points, labels=scan.labels)
+    large = quick_fitter.fit_scan(1000 * scan.points)
+    np.testing.assert_allclose(large.joint_std, 1000 * quick_fitter.fit_scan(scan.points).joint_std, rtol=0.3)
+    known = quick_fitter.fit_scan(scan.points, labels=scan.labels)
     np.testing.assert_allclose(known.joint_std, whole.joint_std, rtol=0.6)
