@@ -76,7 +76,7 @@ for which the extra "viz" has to be installed. The same command once more does o
 correspondences; cd, rand, pose-only and joint, the variants of lbsfit learn; oracle-labels and oracle-fit, true labels or true
 correspondences given. README.md says what else each is.
 
---size small takes about seven minutes on two cores with --jobs 2, medium some hours a rig and seed, paper days.
+--size small takes seven to twelve minutes on two cores with --jobs 2, medium some hours a rig and seed, paper days.
 """
 
 _EPILOG = """\
