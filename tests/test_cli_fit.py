@@ -33,7 +33,8 @@ def test_fit_writes_every_file(fitted, made, tube_rig):
     np.testing.assert_array_equal(labelled.labels, result.labels)
     header = (out / "one.labels.ply").read_bytes().split(b"end_header")[0].decode()
     assert "float confidence" in header and "uchar red" in header and "part 2 long" in header
-    assert "[1/2] one: fitted" in text and "[2/2] two: fitted" in text and "2 of 2 scans fitted" in text
+    assert text.index("fitting 2 scans\n") < text.index("[1/2] one: fitted")
+    assert "[2/2] two: fitted" in text and "2 of 2 scans fitted" in text
     assert "\r" not in text  # no bar where there is no terminal
 
 

@@ -80,6 +80,17 @@ def test_a_line_of_a_fit_in_doubt_has_the_first_reason(status, capsys):
     ]
 
 
+@pytest.mark.parametrize("terminal", [False, True])
+def test_what_is_to_be_fitted_is_said_before_the_first_fit_is_there(terminal, capsys):
+    progress = Progress(3, terminal=terminal)
+    progress.scan({"name": "one", "status": "failed", "message": "no points"})  # before the training
+    progress.training(0.5)
+    progress.fitting()
+    out, err = capsys.readouterr()
+    assert ("| 1/3 [" in err) == terminal and out.endswith("fitting 2 scans\n") != terminal
+    progress.close()
+
+
 def test_a_bar_on_a_terminal(capsys):
     progress = Progress(2, terminal=True)
     for share in (0.3, 1.0):

@@ -36,8 +36,8 @@ def test_fit_with_a_model(learned_hands, hands, tmp_path, run):
 @pytest.mark.parametrize("subject", ["anna", "ben"])
 def test_fit_with_one_subjects_template(subject, learned_hands, hands, tmp_path, run):
     model, scan = learned_hands[0], hands[0] / "ben1.ply"
-    code, _, err = run("fit", model, scan, "-o", tmp_path, "--subject", subject)
-    assert (code, err) == (0, "")
+    code, out, err = run("fit", model, scan, "-o", tmp_path, "--subject", subject)
+    assert (code, err) == (0, "") and "fitting 1 scan\n" in out
     ours = lbs.FitResult.load(tmp_path / "ben1.fit.npz")
     theirs = lbs.LBSFitter.load(model).fit_scan(lbs.load_scan(scan), subject=subject)
     for field in ARRAYS:

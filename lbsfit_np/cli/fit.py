@@ -345,6 +345,13 @@ def _fit(fitter, todo, subjects, values, on_result, progress):
     segmenter = getattr(fitter, "segmenter_", None)
     if segmenter is not None:
         progress.pretraining = "library"
+
+    def pretrain(fitter):
+        fitter.pretrain(segmenter=segmenter, cache=True, progress=progress.training)
+        progress.fitting()
+
+    if todo and getattr(fitter, "template_", None) is not None:  # nothing is trained for what was learned
+        progress.fitting()
     fit_scans(
         fitter,
         [functools.partial(read_scan, f.source, len(fitter.rig.parts), scan_options(values)) for f in todo],
@@ -352,7 +359,7 @@ def _fit(fitter, todo, subjects, values, on_result, progress):
         n_jobs=values["jobs"],
         finish=outputs.Writer(fitter.rig, todo),
         on_result=on_result,
-        pretrain=lambda fitter: fitter.pretrain(segmenter=segmenter, cache=True, progress=progress.training),
+        pretrain=pretrain,
     )
 
 

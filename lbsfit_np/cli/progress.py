@@ -76,6 +76,14 @@ class Progress:
         if share >= 1 and self.terminal:
             self._stages.close()
 
+    def fitting(self):
+        """What fits need is there; the first may take a while."""
+        if self.terminal:
+            self._stages.close()
+            self._draw(self.done)
+        else:
+            self.line(f"fitting {counted(self.total - self.done, 'scan')}")
+
     def scan(self, entry):
         """One more scan is done: ``entry`` of the summary."""
         self.done += 1
@@ -96,9 +104,12 @@ class Progress:
             if self._bar is None:  # before the training, whose bar comes first
                 return
         if self._bar is None:
-            self._bar = bar(total=self.total, initial=self.done - 1, desc="scans", unit="scan")
+            self._draw(self.done - 1)
         self._bar.set_postfix_str(entry["name"], refresh=False)
         self._bar.update()
+
+    def _draw(self, done):
+        self._bar = bar(total=self.total, initial=done, desc="scans", unit="scan")
 
     def notes(self, name, notes):
         """What was noted about a scan, each a line that stays; of each kind, counts aside, those of the first scan."""
