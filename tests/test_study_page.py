@@ -312,7 +312,7 @@ def test_what_trained_and_what_drew_is_said():
 @pytest.mark.parametrize("pose, reached", [(0.012, ("yes", "yes")), (0.0121, ("yes", "no")), (0.021, ("no", "no"))])
 def test_pose_has_a_goal_and_an_aim(pose, reached):
     goals = _goals(_report(joint={"pose": pose}))
-    assert [goals[what] for what in ("Pose", "Pose, what it aims at")] == [
+    assert [goals[what] for what in ("Pose", "Pose, aim beyond the goal")] == [
         (f"{pose:.4f}", f"≤ {bound:g}", met) for bound, met in zip((0.02, 0.012), reached, strict=True)
     ]
 

@@ -80,7 +80,8 @@ class Progress:
         """What fits need is there; the first may take a while."""
         if self.terminal:
             self._stages.close()
-            self._draw(self.done)
+            if self._bar is None:
+                self._draw(self.done)
         else:
             self.line(f"fitting {counted(self.total - self.done, 'scan')}")
 

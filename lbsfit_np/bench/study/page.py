@@ -226,7 +226,7 @@ def _provenance(report, captions):
     took += f", with {' or '.join(map(str, jobs))} process{'es' * (jobs != [1])}"
     where = "; and ".join(dict.fromkeys(made))  # each once, in the order of the rows
     drawn = report.get("drawn_by") if captions else None
-    pictures = f" Pictures by matplotlib {drawn['matplotlib']}." if drawn else ""
+    pictures = f" Pictures by matplotlib {drawn['matplotlib']}." if drawn and drawn["matplotlib"] else ""
     return f"---\n\n{commit}{where}; {took}.{pictures} `results.json` beside this page has every figure."
 
 

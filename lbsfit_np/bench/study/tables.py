@@ -103,7 +103,7 @@ def goals(report, name, *, markdown):
     known = [
         ("Recon ÷ its value at the truth", [c["recon"] / c["recon_truth"] for c in cells], "≤", GOALS["ratio"], ".2f"),
         ("Pose", [c["pose"] for c in cells], "≤", GOALS["pose"], ".4f"),
-        ("Pose, what it aims at", [c["pose"] for c in cells], "≤", GOALS["pose aim"], ".4f"),
+        ("Pose, aim beyond the goal", [c["pose"] for c in cells], "≤", GOALS["pose aim"], ".4f"),
         ("Corre. before the snap", [value(c, "corre") for c in with_measure(cells, "corre")], "≤", GOALS["corre"], ".4f"),
         ("labels of the segmenter alone", _there(cells, "kept_accuracy"), "≥", GOALS["accuracy"][kind], ".3f"),
     ]
