@@ -115,7 +115,8 @@ def test_a_demo_without_a_fit_leaves_nothing_in_the_way_of_the_next(made, tmp_pa
         code, text, _ = run(*arguments)
         assert code == 130 and "the same command begins again" in text and not (tmp_path / "a demo").exists()
     code, text, _ = run(*arguments, "--points", 500)
-    assert code == 0 and f"lbsfit fit '{tmp_path}/a demo/rig.npz' '{tmp_path}/a demo/scan.ply' -o OUT" in text
+    again = f"lbsfit fit '{tmp_path}/a demo/rig.npz' '{tmp_path}/a demo/scan.ply' -o OUT {' '.join(TRAINING)}\n"
+    assert code == 0 and again in text  # with what the segmenter was trained with
 
 
 def test_the_demos_default_is_the_bundled_hand():

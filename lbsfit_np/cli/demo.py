@@ -44,7 +44,7 @@ In {out}:
   summary.json     how the fit went, with all settings and versions
   truth.npz        the true pose, translation, template, vertices, joints and labels, by these keys
   demo.png         left to right: the scan coloured by the parts found, the true mesh, the registered mesh; two views
-Again, as for a scan of your own: lbsfit fit {rig} {scan} -o OUT"""
+Again, as for a scan of your own: lbsfit fit {rig} {scan} -o OUT{options}"""
 
 
 def add_parser(commands):
@@ -107,7 +107,11 @@ def _run(arguments):
     result = FitResult.load(out / "scan.fit.npz")
     write_png(paths["picture"], fit_picture(rig, truth.points, result, truth=truth.vertices))
     say(_report(rig, truth, result))
-    say(_FILES.format(out=out, rig=shlex.quote(str(paths["rig"])), scan=shlex.quote(str(paths["scan"]))))
+    defaults = {option.key: option.default for option in OPTIONS}
+    same = {"--training-scans": "training_scans", "--seed": "seed"}  # without which the segmenter would be trained anew
+    options = "".join(f" {option} {chosen[key]}" for option, key in same.items() if chosen[key] != defaults[key])
+    quoted = {name: shlex.quote(str(paths[name])) for name in ("rig", "scan")}
+    say(_FILES.format(out=out, options=options, **quoted))
     say(f"{time.perf_counter() - started:.0f} s in all")
     return 0
 
