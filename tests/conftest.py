@@ -177,6 +177,16 @@ def make_learner(tube_rig, unlearned):
     return made
 
 
+@pytest.fixture(scope="module")
+def hurried_learning():
+    """For a module whose tests ask what becomes of fits, right or not: learning takes half the time."""
+    from learning_runs import learning_is_hurried
+
+    with pytest.MonkeyPatch.context() as patch:
+        learning_is_hurried(patch)
+        yield
+
+
 @pytest.fixture(scope="session")
 def learned_people(make_learner, people_scans):
     """A fitter that has learned from ten scans of two subjects and met a broken one; and what progress said."""

@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from lbsfit_np.fitting.effort import EFFORTS, Effort
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Found
 from lbsfit_np.learning.loop import Loop, LoopSettings
 from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.variants import as_variant
 from lbsfit_np.optimize.frame import Frame
+from lbsfit_np.optimize.gauss_newton import GaussNewton
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.starts.turns import Facing
@@ -21,6 +23,14 @@ NAN = np.full((50, 3), np.nan)
 GIVEN = [0, 1, 2, "broken", 3, 4, 5, 6, 7, 8, 9]
 IDS = ["ann", "bob", "ann", "ann", "bob", "ann", "bob", "ann", "bob", "ann", "bob"]
 WHOLE = [k for k, i in enumerate(GIVEN) if i != "broken"]
+
+
+def learning_is_hurried(patch, effort="fast", **more):
+    """Have fits of an effort, and rounds, end early in this process: for tests that ask what becomes of fits, right or not."""
+    patch.setitem(EFFORTS, effort, Effort(2, 1, 1, 1, generations=0, parents=1, proposals=1, closer=False, bends=False))
+    patch.setitem(GaussNewton.__init__.__kwdefaults__, "tolerance", 0.3)
+    quick = {"round_scans": 25, "library_scans": 100, **more}
+    patch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**quick, **others))
 
 
 def mean_gap(rig, results, scans, what="joints"):

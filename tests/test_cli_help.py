@@ -101,3 +101,12 @@ def test_a_bar_on_a_terminal(capsys):
     out, err = capsys.readouterr()
     assert out == "" and "training the segmenter" in err
     assert "2/2" in err and "two: failed: no points" in err and "one: fitted" not in err
+
+
+def test_a_bar_counts_a_broken_scan_at_once(capsys):
+    progress = Progress(3, terminal=True)
+    progress.fitting()
+    progress.scan({"name": "one", "status": "failed", "message": "no points"})
+    told = capsys.readouterr().err
+    progress.close()
+    assert "one: failed: no points" in told and "1/3" in told.rsplit("no points", 1)[1]

@@ -14,6 +14,8 @@ from lbsfit_np.learning.collection import Collection, Member
 from lbsfit_np.learning.loop import LoopSettings
 from lbsfit_np.learning.variants import VARIANTS
 
+pytestmark = pytest.mark.usefixtures("hurried_learning")
+
 # Without a segmenter, learning takes a second or two.
 QUICK = {"effort": "fast", "training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
 

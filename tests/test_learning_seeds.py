@@ -1,10 +1,22 @@
-"""Learning again: with other processes, seeds and parameters, and on the same fitter."""
+"""Learning again: with other processes, after a stop, with other seeds and parameters, and on the same fitter."""
 
 import numpy as np
+import pytest
+
+from lbsfit_np.learning.checkpoint import steps_in
 
 
-def test_results_do_not_depend_on_the_number_of_processes(make_learner, few_scans):
-    found = [make_learner(n_jobs=jobs).fit([s.points for s in few_scans[:3]]) for jobs in (1, 2)]
+def test_results_do_not_depend_on_the_number_of_processes_nor_on_what_one_alone_has_kept(make_learner, few_scans, tmp_path):
+    def stop(stage, share, figures=None):
+        if stage == "first fits" and share > 0:
+            raise KeyboardInterrupt
+
+    points = [s.points for s in few_scans[:3]]
+    with pytest.raises(KeyboardInterrupt):
+        make_learner().fit(points, checkpoint=tmp_path, progress=stop)
+    assert steps_in(tmp_path) == 1  # two are left to two processes
+    found = [make_learner(n_jobs=jobs).fit(points, checkpoint=kept) for jobs, kept in ((1, None), (2, tmp_path))]
+    assert steps_in(tmp_path) > 1
     for a, b in zip(*(f.results_ for f in found)):
         for name in ("pose", "vertices", "joints", "offsets", "labels", "confidence"):
             np.testing.assert_array_equal(getattr(a, name), getattr(b, name), err_msg=name)

@@ -108,6 +108,8 @@ class Progress:
             self._draw(self.done - 1)
         self._bar.set_postfix_str(entry["name"], refresh=False)
         self._bar.update()
+        if entry["status"] in ("failed", "suspect"):  # its line stands above a bar that has not counted it yet
+            self._bar.refresh()
 
     def _draw(self, done):
         self._bar = bar(total=self.total, initial=done, desc="scans", unit="scan")

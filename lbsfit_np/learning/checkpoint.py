@@ -143,10 +143,13 @@ class _Slot:
 
 
 def each_kept(work, tasks, slots, *, jobs, done, keep=lambda answer: True):
-    """``workers.each``, but for tasks whose answers are kept already; of the others those are kept that ``keep`` says."""
+    """``workers.each``, but for tasks whose answers are kept already; of the others those are kept that ``keep`` says.
+
+    ``done`` is called before the first as well.
+    """
     n, known = len(tasks), {k: answer for k, slot in enumerate(slots) if (answer := slot.known()) is not None}
-    left, at = [k for k in range(n) if k not in known], len(known)
-    if known:
+    left, at, done = [k for k in range(n) if k not in known], len(known), done or (lambda share: None)
+    if n:  # the first answer may take a while
         done(at / n)
 
     def answered(i, answer):

@@ -299,12 +299,17 @@ class Loop:
                 self.progress("library of starts", 1.0)
         else:
             s = of_s.keep(self._trained(mixture)) if train else s
-            library = library or of_library.keep(build(jobs=self.jobs, progress=lambda p: self.progress("library of starts", p)))
+            if library is None:
+                told = self._done("library of starts", (0.0, 1.0))
+                told(0.0)
+                library = of_library.keep(build(jobs=self.jobs, progress=told))
         self.segmenter, self.library = s, library
         if self.variant.labels:
             self._label()
 
     def _trained(self, mixture):
+        told = self._done("segmenter", (0.0, 1.0))
+        told(0.0)
         return train_segmenter(
             self.rig.welded,
             mixture,
@@ -312,7 +317,7 @@ class Loop:
             training=self.settings.training,
             random_state=self.seed,
             n_jobs=self.jobs,
-            progress=lambda p: self.progress("segmenter", p),
+            progress=told,
             start=self.segmenter,
         )
 
@@ -405,7 +410,8 @@ class Loop:
 
     def _done(self, stage, span):
         """What says of a share of some work how far its stage is, which it takes this span of."""
-        return lambda share: self.progress(stage, span[0] + (span[1] - span[0]) * share)
+        start, end = span
+        return lambda share: self.progress(stage, (1 - share) * start + share * end)  # exact at both ends, as others go on there
 
     def _models(self, templates):
         return {s: Model(self.rig.with_template(*t), self.joints, half=self.model.half) for s, t in templates.items()}
