@@ -2,9 +2,11 @@
 
 import numpy as np
 
+from lbsfit_np.fitting import second_look
 from lbsfit_np.fitting.effort import EFFORTS, Effort
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Found
+from lbsfit_np.learning import first_fits
 from lbsfit_np.learning.loop import Loop, LoopSettings
 from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.variants import as_variant
@@ -29,6 +31,8 @@ def learning_is_hurried(patch, effort="fast", **more):
     """Have fits of an effort, and rounds, end early in this process: for tests that ask what becomes of fits, right or not."""
     patch.setitem(EFFORTS, effort, Effort(2, 1, 1, 1, generations=0, parents=1, proposals=1, closer=False, bends=False))
     patch.setitem(GaussNewton.__init__.__kwdefaults__, "tolerance", 0.3)
+    for module in (first_fits, second_look):  # such fits are in doubt, but for no arm
+        patch.setattr(module, "may_go_on", lambda rig, settings: False)
     quick = {"round_scans": 25, "library_scans": 100, **more}
     patch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**quick, **others))
 

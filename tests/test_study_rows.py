@@ -224,7 +224,7 @@ def test_three_times_the_data_is_more_people(tube_rig, monkeypatch):
     asked = [*given.test, *given.train, *given.test]
     assert all(np.array_equal(a, s.points) for a, s in zip(fitted, asked, strict=True))
     assert len(one.train.vertices) == 3 and three.train is None and len(one.test.vertices) == len(three.test.vertices) == 2
-    assert shares == pytest.approx([0.25, 0.5, 2 / 3, 5 / 6, 1.0, 0.5, 1.0])
+    assert shares == pytest.approx([0.0, 0.25, 0.5, 0.5, 2 / 3, 5 / 6, 1.0, 0.0, 0.5, 1.0])
 
 
 def test_a_template_of_another_unit_grows_about_its_root(coarse_hand):

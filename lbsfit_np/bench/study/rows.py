@@ -160,7 +160,7 @@ def _supervised(c, times=1):
 
 
 def _free_form(c, fit, tasks, start=0.0, end=1.0):
-    results, failures = _tried(c, fit, tasks, lambda p: c.progress(start + (end - start) * p))
+    results, failures = _tried(c, fit, tasks, lambda p: c.progress((1 - p) * start + p * end))
     return Found(_registrations(c.given.rig, results), failures=failures)
 
 
@@ -205,7 +205,7 @@ def _learned(c, variant):
         if stage == "results":
             done = last  # with fewer rounds, too
         begin, end = _OF_A_ROUND.get(stage, (0.0, 0.0))
-        c.progress(0.8 * (done + begin + (end - begin) * share) / (last + 1))
+        c.progress(0.8 * ((done + (1 - share) * begin + share * end) / (last + 1)))  # exact at both ends: the next goes on there
 
     if labels:
         heard.append(c.labels_before())
