@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fit_checks import assert_same
+from learning_runs import learning_is_hurried
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -135,7 +136,8 @@ def test_where_up_is_matters_to_training_that_depends_on_it(training, anew, tube
     assert (made[0] != made[1]) == anew
 
 
-def test_learning_does_not_use_what_was_pretrained_with_other_parameters_either(tube_rig, fitter):
+def test_learning_does_not_use_what_was_pretrained_with_other_parameters_either(tube_rig, fitter, monkeypatch):
+    learning_is_hurried(monkeypatch)
     small = {"training_scans": 2, "training": {"n_points": 100}, "random_state": 9}
     own = lbs.LBSFitter(tube_rig, **small).pretrain().segmenter_
     clouds = [s.points for s in lbs.synthesize(tube_rig, 3, random_state=1, n_points=300)]

@@ -19,6 +19,8 @@ from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.losses.objective import LossWeights
 
+pytestmark = pytest.mark.usefixtures("hurried_learning")
+
 QUICK = {"effort": "fast", "training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
 PREPARED = ("_ready", "_prepared")
 

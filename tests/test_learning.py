@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from learning_runs import GIVEN, IDS, WHOLE, collected, loop_over, mean_gap
+from learning_runs import GIVEN, IDS, WHOLE, collected, learning_is_hurried, loop_over, mean_gap
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting import drawn
@@ -240,6 +240,7 @@ def test_figures_of_a_round_are_means_of_roots():
 
 def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, few_scans, monkeypatch):
     """The best round's state is what counts; of rounds that are level the later."""
+    learning_is_hurried(monkeypatch)
     values = iter([0.5, 0.4, 0.399, 0.3])
     noted, poses = Loop._note, {}
 
@@ -281,6 +282,7 @@ def test_what_is_kept_of_a_scan_grows_by_little_more_than_its_points(tube_rig, u
 
 def test_what_poses_tell_of_each_is_of_those_that_teach_and_of_the_round_that_is_kept(make_learner, few_scans, monkeypatch):
     """Poses of scans held out are drawn, too, but tell nothing; a round that is not kept leaves nothing behind."""
+    learning_is_hurried(monkeypatch)
     values, made, drawn_to, states, noted, make = iter([0.4, 0.6]), [], [], [], Loop._note, pose_prior
     left = {}
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from learning_runs import learning_is_hurried
 
 from lbsfit_np.learning.checkpoint import steps_in
 
@@ -38,7 +39,8 @@ def test_a_seed_decides_all_and_other_kinds_of_seeds_work(make_learner, few_scan
     assert joint.fit_scan(few_scans[4].points).status == "ok"
 
 
-def test_learning_again_starts_anew(make_learner, few_scans):
+def test_learning_again_starts_anew(make_learner, few_scans, monkeypatch):
+    learning_is_hurried(monkeypatch)
     fitter = make_learner(variant="cd")
     first = fitter.fit([s.points for s in few_scans[:3]]).results_[0].vertices
     fitter.set_params(variant="free-form").fit([s.points for s in few_scans[:4]], list("abcd"))
