@@ -57,6 +57,9 @@ def tube_scan(tube_rig):
 @pytest.fixture(scope="session")
 def tube_result(tube_fitter, tube_scan):
     """The fit of ``tube_scan``."""
+    from learning_runs import assert_nothing_is_hurried
+
+    assert_nothing_is_hurried()
     return tube_fitter.fit_scan(tube_scan.points)
 
 
@@ -190,8 +193,9 @@ def hurried_learning():
 @pytest.fixture(scope="session")
 def learned_people(make_learner, people_scans):
     """A fitter that has learned from ten scans of two subjects and met a broken one; and what progress said."""
-    from learning_runs import GIVEN, IDS, NAN
+    from learning_runs import GIVEN, IDS, NAN, assert_nothing_is_hurried
 
+    assert_nothing_is_hurried()
     told = []
     fitter = make_learner()
     scans = [NAN if i == "broken" else people_scans[i].points for i in GIVEN]

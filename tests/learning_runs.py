@@ -19,6 +19,7 @@ from lbsfit_np.synthesis import Synthesis
 
 SMALL = {"effort": "fast", "training_scans": 200, "training": {"n_points": 200}, "rounds": 1, "random_state": 0}
 SCANS = {"n_points": 400, "holes": 1, "density": 0.3}
+HURRIED = Effort(2, 1, 1, 1, generations=0, parents=1, proposals=1, closer=False, bends=False)
 NAN = np.full((50, 3), np.nan)
 
 # What ``learned_people`` learned from: rows of ``people_scans``, and a scan that cannot be used.
@@ -29,12 +30,17 @@ WHOLE = [k for k, i in enumerate(GIVEN) if i != "broken"]
 
 def learning_is_hurried(patch, effort="fast", **more):
     """Have fits of an effort, and rounds, end early in this process: for tests that ask what becomes of fits, right or not."""
-    patch.setitem(EFFORTS, effort, Effort(2, 1, 1, 1, generations=0, parents=1, proposals=1, closer=False, bends=False))
+    patch.setitem(EFFORTS, effort, HURRIED)
     patch.setitem(GaussNewton.__init__.__kwdefaults__, "tolerance", 0.3)
     for module in (first_fits, second_look):  # such fits are in doubt, but for no arm
         patch.setattr(module, "may_go_on", lambda rig, settings: False)
     quick = {"round_scans": 25, "library_scans": 100, **more}
     patch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**quick, **others))
+
+
+def assert_nothing_is_hurried():
+    """For fixtures of the session, which others take for good fits."""
+    assert HURRIED not in EFFORTS.values()
 
 
 def mean_gap(rig, results, scans, what="joints"):

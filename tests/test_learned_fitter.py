@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from learning_runs import learning_is_hurried
 from sklearn.base import clone
 
 import lbsfit_np as lbs
@@ -18,8 +19,6 @@ from lbsfit_np.learning.archive import learned_digests, model_digest
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.losses.objective import LossWeights
-
-pytestmark = pytest.mark.usefixtures("hurried_learning")
 
 QUICK = {"effort": "fast", "training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
 PREPARED = ("_ready", "_prepared")
@@ -34,7 +33,9 @@ def clouds(tube_rig):
 @pytest.fixture(scope="module")
 def learned(tube_rig, clouds):
     """Of two subjects; nobody changes it."""
-    return lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("ababab"))
+    with pytest.MonkeyPatch.context() as patch:
+        learning_is_hurried(patch)
+        return lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("ababab"))
 
 
 @pytest.fixture(scope="module")

@@ -107,7 +107,7 @@ class Refit:
         """(J, 3) bool: the angles that turn."""
         return Layout(self.model.rig, ("pose",), 0).turning
 
-    def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None):
+    def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None, unbent=None):
         """The best pose found.
 
         Parameters
@@ -124,6 +124,8 @@ class Refit:
             first start alone, or from the one that the labels give where there is no other.
         limbs : LimbSearch, optional
             Tried where labels are not known.
+        unbent : callable (state) → bool, optional
+            Other bends are not tried of a pose of which this is true.
 
         Returns
         -------
@@ -151,7 +153,7 @@ class Refit:
         # Of poses that are as good the known one wins.
         best = min((self._moved(self._last, problem, r) for r in [*runners[: len(states)], *ends]), key=lambda r: r.value)
         state = best.state
-        if self._bends:
+        if self._bends and not (unbent and unbent(state)):
             state, _ = self._bends(problem, state, best.value)
         return state, self.chamfer(problem, state), best.name
 

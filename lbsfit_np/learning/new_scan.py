@@ -8,6 +8,7 @@ import numpy as np
 from ..errors import InputError
 from ..fitting.confidence import SOMEBODY_ELSE
 from ..fitting.drawn import drawn_by_itself
+from ..fitting.effort import EFFORTS
 from ..fitting.refit import Runner
 from ..fitting.scan_fit import (
     FitSettings,
@@ -97,18 +98,22 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         found = [(s, _scouted(fitter, s, x, a, settings, once=once)) for s in subjects]
     else:  # one look for all, on the rig's own template with proportions
         seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a, once=once)
-        found = _on_templates(fitter, subjects, seen, settings)
-    subject, best = min(found, key=lambda f: _left(fitter, *f, settings))
-    whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
-    fit = _template_fit(fitter, subject, settings)
-    proportions = fit.proportions(best.problem, best.state)
+        found = _on_templates(fitter, subjects, seen, settings, anyone=anyone)
+    subject, best, proportions = _nearest(fitter, found, settings)
+    alone = None
     if anyone and proportions > SOMEBODY_ELSE:
         # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
         known = {"theta0": theta0, "labels": labels, "point_weights": point_weights}
         alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **known, part=part, found=seen, once=once)
+        if seen is not None and alone.status != "ok" and EFFORTS[settings.effort].bends:
+            # A wrong pose may look like another person's, and be put right by the bends that were not tried on the templates.
+            subject, best, proportions = _nearest(fitter, _on_templates(fitter, subjects, seen, settings), settings)
+    if alone is not None and proportions > SOMEBODY_ELSE:
         nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
+    whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
+    fit = _template_fit(fitter, subject, settings)
     scale, size = best.state.scale * best.frame.unit / half, fitter.template_[subject].size / rig.size
     unit = unit_note(scale, rig, settings.scale, unit=settings.unit, size=size) + _doubted(fitter, subject, scale, settings)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
@@ -130,6 +135,12 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         without = "without subject (--subject, or its line of --subjects, which may be wrong)"
         return replace(result, message=f"{result.message}; {without} the template that suits it best is taken")
     return _asking(result, subjects)
+
+
+def _nearest(fitter, found, settings):
+    """The subject whose template leaves least of a scan unexplained, its Found, and what proportions of its own would explain."""
+    subject, best = min(found, key=lambda f: _left(fitter, *f, settings))
+    return subject, best, _template_fit(fitter, subject, settings).proportions(best.problem, best.state)
 
 
 def _left(fitter, subject, found, settings):
@@ -182,10 +193,18 @@ class _Begun:
     left: float
 
 
-def _on_templates(fitter, subjects, seen, settings):
-    """What a look at a scan has found, gone on from on the templates that suit it: (subject, Found) of each."""
+def _on_templates(fitter, subjects, seen, settings, *, anyone=False):
+    """What a look at a scan has found, gone on from on the templates that suit it: (subject, Found) of each.
+
+    Where the scan may be ``anyone``'s, other bends, which take most of the time, are not tried on templates of other people.
+    """
+
+    def of_another(b):
+        return lambda state: _template_fit(fitter, b.subject, settings).proportions(b.problem, state) > SOMEBODY_ELSE
+
     begun = sorted((_begun(fitter, s, seen, settings) for s in subjects), key=lambda b: b.left)
-    return [(b.subject, _gone_on(b, seen)) for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
+    begun = [b for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
+    return [(b.subject, _gone_on(b, seen, of_another(b) if anyone else None)) for b in begun]
 
 
 def _begun(fitter, subject, seen, settings):
@@ -202,8 +221,8 @@ def _begun(fitter, subject, seen, settings):
     return _Begun(subject, frame, problem, refit, state, runner.value * frame.unit**2)
 
 
-def _gone_on(begun, seen):
-    state, value, _ = begun.refit(begun.problem, [begun.state], proba=seen.proba)
+def _gone_on(begun, seen, of_another):
+    state, value, _ = begun.refit(begun.problem, [begun.state], proba=seen.proba, unbent=of_another)
     # What the others would leave unexplained if this template helped them as much.
     rivals = tuple(value * r / max(seen.value, np.finfo(float).tiny) for r in seen.rivals)
     return Found(begun.frame, begun.problem, state, seen.proba, value, rivals, begun.refit.free)
