@@ -360,9 +360,11 @@ def tubes(tube_rig, tmp_path_factory):
 def tube_model(tubes, cli_cache, tmp_path_factory):
     """A model of the tubes, and the folder of results."""
     from cli_runs import QUICK_LEARNING
+    from learning_runs import assert_nothing_is_hurried
 
     from lbsfit_np.cli import main
 
+    assert_nothing_is_hurried()
     out = tmp_path_factory.mktemp("tube model")
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LBSFIT_CACHE", str(cli_cache))

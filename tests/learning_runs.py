@@ -29,10 +29,13 @@ WHOLE = [k for k, i in enumerate(GIVEN) if i != "broken"]
 
 
 def learning_is_hurried(patch, effort="fast", **more):
-    """Have fits of an effort, and rounds, end early in this process: for tests that ask what becomes of fits, right or not."""
+    """Have fits and rounds end early in this process, for tests that ask what becomes of fits, right or not.
+
+    All steps end earlier than else, and fits of one effort try less.
+    """
     patch.setitem(EFFORTS, effort, HURRIED)
     patch.setitem(GaussNewton.__init__.__kwdefaults__, "tolerance", 0.3)
-    for module in (first_fits, second_look):  # such fits are in doubt, but for no arm
+    for module in (first_fits, second_look):  # such fits are in doubt, which would have each looked at for an arm
         patch.setattr(module, "may_go_on", lambda rig, settings: False)
     quick = {"round_scans": 25, "library_scans": 100, **more}
     patch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**quick, **others))

@@ -275,10 +275,10 @@ def test_other_bends_are_tried_of_what_has_won(model, case, monkeypatch):
     asked.clear()
     refit(case.problem, [case.truth], proba=case.proba, labels_known=True)  # labels say where all points are
     assert not asked
-    refit(case.problem, [case.truth], unbent=lambda state: case.error(model, state) < 0.01)  # as the caller says of it
-    assert not asked
-    refit(case.problem, [case.truth], unbent=lambda state: case.error(model, state) > 0.01)
-    assert len(asked) == 1
+    best, value, _ = refit(case.problem, [case.truth], bend=False)
+    assert not asked and value == refit.chamfer(case.problem, best)
+    assert refit.bent(case.problem, best) == (other, refit.chamfer(case.problem, other)) and len(asked) == 1
+    assert Refit(model).bent(case.problem, best) == (best, value)  # one that tries none
 
 
 def test_a_foot_that_points_the_wrong_way_is_turned():

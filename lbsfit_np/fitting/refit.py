@@ -107,7 +107,7 @@ class Refit:
         """(J, 3) bool: the angles that turn."""
         return Layout(self.model.rig, ("pose",), 0).turning
 
-    def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None, unbent=None):
+    def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None, bend=True):
         """The best pose found.
 
         Parameters
@@ -124,8 +124,8 @@ class Refit:
             first start alone, or from the one that the labels give where there is no other.
         limbs : LimbSearch, optional
             Tried where labels are not known.
-        unbent : callable (state) → bool, optional
-            Other bends are not tried of a pose of which this is true.
+        bend : bool, default True
+            Whether other bends are tried of what has won, by a Refit that tries any.
 
         Returns
         -------
@@ -152,10 +152,15 @@ class Refit:
         # On few points a wrong pose may look as good; a pose that was known is not lost to one that looks better there.
         # Of poses that are as good the known one wins.
         best = min((self._moved(self._last, problem, r) for r in [*runners[: len(states)], *ends]), key=lambda r: r.value)
-        state = best.state
-        if self._bends and not (unbent and unbent(state)):
-            state, _ = self._bends(problem, state, best.value)
-        return state, self.chamfer(problem, state), best.name
+        state, value = self.bent(problem, best.state) if bend else (best.state, self.chamfer(problem, best.state))
+        return state, value, best.name
+
+    def bent(self, problem, state):
+        """A pose that steps have come to the end of, or one with other bends that leaves less unexplained; and its L_c(X, V)."""
+        if self._bends:
+            _, left = self.to_the_end(problem, state, iterations=0)
+            state, _ = self._bends(problem, state, left)
+        return state, self.chamfer(problem, state)
 
     def race(self, runners, survivors=_SURVIVORS):
         """All starts a few steps, the best of them to the end.

@@ -199,8 +199,8 @@ class LBSFitter(BaseEstimator):
             A folder that each step is kept in as it is done: after a stop, or a crash, the same call once more goes on from
             there, to the same result; variants that learn from labels find each other's first fits. It needs a seed, and stays.
         progress : callable (stage, share, figures=None), optional
-            Called with the name of what is done and the share done in [0, 1], 0 as it begins; after a round also with its
-            entry of ``history_``.
+            Called with the name of a step and the share of it done in [0, 1], but for pretraining as it begins, too; after a
+            round also with its entry of ``history_``.
         on_round : callable (k, segmenter), optional
             Called after round k with s as it then is, such as for its errors on scans of which more is known.
 

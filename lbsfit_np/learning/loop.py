@@ -290,17 +290,18 @@ class Loop:
         of_s, of_library = (self._kept.slot(f"round-{k}-{what}") for what in ("segmenter", "library"))
         s, library = of_s.known(Segmenter) if self.variant.labels else None, of_library.known(PoseLibrary)
         train = s is None and self.variant.labels
+        told = self._done("library of starts", (0.0, 1.0))
         build = partial(build_library, mixture.scan, self.settings.library_scans, random_state=self.seed)
         if train and library is None and self.jobs > 1:
             # s keeps but one core busy while its networks learn.
             with beside(partial(kept_by_its_process, of_library, build)) as made:
                 s = of_s.keep(self._trained(mixture))
+                told(0.0)
                 library = of_library.keep(made())  # which says, unlike the other process, where it cannot be kept
-                self.progress("library of starts", 1.0)
+                told(1.0)
         else:
             s = of_s.keep(self._trained(mixture)) if train else s
             if library is None:
-                told = self._done("library of starts", (0.0, 1.0))
                 told(0.0)
                 library = of_library.keep(build(jobs=self.jobs, progress=told))
         self.segmenter, self.library = s, library
@@ -308,8 +309,7 @@ class Loop:
             self._label()
 
     def _trained(self, mixture):
-        told = self._done("segmenter", (0.0, 1.0))
-        told(0.0)
+        self.progress("segmenter", 0.0)
         return train_segmenter(
             self.rig.welded,
             mixture,
@@ -317,7 +317,7 @@ class Loop:
             training=self.settings.training,
             random_state=self.seed,
             n_jobs=self.jobs,
-            progress=told,
+            progress=lambda p: self.progress("segmenter", p),
             start=self.segmenter,
         )
 

@@ -98,16 +98,20 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         found = [(s, _scouted(fitter, s, x, a, settings, once=once)) for s in subjects]
     else:  # one look for all, on the rig's own template with proportions
         seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a, once=once)
-        found = _on_templates(fitter, subjects, seen, settings, anyone=anyone)
+        found = _on_templates(fitter, subjects, seen, settings)
+        bends = EFFORTS[settings.effort].bends
+        # On templates of other people they, which take most of the time, are for nothing.
+        unbent = bends and anyone and all(_proportions(fitter, *f, settings) > SOMEBODY_ELSE for f in found)
+        if bends and not unbent:
+            found = _bent(fitter, found, seen, settings)
     subject, best, proportions = _nearest(fitter, found, settings)
     alone = None
     if anyone and proportions > SOMEBODY_ELSE:
         # No template of another person is a good beginning: the rig's own, and what was learned of labels and poses.
         known = {"theta0": theta0, "labels": labels, "point_weights": point_weights}
         alone = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).fit(points, **known, part=part, found=seen, once=once)
-        if seen is not None and alone.status != "ok" and EFFORTS[settings.effort].bends:
-            # A wrong pose may look like another person's, and be put right by the bends that were not tried on the templates.
-            subject, best, proportions = _nearest(fitter, _on_templates(fitter, subjects, seen, settings), settings)
+        if seen is not None and unbent and alone.status != "ok":  # a wrong pose, too, may look like another person's
+            subject, best, proportions = _nearest(fitter, _bent(fitter, found, seen, settings), settings)
     if alone is not None and proportions > SOMEBODY_ELSE:
         nearest = f"that of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned one"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: somebody else?"
@@ -140,7 +144,11 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
 def _nearest(fitter, found, settings):
     """The subject whose template leaves least of a scan unexplained, its Found, and what proportions of its own would explain."""
     subject, best = min(found, key=lambda f: _left(fitter, *f, settings))
-    return subject, best, _template_fit(fitter, subject, settings).proportions(best.problem, best.state)
+    return subject, best, _proportions(fitter, subject, best, settings)
+
+
+def _proportions(fitter, subject, found, settings):
+    return _template_fit(fitter, subject, settings).proportions(found.problem, found.state)
 
 
 def _left(fitter, subject, found, settings):
@@ -193,18 +201,10 @@ class _Begun:
     left: float
 
 
-def _on_templates(fitter, subjects, seen, settings, *, anyone=False):
-    """What a look at a scan has found, gone on from on the templates that suit it: (subject, Found) of each.
-
-    Where the scan may be ``anyone``'s, other bends, which take most of the time, are not tried on templates of other people.
-    """
-
-    def of_another(b):
-        return lambda state: _template_fit(fitter, b.subject, settings).proportions(b.problem, state) > SOMEBODY_ELSE
-
+def _on_templates(fitter, subjects, seen, settings):
+    """What a look at a scan has found, gone on from on the templates that suit it: (subject, Found) of each, without bends."""
     begun = sorted((_begun(fitter, s, seen, settings) for s in subjects), key=lambda b: b.left)
-    begun = [b for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
-    return [(b.subject, _gone_on(b, seen, of_another(b) if anyone else None)) for b in begun]
+    return [(b.subject, _gone_on(b, seen)) for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
 
 
 def _begun(fitter, subject, seen, settings):
@@ -221,11 +221,24 @@ def _begun(fitter, subject, seen, settings):
     return _Begun(subject, frame, problem, refit, state, runner.value * frame.unit**2)
 
 
-def _gone_on(begun, seen, of_another):
-    state, value, _ = begun.refit(begun.problem, [begun.state], proba=seen.proba, unbent=of_another)
-    # What the others would leave unexplained if this template helped them as much.
-    rivals = tuple(value * r / max(seen.value, np.finfo(float).tiny) for r in seen.rivals)
-    return Found(begun.frame, begun.problem, state, seen.proba, value, rivals, begun.refit.free)
+def _gone_on(begun, seen):
+    state, value, _ = begun.refit(begun.problem, [begun.state], proba=seen.proba, bend=False)
+    return Found(begun.frame, begun.problem, state, seen.proba, value, _rivals(value, seen), begun.refit.free)
+
+
+def _bent(fitter, found, seen, settings):
+    """(subject, Found) of each as it is once other bends were tried."""
+    out = []
+    for subject, there in found:
+        refit = _template_fit(fitter, subject, settings).refit
+        state, value = (refit if there.free == refit.free else refit.freeing(there.free)).bent(there.problem, there.state)
+        out.append((subject, replace(there, state=state, value=value, rivals=_rivals(value, seen))))
+    return out
+
+
+def _rivals(value, seen):
+    """What the others would leave unexplained if a template helped them as much as the one that has left ``value``."""
+    return tuple(value * r / max(seen.value, np.finfo(float).tiny) for r in seen.rivals)
 
 
 def _given(fitter, subject, x, a, settings, guess, theta0, labels):
