@@ -33,11 +33,14 @@ def tube_rig():
 
 
 @pytest.fixture(scope="session")
-def tube_fitter(tube_rig):
+def tube_fitter(tube_rig, tmp_path_factory):
     """A fitter of the tube rig with a segmenter of its own, trained for a few seconds."""
+    from shared_by_workers import found_once
+
     from lbsfit_np import LBSFitter
 
-    return LBSFitter(tube_rig, training_scans=300, random_state=0).pretrain()
+    given = {"rig": tube_rig, "training_scans": 300, "random_state": 0}
+    return found_once(tmp_path_factory, "tube_fitter", lambda: LBSFitter(**given).pretrain()).set_params(rig=tube_rig)
 
 
 @pytest.fixture(scope="session")
@@ -156,13 +159,15 @@ def few_scans(people_scans):
 
 
 @pytest.fixture(scope="session")
-def unlearned(tube_rig):
+def unlearned(tube_rig, tmp_path_factory):
     """A pretrained fitter that has not learned."""
     from learning_runs import SMALL
+    from shared_by_workers import found_once
 
     from lbsfit_np import LBSFitter
 
-    return LBSFitter(tube_rig, **SMALL).pretrain()
+    found = found_once(tmp_path_factory, "unlearned", lambda: LBSFitter(tube_rig, **SMALL).pretrain())
+    return found.set_params(rig=tube_rig)
 
 
 @pytest.fixture(scope="session")
@@ -191,19 +196,24 @@ def hurried_learning():
 
 
 @pytest.fixture(scope="session")
-def learned_people(make_learner, people_scans):
+def learned_people(tube_rig, make_learner, people_scans, tmp_path_factory):
     """A fitter that has learned from ten scans of two subjects and met a broken one; and what progress said."""
     from learning_runs import GIVEN, IDS, NAN, assert_nothing_is_hurried
+    from shared_by_workers import found_once
 
-    assert_nothing_is_hurried()
-    told = []
-    fitter = make_learner()
-    scans = [NAN if i == "broken" else people_scans[i].points for i in GIVEN]
-    with pytest.warns(UserWarning, match="1 of 11 scans cannot be used; scan 3: points: got 50 of 50"):
-        found = fitter.fit(scans, IDS, progress=lambda *a: told.append(a))
-    assert found is fitter
+    def learned():
+        assert_nothing_is_hurried()
+        told = []
+        fitter = make_learner()
+        scans = [NAN if i == "broken" else people_scans[i].points for i in GIVEN]
+        with pytest.warns(UserWarning, match="1 of 11 scans cannot be used; scan 3: points: got 50 of 50"):
+            found = fitter.fit(scans, IDS, progress=lambda *a: told.append(a))
+        assert found is fitter
+        return fitter, told
+
+    fitter, told = found_once(tmp_path_factory, "learned_people", learned)
     fitter.told = told
-    return fitter
+    return fitter.set_params(rig=tube_rig)
 
 
 # ---- the command line ----

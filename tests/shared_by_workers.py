@@ -1,6 +1,7 @@
 """Folders that the processes of a test run have in common: what takes long is made by the first that asks for it."""
 
 import os
+import pickle
 import time
 
 try:
@@ -35,6 +36,12 @@ def made_once(tmp_path_factory, name, make=None):
             raise
         filled.touch()
         return folder
+
+
+def found_once(tmp_path_factory, name, find):
+    """What ``find()`` gives, as pickle has it, found by the first process of this run of the tests that asks for it."""
+    made = made_once(tmp_path_factory, name, lambda folder: (folder / "found").write_bytes(pickle.dumps(find())))
+    return pickle.loads((made / "found").read_bytes())
 
 
 def _locked(file):
