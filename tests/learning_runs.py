@@ -37,7 +37,7 @@ def learning_is_hurried(patch, effort="fast", **more):
     patch.setitem(GaussNewton.__init__.__kwdefaults__, "tolerance", 0.3)
     for module in (first_fits, second_look):  # such fits are in doubt, which would have each looked at for an arm
         patch.setattr(module, "may_go_on", lambda rig, settings: False)
-    quick = {"round_scans": 25, "library_scans": 100, **more}
+    quick = {"round_scans": 25, "library_scans": 30, **more}
     patch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**quick, **others))
 
 

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cli_runs import content_with_few_starts
+from learning_runs import learning_is_hurried
 
 from lbsfit_np.bench.hand import SCAN, hand_rig, natural_poses
 from lbsfit_np.bench.learn import VARIANT_ROWS, _measured, _poses_digest, collection, learn_bench, learn_table, touching_pose
@@ -41,7 +41,7 @@ def _nothing_learned(fitter, *a, **k):
 
 
 def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
-    content_with_few_starts(monkeypatch)
+    learning_is_hurried(monkeypatch, "balanced")
     monkeypatch.setattr("lbsfit_np.bench.hand.SCAN", replace(SCAN, n_points=800))
     rows = []
     options = {"n_scans": 3, "seeds": (3,), "variants": ("cd", "free-form"), "training_scans": 40}

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from docs_tables import ROOT, codes, document, listed_keys, table_rows
+from learning_runs import learning_is_hurried
 
 import lbsfit_np as lbs
 
@@ -50,11 +51,10 @@ def demo(tmp_path_factory):
 
 @pytest.mark.parametrize("path", WITH_SNIPPETS, ids=lambda path: path.name)
 def test_snippets_run(path, demo, monkeypatch):
-    """All ```python blocks of a document one after the other, as a reader would; with fewer training scans and starts."""
-    from lbsfit_np.fitting.effort import EFFORTS
+    """All ```python blocks of a document one after the other, as a reader would; with few training scans, and in a hurry."""
     from lbsfit_np.learning.fitter import LBSFitter
 
-    monkeypatch.setitem(EFFORTS, "balanced", EFFORTS["fast"])
+    learning_is_hurried(monkeypatch, "balanced")
     monkeypatch.chdir(demo)
     monkeypatch.setenv("LBSFIT_CACHE", str(demo / "cache"))
     pretrain = LBSFitter.pretrain

@@ -16,10 +16,17 @@ from lbsfit_np.segmentation import cache
 from lbsfit_np.synthesis import Synthesis
 
 
+@pytest.fixture
+def hurried(monkeypatch):
+    """Fits end early: whether they are the same does not hang on how good they are."""
+    learning_is_hurried(monkeypatch)
+
+
 def test_the_same_again(tube_fitter, tube_scan, tube_result):
     assert_same(tube_fitter.fit_scan(tube_scan.points), tube_result)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_seed_decides_all(tube_rig, tube_scan):
     def fit(seed):
         small = {"effort": "fast", "training_scans": 4, "training": {"n_points": 300}, "max_points": 400}
@@ -31,6 +38,7 @@ def test_a_seed_decides_all(tube_rig, tube_scan):
     assert not np.array_equal(a.vertices, c.vertices)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_threads_change_nothing(tube_rig, tube_scan):
     from threadpoolctl import threadpool_limits
 
@@ -94,6 +102,7 @@ def test_pretrain_returns_itself_and_shows_progress(fitter):
     assert hasattr(fitter, "segmenter_")
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_segmenter_of_another_rig_is_refused(tube_rig, tube_scan, fitter):
     own = fitter.pretrain().segmenter_
     fitter.set_params(rig=tube_rig.with_parts("arm and fingers"))
@@ -116,6 +125,7 @@ CHANGES = [
 
 @pytest.mark.parametrize("changed", CHANGES, ids=lambda changed: next(iter(changed)))
 @pytest.mark.parametrize("given", [False, True])
+@pytest.mark.usefixtures("hurried")
 def test_what_was_pretrained_with_other_parameters_is_not_used(changed, given, tube_rig, tube_scan, fitter):
     """But for a segmenter that was given, which is used as it is."""
     small = {"training_scans": 2, "training": {"n_points": 100}, "random_state": 9}
@@ -136,8 +146,8 @@ def test_where_up_is_matters_to_training_that_depends_on_it(training, anew, tube
     assert (made[0] != made[1]) == anew
 
 
-def test_learning_does_not_use_what_was_pretrained_with_other_parameters_either(tube_rig, fitter, monkeypatch):
-    learning_is_hurried(monkeypatch)
+@pytest.mark.usefixtures("hurried")
+def test_learning_does_not_use_what_was_pretrained_with_other_parameters_either(tube_rig, fitter):
     small = {"training_scans": 2, "training": {"n_points": 100}, "random_state": 9}
     own = lbs.LBSFitter(tube_rig, **small).pretrain().segmenter_
     clouds = [s.points for s in lbs.synthesize(tube_rig, 3, random_state=1, n_points=300)]
@@ -147,6 +157,7 @@ def test_learning_does_not_use_what_was_pretrained_with_other_parameters_either(
         assert_same(found, expected)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_given_segmenter_comes_back_after_a_variant_without_labels(tube_rig, tube_scan, fitter):
     own = lbs.LBSFitter(tube_rig, training_scans=2, training={"n_points": 100}, random_state=9).pretrain().segmenter_
     fitter.pretrain(segmenter=own).set_params(variant="cd", random_state=2).fit_scan(tube_scan.points)
@@ -155,6 +166,7 @@ def test_a_given_segmenter_comes_back_after_a_variant_without_labels(tube_rig, t
     assert fitter.segmenter_ is own
 
 
+@pytest.mark.usefixtures("hurried")
 def test_changed_parameters_are_looked_at_again(tube_rig, tube_scan, fitter):
     follow = fitter.fit_scan(tube_scan.points, labels=tube_scan.labels)
     fixed = fitter.set_params(joints="fixed").fit_scan(tube_scan.points, labels=tube_scan.labels)
@@ -163,6 +175,7 @@ def test_changed_parameters_are_looked_at_again(tube_rig, tube_scan, fitter):
     assert_same(fixed, other.fit_scan(tube_scan.points, labels=tube_scan.labels))
 
 
+@pytest.mark.usefixtures("hurried")
 def test_one_call_with_a_kept_segmenter(tube_rig, tube_scan, tmp_path, monkeypatch):
     monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path))
     monkeypatch.setattr(cache, "_MEMORY", {})
@@ -199,6 +212,7 @@ def test_training_scans_vary_in_scale_unless_told_otherwise(tube_rig, monkeypatc
     assert not seen[-1].one_sided
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_segmenter_that_is_given_is_kept(tube_rig, tube_fitter, tube_scan, monkeypatch):
     """Only f and the library are trained beside it, by pretrain, and by fit_scan where nothing was pretrained."""
     monkeypatch.setattr("lbsfit_np.learning.pretraining.train_segmenter", lambda *a, **k: pytest.fail("trained another"))

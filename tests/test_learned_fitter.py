@@ -45,6 +45,12 @@ def plain(learned, clouds):
 
 
 @pytest.fixture
+def hurried(monkeypatch):
+    """What else is learned, and fitted, ends early, too."""
+    learning_is_hurried(monkeypatch)
+
+
+@pytest.fixture
 def own(learned):
     """A copy that a test may change."""
     fitter = copy.copy(learned)
@@ -163,6 +169,7 @@ def test_what_was_learned_with_labels_is_not_used_without(variant, learned_with_
             use()
 
 
+@pytest.mark.usefixtures("hurried")
 def test_chamfer_alone_takes_no_labels(tube_rig, people_scans):
     scan = people_scans[0]
     with pytest.raises(InputError, match="labels: got known ones; expected None: the variant 'cd' uses labels nowhere"):
@@ -191,6 +198,7 @@ def test_clones_have_learned_nothing(own, clouds):
 
 
 @pytest.mark.parametrize("loaded", [False, True])
+@pytest.mark.usefixtures("hurried")
 def test_a_fit_that_is_stopped_early_leaves_what_was_learned(loaded, own, clouds, tmp_path):
     """All of it: labels and starts of before learning do not go with learned templates."""
     if loaded:
@@ -213,6 +221,7 @@ def test_a_fit_that_is_stopped_early_leaves_what_was_learned(loaded, own, clouds
 
 
 @pytest.mark.parametrize("told", ["progress", "on_round"])
+@pytest.mark.usefixtures("hurried")
 def test_a_round_is_there_for_those_who_are_told_of_it(told, own, clouds):
     """Who stops the run then does not lose it."""
     fitter = clone(own)
@@ -247,6 +256,7 @@ def test_mappings_of_training_travel(own, tmp_path):
 # ---- the digest ----
 
 
+@pytest.mark.usefixtures("hurried")
 def test_results_say_whose_template_they_are_on(learned, tube_result, clouds, tmp_path):
     assert [r.subject for r in learned.results_] == list("ababab") and tube_result.subject == ""
     outcomes = fit_scans(learned, clouds[:3], subjects=["b", "a", None], n_jobs=2)
@@ -264,6 +274,7 @@ def test_results_say_whose_template_they_are_on(learned, tube_result, clouds, tm
 
 
 @pytest.mark.parametrize("ids, others", [((1, 2), ("1", "2")), (("1", "2"), (1, 2)), (("1", "2"), (np.int64(1), np.str_("2")))])
+@pytest.mark.usefixtures("hurried")
 def test_subjects_are_known_by_the_text_of_their_ids(ids, others, own, clouds):
     """The ids of results are text, and so are those that the command line learns with."""
     own.template_ = dict(zip(ids, own.template_.values()))
@@ -368,6 +379,7 @@ def test_a_fitter_of_another_variant_is_refused_before_any_scan(learned, clouds)
         fit_scans(fitter, clouds[:2])
 
 
+@pytest.mark.usefixtures("hurried")
 def test_what_was_learned_is_taken_whole_or_not_at_all(tube_rig, clouds, monkeypatch):
     """Ctrl-C comes while templates are made."""
     fitter = lbs.LBSFitter(tube_rig, **QUICK).pretrain()

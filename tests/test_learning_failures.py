@@ -150,7 +150,7 @@ def after_turns(tube_rig, clouds):
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(VARIANTS, "cd", replace(VARIANTS["cd"], prior=True))
         for turns in (0, 1):
-            settings = partial(LoopSettings, turns=turns, round_scans=100, library_scans=100)
+            settings = partial(LoopSettings, turns=turns, round_scans=100, library_scans=30)
             patch.setattr(LoopSettings, "for_training", lambda n, made=settings, **others: made(**others))
             found[turns] = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
     return found
