@@ -42,7 +42,7 @@ def main():
 def scan_of(rig, person, seed):
     """A scan of a person in a natural pose, with its truth."""
     template = [(person.vertices, person.joints)]
-    return lbs.synthesize(rig, 1, templates=template, poses="natural", random_state=seed, n_points=1500, scale=0.0)[0]
+    return lbs.synthesize(rig, 1, templates=template, poses="natural", random_state=seed, n_points=1000, scale=0.0)[0]
 
 
 def error(results, truth):

@@ -31,7 +31,7 @@ class PointIndex:
             radius = np.abs(points - self._centre).max() if len(points) else 1.0
             self._gap = _APART * max(float(radius), 1e-100)  # points at one place: apart still, once squared
             self._present = np.bincount(labels) > 0
-        self._tree = cKDTree(self._apart(points, labels), balanced_tree=not moving, compact_nodes=not moving)
+        self._tree = cKDTree(self._apart(points, labels), balanced_tree=not moving)
 
     def nearest(self, queries, labels=None):
         """Nearest point of each query.
