@@ -2,7 +2,6 @@
 
 import pickle
 import signal
-import sys
 from contextlib import contextmanager
 from dataclasses import dataclass
 
@@ -16,9 +15,6 @@ _READY = "ready"
 _NOTHING = pickle.dumps(None, protocol=pickle.HIGHEST_PROTOCOL)
 # Processes without work, while they are kept.
 _SPARE = None
-# What processes import that are not ours, most of the time that a new one takes. On Linux it is imported once, by the server
-# that they are forked from, which has done nothing else: a fork of this process, with BLAS threads, may hang.
-_IMPORTED_ONCE = ["scipy.linalg", "scipy.ndimage", "scipy.optimize", "scipy.sparse", "scipy.spatial", "sklearn.neural_network"]
 
 
 @dataclass(frozen=True)
@@ -281,8 +277,11 @@ class _Worker:
         if getattr(multiprocessing.current_process(), "_inheriting", False):
             # A script without the guard, which every process runs again: the first one says what is wrong, once.
             raise SystemExit(1)
-        self.connection, theirs = multiprocessing.Pipe()
-        self.process = _started(theirs)
+        context = multiprocessing.get_context("spawn")  # a fork of a process with BLAS threads may hang
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        with _without_interrupts():
+            self.process.start()
         theirs.close()
         self.ready = False
         self.task = None
@@ -354,27 +353,6 @@ class _Worker:
                 name = f"signal {-code}"
             return f"killed by {name}" + (", perhaps for want of memory" if name == "SIGKILL" else "")
         return f"exit code {code}"
-
-
-def _started(connection):
-    """A process that serves the connection."""
-    from multiprocessing import get_context
-
-    if sys.platform == "linux":
-        context = get_context("forkserver")
-        context.set_forkserver_preload(_IMPORTED_ONCE)
-        try:
-            return _start(context, connection)
-        except OSError:  # such as of a temporary folder whose path is too long for the server's socket
-            pass
-    return _start(get_context("spawn"), connection)
-
-
-def _start(context, connection):
-    process = context.Process(target=_serve, args=(connection,), daemon=True)
-    with _without_interrupts():
-        process.start()
-    return process
 
 
 @contextmanager

@@ -21,6 +21,8 @@ SMALL = {"effort": "fast", "training_scans": 200, "training": {"n_points": 200},
 SCANS = {"n_points": 400, "holes": 1, "density": 0.3}
 HURRIED = Effort(2, 1, 1, 1, generations=0, parents=1, proposals=1, closer=False, bends=False)
 NAN = np.full((50, 3), np.nan)
+# Of a round, where learning is hurried.
+FEW = {"round_scans": 25, "library_scans": 30}
 
 # What ``learned_people`` learned from: rows of ``people_scans``, and a scan that cannot be used.
 GIVEN = [0, 1, 2, "broken", 3, 4, 5, 6, 7, 8, 9]
@@ -37,7 +39,7 @@ def learning_is_hurried(patch, effort="fast", **more):
     patch.setitem(GaussNewton.__init__.__kwdefaults__, "tolerance", 0.3)
     for module in (first_fits, second_look):  # such fits are in doubt, which would have each looked at for an arm
         patch.setattr(module, "may_go_on", lambda rig, settings: False)
-    quick = {"round_scans": 25, "library_scans": 30, **more}
+    quick = FEW | more
     patch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**quick, **others))
 
 

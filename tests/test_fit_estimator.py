@@ -26,7 +26,6 @@ def test_the_same_again(tube_fitter, tube_scan, tube_result):
     assert_same(tube_fitter.fit_scan(tube_scan.points), tube_result)
 
 
-@pytest.mark.usefixtures("hurried")
 def test_a_seed_decides_all(tube_rig, tube_scan):
     def fit(seed):
         small = {"effort": "fast", "training_scans": 4, "training": {"n_points": 300}, "max_points": 400}
@@ -38,7 +37,6 @@ def test_a_seed_decides_all(tube_rig, tube_scan):
     assert not np.array_equal(a.vertices, c.vertices)
 
 
-@pytest.mark.usefixtures("hurried")
 def test_threads_change_nothing(tube_rig, tube_scan):
     from threadpoolctl import threadpool_limits
 

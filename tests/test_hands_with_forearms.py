@@ -19,7 +19,7 @@ def hand():
 
 @pytest.fixture(scope="module")
 def fitter(hand):
-    known = {"orientation": "aligned", "training_scans": 200, "training": {"n_points": 800}, "max_points": 900, "random_state": 0}
+    known = {"orientation": "aligned", "training_scans": 150, "training": {"n_points": 800}, "max_points": 600, "random_state": 0}
     return lbs.LBSFitter(hand, **known).pretrain()
 
 

@@ -64,7 +64,7 @@ def test_more_points_tell_the_pose_better(tube_rig, tube_fitter, monkeypatch):
 def test_more_points_tell_the_proportions_better(monkeypatch):
     """Of single scans of other people, labels known: with the last steps of proportions, and without."""
     rig = lbs.load_rig("body-coarse")
-    scans = lbs.synthesize(rig, 6, random_state=6, n_points=4000, noise=0.01, shape=0.1)
+    scans = lbs.synthesize(rig, 4, random_state=6, n_points=4000, noise=0.01, shape=0.1)
 
     def fitted():
         fitter = lbs.LBSFitter(rig, max_points=MOST, random_state=0)

@@ -115,9 +115,10 @@ def test_a_single_query():
     _check(points, labels, queries[:1], asked[:1])
 
 
-def test_duplicates():
+@pytest.mark.parametrize("moving", [False, True])
+def test_duplicates(moving):
     points, labels, queries, asked = _sets(8)
-    _check(np.repeat(points, 3, axis=0), np.repeat(labels, 3), queries, asked)
+    _check(np.repeat(points, 3, axis=0), np.repeat(labels, 3), queries, asked, moving)
 
 
 def test_all_points_at_one_place_keep_their_parts():

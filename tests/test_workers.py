@@ -181,29 +181,6 @@ def test_libraries_that_a_task_loads_have_one_thread_too(monkeypatch):
     assert run.stdout.strip() == "[{1}]", run.stderr
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere each process is started by itself")
-def test_what_processes_import_is_imported_once_unless_no_server_can_be_started(tmp_path):
-    code = """
-import os, sys
-from lbsfit_np.workers import beside
-def told():
-    return "sklearn.neural_network" in sys.modules, os.getppid()
-if __name__ == "__main__":
-    for _ in range(2):
-        with beside(told) as answer:
-            loaded, parent = answer()
-            print(loaded, parent if parent != os.getpid() else "this")
-"""
-    (tmp_path / "script.py").write_text(code)
-    long = tmp_path / ("t" * 120)  # longer than the path of a socket may be
-    long.mkdir()
-    for folder in (tmp_path, long):
-        given = os.environ | {"TMPDIR": str(folder)}
-        done = subprocess.run([sys.executable, tmp_path / "script.py"], capture_output=True, text=True, env=given, check=True)
-        first, second = done.stdout.splitlines()
-        assert first == second and (first == "False this") == (folder == long) and first.startswith("True ") == (folder != long)
-
-
 def _process(_):
     return os.getpid()
 

@@ -59,7 +59,7 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     subjects : sequence of str, int or None, optional
         Of a fitter that has learned: whose each scan is, as for ``LBSFitter.fit_scan``; None where that is not known.
     n_jobs : int, default 1
-        Worker processes; with 1 all happens in this one. They run the script that calls this once more, which must have it
+        Worker processes; with 1 all happens in this one. They are started afresh ("spawn"), so that a script must call this
         under ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``, results are the same to the last
         bit whatever ``n_jobs`` is.
     finish : callable (index, scan, result) → object, optional
