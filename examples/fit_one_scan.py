@@ -13,10 +13,10 @@ import lbsfit_np as lbs
 
 def main():
     rig = lbs.load_rig("hand")
-    scan = lbs.synthesize(rig, n_scans=1, random_state=7, n_points=2000)[0]
+    scan = lbs.synthesize(rig, n_scans=1, random_state=7, n_points=1500)[0]
 
-    # By default there are many more training scans, and labels are better; with 300 it takes seconds.
-    fitter = lbs.LBSFitter(rig, training_scans=300, random_state=0)
+    # By default there are many more training scans, and labels are better; with 200 it takes seconds.
+    fitter = lbs.LBSFitter(rig, training_scans=200, random_state=0)
     fitter.pretrain()
     result = fitter.fit_scan(scan.points)
 
