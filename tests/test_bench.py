@@ -220,6 +220,18 @@ def test_measures_are_what_they_say():
     assert recon(a[:1], np.array([[0.0, 0, 2]])) == pytest.approx(np.sqrt(8))
 
 
+def test_what_is_measured_does_not_hang_on_threads():
+    from threadpoolctl import threadpool_limits
+
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        X, V, found = rng.standard_normal((6000, 3)), rng.standard_normal((7000, 3)), set()
+        for threads in (1, 2):
+            with threadpool_limits(threads):
+                found.add(recon(X, V))
+        assert len(found) == 1
+
+
 # ---- the plain baseline ----
 
 

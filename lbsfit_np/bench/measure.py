@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..losses.chamfer import chamfer
+from ..threads import one_thread
 
 __all__ = ["joint_error", "label_accuracy", "recon", "vertex_error"]
 
@@ -34,6 +35,7 @@ def label_accuracy(labels, true_labels):
     return float((np.asarray(labels) == true_labels).mean())
 
 
+@one_thread()  # sums of many terms by several threads are others in the last bit
 def recon(points, vertices):
     """√L_c between all points of a scan, (n, 3), and a mesh's vertices, (m, 3); in their unit (the paper's Recon).
 
