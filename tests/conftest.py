@@ -185,6 +185,14 @@ def make_learner(tube_rig, unlearned):
     return made
 
 
+@pytest.fixture
+def hurried(monkeypatch):
+    """For a test that asks whether fits are the same, or whose they are, not how good."""
+    from learning_runs import learning_is_hurried
+
+    learning_is_hurried(monkeypatch)
+
+
 @pytest.fixture(scope="module")
 def hurried_learning():
     """For a module whose tests ask what becomes of fits, right or not: learning takes half the time."""

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fit_checks import assert_same
-from learning_runs import learning_is_hurried
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -14,12 +13,6 @@ from lbsfit_np.learning.pretraining import pretrained_from
 from lbsfit_np.losses import PRESETS
 from lbsfit_np.segmentation import cache
 from lbsfit_np.synthesis import Synthesis
-
-
-@pytest.fixture
-def hurried(monkeypatch):
-    """Fits end early: whether they are the same does not hang on how good they are."""
-    learning_is_hurried(monkeypatch)
 
 
 def test_the_same_again(tube_fitter, tube_scan, tube_result):

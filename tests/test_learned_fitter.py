@@ -45,12 +45,6 @@ def plain(learned, clouds):
 
 
 @pytest.fixture
-def hurried(monkeypatch):
-    """What else is learned, and fitted, ends early, too."""
-    learning_is_hurried(monkeypatch)
-
-
-@pytest.fixture
 def own(learned):
     """A copy that a test may change."""
     fitter = copy.copy(learned)
