@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from .errors import InputError, in_words
 from .threads import one_thread
 
-__all__ = ["Unsent", "Workers", "beside", "each", "kept_processes"]
+__all__ = ["Unsent", "Workers", "as_they_may", "beside", "each", "kept_processes", "tell"]
 
 _READY = "ready"
 # In place of work for a process that is to end.
 _NOTHING = pickle.dumps(None, protocol=pickle.HIGHEST_PROTOCOL)
 # Processes without work, while they are kept.
 _SPARE = None
+# In a process that does another's work: the connection to that one.
+_GIVER = None
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,16 @@ class Unsent:
 
     task: bool
     why: str
+
+
+@dataclass(frozen=True)
+class _Note:
+    what: object
+
+
+def tell(what):
+    """From within a task of a process: have the other side's ``heard`` called with something picklable."""
+    _GIVER.send_bytes(pickle.dumps(_Note(what), protocol=pickle.HIGHEST_PROTOCOL))
 
 
 @contextmanager
@@ -78,15 +90,44 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
                 done((k + 1) / len(tasks))
         return [answers[k] for k in range(len(tasks))]
     todo = list(enumerate(tasks))[::-1]
-    with Workers(_Caught(work), min(jobs, len(tasks))) as workers:
-        while len(answers) < len(tasks):
-            while todo and workers.idle:
-                workers.give(todo.pop())
-            for k, answer in _come(workers):
-                answers[k] = answer
-                answered(k, answer)
-                done(len(answers) / len(tasks))
+
+    def come(k, answer):
+        answers[k] = answer
+        answered(k, answer)
+        done(len(answers) / len(tasks))
+
+    as_they_may(work, lambda: todo.pop() if todo else None, jobs=min(jobs, len(tasks)), answered=come)
     return [answers[k] for k in range(len(tasks))]
+
+
+def as_they_may(work, take, *, jobs, answered, heard=None):
+    """Have tasks done by other processes, of which some may have to wait for others.
+
+    Parameters
+    ----------
+    work : callable (task) → answer
+        Picklable; its errors pass on.
+    take : callable () → (k, task) or None
+        The next task, and what its answer is known by; None where none may begin yet, or all have. It is asked again after each
+        answer and note; all is over where nothing is being done, either.
+    jobs : int
+        Processes.
+    answered, heard : callable (k, answer), (note), the latter optional
+        Called with each answer, and with what tasks :func:`tell`, as they come.
+
+    Raises
+    ------
+    InputError
+        A process was killed.
+    """
+    with Workers(_Caught(work), jobs, heard) as workers:
+        while True:
+            while workers.idle and (given := take()) is not None:
+                workers.give(given)
+            if not workers.busy:
+                return
+            for k, answer in _come(workers):
+                answered(k, answer)
 
 
 @contextmanager
@@ -173,6 +214,8 @@ class Workers:
     work : callable (task) → answer
         Sent to each process once; must be picklable, and must not raise.
     n : int
+    heard : callable (note), optional
+        Called with what tasks :func:`tell`, while answers are waited for.
 
     Raises
     ------
@@ -180,14 +223,14 @@ class Workers:
         ``work`` cannot be pickled, or processes end before they begin.
     """
 
-    def __init__(self, work, n):
+    def __init__(self, work, n, heard=None):
         try:
             self._payload = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             remedy = "Use functions from the top level of a module, or n_jobs=1."
             got = f"more than 1 with what cannot be sent to processes ({error})"
             raise InputError("n_jobs", got, "picklable work", remedy) from None
-        self._n = n
+        self._n, self._heard = n, heard
         self._workers, self._come = [], []
 
     def __enter__(self):
@@ -216,7 +259,7 @@ class Workers:
         worker.give(task)
 
     def answers(self):
-        """Wait for at least one answer; a list of (task, answer or Unsent, None), or (task, None, how its process died)."""
+        """Wait for an answer or a note; a list of (task, answer or Unsent, None), or (task, None, how its process died)."""
         from multiprocessing.connection import wait
 
         ready = set(wait([w.connection for w in self._workers if w.task is not None]))
@@ -263,6 +306,10 @@ class Workers:
             return [(task, None, worker.death)]
         if not worker.ready:
             worker.ready = True
+            return []
+        if isinstance(answer, _Note):
+            if self._heard is not None:
+                self._heard(answer.what)
             return []
         worker.task = None
         return [(task, answer, None)]
@@ -336,7 +383,7 @@ class _Worker:
         try:
             while self.task is not None and not self._torn and self.connection.poll():
                 answer = self.receive()
-                if self.ready:
+                if self.ready and not isinstance(answer, _Note):
                     return [(self.task, answer, None)]
                 self.ready = True
         except (EOFError, OSError):
@@ -370,6 +417,8 @@ def _without_interrupts():
 
 def _serve(connection):
     """A worker's life: work comes, then its tasks until there are no more, then other work; until it is told to end."""
+    global _GIVER
+    _GIVER = connection
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _end)
     try:

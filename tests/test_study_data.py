@@ -91,7 +91,7 @@ def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypat
         return Found(Registrations(*(np.array([getattr(s, what) for s in c.given.test]) for what in ("vertices", "joints"))))
 
     rig, size = load_rig("hand-coarse"), Size(3, 2, 1, 1, 2, 77, 5, 1)
-    monkeypatch.setattr("lbsfit_np.bench.study.run.ROWS", {"joint": replace(ROWS["joint"], find=find, pretrained=False)})
+    monkeypatch.setattr("lbsfit_np.bench.study.making.ROWS", {"joint": replace(ROWS["joint"], find=find, pretrained=False)})
     monkeypatch.setitem(data.SIZES, "small", size)
     monkeypatch.setattr(data, "SCAN", replace(SCAN, n_points=50))
     monkeypatch.setattr("lbsfit_np.bench.study.run.along_path", lambda rig: None)

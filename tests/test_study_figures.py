@@ -12,7 +12,7 @@ from lbsfit_np.bench.study import charts, figures, gallery
 from lbsfit_np.bench.study.data import Size, part_groups, study_set
 from lbsfit_np.bench.study.diagram import diagram
 from lbsfit_np.bench.study.figures import Shown, draw
-from lbsfit_np.bench.study.run import cell_name
+from lbsfit_np.bench.study.making import cell_name
 from lbsfit_np.errors import InputError, MissingExtraError
 
 NAME, SEED = "hand-coarse", 300
@@ -99,7 +99,7 @@ def test_all_figures_are_drawn_twice_the_same(viz, rig, report, cells, tmp_path)
     expected = ["diagram.png", *("accuracy.png" if k == "accuracy" else f"{k}-{NAME}.png" for k in kinds)]
     assert list(captions) == expected
     assert sorted(p.name for p in (tmp_path / "new" / "one").iterdir()) == sorted(expected)
-    draw(report, cells.get, tmp_path / "two", rigs={NAME: rig})
+    assert draw(report, cells.get, tmp_path / "two", rigs={NAME: rig}, jobs=2) == captions  # whoever draws them
     for name, caption in captions.items():
         data = (tmp_path / "new" / "one" / name).read_bytes()
         assert data == (tmp_path / "two" / name).read_bytes(), name

@@ -203,7 +203,7 @@ def test_labels_are_judged_by_groups_and_training_by_its_own_truth(tube_rig, mon
         ]
         return Found(*true)
 
-    monkeypatch.setattr("lbsfit_np.bench.study.run.ROWS", {"joint": replace(ROWS["joint"], find=find, pretrained=False)})
+    monkeypatch.setattr("lbsfit_np.bench.study.making.ROWS", {"joint": replace(ROWS["joint"], find=find, pretrained=False)})
     monkeypatch.setattr("lbsfit_np.bench.study.run.along_path", lambda rig: None)
     monkeypatch.setitem(data.SIZES, "small", Size(2, 2, 1, 1, 2, 50, 1, 1))
     monkeypatch.setattr(data, "SCAN", replace(SCAN, n_points=100))

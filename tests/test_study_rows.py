@@ -9,9 +9,8 @@ import pytest
 from study_sizes import small_is_few_and_fast
 
 from lbsfit_np.bench.measure import recon
-from lbsfit_np.bench.study import data, free_form, oracle
+from lbsfit_np.bench.study import data, free_form, making, oracle
 from lbsfit_np.bench.study import rows as rows_module
-from lbsfit_np.bench.study import run as run_module
 from lbsfit_np.bench.study.data import SCAN, Size, sized, study_set
 from lbsfit_np.bench.study.free_form import Augmented, FreeForm, FromTemplate, best_free_form, taught
 from lbsfit_np.bench.study.measures import Registrations, template_gap
@@ -360,10 +359,15 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
         first = study({"tube": tube_rig}, rows=alone, seeds=[5], on_cell=on_cell)
     given = study_set(tube_rig, sized(tube_rig, "small"), 5)
     assert {"free-form", "oracle-labels", "oracle-fit"} < set(first["rigs"]["tube"]["seeds"]["5"]) == set(alone)
-    shares, told = {}, lambda name, seed, row, share: shares.setdefault(row, []).append(share)
+    shares, of_all = {}, []
+
+    def told(name, seed, row, share, all_of_them):
+        shares.setdefault(row, []).append(share)
+        of_all.append(all_of_them)
+
     report = study({"tube": tube_rig}, seeds=[5], before=first, on_cell=on_cell, progress=told)
     cells = report["rigs"]["tube"]["seeds"]["5"]
-    assert list(cells) == [*alone, *(name for name in ROWS if name not in alone)]
+    assert list(cells) == list(ROWS) and of_all == sorted(of_all) and of_all[0] == 0 and of_all[-1] == pytest.approx(1)
     assert not any(cell["unfitted"] for cell in cells.values())
     assert min(cells, key=lambda row: cells[row]["pose"]) == "oracle-fit"
     assert cells["joint"]["pose"] < 0.5 * cells["free-form"]["pose"]
@@ -390,7 +394,7 @@ def test_the_steps_of_skinning_are_those_of_the_fits(tube_rig, tube_result):
     np.testing.assert_array_equal(stages["template"][1], tube_rig.vertices + r.offsets)
     np.testing.assert_array_equal(stages["posed"][1], tube_rig.pose(r.pose, r.translation, r.scale))
     found = Found(Registrations(np.zeros((2, 3, 3)), np.zeros((2, 1, 3))), stages=stages)
-    assert set(run_module._arrays(found)) == {"vertices", "joints", "template", "posed"}
+    assert set(making._arrays(found)) == {"vertices", "joints", "template", "posed"}
 
 
 def test_rows_know_the_papers():

@@ -128,15 +128,15 @@ def test_first_fits_stay_while_a_row_that_is_begun_has_nothing_else(command, run
 
 def test_what_was_replaced_beside_a_run_does_not_come_back(command, tmp_path, monkeypatch):
     """It has the arrays of these rows no more."""
-    out, made = tmp_path / "out", run_module._cells
+    out, made = tmp_path / "out", run_module.made
     assert run([*command, "free-form"]) == 0
 
-    def with_another(name, rig, size, seed, rows, *others):
-        if rows == ["oracle-fit"]:
+    def with_another(name, rig, size, seed, rows, **how):
+        if rows == ("oracle-fit",):
             assert run([*command, "oracle-labels", "--existing", "replace"]) == 0
-        yield from made(name, rig, size, seed, rows, *others)
+        yield from made(name, rig, size, seed, rows, **how)
 
-    monkeypatch.setattr(run_module, "_cells", with_another)
+    monkeypatch.setattr(run_module, "made", with_another)
     assert run([*command, "oracle-fit"]) == 0
     assert set(_rows(out)["5"]) == {"oracle-fit", "oracle-labels"}
     assert {path.name for path in (out / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in ("oracle-fit", "oracle-labels")}
@@ -145,10 +145,10 @@ def test_what_was_replaced_beside_a_run_does_not_come_back(command, tmp_path, mo
 @pytest.mark.parametrize("replaced", [False, True])
 def test_a_row_that_another_run_has_written_over_is_there_again_unless_replaced(replaced, command, tmp_path, monkeypatch):
     """Two that write at once: the one that read before the other wrote has lost its row."""
-    out, made = tmp_path / "out", run_module._cells
+    out, made = tmp_path / "out", run_module.made
 
-    def with_another(name, rig, size, seed, rows, *others):
-        for k, (row, *what) in enumerate(made(name, rig, size, seed, rows, *others)):
+    def with_another(name, rig, size, seed, rows, **how):
+        for k, (row, *what) in enumerate(made(name, rig, size, seed, rows, **how)):
             if k == 1:
                 results = json.loads((out / "results.json").read_text())
                 del results["rigs"]["tube"]["seeds"]["5"]["free-form"]
@@ -157,7 +157,7 @@ def test_a_row_that_another_run_has_written_over_is_there_again_unless_replaced(
                     (out / "cells" / "tube-5-free-form.npz").unlink()
             yield row, *what
 
-    monkeypatch.setattr(run_module, "_cells", with_another)
+    monkeypatch.setattr(run_module, "made", with_another)
     assert run([*command, "free-form,oracle-fit"]) == 0
     assert set(_rows(out)["5"]) == ({"oracle-fit"} if replaced else {"free-form", "oracle-fit"})
 
@@ -244,7 +244,7 @@ def test_steps_are_gone_where_all_is_to_be_done_anew(command, tmp_path, monkeypa
     steps = tmp_path / "out" / "cells" / "tube-5-joint.npz.unfinished"
     steps.mkdir(parents=True)
     (steps / f"result-{32 * '0'}.npz").write_bytes(b"")
-    monkeypatch.setattr(run_module, "_cells", lambda *a: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(run_module, "made", lambda *a, **k: (_ for _ in ()).throw(KeyboardInterrupt))
     assert run([*command, "joint"]) == 130 and steps_in(steps) == 1
     capsys.readouterr()
     assert run([*command, "joint", "--existing", "replace"]) == 130 and not steps.exists()
@@ -254,14 +254,14 @@ def test_steps_are_gone_where_all_is_to_be_done_anew(command, tmp_path, monkeypa
 
 def test_two_studies_fill_one_folder(command, tmp_path, monkeypatch):
     """What another run has written meanwhile, of another seed or row, stays."""
-    out, made = tmp_path / "out", run_module._cells
+    out, made = tmp_path / "out", run_module.made
 
-    def with_another(name, rig, size, seed, rows, *others):
-        if seed == 5 and rows == ["cd"]:
+    def with_another(name, rig, size, seed, rows, **how):
+        if seed == 5 and rows == ("cd",):
             assert run([*command, "oracle-fit", "--seeds", "5,6"]) == 0
-        yield from made(name, rig, size, seed, rows, *others)
+        yield from made(name, rig, size, seed, rows, **how)
 
-    monkeypatch.setattr(run_module, "_cells", with_another)
+    monkeypatch.setattr(run_module, "made", with_another)
     assert run([*command, "cd"]) == 0
     assert {seed: set(rows) for seed, rows in _rows(out).items()} == {"5": {"cd", "oracle-fit"}, "6": {"oracle-fit"}}
     assert not json.loads((out / "results.json").read_text())["complete"]

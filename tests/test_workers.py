@@ -19,7 +19,7 @@ from lbsfit_np import workers
 from lbsfit_np.bench.study import run as study_run
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.loop import Loop
-from lbsfit_np.workers import Workers, beside, each, kept_processes
+from lbsfit_np.workers import Workers, as_they_may, beside, each, kept_processes, tell
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -90,6 +90,37 @@ def test_answers_that_came_before_ctrl_c_are_given_at_the_end(monkeypatch):
                 assert not work.answers()  # both say first that they are ready
         monkeypatch.undo()
         assert work.stop() == calls[:1]
+
+
+def test_a_task_waits_for_what_another_one_tells(tmp_path):
+    """It is given to a second process while the first is still at work, which goes on when the second has begun."""
+    left, told, answers = [("second", tmp_path / "begun"), ("first", tmp_path / "begun")], [], {}
+
+    def take():
+        return (left[-1][0], left.pop()) if left and (left[-1][0] == "first" or "first has begun" in told) else None
+
+    as_they_may(_telling, take, jobs=2, answered=answers.__setitem__, heard=told.append)
+    assert not left and told[0] == "first has begun" and sorted(told[1:]) == ["first is done", "second is done"]
+    assert set(answers) == {"first", "second"} and len(set(answers.values())) == 2 and not active_children()
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])
+def test_an_error_of_what_hears_ends_the_work(error):
+    def heard(note):
+        raise error
+
+    with pytest.raises(error):
+        as_they_may(_telling, iter([(0, ("first", Path(__file__))), None, None]).__next__, jobs=2, answered=None, heard=heard)
+    assert not active_children()
+
+
+def test_what_nobody_hears_is_left():
+    with Workers(_telling, 1) as workers:
+        workers.give(("first", Path(__file__)))
+        answers = []
+        while not answers:
+            answers = workers.answers()
+    assert [task for (task, _), *_ in answers] == ["first"]
 
 
 def test_work_beside_other_work():
@@ -204,6 +235,18 @@ def _raising_two_words(k):
 
 def _a_lock(k):
     return threading.Lock()
+
+
+def _telling(task):
+    which, begun = task
+    if which == "first":
+        tell("first has begun")
+        while not begun.exists():
+            time.sleep(0.01)
+    else:
+        begun.touch()
+    tell(f"{which} is done")
+    return os.getpid()
 
 
 def _squared(x):

@@ -3,11 +3,13 @@
 import re
 import time
 from contextlib import suppress
+from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
 
 from ..errors import FileError, InputError, MissingExtraError, counted
 from ..io.write import make_folder, remove_empty
+from ..workers import kept_processes
 from .bench_runs import RESULTS, failures_code, made_results, numbers, read_results
 from .models import say_model_as_rig
 from .progress import SILENCE, Progress, percentage_bar, say, span
@@ -18,10 +20,12 @@ __all__ = ["run_study"]
 _PAGE, _CELLS = "README.md", "cells"
 
 
+@kept_processes()
 def run_study(values):
     """The study; the exit code."""
+    from ..bench.study.making import cell_name
     from ..bench.study.page import console_table
-    from ..bench.study.run import cell_name, joined, study, with_rows
+    from ..bench.study.run import joined, study, with_rows
     from ..io.rigs import load_rig
     from ..io.write import write_json, write_npz
     from ..learning.checkpoint import checkpoint_of
@@ -107,7 +111,7 @@ def run_study(values):
         remove_empty(made)
     keep(report)
     report = read_results(results)  # the page is of what is written, in its order
-    written = _write_page(report, rigs, out, pictures=values["figures"])
+    written = _write_page(report, rigs, out, pictures=values["figures"], jobs=values["jobs"])
     keep(report)
     say("")
     say(console_table(report, markdown=values["markdown"]))
@@ -156,10 +160,21 @@ def _failures(report):
                     yield f"{name}, seed {seed}, {row}, scan {scan}", why
 
 
-def _write_page(report, rigs, out, *, pictures):
+@dataclass(frozen=True)
+class _Kept:
+    """The arrays of a cell by its name, as a report has them."""
+
+    cells: Path
+    digests: dict
+
+    def __call__(self, cell):
+        return _arrays_of(self.cells, cell, self.digests[cell])
+
+
+def _write_page(report, rigs, out, *, pictures, jobs):
     """The page, and its pictures where they can be drawn; what was written, in words."""
+    from ..bench.study.making import cell_name
     from ..bench.study.page import page
-    from ..bench.study.run import cell_name
     from ..io.write import atomic_path
 
     # Pictures of what this run did not draw again stay.
@@ -175,7 +190,7 @@ def _write_page(report, rigs, out, *, pictures):
             for row, cell in done.items()
         }
         try:
-            drawn = draw(report, lambda cell: _arrays_of(out / _CELLS, cell, digests[cell]), out, rigs=rigs)
+            drawn = draw(report, _Kept(out / _CELLS, digests), out, rigs=rigs, jobs=jobs)
             captions = drawn | {file: text for file, text in captions.items() if file not in drawn}
             report["drawn_by"] = {"matplotlib": installed("matplotlib")}
         except MissingExtraError as error:
@@ -187,31 +202,30 @@ def _write_page(report, rigs, out, *, pictures):
 
 
 class _StudyProgress(Progress):
-    """A bar for each row on a terminal, and a line when it is done; lines elsewhere."""
+    """A bar for all rows on a terminal, and a line when one is done; lines elsewhere."""
 
     def __init__(self):
         super().__init__(0)
-        self._what, self._began = None, time.monotonic()
+        self._begun, self._began = {}, time.monotonic()
         self._told = self._began
 
-    def __call__(self, name, seed, row, share):
-        """``row`` is done to ``share`` for a rig and seed."""
-        what = f"{name}, seed {seed}, {row}"
-        if what != self._what:
-            self.close()
-            self._what = what
-            if self.terminal:
-                self._bar = percentage_bar(what)
+    def __call__(self, name, seed, row, share, of_all):
+        """``row`` is done to ``share`` for a rig and seed, all of them to ``of_all``."""
+        self._begun[name, seed, row] = share
+        if row != "pretraining":
+            self._begun.pop((name, seed, "pretraining"), None)
+        rows = "; ".join(f"{name}, seed {seed}, {row}: {share:.0%}" for (name, seed, row), share in self._begun.items())
         if not self.terminal and time.monotonic() - self._told > SILENCE:
             self._told = time.monotonic()
-            self.line(f"{what}: {share:.0%}")
-        if self._bar is not None:
-            self._bar.update(max(0.0, 100 * share - self._bar.n))
+            self.line(f"{of_all:.0%} of all rows; {rows}")
+        if self.terminal:
+            self._bar = self._bar or percentage_bar(rows)
+            self._bar.set_description_str(rows, refresh=False)
+            self._bar.update(max(0.0, 100 * of_all - self._bar.n))
 
     def cell(self, name, seed, row, entry):
         """A row is done and written."""
-        self.close()
-        self._what = None
+        self._begun.pop((name, seed, row), None)
         found = f"pose {entry['pose']:.4f}" if "pose" in entry else "nothing could be fitted"
         found += f", corre. {entry['corre']['mean']:.4f}" if entry.get("corre") else ""
         took = "" if entry["seconds"] is None else f"{span(entry['seconds'])}, "

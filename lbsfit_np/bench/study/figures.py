@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 
 from ...errors import InputError
+from ...workers import each
 from ..measure import joint_error
 from . import charts, gallery
 from .data import Size, part_groups, study_set
 from .diagram import diagram
+from .making import cell_name
 from .page import FIGURES
-from .run import cell_name
 
 __all__ = ["Shown", "draw"]
 
@@ -30,7 +31,7 @@ _OF_RIGS = {
 _MOST_TRAINING = 300
 
 
-def draw(report, arrays, out, *, rigs):
+def draw(report, arrays, out, *, rigs, jobs=1):
     """Draw the study's figures as PNG files; the same inputs give the same bytes.
 
     Parameters
@@ -40,11 +41,13 @@ def draw(report, arrays, out, *, rigs):
     arrays : callable (cell name) → mapping or None
         What ``on_cell`` was given for the cell (``run.cell_name``): "vertices" (N, m, 3), "joints" (N, J, 3), of
         rows with a segmenter "labels", one after the other over the test scans' points, of joint "template" U^d and "posed"
-        M(Θ, U) of the first scans. None where it is not there.
+        M(Θ, U) of the first scans. None where it is not there. Picklable where ``jobs`` is more than 1.
     out : path-like
         A folder; made if need be.
     rigs : mapping of str to Rig
         The report's rigs by name; those that are not there are left out.
+    jobs : int, default 1
+        Processes.
 
     Returns
     -------
@@ -61,19 +64,31 @@ def draw(report, arrays, out, *, rigs):
     folder = Path(out)
     folder.mkdir(parents=True, exist_ok=True)
     there = {name: entry for name, entry in report["rigs"].items() if name in rigs and entry["seeds"]}
-    all_shown = [Shown(name, rigs[name], entry, arrays) for name, entry in there.items()]
-    of_all = {"diagram": diagram, "accuracy": lambda path: charts.accuracy(report, path)}
-    captions = {}
-    for kind in FIGURES:
-        if kind in of_all:
-            captions[f"{kind}.png"] = of_all[kind](folder / f"{kind}.png")
-            continue
+    figure = _Figure(report, {name: Shown(name, rigs[name], entry, arrays) for name, entry in there.items()}, folder)
+    tasks = [(kind, name) for kind in FIGURES for name in (there if kind in _OF_RIGS else [None])]
+    drawn = each(figure, tasks, jobs=jobs)
+    return {file: caption for file, caption in drawn if caption is not None}
+
+
+@dataclass(frozen=True, eq=False)
+class _Figure:
+    """(kind, name of its rig or None) → the figure's file, and its caption, None where it cannot be drawn."""
+
+    report: dict
+    shown: dict
+    folder: Path
+
+    def __call__(self, task):
+        kind, name = task
+        file = f"{kind}.png" if name is None else f"{kind}-{name}.png"
+        path = self.folder / file
+        if kind == "diagram":
+            return file, diagram(path)
+        if kind == "accuracy":
+            return file, charts.accuracy(self.report, path)
         figure, rows = _OF_RIGS[kind]
-        for shown in all_shown:
-            if all(row in shown.cells for row in rows):
-                name = f"{kind}-{shown.name}.png"
-                captions[name] = figure(shown, folder / name)
-    return {name: caption for name, caption in captions.items() if caption is not None}
+        shown = self.shown[name]
+        return file, figure(shown, path) if all(row in shown.cells for row in rows) else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -224,6 +224,8 @@ def _provenance(report, captions):
     rows = "all" if len(known) == of else f"{len(known)} of {of}"
     took = f"{sum(known) / 60:.1f} min for {rows} rows" if known else "not timed"
     took += f", with {' or '.join(map(str, jobs))} process{'es' * (jobs != [1])}"
+    if at_once := sorted({c.get("at_once", 1) for c in cells} - {1}):
+        took += f" each, {' or '.join(map(str, at_once))} rows at once"
     where = "; and ".join(dict.fromkeys(made))  # each once, in the order of the rows
     drawn = report.get("drawn_by") if captions else None
     pictures = f" Pictures by matplotlib {drawn['matplotlib']}." if drawn and drawn["matplotlib"] else ""

@@ -37,6 +37,10 @@ class Row:
         Whether it needs what the fitter is pretrained with.
     in_common : bool, default False
         Whether its training scans' fits by themselves are those of other rows, too.
+    goes_on_from : str or None, default None
+        Another row, whose fits it takes up where both are made by one process.
+    weight : float, default 1.0
+        How long it takes, roughly, beside others.
     """
 
     what: str
@@ -44,6 +48,8 @@ class Row:
     find: Callable
     pretrained: bool = True
     in_common: bool = False
+    goes_on_from: str | None = None
+    weight: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -110,6 +116,8 @@ class Context:
         A folder that what takes long is kept in step by step, as by ``LBSFitter.fit(checkpoint=)``.
     first_fits : Path or None, default None
         Another one, for the training scans' fits by themselves, which rows that learn from labels have in common.
+    first_fitted : callable (), optional
+        Called when these are there.
     took : dict of int to float
         Seconds that test scans took in the row before that learned, by their numbers: the longest go first, lest all wait.
     from_template : list
@@ -127,6 +135,7 @@ class Context:
     progress: Callable
     steps: object = None
     first_fits: object = None
+    first_fitted: Callable = lambda: None
     took: dict = field(default_factory=dict)
     from_template: list = field(default_factory=list)
 
@@ -202,6 +211,8 @@ def _learned(c, variant):
         nonlocal done
         if figures is not None:
             done, share = figures["round"] + 1, 0.0
+            if labels and done == 1:
+                c.first_fitted()
         if stage == "results":
             done = last  # with fewer rounds, too
         begin, end = _OF_A_ROUND.get(stage, (0.0, 0.0))
@@ -321,7 +332,11 @@ def _registrations(rig, results):
 ROWS = {
     "free-form": Row("no skinning, from the template", "free-form, unsupervised", _from_template, False),
     "free-form-augmented": Row(
-        "no skinning, from the best of the template and of synthetic scans that look alike", "free-form, augmented", _augmented
+        "no skinning, from the best of the template and of synthetic scans that look alike",
+        "free-form, augmented",
+        _augmented,
+        goes_on_from="free-form",
+        weight=2.0,
     ),
     "free-form-supervised": Row("no skinning, true correspondences in training", "free-form, supervised", _supervised, False),
     "free-form-supervised-3x": Row(
@@ -330,15 +345,16 @@ ROWS = {
         lambda c: _supervised(c, 3),
         False,
     ),
-    "cd": Row("Chamfer alone: no labels, no library of poses", "LBS-AE_CD", lambda c: _learned(c, "cd")),
-    "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand"), in_common=True),
+    "cd": Row("Chamfer alone: no labels, no library of poses", "LBS-AE_CD", lambda c: _learned(c, "cd"), weight=6.0),
+    "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand"), in_common=True, weight=12.0),
     "pose-only": Row(
         "the whole loop, but that the segmenter does not learn from templates",
         None,
         lambda c: _learned(c, "pose-only"),
         in_common=True,
+        weight=12.0,
     ),
-    "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint"), in_common=True),
+    "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint"), in_common=True, weight=12.0),
     "oracle-labels": Row("true labels given and starts from these alone, scans one by one", None, _oracle_labels, False),
     "oracle-fit": Row("true correspondences given, scans one by one", None, _oracle_fit, False),
 }

@@ -1,31 +1,25 @@
 """One run of the study: every row for every rig and seed, each kept as soon as it is there."""
 
-import time
 from copy import deepcopy
-from dataclasses import asdict, replace
-from functools import cache
+from dataclasses import asdict
 from itertools import product
 
-import numpy as np
-
 from ...errors import InputError, did_you_mean
-from ...learning.checkpoint import digest_of, remove_checkpoint, state_of_the_code, steps_in
+from ...learning.checkpoint import remove_checkpoint, state_of_the_code
 from ...workers import kept_processes
-from ..environment import environment
 from ..resume import REMEDY, begun
 from ..run import TRAINING_SEED
 from ..subjects import people_digest, scans_digest
-from .data import SCAN, kind_of, part_groups, sized, study_set
+from .at_once import chains, made_at_once
+from .data import SCAN, kind_of, sized, study_set
 from .local_optimum import along_path
-from .measures import Truth, measured
-from .rows import ROWS, Context, said
+from .making import cell_name, first_fits_name, has_steps, made
+from .rows import ROWS
 
-__all__ = ["FIRST_SEED", "cell_name", "joined", "study", "with_rows"]
+__all__ = ["FIRST_SEED", "joined", "study", "with_rows"]
 
 # Of the scans, and those after it; nothing was tuned on them.
 FIRST_SEED = 300
-# Stands in the place of a row where steps are kept that several rows have in common: the training scans' fits by themselves.
-FIRST_FITS = "first-fits"
 
 
 @kept_processes()
@@ -55,14 +49,15 @@ def study(
     rows : sequence of str
         Of ``ROWS``.
     jobs : int, default 1
-        Processes; figures do not depend on it.
+        Processes; figures do not depend on it. Where there are as many rows to be made beside each other, each has one process.
     before : dict, optional
         A report of the same settings: what it has is not done again.
     kept : callable (cell name, digest) → bool, optional
         Whether the arrays of a cell of ``before`` are still there, those with this ``checkpoint.digest_of``.
     steps : callable (cell name) → Path or None, optional
         A folder for what a row that takes long has done so far; taken up by the next run, and removed when the row is done.
-    progress : callable (name, seed, row, share), optional
+    progress : callable (name, seed, row, share, of_all), optional
+        Called as a row is done to a share, or "pretraining" is, and all rows of this run together, roughly.
     on_begun : callable (report, cells, others), optional
         Once all has been checked and before any work, with the report to go on with, the names of the cells to be done, and
         those of cells that are there and were made by another state of the code.
@@ -85,7 +80,6 @@ def study(
     sizes = {name: sized(rig, size) for name, rig in rigs.items()}
     count = max(s.seeds for s in sizes.values())
     seeds = [FIRST_SEED + k for k in range(count)] if seeds is None else [int(s) for s in seeds]
-    progress = progress or (lambda name, seed, row, share: None)
     report = _begun(before, size, rigs) | {"complete": False}
     for name, rig in rigs.items():
         report["rigs"].setdefault(name, _described(rig, sizes[name]))
@@ -97,20 +91,43 @@ def study(
         for row in there:  # which a run may have been killed before it removed
             _remove_steps(steps(cell_name(name, seed, row)))
     if on_begun is not None:
-        cells = [cell_name(*of, row) for of, left in todo.items() for row in (*_in_common(left), *left)]
+        cells = []
+        for of, left in todo.items():
+            cells += [first_fits_name(*of)] if any(ROWS[row].in_common for row in left) else []
+            cells += [cell_name(*of, row) for row in left]
         on_begun(report, cells, _of_other_code(report, {of: [row for row in rows if row not in todo[of]] for of in todo}))
-    for (name, seed), left in todo.items():
-        rig, entry = rigs[name], report["rigs"][name]
-        if "local_optimum" not in entry:
-            entry["local_optimum"] = along_path(rig)
-        for row, cell, arrays in _cells(name, rig, sizes[name], seed, left, jobs, progress, steps) if left else ():
-            entry["seeds"].setdefault(str(seed), {})[row] = cell
-            if on_cell is not None:
-                on_cell(report, name, seed, row, arrays)
-            _remove_steps(steps(cell_name(name, seed, row)))
-        folders = [steps(cell_name(name, seed, row)) for row in ROWS if ROWS[row].in_common]
-        if not any(folder is not None and folder.exists() for folder in folders):  # of rows that others do, or left
-            _remove_steps(steps(cell_name(name, seed, FIRST_FITS)))
+    for name in dict.fromkeys(name for (name, _), left in todo.items() if left):
+        if "local_optimum" not in report["rigs"][name]:
+            report["rigs"][name]["local_optimum"] = along_path(rigs[name])
+
+    def on_row(name, seed, row, cell, arrays):
+        known = report["rigs"][name]["seeds"]
+        rows = known.get(str(seed), {}) | {row: cell}
+        known[str(seed)] = {key: rows[key] for key in (*ROWS, *rows) if key in rows}  # whichever was made first
+        report["rigs"][name]["seeds"] = {key: known[key] for key in sorted(known, key=int)}
+        if on_cell is not None:
+            on_cell(report, name, seed, row, arrays)
+        _remove_steps(steps(cell_name(name, seed, row)))
+        todo[name, seed].remove(row)
+        no_more_in_common(name, seed)
+
+    def no_more_in_common(name, seed):
+        """Remove fits that rows have in common where none of these is begun, by whichever run, or left to this one."""
+        rows = [row for row in ROWS if ROWS[row].in_common]
+        folders = [steps(cell_name(name, seed, row)) for row in rows]
+        if not set(rows) & set(todo[name, seed]) and not any(folder is not None and folder.exists() for folder in folders):
+            _remove_steps(steps(first_fits_name(name, seed)))
+
+    for of in todo:  # of a run that was killed before it did
+        no_more_in_common(*of)
+    how = {"steps": steps, "progress": _of_all(todo, progress)}
+    if 1 < jobs <= len(plan := chains(todo)):
+        made_at_once(plan, rigs, sizes, jobs=jobs, on_row=on_row, **how)
+    else:
+        for (name, seed), rows in [(of, tuple(left)) for of, left in todo.items() if left]:
+            gone_on = has_steps(steps(first_fits_name(name, seed)))
+            for there in made(name, rigs[name], sizes[name], seed, rows, jobs=jobs, at_once=1, gone_on=gone_on, **how):
+                on_row(name, seed, *there)
     report["complete"] = _complete(report)
     return report
 
@@ -149,23 +166,22 @@ def _complete(report):
     return all(len({frozenset(done) for done in entry["seeds"].values()}) == 1 for entry in report["rigs"].values())
 
 
-def _in_common(rows):
-    """What takes the place of a row beside such rows."""
-    return [FIRST_FITS] if any(ROWS[row].in_common for row in rows) else []
+def _of_all(todo, progress):
+    """The ``progress`` of rows that tells :func:`study`'s how far all of them are, too."""
+    shares = {(*of, row): 0.0 for of, rows in todo.items() for row in rows}
+    weights = {of: ROWS[of[-1]].weight for of in shares}
 
+    def told(name, seed, row, share):
+        if (name, seed, row) in shares:  # pretraining is none
+            shares[name, seed, row] = share
+        progress(name, seed, row, share, sum(shares[of] * weights[of] for of in shares) / sum(weights.values()))
 
-def _has_steps(folder):
-    return folder is not None and steps_in(folder) > 0
+    return told if progress is not None else lambda *share: None
 
 
 def _remove_steps(folder):
     if folder is not None:
         remove_checkpoint(folder)
-
-
-def cell_name(name, seed, row):
-    """What the arrays of a row are kept under: "hand-300-joint"."""
-    return f"{name}-{seed}-{row}"
 
 
 def _begun(before, size, rigs):
@@ -196,67 +212,8 @@ def _described(rig, size):
     return {"kind": kind_of(rig), **known, "size": asdict(size), "seeds": {}}
 
 
-def _cells(name, rig, size, seed, rows, jobs, progress, steps):
-    """(row, its entry of the report, its arrays), one after the other."""
-    from ...learning.fitter import LBSFitter
-
-    given = study_set(rig, size, seed)
-    groups = part_groups(given.rig)
-
-    def right_of_each(labels):
-        """Share of each test scan's points in the right group of parts, None where there are no labels."""
-        pairs = zip(labels, given.test, strict=True)
-        return [None if found is None else float(np.mean(groups[found] == groups[s.labels])) for found, s in pairs]
-
-    def right(labels):
-        """The mean of these; None without scans."""
-        shares = [share for share in right_of_each(labels) if share is not None]
-        return float(np.mean(shares)) if shares else None
-
-    parameters = {"training_scans": size.training_scans, "rounds": size.rounds, "n_jobs": jobs, "random_state": TRAINING_SEED}
-    fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
-    if any(ROWS[row].pretrained for row in rows):
-        fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
-    before = cache(lambda: said(fitter.segmenter_, given.test, jobs))
-    truth = Truth(given.rig, given.test, size.pairs, seed)
-    train_truth, first_fits = None, steps(cell_name(name, seed, FIRST_FITS))
-    found_some = _has_steps(first_fits)  # of a run that was stopped
-    context = Context(rig, given, size, seed, fitter, before, right, jobs, lambda share: None, first_fits=first_fits)
-    for row in rows:
-        say = lambda share, row=row: progress(name, seed, row, share)  # noqa: E731
-        folder = steps(cell_name(name, seed, row))
-        gone_on, started = _has_steps(folder), time.perf_counter()
-        found = ROWS[row].find(replace(context, progress=say, steps=folder))
-        if ROWS[row].in_common:  # these count in the first row alone
-            gone_on, found_some = gone_on or found_some, False
-        seconds = None if gone_on else round(time.perf_counter() - started, 1)  # what went before was not timed
-        entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "accuracy": found.accuracy, "gap": found.gap}
-        entry |= {"kept_accuracy": found.kept_accuracy, "history": found.history}
-        entry["kept_accuracy_scans"] = [] if found.labels is None else right_of_each(found.labels)
-        if found.fitted_labels is not None:
-            entry["fitted_labels"] = right(found.fitted_labels)
-        if found.train is not None:
-            train_truth = train_truth or Truth(given.rig, given.train, size.pairs, seed)
-            entry["on_training"] = measured(train_truth, found.train)
-        lost = np.flatnonzero(~found.test.fitted)
-        entry["failures"] = {str(i): found.failures.get(int(i), "its fit is not finite") for i in lost}
-        arrays = _arrays(found)
-        entry |= {"arrays": digest_of(arrays), "code": state_of_the_code(), "environment": environment()}
-        say(1.0)
-        yield row, entry, arrays
-
-
 def _of_other_code(report, there):
     """The names of cells that another state of the code, or of its libraries, has made; ``there`` by rig and seed, rows."""
     now = state_of_the_code()
     made = {of: report["rigs"][of[0]]["seeds"].get(str(of[1]), {}) for of in there}
     return [cell_name(*of, row) for of, rows in there.items() for row in rows if made[of][row]["code"] != now]
-
-
-def _arrays(found):
-    """What pictures need, small."""
-    out = {"vertices": np.array(found.test.vertices, np.float32), "joints": np.array(found.test.joints, np.float32)}
-    out |= {name: array.astype(np.float32) for name, array in found.stages.items()}
-    if found.labels is not None:
-        out["labels"] = np.concatenate(found.labels).astype(np.int16)
-    return out

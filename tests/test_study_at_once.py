@@ -1,0 +1,201 @@
+"""Rows of the study beside each other: what waits for what, and that figures are those of rows one after the other."""
+
+import json
+import os
+import signal
+import warnings
+from multiprocessing import active_children
+from types import SimpleNamespace
+
+import pytest
+
+from lbsfit_np.bench.study import at_once
+from lbsfit_np.bench.study import run as run_module
+from lbsfit_np.bench.study.at_once import chains
+from lbsfit_np.bench.study.data import SIZES, Size
+from lbsfit_np.bench.study.rows import ROWS
+from lbsfit_np.bench.study.run import study
+from lbsfit_np.cli import main as run
+from lbsfit_np.errors import InputError
+from lbsfit_np.workers import tell
+
+_SIZE = Size(train=3, test=2, train_subjects=1, test_subjects=2, pairs=2, training_scans=60, rounds=1, seeds=1)
+_QUICK = ("free-form", "free-form-augmented", "oracle-labels", "oracle-fit")
+
+
+@pytest.fixture
+def rigs(tube_rig, monkeypatch):
+    monkeypatch.setitem(SIZES, "small", _SIZE)
+    return {"tube": tube_rig}
+
+
+@pytest.fixture
+def command(rigs, tmp_path):
+    """A study of a few scans of the tube with two processes, without rows."""
+    rigs["tube"].save(tmp_path / "tube.npz")
+    out = ["-o", str(tmp_path / "out")]
+    return ["bench", "study", "--rig", str(tmp_path / "tube.npz"), "--seeds", "5", "--no-figures", *out, "--jobs", "2", "--rows"]
+
+
+def _without_times(report):
+    """Its figures, of rows without what hangs on when and how they were made."""
+    made = ("seconds", "jobs", "at_once", "history")
+    found = json.loads(json.dumps(report))
+    for rows in found["rigs"]["tube"]["seeds"].values():
+        for cell in rows.values():
+            for key in made:
+                del cell[key]
+    return found
+
+
+def test_what_takes_long_comes_first_and_waits_for_what_others_bring():
+    rows = [row for row in ROWS if row not in ("pose-only", "free-form-supervised-3x")]
+    found = chains({("a", 1): rows, ("b", 2): ["rand", "oracle-fit"], ("b", 3): ["joint", "free-form-augmented"], ("a", 2): []})
+    assert [(c.name, c.seed, c.rows) for c in found] == [
+        ("a", 1, ("rand",)),
+        ("a", 1, ("joint",)),
+        ("b", 2, ("rand",)),
+        ("b", 3, ("joint",)),
+        ("a", 1, ("cd",)),
+        ("a", 1, ("free-form", "free-form-augmented")),
+        ("b", 3, ("free-form-augmented",)),
+        ("a", 1, ("free-form-supervised",)),
+        ("a", 1, ("oracle-labels",)),
+        ("a", 1, ("oracle-fit",)),
+        ("b", 2, ("oracle-fit",)),
+    ]
+    brings = {(c.name, c.seed, c.rows): c.brings for c in found if c.brings}
+    assert brings == {
+        ("a", 1, ("rand",)): {("pretrained", "a"), ("first fits", "a", 1)},
+        ("b", 2, ("rand",)): {("pretrained", "b"), ("first fits", "b", 2)},
+        ("b", 3, ("joint",)): {("first fits", "b", 3)},
+    }
+    waits = {(c.name, c.seed, c.rows): c.waits for c in found if c.waits}
+    assert waits == {
+        ("a", 1, ("joint",)): {("pretrained", "a"), ("first fits", "a", 1)},
+        ("b", 3, ("joint",)): {("pretrained", "b")},
+        ("a", 1, ("cd",)): {("pretrained", "a")},
+        ("a", 1, ("free-form", "free-form-augmented")): {("pretrained", "a")},
+        ("b", 3, ("free-form-augmented",)): {("pretrained", "b")},
+    }
+
+
+def test_figures_are_those_of_rows_one_after_the_other(rigs, monkeypatch):
+    one_by_one, shares, there = study(rigs, rows=_QUICK, seeds=[5]), [], []
+    monkeypatch.setattr(run_module, "made", None)
+    how = {"progress": lambda *share: shares.append(share), "on_cell": lambda report, name, seed, row, arrays: there.append(row)}
+    at_once = study(rigs, rows=_QUICK, seeds=[5], jobs=2, **how)
+    assert _without_times(at_once) == _without_times(one_by_one)
+    cells = at_once["rigs"]["tube"]["seeds"]["5"]
+    assert list(cells) == list(_QUICK) and sorted(there) == sorted(_QUICK)
+    assert {(cell["jobs"], cell["at_once"]) for cell in cells.values()} == {(1, 2)}
+    assert {(cell["jobs"], cell["at_once"]) for cell in one_by_one["rigs"]["tube"]["seeds"]["5"].values()} == {(1, 1)}
+    of_all = [share[-1] for share in shares]
+    assert {share[2] for share in shares} == set(_QUICK)
+    assert of_all == sorted(of_all) and of_all[-1] == pytest.approx(1)
+
+
+def test_with_fewer_rows_than_processes_each_has_them_all(rigs):
+    report = study(rigs, rows=("oracle-fit", "free-form-supervised"), seeds=[5], jobs=3)
+    assert {(cell["jobs"], cell["at_once"]) for cell in report["rigs"]["tube"]["seeds"]["5"].values()} == {(3, 1)}
+
+
+def test_rows_that_learn_from_labels_have_first_fits_in_common(rigs, tmp_path):
+    """The second waits for them, makes none, and has a time of its own; they are gone in the end."""
+    kept = []
+
+    def on_cell(report, name, seed, row, arrays):
+        kept.append((row, sorted(path.name for path in (tmp_path / "tube-5-first-fits").iterdir())))
+
+    how = {"steps": lambda cell: tmp_path / cell, "on_cell": on_cell}
+    rows = study(rigs, rows=("rand", "joint"), seeds=[5], jobs=2, **how)["rigs"]["tube"]["seeds"]["5"]
+    assert rows["rand"]["seconds"] > 0 < rows["joint"]["seconds"] and rows["rand"]["accuracy"][0] == rows["joint"]["accuracy"][0]
+    (_, before), (_, after) = kept
+    assert {row for row, _ in kept} == {"rand", "joint"} and before == after and len(after) == _SIZE.train
+    assert not any(tmp_path.iterdir())
+
+
+def test_a_run_that_is_stopped_goes_on(command, tmp_path, monkeypatch, capsys):
+    """As by Ctrl-C while the first row is written: no process is left, the others' rows are made by the same command."""
+    out = tmp_path / "out"
+
+    def stop(path, **arrays):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr("lbsfit_np.io.write.write_npz", stop)
+        assert run([*command, ",".join(_QUICK)]) == 130
+    assert not active_children() and "the same command goes on" in capsys.readouterr().out
+    assert run([*command, ",".join(_QUICK)]) == 0
+    assert list(json.loads((out / "results.json").read_text())["rigs"]["tube"]["seeds"]["5"]) == sorted(_QUICK)
+    assert {path.name for path in (out / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in _QUICK}
+    assert "with 1 process each, 2 rows at once." in (out / "README.md").read_text()
+
+
+def test_first_fits_of_a_run_that_was_stopped_are_not_in_the_time_of_the_first_row(rigs, tmp_path, monkeypatch):
+    """But in nobody else's: what others wait for has not been timed as a whole."""
+    folder = tmp_path / "tube-5-first-fits"
+    folder.mkdir()
+    (folder / f"first-fit-{32 * '0'}.npz").write_bytes(b"")
+    monkeypatch.setattr(at_once, "_Made", _Told)
+    report = study(rigs, rows=("rand", "joint", "cd"), seeds=[5], jobs=2, steps=lambda cell: tmp_path / cell)
+    told = {row: cell["gone_on"] for row, cell in report["rigs"]["tube"]["seeds"]["5"].items()}
+    assert told == {"cd": False, "rand": True, "joint": False} and not folder.exists()
+
+
+@pytest.mark.parametrize("how, words", [("error", "points: got nothing"), ("killed", "a process that ended .killed by SIGKILL")])
+def test_what_goes_wrong_in_a_process_is_said(rigs, monkeypatch, how, words):
+    if how == "killed" and not hasattr(signal, "SIGKILL"):
+        pytest.skip("no POSIX signals here")
+    monkeypatch.setattr(at_once, "_Made", _Error if how == "error" else _Killed)
+    there = []
+    with pytest.raises(InputError, match=words):
+        study(rigs, rows=_QUICK, seeds=[5], jobs=2, on_cell=lambda report, name, seed, row, arrays: there.append(row))
+    assert not active_children() and "oracle-fit" not in there
+
+
+def test_warnings_of_rows_are_given_here(rigs, monkeypatch):
+    """Those that the command would show, in its own words, not those of another process."""
+    notes = []
+
+    def made(*of, **how):
+        warnings.warn("of a row", stacklevel=1)
+        return iter(())
+
+    monkeypatch.setattr(at_once, "tell", notes.append)
+    monkeypatch.setattr(at_once, "made", made)
+    chain = SimpleNamespace(name="tube", seed=5, rows=(), brings=frozenset())
+    at_once._Made(rigs, {"tube": _SIZE}, {}, 2)((chain, False))
+    assert [(kind, str(message)) for kind, message in notes] == [("warning", "of a row")]
+    told = SimpleNamespace(waits=set(), name="tube", seed=5, rows=(), brings=set())
+    monkeypatch.setattr(at_once, "as_they_may", lambda *a, heard, **k: heard(notes[0]))
+    with pytest.warns(UserWarning, match="^of a row$"):
+        at_once.made_at_once([told], rigs, {}, jobs=2, steps=lambda cell: None, progress=None, on_row=None)
+
+
+class _Told(at_once._Made):
+    """In place of what makes rows."""
+
+    def __call__(self, task):
+        chain, gone_on = task
+        for what in chain.brings:
+            tell(("reached", what))
+        for row in chain.rows:
+            self.before(row)
+            cell = {"arrays": "", "code": "", "gone_on": gone_on}
+            tell(("row", chain.name, chain.seed, row, cell, {}))
+
+    def before(self, row):
+        """Nothing."""
+
+
+class _Error(_Told):
+    def before(self, row):
+        if row == "oracle-fit":
+            raise InputError("points", "nothing", "some")
+
+
+class _Killed(_Told):
+    def before(self, row):
+        if row == "oracle-fit":
+            os.kill(os.getpid(), signal.SIGKILL)
