@@ -240,7 +240,9 @@ def test_the_command_says_what_is_missing_and_what_goes_on(quick, tmp_path, monk
 
     def stopped(*a, **k):
         k["on_begun"]({}, [], ["h-300-cd", "h-300-rand"])
-        k["progress"]("h", 300, "pretraining", 0.9, 0.0)
+        k["progress"]("h", 300, "pretraining", 0.9, 0.1)
+        k["progress"]("b", 300, "oracle-fit", 0.1, 0.1)
+        k["progress"]("h", 300, "pretraining", 1.0, 0.2)
         k["progress"]("h", 300, "joint", 0.5, 0.25)
         k["progress"]("b", 300, "cd", 0.2, 0.35)
         raise KeyboardInterrupt
@@ -249,7 +251,8 @@ def test_the_command_says_what_is_missing_and_what_goes_on(quick, tmp_path, monk
     assert run(["bench", "study", "--rig", "hand-coarse", "--rows", "joint", "-o", str(tmp_path)]) == 130
     text = capsys.readouterr().out
     assert "2 rows in" in text and "were made by other code or libraries, and not again: h-300-cd, h-300-rand; --existing" in text
-    assert "25% of all rows; h, seed 300, joint: 50%\n35% of all rows; h, seed 300, joint: 50%; b, seed 300, cd: 20%\n" in text
+    assert "10% of all rows; h, seed 300, pretraining: 90%; b, seed 300, oracle-fit: 10%\n20% of all rows; b, seed 300," in text
+    assert "35% of all rows; b, seed 300, oracle-fit: 10%; h, seed 300, joint: 50%; b, seed 300, cd: 20%\n" in text
     assert "'lbsfit_np[viz]'" in text and "the same command goes on" in text
 
 

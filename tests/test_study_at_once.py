@@ -5,22 +5,22 @@ import os
 import signal
 import warnings
 from multiprocessing import active_children
-from types import SimpleNamespace
 
 import pytest
 
 from lbsfit_np.bench.study import at_once
 from lbsfit_np.bench.study import run as run_module
-from lbsfit_np.bench.study.at_once import chains
+from lbsfit_np.bench.study.at_once import Batch, batches, is_faster
 from lbsfit_np.bench.study.data import SIZES, Size
 from lbsfit_np.bench.study.rows import ROWS
 from lbsfit_np.bench.study.run import study
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.checkpoint import state_of_the_code
 from lbsfit_np.workers import tell
 
 _SIZE = Size(train=3, test=2, train_subjects=1, test_subjects=2, pairs=2, training_scans=60, rounds=1, seeds=1)
-_QUICK = ("free-form", "free-form-augmented", "oracle-labels", "oracle-fit")
+_QUICK = ("free-form", "free-form-supervised", "oracle-labels", "oracle-fit")
 
 
 @pytest.fixture
@@ -50,8 +50,9 @@ def _without_times(report):
 
 def test_what_takes_long_comes_first_and_waits_for_what_others_bring():
     rows = [row for row in ROWS if row not in ("pose-only", "free-form-supervised-3x")]
-    found = chains({("a", 1): rows, ("b", 2): ["rand", "oracle-fit"], ("b", 3): ["joint", "free-form-augmented"], ("a", 2): []})
-    assert [(c.name, c.seed, c.rows) for c in found] == [
+    todo = {("a", 1): rows, ("b", 2): ["rand", "oracle-fit"], ("b", 3): ["joint", "free-form-augmented"], ("a", 2): []}
+    found = batches(todo, in_common=lambda name, seed: True)
+    assert [(b.name, b.seed, b.rows) for b in found] == [
         ("a", 1, ("rand",)),
         ("a", 1, ("joint",)),
         ("b", 2, ("rand",)),
@@ -64,13 +65,13 @@ def test_what_takes_long_comes_first_and_waits_for_what_others_bring():
         ("a", 1, ("oracle-fit",)),
         ("b", 2, ("oracle-fit",)),
     ]
-    brings = {(c.name, c.seed, c.rows): c.brings for c in found if c.brings}
+    brings = {(b.name, b.seed, b.rows): b.brings for b in found if b.brings}
     assert brings == {
         ("a", 1, ("rand",)): {("pretrained", "a"), ("first fits", "a", 1)},
         ("b", 2, ("rand",)): {("pretrained", "b"), ("first fits", "b", 2)},
         ("b", 3, ("joint",)): {("first fits", "b", 3)},
     }
-    waits = {(c.name, c.seed, c.rows): c.waits for c in found if c.waits}
+    waits = {(b.name, b.seed, b.rows): b.waits for b in found if b.waits}
     assert waits == {
         ("a", 1, ("joint",)): {("pretrained", "a"), ("first fits", "a", 1)},
         ("b", 3, ("joint",)): {("pretrained", "b")},
@@ -78,6 +79,47 @@ def test_what_takes_long_comes_first_and_waits_for_what_others_bring():
         ("a", 1, ("free-form", "free-form-augmented")): {("pretrained", "a")},
         ("b", 3, ("free-form-augmented",)): {("pretrained", "b")},
     }
+    apart = batches({("a", 1): ["rand", "joint"]}, in_common=lambda name, seed: False)  # where they are not kept
+    assert [set(b.waits) for b in apart] == [set(), {("pretrained", "a")}] and set(apart[0].brings) == {("pretrained", "a")}
+
+
+@pytest.mark.parametrize(
+    "rows, jobs, expected",
+    [
+        (tuple(ROWS), 2, True),
+        (tuple(ROWS), 8, False),
+        (("rand", "pose-only", "joint"), 2, True),
+        (("rand", "pose-only", "joint"), 3, False),  # two would wait for what one does first
+        (("joint", "oracle-fit"), 2, False),  # one would have nothing to do
+        (("oracle-labels", "oracle-fit"), 2, True),
+        ((), 2, True),
+    ],
+)
+def test_rows_are_made_at_once_where_that_is_faster(rows, jobs, expected):
+    assert is_faster(batches({("a", 1): rows}, in_common=lambda *of: True), jobs) == expected
+
+
+def test_a_batch_waits_for_what_others_bring_and_not_for_their_rows(rigs, tmp_path, monkeypatch):
+    begun = []
+
+    def as_they_may(work, take, *, jobs, answered, heard):
+        for note in (None, ("pretrained", "tube"), ("first fits", "tube", 5)):
+            if note is not None:
+                heard(("reached", note))
+            while (given := take()) is not None:
+                begun.append((note and note[0], given[0].rows))
+
+    monkeypatch.setattr(at_once, "as_they_may", as_they_may)
+    plan = batches({("tube", 5): ("free-form-augmented", "rand", "joint", "oracle-fit")}, in_common=lambda *of: True)
+    how = {"steps": lambda cell: tmp_path / cell, "progress": None, "on_row": None}
+    at_once.made_at_once(plan, rigs, {"tube": _SIZE}, jobs=2, **how)
+    assert begun == [
+        (None, ("rand",)),
+        (None, ("oracle-fit",)),
+        ("pretrained", ("free-form-augmented",)),
+        ("first fits", ("joint",)),
+    ]
+    assert {path.name for path in tmp_path.iterdir()} == {"tube-5-rand", "tube-5-joint"}  # which says that they are begun
 
 
 def test_figures_are_those_of_rows_one_after_the_other(rigs, monkeypatch):
@@ -100,18 +142,26 @@ def test_with_fewer_rows_than_processes_each_has_them_all(rigs):
     assert {(cell["jobs"], cell["at_once"]) for cell in report["rigs"]["tube"]["seeds"]["5"].values()} == {(3, 1)}
 
 
-def test_rows_that_learn_from_labels_have_first_fits_in_common(rigs, tmp_path):
-    """The second waits for them, makes none, and has a time of its own; they are gone in the end."""
-    kept = []
+def test_rows_that_learn_from_labels_have_first_fits_in_common(rigs, tmp_path, monkeypatch):
+    """The second begins when they are there, before the first is done, and makes none; they are gone in the end."""
+    events = []
+
+    def fits():
+        folder = tmp_path / "tube-5-first-fits"
+        return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} if folder.exists() else {}
 
     def on_cell(report, name, seed, row, arrays):
-        kept.append((row, sorted(path.name for path in (tmp_path / "tube-5-first-fits").iterdir())))
+        events.append((row, "done", fits()))
 
+    monkeypatch.setattr(run_module, "is_faster", lambda batches, jobs: True)
     how = {"steps": lambda cell: tmp_path / cell, "on_cell": on_cell}
+    how["progress"] = lambda name, seed, row, share, of_all: events.append((row, "told", fits()))
     rows = study(rigs, rows=("rand", "joint"), seeds=[5], jobs=2, **how)["rigs"]["tube"]["seeds"]["5"]
     assert rows["rand"]["seconds"] > 0 < rows["joint"]["seconds"] and rows["rand"]["accuracy"][0] == rows["joint"]["accuracy"][0]
-    (_, before), (_, after) = kept
-    assert {row for row, _ in kept} == {"rand", "joint"} and before == after and len(after) == _SIZE.train
+    of = {event[:2]: event[2] for event in reversed(events)}  # the first of each
+    order = list(dict.fromkeys(event[:2] for event in events))
+    assert order.index(("rand", "told")) < order.index(("joint", "told")) < order.index(("rand", "done"))
+    assert of["joint", "told"] == of["rand", "done"] == of["joint", "done"] and len(of["joint", "told"]) == _SIZE.train
     assert not any(tmp_path.iterdir())
 
 
@@ -138,9 +188,10 @@ def test_first_fits_of_a_run_that_was_stopped_are_not_in_the_time_of_the_first_r
     folder.mkdir()
     (folder / f"first-fit-{32 * '0'}.npz").write_bytes(b"")
     monkeypatch.setattr(at_once, "_Made", _Told)
+    monkeypatch.setattr(run_module, "is_faster", lambda batches, jobs: True)
     report = study(rigs, rows=("rand", "joint", "cd"), seeds=[5], jobs=2, steps=lambda cell: tmp_path / cell)
     told = {row: cell["gone_on"] for row, cell in report["rigs"]["tube"]["seeds"]["5"].items()}
-    assert told == {"cd": False, "rand": True, "joint": False} and not folder.exists()
+    assert told == {"cd": False, "rand": True, "joint": False} and not any(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("how, words", [("error", "points: got nothing"), ("killed", "a process that ended .killed by SIGKILL")])
@@ -155,35 +206,46 @@ def test_what_goes_wrong_in_a_process_is_said(rigs, monkeypatch, how, words):
 
 
 def test_warnings_of_rows_are_given_here(rigs, monkeypatch):
-    """Those that the command would show, in its own words, not those of another process."""
+    """In words and with their row, those of classes that cannot be sent, too."""
     notes = []
 
-    def made(*of, **how):
-        warnings.warn("of a row", stacklevel=1)
+    class Odd(UserWarning):
+        pass
+
+    def made(name, rig, size, seed, rows, *, progress, **how):
+        for row in rows:
+            progress(name, seed, row, 0.5)
+            warnings.warn(f"odd {row}", Odd, stacklevel=1)
         return iter(())
 
     monkeypatch.setattr(at_once, "tell", notes.append)
     monkeypatch.setattr(at_once, "made", made)
-    chain = SimpleNamespace(name="tube", seed=5, rows=(), brings=frozenset())
-    at_once._Made(rigs, {"tube": _SIZE}, {}, 2)((chain, False))
-    assert [(kind, str(message)) for kind, message in notes] == [("warning", "of a row")]
-    told = SimpleNamespace(waits=set(), name="tube", seed=5, rows=(), brings=set())
-    monkeypatch.setattr(at_once, "as_they_may", lambda *a, heard, **k: heard(notes[0]))
-    with pytest.warns(UserWarning, match="^of a row$"):
-        at_once.made_at_once([told], rigs, {}, jobs=2, steps=lambda cell: None, progress=None, on_row=None)
+    batch = Batch("tube", 5, ("cd", "joint"), frozenset(), frozenset())
+    at_once._Made(rigs, {"tube": _SIZE}, {}, 2, state_of_the_code())((batch, False))
+    told = [note for kind, note, *_ in notes if kind == "warning"]
+    assert told == ["tube, seed 5, cd: odd cd", "tube, seed 5, joint: odd joint"]
+    monkeypatch.setattr(at_once, "as_they_may", lambda *a, heard, **k: heard(("warning", told[0])))
+    with pytest.warns(UserWarning, match="^tube, seed 5, cd: odd cd$"):
+        at_once.made_at_once([batch], rigs, {}, jobs=2, steps=lambda cell: None, progress=None, on_row=None)
+
+
+def test_a_process_that_has_read_other_code_is_refused(rigs):
+    batch = Batch("tube", 5, ("cd",), frozenset(), frozenset())
+    with pytest.raises(InputError, match="lbsfit_np: got files that have changed.*The same command goes on"):
+        at_once._Made(rigs, {"tube": _SIZE}, {}, 2, "of before")((batch, False))
 
 
 class _Told(at_once._Made):
     """In place of what makes rows."""
 
     def __call__(self, task):
-        chain, gone_on = task
-        for what in chain.brings:
+        batch, gone_on = task
+        for what in batch.brings:
             tell(("reached", what))
-        for row in chain.rows:
+        for row in batch.rows:
             self.before(row)
             cell = {"arrays": "", "code": "", "gone_on": gone_on}
-            tell(("row", chain.name, chain.seed, row, cell, {}))
+            tell(("row", batch.name, batch.seed, row, cell, {}))
 
     def before(self, row):
         """Nothing."""

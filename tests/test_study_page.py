@@ -294,6 +294,12 @@ def test_the_foot_names_machines_and_time():
     text = page(report, {})
     assert f"Commit {'a' * 12}; lbsfit_np" in text
     assert ", 2 CPUs (A Processor); 2.0 min for all rows, with 2 processes. `results.json`" in text
+    beside = {"seconds": 90.0, "jobs": 1, "at_once": 2, "environment": there | {"commit": f"{'a' * 40}+changes"}}
+    text = page(_report(joint=beside, cd=beside), {})
+    assert f"Commit {'a' * 12}+changes; lbsfit_np" in text
+    assert "; 3.0 min for all rows, added up, with 1 process each, 2 rows at once. `results.json`" in text
+    text = page(_report(joint=beside, cd=beside | {"jobs": 2, "at_once": 1}), {})
+    assert "; 3.0 min for all rows, added up, with 1 process each, 2 rows at once or 2 processes. `results.json`" in text
     elsewhere = there | {"numpy": "1.0", "cpus": 8, "processor": None, "commit": "b" * 40}
     report = _report(joint={"environment": there}, cd={"environment": elsewhere})
     text = page(report, {})

@@ -76,7 +76,8 @@ for which the extra "viz" has to be installed. The same command once more does o
 correspondences; cd, rand, pose-only and joint, the variants of lbsfit learn; oracle-labels and oracle-fit, true labels or true
 correspondences given. README.md says what else each is.
 
---size small takes seven to twelve minutes on two cores with --jobs 2, medium some hours a rig and seed, paper days.
+With --jobs, several rows are made at once where that is faster, one process each; at the medium size each of these takes up to
+5 GB. --size small takes six to twelve minutes on two cores with --jobs 2, medium some hours a rig and seed, paper days.
 """
 
 _EPILOG = """\

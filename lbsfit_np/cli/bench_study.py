@@ -111,7 +111,8 @@ def run_study(values):
         remove_empty(made)
     keep(report)
     report = read_results(results)  # the page is of what is written, in its order
-    written = _write_page(report, rigs, out, pictures=values["figures"], jobs=values["jobs"])
+    with terminable():
+        written = _write_page(report, rigs, out, pictures=values["figures"], jobs=values["jobs"])
     keep(report)
     say("")
     say(console_table(report, markdown=values["markdown"]))
@@ -212,8 +213,8 @@ class _StudyProgress(Progress):
     def __call__(self, name, seed, row, share, of_all):
         """``row`` is done to ``share`` for a rig and seed, all of them to ``of_all``."""
         self._begun[name, seed, row] = share
-        if row != "pretraining":
-            self._begun.pop((name, seed, "pretraining"), None)
+        if row == "pretraining" and share >= 1:
+            del self._begun[name, seed, row]
         rows = "; ".join(f"{name}, seed {seed}, {row}: {share:.0%}" for (name, seed, row), share in self._begun.items())
         if not self.terminal and time.monotonic() - self._told > SILENCE:
             self._told = time.monotonic()

@@ -6,15 +6,17 @@ Within a row all processes but one wait while that trains a segmenter, or fits t
 import warnings
 from dataclasses import dataclass
 
+from ...errors import InputError
+from ...learning.checkpoint import state_of_the_code
 from ...workers import as_they_may, tell
 from .making import cell_name, first_fits_name, has_steps, made
-from .rows import ROWS
+from .rows import FIRST_FITS, PRETRAINING, ROWS
 
-__all__ = ["Chain", "chains", "made_at_once"]
+__all__ = ["Batch", "batches", "is_faster", "made_at_once"]
 
 
 @dataclass(frozen=True)
-class Chain:
+class Batch:
     """Rows of a rig and seed that one process makes, one after the other.
 
     Attributes
@@ -34,9 +36,26 @@ class Chain:
     waits: frozenset
     brings: frozenset
 
+    @property
+    def weight(self):
+        """How long it takes, as the weights of rows."""
+        return sum(ROWS[row].weight for row in self.rows)
 
-def chains(todo):
-    """What can be made beside each other of ``todo``, (rig's name, seed) → rows; what takes long comes first."""
+
+def batches(todo, *, in_common):
+    """What can be made beside each other; what takes long comes first, and what waits for something after what brings it.
+
+    Parameters
+    ----------
+    todo : dict of (str, int) to sequence of str
+        The rows to be made of a rig, by its name, and a seed.
+    in_common : callable (name, seed) → bool
+        Whether first fits are kept, so that rows have them in common.
+
+    Returns
+    -------
+    list of Batch
+    """
     groups = []
     for (name, seed), rows in todo.items():
         of_row = {}
@@ -51,80 +70,105 @@ def chains(todo):
     out, brought = [], set()
     for name, seed, rows in groups:
         needs = {("pretrained", name)} if any(ROWS[row].pretrained for row in rows) else set()
-        needs |= {("first fits", name, seed)} if any(ROWS[row].in_common for row in rows) else set()
-        out.append(Chain(name, seed, tuple(rows), frozenset(needs & brought), frozenset(needs - brought)))
+        if any(ROWS[row].in_common for row in rows) and in_common(name, seed):
+            needs.add(("first fits", name, seed))
+        out.append(Batch(name, seed, tuple(rows), frozenset(needs & brought), frozenset(needs - brought)))
         brought |= needs
     return out
 
 
-def made_at_once(chains, rigs, sizes, *, jobs, steps, progress, on_row):
-    """Make all rows of chains, as many chains at once as there are processes.
+def is_faster(batches, jobs):
+    """Whether so many processes are at work most of the time where each makes a batch: none takes too long, or waits too long."""
+    brought = frozenset().union(*(b.brings for b in batches))
+    took = {"pretrained": PRETRAINING, "first fits": FIRST_FITS}
+    longest = max((b.weight + sum(took[kind] for kind, *_ in b.waits | b.brings) for b in batches), default=0.0)
+    return jobs * longest <= sum(b.weight for b in batches) + PRETRAINING * sum(kind == "pretrained" for kind, *_ in brought)
+
+
+def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
+    """Make all rows of batches, as many batches at once as there are processes.
 
     Parameters
     ----------
-    chains : list of Chain
-        Of :func:`chains`.
+    batches : list of Batch
+        Of :func:`batches`.
     rigs, sizes : dict of str to Rig, Size
     jobs : int
     steps, progress : callable
         As for ``making.made``.
     on_row : callable (name, seed, row, entry, arrays)
         Called with each row as soon as it is there.
+
+    Raises
+    ------
+    InputError
+        A process was killed, or has read other code than this one.
     """
-    left, there, folders = list(chains), set(), {}
-    for c in chains:
-        for cell in (first_fits_name(c.name, c.seed), *(cell_name(c.name, c.seed, row) for row in c.rows)):
+    left, there, folders = list(batches), set(), {}
+    for b in batches:
+        for cell in (first_fits_name(b.name, b.seed), *(cell_name(b.name, b.seed, row) for row in b.rows)):
             folders[cell] = steps(cell)
-    gone_on = {cell for cell, folder in folders.items() if has_steps(folder)}
+    gone_on = {b: _brings_first_fits(b) and has_steps(folders[first_fits_name(b.name, b.seed)]) for b in batches}
 
     def take():
-        for k, chain in enumerate(left):
-            if chain.waits <= there:
+        for k, batch in enumerate(left):
+            if batch.waits <= there:
                 del left[k]
-                makes_fits = ("first fits", chain.name, chain.seed) in chain.brings
-                return chain, (chain, makes_fits and first_fits_name(chain.name, chain.seed) in gone_on)
+                for row in batch.rows:
+                    if ROWS[row].in_common and (folder := folders[cell_name(batch.name, batch.seed, row)]) is not None:
+                        folder.mkdir(parents=True, exist_ok=True)  # so that no other run takes first fits for left
+                return batch, (batch, gone_on[batch])
         return None
 
-    def warned(message):
-        warnings.warn(message, stacklevel=2)
+    def warned(text):
+        warnings.warn(text, stacklevel=2)
 
     heard = {"share": progress, "row": on_row, "reached": there.add, "warning": warned}
     as_they_may(
-        _Made(rigs, sizes, folders, min(jobs, len(chains))),
+        _Made(rigs, sizes, folders, jobs, state_of_the_code()),
         take,
         jobs=jobs,
-        answered=lambda chain, _: there.update(chain.brings),  # also where it has found all of them done
+        answered=lambda batch, _: there.update(batch.brings),  # also where it has found all of them done
         heard=lambda note: heard[note[0]](*note[1:]),
     )
 
 
+def _brings_first_fits(batch):
+    return ("first fits", batch.name, batch.seed) in batch.brings
+
+
 @dataclass(frozen=True)
 class _Made:
-    """(chain, whether fits that it makes for others go on from a run that was stopped) → None; what it makes it tells."""
+    """(batch, whether fits that it makes for others go on from a run that was stopped) → None; what it makes it tells."""
 
     rigs: dict
     sizes: dict
     folders: dict
     at_once: int
+    code: str
 
     def __call__(self, task):
-        chain, gone_on = task
-        name, seed = chain.name, chain.seed
+        batch, gone_on = task
+        name, seed = batch.name, batch.seed
+        if state_of_the_code() != self.code:  # its rows would be said to be of the code that this process has read
+            got = "files that have changed, or libraries, since this run began"
+            raise InputError("lbsfit_np", got, "the same ones in all processes", "The same command goes on with what is done.")
+        row = "pretraining"
+
+        def said(*share):
+            nonlocal row
+            row = share[2]
+            tell(("share", *share))
 
         def reached(event):
-            for what in chain.brings:
+            for what in batch.brings:
                 if what[0] == event:
                     tell(("reached", what))
 
         with warnings.catch_warnings():
-            warnings.showwarning = lambda message, *_, **__: tell(("warning", message))
-            for row, entry, arrays in made(
-                *(name, self.rigs[name], self.sizes[name], seed, chain.rows),
-                jobs=1,
-                at_once=self.at_once,
-                steps=self.folders.get,
-                gone_on=gone_on,
-                progress=lambda *share: tell(("share", *share)),
-                reached=reached,
-            ):
-                tell(("row", name, seed, row, entry, arrays))
+            # In words, as not all classes can be made again there.
+            warnings.showwarning = lambda message, *_, **__: tell(("warning", f"{name}, seed {seed}, {row}: {message}"))
+            how = {"jobs": 1, "at_once": self.at_once, "steps": self.folders.get, "gone_on": gone_on}
+            of = name, self.rigs[name], self.sizes[name], seed, batch.rows
+            for made_row in made(*of, progress=said, reached=reached, **how):
+                tell(("row", name, seed, *made_row))

@@ -39,7 +39,7 @@ def draw(report, arrays, out, *, rigs, jobs=1):
     report : dict
         Of ``run.study``.
     arrays : callable (cell name) → mapping or None
-        What ``on_cell`` was given for the cell (``run.cell_name``): "vertices" (N, m, 3), "joints" (N, J, 3), of
+        What ``on_cell`` was given for the cell (``making.cell_name``): "vertices" (N, m, 3), "joints" (N, J, 3), of
         rows with a segmenter "labels", one after the other over the test scans' points, of joint "template" U^d and "posed"
         M(Θ, U) of the first scans. None where it is not there. Picklable where ``jobs`` is more than 1.
     out : path-like

@@ -83,6 +83,7 @@ def made(name, rig, size, seed, rows, *, jobs, at_once, steps, gone_on, progress
     fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
     if any(ROWS[row].pretrained for row in rows):
         fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
+        progress(name, seed, "pretraining", 1.0)  # also where it was in the cache
         reached("pretrained")
     before = cache(lambda: said(fitter.segmenter_, given.test, jobs))
     truth = Truth(given.rig, given.test, size.pairs, seed)

@@ -219,17 +219,20 @@ def _provenance(report, captions):
     cells = [c for rig in report["rigs"].values() for rows in rig["seeds"].values() for c in rows.values()]
     made = [_made_on(c["environment"]) for c in cells]
     commit = _commits(report)
-    jobs = sorted({c["jobs"] for c in cells})
+    how = sorted({(c["jobs"], c.get("at_once", 1)) for c in cells})
     of, known = len(cells), tables.timed(cells)
     rows = "all" if len(known) == of else f"{len(known)} of {of}"
     took = f"{sum(known) / 60:.1f} min for {rows} rows" if known else "not timed"
-    took += f", with {' or '.join(map(str, jobs))} process{'es' * (jobs != [1])}"
-    if at_once := sorted({c.get("at_once", 1) for c in cells} - {1}):
-        took += f" each, {' or '.join(map(str, at_once))} rows at once"
+    took += ", added up" * bool(known and any(n > 1 for _, n in how))
+    took += f", with {' or '.join(_processes(*one) for one in how)}"
     where = "; and ".join(dict.fromkeys(made))  # each once, in the order of the rows
     drawn = report.get("drawn_by") if captions else None
     pictures = f" Pictures by matplotlib {drawn['matplotlib']}." if drawn and drawn["matplotlib"] else ""
     return f"---\n\n{commit}{where}; {took}.{pictures} `results.json` beside this page has every figure."
+
+
+def _processes(jobs, at_once):
+    return f"{jobs} process{'es' * (jobs > 1)}" + f" each, {at_once} rows at once" * (at_once > 1)
 
 
 def _commits(report):
@@ -238,8 +241,9 @@ def _commits(report):
     for name, entry in report["rigs"].items():
         for seed, rows in entry["seeds"].items():
             for row, c in rows.items():
-                if c["environment"].get("commit"):
-                    of.setdefault(c["environment"]["commit"][:12], []).append(f"{name} {seed} {row}")
+                commit, *changes = (c["environment"].get("commit") or "").partition("+")
+                if commit:
+                    of.setdefault("".join((commit[:12], *changes)), []).append(f"{name} {seed} {row}")
     if len(of) > 1:
         listed = "; ".join(f"{commit}: {', '.join(rows)}" for commit, rows in sorted(of.items()))
         return f"Rows are of several states of the code, by commit: {listed}. "

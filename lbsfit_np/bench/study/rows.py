@@ -16,7 +16,12 @@ from .free_form import Augmented, FromTemplate, taught
 from .measures import Registrations, template_gap
 from .oracle import OracleFit
 
-__all__ = ["ROWS", "Context", "Found", "Row", "said"]
+__all__ = ["FIRST_FITS", "PRETRAINING", "ROWS", "Context", "Found", "Row", "said"]
+
+# How long these take, as the weights of rows: the training scans' fits by themselves, counted in the first row that learns from
+# labels, too, and pretraining, which is none of any row.
+FIRST_FITS = 6.0
+PRETRAINING = 12.0
 
 # Test scans that the figure of the steps of skinning chooses from.
 _STAGES = 60
@@ -119,7 +124,7 @@ class Context:
     first_fitted : callable (), optional
         Called when these are there.
     took : dict of int to float
-        Seconds that test scans took in the row before that learned, by their numbers: the longest go first, lest all wait.
+        Seconds that test scans took in the last row that learned here, by their numbers: the longest go first, lest all wait.
     from_template : list
         Empty until fits without skinning that start from the template are made of the test scans, which two rows need.
     """
@@ -345,16 +350,16 @@ ROWS = {
         lambda c: _supervised(c, 3),
         False,
     ),
-    "cd": Row("Chamfer alone: no labels, no library of poses", "LBS-AE_CD", lambda c: _learned(c, "cd"), weight=6.0),
-    "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand"), in_common=True, weight=12.0),
+    "cd": Row("Chamfer alone: no labels, no library of poses", "LBS-AE_CD", lambda c: _learned(c, "cd"), weight=8.0),
+    "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand"), in_common=True, weight=30.0),
     "pose-only": Row(
         "the whole loop, but that the segmenter does not learn from templates",
         None,
         lambda c: _learned(c, "pose-only"),
         in_common=True,
-        weight=12.0,
+        weight=30.0,
     ),
-    "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint"), in_common=True, weight=12.0),
+    "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint"), in_common=True, weight=30.0),
     "oracle-labels": Row("true labels given and starts from these alone, scans one by one", None, _oracle_labels, False),
     "oracle-fit": Row("true correspondences given, scans one by one", None, _oracle_fit, False),
 }

@@ -10,11 +10,11 @@ from ...workers import kept_processes
 from ..resume import REMEDY, begun
 from ..run import TRAINING_SEED
 from ..subjects import people_digest, scans_digest
-from .at_once import chains, made_at_once
+from .at_once import batches, is_faster, made_at_once
 from .data import SCAN, kind_of, sized, study_set
 from .local_optimum import along_path
 from .making import cell_name, first_fits_name, has_steps, made
-from .rows import ROWS
+from .rows import PRETRAINING, ROWS
 
 __all__ = ["FIRST_SEED", "joined", "study", "with_rows"]
 
@@ -49,7 +49,7 @@ def study(
     rows : sequence of str
         Of ``ROWS``.
     jobs : int, default 1
-        Processes; figures do not depend on it. Where there are as many rows to be made beside each other, each has one process.
+        Processes; figures do not depend on it. Where that is faster, as many rows are made at once, by one process each.
     before : dict, optional
         A report of the same settings: what it has is not done again.
     kept : callable (cell name, digest) → bool, optional
@@ -109,7 +109,8 @@ def study(
             on_cell(report, name, seed, row, arrays)
         _remove_steps(steps(cell_name(name, seed, row)))
         todo[name, seed].remove(row)
-        no_more_in_common(name, seed)
+        if ROWS[row].in_common:
+            no_more_in_common(name, seed)
 
     def no_more_in_common(name, seed):
         """Remove fits that rows have in common where none of these is begun, by whichever run, or left to this one."""
@@ -118,16 +119,17 @@ def study(
         if not set(rows) & set(todo[name, seed]) and not any(folder is not None and folder.exists() for folder in folders):
             _remove_steps(steps(first_fits_name(name, seed)))
 
-    for of in todo:  # of a run that was killed before it did
-        no_more_in_common(*of)
     how = {"steps": steps, "progress": _of_all(todo, progress)}
-    if 1 < jobs <= len(plan := chains(todo)):
+    plan = batches(todo, in_common=lambda *of: steps(first_fits_name(*of)) is not None)
+    if jobs > 1 and is_faster(plan, jobs):
         made_at_once(plan, rigs, sizes, jobs=jobs, on_row=on_row, **how)
     else:
         for (name, seed), rows in [(of, tuple(left)) for of, left in todo.items() if left]:
             gone_on = has_steps(steps(first_fits_name(name, seed)))
             for there in made(name, rigs[name], sizes[name], seed, rows, jobs=jobs, at_once=1, gone_on=gone_on, **how):
                 on_row(name, seed, *there)
+    for of in todo:  # of a run that was killed before it did
+        no_more_in_common(*of)
     report["complete"] = _complete(report)
     return report
 
@@ -168,12 +170,13 @@ def _complete(report):
 
 def _of_all(todo, progress):
     """The ``progress`` of rows that tells :func:`study`'s how far all of them are, too."""
-    shares = {(*of, row): 0.0 for of, rows in todo.items() for row in rows}
-    weights = {of: ROWS[of[-1]].weight for of in shares}
+    weights = {(*of, row): ROWS[row].weight for of, rows in todo.items() for row in rows}
+    weights |= {(name, "pretraining"): PRETRAINING for name, _, row in tuple(weights) if ROWS[row].pretrained}
+    shares = dict.fromkeys(weights, 0.0)
 
     def told(name, seed, row, share):
-        if (name, seed, row) in shares:  # pretraining is none
-            shares[name, seed, row] = share
+        of = (name, row) if row == "pretraining" else (name, seed, row)
+        shares[of] = max(shares[of], share)  # those who come later find it done
         progress(name, seed, row, share, sum(shares[of] * weights[of] for of in shares) / sum(weights.values()))
 
     return told if progress is not None else lambda *share: None
@@ -215,5 +218,5 @@ def _described(rig, size):
 def _of_other_code(report, there):
     """The names of cells that another state of the code, or of its libraries, has made; ``there`` by rig and seed, rows."""
     now = state_of_the_code()
-    made = {of: report["rigs"][of[0]]["seeds"].get(str(of[1]), {}) for of in there}
-    return [cell_name(*of, row) for of, rows in there.items() for row in rows if made[of][row]["code"] != now]
+    entries = {of: report["rigs"][of[0]]["seeds"].get(str(of[1]), {}) for of in there}
+    return [cell_name(*of, row) for of, rows in there.items() for row in rows if entries[of][row]["code"] != now]
