@@ -21,6 +21,7 @@ ROOMS = (
     "seeds",
     "threads",
     "interrupts",
+    "processes",
     "workers",
     "rotations",
     "triangles",

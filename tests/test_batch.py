@@ -21,7 +21,7 @@ import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.write import atomic_path
 from lbsfit_np.learning.batch import fit_scans
-from lbsfit_np.workers import Workers
+from lbsfit_np.processes import Workers
 
 POSIX = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
 PACKAGE_PARENT = str(Path(lbs.__file__).resolve().parents[1])
@@ -231,7 +231,7 @@ def test_an_interrupt_ends_workers_and_passes_on(quick_fitter, clouds, jobs):
 
 def test_a_script_without_a_main_guard_is_told_so(tmp_path):
     script = tmp_path / "script.py"
-    script.write_text("from lbsfit_np.workers import Workers\nw = Workers(len, 1)\nw.give([1])\nw.answers()\n")
+    script.write_text("from lbsfit_np.processes import Workers\nw = Workers(len, 1)\nw.give([1])\nw.answers()\n")
     done = subprocess.run(
         [sys.executable, str(script)],
         capture_output=True,

@@ -17,7 +17,7 @@ from lbsfit_np.bench.study.run import study
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.checkpoint import state_of_the_code
-from lbsfit_np.workers import tell
+from lbsfit_np.processes import tell
 
 _SIZE = Size(train=3, test=2, train_subjects=1, test_subjects=2, pairs=2, training_scans=60, rounds=1, seeds=1)
 _QUICK = ("free-form", "free-form-supervised", "oracle-labels", "oracle-fit")

@@ -15,11 +15,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lbsfit_np import workers
+from lbsfit_np import processes
 from lbsfit_np.bench.study import run as study_run
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.loop import Loop
-from lbsfit_np.workers import Workers, as_they_may, beside, each, kept_processes, tell
+from lbsfit_np.processes import Workers, kept_processes, tell
+from lbsfit_np.workers import as_they_may, beside, each
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -160,7 +161,7 @@ def test_a_process_that_dies_while_it_is_kept_is_replaced():
         for pid in set(each(_process, range(2), jobs=2)):
             os.kill(pid, signal.SIGKILL)
             _wait_for_end(pid)
-        dead = list(workers._SPARE)
+        dead = list(processes._SPARE)
         assert each(_squared, [2, 3], jobs=2) == [4, 9]
         assert len(dead) == 2 and all(worker.connection.closed for worker in dead)
 

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, MissingExtraError, counted
 from ..io.write import make_folder, remove_empty
-from ..workers import kept_processes
+from ..processes import kept_processes
 from .bench_runs import RESULTS, failures_code, made_results, numbers, read_results
 from .models import say_model_as_rig
 from .progress import SILENCE, Progress, percentage_bar, say, span

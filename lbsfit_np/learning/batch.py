@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError, LbsfitError, in_words
+from ..processes import Unsent, Workers
 from ..scan import check_points
-from ..workers import Unsent, Workers
 from .parameters import check_callables
 from .reading import as_scans
 from .subjects import as_subjects, known_subjects

@@ -23,12 +23,13 @@ from ..fitting.template import TemplateSettings
 from ..optimize.frame import nearest_root, turned_root
 from ..optimize.model import Model
 from ..optimize.state import Layout
+from ..processes import kept_processes
 from ..segmentation.segmenter import Segmenter, train_segmenter
 from ..segmentation.stage import Training
 from ..starts.beyond import end_of
 from ..starts.library import PoseLibrary, build_library
 from ..threads import one_thread
-from ..workers import beside, kept_processes
+from ..workers import beside
 from .checkpoint import FIRST_FIT, NO_CHECKPOINT, kept_by_its_process
 from .collection import HELD_OUT, LEARNED_FROM
 from .first_fits import FirstFit
@@ -169,9 +170,7 @@ class Loop:
         self.model = Model(rig, joints)
         self.shifting = Model(rig, joints, shifts=TemplateSettings().shifts if joints == "follow" else 0.0)
         self.library, self.facing = library, facing
-        self.coefficients = {}
-        self.pose_prior = None
-        self.history = []
+        self.coefficients, self.pose_prior, self.history = {}, None, []
         self._first_kept = checkpoint.narrowed((variant.labels, variant.library))  # which is all that these hang on of a variant
         scans = [(m.index, m.points, m.part, m.subject, m.held_out) for m in collection.members]
         self._kept = checkpoint.narrowed((variant, sequence, scans))

@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 from ...errors import InputError
 from ...learning.checkpoint import state_of_the_code
-from ...workers import as_they_may, tell
+from ...processes import tell
+from ...workers import as_they_may
 from .making import cell_name, first_fits_name, has_steps, made
 from .rows import FIRST_FITS, PRETRAINING, ROWS
 

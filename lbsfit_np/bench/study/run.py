@@ -6,7 +6,7 @@ from itertools import product
 
 from ...errors import InputError, did_you_mean
 from ...learning.checkpoint import remove_checkpoint, state_of_the_code
-from ...workers import kept_processes
+from ...processes import kept_processes
 from ..resume import REMEDY, begun
 from ..run import TRAINING_SEED
 from ..subjects import people_digest, scans_digest

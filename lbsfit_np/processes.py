@@ -1,0 +1,309 @@
+"""Worker processes that each do one task at a time: the death of one costs its own task only, and Ctrl-C ends them tidily."""
+
+import pickle
+import signal
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from .errors import InputError, in_words
+from .threads import one_thread
+
+__all__ = ["Unsent", "Workers", "kept_processes", "tell"]
+
+_READY = "ready"
+# In place of work for a process that is to end.
+_NOTHING = pickle.dumps(None, protocol=pickle.HIGHEST_PROTOCOL)
+# Processes without work, while they are kept.
+_SPARE = None
+# In a process that does another's work: the connection to that one.
+_GIVER = None
+
+
+@dataclass(frozen=True)
+class Unsent:
+    """In place of an answer: something that pickle could not take from one process to another, and why.
+
+    ``task``: whether it was the task, with which nothing was done then, or the answer.
+    """
+
+    task: bool
+    why: str
+
+
+@dataclass(frozen=True)
+class _Note:
+    what: object
+
+
+def tell(what):
+    """From within a task of a process: have the other side's ``heard`` called with something picklable."""
+    _GIVER.send_bytes(pickle.dumps(_Note(what), protocol=pickle.HIGHEST_PROTOCOL))
+
+
+@contextmanager
+def kept_processes():
+    """In here, processes that have done their work wait for other work: new ones take time to start. ``with``, or a decorator."""
+    global _SPARE
+    if _SPARE is not None:  # those around this keep them longer
+        yield
+        return
+    _SPARE = []
+    try:
+        yield
+    finally:
+        spare, _SPARE = _SPARE, None
+        for worker in spare:
+            worker.end()
+
+
+def _spare():
+    """A process that waits for work, or None."""
+    while _SPARE:
+        worker = _SPARE.pop()
+        if worker.process.is_alive():
+            return worker
+        worker.end()
+    return None
+
+
+class Workers:
+    """A context manager that keeps up to ``n`` processes, each of which has its own copy of ``work``.
+
+    Parameters
+    ----------
+    work : callable (task) → answer
+        Sent to each process once; must be picklable, and must not raise.
+    n : int
+    heard : callable (note), optional
+        Called with what tasks :func:`tell`, while answers are waited for.
+
+    Raises
+    ------
+    InputError
+        ``work`` cannot be pickled, or processes end before they begin.
+    """
+
+    def __init__(self, work, n, heard=None):
+        try:
+            self._payload = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            remedy = "Use functions from the top level of a module, or n_jobs=1."
+            got = f"more than 1 with what cannot be sent to processes ({error})"
+            raise InputError("n_jobs", got, "picklable work", remedy) from None
+        self._n, self._heard = n, heard
+        self._workers, self._come = [], []
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception):
+        self.stop()
+
+    @property
+    def busy(self):
+        """Whether a task is being done."""
+        return any(w.task is not None for w in self._workers)
+
+    @property
+    def idle(self):
+        """Whether another task can be given."""
+        return len(self._workers) < self._n or any(w.task is None for w in self._workers)
+
+    def give(self, task):
+        """Have a process do ``task``, a new one while there are fewer than n."""
+        worker = next((w for w in self._workers if w.task is None), None)
+        if worker is None:
+            worker = _spare() or _Worker()
+            worker.take_up(self._payload)
+            self._workers.append(worker)
+        worker.give(task)
+
+    def answers(self):
+        """Wait for an answer or a note; a list of (task, answer or Unsent, None), or (task, None, how its process died)."""
+        from multiprocessing.connection import wait
+
+        ready = set(wait([w.connection for w in self._workers if w.task is not None]))
+        for w in list(self._workers):
+            if w.connection in ready:
+                self._come += self._received(w)  # where they stay if Ctrl-C comes between
+        come, self._come = self._come, []
+        return come
+
+    def stop(self):
+        """End the work, in the middle of a task if need be; returns answers that had come by then, and were not returned."""
+        workers, self._workers = self._workers, []
+        if _SPARE is not None:
+            # One that has not said yet that it is ready would say so to the next.
+            idle = [w for w in workers if w.task is None and w.ready]
+            for w in idle:
+                w.give(None)
+            _SPARE.extend(idle)
+            workers = [w for w in workers if w not in idle]
+        for w in workers:
+            w.ask_to_end()
+        late, self._come = self._come, []
+        for w in workers:
+            w.join()
+            late += w.last_answers()
+            w.connection.close()
+        return late
+
+    def _received(self, worker):
+        task = worker.task
+        try:
+            answer = worker.receive()
+        except (EOFError, OSError):
+            self._workers.remove(worker)
+            worker.join()
+            worker.connection.close()
+            if not worker.ready:
+                raise InputError(
+                    "n_jobs",
+                    f"worker processes that end before they begin ({worker.death})",
+                    "processes that start",
+                    'In a script, call this under `if __name__ == "__main__":`.',
+                ) from None
+            return [(task, None, worker.death)]
+        if not worker.ready:
+            worker.ready = True
+            return []
+        if isinstance(answer, _Note):
+            if self._heard is not None:
+                self._heard(answer.what)
+            return []
+        worker.task = None
+        return [(task, answer, None)]
+
+
+class _Worker:
+    """One process and the connection to it."""
+
+    def __init__(self):
+        import multiprocessing
+
+        if getattr(multiprocessing.current_process(), "_inheriting", False):
+            # A script without the guard, which every process runs again: the first one says what is wrong, once.
+            raise SystemExit(1)
+        context = multiprocessing.get_context("spawn")  # a fork of a process with BLAS threads may hang
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        with _without_interrupts():
+            self.process.start()
+        theirs.close()
+        self.ready = False
+        self.task = None
+        self._torn = False
+
+    def take_up(self, payload):
+        """Other work, of which it says when it is ready for tasks."""
+        self.ready = False
+        self._send(payload)
+
+    def give(self, task):
+        data = pickle.dumps(task, protocol=pickle.HIGHEST_PROTOCOL)
+        self.task = task
+        self._send(data)
+
+    def _send(self, data):
+        try:
+            self.connection.send_bytes(data)
+        except OSError:
+            pass  # it has died: what is received next says so
+
+    def receive(self):
+        self._torn = True  # until all of the message is here: after a Ctrl-C in between, the rest of it means nothing
+        data = self.connection.recv_bytes()
+        self._torn = False
+        try:
+            return pickle.loads(data)
+        except Exception as error:  # noqa: BLE001 (whatever a class does when it is read)
+            return Unsent(False, in_words(error))
+
+    def ask_to_end(self):
+        if self.task is None:
+            self.give(None)
+            self._send(_NOTHING)
+        else:
+            self.process.terminate()
+
+    def end(self):
+        """End it where it waits for other work."""
+        self._send(_NOTHING)
+        self.join()
+        self.connection.close()
+
+    def join(self):
+        self.process.join(10)
+        if self.process.is_alive():
+            self.process.kill()
+            self.process.join()
+
+    def last_answers(self):
+        """What it had answered before it ended."""
+        try:
+            while self.task is not None and not self._torn and self.connection.poll():
+                answer = self.receive()
+                if self.ready and not isinstance(answer, _Note):
+                    return [(self.task, answer, None)]
+                self.ready = True
+        except (EOFError, OSError):
+            pass
+        return []
+
+    @property
+    def death(self):
+        code = self.process.exitcode
+        if code is not None and code < 0:
+            try:
+                name = signal.Signals(-code).name
+            except ValueError:
+                name = f"signal {-code}"
+            return f"killed by {name}" + (", perhaps for want of memory" if name == "SIGKILL" else "")
+        return f"exit code {code}"
+
+
+@contextmanager
+def _without_interrupts():
+    """Ctrl-C goes to the parent alone: a process that starts in here never sees it."""
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _serve(connection):
+    """A worker's life: work comes, then its tasks until there are no more, then other work; until it is told to end."""
+    global _GIVER
+    _GIVER = connection
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _end)
+    try:
+        with one_thread():  # the processes share the cores
+            while (work := pickle.loads(connection.recv_bytes())) is not None:
+                connection.send(_READY)
+                while (data := connection.recv_bytes()) != _NOTHING:
+                    connection.send_bytes(_done(work, data))
+                del work, data
+    except (EOFError, BrokenPipeError, ConnectionResetError):
+        pass  # the parent is gone
+
+
+def _done(work, data):
+    """The pickled answer to a pickled task."""
+    try:
+        task = pickle.loads(data)
+    except Exception as error:  # noqa: BLE001 (such as of a function that only the other process has)
+        return pickle.dumps(Unsent(True, in_words(error)))
+    answer = work(task)
+    try:
+        return pickle.dumps(answer, protocol=pickle.HIGHEST_PROTOCOL)
+    except Exception as error:  # noqa: BLE001 (whatever a class does when it is written)
+        return pickle.dumps(Unsent(False, in_words(error)))
+
+
+def _end(signum, frame):
+    raise SystemExit(128 + signum)  # unwinds, so that half-written files are removed
