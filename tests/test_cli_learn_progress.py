@@ -207,11 +207,11 @@ def test_narrow_terminals_show_the_time_left(monkeypatch, drawn_at_once):
     assert "-0 s" not in text and max(map(len, text.split("\r"))) <= 80
 
 
-@pytest.mark.parametrize("columns", [0, 60])
-def test_a_terminal_that_does_not_tell_its_width_has_a_bar_too(columns, monkeypatch):
+@pytest.mark.parametrize("columns, rows", [(0, 0), (60, 24), (60, 0)])
+def test_a_terminal_that_does_not_tell_its_size_has_a_bar_too(columns, rows, monkeypatch):
     fcntl, pty, termios = (pytest.importorskip(name, reason="terminals of this system are others") for name in _TERMINALS)
     ours, theirs = pty.openpty()
-    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24 if columns else 0, columns, 0, 0))
+    fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, 0, 0))
     with os.fdopen(ours, "rb", 0) as seen, os.fdopen(theirs, "w") as terminal:
         monkeypatch.setattr("sys.stderr", terminal)
         progress.bar(total=4, desc="doing", initial=2).close()

@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from lbsfit_np.bench.study.page import console_table, page
 from lbsfit_np.bench.study.paper import GOALS
 from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import study
+from lbsfit_np.cli import bench_study
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.npz import read_npz
@@ -251,9 +253,36 @@ def test_the_command_says_what_is_missing_and_what_goes_on(quick, tmp_path, monk
     assert run(["bench", "study", "--rig", "hand-coarse", "--rows", "joint", "-o", str(tmp_path)]) == 130
     text = capsys.readouterr().out
     assert "2 rows in" in text and "were made by other code or libraries, and not again: h-300-cd, h-300-rand; --existing" in text
-    assert "10% of all rows; h, seed 300, pretraining: 90%; b, seed 300, oracle-fit: 10%\n20% of all rows; b, seed 300," in text
-    assert "35% of all rows; b, seed 300, oracle-fit: 10%; h, seed 300, joint: 50%; b, seed 300, cd: 20%\n" in text
+    assert "10% of all rows; h 300 pretraining 90%, b 300 oracle-fit 10%\n20% of all rows; b 300 oracle-fit 10%\n" in text
+    assert "35% of all rows; b 300 oracle-fit 10%, h 300 joint 50%, b 300 cd 20%\n" in text
     assert "'lbsfit_np[viz]'" in text and "the same command goes on" in text
+
+
+def test_a_bar_is_of_all_rows_and_names_those_that_are_being_made(monkeypatch):
+    shown = []
+
+    class Bar(SimpleNamespace):
+        n = 0.0
+
+        def update(self, by):
+            self.n += by
+            shown.append((round(self.n), self.words))
+
+        def set_description_str(self, words, refresh):
+            self.words = words
+
+        def write(self, text, file):
+            shown.append((text.split(":")[0], self.words))
+
+    monkeypatch.setattr("lbsfit_np.cli.bench_study.percentage_bar", lambda words: Bar(words=words))
+    monkeypatch.setattr("sys.stderr.isatty", lambda: True, raising=False)
+    progress = bench_study._StudyProgress()
+    for told in (("h", 300, "pretraining", 0.5, 0.1), ("h", 300, "pretraining", 1.0, 0.2), ("h", 300, "cd", 0.5, 0.4)):
+        progress(*told)
+    progress("b", 300, "rand", 0.25, 0.6)
+    progress.cell("h", 300, "cd", {"seconds": 1.0})
+    both = "h 300 cd 50%, b 300 rand 25%"
+    assert shown == [(10, "h 300 pretraining 50%"), (20, ""), (40, "h 300 cd 50%"), (60, both), ("h, seed 300, cd", both[14:])]
 
 
 def test_the_command_keeps_each_row_as_soon_as_it_is_there(coarse_hand, quick, monkeypatch, tmp_path):

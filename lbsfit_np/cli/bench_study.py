@@ -215,18 +215,22 @@ class _StudyProgress(Progress):
         self._begun[name, seed, row] = share
         if row == "pretraining" and share >= 1:
             del self._begun[name, seed, row]
-        rows = "; ".join(f"{name}, seed {seed}, {row}: {share:.0%}" for (name, seed, row), share in self._begun.items())
         if not self.terminal and time.monotonic() - self._told > SILENCE:
             self._told = time.monotonic()
-            self.line(f"{of_all:.0%} of all rows; {rows}")
+            self.line(f"{of_all:.0%} of all rows; {self._rows()}")
         if self.terminal:
-            self._bar = self._bar or percentage_bar(rows)
-            self._bar.set_description_str(rows, refresh=False)
+            self._bar = self._bar or percentage_bar(self._rows())
+            self._bar.set_description_str(self._rows(), refresh=False)
             self._bar.update(max(0.0, 100 * of_all - self._bar.n))
+
+    def _rows(self):
+        return ", ".join(f"{name} {seed} {row} {share:.0%}" for (name, seed, row), share in self._begun.items())
 
     def cell(self, name, seed, row, entry):
         """A row is done and written."""
         self._begun.pop((name, seed, row), None)
+        if self._bar is not None:
+            self._bar.set_description_str(self._rows(), refresh=False)
         found = f"pose {entry['pose']:.4f}" if "pose" in entry else "nothing could be fitted"
         found += f", corre. {entry['corre']['mean']:.4f}" if entry.get("corre") else ""
         took = "" if entry["seconds"] is None else f"{span(entry['seconds'])}, "

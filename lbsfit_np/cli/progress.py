@@ -267,9 +267,9 @@ def bar(**options):
     from tqdm import tqdm
 
     try:
-        told = os.get_terminal_size(sys.stderr.fileno()).columns
+        columns, rows = os.get_terminal_size(sys.stderr.fileno())
     except (OSError, ValueError):  # no terminal
-        told = None
-    if told == 0:  # those without a window, such as scripts have, in which tqdm shows nothing
-        options |= {"ncols": _COLUMNS, "nrows": _ROWS}
+        columns = rows = None
+    if columns == 0 or rows == 0:  # those without a window, such as scripts have, in which tqdm shows nothing
+        options |= {"ncols": columns or _COLUMNS, "nrows": rows or _ROWS}
     return tqdm(file=sys.stderr, **options)
