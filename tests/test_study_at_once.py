@@ -91,6 +91,7 @@ def test_what_takes_long_comes_first_and_waits_for_what_others_bring():
         (("rand", "pose-only", "joint"), 2, True),
         (("rand", "pose-only", "joint"), 3, False),  # two would wait for what one does first
         (("joint", "oracle-fit"), 2, False),  # one would have nothing to do
+        (("rand", "joint"), 2, False),
         (("oracle-labels", "oracle-fit"), 2, True),
         ((), 2, True),
     ],
@@ -100,7 +101,7 @@ def test_rows_are_made_at_once_where_that_is_faster(rows, jobs, expected):
 
 
 def test_a_batch_waits_for_what_others_bring_and_not_for_their_rows(rigs, tmp_path, monkeypatch):
-    begun = []
+    begun, there = [], []
 
     def as_they_may(work, take, *, jobs, answered, heard):
         for note in (None, ("pretrained", "tube"), ("first fits", "tube", 5)):
@@ -108,6 +109,7 @@ def test_a_batch_waits_for_what_others_bring_and_not_for_their_rows(rigs, tmp_pa
                 heard(("reached", note))
             while (given := take()) is not None:
                 begun.append((note and note[0], given[0].rows))
+        there.extend(sorted(path.name for path in tmp_path.iterdir()))
 
     monkeypatch.setattr(at_once, "as_they_may", as_they_may)
     plan = batches({("tube", 5): ("free-form-augmented", "rand", "joint", "oracle-fit")}, in_common=lambda *of: True)
@@ -119,7 +121,29 @@ def test_a_batch_waits_for_what_others_bring_and_not_for_their_rows(rigs, tmp_pa
         ("pretrained", ("free-form-augmented",)),
         ("first fits", ("joint",)),
     ]
-    assert {path.name for path in tmp_path.iterdir()} == {"tube-5-rand", "tube-5-joint"}  # which says that they are begun
+    assert there == ["tube-5-joint", "tube-5-rand"]  # which says that they are begun
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_folders_of_rows_that_had_no_time_to_begin_do_not_stay(kept, rigs, tmp_path, monkeypatch):
+    """They would keep first fits for ever; where there are such, they say that rows are begun. Those of other runs stay."""
+
+    def as_they_may(work, take, *, heard, **how):
+        take()
+        heard(("reached", ("first fits", "tube", 5)))
+        if kept:
+            (tmp_path / "tube-5-first-fits").mkdir()
+            (tmp_path / "tube-5-first-fits" / f"first-fit-{32 * '0'}.npz").write_bytes(b"")
+        take()
+        assert (tmp_path / "tube-5-rand").exists() and (tmp_path / "tube-5-joint").exists()
+        raise KeyboardInterrupt
+
+    (tmp_path / "tube-5-joint").mkdir()
+    monkeypatch.setattr(at_once, "as_they_may", as_they_may)
+    plan = batches({("tube", 5): ("rand", "joint")}, in_common=lambda *of: True)
+    with pytest.raises(KeyboardInterrupt):
+        at_once.made_at_once(plan, rigs, {}, jobs=2, steps=lambda cell: tmp_path / cell, progress=None, on_row=None)
+    assert (tmp_path / "tube-5-rand").exists() == kept and (tmp_path / "tube-5-joint").exists()
 
 
 def test_figures_are_those_of_rows_one_after_the_other(rigs, monkeypatch):
@@ -143,12 +167,11 @@ def test_with_fewer_rows_than_processes_each_has_them_all(rigs):
 
 
 def test_rows_that_learn_from_labels_have_first_fits_in_common(rigs, tmp_path, monkeypatch):
-    """The second begins when they are there, before the first is done, and makes none; they are gone in the end."""
+    """The second begins when they are there, and makes none; they are gone in the end."""
     events = []
 
     def fits():
-        folder = tmp_path / "tube-5-first-fits"
-        return {path.name: path.stat().st_mtime_ns for path in folder.iterdir()} if folder.exists() else {}
+        return {path.name: path.stat().st_mtime_ns for path in (tmp_path / "tube-5-first-fits").glob("first-fit-*.npz")}
 
     def on_cell(report, name, seed, row, arrays):
         events.append((row, "done", fits()))
@@ -159,8 +182,7 @@ def test_rows_that_learn_from_labels_have_first_fits_in_common(rigs, tmp_path, m
     rows = study(rigs, rows=("rand", "joint"), seeds=[5], jobs=2, **how)["rigs"]["tube"]["seeds"]["5"]
     assert rows["rand"]["seconds"] > 0 < rows["joint"]["seconds"] and rows["rand"]["accuracy"][0] == rows["joint"]["accuracy"][0]
     of = {event[:2]: event[2] for event in reversed(events)}  # the first of each
-    order = list(dict.fromkeys(event[:2] for event in events))
-    assert order.index(("rand", "told")) < order.index(("joint", "told")) < order.index(("rand", "done"))
+    assert list(dict.fromkeys(row for row, _, _ in events)) == ["pretraining", "rand", "joint"]
     assert of["joint", "told"] == of["rand", "done"] == of["joint", "done"] and len(of["joint", "told"]) == _SIZE.train
     assert not any(tmp_path.iterdir())
 
@@ -214,7 +236,8 @@ def test_warnings_of_rows_are_given_here(rigs, monkeypatch):
 
     def made(name, rig, size, seed, rows, *, progress, **how):
         for row in rows:
-            progress(name, seed, row, 0.5)
+            if row != rows[0]:
+                progress(name, seed, row, 0.0)
             warnings.warn(f"odd {row}", Odd, stacklevel=1)
         return iter(())
 
@@ -231,7 +254,7 @@ def test_warnings_of_rows_are_given_here(rigs, monkeypatch):
 
 def test_a_process_that_has_read_other_code_is_refused(rigs):
     batch = Batch("tube", 5, ("cd",), frozenset(), frozenset())
-    with pytest.raises(InputError, match="lbsfit_np: got files that have changed.*The same command goes on"):
+    with pytest.raises(InputError, match="lbsfit_np: got files that have changed.*the same command makes the others"):
         at_once._Made(rigs, {"tube": _SIZE}, {}, 2, "of before")((batch, False))
 
 

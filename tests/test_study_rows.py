@@ -1,6 +1,7 @@
 """The rows of the study: baselines, oracles and those that learn, each by rules of its own."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 from types import SimpleNamespace
 
@@ -11,6 +12,7 @@ from study_sizes import small_is_few_and_fast
 from lbsfit_np.bench.measure import recon
 from lbsfit_np.bench.study import data, free_form, making, oracle
 from lbsfit_np.bench.study import rows as rows_module
+from lbsfit_np.bench.study import run as run_module
 from lbsfit_np.bench.study.data import SCAN, Size, sized, study_set
 from lbsfit_np.bench.study.free_form import Augmented, FreeForm, FromTemplate, best_free_form, taught
 from lbsfit_np.bench.study.measures import Registrations, template_gap
@@ -359,15 +361,20 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
         first = study({"tube": tube_rig}, rows=alone, seeds=[5], on_cell=on_cell)
     given = study_set(tube_rig, sized(tube_rig, "small"), 5)
     assert {"free-form", "oracle-labels", "oracle-fit"} < set(first["rigs"]["tube"]["seeds"]["5"]) == set(alone)
-    shares, of_all = {}, []
+    shares, of_all, reached = {}, [], []
 
     def told(name, seed, row, share, all_of_them):
         shares.setdefault(row, []).append(share)
         of_all.append(all_of_them)
 
+    def noted(event):
+        row, those = list(shares.items())[-1]
+        reached.append((event, row, those[-1]))
+
+    monkeypatch.setattr(run_module, "made", partial(run_module.made, reached=noted))
     report = study({"tube": tube_rig}, seeds=[5], before=first, on_cell=on_cell, progress=told)
     cells = report["rigs"]["tube"]["seeds"]["5"]
-    assert list(cells) == list(ROWS) and of_all == sorted(of_all) and of_all[0] == 0 and of_all[-1] == pytest.approx(1)
+    assert list(cells) == list(ROWS) and of_all == sorted(of_all) and of_all[0] < 0.2 and of_all[-1] == pytest.approx(1)
     assert not any(cell["unfitted"] for cell in cells.values())
     assert min(cells, key=lambda row: cells[row]["pose"]) == "oracle-fit"
     assert cells["joint"]["pose"] < 0.5 * cells["free-form"]["pose"]
@@ -380,6 +387,9 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
         steps = np.histogram(shares[row], ends)[0]
         assert shares[row] == sorted(shares[row]) and np.all(steps >= [4, 5, 4, 3]), (row, steps)
     assert [f.variant for f in learned] == [row for row in ROWS if row in ("joint", "pose-only", "rand", "cd")]
+    assert reached[0] == ("pretrained", "pretraining", 1.0)
+    assert [what[:2] for what in reached[1:]] == [("first fits", row) for row in ("rand", "pose-only", "joint")]
+    assert all(0 < share < 0.8 / 3 + 1e-9 for _, _, share in reached[1:])  # before rounds begin
     for f in learned:  # and different learning,
         said = [] if f.segmenter_ is None else [f.segmenter_.predict(s.points) for s in given.test]
         assert np.array_equal(np.concatenate(said), labels[f.variant]) if said else labels[f.variant] is None

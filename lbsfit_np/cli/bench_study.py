@@ -217,7 +217,7 @@ class _StudyProgress(Progress):
             del self._begun[name, seed, row]
         if not self.terminal and time.monotonic() - self._told > SILENCE:
             self._told = time.monotonic()
-            self.line(f"{of_all:.0%} of all rows; {self._rows()}")
+            self.line("; ".join(words for words in (f"{of_all:.0%} of all rows", self._rows()) if words))
         if self.terminal:
             self._bar = self._bar or percentage_bar(self._rows())
             self._bar.set_description_str(self._rows(), refresh=False)

@@ -4,6 +4,7 @@ Within a row all processes but one wait while that trains a segmenter, or fits t
 """
 
 import warnings
+from contextlib import suppress
 from dataclasses import dataclass
 
 from ...errors import InputError
@@ -81,9 +82,14 @@ def batches(todo, *, in_common):
 def is_faster(batches, jobs):
     """Whether so many processes are at work most of the time where each makes a batch: none takes too long, or waits too long."""
     brought = frozenset().union(*(b.brings for b in batches))
-    took = {"pretrained": PRETRAINING, "first fits": FIRST_FITS}
-    longest = max((b.weight + sum(took[kind] for kind, *_ in b.waits | b.brings) for b in batches), default=0.0)
-    return jobs * longest <= sum(b.weight for b in batches) + PRETRAINING * sum(kind == "pretrained" for kind, *_ in brought)
+    pretrained = sum(kind == "pretrained" for kind, *_ in brought)
+
+    def end(b):
+        """When it ends, if it begins as soon as it may."""
+        waits = {kind for kind, *_ in b.waits}
+        return b.weight + PRETRAINING * any(ROWS[row].pretrained for row in b.rows) + FIRST_FITS * ("first fits" in waits)
+
+    return jobs * max(map(end, batches), default=0.0) <= sum(b.weight for b in batches) + PRETRAINING * pretrained
 
 
 def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
@@ -105,7 +111,7 @@ def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
     InputError
         A process was killed, or has read other code than this one.
     """
-    left, there, folders = list(batches), set(), {}
+    left, there, folders, begun = list(batches), set(), {}, {}
     for b in batches:
         for cell in (first_fits_name(b.name, b.seed), *(cell_name(b.name, b.seed, row) for row in b.rows)):
             folders[cell] = steps(cell)
@@ -116,8 +122,11 @@ def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
             if batch.waits <= there:
                 del left[k]
                 for row in batch.rows:
-                    if ROWS[row].in_common and (folder := folders[cell_name(batch.name, batch.seed, row)]) is not None:
-                        folder.mkdir(parents=True, exist_ok=True)  # so that no other run takes first fits for left
+                    folder = folders[cell_name(batch.name, batch.seed, row)] if ROWS[row].in_common else None
+                    if folder is not None and not folder.exists():
+                        begun[folder] = folders[first_fits_name(batch.name, batch.seed)]
+                        with suppress(OSError):  # which the checkpoint has words for
+                            folder.mkdir(parents=True)  # so that no other run takes first fits for left
                 return batch, (batch, gone_on[batch])
         return None
 
@@ -125,13 +134,19 @@ def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
         warnings.warn(text, stacklevel=2)
 
     heard = {"share": progress, "row": on_row, "reached": there.add, "warning": warned}
-    as_they_may(
-        _Made(rigs, sizes, folders, jobs, state_of_the_code()),
-        take,
-        jobs=jobs,
-        answered=lambda batch, _: there.update(batch.brings),  # also where it has found all of them done
-        heard=lambda note: heard[note[0]](*note[1:]),
-    )
+    try:
+        as_they_may(
+            _Made(rigs, sizes, folders, jobs, state_of_the_code()),
+            take,
+            jobs=jobs,
+            answered=lambda batch, _: there.update(batch.brings),  # also where it has found all of them done
+            heard=lambda note: heard[note[0]](*note[1:]),
+        )
+    finally:
+        for folder, first_fits in begun.items():  # of a run that was stopped before there was anything to keep
+            if not has_steps(first_fits):
+                with suppress(OSError):
+                    folder.rmdir()
 
 
 def _brings_first_fits(batch):
@@ -153,8 +168,9 @@ class _Made:
         name, seed = batch.name, batch.seed
         if state_of_the_code() != self.code:  # its rows would be said to be of the code that this process has read
             got = "files that have changed, or libraries, since this run began"
-            raise InputError("lbsfit_np", got, "the same ones in all processes", "The same command goes on with what is done.")
-        row = "pretraining"
+            remedy = "Rows that are done are kept; the same command makes the others (without --existing replace)."
+            raise InputError("lbsfit_np", got, "the same ones in all processes", remedy)
+        row = batch.rows[0]
 
         def said(*share):
             nonlocal row

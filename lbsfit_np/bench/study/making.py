@@ -93,6 +93,7 @@ def made(name, rig, size, seed, rows, *, jobs, at_once, steps, gone_on, progress
     for row in rows:
         say = lambda share, row=row: progress(name, seed, row, share)  # noqa: E731
         folder = steps(cell_name(name, seed, row))
+        say(0.0)
         whole, started = not has_steps(folder), time.perf_counter()
         found = ROWS[row].find(replace(context, progress=say, steps=folder))
         if ROWS[row].in_common:  # these count in the first row alone

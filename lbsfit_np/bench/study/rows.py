@@ -18,8 +18,8 @@ from .oracle import OracleFit
 
 __all__ = ["FIRST_FITS", "PRETRAINING", "ROWS", "Context", "Found", "Row", "said"]
 
-# How long these take, as the weights of rows: the training scans' fits by themselves, counted in the first row that learns from
-# labels, too, and pretraining, which is none of any row.
+# How long these take, as the weights of rows: the training scans' fits by themselves, of which the first row that learns from
+# labels is taken to be as long as the others, and pretraining, which is no part of a row.
 FIRST_FITS = 6.0
 PRETRAINING = 12.0
 
