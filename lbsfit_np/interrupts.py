@@ -23,7 +23,8 @@ def held():
 def passing_interrupts():
     """Raise what Ctrl-C raised in the block (or SIGTERM, where it has such a handler), even if the block has caught it.
 
-    scikit-learn's networks catch KeyboardInterrupt, warn, and return as if the training were complete.
+    scikit-learn's networks catch KeyboardInterrupt, warn, and return as if the training were complete; NumPy makes a TypeError of
+    one that comes as it compares rows (``np.unique`` along an axis).
     """
     raised = []
 

@@ -5,6 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from .errors import InputError, in_words
+from .interrupts import passing_interrupts
 from .processes import Unsent, Workers
 from .threads import one_thread
 
@@ -40,7 +41,8 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
     if min(jobs, len(tasks)) <= 1:
         with one_thread():  # as in the processes: results must not depend on where they were made
             for k, task in enumerate(tasks):
-                answers[k] = work(task)
+                with passing_interrupts():  # also where the work takes them for a failure of the task
+                    answers[k] = work(task)
                 answered(k, answers[k])
                 done((k + 1) / len(tasks))
         return [answers[k] for k in range(len(tasks))]

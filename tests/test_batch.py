@@ -229,6 +229,24 @@ def test_an_interrupt_ends_workers_and_passes_on(quick_fitter, clouds, jobs):
     assert not multiprocessing.active_children()
 
 
+@POSIX
+@pytest.mark.parametrize("pretrained", [True, False])
+def test_an_interrupt_that_a_library_makes_an_error_of_is_no_failure_of_a_scan(quick_fitter, tube_rig, pretrained):
+    """As NumPy does where it comes in the middle of ``np.unique`` along an axis."""
+    reported = []
+
+    def source():
+        try:
+            os.kill(os.getpid(), signal.SIGINT)
+            time.sleep(1)
+        except KeyboardInterrupt:
+            raise TypeError("Cannot compare structured arrays unless they have a common dtype.") from None
+
+    with pytest.raises(KeyboardInterrupt):
+        fit_scans(quick_fitter if pretrained else lbs.LBSFitter(tube_rig), [source] * 2, on_result=reported.append)
+    assert not reported
+
+
 def test_a_script_without_a_main_guard_is_told_so(tmp_path):
     script = tmp_path / "script.py"
     script.write_text("from lbsfit_np.processes import Workers\nw = Workers(len, 1)\nw.give([1])\nw.answers()\n")

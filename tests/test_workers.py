@@ -115,6 +115,13 @@ def test_an_error_of_what_hears_ends_the_work(error):
     assert not active_children()
 
 
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
+def test_ctrl_c_is_no_failure_of_a_task():
+    """Where a library makes an error of it, and the work has that for its answer."""
+    with pytest.raises(KeyboardInterrupt):
+        each(_interrupted, [1, 2])
+
+
 def test_what_nobody_hears_is_left():
     with Workers(_telling, 1) as workers:
         workers.give(("first", Path(__file__)))
@@ -236,6 +243,15 @@ def _raising_two_words(k):
 
 def _a_lock(k):
     return threading.Lock()
+
+
+def _interrupted(task):
+    assert task == 1
+    try:
+        os.kill(os.getpid(), signal.SIGINT)
+        time.sleep(1)
+    except KeyboardInterrupt:
+        return "a TypeError"
 
 
 def _telling(task):

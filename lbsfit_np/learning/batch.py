@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError, LbsfitError, in_words
+from ..interrupts import passing_interrupts
 from ..processes import Unsent, Workers
 from ..scan import check_points
 from .parameters import check_callables
@@ -131,10 +132,11 @@ def _pretrained(fitter, scans, report, pretrain):
     for i, source in enumerate(scans):
         started = time.perf_counter()
         try:
-            scan = source() if callable(source) else source
-            points = check_points(scan, minimum=len(fitter.rig.parts))
-            if hasattr(fitter, "_check_alone"):
-                fitter._check_alone(points)
+            with passing_interrupts():
+                scan = source() if callable(source) else source
+                points = check_points(scan, minimum=len(fitter.rig.parts))
+                if hasattr(fitter, "_check_alone"):
+                    fitter._check_alone(points)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             report(_failure(i, error, started))
             continue
@@ -149,12 +151,13 @@ def _pretrained(fitter, scans, report, pretrain):
 def _fit_one(fitter, finish, index, source, subject):
     started = time.perf_counter()
     try:
-        scan = source() if callable(source) else source
-        result = fitter.fit_scan(scan) if subject is None else fitter.fit_scan(scan, subject=subject)
-        if not np.isfinite(result.vertices).all():
-            return ScanOutcome(index, error=result.message, seconds=time.perf_counter() - started)
-        if finish is not None:
-            result = finish(index, scan, result)
+        with passing_interrupts():  # of which libraries make errors of their own, which would be the scan's
+            scan = source() if callable(source) else source
+            result = fitter.fit_scan(scan) if subject is None else fitter.fit_scan(scan, subject=subject)
+            if not np.isfinite(result.vertices).all():
+                return ScanOutcome(index, error=result.message, seconds=time.perf_counter() - started)
+            if finish is not None:
+                result = finish(index, scan, result)
     except Exception as error:  # noqa: BLE001 (the same)
         return _failure(index, error, started)
     return ScanOutcome(index, result, seconds=time.perf_counter() - started)
