@@ -21,7 +21,7 @@ def held():
 
 @contextmanager
 def passing_interrupts():
-    """Raise what Ctrl-C raised in the block (or SIGTERM, where it has such a handler), even if the block has caught it.
+    """Raise what Ctrl-C or SIGTERM raised in the block, by their handlers, even if the block has caught it.
 
     scikit-learn's networks catch KeyboardInterrupt, warn, and return as if the training were complete; NumPy makes a TypeError of
     one that comes as it compares rows (``np.unique`` along an axis).
@@ -32,7 +32,7 @@ def passing_interrupts():
         def handle(signum, frame):
             try:
                 handler(signum, frame)
-            except KeyboardInterrupt as interrupt:
+            except BaseException as interrupt:  # SystemExit in worker processes
                 raised.append(interrupt)
                 raise
 

@@ -230,8 +230,8 @@ def test_an_interrupt_ends_workers_and_passes_on(quick_fitter, clouds, jobs):
 
 
 @POSIX
-@pytest.mark.parametrize("pretrained", [True, False])
-def test_an_interrupt_that_a_library_makes_an_error_of_is_no_failure_of_a_scan(quick_fitter, tube_rig, pretrained):
+@pytest.mark.parametrize("pretrained, jobs", [(True, 1), (False, 1), (True, 2)])
+def test_an_interrupt_that_a_library_makes_an_error_of_is_no_failure_of_a_scan(quick_fitter, tube_rig, pretrained, jobs):
     """As NumPy does where it comes in the middle of ``np.unique`` along an axis."""
     reported = []
 
@@ -243,7 +243,7 @@ def test_an_interrupt_that_a_library_makes_an_error_of_is_no_failure_of_a_scan(q
             raise TypeError("Cannot compare structured arrays unless they have a common dtype.") from None
 
     with pytest.raises(KeyboardInterrupt):
-        fit_scans(quick_fitter if pretrained else lbs.LBSFitter(tube_rig), [source] * 2, on_result=reported.append)
+        fit_scans(quick_fitter if pretrained else lbs.LBSFitter(tube_rig), [source] * 2, n_jobs=jobs, on_result=reported.append)
     assert not reported
 
 

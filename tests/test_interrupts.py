@@ -61,3 +61,22 @@ def test_a_signal_among_the_changes_of_handlers_leaves_none_changed(at, block, n
             with block():
                 pass
         assert len(calls) > at and [signal.getsignal(n) for n in BOTH] == before
+
+
+@pytest.mark.parametrize("number", BOTH)
+def test_what_a_signal_ends_a_process_by_is_passed_on_too(number):
+    """In worker processes it is SystemExit, of which libraries make errors as well."""
+
+    def end(signum, frame):
+        raise SystemExit(128 + signum)
+
+    before = signal.signal(number, end)
+    try:
+        with pytest.raises(SystemExit) as ended, passing_interrupts():
+            try:
+                signal.raise_signal(number)
+            except SystemExit:
+                raise TypeError("of a library") from None
+    finally:
+        signal.signal(number, before)
+    assert ended.value.code == 128 + number

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import FileError, LbsfitError, in_words
+from ..interrupts import passing_interrupts
 from . import outputs
 from .fit import read_scan
 
@@ -42,7 +43,8 @@ class Reading:
     def read(self, i):
         """Scan i; what is wrong with it is said, and raised."""
         try:
-            scan = read_scan(self.paths[i], self.least, self.options)
+            with passing_interrupts():  # which are not the scan's fault
+                scan = read_scan(self.paths[i], self.least, self.options)
         except LbsfitError as error:
             self.fail(i, str(error))
             raise

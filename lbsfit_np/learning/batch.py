@@ -213,7 +213,8 @@ def _fit_by_workers(work, scans, subjects, todo, jobs, report):
 def _give(workers, index, scans, subjects, report):
     source = scans[index]
     try:
-        workers.give((index, source, subjects[index]))
+        with passing_interrupts():
+            workers.give((index, source, subjects[index]))
     except Exception as error:  # noqa: BLE001 (whatever a class does when it is written)
         if callable(source):
             _give_called(workers, index, scans, subjects, report)
@@ -225,6 +226,7 @@ def _give_called(workers, index, scans, subjects, report):
     """Of a callable that cannot be sent, such as a lambda, what it returns."""
     started = time.perf_counter()
     try:
-        workers.give((index, scans[index](), subjects[index]))
+        with passing_interrupts():
+            workers.give((index, scans[index](), subjects[index]))
     except Exception as error:  # noqa: BLE001 (the same as in _fit_one)
         report(_failure(index, error, started))
