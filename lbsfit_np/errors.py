@@ -21,7 +21,14 @@ __all__ = [
 
 
 class LbsfitError(Exception):
-    """Base class of every error that this package raises on purpose."""
+    """Base class of every error that this package raises on purpose.
+
+    Notes (``add_note``) go with it from one process to another.
+    """
+
+    def _notes(self):
+        """What is left to set where it is made again."""
+        return {"__notes__": self.__notes__} if hasattr(self, "__notes__") else None
 
 
 class InputError(LbsfitError, ValueError):
@@ -44,7 +51,7 @@ class InputError(LbsfitError, ValueError):
         super().__init__(f"{argument}: got {got}; expected {expected}." + (f" {remedy}" if remedy else ""))
 
     def __reduce__(self):
-        return type(self), (self.argument, self.got, self.expected, self.remedy)
+        return type(self), (self.argument, self.got, self.expected, self.remedy), self._notes()
 
 
 class FileError(InputError):
@@ -72,7 +79,7 @@ class MissingExtraError(LbsfitError, ImportError):
         super().__init__(f"{what} needs {module}, which is not installed; run: python -m pip install 'lbsfit_np[{extra}]'")
 
     def __reduce__(self):
-        return type(self), (self.module, self.extra, self.what)
+        return type(self), (self.module, self.extra, self.what), self._notes()
 
 
 def check_array(argument, value, shape, what=""):

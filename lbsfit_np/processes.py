@@ -130,7 +130,10 @@ class Workers:
         return come
 
     def stop(self):
-        """End the work, in the middle of a task if need be; returns answers that had come by then, and were not returned."""
+        """End the work, in the middle of a task if need be; returns answers that had come by then, and were not returned.
+
+        What was told by then is heard first.
+        """
         workers, self._workers = self._workers, []
         if _SPARE is not None:
             # One that has not said yet that it is ready would say so to the next.
@@ -139,13 +142,19 @@ class Workers:
                 w.give(None)
             _SPARE.extend(idle)
             workers = [w for w in workers if w not in idle]
+        words = []
         for w in workers:
+            words += w.last_words()  # one that is amid a long word says it to the end while that is read
             w.ask_to_end()
-        late, self._come = self._come, []
         for w in workers:
             w.join()
-            late += w.last_answers()
             w.connection.close()
+        late, self._come = self._come, []
+        for task, word in words:
+            if not isinstance(word, _Note):
+                late.append((task, word, None))
+            elif self._heard is not None:
+                self._heard(word.what)
         return late
 
     def _received(self, worker):
@@ -238,17 +247,17 @@ class _Worker:
             self.process.kill()
             self.process.join()
 
-    def last_answers(self):
-        """What it had answered before it ended."""
+    def last_words(self):
+        """What has come and was not received: (task, note or answer) each."""
+        words = []
         try:
             while self.task is not None and not self._torn and self.connection.poll():
-                answer = self.receive()
-                if self.ready and not isinstance(answer, _Note):
-                    return [(self.task, answer, None)]
+                word = self.receive()
+                words += [(self.task, word)] if self.ready else []
                 self.ready = True
         except (EOFError, OSError):
             pass
-        return []
+        return words
 
     @property
     def death(self):

@@ -1,10 +1,12 @@
 """The same work on many tasks, in this process or in others, with the same answers."""
 
 import pickle
+import traceback
+from collections import deque
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from .errors import InputError, in_words
+from .errors import InputError, LbsfitError, in_words
 from .interrupts import passing_interrupts
 from .processes import Unsent, Workers
 from .threads import one_thread
@@ -57,34 +59,53 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
     return [answers[k] for k in range(len(tasks))]
 
 
-def as_they_may(work, take, *, jobs, answered, heard=None):
+def as_they_may(work, take, *, jobs, answered, heard=None, failed=None):
     """Have tasks done by other processes, of which some may have to wait for others.
 
     Parameters
     ----------
     work : callable (task) → answer
-        Picklable; its errors pass on.
+        Picklable.
     take : callable () → (k, task) or None
         The next task, and what its answer is known by; None where none may begin yet, or all have. It is asked again after each
         answer and note; all is over where nothing is being done, either.
     jobs : int
         Processes.
     answered, heard : callable (k, answer), (note), the latter optional
-        Called with each answer, and with what tasks :func:`tell`, as they come.
-
-    Raises
-    ------
-    InputError
-        A process was killed.
+        Called with each answer, and with what tasks :func:`tell`, as they come; also with those that have come when all ends
+        with an error, such as Ctrl-C's.
+    failed : callable (k, error), optional
+        Called with errors of tasks, InputError where a process was killed; by default they are raised.
     """
-    with Workers(_Caught(work), jobs, heard) as workers:
-        while True:
-            while workers.idle and (given := take()) is not None:
-                workers.give(given)
-            if not workers.busy:
-                return
-            for k, answer in _come(workers):
+
+    come = deque()
+
+    def take_in(answers, *, at_the_end=False):
+        come.extend(answers)
+        wrong = []
+        while come:  # what is left where this is stopped in the middle is taken in at the end
+            (k, _), answer, death = come.popleft()
+            answer, error = _outcome(answer, death)
+            if error is None:
                 answered(k, answer)
+            elif failed is not None:
+                failed(k, error)
+            else:
+                wrong.append(error)
+        if wrong and not at_the_end:
+            raise wrong[0]
+
+    with Workers(_Caught(work), jobs, heard) as workers:
+        try:
+            while True:
+                while workers.idle and (given := take()) is not None:
+                    workers.give(given)
+                if not workers.busy:
+                    return
+                take_in(workers.answers())
+        except BaseException:
+            take_in(workers.stop(), at_the_end=True)
+            raise
 
 
 @contextmanager
@@ -100,24 +121,22 @@ def beside(work):
 
         def answer():
             while not found:  # first comes word that the process is ready
-                found.extend(_come(workers))
-            return found[0][1]
+                found.extend(_outcome(*come[1:]) for come in workers.answers())
+            if found[0][1] is not None:
+                raise found[0][1]
+            return found[0][0]
 
         yield answer
 
 
-def _come(workers):
-    """Wait for answers of ``_Caught`` work; (k, answer) of each that has come."""
-    for (k, _), answer, death in workers.answers():
-        if death is not None:
-            raise InputError("n_jobs", f"a process that ended ({death})", "processes that live", "Use fewer of them.")
-        if isinstance(answer, Unsent):
-            got = f"more than 1 where {'a task' if answer.task else 'an answer'} cannot be sent between processes ({answer.why})"
-            raise InputError("n_jobs", got, "what pickle takes", "Use functions from the top level of a module, or n_jobs=1.")
-        answer, error = answer
-        if error is not None:
-            raise error
-        yield k, answer
+def _outcome(answer, death):
+    """(answer of ``_Caught`` work, None), or (None, what went wrong)."""
+    if death is not None:
+        return None, InputError("n_jobs", f"a process that ended ({death})", "processes that live", "Use fewer of them.")
+    if isinstance(answer, Unsent):
+        got = f"more than 1 where {'a task' if answer.task else 'an answer'} cannot be sent between processes ({answer.why})"
+        return None, InputError("n_jobs", got, "what pickle takes", "Use functions from the top level of a module, or n_jobs=1.")
+    return answer
 
 
 @dataclass(frozen=True)
@@ -140,6 +159,8 @@ class _Caught:
         try:
             return self.work(task[1]), None
         except Exception as error:  # noqa: BLE001 (raised again where the answer arrives)
+            if not isinstance(error, LbsfitError):  # whoever mends it must know where it came from
+                error.add_note(f"In another process:\n{traceback.format_exc()}")
             return None, _as_sent(error)
 
 
@@ -150,4 +171,7 @@ def _as_sent(error):
             return error
     except Exception:  # noqa: BLE001 (whatever its class does there)
         pass
-    return RuntimeError(in_words(error))
+    sent = RuntimeError(in_words(error))
+    for note in getattr(error, "__notes__", ()):
+        sent.add_note(note)
+    return sent

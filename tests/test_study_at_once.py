@@ -2,8 +2,11 @@
 
 import json
 import os
+import re
 import signal
+import time
 import warnings
+from dataclasses import replace
 from multiprocessing import active_children
 
 import pytest
@@ -103,7 +106,7 @@ def test_rows_are_made_at_once_where_that_is_faster(rows, jobs, expected):
 def test_a_batch_waits_for_what_others_bring_and_not_for_their_rows(rigs, tmp_path, monkeypatch):
     begun, there = [], []
 
-    def as_they_may(work, take, *, jobs, answered, heard):
+    def as_they_may(work, take, *, heard, **how):
         for note in (None, ("pretrained", "tube"), ("first fits", "tube", 5)):
             if note is not None:
                 heard(("reached", note))
@@ -216,15 +219,61 @@ def test_first_fits_of_a_run_that_was_stopped_are_not_in_the_time_of_the_first_r
     assert told == {"cd": False, "rand": True, "joint": False} and not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("how, words", [("error", "points: got nothing"), ("killed", "a process that ended .killed by SIGKILL")])
-def test_what_goes_wrong_in_a_process_is_said(rigs, monkeypatch, how, words):
+@pytest.mark.parametrize("how, words", [("error", "points: got nothing"), ("killed", "n_jobs: got a process that ended .killed")])
+def test_what_goes_wrong_in_a_process_is_said_and_what_is_made_beside_it_is_kept(how, words, rigs, tmp_path, monkeypatch):
+    """Nothing is begun after it, as it may go wrong with all."""
     if how == "killed" and not hasattr(signal, "SIGKILL"):
         pytest.skip("no POSIX signals here")
     monkeypatch.setattr(at_once, "_Made", _Error if how == "error" else _Killed)
     there = []
-    with pytest.raises(InputError, match=words):
-        study(rigs, rows=_QUICK, seeds=[5], jobs=2, on_cell=lambda report, name, seed, row, arrays: there.append(row))
-    assert not active_children() and "oracle-fit" not in there
+
+    def on_cell(report, name, seed, row, arrays):
+        there.append(row)
+
+    what = {"rows": _QUICK, "seeds": [5], "jobs": 2, "steps": lambda cell: tmp_path / cell, "on_cell": on_cell}
+    with pytest.warns(UserWarning) as said, pytest.raises(InputError, match=words):
+        study(rigs, **what)
+    (text,) = [str(warning.message) for warning in said]
+    assert re.match(f"tube, seed 5, free-form-supervised failed: {words}", text)
+    assert text.endswith("; rows that are being made beside it are finished first")
+    assert not active_children() and there == ["free-form"]  # the two that weigh most came first
+
+
+def test_rows_that_were_made_as_a_run_is_stopped_are_kept(rigs, tmp_path, monkeypatch):
+    """Ctrl-C comes as another row is taken up."""
+    monkeypatch.setattr(at_once, "_Made", _Waiting)
+    there = []
+
+    def on_cell(report, name, seed, row, arrays):
+        there.append(row)
+        if len(there) == 1:
+            (tmp_path / "first is there").touch()
+            while not (tmp_path / "second is made").exists():
+                time.sleep(0.01)
+            time.sleep(1)  # until it is told
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        study(rigs, rows=_QUICK, seeds=[5], jobs=2, steps=lambda cell: tmp_path / cell, on_cell=on_cell)
+    assert there == ["free-form", "free-form-supervised"] and not active_children()
+
+
+@pytest.mark.parametrize("at_once_too", [False, True])
+def test_errors_say_of_which_row_they_are(at_once_too, command, monkeypatch, capsys):
+    def find(context):
+        raise InputError("points", "nothing", "some")
+
+    if at_once_too:
+        monkeypatch.setattr(at_once, "as_they_may", _in_this_process)
+        monkeypatch.setattr(at_once, "tell", lambda note: None)
+    for row in ("oracle-labels", "oracle-fit"):
+        monkeypatch.setitem(ROWS, row, replace(ROWS[row], find=find))
+    rows = "oracle-labels,oracle-fit" if at_once_too else "oracle-fit"
+    assert run([*command, rows]) == 2
+    said = capsys.readouterr().err.splitlines()
+    assert said[-1].startswith(f"lbsfit: error: tube, seed 5, {rows.split(',')[0]}: points: got nothing")
+    warned = ["lbsfit: warning: tube, seed 5, oracle-labels failed: points: got nothing"] if at_once_too else []
+    assert [line.split(";")[0] for line in said[:-1]] == warned
 
 
 def test_warnings_of_rows_are_given_here(rigs, monkeypatch):
@@ -268,19 +317,48 @@ class _Told(at_once._Made):
         for row in batch.rows:
             self.before(row)
             cell = {"arrays": "", "code": "", "gone_on": gone_on}
-            tell(("row", batch.name, batch.seed, row, cell, {}))
+            tell(("row", batch.name, batch.seed, row, cell, {"long": bytes(10**6)}))  # more than a pipe takes
 
     def before(self, row):
         """Nothing."""
 
 
 class _Error(_Told):
+    """That fails as soon as the row beside it is at work."""
+
     def before(self, row):
-        if row == "oracle-fit":
-            raise InputError("points", "nothing", "some")
+        begun = self.folders["tube-5-free-form"]
+        if row == "free-form":
+            begun.mkdir()
+            time.sleep(1)  # until the other one has failed
+        elif row == "free-form-supervised":
+            while not begun.exists():
+                time.sleep(0.01)
+            self.fail()
+
+    def fail(self):
+        raise InputError("points", "nothing", "some")
 
 
-class _Killed(_Told):
+class _Killed(_Error):
+    def fail(self):
+        os.kill(os.getpid(), signal.SIGKILL)
+
+
+class _Waiting(_Told):
+    """The second row is made while the first is taken up."""
+
     def before(self, row):
-        if row == "oracle-fit":
-            os.kill(os.getpid(), signal.SIGKILL)
+        folder = self.folders["tube-5-free-form"].parent
+        if row == "free-form-supervised":
+            while not (folder / "first is there").exists():
+                time.sleep(0.01)
+            (folder / "second is made").touch()
+
+
+def _in_this_process(work, take, *, jobs, answered, heard, failed):
+    while (given := take()) is not None:
+        try:
+            answered(given[0], work(given[1]))
+        except InputError as error:
+            failed(given[0], error)

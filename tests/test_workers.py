@@ -17,7 +17,7 @@ import pytest
 
 from lbsfit_np import processes
 from lbsfit_np.bench.study import run as study_run
-from lbsfit_np.errors import InputError
+from lbsfit_np.errors import InputError, MissingExtraError
 from lbsfit_np.learning.loop import Loop
 from lbsfit_np.processes import Workers, kept_processes, tell
 from lbsfit_np.workers import as_they_may, beside, each
@@ -103,6 +103,48 @@ def test_a_task_waits_for_what_another_one_tells(tmp_path):
     as_they_may(_telling, take, jobs=2, answered=answers.__setitem__, heard=told.append)
     assert not left and told[0] == "first has begun" and sorted(told[1:]) == ["first is done", "second is done"]
     assert set(answers) == {"first", "second"} and len(set(answers.values())) == 2 and not active_children()
+
+
+def test_errors_of_tasks_end_nothing_where_they_are_asked_for():
+    take, answers, wrong = iter([(0, 0), (1, 1), (2, 2), *[None] * 3]).__next__, {}, {}
+    as_they_may(_inverse, take, jobs=2, answered=answers.__setitem__, failed=wrong.__setitem__)
+    assert answers == {1: 1.0, 2: 0.5} and list(wrong) == [0] and isinstance(wrong[0], ZeroDivisionError)
+
+
+def test_an_unforeseen_error_says_where_in_the_other_process_it_came_from():
+    with pytest.raises(ZeroDivisionError) as error:
+        each(_inverse, [0, 1], jobs=2)
+    assert "in _inverse" in error.value.__notes__[0]
+    with pytest.raises(RuntimeError, match="this and that") as error:
+        each(_raising_two_words, [1, 2], jobs=2)
+    assert "in _raising_two_words" in error.value.__notes__[0]
+    with pytest.raises(InputError) as error:  # which says itself what to do
+        each(_not_3, [3, 4], jobs=2)
+    assert not hasattr(error.value, "__notes__")
+
+
+def test_notes_of_errors_go_along():
+    for error in (InputError("n", "3", "not 3"), MissingExtraError("matplotlib", "viz", "drawing")):
+        error.add_note("hand, seed 300")
+        again = pickle.loads(pickle.dumps(error))
+        assert type(again) is type(error) and str(again) == str(error) and again.__notes__ == ["hand, seed 300"]
+
+
+@pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])
+def test_answers_that_have_come_are_given_when_all_ends(error, tmp_path):
+    """Both tasks are done, as the first is taken up; what the second told is heard, too."""
+    take, answers, told = iter([(k, (k, tmp_path / "begun")) for k in ("first", "second")]).__next__, [], []
+
+    def answered(k, answer):
+        answers.append(k)
+        if len(answers) == 1:
+            time.sleep(1)
+            raise error
+
+    with pytest.raises(error):
+        as_they_may(_telling, take, jobs=2, answered=answered, heard=told.append)
+    assert sorted(answers) == ["first", "second"] and not active_children()
+    assert sorted(told) == ["first has begun", "first is done", "second is done"]
 
 
 @pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])

@@ -86,12 +86,12 @@ def _parser():
 
 
 def _as_written(error, flags):
-    """The message; where it names a parameter that an option gives, the option."""
-    name = getattr(error, "argument", None)
+    """The message, after its notes, which say where; where it names a parameter that an option gives, the option."""
+    name, message = getattr(error, "argument", None), str(error)
     # A file's name, and scans themselves, are no options, whatever they are called.
-    if name not in flags or isinstance(error, FileError) or name == "scans":
-        return str(error)
-    return str(error).replace(f"{name}:", f"{flags[name]}:", 1)
+    if name in flags and not isinstance(error, FileError) and name != "scans":
+        message = message.replace(f"{name}:", f"{flags[name]}:", 1)
+    return ": ".join([*getattr(error, "__notes__", ()), message])
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):

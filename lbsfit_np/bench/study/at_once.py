@@ -7,7 +7,7 @@ import warnings
 from contextlib import suppress
 from dataclasses import dataclass
 
-from ...errors import InputError
+from ...errors import InputError, in_words
 from ...learning.checkpoint import state_of_the_code
 from ...processes import tell
 from ...workers import as_they_may
@@ -108,17 +108,18 @@ def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
 
     Raises
     ------
-    InputError
-        A process was killed, or has read other code than this one.
+    Exception
+        That of the first row that failed, InputError where its process was killed or has read other code than this one: after a
+        warning no more rows were begun, and those beside it made to their end.
     """
-    left, there, folders, begun = list(batches), set(), {}, {}
+    left, there, folders, begun, wrong = list(batches), set(), {}, {}, []
     for b in batches:
         for cell in (first_fits_name(b.name, b.seed), *(cell_name(b.name, b.seed, row) for row in b.rows)):
             folders[cell] = steps(cell)
     gone_on = {b: _brings_first_fits(b) and has_steps(folders[first_fits_name(b.name, b.seed)]) for b in batches}
 
     def take():
-        for k, batch in enumerate(left):
+        for k, batch in enumerate(left if not wrong else ()):
             if batch.waits <= there:
                 del left[k]
                 for row in batch.rows:
@@ -133,6 +134,13 @@ def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
     def warned(text):
         warnings.warn(text, stacklevel=2)
 
+    def failed(batch, error):
+        if not getattr(error, "__notes__", ()):  # of which the first says where
+            error.add_note(f"{batch.name}, seed {batch.seed}, {' or '.join(batch.rows)}")
+        wrong.append(error)
+        beside = "; rows that are being made beside it are finished first" if len(wrong) == 1 else ""
+        warned(f"{error.__notes__[0]} failed: {in_words(error)}{beside}")
+
     heard = {"share": progress, "row": on_row, "reached": there.add, "warning": warned}
     try:
         as_they_may(
@@ -141,12 +149,15 @@ def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
             jobs=jobs,
             answered=lambda batch, _: there.update(batch.brings),  # also where it has found all of them done
             heard=lambda note: heard[note[0]](*note[1:]),
+            failed=failed,
         )
     finally:
         for folder, first_fits in begun.items():  # of a run that was stopped before there was anything to keep
             if not has_steps(first_fits):
                 with suppress(OSError):
                     folder.rmdir()
+    if wrong:
+        raise wrong[0]
 
 
 def _brings_first_fits(batch):
