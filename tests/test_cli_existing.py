@@ -212,6 +212,28 @@ def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
         assert summary["counts"] == {"ok": 1, "suspect": 0, "failed": 0, "unfitted": 0, "kept": 2} | {status: 1}
 
 
+def test_kept_fits_that_were_made_with_other_options_are_told(fitted, made, tmp_path, run):
+    for path in fitted[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    first = lbs.FitResult.load(tmp_path / "one.fit.npz")
+    assert first.settings["random_state"] == 0 and first.settings["version"] == lbs.__version__
+    arguments = ("fit", made / "tube.npz", made / "one.ply", made / "two.xyz", "-o", tmp_path, "--existing", "skip", *QUICK)
+    _, text, _ = run(*arguments)
+    assert "note" not in text and "other_settings" not in (tmp_path / "summary.json").read_text()
+    two = lbs.FitResult.load(tmp_path / "two.fit.npz")
+    replace(two, settings=two.settings | {"random_state": 7}).save(tmp_path / "two.fit.npz")
+    more = ("--seed", "3", "--partial", "--up=+z", "--training", "noise=0.01")
+    code, text, _ = run(*arguments, *more)
+    assert code == 0 and "2 of 2 scans fitted, 2 of the fits kept from before" in text
+    words = "--partial not given (now given), --seed {} (now 3), --training not given (now noise=0.01), --up not given (now +z)"
+    notes = [line for line in text.splitlines() if line.startswith("note: 1 kept fit was made with ")]
+    assert [note.partition(" with ")[2].split(";")[0] for note in notes] == [words.format(0), words.format(7)]
+    assert all(note.endswith("; --existing replace makes all anew") for note in notes)
+    entries = {entry["name"]: entry for entry in json.loads((tmp_path / "summary.json").read_text())["scans"]}
+    other = {"up": None, "partial": False, "training": {}, "random_state": 0}
+    assert entries["one"]["other_settings"] == other and entries["two"]["other_settings"] == other | {"random_state": 7}
+
+
 def test_skip_does_not_take_fits_of_another_rig(fitted, made, tmp_path, run):
     for path in fitted[0].iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())

@@ -14,6 +14,7 @@ from lbsfit_np.errors import FileError
 from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.losses import PRESETS, chamfer, cotangent_matrix, structured_chamfer
 from lbsfit_np.rig.build import build_rig
+from lbsfit_np.synthesis import Synthesis
 
 
 def test_fields_and_shapes(tube_rig, tube_result, tube_scan):
@@ -40,6 +41,21 @@ def test_fields_and_shapes(tube_rig, tube_result, tube_scan):
     assert tube_result.parts == tube_rig.parts and tube_result.rig_digest == tube_rig.digest
     assert set(tube_result.terms) == {"chamfer", "structured", "laplacian", "total", "recon"}
     assert all(isinstance(v, float) for v in tube_result.terms.values())
+
+
+def test_a_result_knows_what_it_was_made_with(tube_rig, tube_scan):
+    """By whichever way, as plain data; all parameters that a fit hangs on, and no others."""
+    weights, rng = replace(PRESETS["paper"], lam=0.5), np.random.default_rng(0)
+    given = {"weights": weights, "max_points": np.int64(300), "training": Synthesis(noise=0.01), "effort": "fast"}
+    made = lbs.LBSFitter(tube_rig, random_state=rng, n_jobs=1, **given).fit_scan(tube_scan.points, labels=tube_scan.labels)
+    plain = {"max_points": 300, "effort": "fast", "random_state": None, "version": lbs.__version__}
+    assert made.settings.items() >= plain.items() and made.settings["weights"]["lam"] == 0.5
+    assert made.settings["training"]["noise"] == 0.01
+    left_out = {"rig", "n_jobs", "unit", "rounds", "held_out", "sequence", "smooth"}
+    assert set(made.settings) == set(lbs.LBSFitter(tube_rig).get_params()) - left_out | {"version"}
+    assert json.loads(json.dumps(made.settings)) == made.settings
+    one_call = lbs.fit_scan(tube_rig, tube_scan.points, labels=tube_scan.labels, effort="fast", random_state=5)
+    assert one_call.settings["random_state"] == 5 and one_call.settings["weights"] == "default"
 
 
 @pytest.mark.parametrize("joints", ["follow", "fixed"])
@@ -163,6 +179,7 @@ def test_the_file_is_plain_arrays_under_documented_keys(tube_result, tmp_path):
     assert all(key in FitResult.save.__doc__ for key in keys)
     assert {a.dtype.kind for a in arrays.values()} <= set("biufU")
     assert json.loads(str(arrays["terms"])) == tube_result.terms
+    assert json.loads(str(arrays["settings"])) == tube_result.settings
     np.testing.assert_array_equal(arrays["vertices"], tube_result.vertices)
 
 

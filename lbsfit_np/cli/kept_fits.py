@@ -1,8 +1,9 @@
 """Fits of earlier runs that ``--existing skip`` keeps, once it is sure what they were made with."""
 
 import functools
+from collections import Counter
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, counted
 from . import outputs
 from .progress import say
 
@@ -10,11 +11,15 @@ __all__ = ["kept_entries"]
 
 
 def kept_entries(files, fitter, subjects):
-    """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else."""
+    """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else.
+
+    Other settings, such as another effort, are no error: of some scans one may want what is too slow for all. A line tells them.
+    """
     from ..fitting.result import FitResult
+    from ..learning.made_with import settings_of
 
     kept, rig = {}, fitter.rig
-    made = _MadeWith(fitter)
+    made, now, others = _MadeWith(fitter), settings_of(fitter), Counter()
     for f in files:
         if not all(path.is_file() for what, path in f.paths.items() if what != "picture"):
             continue
@@ -39,7 +44,28 @@ def kept_entries(files, fitter, subjects):
         if f.picture is not None and not _is_newer(f.picture, f.fit):
             _draw_kept(f, rig, result)
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)
+        other = {name: result.settings.get(name) for name in now if result.settings.get(name) != now[name]}
+        if other:
+            kept[f.name]["other_settings"] = other
+            others[_in_words(other, now)] += 1
+    for words, n in others.items():
+        say(f"note: {counted(n, 'kept fit')} {'was' if n == 1 else 'were'} made with {words}; --existing replace makes all anew")
     return kept
+
+
+def _in_words(settings, now):
+    """Settings that differ, as options."""
+    return ", ".join(f"{_option(name)} {_given(value)} (now {_given(now[name])})" for name, value in settings.items())
+
+
+def _option(name):
+    return {"random_state": "--seed", "version": "lbsfit"}.get(name) or f"--{name.replace('_', '-')}"
+
+
+def _given(value):
+    if isinstance(value, dict):
+        return " ".join(f"{name}={part}" for name, part in value.items()) or "not given"
+    return "not given" if value is None or value is False else "given" if value is True else str(value)
 
 
 class _MadeWith:

@@ -1,7 +1,7 @@
 """FitResult: all that one fit found, saved without pickle."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,7 +10,7 @@ from ..rig.units import METRES
 
 __all__ = ["FitResult"]
 
-_FORMAT = 6
+_FORMAT = 7
 _SHORT = 80  # letters of the message in repr
 _ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "joint_std", "labels", "confidence")
 _SCALARS = ("scale", "converged", "status", "message", "evaluations", "probability", "seconds")
@@ -73,6 +73,9 @@ class FitResult:
         where it is on none, as of a single scan or of somebody else.
     unit : {"m", "cm", "mm", "in", "ft", ""}
         The scan's, where the caller has said it; else empty, and ``message`` says what it seems to be.
+    settings : dict
+        What else the fit hangs on, as plain data: parameters of the ``LBSFitter`` by their names, and "version", the package's.
+        "random_state" is None where it was no whole number.
     """
 
     pose: np.ndarray
@@ -98,6 +101,7 @@ class FitResult:
     model_digest: str = ""
     subject: str = ""
     unit: str = ""
+    settings: dict = field(default_factory=dict)
 
     def __repr__(self):
         message = self.message if len(self.message) <= _SHORT else f"{self.message[:_SHORT]}…"
@@ -110,7 +114,7 @@ class FitResult:
         Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``rest_joints``, ``vertices``, ``joints``,
         ``joint_std``, ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``probability``,
         ``evaluations``, ``seconds``, ``rig_digest``, ``model_digest``, ``subject``, ``unit`` as 0-d arrays; ``parts`` as text;
-        ``terms`` and ``evidence`` as JSON text; ``lbsfit_np_result``, the format's number.
+        ``terms``, ``evidence`` and ``settings`` as JSON text; ``lbsfit_np_result``, the format's number.
         """
         from ..io.write import check_npz_name, write_npz
 
@@ -122,6 +126,7 @@ class FitResult:
             lbsfit_np_result=np.array(_FORMAT),
             terms=np.array(json.dumps(self.terms)),
             evidence=np.array(json.dumps(self.evidence)),
+            settings=np.array(json.dumps(self.settings)),
             parts=np.array(self.parts),
             **arrays,
             **scalars,
@@ -140,18 +145,18 @@ class FitResult:
         try:
             fields = {name: z[name] for name in _ARRAYS}
             fields.update({name: z[name].item() for name in _SCALARS})
-            terms, evidence = json.loads(str(z["terms"])), json.loads(str(z["evidence"]))
+            terms, evidence, settings = (json.loads(str(z[name])) for name in ("terms", "evidence", "settings"))
             if z["parts"].ndim != 1:
                 raise ValueError("parts that are no list")
-            _check(fields, terms, evidence)
-            return cls(terms=terms, evidence=evidence, parts=tuple(z["parts"].tolist()), **fields)
+            _check(fields, terms, evidence, settings)
+            return cls(terms=terms, evidence=evidence, settings=settings, parts=tuple(z["parts"].tolist()), **fields)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             raise FileError(
                 str(path), f"a result that lacks something or is broken ({error})", "a result that was saved with FitResult.save"
             ) from None
 
 
-def _check(fields, terms, evidence):
+def _check(fields, terms, evidence, settings):
     """Raise ValueError unless the fields are of the right kinds and fit together."""
     J, m, n = len(fields["pose"]), len(fields["offsets"]), len(fields["labels"])
     shapes = {
@@ -175,6 +180,8 @@ def _check(fields, terms, evidence):
             raise ValueError(f"{name} is {fields[name]!r}")
     if fields["unit"] not in ("", *METRES):
         raise ValueError(f"unit is {fields['unit']!r}")
+    if not isinstance(settings, dict):
+        raise ValueError("settings that are no table")
     for name, numbers in (("terms", terms), ("evidence", evidence)):
         if not isinstance(numbers, dict) or not all(isinstance(v, float) for v in numbers.values()):
             raise ValueError(f"{name} that are no numbers")

@@ -20,7 +20,16 @@ from ..rig.units import METRES
 from ..segmentation.segmenter import Segmenter
 from ..starts.library import PoseLibrary
 
-__all__ = ["MODEL_KEY", "learned_arrays", "learned_digests", "model_digest", "read_fitter", "write_fitter"]
+__all__ = [
+    "MODEL_KEY",
+    "as_plain",
+    "learned_arrays",
+    "learned_digests",
+    "model_digest",
+    "plain_parameters",
+    "read_fitter",
+    "write_fitter",
+]
 
 MODEL_KEY = "lbsfit_np_model"
 _FORMAT = 5
@@ -43,17 +52,9 @@ def write_fitter(fitter, path):
 
     check_npz_name(path)
     subjects = list(fitter.template_)
-    parameters = {k: v for k, v in fitter.get_params(deep=False).items() if k not in ("rig", "n_jobs")}
-    if isinstance(parameters["weights"], LossWeights):
-        parameters["weights"] = asdict(parameters["weights"])
-    training = parameters["training"]
-    if training is not None:
-        parameters["training"] = dict(training) if isinstance(training, Mapping) else asdict(training)
-    if not isinstance(parameters["random_state"], (int, np.integer, type(None))):
-        parameters["random_state"] = None
     header = {
         "format": _FORMAT,
-        "parameters": parameters,
+        "parameters": plain_parameters(fitter),
         "subjects": subjects,
         "units": [fitter.unit_[s] for s in subjects],
         "learned_unit": fitter.learned_unit_,
@@ -65,10 +66,30 @@ def write_fitter(fitter, path):
         header["segmenter"] = segmenter.header()
     header["library"], header["pose_prior"] = library is not None, getattr(fitter, "pose_prior_", None) is not None
     try:
-        text = json.dumps(header, default=_plain)
+        text = json.dumps(header, default=as_plain)
     except TypeError as error:
         raise InputError("fitter", f"parameters that cannot be saved ({error})", "numbers, text and settings") from None
     write_npz(path, **{MODEL_KEY: np.array(text)}, **rig_arrays(fitter.rig), **_arrays(fitter, fitter.template_.values()))
+
+
+def plain_parameters(fitter):
+    """A fitter's parameters by their names, but for the rig and the processes; :func:`as_plain` does the rest for JSON."""
+    parameters = {k: v for k, v in fitter.get_params(deep=False).items() if k not in ("rig", "n_jobs")}
+    if isinstance(parameters["weights"], LossWeights):
+        parameters["weights"] = asdict(parameters["weights"])
+    training = parameters["training"]
+    if training is not None:
+        parameters["training"] = dict(training) if isinstance(training, Mapping) else asdict(training)
+    if not isinstance(parameters["random_state"], (int, np.integer, type(None))):
+        parameters["random_state"] = None
+    return parameters
+
+
+def as_plain(value):
+    """``default`` of ``json.dumps``: NumPy's scalars as Python's."""
+    if isinstance(value, np.generic):
+        return value.item()
+    raise TypeError(f"a {type(value).__name__}")
 
 
 def model_digest(fitter, subject=None):
@@ -192,9 +213,3 @@ def _known_unit(name):
     if name is not None and name not in METRES:
         raise ValueError(f"the unit {name!r}")
     return name
-
-
-def _plain(value):
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"a {type(value).__name__}")

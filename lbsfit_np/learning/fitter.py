@@ -1,7 +1,6 @@
 """LBSFitter: the estimator. Fits single scans, learns from collections of scans, and fits new scans with what it has learned."""
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator
@@ -12,12 +11,13 @@ from ..optimize.model import Model
 from ..seeds import integer_seed
 from ..segmentation.segmenter import jobs_of
 from ..starts.turns import facing_of
-from .archive import learned_arrays, learned_digests, model_digest, read_fitter, write_fitter
+from .archive import learned_arrays, read_fitter, write_fitter
 from .batch import fit_scans
 from .checkpoint import as_checkpoint
 from .finish import results_of
 from .free_form import fit_free_form
 from .loop import Loop, LoopSettings
+from .made_with import as_fitted, as_learned
 from .new_scan import fit_new, scan_fit
 from .parameters import check_callables, check_learned, check_parameters, check_scan, check_segmenter, fit_settings, learned_with
 from .pretraining import LIBRARY_TIME, is_stale, pretrain_library, pretrain_segmenter, pretrained_from, still_given
@@ -285,8 +285,7 @@ class LBSFitter(BaseEstimator):
             self._set_aside(collection)
 
     def _finished(self, collection, results):
-        digests, subjects = learned_digests(self), {m.index: m.subject for m in collection.members}
-        self.results_ = [r if r is None else replace(r, model_digest=digests[subjects[i]]) for i, r in enumerate(results)]
+        self.results_ = as_learned(self, collection, results)
         self._set_aside(collection)
         collection.warn(stacklevel=3, results=results)
         return self
@@ -382,7 +381,7 @@ class LBSFitter(BaseEstimator):
         if learned is not None or not as_variant(self.variant).skinning:
             subjects = None if learned is None else list(learned) if subject is None else [subject]
             found = fit_new(self, points, subjects, theta0, labels, point_weights, anyone=subject is None)
-            return replace(found, model_digest=model_digest(self, subject))
+            return as_fitted(self, found, subject=subject)
         trained = {}
         if labels is None:
             if not self._is_pretrained():
@@ -392,9 +391,9 @@ class LBSFitter(BaseEstimator):
             if segmenter is not None:
                 segmenter.check_rig(rig)
             trained = {"segmenter": segmenter, "library": self.regressor_}
-        return scan_fit(self, **trained).fit(
-            points, theta0=theta0, labels=labels, point_weights=point_weights, random_state=self.random_state
-        )
+        fit = scan_fit(self, **trained).fit
+        found = fit(points, theta0=theta0, labels=labels, point_weights=point_weights, random_state=self.random_state)
+        return as_fitted(self, found)
 
     def _check_alone(self, points, point_weights=None):
         """Raise InputError, before anything is trained, where the fit of a scan by itself would."""
