@@ -6,9 +6,10 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from .errors import InputError, in_words
+from .interrupts import held
 from .threads import one_thread
 
-__all__ = ["Unsent", "Workers", "kept_processes", "tell"]
+__all__ = ["Note", "Unsent", "Workers", "kept_processes", "tell"]
 
 _READY = "ready"
 # In place of work for a process that is to end.
@@ -31,13 +32,15 @@ class Unsent:
 
 
 @dataclass(frozen=True)
-class _Note:
+class Note:
+    """Something that a task tells while it is being done."""
+
     what: object
 
 
 def tell(what):
-    """From within a task of a process: have the other side's ``heard`` called with something picklable."""
-    _GIVER.send_bytes(pickle.dumps(_Note(what), protocol=pickle.HIGHEST_PROTOCOL))
+    """From within a task of a process: tell the other side something picklable, which comes as a :class:`Note`."""
+    _GIVER.send_bytes(pickle.dumps(Note(what), protocol=pickle.HIGHEST_PROTOCOL))
 
 
 @contextmanager
@@ -74,8 +77,6 @@ class Workers:
     work : callable (task) → answer
         Sent to each process once; must be picklable, and must not raise.
     n : int
-    heard : callable (note), optional
-        Called with what tasks :func:`tell`, while answers are waited for.
 
     Raises
     ------
@@ -83,14 +84,14 @@ class Workers:
         ``work`` cannot be pickled, or processes end before they begin.
     """
 
-    def __init__(self, work, n, heard=None):
+    def __init__(self, work, n):
         try:
             self._payload = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             remedy = "Use functions from the top level of a module, or n_jobs=1."
             got = f"more than 1 with what cannot be sent to processes ({error})"
             raise InputError("n_jobs", got, "picklable work", remedy) from None
-        self._n, self._heard = n, heard
+        self._n, self._begun = n, False
         self._workers, self._come = [], []
 
     def __enter__(self):
@@ -119,7 +120,7 @@ class Workers:
         worker.give(task)
 
     def answers(self):
-        """Wait for an answer or a note; a list of (task, answer or Unsent, None), or (task, None, how its process died)."""
+        """Wait for some; a list of (task, answer, Unsent or Note, None), or (task, None, how its process died)."""
         from multiprocessing.connection import wait
 
         ready = set(wait([w.connection for w in self._workers if w.task is not None]))
@@ -130,10 +131,16 @@ class Workers:
         return come
 
     def stop(self):
-        """End the work, in the middle of a task if need be; returns answers that had come by then, and were not returned.
+        """End the work, in the middle of a task if need be, while another Ctrl-C waits.
 
-        What was told by then is heard first.
+        Returns what had come by then and was not returned, as :meth:`answers`.
         """
+        with held():
+            self._stop()
+        late, self._come = self._come, []
+        return late
+
+    def _stop(self):
         workers, self._workers = self._workers, []
         if _SPARE is not None:
             # One that has not said yet that it is ready would say so to the next.
@@ -142,20 +149,13 @@ class Workers:
                 w.give(None)
             _SPARE.extend(idle)
             workers = [w for w in workers if w not in idle]
-        words = []
         for w in workers:
-            words += w.last_words()  # one that is amid a long word says it to the end while that is read
+            self._come += w.last_words()  # one that is amid a long word says it to the end while that is read
             w.ask_to_end()
         for w in workers:
             w.join()
+            self._come += w.last_words()
             w.connection.close()
-        late, self._come = self._come, []
-        for task, word in words:
-            if not isinstance(word, _Note):
-                late.append((task, word, None))
-            elif self._heard is not None:
-                self._heard(word.what)
-        return late
 
     def _received(self, worker):
         task = worker.task
@@ -165,7 +165,7 @@ class Workers:
             self._workers.remove(worker)
             worker.join()
             worker.connection.close()
-            if not worker.ready:
+            if not worker.ready and not self._begun:
                 raise InputError(
                     "n_jobs",
                     f"worker processes that end before they begin ({worker.death})",
@@ -174,13 +174,10 @@ class Workers:
                 ) from None
             return [(task, None, worker.death)]
         if not worker.ready:
-            worker.ready = True
+            worker.ready = self._begun = True
             return []
-        if isinstance(answer, _Note):
-            if self._heard is not None:
-                self._heard(answer.what)
-            return []
-        worker.task = None
+        if not isinstance(answer, Note):
+            worker.task = None
         return [(task, answer, None)]
 
 
@@ -248,12 +245,12 @@ class _Worker:
             self.process.join()
 
     def last_words(self):
-        """What has come and was not received: (task, note or answer) each."""
+        """What has come and was not received, as ``Workers.answers``."""
         words = []
         try:
             while self.task is not None and not self._torn and self.connection.poll():
                 word = self.receive()
-                words += [(self.task, word)] if self.ready else []
+                words += [(self.task, word, None)] if self.ready else []
                 self.ready = True
         except (EOFError, OSError):
             pass

@@ -3,12 +3,12 @@
 import pickle
 import traceback
 from collections import deque
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from .errors import InputError, LbsfitError, in_words
 from .interrupts import passing_interrupts
-from .processes import Unsent, Workers
+from .processes import Note, Unsent, Workers
 from .threads import one_thread
 
 __all__ = ["as_they_may", "beside", "each"]
@@ -72,39 +72,43 @@ def as_they_may(work, take, *, jobs, answered, heard=None, failed=None):
     jobs : int
         Processes.
     answered, heard : callable (k, answer), (note), the latter optional
-        Called with each answer, and with what tasks :func:`tell`, as they come; also with those that have come when all ends
-        with an error, such as Ctrl-C's.
+        Called with each answer, and with what tasks :func:`tell`, as they come. Where all ends with an error, such as Ctrl-C's or
+        one of these calls, that comes after calls for all others that have come.
     failed : callable (k, error), optional
-        Called with errors of tasks, InputError where a process was killed; by default they are raised.
+        Called with errors of tasks, InputError where a process was killed; by default they end all.
     """
 
     come = deque()
 
-    def take_in(answers, *, at_the_end=False):
-        come.extend(answers)
-        wrong = []
-        while come:  # what is left where this is stopped in the middle is taken in at the end
-            (k, _), answer, death = come.popleft()
-            answer, error = _outcome(answer, death)
-            if error is None:
-                answered(k, answer)
-            elif failed is not None:
-                failed(k, error)
-            else:
-                wrong.append(error)
-        if wrong and not at_the_end:
-            raise wrong[0]
+    def take_in(word):
+        (k, _), answer, death = word
+        if isinstance(answer, Note):
+            if heard is not None:
+                heard(answer.what)
+            return
+        answer, error = _outcome(answer, death)
+        if error is None:
+            answered(k, answer)
+        elif failed is None:
+            raise error
+        else:
+            failed(k, error)
 
-    with Workers(_Caught(work), jobs, heard) as workers:
+    with Workers(_Caught(work), jobs) as workers:
         try:
             while True:
                 while workers.idle and (given := take()) is not None:
                     workers.give(given)
                 if not workers.busy:
                     return
-                take_in(workers.answers())
+                come.extend(workers.answers())
+                while come:
+                    take_in(come.popleft())
         except BaseException:
-            take_in(workers.stop(), at_the_end=True)
+            come.extend(workers.stop())
+            for word in come:
+                with suppress(Exception):  # what ended all is what there is to say
+                    take_in(word)
             raise
 
 
@@ -136,7 +140,17 @@ def _outcome(answer, death):
     if isinstance(answer, Unsent):
         got = f"more than 1 where {'a task' if answer.task else 'an answer'} cannot be sent between processes ({answer.why})"
         return None, InputError("n_jobs", got, "what pickle takes", "Use functions from the top level of a module, or n_jobs=1.")
-    return answer
+    answer, error, trace = answer
+    if trace is not None:
+        error.__cause__ = _Elsewhere(trace)  # whoever mends it must know where it came from
+    return answer, error
+
+
+class _Elsewhere(Exception):
+    """Where an error came from in another process, its traceback as text."""
+
+    def __str__(self):
+        return f"in another process:\n{self.args[0]}"
 
 
 @dataclass(frozen=True)
@@ -151,17 +165,15 @@ class _Alone:
 
 @dataclass(frozen=True)
 class _Caught:
-    """(k, task) → (answer, None), or (None, the error)."""
+    """(k, task) → (answer, None, None), or (None, the error, and its traceback as text where nobody foresaw it)."""
 
     work: object
 
     def __call__(self, task):
         try:
-            return self.work(task[1]), None
+            return self.work(task[1]), None, None
         except Exception as error:  # noqa: BLE001 (raised again where the answer arrives)
-            if not isinstance(error, LbsfitError):  # whoever mends it must know where it came from
-                error.add_note(f"In another process:\n{traceback.format_exc()}")
-            return None, _as_sent(error)
+            return None, _as_sent(error), None if isinstance(error, LbsfitError) else traceback.format_exc()
 
 
 def _as_sent(error):

@@ -3,6 +3,7 @@
 import json
 import zipfile
 from dataclasses import fields, replace
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from fit_checks import assert_same
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
-from lbsfit_np.errors import FileError
+from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.fitting.result import FitResult
+from lbsfit_np.learning.made_with import settings_of
 from lbsfit_np.losses import PRESETS, chamfer, cotangent_matrix, structured_chamfer
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.synthesis import Synthesis
@@ -43,7 +45,7 @@ def test_fields_and_shapes(tube_rig, tube_result, tube_scan):
     assert all(isinstance(v, float) for v in tube_result.terms.values())
 
 
-def test_a_result_knows_what_it_was_made_with(tube_rig, tube_scan):
+def test_a_result_knows_what_it_was_made_with(tube_rig, tube_scan, tmp_path):
     """By whichever way, as plain data; all parameters that a fit hangs on, and no others."""
     weights, rng = replace(PRESETS["paper"], lam=0.5), np.random.default_rng(0)
     given = {"weights": weights, "max_points": np.int64(300), "training": Synthesis(noise=0.01), "effort": "fast"}
@@ -54,6 +56,12 @@ def test_a_result_knows_what_it_was_made_with(tube_rig, tube_scan):
     left_out = {"rig", "n_jobs", "unit", "rounds", "held_out", "sequence", "smooth"}
     assert set(made.settings) == set(lbs.LBSFitter(tube_rig).get_params()) - left_out | {"version"}
     assert json.loads(json.dumps(made.settings)) == made.settings
+    odd = {"training": {"noise": Fraction(1, 100)}, "weights": replace(PRESETS["default"], lam=Fraction(1, 2))}
+    odd = settings_of(lbs.LBSFitter(tube_rig, **odd))  # which all that fits can use
+    assert odd["training"] == {"noise": 0.01} and odd["weights"]["lam"] == 0.5
+    with pytest.raises(InputError, match="settings: got what JSON does not know .*set"):
+        replace(made, settings={"a": {1}}).save(tmp_path / "a.npz")
+    assert not list(tmp_path.iterdir())
     one_call = lbs.fit_scan(tube_rig, tube_scan.points, labels=tube_scan.labels, effort="fast", random_state=5)
     assert one_call.settings["random_state"] == 5 and one_call.settings["weights"] == "default"
 

@@ -296,7 +296,8 @@ def test_results_say_which_model_they_were_made_with(learned, tube_fitter, tube_
     assert found.model_digest == digest
     of_learning = learned_digests(learned)  # its results stand for fits as their subject's as well as for fits as anybody's
     assert [r.model_digest for r in learned.results_] == [of_learning[s] for s in "ababab"]
-    assert found.settings["effort"] == learned.effort and all(r.settings == found.settings for r in learned.results_)
+    assert found.settings["effort"] == learned.effort
+    assert all(r.settings == found.settings | r.settings and r.settings["rounds"] == learned.rounds for r in learned.results_)
     assert len({digest, *of_learning.values(), *(model_digest(learned, s) for s in "ab")}) == 5
     assert learned_digests(tube_fitter) == {}
     assert learned.fit_scan(clouds[0], subject="a").model_digest == model_digest(learned, "a") != digest

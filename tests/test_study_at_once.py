@@ -235,7 +235,7 @@ def test_what_goes_wrong_in_a_process_is_said_and_what_is_made_beside_it_is_kept
         study(rigs, **what)
     (text,) = [str(warning.message) for warning in said]
     assert re.match(f"tube, seed 5, free-form-supervised failed: {words}", text)
-    assert text.endswith("; rows that are being made beside it are finished first")
+    assert text.endswith("; no more is begun, what other processes have begun is finished first")
     assert not active_children() and there == ["free-form"]  # the two that weigh most came first
 
 
@@ -270,10 +270,23 @@ def test_errors_say_of_which_row_they_are(at_once_too, command, monkeypatch, cap
         monkeypatch.setitem(ROWS, row, replace(ROWS[row], find=find))
     rows = "oracle-labels,oracle-fit" if at_once_too else "oracle-fit"
     assert run([*command, rows]) == 2
-    said = capsys.readouterr().err.splitlines()
+    told, said = capsys.readouterr()
+    said = said.splitlines()
+    out = command[command.index("-o") + 1]
     assert said[-1].startswith(f"lbsfit: error: tube, seed 5, {rows.split(',')[0]}: points: got nothing")
+    assert f"what is done is kept in {out}, and the same command goes on" in told.splitlines()
     warned = ["lbsfit: warning: tube, seed 5, oracle-labels failed: points: got nothing"] if at_once_too else []
     assert [line.split(";")[0] for line in said[:-1]] == warned
+
+
+@pytest.mark.parametrize("error, words", [(MemoryError(), "out of memory"), (OSError(28, "No space left on device"), "No space")])
+def test_errors_that_no_row_foresaw_say_where_they_were(error, words, command, monkeypatch, capsys):
+    def study_set(*given):
+        raise error
+
+    monkeypatch.setattr("lbsfit_np.bench.study.making.study_set", study_set)
+    assert run([*command, "oracle-fit"]) == 2
+    assert capsys.readouterr().err.startswith(f"lbsfit: error: tube, seed 5: {words}")
 
 
 def test_warnings_of_rows_are_given_here(rigs, monkeypatch):
@@ -324,16 +337,18 @@ class _Told(at_once._Made):
 
 
 class _Error(_Told):
-    """That fails as soon as the row beside it is at work."""
+    """That fails while the row beside it is at work."""
 
     def before(self, row):
-        begun = self.folders["tube-5-free-form"]
+        folder = self.folders["tube-5-free-form"].parent
+        mine, other = ("one", "other") if row == "free-form" else ("other", "one")
+        if row in ("free-form", "free-form-supervised"):
+            (folder / mine).touch()
+            while not (folder / other).exists():
+                time.sleep(0.01)
         if row == "free-form":
-            begun.mkdir()
             time.sleep(1)  # until the other one has failed
         elif row == "free-form-supervised":
-            while not begun.exists():
-                time.sleep(0.01)
             self.fail()
 
     def fail(self):

@@ -114,13 +114,13 @@ def test_errors_of_tasks_end_nothing_where_they_are_asked_for():
 def test_an_unforeseen_error_says_where_in_the_other_process_it_came_from():
     with pytest.raises(ZeroDivisionError) as error:
         each(_inverse, [0, 1], jobs=2)
-    assert "in _inverse" in error.value.__notes__[0]
+    assert "in _inverse" in str(error.value.__cause__)
     with pytest.raises(RuntimeError, match="this and that") as error:
         each(_raising_two_words, [1, 2], jobs=2)
-    assert "in _raising_two_words" in error.value.__notes__[0]
+    assert "in _raising_two_words" in str(error.value.__cause__)
     with pytest.raises(InputError) as error:  # which says itself what to do
         each(_not_3, [3, 4], jobs=2)
-    assert not hasattr(error.value, "__notes__")
+    assert error.value.__cause__ is None
 
 
 def test_notes_of_errors_go_along():
@@ -147,6 +147,61 @@ def test_answers_that_have_come_are_given_when_all_ends(error, tmp_path):
     assert sorted(told) == ["first has begun", "first is done", "second is done"]
 
 
+def test_what_goes_wrong_with_one_of_those_answers_is_not_what_ended_all(tmp_path):
+    """As on a disk that is full: another is taken up all the same, and Ctrl-C remains Ctrl-C."""
+    take, answers = iter([(k, (k, tmp_path / "begun")) for k in ("first", "second")]).__next__, []
+
+    def answered(k, answer):
+        answers.append(k)
+        if len(answers) == 1:
+            time.sleep(1)
+            raise KeyboardInterrupt
+        raise OSError(28, "No space left on device")
+
+    def heard(note):
+        if answers:
+            raise OSError(28, "No space left on device")
+
+    with pytest.raises(KeyboardInterrupt):
+        as_they_may(_telling, take, jobs=2, answered=answered, heard=heard)
+    assert sorted(answers) == ["first", "second"] and not active_children()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
+def test_another_ctrl_c_waits_until_the_processes_have_ended(monkeypatch):
+    join = processes._Worker.join
+
+    def interrupted(self):
+        os.kill(os.getpid(), signal.SIGINT)
+        join(self)
+
+    monkeypatch.setattr(processes._Worker, "join", interrupted)
+    with pytest.raises(KeyboardInterrupt), Workers(_inverse_later, 2) as workers:
+        workers.give(100.0)
+        workers.give(100.0)
+    assert not active_children()
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
+def test_a_process_that_is_killed_before_it_begins_costs_its_own_task_where_another_has_begun(monkeypatch):
+    begin, begun = processes._Worker.take_up, []
+
+    def killed(self, payload):
+        begin(self, payload)
+        begun.append(self)
+        if len(begun) == 2:
+            os.kill(self.process.pid, signal.SIGKILL)
+
+    monkeypatch.setattr(processes._Worker, "take_up", killed)
+    answers, wrong = {}, {}
+
+    def take():  # the others wait until the first has begun
+        return (len(begun), 2) if not begun or (begun[0].ready and len(begun) < 3) else None
+
+    as_they_may(_inverse_after_a_note, take, jobs=3, answered=answers.__setitem__, failed=wrong.__setitem__)
+    assert answers == {0: 0.5, 2: 0.5} and list(wrong) == [1] and "killed by SIGKILL" in str(wrong[1])
+
+
 @pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])
 def test_an_error_of_what_hears_ends_the_work(error):
     def heard(note):
@@ -164,13 +219,17 @@ def test_ctrl_c_is_no_failure_of_a_task():
         each(_interrupted, [1, 2])
 
 
-def test_what_nobody_hears_is_left():
+def test_notes_and_answers_come_in_their_order():
     with Workers(_telling, 1) as workers:
         workers.give(("first", Path(__file__)))
-        answers = []
-        while not answers:
-            answers = workers.answers()
-    assert [task for (task, _), *_ in answers] == ["first"]
+        come = []
+        while workers.busy:
+            come += workers.answers()
+    assert [word.what for _, word, _ in come[:2]] == ["first has begun", "first is done"] and len(come) == 3
+    answers = []
+    take = iter([(0, ("first", Path(__file__))), None, None]).__next__
+    as_they_may(_telling, take, jobs=1, answered=lambda *answer: answers.append(answer))
+    assert len(answers) == 1  # what nobody hears is left
 
 
 def test_work_beside_other_work():
@@ -321,6 +380,12 @@ def _not_3(n):
 def _inverse_later(x):
     time.sleep(x)
     return 1.0 / x
+
+
+def _inverse_after_a_note(x):
+    tell("begun")
+    time.sleep(1)
+    return 1 / x
 
 
 def _inverse(x):

@@ -63,11 +63,12 @@ def main(argv=None):
         return exit_code(stop)
     except OSError as error:  # one that no reader or writer has foreseen
         where = "" if error.filename is None else f"{error.filename}: "
-        print(f"lbsfit: error: {where}{error.strerror or error}", file=sys.stderr)
+        print(f"lbsfit: error: {_notes(error)}{where}{error.strerror or error}", file=sys.stderr)
         return 2
-    except MemoryError:
+    except MemoryError as error:
         options = "--training-scans, --jobs, --samples, where there are such"
-        print(f"lbsfit: error: out of memory; fewer training scans, processes or points take less ({options})", file=sys.stderr)
+        words = f"{_notes(error)}out of memory; fewer training scans, processes or points take less ({options})"
+        print(f"lbsfit: error: {words}", file=sys.stderr)
         return 2
 
 
@@ -86,12 +87,17 @@ def _parser():
 
 
 def _as_written(error, flags):
-    """The message, after its notes, which say where; where it names a parameter that an option gives, the option."""
+    """The message, after its notes; where it names a parameter that an option gives, the option."""
     name, message = getattr(error, "argument", None), str(error)
     # A file's name, and scans themselves, are no options, whatever they are called.
     if name in flags and not isinstance(error, FileError) and name != "scans":
         message = message.replace(f"{name}:", f"{flags[name]}:", 1)
-    return ": ".join([*getattr(error, "__notes__", ()), message])
+    return _notes(error) + message
+
+
+def _notes(error):
+    """What is said before the message: where it was."""
+    return "".join(f"{note}: " for note in getattr(error, "__notes__", ()))
 
 
 def _show_warning(message, category, filename, lineno, file=None, line=None):

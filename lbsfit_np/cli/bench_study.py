@@ -100,11 +100,12 @@ def run_study(values):
                 on_begun=on_begun,
                 on_cell=on_cell,
             )
-    except KeyboardInterrupt:
+    except BaseException as why:
         progress.close()
         if begun:
+            how = "stopped: " if isinstance(why, KeyboardInterrupt) else ""
             again = "the same command" + (" without --existing replace" if replace else "")
-            say(f"stopped: what is done is kept in {out}, and {again} goes on")
+            say(f"{how}what is done is kept in {out}, and {again} goes on")
         raise
     finally:
         progress.close()

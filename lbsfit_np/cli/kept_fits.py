@@ -9,6 +9,9 @@ from .progress import say
 
 __all__ = ["kept_entries"]
 
+# Of fits that were made with other settings, so many kinds are told one by one.
+_KINDS = 3
+
 
 def kept_entries(files, fitter, subjects):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else.
@@ -48,24 +51,34 @@ def kept_entries(files, fitter, subjects):
         if other:
             kept[f.name]["other_settings"] = other
             others[_in_words(other, now)] += 1
-    for words, n in others.items():
-        say(f"note: {counted(n, 'kept fit')} {'was' if n == 1 else 'were'} made with {words}; --existing replace makes all anew")
+    _say_others(others)
     return kept
+
+
+def _say_others(others):
+    """How many of the fits that are kept were made with what; of many kinds, the most frequent ones."""
+    kinds = others.most_common(_KINDS)
+    left = others.total() - sum(n for _, n in kinds)
+    for words, n in [*kinds, *([("yet others", left)] if left else [])]:
+        say(f"note: {counted(n, 'kept fit')} {'was' if n == 1 else 'were'} made with {words}; --existing replace makes all anew")
 
 
 def _in_words(settings, now):
     """Settings that differ, as options."""
-    return ", ".join(f"{_option(name)} {_given(value)} (now {_given(now[name])})" for name, value in settings.items())
+    if "version" in settings and settings["version"] is None:
+        return "settings that are not known"
+    return ", ".join(f"{_option(name, value)}, not {_option(name, now[name])}" for name, value in settings.items())
 
 
-def _option(name):
-    return {"random_state": "--seed", "version": "lbsfit"}.get(name) or f"--{name.replace('_', '-')}"
-
-
-def _given(value):
+def _option(name, value):
+    if name == "version":
+        return f"lbsfit {value}"
+    flag = "--seed" if name == "random_state" else f"--{name.replace('_', '-')}"
     if isinstance(value, dict):
-        return " ".join(f"{name}={part}" for name, part in value.items()) or "not given"
-    return "not given" if value is None or value is False else "given" if value is True else str(value)
+        value = " ".join(f"{key}={part}" for key, part in value.items())
+    if value is None or value is False or value == "":
+        return f"no {flag}"
+    return flag if value is True else f"{flag} {value}"
 
 
 class _MadeWith:

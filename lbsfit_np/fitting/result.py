@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..errors import FileError
+from ..errors import FileError, InputError
 from ..rig.units import METRES
 
 __all__ = ["FitResult"]
@@ -74,8 +74,9 @@ class FitResult:
     unit : {"m", "cm", "mm", "in", "ft", ""}
         The scan's, where the caller has said it; else empty, and ``message`` says what it seems to be.
     settings : dict
-        What else the fit hangs on, as plain data: parameters of the ``LBSFitter`` by their names, and "version", the package's.
-        "random_state" is None where it was no whole number.
+        The parameters of the ``LBSFitter`` that the fit hangs on, by their names, as plain data, and "version", the package's;
+        "random_state" is None where it was no whole number. A start, labels and weights of points that were given, and a
+        segmenter, are not told. Empty where no ``LBSFitter`` has made it.
     """
 
     pose: np.ndarray
@@ -119,6 +120,10 @@ class FitResult:
         from ..io.write import check_npz_name, write_npz
 
         check_npz_name(path)
+        try:
+            settings = json.dumps(self.settings)
+        except TypeError as error:
+            raise InputError("settings", f"what JSON does not know ({error})", "text, numbers, lists and dicts") from None
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         scalars = {name: np.array(getattr(self, name)) for name in _SCALARS}
         write_npz(
@@ -126,7 +131,7 @@ class FitResult:
             lbsfit_np_result=np.array(_FORMAT),
             terms=np.array(json.dumps(self.terms)),
             evidence=np.array(json.dumps(self.evidence)),
-            settings=np.array(json.dumps(self.settings)),
+            settings=np.array(settings),
             parts=np.array(self.parts),
             **arrays,
             **scalars,

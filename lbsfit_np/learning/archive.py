@@ -22,7 +22,6 @@ from ..starts.library import PoseLibrary
 
 __all__ = [
     "MODEL_KEY",
-    "as_plain",
     "learned_arrays",
     "learned_digests",
     "model_digest",
@@ -66,14 +65,14 @@ def write_fitter(fitter, path):
         header["segmenter"] = segmenter.header()
     header["library"], header["pose_prior"] = library is not None, getattr(fitter, "pose_prior_", None) is not None
     try:
-        text = json.dumps(header, default=as_plain)
+        text = json.dumps(header, default=_plain)
     except TypeError as error:
         raise InputError("fitter", f"parameters that cannot be saved ({error})", "numbers, text and settings") from None
     write_npz(path, **{MODEL_KEY: np.array(text)}, **rig_arrays(fitter.rig), **_arrays(fitter, fitter.template_.values()))
 
 
 def plain_parameters(fitter):
-    """A fitter's parameters by their names, but for the rig and the processes; :func:`as_plain` does the rest for JSON."""
+    """A fitter's parameters by their names, but for the rig and the processes."""
     parameters = {k: v for k, v in fitter.get_params(deep=False).items() if k not in ("rig", "n_jobs")}
     if isinstance(parameters["weights"], LossWeights):
         parameters["weights"] = asdict(parameters["weights"])
@@ -85,7 +84,7 @@ def plain_parameters(fitter):
     return parameters
 
 
-def as_plain(value):
+def _plain(value):
     """``default`` of ``json.dumps``: NumPy's scalars as Python's."""
     if isinstance(value, np.generic):
         return value.item()

@@ -2,20 +2,28 @@
 
 import json
 from dataclasses import replace
+from numbers import Integral, Real
 
 from .. import __version__
-from .archive import as_plain, learned_digests, model_digest, plain_parameters
+from .archive import learned_digests, model_digest, plain_parameters
 
 __all__ = ["as_fitted", "as_learned", "settings_of"]
 
-# Parameters that are a field of their own, or that learning alone hangs on.
-_OTHERS = ("unit", "rounds", "held_out", "sequence", "smooth")
+# Parameters that learning alone hangs on.
+_OF_LEARNING = ("rounds", "held_out", "sequence", "smooth")
 
 
-def settings_of(fitter):
-    """``FitResult.settings`` of a fitter's fits."""
-    settings = {name: value for name, value in plain_parameters(fitter).items() if name not in _OTHERS}
-    return json.loads(json.dumps(settings, default=as_plain)) | {"version": __version__}
+def settings_of(fitter, *, learning=False):
+    """``FitResult.settings`` of a fitter's fits, or of those that learning leaves."""
+    left_out = ("unit",) if learning else ("unit", *_OF_LEARNING)  # the unit is a field of its own
+    settings = {name: value for name, value in plain_parameters(fitter).items() if name not in left_out}
+    settings["training"] = settings["training"] or {}
+    return json.loads(json.dumps(settings, default=_plain)) | {"version": __version__}
+
+
+def _plain(value):
+    """What JSON knows in place of what it does not: no fit is lost for how a number was written."""
+    return int(value) if isinstance(value, Integral) else float(value) if isinstance(value, Real) else str(value)
 
 
 def as_fitted(fitter, result, *, subject=None):
@@ -25,8 +33,9 @@ def as_fitted(fitter, result, *, subject=None):
 
 def as_learned(fitter, collection, results):
     """The results, or None, that learning itself leaves of a collection's scans."""
-    digests, settings, out = learned_digests(fitter), settings_of(fitter), list(results)
+    digests, out = learned_digests(fitter), list(results)
     for m in collection.members:
         if out[m.index] is not None:
-            out[m.index] = replace(out[m.index], model_digest=digests[m.subject], settings=settings)
+            made = {"model_digest": digests[m.subject], "settings": settings_of(fitter, learning=True)}
+            out[m.index] = replace(out[m.index], **made)
     return out

@@ -109,8 +109,8 @@ def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
     Raises
     ------
     Exception
-        That of the first row that failed, InputError where its process was killed or has read other code than this one: after a
-        warning no more rows were begun, and those beside it made to their end.
+        That of the first row that failed, InputError where its process was killed or has read other code than this one. After a
+        warning no more batches were begun; those of other processes were made to their end.
     """
     left, there, folders, begun, wrong = list(batches), set(), {}, {}, []
     for b in batches:
@@ -135,11 +135,11 @@ def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
         warnings.warn(text, stacklevel=2)
 
     def failed(batch, error):
-        if not getattr(error, "__notes__", ()):  # of which the first says where
+        if not hasattr(error, "__notes__"):
             error.add_note(f"{batch.name}, seed {batch.seed}, {' or '.join(batch.rows)}")
         wrong.append(error)
-        beside = "; rows that are being made beside it are finished first" if len(wrong) == 1 else ""
-        warned(f"{error.__notes__[0]} failed: {in_words(error)}{beside}")
+        then = "no more is begun, what other processes have begun is finished first"
+        warned(f"{error.__notes__[-1]} failed: {in_words(error)}; {then}")
 
     heard = {"share": progress, "row": on_row, "reached": there.add, "warning": warned}
     try:

@@ -1,7 +1,6 @@
 """Rows of the study for one rig and seed, made one after the other, and measured."""
 
 import time
-from contextlib import contextmanager
 from dataclasses import replace
 from functools import cache
 
@@ -65,6 +64,20 @@ def made(name, rig, size, seed, rows, *, jobs, at_once, steps, gone_on, progress
     arrays : dict
         To be kept as :func:`cell_name`.
     """
+    at = []
+
+    def told(name, seed, row, share):
+        at[:] = [row]
+        progress(name, seed, row, share)
+
+    try:
+        yield from _made(name, rig, size, seed, rows, jobs, at_once, steps, gone_on, told, reached)
+    except Exception as error:
+        error.add_note(", ".join([name, f"seed {seed}", *at]))
+        raise
+
+
+def _made(name, rig, size, seed, rows, jobs, at_once, steps, gone_on, progress, reached):
     from ...learning.fitter import LBSFitter
 
     given = study_set(rig, size, seed)
@@ -83,8 +96,7 @@ def made(name, rig, size, seed, rows, *, jobs, at_once, steps, gone_on, progress
     parameters = {"training_scans": size.training_scans, "rounds": size.rounds, "n_jobs": jobs, "random_state": TRAINING_SEED}
     fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
     if any(ROWS[row].pretrained for row in rows):
-        with _noted(f"{name}, pretraining"):
-            fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
+        fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
         progress(name, seed, "pretraining", 1.0)  # also where it was in the cache
         reached("pretrained")
     before = cache(lambda: said(fitter.segmenter_, given.test, jobs))
@@ -94,38 +106,27 @@ def made(name, rig, size, seed, rows, *, jobs, at_once, steps, gone_on, progress
     train_truth = None
     for row in rows:
         say = lambda share, row=row: progress(name, seed, row, share)  # noqa: E731
-        with _noted(f"{name}, seed {seed}, {row}"):
-            folder = steps(cell_name(name, seed, row))
-            say(0.0)
-            whole, started = not has_steps(folder), time.perf_counter()
-            found = ROWS[row].find(replace(context, progress=say, steps=folder))
-            if ROWS[row].in_common:  # these count in the first row alone
-                whole, gone_on = whole and not gone_on, False
-            seconds = None if not whole else round(time.perf_counter() - started, 1)  # what went before was not timed
-            entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "at_once": at_once}
-            entry |= {key: getattr(found, key) for key in ("accuracy", "gap", "kept_accuracy", "history")}
-            entry["kept_accuracy_scans"] = [] if found.labels is None else right_of_each(found.labels)
-            if found.fitted_labels is not None:
-                entry["fitted_labels"] = right(found.fitted_labels)
-            if found.train is not None:
-                train_truth = train_truth or Truth(given.rig, given.train, size.pairs, seed)
-                entry["on_training"] = measured(train_truth, found.train)
-            lost = np.flatnonzero(~found.test.fitted)
-            entry["failures"] = {str(i): found.failures.get(int(i), "its fit is not finite") for i in lost}
-            arrays = _arrays(found)
-            entry |= {"arrays": digest_of(arrays), "code": state_of_the_code(), "environment": environment()}
-            say(1.0)
+        folder = steps(cell_name(name, seed, row))
+        say(0.0)
+        whole, started = not has_steps(folder), time.perf_counter()
+        found = ROWS[row].find(replace(context, progress=say, steps=folder))
+        if ROWS[row].in_common:  # these count in the first row alone
+            whole, gone_on = whole and not gone_on, False
+        seconds = None if not whole else round(time.perf_counter() - started, 1)  # what went before was not timed
+        entry = measured(truth, found.test) | {"seconds": seconds, "jobs": jobs, "at_once": at_once}
+        entry |= {key: getattr(found, key) for key in ("accuracy", "gap", "kept_accuracy", "history")}
+        entry["kept_accuracy_scans"] = [] if found.labels is None else right_of_each(found.labels)
+        if found.fitted_labels is not None:
+            entry["fitted_labels"] = right(found.fitted_labels)
+        if found.train is not None:
+            train_truth = train_truth or Truth(given.rig, given.train, size.pairs, seed)
+            entry["on_training"] = measured(train_truth, found.train)
+        lost = np.flatnonzero(~found.test.fitted)
+        entry["failures"] = {str(i): found.failures.get(int(i), "its fit is not finite") for i in lost}
+        arrays = _arrays(found)
+        entry |= {"arrays": digest_of(arrays), "code": state_of_the_code(), "environment": environment()}
+        say(1.0)
         yield row, entry, arrays
-
-
-@contextmanager
-def _noted(where):
-    """Errors in here say where."""
-    try:
-        yield
-    except Exception as error:
-        error.add_note(where)
-        raise
 
 
 def _arrays(found):
