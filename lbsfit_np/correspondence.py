@@ -15,32 +15,32 @@ _FIRST = 4
 
 
 def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
-    """Where points of scan A are on scan B, by the registrations of both.
+    """Find where points of scan A are on scan B, by the registrations of both.
 
     A point of A → its closest surface point on A's registration (barycentric) → the same place on B's registration → with
-    ``snap_to`` the nearest of these points.
+    ``snap_to``, the nearest of these points.
 
     Parameters
     ----------
     points : (n, 3) array or Scan
-        Of scan A, in its frame and unit.
+        Points of scan A, in its frame and unit.
     registration_a, registration_b : (m, 3) arrays
-        Vertices of the same mesh registered to A and to B, such as ``FitResult.vertices``; each in its scan's frame and unit.
+        Vertices of one mesh, registered to A and to B, such as ``FitResult.vertices``; each in its scan's frame and unit.
     faces : (F, 3) int array
-        Of that mesh, such as ``Rig.faces``.
+        Faces of that mesh, such as ``Rig.faces``.
     snap_to : (k, 3) array or Scan, optional
-        Points of scan B; by default places on B's registration are returned as they are.
+        Points of scan B. By default, places on B's registration are returned as they are.
 
     Returns
     -------
     (n, 3) array
-        In B's frame and unit.
+        The places, in B's frame and unit.
 
     Raises
     ------
     InputError
         Points that are not finite numbers of shape (n, 3), registrations of different lengths, faces that do not index them, or
-        none.
+        no faces.
     """
     points = _checked_points("points", points)
     a = _checked_points("registration_a", registration_a)
@@ -55,7 +55,7 @@ def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
 
 
 def surface_places(points, vertices, faces):
-    """For each point the closest place on a triangle mesh, among all of its triangles.
+    """Find the closest place on a triangle mesh to each point, among all of its triangles.
 
     Parameters
     ----------
@@ -89,7 +89,7 @@ def surface_places(points, vertices, faces):
 
 
 def at_places(corners, barycentric, vertices):
-    """(n, 3): where places of :func:`surface_places` are on a mesh of the same triangles, with (m, 3) ``vertices``."""
+    """(n, 3): positions of places of :func:`surface_places` on a mesh with the same triangles and (m, 3) ``vertices``."""
     return np.einsum("nk,nka->na", barycentric, vertices[corners])
 
 

@@ -23,7 +23,7 @@ __all__ = [
 class LbsfitError(Exception):
     """Base class of every error that this package raises on purpose.
 
-    Notes (``add_note``) go with it from one process to another.
+    Notes (``add_note``) travel with it from one process to another.
     """
 
     def _notes(self):
@@ -39,7 +39,7 @@ class InputError(LbsfitError, ValueError):
     argument : str
         Name of the argument, field or option.
     got : str
-        What came, in words.
+        What was given, in words.
     expected : str
         What would have been right.
     remedy : str, optional
@@ -71,7 +71,7 @@ class MissingExtraError(LbsfitError, ImportError):
     extra : str
         The extra of setup.cfg that brings it.
     what : str
-        What needs it, at the start of the message.
+        What needs the module; the message starts with it.
     """
 
     def __init__(self, module, extra, what):

@@ -14,11 +14,11 @@ class PointIndex:
     Parameters
     ----------
     points : (n, 3) array
-        The points searched in.
+        The points to search in.
     labels : (n,) int array, optional
         Parts. When given, a query of part p finds the nearest point of part p only.
     moving : bool, default False
-        True for a set that is rebuilt at every evaluation: the tree is then built faster and searched a little slower.
+        True for a set that is rebuilt at every evaluation: the tree is then built faster and searched a little more slowly.
     """
 
     def __init__(self, points, labels=None, *, moving=False):
@@ -34,13 +34,13 @@ class PointIndex:
         self._tree = cKDTree(self._apart(points, labels), balanced_tree=not moving)
 
     def nearest(self, queries, labels=None):
-        """Nearest point of each query.
+        """Find the nearest point to each query.
 
         Parameters
         ----------
         queries : (k, 3) array
         labels : (k,) int array
-            Parts of the queries, negative where one is of none; needed exactly when the index has labels.
+            Parts of the queries, negative for a query without a part; needed exactly when the index has labels.
 
         Returns
         -------

@@ -25,11 +25,11 @@ class Scan:
     points : (n, 3) array
         X. Kept as float64; n ≥ 1, finite, not all equal.
     normals : (n, 3) array, optional
-        As the source has them: length and orientation are not touched.
+        As the source has them; length and orientation are not changed.
     labels : (n,) int array, optional
-        The part of each point, where the source knows it; −1 and other numbers mean what the source means by them.
+        The part of each point, if the source knows it; −1 and other numbers mean what the source means by them.
     name : str, default "scan"
-        What results of this scan are called.
+        The name that results of this scan are given.
     path : Path, optional
         The file it came from.
     notes : tuple of str
@@ -38,7 +38,7 @@ class Scan:
     Raises
     ------
     InputError
-        For points, normals or labels that cannot be used.
+        Points, normals or labels that cannot be used.
     """
 
     points: np.ndarray
@@ -83,18 +83,18 @@ class Scan:
         return f"<Scan {self.name!r}: {counted(len(self), 'point')}{more}, {size}>"
 
     def thinned(self, n, random_state=0):
-        """Rows of a random subset of the points, every subset equally likely.
+        """Draw the rows of a random subset of the points; every subset is equally likely.
 
         Parameters
         ----------
         n : int
-            How many points are wanted; all of them where the scan has no more.
+            Number of points wanted; all are taken if the scan has no more.
         random_state : int or numpy.random.Generator, default 0
 
         Returns
         -------
         (min(n, len(scan)),) int array
-            Ascending, no row twice.
+            Rows in ascending order, none twice.
 
         Raises
         ------
@@ -110,13 +110,13 @@ class Scan:
 
 
 def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
-    """Points that a computation can use, or one clear error.
+    """Return points that a computation can use, or raise one clear error.
 
     Parameters
     ----------
     points : (n, 3) array-like, or anything with such an attribute ``points`` (a Scan)
     argument : str, default "points"
-        What an error calls them.
+        What an error calls the points.
     minimum : int, default 1
         The fewest points that are enough; copies of a point do not count.
     drop_invalid : bool, default False
@@ -131,7 +131,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
     ------
     InputError
         Wrong shape, not numbers, empty, NaN or infinite (with their count and the first index), fewer than ``minimum``
-        that differ, two and more points that are all equal, or a mask that leaves points out.
+        distinct points, two or more points that are all equal, or a mask that leaves points out.
     """
     if isinstance(points, (str, bytes, os.PathLike)):
         got, remedy = f"the path {brief(os.fsdecode(points))}", "Read a file with load_scan(path)."

@@ -34,31 +34,31 @@ class Synthesis:
     Attributes
     ----------
     n_points : int
-        Points a scan; fewer where holes took many.
+        Points per scan; fewer where holes took many.
     shape : float
         Standard deviation of the relative change of each bone's length and thickness (cut at two deviations).
     noise : float
         Standard deviation of the Gaussian noise on each coordinate.
     holes, least_holes : int
-        Most and fewest missing regions, balls around surface points.
+        Most and fewest missing regions, which are balls around surface points.
     hole_radius : float
-        Largest radius of one.
+        Largest radius of a hole.
     least_hole : float
-        Smallest radius of one, as a share of the largest.
+        Smallest radius of a hole, as a share of the largest.
     density : float
-        Unevenness: natural logarithm of the ratio of the densities at one deviation. 0 is even.
+        Unevenness: the natural logarithm of the ratio of the densities at one deviation. 0 is even.
     turn : float
-        Further random rotation of the whole about the root, radians, uniform in angle up to this, any axis; on top of
-        what the root's limits allow.
+        Largest angle, in radians, of a further random rotation of the whole about the root: about any axis, uniform in angle,
+        and on top of what the root's limits allow.
     scale : float
         Largest relative change of scale, uniform: 0.1 is 0.9 to 1.1.
     clutter : float
-        Further points that are not of the body, as a share of the scan's, uniform in the scan's bounding box enlarged by 30 %.
+        Further points that are not of the body, as a share of the scan's: uniform in the scan's bounding box enlarged by 30 %.
     floor : float
         Further points, as a share of the scan's, on a floor under the lowest vertex along the rig's up axis (y where the rig
-        does not say), 1.5 times as wide as the scan's bounding box, with the scan's noise.
+        does not say). It is 1.5 times as wide as the scan's bounding box, and its points have the scan's noise.
     one_sided : bool
-        Only what a depth camera far away sees that looks at the body from a random side, up to 30 degrees from above or below.
+        Keep only what a distant depth camera sees from a random side of the body, up to 30 degrees from above or below.
     """
 
     n_points: int = 2500
@@ -107,7 +107,7 @@ class SyntheticScan:
     ----------
     points : (n, 3) array
     labels : (n,) int array
-        True part of each point, which indexes rig.parts; −1 for clutter and floor, which are not of the body.
+        True part of each point, as an index into rig.parts; −1 for clutter and floor, which are not of the body.
     pose : (J, 3) array
         Θ'.
     translation : (3,) array
@@ -115,16 +115,16 @@ class SyntheticScan:
     template : (m, 3) array
         U^gt, the changed template in the rest pose.
     template_joints : (J, 3) array
-        Its rest joint positions.
+        Rest joint positions of that template.
     vertices : (m, 3) array
-        The posed changed template, true positions of the rig's vertices.
+        The posed changed template: the true positions of the rig's vertices.
     joints : (J, 3) array
         True posed joint positions.
     triangle : (n,) int array
-        Row of rig.faces that each point was drawn on; −1 for clutter and floor.
+        Row of rig.faces on which each point was drawn; −1 for clutter and floor.
     barycentric : (n, 3) array
-        Where on it, which noise moves no point from: ``vertices[rig.faces[triangle]]``, weighted so, is the point without noise,
-        and any other mesh of these faces has the same place. 0 for clutter and floor.
+        Place on that triangle, which noise does not change: ``vertices[rig.faces[triangle]]`` with these weights is the point
+        without noise. On any other mesh with these faces they give the same place. 0 for clutter and floor.
     """
 
     points: np.ndarray
@@ -144,19 +144,19 @@ class SyntheticScan:
 
 
 def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=None, **settings):
-    """Synthetic scans of a rig, each with its truth.
+    """Synthesise scans of a rig, each with its truth.
 
     Parameters
     ----------
     rig : Rig
     n_scans : int, default 1
     poses : {"uniform", "natural", "mixed"} or (k, J, 3) array, default "uniform"
-        Uniform within the limits (R_l, R_u); near the rig's library of natural poses (:func:`natural_poses`); uniform and
-        natural in turn; or poses to take in turn.
+        "uniform": within the limits (R_l, R_u). "natural": near the rig's library of natural poses (:func:`natural_poses`).
+        "mixed": uniform and natural in turn. An array: poses to take in turn.
     templates : sequence of (vertices (m, 3), joints (J, 3)), optional
-        Changed templates to take in turn; default: random proportions (``shape``).
+        Changed templates to take in turn; by default, random proportions (``shape``).
     random_state : int, Generator or None
-        With an int, scan i is the same whatever ``n_scans``.
+        With an int, scan i is the same whatever ``n_scans`` is.
     **settings
         Fields of :class:`Synthesis`.
 
@@ -198,7 +198,7 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
 
 
 def synthesize_nth(rig, i, settings, *, poses=None, templates=None, random_state=None):
-    """Scan ``i`` of :func:`synthesize`, for those who want one at a time; ``poses`` may be a function (rig, n, rng) → poses."""
+    """Make scan ``i`` of :func:`synthesize`, to have one at a time; ``poses`` may be a function (rig, n, rng) → poses."""
     rng = generator(random_state, "synthesize", i)
     if poses is None or isinstance(poses, str):
         poses = natural_poses if poses == "natural" or (poses == "mixed" and i % 2) else uniform_poses
@@ -225,7 +225,7 @@ class TrainingScans:
 
 @dataclass(frozen=True)
 class StartScans:
-    """i → the i-th SyntheticScan for the library of starts: half natural poses, where the rig has some; facing the rig's way."""
+    """i → the i-th SyntheticScan for the library of starts, facing the rig's way; half have natural poses, if the rig has any."""
 
     rig: object
     settings: Synthesis
@@ -268,11 +268,11 @@ def uniform_poses(rig, n, rng):
 
 
 def natural_poses(rig, n, random_state=None):
-    """Poses near those of the rig's library.
+    """Draw poses near those of the rig's library.
 
-    Each is a pose of the library, in half of the cases blended with a second one, (1 − t) θ + t θ' with t ~ Unif(0, 1); then
-    Gaussian noise of 0.05 rad about every axis that moves, cut to the limits. The root has the library's angles, turned
-    further by angles that are uniform within the root's limits.
+    Each is a pose of the library, in half of the cases blended with a second one: (1 − t) θ + t θ' with t ~ Unif(0, 1). Gaussian
+    noise of 0.05 rad is added about every axis that moves, and the angles are cut to the limits. The root has the library's
+    angles, turned further by angles that are uniform within the root's limits.
 
     Parameters
     ----------
@@ -325,11 +325,11 @@ def _check_library(rig, poses):
 
 
 def training_poses(rig, n, rng, *, correlated=0.5):
-    """Poses for training s: uniform in each angle, independent in some scans and correlated in others.
+    """Draw poses for training s: uniform in each angle, independent in some scans and correlated in others.
 
-    Independent angles almost never make a fist or a flat hand. In a share ``correlated`` of the poses the angles of a chain,
-    and chains among themselves, rise and fall together (a Gaussian copula with random strengths), which keeps every
-    angle's own distribution Unif(R_l, R_u). The root's angles are always independent.
+    Independent angles almost never make a fist or a flat hand. So in a share ``correlated`` of the poses, the angles of a
+    chain, and chains among themselves, rise and fall together (a Gaussian copula with random strengths). Every angle keeps
+    its own distribution Unif(R_l, R_u). The root's angles are always independent.
 
     Parameters
     ----------
@@ -337,7 +337,7 @@ def training_poses(rig, n, rng, *, correlated=0.5):
     n : int
     rng : numpy.random.Generator
     correlated : float, default 0.5
-        Probability that a pose is a correlated one.
+        Probability that a pose is correlated.
 
     Returns
     -------

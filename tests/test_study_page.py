@@ -311,7 +311,7 @@ def test_the_foot_names_machines_and_time():
 def test_what_trained_and_what_drew_is_said():
     report = _report(joint={}) | {"training_seed": 7, "drawn_by": {"matplotlib": "3.9.1"}}
     text = page(report, {"a.png": "A picture."})
-    assert "what is trained has one seed, 7, so that" in text and "Pictures by matplotlib 3.9.1. `results.json`" in text
+    assert "All training has one seed, 7, so ranges" in text and "Pictures by matplotlib 3.9.1. `results.json`" in text
     assert "matplotlib" not in page(report, {})
 
 

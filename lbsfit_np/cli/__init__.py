@@ -21,8 +21,8 @@ examples:
   lbsfit fit hand.glb scans/*.ply -o fits    fit scans
   lbsfit learn hand scans/*.ply -o m.npz     learn from a collection of scans, for better fits
   lbsfit animate hand.glb fits/*.fit.npz -o hand-moves.glb
-                                             the fits as an animated rig, for other programs
-  lbsfit rig show hand.glb                   what is in a rig
+                                             write the fits as an animated rig, for other programs
+  lbsfit rig show hand.glb                   show what is in a rig
 
 exit codes: 0 all done, 1 some scans failed, 2 usage or unreadable rig, 130 stopped by Ctrl-C, 143 by SIGTERM
 """

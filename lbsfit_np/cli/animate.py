@@ -21,34 +21,34 @@ _OPTIONS = (
     *RIG_OPTIONS,
     Option(
         "offsets",
-        "whose template the frames have: the mean of all, so that bones keep their lengths, or each its own, as morph targets",
+        "template of the frames: the mean of all, so that bones keep their lengths, or each frame's own, as morph targets",
         default="mean",
         choices=("mean", "each"),
     ),
-    Option("fps", "frames a second", amount, 30.0, metavar="N", parameter="frames_per_second"),
+    Option("fps", "frames per second", amount, 30.0, metavar="N", parameter="frames_per_second"),
     Option(
         "up",
-        "the scans' up axis, such as --up=+z, which becomes y, as glTF has it; by default the rig's",
+        "the scans' up axis, such as --up=+z; it becomes y, as in glTF; by default the rig's",
         choices=tuple(AXES),
     ),
     Option(
         "unit",
-        "the scans' unit, as lengths in glTF are metres; auto: what the fits were told, else by the rig's unit and their scales",
+        "the scans' unit, as glTF lengths are metres; auto: what the fits were told, else by the rig's unit and the fits' scales",
         default="auto",
         choices=("auto", *METRES),
     ),
     Option(
         "influences",
-        "on how many joints a vertex may hang at most; by default on all that it does, of which many programs show four",
+        "at most this many joints may move a vertex; by default all that do, of which many programs show only four",
         positive,
         metavar="N",
     ),
-    Option("existing", "what to do where OUT.glb exists already", default="error", choices=("error", "replace")),
+    Option("existing", "what to do if OUT.glb already exists", default="error", choices=("error", "replace")),
 )
 
 _DESCRIPTION = """\
-Write fits as one animated glTF file (.glb), with the rig's mesh, skeleton and skinning weights and a key frame for each fit, in
-the order in which they are given. Blender, game engines and viewers open it. One fit alone gives the rig in its pose.
+Write fits as one animated glTF file (.glb) with the rig's mesh, skeleton and skinning weights, and a key frame for each fit, in
+the order given. Blender, game engines and viewers open it. A single fit gives the rig in its pose.
 """
 
 _EPILOG = """\
@@ -57,8 +57,8 @@ examples:
   lbsfit animate model.npz fits/*.fit.npz -o walk.glb --fps 60 --up=+z
   lbsfit animate body.glb fits/scan.fit.npz -o posed.glb --card body.toml --unit mm --influences 4
 
-RIG is what the fits are of: the rig, with the options that it was read with, or the model.
-Exit code: 0 written, 2 usage, an unreadable rig or fit, or a fit of another rig; nothing is written then.
+RIG is what the fits were made with: the rig, with the same options for reading it, or the model.
+Exit code: 0 written, 2 usage, an unreadable rig or fit, or a fit of another rig; with 2, nothing is written.
 """
 
 
@@ -71,7 +71,7 @@ def add_parser(commands):
         epilog=_EPILOG,
         formatter_class=formatter,
     )
-    rigs = "a rig file (.npz .glb .gltf .pkl), a bundled rig (see: lbsfit rig list), or a model that lbsfit learn has written"
+    rigs = "a rig file (.npz .glb .gltf .pkl), a bundled rig (see: lbsfit rig list), or a model written by lbsfit learn"
     parser.add_argument("rig", metavar="RIG", help=rigs)
     parser.add_argument("fits", metavar="FIT", nargs="+", help="results of lbsfit fit or learn: NAME.fit.npz")
     add_options(parser, _OPTIONS)

@@ -29,55 +29,55 @@ _HELP = {
 _DESCRIPTION = {
     "hand": """\
 Fit the hand of DIR/webxr_hand to synthetic scans of changed shapes, half in uniform poses and half near the natural ones of
-DIR/hand_poses, and compare the fits with the truth. Lengths in half sizes of the rig.
+DIR/hand_poses, and compare the fits with the truth. Lengths are in half sizes of the rig.
 """,
     "body": """\
 Fit one body of DIR/mpfb2_body to synthetic scans of its two other shapes in poses from DIR/motion, and compare the fits with
-the truth. Lengths in cm.
+the truth. Lengths are in cm.
 """,
 }
 
 _MORE = """
 Rows: the fit as users get it (own); plain Chamfer from the rest pose (plain); the fit with the true labels given
 (oracle); and, if asked for, the fit with the paper's weights (paper). OUT gets results.json (every figure, settings,
-versions), after each row anew, and for each seed a picture of own fits from the worst to the best.
+versions), rewritten after each row, and for each seed a picture of own fits from worst to best.
 """
 
 _ROUNDTRIP = """\
-Scan bundled rigs in poses near their libraries of natural poses, with their own shape, fit these scans, and compare with the
-truth. Mean joint errors in shares of the rig's size; to be reached: at most 2 % for at least 95 % of the scans.
+Scan bundled rigs in their own shape and in poses near their libraries of natural poses, fit these scans, and compare the fits
+with the truth. Mean joint errors are in shares of the rig's size; the goal is at most 2 % for at least 95 % of the scans.
 """
 
 _LEARN = """\
-Learn from synthetic scans of three changed shapes of a rig of DIR, with the whole loop and with its ablations, and compare
-joints, vertices, templates and labels with the truth. OUT gets results.json, after each row anew.
+Learn from synthetic scans of three changed shapes of a rig in DIR, with the whole loop and with its ablations, and compare
+joints, vertices, templates and labels with the truth. OUT gets results.json, rewritten after each row.
 """
 
 _STARTS = """\
-Scan bundled rigs under the conditions that fits have to bear, fit these scans, and compare with the truth: the share of scans
-whose mean joint error is at most 1.5 % (in some rows 3 %) of the rig's size, whether the fits know which ones
-are not, and whether joint_std tells the joints that are wrong.
+Scan bundled rigs under the conditions that fits have to cope with, fit these scans, and compare with the truth: what share of
+the scans has a mean joint error of at most 1.5 % (in some rows 3 %) of the rig's size, whether the fits know which scans miss
+that, and whether joint_std tells which joints are wrong.
 
-Rows: 0.3, 0.6 and 1.0 rad a joint, facing known; natural poses under any turn about the up axis (turned) and any rotation
+Rows: 0.3, 0.6 and 1.0 rad per joint, facing known; natural poses under any turn about the up axis (turned) and any rotation
 (rotated), in an unknown unit and scale (unit), seen from one side (partial), with clutter, noise and holes (dirty); touching
 fingers and fists (touching; hands only); other people (subjects); an arm beyond the wrist (arm; hands only). Fits: as users get
-them (own); plain Chamfer from the rest pose (plain); with the true labels given (oracle). OUT gets results.json, after each row
-anew; the same command once more does only what is not there yet.
+them (own); plain Chamfer from the rest pose (plain); with the true labels given (oracle). OUT gets results.json, rewritten
+after each row. Run the same command again to do only what is missing.
 """
 
 _STUDY = """\
-Register synthetic hands and bodies by every row of the paper's Table 1 and some more, and compare with the truth: Recon, Pose,
-Corre., labels and templates, beside the paper's figures.
+Register synthetic hands and bodies by every row of the paper's Table 1 and some more, and compare them with the truth: Recon,
+Pose, Corre., labels and templates, beside the paper's figures.
 
-OUT gets results.json and the registrations (cells/), after each row anew; at the end README.md with the tables, and pictures,
-for which the extra "viz" has to be installed. The same command once more does only what is not there yet.
+OUT gets results.json and the registrations (cells/), updated after each row, and at the end README.md with the tables, and
+pictures, which need the extra "viz" installed. Run the same command again to do only what is missing.
 
---rows: free-form..., without skinning, from the template, from synthetic scans that look alike, or taught by true
-correspondences; cd, rand, pose-only and joint, the variants of lbsfit learn; oracle-labels and oracle-fit, true labels or true
-correspondences given. README.md says what else each is.
+--rows: free-form... have no skinning: they start from the template or from synthetic scans that look alike, or are taught by
+true correspondences; cd, rand, pose-only and joint are the variants of lbsfit learn; oracle-labels and oracle-fit are given
+true labels or true correspondences. README.md says more about each.
 
-With --jobs, several rows are made at once where that is faster, one process each; at the medium size each of these takes up to
-5 GB. --size small takes six to twelve minutes on two cores with --jobs 2, medium some hours a rig and seed, paper days.
+With --jobs, several rows run at once where that is faster, one process each; at the medium size each process takes up to 5 GB.
+--size small takes six to twelve minutes on two cores with --jobs 2, medium some hours per rig and seed, paper days.
 """
 
 _EPILOG = """\
@@ -92,7 +92,7 @@ _SOME_FAIL = "all fitted, 1 some scans failed (named with reasons)"
 def add_parser(commands):
     """Add ``lbsfit bench`` and its benchmarks to the subparsers ``commands``."""
     parser = commands.add_parser("bench", help="measure the documented figures again", formatter_class=formatter)
-    parser.description = "Benchmarks: of real rigs, which do not come with the package, and of the bundled ones."
+    parser.description = "Run benchmarks on real rigs, which do not come with the package, and on the bundled ones."
     benches = parser.add_subparsers(metavar="BENCHMARK", required=True, title="benchmarks")
     for name, n_scans in (("hand", 40), ("body", 20)):
         bench = benches.add_parser(
@@ -103,14 +103,18 @@ def add_parser(commands):
             formatter_class=formatter,
         )
         options = (
-            *_of_data("folder to write to; made if need be"),
-            Option("scans", "scans a seed", positive, n_scans, metavar="N"),
-            _seeds_option("the test's scans", "100,101,102"),
+            *_of_data("folder to write to; created if needed"),
+            Option("scans", "scans per seed", positive, n_scans, metavar="N"),
+            _seeds_option("the test scans", "100,101,102"),
             Option(
-                "rows", f"ways of fitting, with commas: {', '.join(ROW_NAMES)}", _some_of(ROW_NAMES), "own,plain,oracle", "NAME,…"
+                "rows",
+                f"ways of fitting, comma-separated: {', '.join(ROW_NAMES)}",
+                _some_of(ROW_NAMES),
+                "own,plain,oracle",
+                "NAME,…",
             ),
             *_TRAINING,
-            Option("pictures", "fits to show of each seed, from the worst to the best", natural, 3, metavar="K"),
+            Option("pictures", "fits to show for each seed, from worst to best", natural, 3, metavar="K"),
             *_TABLE,
         )
         _add_options(bench, options, lambda arguments, values, name=name: runs.run_data(name, values))
@@ -134,7 +138,7 @@ def _add_roundtrip(benches):
     bench.add_argument("rigs", **_RIGS)
     options = (
         _OUTPUT_OR_TABLE,
-        Option("scans", "scans a rig and seed", positive, 40, metavar="N"),
+        Option("scans", "scans per rig and seed", positive, 40, metavar="N"),
         _seeds_option("the scans", "100"),
         *_TRAINING,
         *_TABLE,
@@ -150,14 +154,14 @@ def _add_learn(benches):
         epilog=_epilog("learn hand --data rigs -o bench-learn --jobs 2", done="all done", unusable="unreadable data"),
         formatter_class=formatter,
     )
-    bench.add_argument("collection", choices=("hand", "body"), help="which rig of DIR")
+    bench.add_argument("collection", choices=("hand", "body"), help="which rig in DIR")
     options = (
-        *_of_data("folder for results.json; made if need be"),
+        *_of_data("folder for results.json; created if needed"),
         Option("scans", "scans to learn from, of all subjects together", positive, 60, metavar="N"),
         _seeds_option("the collections", "100,101,102"),
         Option(
             "variants",
-            f"what to learn, with commas: {', '.join(VARIANT_NAMES)}",
+            f"variants to learn with, comma-separated: {', '.join(VARIANT_NAMES)}",
             _some_of(VARIANT_NAMES),
             "joint,pose-only,rand,cd",
             "NAME,…",
@@ -172,7 +176,7 @@ def _add_learn(benches):
 def _add_starts(benches):
     bench = benches.add_parser(
         "starts",
-        help="bundled rigs turned, bent, partial and dirty: how many scans are fitted rightly, and which not",
+        help="bundled rigs turned, bent, partial and dirty: how many scans are fitted correctly, and which are not",
         description=_STARTS,
         epilog=_epilog("starts hand --rows 0.6,turned --scans 20 -o bench-starts"),
         formatter_class=formatter,
@@ -181,17 +185,19 @@ def _add_starts(benches):
     rows, fits = ",".join(CONDITION_NAMES), _some_of(FIT_NAMES)
     options = (
         _OUTPUT_OR_TABLE,
-        Option("scans", "scans a row", positive, 100, metavar="N"),
+        Option("scans", "scans per row", positive, 100, metavar="N"),
         Option("seed", "seed of the scans; training has its own", natural, 200, metavar="N"),
         Option(
             "rows",
-            "which rows, with commas; a rig takes part in those that are for it",
+            "which rows, comma-separated; each rig takes part in the rows meant for it",
             _some_of(CONDITION_NAMES),
             rows,
             "NAME,…",
         ),
-        Option("fits", f"ways of fitting, with commas: {', '.join(FIT_NAMES)}", fits, "own", "NAME,…"),
-        Option("effort", "how many starts a fit follows how far", default="balanced", choices=("fast", "balanced", "thorough")),
+        Option("fits", f"ways of fitting, comma-separated: {', '.join(FIT_NAMES)}", fits, "own", "NAME,…"),
+        Option(
+            "effort", "how many starts a fit follows, and how far", default="balanced", choices=("fast", "balanced", "thorough")
+        ),
         *_TRAINING,
         _MARKDOWN,
         _RESUMING,
@@ -208,11 +214,13 @@ def _add_study(benches):
         formatter_class=formatter,
     )
     options = (
-        Option("output", "folder to write to, made if need be", metavar="OUT", flag="-o"),
+        Option("output", "folder to write to; created if needed", metavar="OUT", flag="-o"),
         Option("size", "how much of everything", default="small", choices=("small", "medium", "paper")),
-        Option("rig", "rigs, with commas: names of bundled ones, or files", str, "hand,body", "RIG,…"),
-        Option("rows", "which rows, with commas", _some_of(STUDY_NAMES), ",".join(STUDY_NAMES), "NAME,…"),
-        Option("seeds", "seeds of the scans, with commas; by default 300, or 300,301,302 for larger sizes", _seeds, None, "N,N"),
+        Option("rig", "rigs, comma-separated: names of bundled ones, or files", str, "hand,body", "RIG,…"),
+        Option("rows", "which rows, comma-separated", _some_of(STUDY_NAMES), ",".join(STUDY_NAMES), "NAME,…"),
+        Option(
+            "seeds", "comma-separated seeds of the scans; by default 300, or 300,301,302 for larger sizes", _seeds, None, "N,N"
+        ),
         *(option for option in _TRAINING if option.name == "jobs"),
         Option("figures", "draw the figures", bool, True),
         _MARKDOWN,
@@ -225,11 +233,11 @@ def _add_study(benches):
 
 _RIGS = {"metavar": "RIG", "nargs": "*", "help": "bundled rigs, or rig files with natural poses; default: hand body"}
 _OUTPUT_OR_TABLE = Option(
-    "output", "folder for results.json, made if need be; else only a table is printed", metavar="OUT", flag="-o"
+    "output", "folder for results.json, created if needed; without it only a table is printed", metavar="OUT", flag="-o"
 )
 _MARKDOWN = Option("markdown", "print the table as Markdown", bool, False)
-_TABLE = (_MARKDOWN, Option("existing", "what to do where results exist already", default="error", choices=("error", "replace")))
-_EXISTING = "results that are there: go on with those of the same settings, or begin anew without any of them"
+_TABLE = (_MARKDOWN, Option("existing", "what to do if results already exist", default="error", choices=("error", "replace")))
+_EXISTING = "continue with existing results of the same settings, or start again without any"
 _RESUMING = Option("existing", _EXISTING, default="resume", choices=("resume", "replace"))
 _TRAINING = tuple(o for o in OPTIONS if o.name in ("training-scans", "jobs"))
 
@@ -242,7 +250,7 @@ def _of_data(output):
 
 
 def _seeds_option(whose, default):
-    return Option("seeds", f"seeds of {whose}, with commas; training has its own", _seeds, default, metavar="N,N")
+    return Option("seeds", f"comma-separated seeds of {whose}; training has its own", _seeds, default, metavar="N,N")
 
 
 def _epilog(example, *, done=_SOME_FAIL, unusable="an unusable rig"):

@@ -10,16 +10,16 @@ from .progress import say
 
 __all__ = ["add_parser"]
 
-_OWN = (Option("scans", "take only the first so many scans of each subject, for trying it out", positive, metavar="N"),)
+_OWN = (Option("scans", "use only the first N scans of each subject, to try it out", positive, metavar="N"),)
 
 _DESCRIPTION = """\
-Learn from the training scans of MPI-FAUST, fit them and the test scans, and print the error of the correspondences between
-training scans, whose registrations give the truth, beside the table of the paper: pairs of one subject (intra) and of
-different ones (inter), in cm, with percentiles, before and after the snap onto the nearest point of the other scan.
+Learn from the training scans of MPI-FAUST, then fit them and the test scans. Print the error of correspondences between
+training scans, whose registrations give the truth, beside the paper's table: for pairs of one subject (intra) and of different
+ones (inter), in cm, with percentiles, before and after the snap onto the nearest point of the other scan.
 
-DIR is the folder MPI-FAUST as it is published, or the one it is in: training/scans, training/registrations,
-training/ground_truth_vertices, test/scans, test/challenge_pairs. What is missing is left out where the rest still makes sense,
-and named. The data set does not come with this package: its licence forbids it, see http://faust.is.tue.mpg.de.
+DIR is the folder MPI-FAUST as published, or the folder that it is in: training/scans, training/registrations,
+training/ground_truth_vertices, test/scans, test/challenge_pairs. Anything missing is named, and left out where the rest still
+makes sense. The data set does not come with this package, as its licence forbids it: see http://faust.is.tue.mpg.de.
 """
 
 _EPILOG = """\
@@ -27,10 +27,11 @@ examples:
   lbsfit bench faust MPI-FAUST --scans 2 -o faust-try --jobs 2
   lbsfit bench faust MPI-FAUST -o faust --jobs 2
 
-OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan, model.npz, which
-lbsfit fit takes, and, for each challenge whose pairs are listed, challenge-intra/ or challenge-inter/ with a file for each pair
-(012_023.txt: for each vertex of test_scan_012 its point on test_scan_023), and challenge-intra.zip or challenge-inter.zip to be
-submitted. The same command once more does what is not there yet; what an interrupted loop has done is in model.npz.unfinished.
+OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan, and model.npz,
+which lbsfit fit takes. For each challenge whose pairs are listed it also gets challenge-intra/ or challenge-inter/, with a file
+for each pair (012_023.txt: for each vertex of test_scan_012 its point on test_scan_023), and challenge-intra.zip or
+challenge-inter.zip to submit. Run the same command again to do what is missing; what an interrupted loop has done is in
+model.npz.unfinished.
 """
 
 

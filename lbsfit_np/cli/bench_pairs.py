@@ -12,13 +12,13 @@ __all__ = ["add_parser"]
 _OWN = (
     Option("truth", "the table of scans, subjects and what corresponds", metavar="FILE"),
     Option("subject-column", "the column of FILE that says who was scanned", default="subject", metavar="NAME"),
-    Option("unit", "the scans'; auto: what the scale of the fits says", default="auto", choices=("auto", *METRES)),
+    Option("unit", "the scans' unit; auto: what the scale of the fits says", default="auto", choices=("auto", *METRES)),
 )
 
 _DESCRIPTION = f"""\
-Fit a rig to the scans in DIR and measure, for pairs of scans, how far each place is from where the truth has it: mean, median,
-90th and 95th percentile, for pairs of one subject (intra) and of different ones (inter), before and after the snap onto the
-nearest point of the other scan; in the scans' unit, and in cm where the unit is known.
+Fit a rig to the scans in DIR and measure, for pairs of scans, how far each place of one lands from its true place on the other:
+mean, median, 90th and 95th percentile, for pairs of one subject (intra) and of different ones (inter), before and after the
+snap onto the nearest point of the other scan. Lengths are in the scans' unit, and in cm where the unit is known.
 
 {TRUTH_FILES}
 """
@@ -29,8 +29,8 @@ examples:
   lbsfit bench pairs scans --truth landmarks.csv --no-learn --subject-column person -o bench-scans
 
 OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan, and, after
-learning, model.npz, which lbsfit fit takes. The same command once more does what is not there yet; what an interrupted loop has
-done is in model.npz.unfinished. Scans are fitted as their subject's: the column is part of what learning is told.
+learning, model.npz, which lbsfit fit takes. Run the same command again to do what is missing; what an interrupted loop has done
+is in model.npz.unfinished. Each scan is fitted as its subject's: the subject column is part of what learning is told.
 """
 
 
@@ -41,10 +41,10 @@ def add_parser(benches):
         "pairs",
         _run,
         _OWN,
-        help="correspondence between scans of your own whose truth is known",
+        help="correspondence between your own scans, where the truth is known",
         description=_DESCRIPTION,
         epilog=_EPILOG,
-        argument={"metavar": "DIR", "help": "where the scans are, in any format that lbsfit fit reads"},
+        argument={"metavar": "DIR", "help": "folder of the scans, in any format that lbsfit fit reads"},
     )
 
 

@@ -15,16 +15,22 @@ __all__ = ["add_parser"]
 _RIG = replace(pair_runs.RIG, help="the rig to fit, a file or a bundled one; by default hand-left or body", default=None)
 _OWN = (
     Option("data", "the folder of real rigs, poses and motion", metavar="DIR"),
-    Option("people", "how many, two at least; the first, or three, are the rig of DIR or its shapes", positive, 6, metavar="N"),
-    Option("scans", "scans of each", positive, 5, metavar="N"),
-    Option("scan-seed", "seed of people, poses and scans; --seed is that of training and fits", natural, 600, metavar="N"),
+    Option(
+        "people",
+        "how many, at least two; the first hand is the rig of DIR, the first three bodies its shapes",
+        positive,
+        6,
+        metavar="N",
+    ),
+    Option("scans", "scans of each person", positive, 5, metavar="N"),
+    Option("scan-seed", "seed of people, poses and scans; --seed is for training and fits", natural, 600, metavar="N"),
 )
 
 _DESCRIPTION = """\
-Make scans of people of DIR/webxr_hand near the poses of DIR/hand_poses, or of DIR/mpfb2_body in poses from DIR/motion, every
-second one with all joints turned at random besides, fit a rig with another mesh and other joints to them, and measure how far
-each place of a scan is carried from where it is on another scan: for pairs of one person (intra) and of different ones (inter),
-in cm. A stand-in for registered scans of real people, whose truth is exact.
+Make scans of people of DIR/webxr_hand near the poses of DIR/hand_poses, or of DIR/mpfb2_body in poses from DIR/motion, with all
+joints of every second scan also turned at random. Fit a rig with another mesh and other joints to them, and measure how far
+each place of a scan lands from its true place on another scan: for pairs of one person (intra) and of different ones (inter),
+in cm. This stands in for registered scans of real people, with exact truth.
 """
 
 _EPILOG = """\
@@ -34,7 +40,7 @@ examples:
 
 OUT gets people.json, the scans (scans/), the true meshes (registrations/) and truth.csv, which make a folder for
 lbsfit bench pairs OUT/scans --truth OUT/truth.csv; and what that writes: results.json, gallery.png, fits/NAME.npz and model.npz.
-The same command once more does what is not there yet.
+Run the same command again to do what is missing.
 """
 
 
@@ -45,7 +51,7 @@ def add_parser(benches):
         "people",
         _run,
         _OWN,
-        help="correspondence between scans of people whom the rig is not of",
+        help="correspondence between scans of people other than the rig's",
         description=_DESCRIPTION,
         epilog=_EPILOG,
         argument={"choices": ("hand", "body"), "metavar": "{hand,body}", "help": "whom to scan"},

@@ -15,18 +15,18 @@ from .progress import say
 __all__ = ["add_parser"]
 
 _OPTIONS = (
-    Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o"),
+    Option("output", "folder to write to; created if needed", metavar="OUT", flag="-o"),
     Option("rig", "a bundled rig or a rig file", default="hand", metavar="RIG"),
     Option("seed", "seed of the scan and of the fit", natural, 0, metavar="N"),
     Option("points", "points of the scan", positive, 2500, metavar="N"),
     *(o for o in OPTIONS if o.name == "training-scans"),
-    Option("existing", "what to do where results exist already", default="error", choices=("error", "replace")),
+    Option("existing", "what to do if results already exist", default="error", choices=("error", "replace")),
 )
 
 _DESCRIPTION = """\
-Make a scan of a bundled rig, with noise, holes and uneven density, of a shape and in a pose that the fit does not know;
-fit it as `lbsfit fit` does; print the errors against the truth; and draw a picture. Takes about three minutes of one core,
-most of it for training the segmenter, which is kept for the next time.
+Make a scan of a bundled rig, with noise, holes and uneven density, in a shape and pose that the fit does not know; fit it as
+`lbsfit fit` does; print the errors against the truth; and draw a picture. This takes about three minutes on one core, mostly
+to train the segmenter, which is kept for the next time.
 """
 
 _EPILOG = """\

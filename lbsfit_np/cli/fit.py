@@ -23,31 +23,31 @@ __all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "check_training", "fit_files"
 RIG_OPTIONS = (
     Option(
         "card",
-        'the rig card; by default RIG\'s name with .card.toml, where there is one; "none" for none',
+        'the rig card; by default RIG\'s name with .card.toml, if that exists; "none" for no card',
         metavar="FILE",
         is_path=True,
     ),
-    Option("shape", "which shape, in a rig file of several; by default the first", metavar="NAME"),
-    Option("skin", "which skin, in a glTF file of several", metavar="NAME"),
+    Option("shape", "which shape, if the rig file has several; by default the first", metavar="NAME"),
+    Option("skin", "which skin, if the glTF file has several", metavar="NAME"),
     Option("normalize-weights", "divide skinning weights by their sums, however far these are from 1", bool, False),
-    Option("parts", "which partition of the rig labels mean; by default the card's or the rig's own", metavar="NAME"),
+    Option("parts", "the rig's partition that labels refer to; by default the card's or the rig's own", metavar="NAME"),
 )
 
 OPTIONS = (
-    Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o", is_path=True),
+    Option("output", "folder to write to; created if needed", metavar="OUT", flag="-o", is_path=True),
     *RIG_OPTIONS,
-    Option("subject", "whose template a model shall use; by default the one that explains the scan best", metavar="ID"),
+    Option("subject", "with a model: whose template to use; by default the one that explains the scan best", metavar="ID"),
     Option(
         "subjects",
-        "a file that says whose each scan is, as for lbsfit learn; here it may name other scans, too, and an empty id leaves a "
-        "scan to the template that explains it best",
+        "a file that gives each scan's subject, as for lbsfit learn; here it may also name other scans, and a scan with an "
+        "empty id gets the template that explains it best",
         metavar="FILE",
         is_path=True,
     ),
-    Option("scale", "whether the scan's scale is found, or is the rig's", default="estimate", choices=("estimate", "fixed")),
+    Option("scale", "find the scan's scale, or fix it to the rig's", default="estimate", choices=("estimate", "fixed")),
     Option(
         "unit",
-        "the scans' unit, where it is known: their size is found all the same; auto: not known, as by default, but for a model's",
+        "the scans' unit, if known (their size is still found); auto: not known; by default auto, or with a model the model's",
         choices=("auto", *METRES),
     ),
     Option(
@@ -58,59 +58,61 @@ OPTIONS = (
     ),
     Option(
         "up",
-        "the scans' up axis, such as --up=+z; by default the rig's, or another one where that does not suit a scan",
+        "the scans' up axis, such as --up=+z; by default the rig's, or another if that does not suit a scan",
         choices=tuple(AXES),
     ),
     Option("partial", "scans show one side only, as single depth views do", bool, False),
-    Option("effort", "how many starts go how far", default="balanced", choices=("fast", "balanced", "thorough")),
+    Option("effort", "how many starts to follow, and how far", default="balanced", choices=("fast", "balanced", "thorough")),
     Option("weights", "weights of the objective", default="default", choices=("default", "paper")),
     Option("joints", "whether joints follow the changed template", default="follow", choices=("follow", "fixed")),
     Option(
         "samples",
-        "points to sample from a scan that is a mesh, or to keep of a point cloud; by default all",
+        "points to sample from a scan that is a mesh, or to keep from a point cloud; by default all",
         positive,
         metavar="N",
     ),
     Option("drop-invalid", "leave out points that are NaN or infinite instead of refusing the scan", bool, False),
     Option("max-points", "points of a scan that take part in the optimisation; all are labelled", positive, 2500, metavar="N"),
-    Option("pictures", "draw each fit, too, as NAME.png", bool, False),
+    Option("pictures", "also draw each fit as NAME.png", bool, False),
     Option("segmenter", "a segmenter saved by Segmenter.save, instead of one trained here", metavar="FILE", is_path=True),
     Option(
         "training-scans",
-        "synthetic scans for the segmenter, in each round of learning, too; for starts half as many, in rounds three eighths",
+        "synthetic scans for the segmenter, also in each round of learning; the library of starts gets half as many, in rounds "
+        "three eighths",
         positive,
         4000,
         metavar="N",
     ),
     Option(
         "training",
-        "how these are made: a field of lbsfit_np.synthesis.Synthesis, such as noise=0.01 or one_sided=true; may be repeated",
+        "how the synthetic scans are made: a field of lbsfit_np.synthesis.Synthesis, such as noise=0.01 or one_sided=true; may "
+        "be repeated",
         default={},
         metavar="NAME=VALUE",
         table=True,
         check=lambda given: check_training(given),
         refusals={"one_sided": "Of scans that show one side only say partial = true."},
     ),
-    Option("seed", "seed of all that is random", natural, 0, metavar="N", parameter="random_state"),
-    Option("jobs", "worker processes; the results do not depend on it", positive, 1, metavar="N", parameter="n_jobs"),
-    Option("existing", "what to do where results exist already", default="error", choices=("error", "skip", "replace")),
+    Option("seed", "seed of everything random", natural, 0, metavar="N", parameter="random_state"),
+    Option("jobs", "worker processes; the results do not depend on how many", positive, 1, metavar="N", parameter="n_jobs"),
+    Option("existing", "what to do if results already exist", default="error", choices=("error", "skip", "replace")),
 )
 
 _DESCRIPTION = """\
-Fit a rig to scans, or a model that `lbsfit learn` has learned. Of each scan NAME.EXTENSION, OUT gets
+Fit a rig, or a model written by `lbsfit learn`, to scans. For each scan NAME.EXTENSION, OUT gets
 
   NAME.fit.npz     joint angles, translation, scale, offsets, registered vertices, joints, labels (FitResult.load reads it)
   NAME.mesh.ply    the registered mesh: the rig's vertices and faces in the scan's frame and unit
   NAME.labels.ply  every point of the scan with its part, the confidence, and a colour for the part
-  NAME.png         with --pictures: the scan by its parts beside the registered mesh, from two sides
+  NAME.png         with --pictures: the scan, coloured by its parts, beside the registered mesh, from two sides
 
-and OUT/summary.json tells how each of this run's scans went. Files appear when they are complete. Inputs are never
-overwritten. After Ctrl-C, the same command with --existing skip does the rest.
+and OUT/summary.json says how each of this run's scans went. Files appear only once they are complete. Inputs are never
+overwritten. After Ctrl-C, run the same command with --existing skip to do the rest.
 
-A model keeps its rig, its segmenter and how these were made: options about the rig (--card, --shape, --skin,
+A model keeps its rig, its segmenter and how these were made, so options about the rig (--card, --shape, --skin,
 --normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale, --unit,
---orientation, --up, --partial, --effort, --weights, --max-points and --seed are the model's unless they are given: of scans
-in another unit than those that the model was told it learned from say --unit.
+--orientation, --up, --partial, --effort, --weights, --max-points and --seed are the model's unless you give them. If the
+model was told the unit of the scans it learned from, and the new scans are in another, give --unit.
 """
 
 _EPILOG = """\
@@ -122,7 +124,7 @@ examples:
   lbsfit learn hand scans/*.ply -o model.npz && lbsfit fit model.npz new.ply -o fits
   lbsfit fit model.npz new/*.ply -o fits --subjects who.csv
 
-  fit.toml, with any of the options above by their long names; paths are relative to it:
+  fit.toml may have any of the options above, by their long names; paths are relative to the file:
       output = "fits"
       card = "body.toml"
       jobs = 4
@@ -130,12 +132,12 @@ examples:
       orientation = "any"
       training = { noise = 0.01, scale = 0.2 }
 
-What is trained for a rig, its segmenter and its library of starts, is kept in $LBSFIT_CACHE, else in the user's cache folder.
-Each fit has a status: ok; suspect, where something speaks against it; failed, where it is all but certainly wrong (the
-files are written all the same). The summary and the table at the end have these first, with what speaks against them. Fits
-that --existing skip keeps have the status of their files, and "kept": true in the summary.
-Exit code: 0 all fitted, suspect or not, 1 some scans failed (named with reasons; the others are written), kept fits that had
-failed counted, 2 usage or unreadable rig, 130 stopped by Ctrl-C, 143 by SIGTERM.
+The segmenter and the library of starts trained for a rig are kept in $LBSFIT_CACHE, or else in the user's cache folder.
+Each fit has a status: ok; suspect, if something speaks against it; or failed, if it is almost certainly wrong (its files are
+still written). The summary and the table at the end put failed and suspect fits first, with what speaks against them. Fits
+kept by --existing skip have the status in their files, and "kept": true in the summary.
+Exit code: 0 all fitted, suspect or not, 1 some scans failed (named with reasons; the others are written), counting kept fits
+that had failed, 2 usage or unreadable rig, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
 
@@ -144,7 +146,7 @@ def add_parser(commands):
     parser = commands.add_parser(
         "fit", help="fit a rig to scans", description=_DESCRIPTION, epilog=_EPILOG, formatter_class=formatter
     )
-    rigs = "a rig file (.npz .glb .gltf .pkl), a bundled rig (see: lbsfit rig list), or a model that lbsfit learn has written"
+    rigs = "a rig file (.npz .glb .gltf .pkl), a bundled rig (see: lbsfit rig list), or a model written by lbsfit learn"
     parser.add_argument("rig", metavar="RIG", help=rigs)
     parser.add_argument(
         "scans", metavar="SCAN", nargs="+", help="scan files: .ply .obj .stl .off .xyz .txt .csv .pcd .npy .npz .glb .gltf"

@@ -38,28 +38,27 @@ _NAMED = 5
 _OTHER_ENDINGS = (".pkl", ".json", ".toml", ".h5", ".bvh", ".fbx")
 
 OPTIONS = (
-    Option("output", "the model to write, NAME.npz; its folder is made if need be", metavar="MODEL", flag="-o", is_path=True),
-    Option("results", "a folder for the fits of the scans, too, as lbsfit fit writes them", metavar="OUT", is_path=True),
-    Option("pictures", "with --results, draw each fit, too, as NAME.png", bool, False),
+    Option("output", "the model to write, NAME.npz; its folder is created if needed", metavar="MODEL", flag="-o", is_path=True),
+    Option("results", "folder to write the scans' fits to as well, as lbsfit fit does", metavar="OUT", is_path=True),
+    Option("pictures", "with --results, also draw each fit as NAME.png", bool, False),
     Option("subjects", "a file that says who was scanned; one subject by default", metavar="FILE", is_path=True),
-    Option("rounds", "rounds at most", positive, 4, metavar="N"),
+    Option("rounds", "maximum number of rounds", positive, 4, metavar="N"),
     Option("variant", "what to learn from", default="joint", choices=tuple(VARIANTS)),
     Option(
         "held-out",
-        "share of the scans, one at least, that are held out of learning to tell when to stop; 0 holds none out and does "
-        "every round",
+        "share of the scans (at least one) to hold out of learning, to tell when to stop; 0 holds none out and does every round",
         share,
         0.1,
         metavar="SHARE",
     ),
-    Option("sequence", "the scans of each subject are given in order of time: each starts from its neighbours, too", bool, False),
-    Option("smooth", "with --sequence, how strongly angles follow their neighbours': 1e-5 a little, 1e-3 much", amount, 0,
+    Option("sequence", "each subject's scans are given in order of time; each scan also starts from its neighbours", bool, False),
+    Option("smooth", "with --sequence, how strongly angles follow their neighbours': 1e-5 a little, 1e-3 a lot", amount, 0,
            metavar="W"),
     *RIG_OPTIONS,
     *(next(o for o in FIT_OPTIONS if o.name == name) for name in _SHARED),
     Option(
         "existing",
-        "what to do where the model or results exist already",
+        "what to do if the model or results already exist",
         default="error",
         choices=("error", "replace"),
         refusals={"skip": "Learning begins anew each time: only lbsfit fit can skip, with a model that is there."},
@@ -68,17 +67,17 @@ OPTIONS = (
 
 _DESCRIPTION = f"""\
 Learn from a collection of scans: fits teach the segmenter, the segmenter improves the fits, and each subject's template
-adapts to what was scanned. All scans must be in one unit. Writes one file, the model, which `lbsfit fit MODEL SCAN...` takes
-in a rig's place.
+adapts to what was scanned. All scans must be in one unit. The result is one file, the model, which `lbsfit fit MODEL SCAN...`
+takes in place of a rig.
 
 {SUBJECT_FILES}
 
---variant: joint, everything; pose-only, the segmenter learns from the poses found but not from templates; rand, from
-uniform poses only; cd, no labels at all; free-form, no skinning at all, the template's vertices move freely.
+--variant: joint uses everything. With pose-only, the segmenter learns from the poses found but not from templates; with rand,
+from uniform poses only. cd uses no labels at all. free-form uses no skinning at all: the template's vertices move freely.
 
-At the end of each round a line tells recon, the distance between scans and meshes in half sizes of the rig (the root of
-the Chamfer distance), of the scans learned from and of those held out; for how many scans a new start gave a better pose;
-and how long the other rounds may take.
+Each round ends with a line that gives recon, the distance between scans and meshes in half sizes of the rig (the root of the
+Chamfer distance), for the scans learned from and for those held out; how many scans got a better pose from a new start; and
+how long the remaining rounds may take.
 """
 
 _EPILOG = """\
@@ -88,17 +87,17 @@ examples:
   lbsfit learn body.glb walk/*.ply -o walk.npz --sequence --smooth 1e-5
   lbsfit fit model.npz new.ply -o fits
 
-  Options can be in a TOML file, --config FILE, by their long names; paths are relative to it:
+  Options can be in a TOML file, --config FILE, by their long names; paths are relative to the file:
       output = "model.npz"
       subjects = "who.csv"
       held-out = 0.2
 
-A scan that cannot be used is named with the reason and left out. The model appears when it is complete, or, after Ctrl-C,
-with what the rounds until then have learned; an input is never overwritten. Until it is complete the steps done are kept in
-MODEL.npz.unfinished: after a stop or a crash the same command goes on from there, also with more scans at its end. The
-segmenter's first training is kept in $LBSFIT_CACHE, else in the user's cache folder. At the end stand the unit of the scans,
-how many fits are ok, suspect or failed, and a table of those that are not ok, see lbsfit fit --help.
-Exit code: 0 learned, and all scans could be used, also where some were held out or not learned from, 1 some could not be used, or
+A scan that cannot be used is named with the reason and left out. The model appears once it is complete or, after Ctrl-C, with
+what the rounds so far have learned. Inputs are never overwritten. Until the model is complete, finished steps are kept in
+MODEL.npz.unfinished: after a stop or a crash the same command continues from there, even with more scans added at its end.
+The segmenter's first training is kept in $LBSFIT_CACHE, or else in the user's cache folder. The last lines give the unit of
+the scans, how many fits are ok, suspect or failed, and a table of those that are not ok (see lbsfit fit --help).
+Exit code: 0 learned, and all scans could be used, even if some were held out or not learned from, 1 some could not be used or
 their fits failed, 2 usage, unreadable rig, or no model could be learned, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
@@ -108,7 +107,7 @@ def add_parser(commands):
     parser = commands.add_parser(
         "learn", help="learn from a collection of scans", description=_DESCRIPTION, epilog=_EPILOG, formatter_class=formatter
     )
-    parser.add_argument("rig", metavar="RIG", help="a rig file (.npz .glb .gltf .pkl), or a bundled rig, see: lbsfit rig list")
+    parser.add_argument("rig", metavar="RIG", help="a rig file (.npz .glb .gltf .pkl) or a bundled rig (see: lbsfit rig list)")
     parser.add_argument(
         "scans", metavar="SCAN", nargs="+", help="scan files: .ply .obj .stl .off .xyz .txt .csv .pcd .npy .npz .glb .gltf"
     )

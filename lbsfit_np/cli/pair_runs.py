@@ -22,8 +22,8 @@ __all__ = [
 
 GALLERY = "gallery.png"
 
-_OUTPUT = Option("output", "folder to write to; made if need be", metavar="OUT", flag="-o")
-RIG = Option("rig", "a rig file, or a bundled rig, see: lbsfit rig list", default="body", metavar="RIG")
+_OUTPUT = Option("output", "folder to write to; created if needed", metavar="OUT", flag="-o")
+RIG = Option("rig", "a rig file or a bundled rig; see: lbsfit rig list", default="body", metavar="RIG")
 
 # Options of the fits that mean the same as in lbsfit fit and lbsfit learn, and are part of what fits are kept by.
 _OF_FITS = ("scale", "orientation", "up", "partial", "effort", "max-points", "training-scans", "seed")
@@ -31,7 +31,7 @@ _OF_LEARNING = ("rounds", "held-out")
 
 
 _EXIT_CODES = """\
-Exit code: 0 all fitted, 1 some scans could not be fitted (their pairs are missing) or their fits say that they failed (their
+Exit code: 0 all fitted, 1 some scans could not be fitted (their pairs are missing) or their fits have the status failed (their
 pairs count), 2 usage or unreadable data, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
 
@@ -72,10 +72,10 @@ def add_command(benches, name, run, own, *, help, description, epilog, argument,
 
 
 def _fitting_options(samples):
-    words = "points to sample from a scan that is a mesh, or to keep of a cloud, for its fit"
+    words = "points to sample from a scan that is a mesh, or to keep from a point cloud, for its fit"
     words += "; by default all" if samples is None else ""
     return (
-        Option("learn", "learn from the scans first, by the loop; else each is fitted by itself", bool, True),
+        Option("learn", "first learn from the scans, with the loop; otherwise fit each by itself", bool, True),
         *(o for o in LEARN_OPTIONS if o.name in _OF_LEARNING),
         *RIG_OPTIONS,
         *(o for o in FIT_OPTIONS if o.name in _OF_FITS),
@@ -85,11 +85,11 @@ def _fitting_options(samples):
 
 
 _MEASURING = (
-    Option("pairs", "pairs of each kind, at most; a random choice where there are more", positive, 500, metavar="N"),
-    Option("points", "points of a scan to follow, at most; a random choice", positive, 5000, metavar="N"),
-    Option("pictures", "fits to show in the gallery, from the worst to the best", natural, 5, metavar="K"),
+    Option("pairs", "pairs of each kind, at most; chosen at random if there are more", positive, 500, metavar="N"),
+    Option("points", "points of a scan to follow, at most; chosen at random", positive, 5000, metavar="N"),
+    Option("pictures", "fits to show in the gallery, from worst to best", natural, 5, metavar="K"),
     Option("markdown", "print the table as Markdown", bool, False),
-    Option("existing", "what to do with fits of the same settings", default="resume", choices=("resume", "replace")),
+    Option("existing", "what to do with existing fits of the same settings", default="resume", choices=("resume", "replace")),
 )
 
 

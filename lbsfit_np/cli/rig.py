@@ -14,13 +14,13 @@ _FROM_FILE = tuple(o for o in RIG_OPTIONS if o.name in ("shape", "skin"))
 _CARD_OPTIONS = (
     Option("output", "the card to write", metavar="CARD", flag="-o"),
     *_FROM_FILE,
-    Option("existing", "what to do where CARD exists already", default="error", choices=("error", "replace")),
+    Option("existing", "what to do if CARD already exists", default="error", choices=("error", "replace")),
 )
 _SHOW_OPTIONS = (*RIG_OPTIONS, Option("degrees", "show limits in degrees instead of radians", bool, False))
 
 _CARD_EPILOG = """\
 example:
-  lbsfit rig card hand.glb -o hand.card.toml     then edit it; a card of this name beside hand.glb is used by itself
+  lbsfit rig card hand.glb -o hand.card.toml     then edit it; a card of this name beside hand.glb is used automatically
   lbsfit rig show hand.glb                       see what it does
 """
 
@@ -38,7 +38,7 @@ def add_parser(commands):
         epilog="example:\n  lbsfit rig show body.glb --card body.toml --degrees\n",
         formatter_class=formatter,
     )
-    rigs = "a rig file (.npz .glb .gltf .pkl), a bundled rig (see: lbsfit rig list), or a model that lbsfit learn has written"
+    rigs = "a rig file (.npz .glb .gltf .pkl), a bundled rig (see: lbsfit rig list), or a model written by lbsfit learn"
     show.add_argument("file", metavar="FILE", help=rigs)
     add_options(show, _SHOW_OPTIONS)
     show.set_defaults(run=_show)

@@ -18,12 +18,12 @@ from .outputs import folded, results_beside
 __all__ = ["SUBJECT_FILES", "check_no_table", "read_subjects", "who_words"]
 
 SUBJECT_FILES = """\
-The file of --subjects has a line for each scan, its file name, with or without the extension, and an id:
+The file given to --subjects has one line per scan: its file name, with or without the extension, and an id:
       anna_01.ply, anna          separated by commas, semicolons, tabs, or blanks before the id (then no blanks in ids)
-      ben_01, ben                blank lines and lines that start with # are passed over, as is a heading such as "scan, subject"
-or is TOML (NAME.toml): "anna_01.ply" = "anna", at the top or in a table [subjects]. Scans whose names are the same are
-told apart by their paths as given on the command line. Each scan has one id; a name that is no scan given is an error, but
-results of lbsfit beside their scans may be named, and are passed over."""
+      ben_01, ben                blank lines, lines that start with # and a heading such as "scan, subject" are skipped
+Or it is TOML (NAME.toml): "anna_01.ply" = "anna", at the top or in a table [subjects]. Scans with the same name are told
+apart by their paths as given on the command line. Each scan has one id. A name that is not a given scan is an error, but
+results of lbsfit beside their scans may be named, and are skipped."""
 
 _HEADINGS = {"scan", "scans", "file", "filename", "file name", "name", "path"}
 _SEPARATORS = {"\t": "tabs", ";": "semicolons", ",": "commas", None: "blanks"}

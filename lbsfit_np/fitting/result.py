@@ -30,7 +30,7 @@ class FitResult:
     translation : (3,) array
         In the scan's unit and frame.
     scale : float
-        Scan units in a rig unit.
+        Scan units per rig unit.
     offsets : (m, 3) array
         U^d − U, in rig units.
     rest_joints : (J, 3) array
@@ -40,43 +40,44 @@ class FitResult:
     joints : (J, 3) array
         Posed joint positions, in the scan's frame and unit.
     joint_std : (J,) array
-        How precisely the scan tells each of them where the fit is about right: the root of the mean squared distance that is to
-        be expected, in the scan's unit (``optimize.precision``). Large where hardly any points hang on a joint, which then is a
-        guess. NaN where it is not known: in free-form fits.
+        How precisely the scan determines each joint position where the fit is about right: the expected root mean squared
+        distance, in the scan's unit (``optimize.precision``). It is large where hardly any points depend on a joint, whose
+        position is then a guess, and NaN where it is not known: in free-form fits.
     labels : (n,) int array
-        Part of every scan point; indexes ``parts``.
+        Part of every scan point, as an index into ``parts``.
     confidence : (n,) array
-        Of each label, in [0, 1].
+        Confidence of each label, in [0, 1].
     terms : dict of str to float
-        Loss terms of this result, in units of ``scale`` · half, half being half the rig's size: "chamfer" L_{c²,λ}, "structured"
-        L_{s²,λ}, "laplacian" L_lap (each before its weight), "total" the weighted sum, "recon" √L_c(X, V^d).
+        Loss terms of this result, in units of ``scale`` · half, where half is half the rig's size: "chamfer" L_{c²,λ},
+        "structured" L_{s²,λ} and "laplacian" L_lap (each before its weight), "total" the weighted sum, "recon" √L_c(X, V^d).
     converged : bool
-        Whether the last stage ended by its tolerance rather than by its iteration limit.
+        Whether the last stage ended at its tolerance rather than at its iteration limit.
     status : {"ok", "suspect", "failed"}
-        Whether the fit seems right, by ``probability``; ``failed`` also where it is not finite.
+        Whether the fit seems right, judged by ``probability``; also ``failed`` where the fit is not finite.
     message : str
         The status in words: what speaks against the fit, the unit, what was left out.
     probability : float
-        That the mean joint error is below 1.5 % of the rig's size, calibrated on the bundled rigs (``fitting.confidence``).
+        Probability that the mean joint error is below 1.5 % of the rig's size, calibrated on the bundled rigs
+        (``fitting.confidence``).
     evidence : dict of str to float
-        What the probability rests on, each in [0, 1] and near 0 where nothing is wrong; see docs/fitting.md.
+        What the probability rests on: each value is in [0, 1], and near 0 where nothing is wrong. See docs/fitting.md.
     evaluations : int
-        Evaluations of an objective by L-BFGS in the stages of this pose; those of hypotheses are not counted.
+        Number of evaluations of an objective by L-BFGS in the stages of this pose; those of hypotheses are not counted.
     seconds : float
     parts : tuple of str
     rig_digest : str
         ``Rig.digest`` of the rig.
     model_digest : str
-        Of what was learned from a collection, where the fit was made with that (``learning.archive.model_digest``); else empty.
+        Digest of what was learned from a collection, if the fit used that (``learning.archive.model_digest``); else empty.
     subject : str
-        Whose learned template it is on, the id as text, "0" for the one subject of a model that was learned without ids; empty
-        where it is on none, as of a single scan or of somebody else.
+        Whose learned template the fit is on: the id as text, or "0" for the one subject of a model that was learned without ids.
+        Empty where the fit is on none, as for a single scan or for somebody else.
     unit : {"m", "cm", "mm", "in", "ft", ""}
-        The scan's, where the caller has said it; else empty, and ``message`` says what it seems to be.
+        The scan's unit, if the caller has said it; else empty, and ``message`` says what it seems to be.
     settings : dict
-        The parameters of the ``LBSFitter`` that the fit hangs on, by their names, as plain data, and "version", the package's;
-        "random_state" is None where it was no whole number. A start, labels and weights of points that were given, and a
-        segmenter, are not told. Empty where no ``LBSFitter`` has made it.
+        The ``LBSFitter`` parameters that the fit depends on, by name, as plain data, and "version", the package's version.
+        "random_state" is None where it was not a whole number. Given starts, labels, point weights and segmenters are not
+        recorded. Empty where the fit was not made by an ``LBSFitter``.
     """
 
     pose: np.ndarray

@@ -40,19 +40,19 @@ def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weight
     ----------
     path_or_name : path-like or str
         A file: ``.npz`` (the package's own, SMPL-family, or bodies with the keys verts, faces, weights, joints,
-        joint_names, parents), ``.glb`` or ``.gltf``, ``.pkl`` (SMPL-family). Or the name of a bundled rig,
+        joint_names, parents), ``.glb`` or ``.gltf``, ``.pkl`` (SMPL-family). Or the name of a bundled rig;
         see :func:`bundled_rigs`.
     card : path-like or Card, optional
-        The rig card: what the file cannot say or gets wrong. By default ``STEM.card.toml`` beside the file, where there is
-        one (``rig.notes`` say so); "none" leaves that alone.
+        The rig card: what the file cannot say or gets wrong. By default ``STEM.card.toml`` beside the file, if there is one
+        (``rig.notes`` then says so); "none" ignores it.
     shape : str or int, optional
-        Which shape, in a file of several; the first by default.
+        Which shape to take from a file of several; the first by default.
     skin : str or int, optional
-        Which skin, in a glTF file of several.
+        Which skin to take from a glTF file of several.
     normalize_weights : bool, default False
         Divide weight rows by their sums instead of refusing rows that are more than 1 % off.
     parts : str, optional
-        The partition in use; default the card's, else the file's, else one part per moving joint.
+        The partition in use; by default the card's, else the file's, else one part per moving joint.
 
     Returns
     -------
@@ -61,7 +61,7 @@ def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weight
     Raises
     ------
     FileError, InputError
-        With what came, what was expected, and what to do.
+        The error says what was given, what was expected, and what to do.
     """
     data = read_rig_data(path_or_name, shape=shape, skin=skin)
     if isinstance(card, str) and card == "none":
@@ -124,7 +124,7 @@ def rig_for_card(path_or_name, *, shape=None, skin=None):
 
 
 def bundled_rigs():
-    """Names of the rigs that come with the package, for ``load_rig``; a sorted list of str."""
+    """Return the names of the rigs that come with the package, for ``load_rig``, as a sorted list of str."""
     files = _bundled()
     return sorted([*files, *(name for name, original in _MIRRORED.items() if original in files)])
 

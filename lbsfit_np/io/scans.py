@@ -55,10 +55,10 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
     ----------
     path : str or Path
         .ply .obj .stl .off .xyz .txt .csv .pcd .npy .npz .glb .gltf; the extension picks the reader, and content that does not
-        fit it is an error. Points keep the file's order, frame and unit (glTF: the scene's frame, y up, metres).
+        fit it is an error. The points keep the file's order, frame and unit (glTF: the scene's frame, y up, metres).
     n_samples : int, optional
-        Points to sample from a mesh's surface, uniformly by area; of a point cloud, a random subset of at most so many.
-        Default: all vertices of a mesh, all points of a cloud.
+        Number of points to sample from a mesh's surface, uniformly by area; of a point cloud, take a random subset of at most
+        this many. By default, all vertices of a mesh and all points of a cloud are taken.
     random_state : int or numpy.random.Generator, default 0
         Seed of the samples.
     drop_invalid : bool, default False
@@ -67,14 +67,14 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
     Returns
     -------
     Scan
-        ``labels`` and ``normals`` where the file has them; sampled points take the label of the nearest corner of their
+        With ``labels`` and ``normals`` if the file has them. Sampled points take the label of the nearest corner of their
         triangle, and interpolated normals.
 
     Raises
     ------
     FileError
         Missing, truncated or damaged file, unknown extension, no points, NaN or infinite points, all points equal, faces
-        that refer to vertices that are not there.
+        that refer to missing vertices.
     InputError
         ``n_samples`` is not a positive whole number.
     """
@@ -138,7 +138,7 @@ def load_mesh(path):
     Parameters
     ----------
     path : str or Path
-        Of a format that :func:`load_scan` reads and that has faces.
+        A file in a format that :func:`load_scan` reads and that has faces.
 
     Returns
     -------
@@ -147,7 +147,7 @@ def load_mesh(path):
     Raises
     ------
     FileError
-        As :func:`load_scan`; a file without faces.
+        As for :func:`load_scan`; also a file without faces.
     """
     shown = str(path)
     cloud = _read(path, shown)

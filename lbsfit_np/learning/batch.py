@@ -27,15 +27,15 @@ class ScanOutcome:
     Attributes
     ----------
     index : int
-        Which of the scans.
+        Which of the scans this is.
     result : FitResult or other
-        The fit, or what ``finish`` made of it; None where there is none. Its own ``status`` may be "suspect" or "failed".
+        The fit, or what ``finish`` made of it; None where there is none. The fit's own ``status`` may be "suspect" or "failed".
     error : str or None
         Why there is no fit, in words; None where there is one.
     details : str or None
-        The traceback of a failure that nobody foresaw.
+        The traceback of an unforeseen failure.
     seconds : float
-        For reading, fitting and finishing it.
+        Time taken to read, fit and finish the scan.
     """
 
     index: int
@@ -51,25 +51,25 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     Parameters
     ----------
     fitter : LBSFitter
-        Where it has no library of starts yet and has not learned, it is pretrained once, here, as soon as a scan has been read
-        that can be fitted; a segmenter that it has is kept.
+        If it has no library of starts yet and has not learned, it is pretrained once, in this process, as soon as a scan that
+        can be fitted has been read; a segmenter that it already has is kept.
     scans : iterable
-        Of each scan the (n, 3) points, the Scan, or a callable without arguments that returns one of these, such as
-        ``functools.partial(load_scan, path)``. Callables are called where the scan is fitted, in this process where they cannot
-        be sent to another; their errors are failures of their scan alone.
+        For each scan the (n, 3) points, a Scan, or a callable without arguments that returns one of these, such as
+        ``functools.partial(load_scan, path)``. A callable is called in the process that fits its scan, or in this one if it
+        cannot be sent to another. Its errors are failures of its scan alone.
     subjects : sequence of str, int or None, optional
-        Of a fitter that has learned: whose each scan is, as for ``LBSFitter.fit_scan``; None where that is not known.
+        For a fitter that has learned: the subject of each scan, as for ``LBSFitter.fit_scan``; None where it is not known.
     n_jobs : int, default 1
-        Worker processes; with 1 all happens in this one. They are started afresh ("spawn"), so that a script must call this
-        under ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``, results are the same to the last
-        bit whatever ``n_jobs`` is.
+        Number of worker processes; with 1, everything happens in this process. Workers are started afresh ("spawn"), so a
+        script must call this function under ``if __name__ == "__main__":``. With an int as the fitter's ``random_state``,
+        results are the same to the last bit whatever ``n_jobs`` is.
     finish : callable (index, scan, result) → object, optional
-        What to do with a fit in the process that made it, such as writing it to files; what it returns takes the result's
-        place in the outcome. With several jobs it must be picklable.
+        What to do with a fit in the process that made it, such as writing it to files. Its return value replaces the result
+        in the outcome. With several jobs it must be picklable.
     on_result : callable (ScanOutcome), optional
         Called in this process for each scan as it is done, in order of completion.
     pretrain : callable (fitter), optional
-        Instead of ``fitter.pretrain(segmenter=...)``.
+        Called instead of ``fitter.pretrain(segmenter=...)``.
 
     Returns
     -------
@@ -79,10 +79,10 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     Raises
     ------
     InputError
-        ``n_jobs``, ``subjects``, what is no function, or parameters of the fitter, cannot be used; the rig or the variant is not
-        what the fitter learned with.
+        ``n_jobs``, ``subjects`` or the fitter's parameters cannot be used; an argument that must be a function is not one; the
+        rig or the variant is not what the fitter learned with.
     KeyboardInterrupt
-        On Ctrl-C, once workers have ended and ``on_result`` has had all that was finished.
+        On Ctrl-C, once the workers have ended and ``on_result`` has been called for every finished scan.
     """
     if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs < 1:
         raise InputError("n_jobs", repr(n_jobs), "a positive whole number of worker processes")

@@ -46,22 +46,22 @@ _OURS = re.compile(rf"({FIRST_FIT}|round-\d+-\w+|result|free-form)-[0-9a-f]{{32}
 
 
 class Checkpoint:
-    """Steps of one run.
+    """The steps of one run.
 
     Parameters
     ----------
     folder : path-like or None
-        Made with the first step that is kept; with None none is.
+        Created with the first step that is kept; with None, no step is kept.
     made_of : object, optional
-        What all steps depend on, besides the package and the libraries that it computes with: numbers, text, arrays, and
-        sparse matrices, tuples, lists, mappings and dataclasses of such.
+        Whatever all steps depend on, besides the package and the libraries that it computes with: numbers, text and arrays, and
+        sparse matrices, tuples, lists, mappings and dataclasses of these.
     first_fits : path-like or None, optional
-        Another folder for the fits of scans by themselves, which runs of several variants may have in common.
+        Another folder for the fits of scans by themselves, which runs of several variants may share.
 
     Raises
     ------
     InputError
-        ``folder`` is a file, no path, or where nothing can be written.
+        ``folder`` is a file, is not a path, or lies where nothing can be written.
     """
 
     def __init__(self, folder, made_of=(), *, first_fits=None):

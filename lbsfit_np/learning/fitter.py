@@ -30,7 +30,7 @@ __all__ = ["LBSFitter"]
 
 
 class LBSFitter(BaseEstimator):
-    """Fit a rig to point clouds; scikit-learn's estimator conventions.
+    """Fit a rig to point clouds, following scikit-learn's estimator conventions.
 
     Parameters
     ----------
@@ -38,65 +38,66 @@ class LBSFitter(BaseEstimator):
     weights : {"default", "paper"} or LossWeights, default "default"
         Weights of the objective; docs/losses.md says how the default was chosen.
     joints : {"follow", "fixed"}, default "follow"
-        Whether joints follow the changed template, or stay where the rig has them, as in the paper.
+        Whether joints follow the changed template or, as in the paper, stay where the rig has them.
     scale : {"estimate", "fixed"}, default "estimate"
-        Whether isotropic scale is found with the pose, or is 1 (scan and rig in one unit; with ``unit`` of one size).
+        Whether isotropic scale is found with the pose or is 1: scan and rig are then in one unit or, with ``unit``, of one size.
     unit : {"m", "cm", "mm", "in", "ft"}, optional
-        The scans', where it is known; their size stays free. The rig's has to be known, too.
+        The unit of the scans, where it is known; their size stays free. The rig's unit must be known, too.
     orientation : {"upright", "aligned", "any"}, default "upright"
         How a scan may be turned: about the up axis, not at all (it faces the rig's way, within the root joint's limits), or in
-        any way. The turn is found by hypotheses; the less is open, the surer and the faster.
+        any way. The turn is found by trying hypotheses; the less is left open, the surer and faster this is.
     up : {"+x", "-x", "+y", "-y", "+z", "-z"}, optional
-        The scans' up axis where it is known; by default the rig's, or another one where that does not suit a scan.
+        The scans' up axis, where it is known; by default the rig's, or another axis where the rig's does not suit a scan.
     partial : bool, default False
-        Whether scans show one side only, as single depth views do: what is trained then sees such scans, and parts of the
-        model that a scan has no points of do not pull.
+        Whether scans show one side only, as single depth views do. Training then uses such scans, and parts of the model for
+        which a scan has no points do not pull.
     effort : {"balanced", "fast", "thorough"}, default "balanced"
-        How many starts go how far.
+        How many starts are followed, and how far.
     max_points : int, default 2500
-        Points of a scan that take part in the optimisation; all are labelled.
+        Number of a scan's points that take part in the optimisation; all points are labelled.
     training_scans : int, default 4000
-        Synthetic scans that the segmenter is trained on; the library of starts has half as many more.
+        Number of synthetic scans to train the segmenter on; the library of starts takes half as many, in addition to these.
     variant : {"joint", "pose-only", "rand", "cd", "free-form"}, default "joint"
-        What :meth:`fit` learns from, as in the paper's ablations: everything; the segmenter from the fits' poses but not their
-        templates; the segmenter from uniform poses only; no labels at all; no skinning at all, vertices move freely.
+        What :meth:`fit` learns from, as in the paper's ablations. "joint": everything. "pose-only": the segmenter learns from the
+        fits' poses but not their templates. "rand": the segmenter learns from uniform poses only. "cd": no labels at all.
+        "free-form": no skinning at all; vertices move freely.
     rounds : int, default 4
-        Rounds of :meth:`fit`, at most.
+        Maximum number of rounds of :meth:`fit`.
     held_out : float, default 0.1
-        Share of the scans that :meth:`fit` holds out of learning to tell when to stop; 0 takes all and does every round.
+        Share of the scans that :meth:`fit` holds out of learning to tell when to stop. With 0, it uses all and does every round.
     sequence : bool, default False
-        Whether the scans of each subject are in order of time: each then starts from its neighbours, too.
+        Whether the scans of each subject are in order of time; each scan then also starts from its neighbours.
     smooth : float, default 0
-        With ``sequence``: weight of ‖Θ − Θ⁰‖², Θ⁰ the mean of its own and the neighbours' angles, against the mean squared
-        distance to the surface in squared half sizes of the rig; 1e-5 is a little, 1e-3 much.
+        With ``sequence``: weight of ‖Θ − Θ⁰‖², where Θ⁰ is the mean of a scan's own and its neighbours' angles, against the
+        mean squared distance to the surface in squared half sizes of the rig; 1e-5 is a little, 1e-3 much.
     training : dict, optional
-        Fields of ``synthesis.Synthesis`` for them, such as ``{"turn": 3.14, "scale": 0.2}``; ``scale`` is 0.05 unless given.
+        ``synthesis.Synthesis`` fields for training scans, e.g. ``{"turn": 3.14, "scale": 0.2}``; ``scale`` is 0.05 unless given.
     n_jobs : int, optional
-        Processes, for training and for scans of all methods that take several; results do not depend on it.
+        Number of processes for training and for all methods that take several scans; results do not depend on it.
     random_state : int, Generator or None
 
     Attributes
     ----------
     segmenter_ : Segmenter or None
-        s, after :meth:`pretrain` or :meth:`fit_scan`, and as learned after :meth:`fit`; None in variants without labels.
+        s, set by :meth:`pretrain` or :meth:`fit_scan` and, as learned, by :meth:`fit`; None in variants without labels.
     regressor_ : PoseLibrary or None
-        f, and the poses it was trained on, which starts are looked up in; like s, and anew after :meth:`fit`.
+        f and the poses it was trained on, in which starts are looked up; set by the same methods, and made anew by :meth:`fit`.
     template_ : dict of id to Rig
-        After :meth:`fit`, as all below: the rig on each subject's own template. Ids are those that it was given; 0 without any.
+        Set by :meth:`fit`, like all below: the rig on each subject's own template. Ids are those given to it; 0 if none were.
     unit_ : dict of id to float
-        Scan units in a rig unit.
+        Scan units per rig unit.
     learned_unit_ : str or None
-        ``unit`` of the scans learned from; that of new scans may be another.
+        ``unit`` of the scans learned from; new scans may be in another.
     pose_prior_ : PosePrior or None
-        How angles vary among the poses learned from, which holds those that a scan leaves open.
+        How angles vary among the poses learned from; it constrains the angles that a scan leaves open.
     results_ : list of FitResult or None
-        Of each scan; None where it could not be used.
+        The result of each scan; None where the scan could not be used.
     failures_ : dict of int to str
-        Why, by the number of the scan.
+        Why a scan could not be used, by the number of the scan.
     roles_ : list of str or None
-        Of each scan: "learned from", "held out of learning" or "not learned from"; None where it could not be used.
+        For each scan: "learned from", "held out of learning" or "not learned from"; None where it could not be used.
     history_ : list of dict
-        One entry a round, see docs/learning-method.md.
+        One entry per round; see docs/learning-method.md.
     """
 
     def __init__(
@@ -145,17 +146,16 @@ class LBSFitter(BaseEstimator):
     def pretrain(self, *, segmenter=None, cache=False, progress=None):
         """Train on synthetic scans of the rig (step 1 of Algorithm 1): the segmenter s, and f with the library of starts.
 
-        Poses are uniform within the limits, in half of the scans correlated between joints (``synthesis.training_poses``);
-        shapes and scans vary as ``training`` says. Half of the library's poses are natural ones, where the rig has some. A
-        fitter that has learned keeps that: the next :meth:`fit` begins with what is trained here.
+        Poses are uniform within the limits; in half of the scans they are correlated between joints
+        (``synthesis.training_poses``). Shapes and scans vary as ``training`` says. Half of the library's poses are natural, if
+        the rig has any. A fitter that has learned keeps what it learned; the next :meth:`fit` begins with what is trained here.
 
         Parameters
         ----------
         segmenter : Segmenter, optional
-            A trained one, which is taken as s; only f and the library are trained then. Variants without labels have no s, and
-            neither train one nor take it.
+            Used as s: only f and the library are then trained. Variants without labels have no s; they neither train nor use one.
         cache : bool, default False
-            Whether to look in, and add to, the cache of what was trained.
+            Whether to look in the cache for what was trained, and to add to it.
         progress : callable, optional
             Called with the share done, in [0, 1].
 
@@ -184,25 +184,25 @@ class LBSFitter(BaseEstimator):
         return self
 
     def fit(self, scans, subjects=None, *, cache=False, checkpoint=None, progress=None, on_round=None):
-        """Learn from a collection of scans: Algorithm 1 of the paper, see ``learning.loop``.
+        """Learn from a collection of scans by Algorithm 1 of the paper; see ``learning.loop``.
 
         Parameters
         ----------
         scans : sequence
-            Of each scan the (n, 3) points, the Scan, or a callable without arguments that returns one. In one unit, and with
-            ``sequence`` in order of time.
+            For each scan the (n, 3) points, a Scan, or a callable without arguments that returns one of these. All are in one
+            unit and, with ``sequence``, in order of time.
         subjects : sequence of str or int, optional
-            Who was scanned, one id for each scan; one subject by default. The scans of a subject share a template.
+            Who was scanned: one id for each scan. By default there is one subject. The scans of a subject share a template.
         cache : bool, default False
             As in :meth:`pretrain`.
         checkpoint : path-like or Checkpoint, optional
-            A folder that each step is kept in as it is done: after a stop, or a crash, the same call once more goes on from
-            there, to the same result; variants that learn from labels find each other's first fits. It needs a seed, and stays.
+            Folder in which each step is kept as it is done. After a stop or a crash, the same call goes on from there, to the
+            same result. Variants that learn from labels find each other's first fits. A seed is needed; the folder stays.
         progress : callable (stage, share, figures=None), optional
-            Called with the name of a step and the share of it done in [0, 1], but for pretraining as it begins, too; after a
-            round also with its entry of ``history_``.
+            Called with the name of a step and the share of it done, in [0, 1]; also as each step but pretraining begins. After
+            a round it is also given the round's entry of ``history_``.
         on_round : callable (k, segmenter), optional
-            Called after round k with s as it then is, such as for its errors on scans of which more is known.
+            Called after round k with s as it then is, for example to find its errors on scans of which more is known.
 
         Returns
         -------
@@ -211,11 +211,11 @@ class LBSFitter(BaseEstimator):
         Raises
         ------
         InputError
-            Before any work: parameters, ids of the wrong number, extents of different units, no scan that can be used, or too
-            few to hold any out; after the first fits: scales of different units within a subject. A single scan that cannot be
-            used is left out, with a warning and its reason in ``failures_``.
+            Before any work: unusable parameters, the wrong number of ids, extents of different units, no usable scan, or too few
+            to hold any out. After the first fits: scales of different units within a subject. A single unusable scan is left
+            out, with a warning and the reason in ``failures_``.
         KeyboardInterrupt
-            On Ctrl-C; what a finished round has learned is there then, ``results_`` are None each.
+            On Ctrl-C. What a finished round has learned is then available; ``results_`` holds None for each scan.
         """
         self._check()
         check_callables(progress=progress, on_round=on_round)
@@ -294,14 +294,14 @@ class LBSFitter(BaseEstimator):
         self.failures_, self.roles_ = dict(collection.failures), collection.roles
 
     def transform(self, scans, subjects=None):
-        """Registered vertices of scans, fitted with what was learned.
+        """Fit scans with what was learned, and return their registered vertices.
 
         Parameters
         ----------
         scans
             As in :meth:`fit`.
         subjects : sequence of str, int or None, optional
-            Whose templates to use, by ids or their text; None is the one that explains the scan best, of all by default.
+            Whose template to use for each scan, by id or its text; with None, the default for all, the one that explains it best.
 
         Returns
         -------
@@ -313,7 +313,7 @@ class LBSFitter(BaseEstimator):
         return np.array([np.full(shape, np.nan) if r is None else r.vertices for r in results]).reshape(-1, *shape)
 
     def score(self, scans, subjects=None):
-        """Minus the mean of √L_c over scans fitted with what was learned, in half sizes of the rig; NaN where none can be."""
+        """Minus the mean of √L_c over scans fitted with what was learned, in half sizes of the rig; NaN if none can be fitted."""
         self._check_learned()
         if not (scans := as_scans(scans)):
             raise InputError("scans", "none", "one or more scans")
@@ -321,13 +321,13 @@ class LBSFitter(BaseEstimator):
         return -float(np.mean([r.terms["recon"] for r in results])) if results else float("nan")
 
     def save(self, path):
-        """Write what was learned, and the rig, as one NPZ without pickle; :meth:`load` and ``lbsfit fit`` read it."""
+        """Write what was learned and the rig as one NPZ without pickle; :meth:`load` and ``lbsfit fit`` read it."""
         self._check_learned()
         write_fitter(self, path)
 
     @classmethod
     def load(cls, path):
-        """Read what :meth:`save` wrote; ``results_`` are not part of it.
+        """Read what :meth:`save` wrote; ``results_`` is not part of it.
 
         Returns
         -------
@@ -347,18 +347,18 @@ class LBSFitter(BaseEstimator):
     def fit_scan(self, points, *, subject=None, theta0=None, labels=None, point_weights=None):
         """Fit one scan: with the learned templates after :meth:`fit`, else by itself.
 
-        By itself, it pretrains first where that has not been done and labels are not given.
+        A fit by itself pretrains first, unless that has been done or labels are given.
 
         Parameters
         ----------
         points : (n, 3) array or Scan
             In any unit that ``scale`` allows.
         subject : str or int, optional
-            After :meth:`fit`: whose template to use, by id or its text; by default the one that explains the scan best.
+            After :meth:`fit`: whose template to use, by id or its text. By default it is the one that explains the scan best.
         theta0 : (J, 3) array, optional
             A known start, radians.
         labels : (n,) int array, optional
-            Known parts of the points, which index ``rig.parts``; −1 where one is not known.
+            Known parts of the points, as indices into ``rig.parts``; −1 where the part is not known.
         point_weights : (n,) array, optional
             Non-negative; 0 leaves a point out of the fit.
 

@@ -16,7 +16,7 @@ def fit_scan(rig, points, *, theta0=None, labels=None, point_weights=None, rando
         As in :meth:`LBSFitter.fit_scan`.
     random_state : int, default 0
     **parameters
-        Of :class:`LBSFitter`.
+        Parameters of :class:`LBSFitter`.
 
     Returns
     -------

@@ -126,7 +126,7 @@ def learned_with(fitter):
 
 
 class NotLearnedError(InputError, NotFittedError):
-    """What comes after ``fit`` was asked of a fitter before."""
+    """A fitter was asked, before ``fit``, for what only comes after it."""
 
 
 def check_learned(fitter):

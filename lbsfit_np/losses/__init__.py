@@ -1,4 +1,4 @@
-"""The paper's losses: each one function that returns its value and its gradients. docs/losses.md writes the definitions out."""
+"""The paper's losses: each is one function that returns its value and its gradients. docs/losses.md gives the definitions."""
 
 from .chamfer import chamfer
 from .composite import composite_chamfer, composite_structured_chamfer

@@ -20,9 +20,9 @@ def chamfer(X, V, *, x_weights=None, v_weights=None, x_index=None):
     x_weights : (n,) array, optional
         Non-negative weights of the scan points: the first mean becomes Σ_i a_i ‖·‖² / Σ_i a_i. The second is unchanged.
     v_weights : (m,) array, optional
-        Non-negative weights b_j of the vertices, in the same way in the second mean: 0 for what a scan cannot show.
+        Non-negative weights b_j of the vertices, used in the same way in the second mean; 0 for what a scan cannot show.
     x_index : PointIndex, optional
-        A search structure over X, to be reused between calls.
+        A search structure over X, for reuse between calls.
 
     Returns
     -------
@@ -47,7 +47,7 @@ def chamfer(X, V, *, x_weights=None, v_weights=None, x_index=None):
 
 
 def one_sided_terms(X, V, to_V, to_X, x_weights=None, v_weights=None):
-    """Value and gradient to V of both means, for given neighbours; −1 marks a point that contributes 0."""
+    """Value of both means and gradient with respect to V, for given neighbours; −1 marks a point that contributes 0."""
     n, m = len(X), len(V)
     a = np.full(n, 1.0 / n) if x_weights is None else x_weights / x_weights.sum()
     a = np.where(to_V < 0, 0.0, a)

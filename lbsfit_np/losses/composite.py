@@ -34,7 +34,10 @@ def composite_chamfer(X, Vd, V, *, lam=0.5, x_weights=None, v_weights=None, x_in
 
 
 def composite_structured_chamfer(X, Vd, V, x_labels, v_labels, *, lam=0.5, x_weights=None, v_weights=None, x_index=None):
-    """L_{s²,λ} = L_s(X, V^d) + λ L_s(X, V)  (eq. 6 of the paper); arguments as in the two functions that it joins."""
+    """L_{s²,λ} = L_s(X, V^d) + λ L_s(X, V)  (eq. 6 of the paper).
+
+    Arguments are as in :func:`composite_chamfer` and :func:`structured_chamfer`, which it combines.
+    """
     labels = x_labels, v_labels
     return _composite(structured_chamfer, X, Vd, V, lam, labels, x_weights=x_weights, v_weights=v_weights, x_index=x_index)
 

@@ -24,7 +24,7 @@ def cotangent_matrix(vertices, faces):
     Returns
     -------
     (m, m) sparse csr_array
-        Without unit: cotangents do not change with scale.
+        It has no unit, as cotangents do not change with scale.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def laplacian_posed(Vd, K, *, squared=False):
 
 
 def laplacian_offsets(offsets, K, *, squared=False):
-    """L_lap = ‖K (U^d − U)‖_F: the roughness of the offsets alone, which leaves the template's own features in peace.
+    """L_lap = ‖K (U^d − U)‖_F: the roughness of the offsets alone, which leaves the template's own features as they are.
 
     Parameters
     ----------

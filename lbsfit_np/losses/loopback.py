@@ -8,7 +8,7 @@ __all__ = ["loopback"]
 
 
 def loopback(predicted, theta):
-    """L_Θ = ‖f(M(Θ', U)) − Θ'‖²  (without a number in the paper), the mean over a batch where there is one.
+    """L_Θ = ‖f(M(Θ', U)) − Θ'‖²  (without a number in the paper); for a batch, the mean over it.
 
     Parameters
     ----------

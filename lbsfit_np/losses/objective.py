@@ -21,9 +21,9 @@ class LossWeights:
     chamfer : float
         Weight of L_{c²,λ}; 1 in the paper. 0 leaves the plain term out.
     lam : float
-        λ, weight of the undeformed template in both composites.
+        λ, the weight of the undeformed template in both composites.
     lam_s : float
-        λ_s, weight of L_{s²,λ}.
+        λ_s, the weight of L_{s²,λ}.
     lam_lap : float
         λ_lap.
     laplacian : {"posed", "offsets"}
@@ -46,7 +46,7 @@ class LossWeights:
             raise InputError("laplacian", repr(self.laplacian), "'posed' or 'offsets'")
 
     def replace(self, **changes):
-        """The same weights but for some; InputError for a name that is none."""
+        """Return the same weights with some changed; InputError for a name that is not one of them."""
         known = self.__dataclass_fields__
         for name in changes:
             if name not in known:
@@ -103,7 +103,7 @@ def objective(
     x_index=None,
     x_part_index=None,
 ):
-    """L without the loop-back term, which has no part in one scan's fit.
+    """Evaluate L without the loop-back term, which plays no part in the fit of one scan.
 
     Parameters
     ----------
@@ -113,11 +113,11 @@ def objective(
         M(Θ, U^d) and M(Θ, U).
     weights : LossWeights or {"default", "paper"}
     x_labels, v_labels : int arrays, optional
-        Parts; without them the structured term is left out.
+        Parts; without them, the structured term is left out.
     offsets : (m, 3) array, optional
         U^d − U; needed by the "offsets" Laplacian.
     K : sparse array, optional
-        Cotangent matrix of U; without it the Laplacian is left out.
+        Cotangent matrix of U; without it, the Laplacian is left out.
     x_weights, v_weights, x_index, x_part_index
         Weights of the points and of the vertices, and search structures over X, plain and with labels.
 
@@ -128,7 +128,7 @@ def objective(
     Raises
     ------
     InputError
-        As in the terms; labels or offsets that a term needs and that are missing.
+        As in the terms; also where labels or offsets that a term needs are missing.
     """
     weights = as_weights(weights)
     Vd, V = (check_set("V", V),) * 2 if Vd is V else (check_set("Vd", Vd), check_set("V", V))

@@ -37,7 +37,7 @@ def structured_chamfer(X, V, x_labels, v_labels, *, x_weights=None, v_weights=No
     Raises
     ------
     InputError
-        As in :func:`chamfer`; labels of a wrong length, not integers, negative, or of 65,536 and more.
+        As in :func:`chamfer`; also labels of the wrong length, not integers, negative, or 65,536 and more.
     """
     X, V = check_set("X", X), check_set("V", V)
     x_labels, v_labels = check_labels("x_labels", x_labels, len(X)), check_labels("v_labels", v_labels, len(V))

@@ -42,49 +42,50 @@ def save_animation(
     Parameters
     ----------
     path : str or Path
-        To write; the name must end in ``.glb``.
+        The file to write; the name must end in ``.glb``.
     rig : Rig
-        That the fits are of.
+        The rig that the fits are of.
     results : FitResult or sequence of FitResult
-        A key frame each, in this order; of scans in one unit. One alone is a rig that stands in its pose, without an animation.
+        One key frame for each, in this order; the scans are in one unit. A single fit gives a rig in its pose, and no animation.
     offsets : {"mean", "each"}, default "mean"
-        Whose template U + offsets the frames have: their mean, with its joints, so that bones keep their lengths; or each its own
-        (by morph targets and moved joints), so that each frame is the registered mesh. The same of one fit alone.
+        Which template U + offsets the frames have. "mean": the fits' mean, with its joints, so that bones keep their lengths.
+        "each": each fit's own (by morph targets and moved joints), so that each frame is the registered mesh. For a single fit
+        the two are the same.
     frames_per_second : float, default 30
     up : str, optional
-        Axis of the scans that is up, such as "+z": all is turned so that it becomes glTF's, which is +y. By default the rig's
-        own, +y where that is not known, and then the rig's front becomes glTF's, which is +z.
+        The scans' up axis, such as "+z": everything is turned so that it becomes glTF's, which is +y. By default it is the rig's
+        own, or +y where that is not known; the rig's front then becomes glTF's, which is +z.
     metres_per_unit : float, optional
-        Of the scans' unit, as lengths in glTF are metres. By default that of the fits' ``unit``, where these say one, else told
-        from the rig's unit and the fits' scales (``unit_of``); 1 where that does not tell it.
+        Length of the scans' unit in metres, as lengths in glTF are metres. By default that of the fits' ``unit``, if they say
+        one, else told from the rig's unit and the fits' scales (``unit_of``); 1 where these do not tell it.
     influences : int, optional
-        On how many joints a vertex may hang at most: its largest weights, scaled to a sum of 1. By default on all that it does
-        hang on; many programs show four.
+        The largest number of joints that a vertex may depend on: its largest weights are kept, scaled to a sum of 1. By default
+        all are kept; many programs show four.
 
     Returns
     -------
     (N,) array
-        Mean distance of each frame's vertices from those of its fit, in the scans' unit, but for rounding to single precision:
-        0 with ``offsets="each"`` and all influences.
+        Mean distance of each frame's vertices from those of its fit, in the scans' unit, apart from rounding to single precision.
+        It is 0 with ``offsets="each"`` and all influences.
 
     Raises
     ------
     InputError
-        No results, results of another rig or with what is not finite, or that say several units, parameters out of their ranges.
-        Nothing is written.
+        No results; results of another rig, with values that are not finite, or that say several units; parameters out of their
+        ranges. Nothing is written.
     FileError
         A path that cannot be written to.
 
     Warns
     -----
     UserWarning
-        Fits whose scales differ from the others' by more than people do, as of scans in another unit; not where they say theirs.
-        Fits that stand along another axis than ``up``, and lie in the animation.
+        Some fits' scales differ from the others' by more than people do, as for scans in another unit; not where they say theirs.
+        The fits stand along another axis than ``up``, and lie in the animation.
 
     Notes
     -----
-    Vertices, faces and joints are the rig's, in its order and with its names; normals are of the mean template. The material is
-    plain grey, and there are no texture coordinates, as a ``Rig`` has none.
+    Vertices, faces and joints are the rig's, in its order and with its names; normals are those of the mean template. The
+    material is plain grey. There are no texture coordinates, as a ``Rig`` has none.
     """
     results = _checked(path, rig, results)
     _check_options(offsets, frames_per_second, up, metres_per_unit, influences)
@@ -119,9 +120,9 @@ def save_animation(
 
 
 def unit_of(rig, results):
-    """The unit that fits say, else the one that scans seem to be in, in words, and metres in it.
+    """Return the unit that the fits say, else the one that the scans seem to be in: in words, and its length in metres.
 
-    None and 1 where nothing is said, and rig and scales do not tell it.
+    It is None and 1 where the fits say nothing, and the rig and the scales do not tell it.
     """
     if said := said_unit(results):
         return WORDS[said], METRES[said]
@@ -135,9 +136,9 @@ def unit_of(rig, results):
 
 
 def stands_along(rig, results, up=None):
-    """The axis, such as "+z", that the rig's up axis lies along in the fits' mean, where it is not ``up``; else None.
+    """Return the axis, such as "+z", along which the rig's up axis lies in the mean of the fits, if it is not ``up``; else None.
 
-    None also where nobody knows the rig's up axis: it stands no way then.
+    It is also None where the rig's up axis is not known, as it then cannot be said which way the rig stands.
     """
     if rig.up is None:
         return None
@@ -147,12 +148,12 @@ def stands_along(rig, results, up=None):
 
 
 def said_unit(results):
-    """The unit that fits say their scans are in, of all where some do; empty where none does.
+    """Return the unit that fits say their scans are in; it holds for all if some say it, and is empty if none does.
 
     Raises
     ------
     InputError
-        They say several.
+        The fits say several units.
     """
     said = sorted({r.unit for r in results if r.unit})
     if len(said) > 1:
@@ -162,7 +163,7 @@ def said_unit(results):
 
 
 def odd_scales(results):
-    """Rows of the fits whose scales are further from the median than people differ in size; none where all say their unit."""
+    """Return the rows of fits whose scales are further from the median than people differ in size; none if all say their unit."""
     if results[0].unit and len({r.unit for r in results}) == 1:
         return []
     scales = np.array([r.scale for r in results])
@@ -171,7 +172,7 @@ def odd_scales(results):
 
 
 def check_fit(rig, result, name):
-    """Raise InputError, about ``name``, unless a result is of this rig and its numbers can be written."""
+    """Raise an InputError about ``name`` unless a result is of this rig and its numbers can be written."""
     if not isinstance(result, FitResult):
         raise InputError(name, brief(result), "a FitResult")
     if result.rig_digest != rig.digest:

@@ -33,27 +33,27 @@ __all__ = ["build_rig"]
 
 
 def build_rig(data, card=None, *, normalize_weights=False, parts=None):
-    """A validated Rig from what a file says and what a card adds.
+    """Build a validated Rig from what a file says and what a card adds.
 
     Parameters
     ----------
     data : RigData
-        Left as it is; the rig gets copies.
+        Left unchanged; the rig gets copies.
     card : Card or path-like, optional
         Overrides the file: hierarchy, merged and locked joints, frames, limits, partitions, unit, up, forward.
     normalize_weights : bool, default False
-        Divide weight rows by their sums, whatever these are. Without it, sums within 1 % of 1 are put right with a note and
+        Divide weight rows by their sums, whatever these are. Otherwise, sums within 1 % of 1 are put right, with a note, and
         others are an error.
     parts : str, optional
-        The partition in use; default the card's ``use_parts``, else the file's, else "joints".
+        The partition in use; by default the card's ``use_parts``, else the file's, else "joints".
 
     Returns
     -------
     Rig
-        Anomalies and what was done about them stand in ``rig.notes``. Missing limits are derived, see
-        :func:`.limits.derived_limits`. Joints that move no vertex (no weight in all that hangs on them) are locked, and so are
-        joints that only repeat the root's turn (all weight hangs on them), unless a card gives these limits by name; nothing
-        is locked by itself in the package's own files.
+        ``rig.notes`` lists anomalies and what was done about them. Missing limits are derived; see
+        :func:`.limits.derived_limits`. Joints that move no vertex (neither they nor their descendants have weight) are locked.
+        So are joints that only repeat the root's turn (they and their descendants have all the weight), unless a card gives
+        these joints limits by name. In the package's own files nothing is locked automatically.
 
     Raises
     ------

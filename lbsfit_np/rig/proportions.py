@@ -37,8 +37,8 @@ class Proportions:
     owner : (k,) int array
         The joint that each coefficient stretches about.
     girths : (m, 3, g) array
-        Displacement of the vertices for a unit of each girth, which is half the width: two for each joint that branches. They
-        have coefficients of their own, which are none of the k.
+        Displacement of the vertices for a unit of each girth, which is half the width. Each joint that branches has two girths.
+        Their coefficients are their own, and are not among the k.
     """
 
     basis: np.ndarray

@@ -35,19 +35,19 @@ class Rig:
         U, the template in the rest pose.
     faces : (F, 3) int array
     weights : (m, J) sparse csr_array
-        Skinning weights w, rows sum to 1; a merged joint's stand in the column of the nearest joint above that is not merged.
+        Skinning weights w; rows sum to 1. A merged joint's weights are in the column of the nearest unmerged joint above it.
     parents : (J,) int array
         K, the joint hierarchy; −1 for the root.
     joint_names : tuple of str
     joints : (J, 3) array
         Joint positions in the rest pose.
     frames : (J, 3, 3) array
-        Rest frames: the columns are the axes, in the rig's frame, that the joint's angles turn about.
+        Rest frames: the columns are the axes that the joint's angles turn about, given in the rig's frame.
     lower, upper : (J, 3) arrays
         (R_l, R_u), joint-angle limits in radians about the rest frame's axes; 0, 0 for locked and merged joints.
-        The root's serve for sampling poses only: a fit leaves the root unbounded.
+        The root's limits serve only to sample poses: a fit leaves the root unbounded.
     regressor : (J, m) sparse csr_array
-        Joint regressor R, rows sum to 1, R U = J wherever the vertices reach: not of a joint off the plane of a flat mesh.
+        Joint regressor R; rows sum to 1. R U = J wherever the vertices reach, so not for a joint off the plane of a flat mesh.
     merged, locked : (J,) bool arrays
         Merged joints have given their weights to their parents; locked joints keep their weights but never turn.
     partitions : mapping of str to mapping of str to tuple of str
@@ -58,13 +58,13 @@ class Rig:
     up, forward : str or None
         Such as "+y"; None where unknown.
     notes : tuple of str
-        Anomalies met while reading and what was done about them.
+        Anomalies found while reading, and what was done about them.
     poses : mapping of str to (J, 3) array
-        A library of natural poses, radians in the rest frames; empty where there is none.
+        A library of natural poses, in radians in the rest frames; empty where there is none.
     shapes : ShapeSpace or None
         Shape parameters and what they do (``rig.shapes.ShapeSpace``); :meth:`subject` sets them.
     smpl_rest : (J, 3, 3) array or None
-        Rotations from this rig's rest pose to that of SMPL or MANO (``rig.smpl_pose``), where the joints are theirs.
+        For a rig with the joints of SMPL or MANO: rotations from this rig's rest pose to theirs (``rig.smpl_pose``).
     """
 
     name: str
@@ -141,7 +141,7 @@ class Rig:
 
     @property
     def sides(self):
-        """(3,): sides of that box. Loose vertices, and those of degenerate faces alone, are no part of the surface."""
+        """(3,): sides of the box of :attr:`size`. Vertices that are loose or only in degenerate faces do not count."""
         proper = _proper(self.weld[self.faces])
         used = np.unique(self.faces[proper]) if proper.any() else slice(None)
         return np.ptp(self.vertices[used], axis=0)
@@ -177,12 +177,12 @@ class Rig:
 
     @cached_property
     def weld(self):
-        """(m,) int: row of ``welded`` that each vertex becomes once duplicates at seams are joined."""
+        """(m,) int: the row of ``welded`` that each vertex becomes when duplicates at seams are joined."""
         return weld_map(self.vertices, self.weights)
 
     @cached_property
     def welded(self):
-        """The same rig with duplicate vertices joined (itself where there are none); the fit works on this one."""
+        """The same rig with duplicate vertices joined, or this rig itself if it has none; the fit works on the welded rig."""
         return weld_rig(self)
 
     @cached_property
@@ -192,9 +192,9 @@ class Rig:
 
     @cached_property
     def digest(self):
-        """Hex digest of what segmenters and fits are of: geometry, weights, regressor, hierarchy, limits, parts.
+        """Hex digest of what segmenters and fits belong to: geometry, weights, regressor, hierarchy, limits, parts.
 
-        Not of the unit and the axes, which only tell how a scan may lie and be measured.
+        It leaves out the unit and the axes, which only tell how a scan may lie and be measured.
         """
         h = hashlib.sha256()
         for a in (self.vertices, self.faces, self.parents, self.joints, self.frames, self.lower, self.upper):
@@ -207,13 +207,13 @@ class Rig:
 
     @property
     def poses_digest(self):
-        """Hex digest of the natural poses, of which ``digest`` knows nothing; in their order, by which they are drawn."""
+        """Hex digest of the natural poses, which ``digest`` leaves out; it depends on their order, by which they are drawn."""
         return hashlib.sha256(repr([(name, pose.tolist()) for name, pose in self.poses.items()]).encode()).hexdigest()
 
     # ---- what people do with a rig ----
 
     def pose(self, theta, translation=None, scale=1.0, offsets=None, *, joints="follow"):
-        """scale · M(Θ, U + offsets) + translation.
+        """Pose the template: scale · M(Θ, U + offsets) + translation.
 
         Parameters
         ----------
@@ -224,7 +224,7 @@ class Rig:
         offsets : (m, 3) array, optional
             In rig units.
         joints : {"follow", "fixed"} or (J, 3) array, default "follow"
-            Whether the rest joints follow the offsets through the regressor, or stay; or where they are.
+            Whether the rest joints follow the offsets through the regressor or stay; an array says where they are.
 
         Returns
         -------
@@ -255,19 +255,19 @@ class Rig:
         return skin(self, theta, translation=translation, scale=scale, offsets=offsets, joint_offsets=moved, joints=joints)
 
     def with_parts(self, granularity):
-        """The same rig with another of its partitions in use."""
+        """Return the same rig with another of its partitions in use."""
         check_partition("parts", granularity, self.partitions)
         return replace(self, granularity=granularity)
 
     def with_template(self, vertices, joints=None):
-        """The same rig on a changed template U^d.
+        """Return the same rig on a changed template U^d.
 
         Parameters
         ----------
         vertices : (m, 3) array
-            U^d, same vertices in the same order.
+            U^d: the same vertices in the same order.
         joints : (J, 3) array, optional
-            Its joint positions; by default the regressor's, J + R (U^d − U).
+            Joint positions of U^d; by default the regressor's, J + R (U^d − U).
         """
         from .regressor import exact_regressor
 
@@ -277,7 +277,7 @@ class Rig:
         return replace(self, vertices=vertices, joints=joints, regressor=exact_regressor(self.regressor, vertices, joints))
 
     def scaled(self, factor):
-        """The same rig in another unit: all lengths times ``factor``, a positive number; InputError for others."""
+        """Return the same rig in another unit: all lengths times ``factor``, a positive number; others raise InputError."""
         factor = _checked_factor(factor)
         unit = None if self.metres_per_unit is None else self.metres_per_unit / factor
         shapes = None if self.shapes is None else self.shapes.mapped(lambda directions: directions * factor)
@@ -286,57 +286,57 @@ class Rig:
         )
 
     def mirrored(self, name=None, *, axis="x"):
-        """The mirror image: a left hand from a right one. The same angles give the mirrored pose.
+        """Return the mirror image, such as a left hand from a right one. The same angles give the mirrored pose.
 
         Parameters
         ----------
         name : str, optional
-            By default this rig's with left and right exchanged, or with "-mirrored".
+            By default this rig's name with left and right exchanged, or with "-mirrored" appended.
         axis : {"x", "y", "z"}, default "x"
-            The coordinate that changes its sign.
+            The coordinate that changes sign.
 
         Returns
         -------
         Rig
-            ``mirrored.pose(theta)`` is ``pose(theta)`` with that coordinate negated. Joints keep their rows; left and right
-            change places in the names of joints, parts and poses, and where that renames joints, ``smpl_rest`` is left out.
+            ``mirrored.pose(theta)`` is ``pose(theta)`` with that coordinate negated. Joints keep their rows. Left and right
+            change places in the names of joints, parts and poses; where that renames joints, ``smpl_rest`` is left out.
         """
         from .mirror import mirrored
 
         return mirrored(self, name, axis=axis)
 
     def subject(self, random_state=None, *, amount=1.0, **parameters):
-        """The same rig on another person's template, with that person's joints.
+        """Return the same rig on another person's template, with that person's joints.
 
         Parameters
         ----------
         random_state : int, Generator or None
-            With an int, always the same person.
+            An int always gives the same person.
         amount : float, default 1
-            How far people differ, from 0 to 2: 1 is as in reality, and 0 is this rig with the given parameters only.
+            How far people differ, from 0 to 2: 1 is as in reality, and 0 changes only the given parameters of this rig.
         **parameters
-            Values of shape parameters (``rig.shapes`` names them with range and unit). The others are drawn around their
-            defaults with the spread of people times ``amount``, within their ranges.
+            Values of shape parameters; ``rig.shapes`` names them, with range and unit. Parameters not given are drawn around
+            their defaults, with the spread of people times ``amount``, within their ranges.
 
         Returns
         -------
         Rig
             Its template is U + Σ (v − default) D (``rig.shapes.ShapeSpace``), and its ``shapes.default`` are the values v.
-            On top, each bone's length and thickness vary (``rig.proportions``) with a standard deviation of 0.03 ``amount``,
-            0.08 ``amount`` for rigs without shape parameters, cut at two deviations, left and right limbs alike; with
-            amount=0 nothing but the given parameters changes.
+            In addition, each bone's length and thickness vary (``rig.proportions``), left and right limbs alike. The standard
+            deviation is 0.03 ``amount``, or 0.08 ``amount`` for rigs without shape parameters, cut at two deviations. With
+            amount=0, only the given parameters change.
 
         Raises
         ------
         InputError
-            A parameter that is not known or out of its range; ``amount`` out of its range.
+            A parameter that is unknown or out of its range; ``amount`` out of its range.
         """
         from .subject import subject
 
         return subject(self, random_state, amount, parameters)
 
     def to_smpl_pose(self, theta):
-        """A pose in SMPL's or MANO's convention.
+        """Return a pose in SMPL's or MANO's convention.
 
         Parameters
         ----------
@@ -352,16 +352,16 @@ class Rig:
         Raises
         ------
         InputError
-            A rig that has no ``smpl_rest``.
+            The rig has no ``smpl_rest``.
         """
         from .smpl_pose import to_smpl_pose
 
         return to_smpl_pose(self, theta)
 
     def from_smpl_pose(self, pose):
-        """The angles, (J, 3), of a pose in SMPL's or MANO's convention: (J, 3), or flat (3 J,).
+        """Return the angles, (J, 3), of a pose in SMPL's or MANO's convention, given as (J, 3) or flat (3 J,).
 
-        The inverse of :meth:`to_smpl_pose`. Nothing is clipped to this rig's limits. Errors as there.
+        This is the inverse of :meth:`to_smpl_pose`, with the same errors. Nothing is clipped to this rig's limits.
         """
         from .smpl_pose import from_smpl_pose
 

@@ -30,17 +30,17 @@ class ShapeSpace:
     names : (K,) tuple of str
         Such as "height"; valid as keyword arguments of ``Rig.subject``.
     units : (K,) tuple of str
-        Of each parameter, such as "m" or "kg"; "" for a plain number.
+        Unit of each parameter, such as "m" or "kg"; "" for a plain number.
     lower, upper : (K,) arrays
-        Range in which the directions hold.
+        Range of each parameter in which the directions hold.
     default : (K,) array
         The values that the rig's template has.
     spread : (K,) array
-        Standard deviation of each parameter among people, the others held.
+        Standard deviation of each parameter among people, with the others held fixed.
     vertices : (K, m, 3) array
-        D, change of the template for one unit of the parameter, in rig units.
+        D, the change of the template for one unit of the parameter, in rig units.
     joints : (K, J, 3) array
-        E, change of the joint positions.
+        E, the change of the joint positions.
     """
 
     names: tuple
@@ -72,12 +72,12 @@ class ShapeSpace:
         return f"{self.names[k]} {self.lower[k]:.4g} to {self.upper[k]:.4g}{unit}"
 
     def values(self, parameters):
-        """Values of all parameters, (K,), from a mapping of some: the others have their defaults.
+        """Return the values of all parameters, (K,), from a mapping of some; the others take their defaults.
 
         Raises
         ------
         InputError
-            A name that is not known, a value that is no number or out of its range.
+            A name that is not known; a value that is not a number or is out of its range.
         """
         values = np.array(self.default)
         for name, value in parameters.items():
@@ -102,7 +102,7 @@ class ShapeSpace:
         return np.tensordot(values - self.default, self.joints, 1)
 
     def at(self, values):
-        """The same directions for a template that has these values, (K,)."""
+        """Return the same directions for a template that has these values, (K,)."""
         return replace(self, default=np.array(values, dtype=float))
 
     def mapped(self, change):
@@ -110,13 +110,13 @@ class ShapeSpace:
         return replace(self, vertices=change(self.vertices), joints=change(self.joints))
 
     def rounded(self, error=0.0):
-        """The same with directions that a file holds in 16 bits.
+        """Return the same parameters with directions that a file holds in 16 bits.
 
         Parameters
         ----------
         error : float, default 0
-            Largest error in a coordinate, in rig units, that may be made for four standard deviations of a parameter. What
-            16 bits cannot hold is rounded in any case, by at most 1/32,767 of the largest entry.
+            Largest error in a coordinate, in rig units, that is allowed at four standard deviations of a parameter. What 16
+            bits cannot hold is rounded in any case, by at most 1/32,767 of the largest entry.
         """
         steps = _steps(self.vertices)
         allowed = np.where(self.spread > 0, error / (2 * np.maximum(self.spread, 1e-300)), 0.0)

@@ -26,7 +26,7 @@ class Descriptor:
     Attributes
     ----------
     n_probes : int
-        Probes around each point, at distances from ``nearest`` to ``farthest``, evenly in the logarithm.
+        Probes around each point, at distances from ``nearest`` to ``farthest``, evenly spaced in the logarithm.
     n_basis : int
         Fixed points around the centroid.
     nearest, farthest : float

@@ -32,16 +32,16 @@ class Segmenter:
     Attributes
     ----------
     stages : tuple of one or two Stage
-        The first sees a point's descriptor; the second also sees what the first said of its surroundings.
+        The first sees a point's descriptor; the second also sees what the first said about the point's surroundings.
     descriptor : Descriptor
     n_parts : int
     half : float
-        Half of the rig's size: what one descriptor unit is, in rig units.
+        Half of the rig's size, in rig units: the length of one descriptor unit.
     rig_digest : str
-        ``Rig.digest`` of the welded rig that it was trained on.
+        ``Rig.digest`` of the welded rig that the segmenter was trained on.
     turn : float
-        Radians by which the copies are turned that a scan is labelled by, see :meth:`predict_proba`; 0 where the root of the
-        rig does not turn, as no scan of the training was turned then.
+        Angle, in radians, by which :meth:`predict_proba` turns the copies of a scan that it labels. 0 where the rig's root does
+        not turn, as no training scan was turned then.
     """
 
     stages: tuple
@@ -67,21 +67,21 @@ class Segmenter:
 
     @one_thread()
     def predict_proba(self, points, *, scale=1.0, rows=None, views=4):
-        """Probability of each part for points of a scan: the mean of what is said of copies that are turned a little.
+        """Give the probability of each part for points of a scan, as the mean over slightly turned copies.
 
-        Voxels, probes and what the classifiers happen to have learned fall otherwise on each copy, so that errors cancel.
+        Voxels, probes and what the classifiers happen to have learned fall differently on each copy, so that errors cancel.
 
         Parameters
         ----------
         points : (n, 3) array or Scan
             The scan, in its own unit; n ≥ 1, finite.
         scale : float, default 1
-            The scan's units in a rig unit.
+            Scan units per rig unit.
         rows : (k,) int array, optional
-            Which points; all by default.
+            Which points to label; all by default.
         views : {4, 1}
-            Copies, each turned by ``turn``; 1 is the scan as it is, in a quarter of the time, which fits take: their last steps
-            know no labels.
+            Number of copies, each turned by ``turn``. 1 takes the scan as it is, in a quarter of the time; fits use 1, as their
+            last steps use no labels.
 
         Returns
         -------
@@ -128,14 +128,14 @@ class Segmenter:
             )
 
     def save(self, path):
-        """Write as NPZ: arrays and one JSON text, no pickle; :meth:`load` executes nothing from it."""
+        """Write as NPZ: arrays and one JSON text, without pickle; :meth:`load` executes nothing from it."""
         from ..io.write import write_npz
 
         header = json.dumps({"format": _FORMAT} | self.header())
         write_npz(path, lbsfit_np_segmenter=np.array(header), **self.arrays("stage"))
 
     def header(self):
-        """All but the stages' arrays, as plain data for JSON."""
+        """Everything but the stages' arrays, as plain data for JSON."""
         plain = {name: getattr(self, name) for name in ("n_parts", "half", "rig_digest", "turn")}
         return plain | {"descriptor": asdict(self.descriptor), "stages": len(self.stages)}
 
@@ -145,7 +145,7 @@ class Segmenter:
 
     @classmethod
     def from_arrays(cls, header, arrays, prefix):
-        """A segmenter from what :meth:`header` and :meth:`arrays` gave; KeyError, ValueError or such where broken."""
+        """Make a segmenter from what :meth:`header` and :meth:`arrays` gave; KeyError, ValueError or the like if it is broken."""
         n_parts = int(header["n_parts"])
         stages = tuple(Stage.from_arrays(arrays, f"{prefix}_{k}", n_parts) for k in range(int(header["stages"])))
         half, turn = float(header["half"]), float(header["turn"])
@@ -178,20 +178,20 @@ def train_segmenter(
     rig : Rig
         The welded rig.
     scan : callable
-        i → (points, labels, scale) of scan i: points in the scan's unit, labels that index rig.parts, and the scan's units
-        in a rig unit. Points of label −1 are seen, not learned. Picklable where ``n_jobs`` asks for processes.
+        i → (points, labels, scale) of scan i: points in the scan's unit, labels that index rig.parts, and scan units per rig
+        unit. Points with label −1 are seen but not learned. It must be picklable if ``n_jobs`` asks for processes.
     n_scans : int
     training : Training, optional
     descriptor : Descriptor, optional
     random_state : int, Generator or None
     n_jobs : int, optional
-        Processes that synthesise and describe scans: None is 1, −1 as many as there are processors. With more than one, a
-        script must call this under ``if __name__ == "__main__":``. The result does not depend on it. A Generator as
+        Number of processes that synthesise and describe scans: None is 1, −1 is one per processor. With more than one, a script
+        must call this function under ``if __name__ == "__main__":``. The result does not depend on the number. A Generator as
         ``random_state`` stays in one process.
     progress : callable, optional
         Called with the share done, in [0, 1].
     start : Segmenter, optional
-        Go on training from this one (with its descriptor) instead of from nothing.
+        Continue training from this segmenter (with its descriptor) instead of from nothing.
 
     Returns
     -------
@@ -200,8 +200,8 @@ def train_segmenter(
     Raises
     ------
     InputError
-        ``n_scans`` or ``n_jobs`` cannot be used, ``start`` is of other parts or layers, or has another descriptor, ``scan``
-        cannot be sent to processes, or one of them was killed.
+        ``n_scans`` or ``n_jobs`` cannot be used, ``start`` has other parts or layers or another descriptor, ``scan`` cannot be
+        sent to processes, or one of these was killed.
     KeyboardInterrupt
         On Ctrl-C, once all processes have ended.
     """

@@ -21,16 +21,16 @@ class Training:
     Attributes
     ----------
     points_per_scan : int
-        Points described in each scan, drawn by the seed.
+        Number of points described in each scan, drawn by the seed.
     hidden : tuple of int
-        Hidden layers of the MLPClassifier.
+        Sizes of the hidden layers of the MLPClassifier.
     epochs : int
     average_from : int
-        Epoch from which on the weights are averaged; the last one where there are no more.
+        Epoch from which the weights are averaged; the last epoch if there are not that many.
     learning_rate : float
     second : float
-        Share of the scans that train the second stage; 0 leaves it out. The first never sees them, so that the second
-        learns from answers as good as a new scan's.
+        Share of the scans that train the second stage; 0 leaves it out. The first stage never sees them, so that the second
+        learns from answers that are as good as those for a new scan.
     """
 
     points_per_scan: int = 360

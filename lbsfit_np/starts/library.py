@@ -40,11 +40,11 @@ class Start:
     theta : (J, 3) array
         Θ in a frame that faces the rig's way, radians.
     turn : int
-        Row of the turns that leads from that frame to the scan's.
+        Row of the turns: the turn that leads from that frame to the scan's.
     scale : float
-        Scan units in a rig unit.
+        Scan units per rig unit.
     away : float
-        How different the looks are: squared distance.
+        How different the looks are, as a squared distance.
     """
 
     theta: np.ndarray
@@ -55,19 +55,19 @@ class Start:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class PoseLibrary:
-    """Poses of synthetic scans by the look of these scans, and the regressor f trained on them.
+    """Poses of synthetic scans, by the look of these scans, and the regressor f trained on them.
 
     Attributes
     ----------
     looks : (N, d) float32 array
     radii : (N,) array
-        Radius of each scan, rig units.
+        Radius of each scan, in rig units.
     poses : (N, J, 3) array
         Θ', radians.
     mean, deviation : (d,) float32 arrays
         Standardisation of the looks for f.
     layers : tuple of ((d_in, d_out) array, (d_out,) array)
-        Of f, a multilayer perceptron with rectified units.
+        The layers of f, a multilayer perceptron with rectified units.
     """
 
     looks: np.ndarray
@@ -91,7 +91,7 @@ class PoseLibrary:
         return f"<PoseLibrary: {n} poses of {J} joints, f {widths}>"
 
     def starts(self, points, turns, k, *, unit=None, within=_SAME_SIZE):
-        """Poses whose scans look most like a scan, under any of some turns.
+        """Find the poses whose scans look most like a scan, under any of some turns.
 
         Parameters
         ----------
@@ -100,17 +100,17 @@ class PoseLibrary:
         turns : (R, 3, 3) array
             As in :func:`~lbsfit_np.starts.look.look`.
         k : int
-            How many, at most.
+            Maximum number of starts.
         unit : float, optional
-            Scan units in a rig unit, where known: only poses of about this size are taken, or, where fewer than k are, the k
-            nearest in size.
+            Scan units per rig unit, where known. Only poses of about this size are then taken, or, if there are fewer than k of
+            these, the k nearest in size.
         within : float, default 1.35
-            Factor by which sizes may differ from it.
+            Factor by which sizes may differ from that size.
 
         Returns
         -------
         list of Start
-            The most alike first. A pose comes once, under its best turn, and no turn has more than a third of all.
+            The most alike first. Each pose comes once, under its best turn, and no turn has more than a third of all.
         """
         seen = look(points, turns)
         scales = seen.radius / self.radii
@@ -152,13 +152,13 @@ class PoseLibrary:
 
     @classmethod
     def from_arrays(cls, arrays, prefix):
-        """A library from what :meth:`arrays` gave."""
+        """Make a library from what :meth:`arrays` gave."""
         n = sum(key.startswith(f"{prefix}_weights_") for key in arrays)
         layers = tuple((arrays[f"{prefix}_weights_{k}"], arrays[f"{prefix}_bias_{k}"]) for k in range(n))
         return cls(*(arrays[f"{prefix}_{name}"] for name in _ARRAYS), layers)
 
     def save(self, path):
-        """Write as NPZ, no pickle; :meth:`load` reads it."""
+        """Write as NPZ, without pickle; :meth:`load` reads it."""
         from ..io.write import write_npz
 
         write_npz(path, **self.arrays("library"))
@@ -175,7 +175,7 @@ class PoseLibrary:
 
 
 def build_library(scan, n_scans, *, random_state, jobs=1, progress=None):
-    """A library of synthetic scans, and f trained on it with scikit-learn's MLPRegressor.
+    """Build a library of synthetic scans, and train f on it with scikit-learn's MLPRegressor.
 
     Parameters
     ----------
@@ -184,7 +184,7 @@ def build_library(scan, n_scans, *, random_state, jobs=1, progress=None):
     n_scans : int
     random_state : int
     jobs : int, default 1
-        Processes.
+        Number of processes.
     progress : callable, optional
         Called with the share done, in [0, 1].
 
@@ -195,7 +195,7 @@ def build_library(scan, n_scans, *, random_state, jobs=1, progress=None):
     Raises
     ------
     KeyboardInterrupt
-        On Ctrl-C, once all processes have ended: what is trained by half is never returned.
+        On Ctrl-C, once all processes have ended; what is half trained is never returned.
     """
     looks, radii, poses = zip(*each(_Seen(scan), range(n_scans), jobs=jobs, done=progress), strict=True)
     return _trained(np.array(looks), np.array(radii), np.array(poses), random_state)

@@ -17,92 +17,95 @@ FIGURES = (
 _INTRODUCTION = """\
 # The paper's study
 
-Written by `lbsfit bench study`; change that command, not this page. The experiments of LBS-AE (CVPR 2019) in their
-classical form: the paper's networks are fits and small scikit-learn models here, and what else differs stands
-[below](#where-the-protocols-differ). The paper's figures, where it has them, stand in square brackets. Its FAUST table is
-`lbsfit bench faust`, for those who have that data.
+`lbsfit bench study` writes this page; change that command, not the page. It repeats the experiments of LBS-AE (CVPR 2019) in
+classical form: fits and small scikit-learn models stand in for the paper's networks. Other differences are listed
+[below](#where-the-protocols-differ). The paper's figures, where it has them, are in square brackets. For its FAUST table use
+`lbsfit bench faust`, if you have that data.
 
-Scans X of made people are registered, and what is found is compared with the truth. U is the rig's template, U^gt the true
-one of a person, U^d what a fit made of U; Θ are the angles of the joints. Goals are this project's own.
+Scans X of made-up people are registered, and the result is compared with the truth. U is the rig's template, U^gt a person's
+true one, U^d the one that a fit made of U; Θ are the joint angles. The goals are this project's own.
 """
 
 _REGISTRATIONS = """\
 Means over the test scans.
 
-- **Recon**: √L_c, L_c the Chamfer distance between scan and registered vertices. **at the truth**: its value at the true mesh
-  on the same scan. **÷**: one by the other, below 1 where a fit follows the scan's noise and missing areas more closely.
-- **Pose**: ‖joints − true joints‖, mean over the unlocked ones, and its **median** over the scans. Joints of free-form rows
-  are regressed from the vertices. It says nothing of how a head or a hand is turned about its bone.
-- **vertices**: ‖registered − true vertices‖. **unfitted**: scans without a fit, which all these leave out. **s**: of learning
-  and all fits of the row, pretraining not counted; – of a row that found steps of a run that was stopped. What rows
-  of one run have in common counts in the first of these: the training scans' fits by themselves, where labels teach, and those
-  from the template without skinning.
+- **Recon**: √L_c, where L_c is the Chamfer distance between the scan and the registered vertices. **at the truth**: the same
+  for the true mesh and the same scan. **÷**: the first over the second; below 1 if a fit follows the scan's noise and gaps
+  more closely.
+- **Pose**: ‖joints − true joints‖, the mean over the unlocked joints, and its **median** over the scans. For free-form rows
+  the joints are regressed from the vertices. It does not show how a head or a hand is turned about its bone.
+- **vertices**: ‖registered − true vertices‖. **unfitted**: scans without a fit; they do not count in the other columns.
+  **s**: seconds for learning and all fits of the row, without pretraining; – if the row took up steps of a run that was
+  stopped. Work that the rows of one run share counts in the first of them: fits of the single training scans, for rows that
+  learn from labels, and fits from the template without skinning.
 """
 
 _CORRESPONDENCES = """\
-- **Corre.**: how far from its true place on scan B a point of scan A is carried by the two registrations: mean and percentiles
-  over {points} points of each of at most {pairs:,} ordered pairs of scans (the paper: 4,000 pairs).
-- **snapped**: the same after the step to the nearest point of B, as in the paper. It ends on a point of the scan: even the best
-  row is off by the distance between points, and by more where B has none. Goals are of the figures before it.
+- **Corre.**: the two registrations carry a point of scan A to scan B; this is its distance from its true place there, as mean
+  and percentiles over {points} points of each of at most {pairs:,} ordered pairs of scans (the paper: 4,000 pairs).
+- **snapped**: the same after moving to the nearest point of B, as the paper does. The result is a point of the scan, so even
+  the best row is off by the spacing of the points, and by more where B has none. Goals refer to the figures before
+  the snap.
 """
 
 _LABELS = """\
-The share of the test scans' points that are put into the right chain of joints.
+The share of the test scans' points that get the right chain of joints.
 
-- **before learning**, **as kept**: of the segmenter alone, after pretraining and in the round that was kept
-  (**round kept**); of its **single scans** the worst and the best. **labels of its fits**: the same of the registrations.
+- **before learning**, **as kept**: the segmenter alone, after pretraining and in the round that was kept (**round kept**).
+  **single scans**: its worst and its best scan. **labels of its fits**: the labels that the registrations give.
 """
 
 _TEMPLATES = """\
-- **before** is ‖U − U^gt‖, **after** ‖U^d − U^gt‖, mean over the vertices in the rest pose, U^d grown by its scale about the
-  root joint, **÷** one by the other; and both with the two moved to a common centre ("up to a shift"), as no scan shows where the
-  rest pose stands. **whose**: templates that scans share, or one of each test scan's own. The paper has 0.03 and 0.02 for bodies.
+- **before** is ‖U − U^gt‖ and **after** is ‖U^d − U^gt‖, means over the vertices in the rest pose, with U^d scaled about the
+  root joint by the fit's scale; **÷** is after over before. Columns "up to a shift" move both to a common centre first,
+  because no scan shows where the rest pose stands. **whose**: templates that scans share, or one for each test scan. For
+  bodies the paper has 0.03 and 0.02.
 """
 
 _ORDERS = """\
-In the order of the ablations ≈ stands between rows that are nearer to each other than 3 %, and an order with such a pair is
-called level: neither kept nor missed. Medians are over the scans (Pose) and over the points of all pairs (Corre.).
+In the order of the ablations, ≈ stands between rows that differ by less than 3 %. An order with such a pair is called level:
+neither kept nor missed. Medians are over the scans (Pose) and over the points of all pairs (Corre.).
 """
 
 _PROTOCOL = """\
 ## Where the protocols differ
 
-- Hands: the paper poses its synthetic hands with what it inferred from its own captures, which are not public. Here
-  {natural_hand:.0%} of the poses are near natural ones of the rig's own library, the others uniform within the joint
-  limits. Every fourth pose of the library is for the test alone; what of the others is within 0.3 rad of one of these
-  is left out, so that neither training nor the library of starts sees it.
-- Bodies: in place of SURREAL's poses, natural ones as above; in place of its bent bodies (3,000 of 23,000), poses
-  uniform within the limits.
-- People: changed shapes of the bundled rigs, a length and a thickness of ±12 % for each chain of joints (`bench/subjects.py`).
-  Training changes each bone by itself, Gaussian by 8 %; a fit's proportions can lengthen bones as these people's are, widen them
-  across, and widen the skin alone of those that branch (palm, pelvis, chest), but move no skin along its normals, as thickness
-  does.
-- The people of the test are others than those learned from. Each of their scans is fitted as somebody else's, on U with
-  proportions of its own: templates that were learned show in the figures of the training scans and in `lbsfit bench learn`, not
-  in the tables.
-- Scans: {n_points} points, one or two missing areas, uneven density, noise of {noise:g}; they face the rig's way up to
-  what the root joint may turn, which the fitter is told. Lengths are in half sizes of the rig, so that the template fills
-  [−1, 1]³; the paper scales every shape to it.
-- Fits: the paper's networks look at a test scan once. Here pose and shape of each are searched for and optimised by
-  themselves, from labels, from a library of poses and from f; the whole objective (Chamfer, structured Chamfer, Laplacian) ends
-  each fit. Joints follow the template's proportions; the paper's stay where the rig has them.
-- The rows differ by more than in the paper. What all poses found tell of each other is used in joint and pose-only, not in rand
-  and cd: angles that a scan leaves open are as other poses have them. cd is without the library of poses, too. oracle-labels
-  starts from the labels given and looks for nothing else.
-- Learning is told which training scans are of one person, who share a template; the paper's is not. Test scans come without.
-  Three times the data has three times as many people, too.
-- Seeds are of the scans; what is trained has one seed, {training_seed}, so that ranges over seeds say nothing of training.
-- Labels: the paper's segmenter learns from uniform poses of U, and the gaps between its rows are what that leaves open. Here, in
-  all rows, half of the uniform poses are correlated, so that fists occur, and bones of U are lengthened and thickened at random,
-  as the shipped training does: part of both gaps is closed before anything is learned.
-- Templates are found before a round's segmenter learns, and in turn with poses after it. So after one round rows that learn from
-  labels have templates that hardly differ.
-- The free-form rows play 3D-CODED's part: the template's vertices move under Chamfer and Laplacian, from the template, from
-  the best of this and of several synthetic scans that look alike ("augmented"), or from what a regressor says that was taught
-  with true vertices ("supervised"). Taught by few scans, it knows these alone: compare its row with its figures on the
-  training scans. 3D-CODED is a network that has seen thousands of shapes and so knows what bodies look like; here the first two
-  deform a resting template scan by scan, without any such knowledge, and do worse where limbs are far from rest.
-- Recon is compared with its value at the true mesh on the same scan, as √CD is not 0 there. Corre. carries points of
+- Hands: the paper poses its synthetic hands with poses inferred from its own captures, which are not public. Here
+  {natural_hand:.0%} of the poses are close to natural ones from the rig's own library; the others are uniform within the
+  joint limits. Every fourth pose of the library is reserved for the test. Poses within 0.3 rad of a reserved one are left out
+  of training and of the library of starts.
+- Bodies: natural poses as above replace SURREAL's; poses uniform within the limits replace the paper's bent bodies (3,000 of
+  23,000).
+- People: the bundled rigs with changed shapes, a length and a thickness of ±12 % for each chain of joints
+  (`bench/subjects.py`). Training changes each bone separately (Gaussian, 8 %). A fit's proportions can lengthen bones as
+  these people's are, widen them across, and widen only the skin of those that branch (palm, pelvis, chest). They cannot move
+  skin along its normals, as the people's thickness does.
+- The test has other people than those learned from. Each test scan is fitted as a stranger's, on U with its own proportions.
+  So learned templates show in the figures of the training scans and in `lbsfit bench learn`, not in these tables.
+- Scans: {n_points} points, one or two missing areas, uneven density, noise of {noise:g}. They face the rig's way up to what
+  the root joint may turn, and the fitter is told so. Lengths are in half sizes of the rig, so that the template fills [−1,
+  1]³; the paper scales every shape to that box.
+- Fits: the paper's networks look at a test scan once. Here a search and an optimisation find pose and shape of each scan,
+  starting from labels, from a library of poses and from f; each fit ends with the whole objective (Chamfer, structured
+  Chamfer, Laplacian). Joints follow the template's proportions; the paper's stay where the rig has them.
+- The rows differ in more than the paper's do. Joint and pose-only use what all the poses found say about each other, so that
+  angles which a scan leaves open are as in other poses; rand and cd do not. cd also has no library of poses. oracle-labels
+  starts from the given labels alone.
+- Learning is told which training scans are of one person, and these share a template; the paper's is not told. Test scans
+  come without that. Three times the data also has three times as many people.
+- Seeds are those of the scans. All training has one seed, {training_seed}, so ranges over seeds say nothing about training.
+- Labels: the paper's segmenter learns from uniform poses of U, and the gaps between its rows come from what that leaves open.
+  Here, in all rows, half of the uniform poses are correlated, so that fists occur, and bones of U are lengthened and
+  thickened at random, as in the shipped training. This closes part of both gaps before anything is learned.
+- Templates are found before a round's segmenter learns, and in turn with poses after it. So after one round the rows that
+  learn from labels have nearly the same templates.
+- The free-form rows play 3D-CODED's part: the template's vertices move under Chamfer and Laplacian. They start from the
+  template, from the best of the template and several synthetic scans that look alike ("augmented"), or from the answer of a
+  regressor that was taught with true vertices ("supervised"). Taught by few scans, the regressor knows only these: compare
+  its row with its figures on the training scans. 3D-CODED is a network that has seen thousands of shapes and knows what
+  bodies look like. The first two rows deform a resting template scan by scan without such knowledge, and do worse where limbs
+  are far from rest.
+- Recon is compared with its value at the true mesh on the same scan, because √CD is not 0 there. Corre. carries points of
   scan A by their closest surface point on A's registration to B's.
 - Size "{size}": the paper learns from 1,500 hands and 23,000 bodies and tests on 300 and 2,300{more}.
 """

@@ -353,13 +353,13 @@ ROWS = {
     "cd": Row("Chamfer alone: no labels, no library of poses", "LBS-AE_CD", lambda c: _learned(c, "cd"), weight=8.0),
     "rand": Row("segmenter from uniform poses only", "LBS-AE_RAND", lambda c: _learned(c, "rand"), in_common=True, weight=30.0),
     "pose-only": Row(
-        "the whole loop, but that the segmenter does not learn from templates",
+        "the whole loop, except that the segmenter does not learn from templates",
         None,
         lambda c: _learned(c, "pose-only"),
         in_common=True,
         weight=30.0,
     ),
     "joint": Row("the whole loop", "LBS-AE", lambda c: _learned(c, "joint"), in_common=True, weight=30.0),
-    "oracle-labels": Row("true labels given and starts from these alone, scans one by one", None, _oracle_labels, False),
+    "oracle-labels": Row("true labels given, starts from these alone, scans one by one", None, _oracle_labels, False),
     "oracle-fit": Row("true correspondences given, scans one by one", None, _oracle_fit, False),
 }

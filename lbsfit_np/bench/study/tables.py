@@ -150,7 +150,7 @@ def more(report, name):
         falls = "L_s falls" if low <= 1.0 else f"L_s never rises above {low:.2f} times its own"
         lines.append(f"{swing}, L_c rises to {path['rise']:.2f} times its value at the start before it falls; {falls}.")
     else:
-        lines.append("- No chain lies between two others that it could be in the place of, so that no local optimum is drawn.")
+        lines.append("- No chain lies between two others that it could be mistaken for, so no local optimum is drawn.")
     both = [(key, what, compared(report, name, ("joint", "oracle-fit"), key)) for key, what in _MEASURES]
     means = [(what, *(mean(cells, key) for cells in rows.values())) for key, what, rows in both if len(rows) == 2]
     shares = [f"{what} {joint / oracle:.2f}" for what, joint, oracle in means if oracle > 0]
