@@ -1,4 +1,4 @@
-"""The losses against their definitions, written out as brute force: for those who compare the numbers with other code.
+"""Check the losses against their definitions, written out as brute force, to compare the numbers with other code.
 
 Everything is in units in which the template's longest half-extent is 1, as in the paper.
 """
@@ -34,7 +34,7 @@ def main():
     other = theta + 0.1
     check("L_Θ   loopback", lbs.losses.loopback(other, theta)[0], np.sum((other - theta) ** 2))
 
-    # Gradients are exact wherever every nearest neighbour is unique; differences must be small enough not to change any.
+    # Gradients are exact wherever every nearest neighbour is unique; the step h must be small enough to change none.
     direction, h = rng.standard_normal(V.shape), 1e-8
     slope = (chamfer(X, V + h * direction) - chamfer(X, V - h * direction)) / (2 * h)
     check("∂L_c/∂V along a direction", np.vdot(lbs.losses.chamfer(X, V)[1], direction), slope, rtol=1e-5)

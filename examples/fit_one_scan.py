@@ -1,4 +1,4 @@
-"""Fit the bundled hand to one scan, and compare what was found with the truth.
+"""Fit the bundled hand to one scan, and compare the result with the truth.
 
 The scan is synthesised here, so that the truth is known; with a scan of your own, write ``points = lbs.load_scan("scan.ply")``.
 """
@@ -15,7 +15,7 @@ def main():
     rig = lbs.load_rig("hand")
     scan = lbs.synthesize(rig, n_scans=1, random_state=7, n_points=1500)[0]
 
-    # By default there are many more training scans, and labels are better; with 200 it takes seconds.
+    # With 200 training scans this takes seconds; the default is many more, which gives better labels.
     fitter = lbs.LBSFitter(rig, training_scans=200, random_state=0)
     fitter.pretrain()
     result = fitter.fit_scan(scan.points)
@@ -29,7 +29,7 @@ def main():
     bend = result.pose[rig.joint_names.index("index2"), 0]  # about x, the first column of the joint's rest frame
     print(f"the index finger's middle joint is bent by {np.degrees(bend):.0f} degrees")
 
-    # vertices = scale · M(Θ, U + offsets) + translation, about the changed template's joints: the fields give them back.
+    # The fields give back vertices = scale · M(Θ, U + offsets) + translation, about the changed template's joints.
     again = rig.pose(result.pose, result.translation, result.scale, result.offsets, joints=result.rest_joints)
     np.testing.assert_allclose(again, result.vertices, atol=1e-9)
 

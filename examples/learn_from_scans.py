@@ -1,4 +1,4 @@
-"""Learn from scans of two people: a template for each, then a new scan of one of them, and all fits as an animation.
+"""Learn a template for each of two people from their scans, fit a new scan of one, and save the fits of one as an animation.
 
 The scans are synthesised here, so that the truth is known; with your own, ``scans = [lbs.load_scan(path) for path in paths]``.
 """
@@ -18,7 +18,7 @@ def main():
     truth = [scan_of(rig, people[who], seed) for seed, who in enumerate(subjects)]
     scans = [t.points for t in truth]
 
-    # By default there are many more training scans, and up to four rounds: fits are better, and take minutes.
+    # By default there are many more training scans and up to four rounds; fits are then better, and take minutes.
     fitter = lbs.LBSFitter(rig, training_scans=200, rounds=1, effort="fast", random_state=0)
     fitter.pretrain()
     alone = [fitter.fit_scan(points) for points in scans]

@@ -45,7 +45,7 @@ def main():
         # Neither locking nor grouping changes the rest shape: Θ = 0 gives back U.
         np.testing.assert_array_equal(rig.pose(np.zeros_like(rig.lower)), plain.vertices)
 
-        # A name that is not there is an error that says which names are near.
+        # A name that the rig does not have is an error, which says which names are near.
         card.write_text('[lock]\njoints = ["pinkie3"]\n', encoding="utf-8")
         try:
             lbs.load_rig("hand", card=card)

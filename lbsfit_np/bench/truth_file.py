@@ -12,14 +12,14 @@ from .truth import Landmarks, PairScan, Registrations, VertexOrder, read_registr
 __all__ = ["TRUTH_FILES", "read_truth"]
 
 TRUTH_FILES = """\
-FILE is a table with a heading (CSV with commas, semicolons or tabs; blank lines and lines that start with # are passed over).
-Its columns say what it knows:
+FILE is a table with a heading (CSV with commas, semicolons or tabs; blank lines and lines that start with # are skipped).
+Its columns say what corresponds:
       scan, subject                          files of one mesh: vertex i of one is vertex i of every other
-      scan, subject, name, vertex            places with names by vertex numbers of the file, which count from 0
-      scan, subject, name, x, y, z           places with names by coordinates, in the scan's frame and unit
+      scan, subject, name, vertex            named places, by vertex numbers of the file, counted from 0
+      scan, subject, name, x, y, z           named places, by coordinates in the scan's frame and unit
       scan, subject, registration            a mesh registered to each scan (a path relative to FILE), all of one topology
 Rows of different scans with the same name correspond. Scans are file names in DIR, with or without the extension; files that
-FILE does not name are left out. Without the column subject all scans are of one."""
+FILE does not name are left out. Without the column subject, all scans are of one subject."""
 
 _FORMS = "scan and subject alone, or with them name and vertex, or name, x, y and z, or registration"
 
