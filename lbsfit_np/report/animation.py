@@ -54,7 +54,7 @@ def save_animation(
     frames_per_second : float, default 30
     up : str, optional
         The scans' up axis, such as "+z": everything is turned so that it becomes glTF's, which is +y. By default it is the rig's
-        own, or +y where that is not known; the rig's front then becomes glTF's, which is +z.
+        own, and the rig's front, if known, becomes glTF's, which is +z; where the rig's up axis is not known, it is +y.
     metres_per_unit : float, optional
         Length of the scans' unit in metres, as lengths in glTF are metres. By default that of the fits' ``unit``, if they say
         one, else told from the rig's unit and the fits' scales (``unit_of``); 1 where these do not tell it.

@@ -72,8 +72,8 @@ _PROTOCOL = """\
 
 - Hands: the paper poses its synthetic hands with poses inferred from its own captures, which are not public. Here
   {natural_hand:.0%} of the poses are close to natural ones from the rig's own library; the others are uniform within the
-  joint limits. Every fourth pose of the library is reserved for the test. Poses within 0.3 rad of a reserved one are left out
-  of training and of the library of starts.
+  joint limits. Every fourth pose of the library is reserved for the test. The library's other poses within 0.3 rad of a
+  reserved one are left out, too, so that neither training nor the library of starts sees them.
 - Bodies: natural poses as above replace SURREAL's; poses uniform within the limits replace the paper's bent bodies (3,000 of
   23,000).
 - People: the bundled rigs with changed shapes, a length and a thickness of ±12 % for each chain of joints
