@@ -2,7 +2,8 @@
 
 import pickle
 import signal
-from contextlib import contextmanager
+import warnings
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 
 from .errors import InputError, in_words
@@ -91,7 +92,7 @@ class Workers:
             remedy = "Use functions from the top level of a module, or n_jobs=1."
             got = f"more than 1 with what cannot be sent to processes ({error})"
             raise InputError("n_jobs", got, "picklable work", remedy) from None
-        self._n, self._begun = n, False
+        self._n, self._begun, self._unbegun = n, False, None
         self._workers, self._come = [], []
 
     def __enter__(self):
@@ -114,7 +115,9 @@ class Workers:
         """Have a process do ``task``, a new one while there are fewer than n."""
         worker = next((w for w in self._workers if w.task is None), None)
         if worker is None:
-            worker = _spare() or _Worker()
+            worker = _spare()
+            self._begun |= worker is not None  # as it has begun for others
+            worker = worker or _Worker()
             worker.take_up(self._payload)
             self._workers.append(worker)
         worker.give(task)
@@ -127,6 +130,14 @@ class Workers:
         for w in list(self._workers):
             if w.connection in ready:
                 self._come += self._received(w)  # where they stay if Ctrl-C comes between
+        if self._unbegun is not None and not self._begun:
+            self._come = [word for word in self._come if word[2] is None]
+            raise InputError(
+                "n_jobs",
+                f"worker processes that end before they begin ({self._unbegun})",
+                "processes that start",
+                'In a script, call this under `if __name__ == "__main__":`.',
+            )
         come, self._come = self._come, []
         return come
 
@@ -139,6 +150,19 @@ class Workers:
             self._stop()
         late, self._come = self._come, []
         return late
+
+    def stop_after(self, come, take_in):
+        """:meth:`stop` as an error ends all, and take in the words in ``come`` and those that stop gives.
+
+        ``take_in`` is a callable (word); what goes wrong there is warned of, as it is not what has ended all.
+        """
+        with held():
+            for word in [*come, *self.stop()]:
+                try:
+                    take_in(word)
+                except Exception as error:  # noqa: BLE001 (whatever it is, the others are taken in)
+                    with suppress(Exception):  # where warnings are errors
+                        warnings.warn(f"something that was done by then could not be kept: {in_words(error)}", stacklevel=2)
 
     def _stop(self):
         workers, self._workers = self._workers, []
@@ -165,13 +189,7 @@ class Workers:
             self._workers.remove(worker)
             worker.join()
             worker.connection.close()
-            if not worker.ready and not self._begun:
-                raise InputError(
-                    "n_jobs",
-                    f"worker processes that end before they begin ({worker.death})",
-                    "processes that start",
-                    'In a script, call this under `if __name__ == "__main__":`.',
-                ) from None
+            self._unbegun = self._unbegun if worker.ready else worker.death
             return [(task, None, worker.death)]
         if not worker.ready:
             worker.ready = self._begun = True
@@ -252,7 +270,7 @@ class _Worker:
                 word = self.receive()
                 words += [(self.task, word, None)] if self.ready else []
                 self.ready = True
-        except (EOFError, OSError):
+        except (EOFError, OSError, MemoryError):
             pass
         return words
 

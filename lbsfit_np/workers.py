@@ -3,8 +3,9 @@
 import pickle
 import traceback
 from collections import deque
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 from .errors import InputError, LbsfitError, in_words
 from .interrupts import passing_interrupts
@@ -75,12 +76,12 @@ def as_they_may(work, take, *, jobs, answered, heard=None, failed=None):
         Called with each answer, and with what tasks :func:`tell`, as they come. Where all ends with an error, such as Ctrl-C's or
         one of these calls, that comes after calls for all others that have come.
     failed : callable (k, error), optional
-        Called with errors of tasks, InputError where a process was killed; by default they end all.
+        Called with errors of tasks, InputError where a process was killed; by default the first ends all.
     """
 
     come = deque()
 
-    def take_in(word):
+    def take_in(word, ending=False):
         (k, _), answer, death = word
         if isinstance(answer, Note):
             if heard is not None:
@@ -89,9 +90,9 @@ def as_they_may(work, take, *, jobs, answered, heard=None, failed=None):
         answer, error = _outcome(answer, death)
         if error is None:
             answered(k, answer)
-        elif failed is None:
+        elif failed is None and not ending:
             raise error
-        else:
+        elif not ending:
             failed(k, error)
 
     with Workers(_Caught(work), jobs) as workers:
@@ -105,10 +106,7 @@ def as_they_may(work, take, *, jobs, answered, heard=None, failed=None):
                 while come:
                     take_in(come.popleft())
         except BaseException:
-            come.extend(workers.stop())
-            for word in come:
-                with suppress(Exception):  # what ended all is what there is to say
-                    take_in(word)
+            workers.stop_after(come, partial(take_in, ending=True))
             raise
 
 
@@ -125,7 +123,7 @@ def beside(work):
 
         def answer():
             while not found:  # first comes word that the process is ready
-                found.extend(_outcome(*come[1:]) for come in workers.answers())
+                found.extend(_outcome(word, death) for _, word, death in workers.answers() if not isinstance(word, Note))
             if found[0][1] is not None:
                 raise found[0][1]
             return found[0][0]

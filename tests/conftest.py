@@ -3,6 +3,7 @@
 import copy
 import os
 import signal
+import time
 from pathlib import Path
 
 import pytest
@@ -408,3 +409,19 @@ def tiny_study(coarse_hand):
     from lbsfit_np.bench.study.data import study_set
 
     return study_set(coarse_hand, TINY, 300)
+
+
+@pytest.fixture
+def patient(monkeypatch):
+    """Workers are stopped once each process at work has something to say, and some time to say the rest."""
+    from lbsfit_np.processes import Workers
+
+    stop = Workers.stop
+
+    def patient(self):
+        for worker in self._workers:
+            if worker.task is not None and worker.connection.poll(60):
+                time.sleep(0.5)
+        return stop(self)
+
+    monkeypatch.setattr(Workers, "stop", patient)

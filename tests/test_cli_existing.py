@@ -235,6 +235,7 @@ def test_kept_fits_that_were_made_with_other_options_are_told(fitted, made, tmp_
     assert "note: 1 kept fit was made with --seed 7, not --seed 0; " in text and text.count("note: ") == 1
     replace(two, settings={}).save(tmp_path / "two.fit.npz")
     assert "note: 1 kept fit was made with settings that are not known; " in run(*arguments)[1]
+    assert '"other_settings": null' in (tmp_path / "summary.json").read_text()
     assert entries["one"]["other_settings"] == other and entries["two"]["other_settings"] == other | {"random_state": 7}
 
 

@@ -57,10 +57,12 @@ def test_a_result_knows_what_it_was_made_with(tube_rig, tube_scan, tmp_path):
     assert set(made.settings) == set(lbs.LBSFitter(tube_rig).get_params()) - left_out | {"version"}
     assert json.loads(json.dumps(made.settings)) == made.settings
     odd = {"training": {"noise": Fraction(1, 100)}, "weights": replace(PRESETS["default"], lam=Fraction(1, 2))}
-    odd = settings_of(lbs.LBSFitter(tube_rig, **odd))  # which all that fits can use
-    assert odd["training"] == {"noise": 0.01} and odd["weights"]["lam"] == 0.5
+    odd = settings_of(lbs.LBSFitter(tube_rig, partial=np.bool_(False), **odd))  # which all that fits can use
+    assert odd["training"] == {"noise": 0.01} and odd["weights"]["lam"] == 0.5 and odd["partial"] is False
     with pytest.raises(InputError, match="settings: got what JSON does not know .*set"):
         replace(made, settings={"a": {1}}).save(tmp_path / "a.npz")
+    with pytest.raises(InputError, match="settings: got a list; expected a dict"):
+        replace(made, settings=[1]).save(tmp_path / "a.npz")
     assert not list(tmp_path.iterdir())
     one_call = lbs.fit_scan(tube_rig, tube_scan.points, labels=tube_scan.labels, effort="fast", random_state=5)
     assert one_call.settings["random_state"] == 5 and one_call.settings["weights"] == "default"

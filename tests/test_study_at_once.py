@@ -18,7 +18,7 @@ from lbsfit_np.bench.study.data import SIZES, Size
 from lbsfit_np.bench.study.rows import ROWS
 from lbsfit_np.bench.study.run import study
 from lbsfit_np.cli import main as run
-from lbsfit_np.errors import InputError
+from lbsfit_np.errors import InputError, in_words
 from lbsfit_np.learning.checkpoint import state_of_the_code
 from lbsfit_np.processes import tell
 
@@ -225,6 +225,7 @@ def test_what_goes_wrong_in_a_process_is_said_and_what_is_made_beside_it_is_kept
     if how == "killed" and not hasattr(signal, "SIGKILL"):
         pytest.skip("no POSIX signals here")
     monkeypatch.setattr(at_once, "_Made", _Error if how == "error" else _Killed)
+    monkeypatch.setattr(at_once, "in_words", lambda error: (tmp_path / "told").touch() or in_words(error))
     there = []
 
     def on_cell(report, name, seed, row, arrays):
@@ -239,6 +240,7 @@ def test_what_goes_wrong_in_a_process_is_said_and_what_is_made_beside_it_is_kept
     assert not active_children() and there == ["free-form"]  # the two that weigh most came first
 
 
+@pytest.mark.usefixtures("patient")
 def test_rows_that_were_made_as_a_run_is_stopped_are_kept(rigs, tmp_path, monkeypatch):
     """Ctrl-C comes as another row is taken up."""
     monkeypatch.setattr(at_once, "_Made", _Waiting)
@@ -250,7 +252,6 @@ def test_rows_that_were_made_as_a_run_is_stopped_are_kept(rigs, tmp_path, monkey
             (tmp_path / "first is there").touch()
             while not (tmp_path / "second is made").exists():
                 time.sleep(0.01)
-            time.sleep(1)  # until it is told
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -258,8 +259,13 @@ def test_rows_that_were_made_as_a_run_is_stopped_are_kept(rigs, tmp_path, monkey
     assert there == ["free-form", "free-form-supervised"] and not active_children()
 
 
-@pytest.mark.parametrize("at_once_too", [False, True])
-def test_errors_say_of_which_row_they_are(at_once_too, command, monkeypatch, capsys):
+@pytest.mark.parametrize("at_once_too, before", [(False, False), (False, True), (True, False)])
+def test_errors_say_of_which_row_they_are(at_once_too, before, command, monkeypatch, capsys):
+    """And that other rows are kept, where there are some."""
+    if before:
+        assert run([*command, "free-form-supervised"]) == 0
+        capsys.readouterr()
+
     def find(context):
         raise InputError("points", "nothing", "some")
 
@@ -272,9 +278,9 @@ def test_errors_say_of_which_row_they_are(at_once_too, command, monkeypatch, cap
     assert run([*command, rows]) == 2
     told, said = capsys.readouterr()
     said = said.splitlines()
-    out = command[command.index("-o") + 1]
     assert said[-1].startswith(f"lbsfit: error: tube, seed 5, {rows.split(',')[0]}: points: got nothing")
-    assert f"what is done is kept in {out}, and the same command goes on" in told.splitlines()
+    kept = f"what is done is kept in {command[command.index('-o') + 1]}, and the same command goes on"
+    assert (kept in told.splitlines()) == before
     warned = ["lbsfit: warning: tube, seed 5, oracle-labels failed: points: got nothing"] if at_once_too else []
     assert [line.split(";")[0] for line in said[:-1]] == warned
 
@@ -347,7 +353,8 @@ class _Error(_Told):
             while not (folder / other).exists():
                 time.sleep(0.01)
         if row == "free-form":
-            time.sleep(1)  # until the other one has failed
+            while not (folder / "told").exists():  # that the other one has failed
+                time.sleep(0.01)
         elif row == "free-form-supervised":
             self.fail()
 

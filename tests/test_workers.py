@@ -130,6 +130,7 @@ def test_notes_of_errors_go_along():
         assert type(again) is type(error) and str(again) == str(error) and again.__notes__ == ["hand, seed 300"]
 
 
+@pytest.mark.usefixtures("patient")
 @pytest.mark.parametrize("error", [ZeroDivisionError, KeyboardInterrupt])
 def test_answers_that_have_come_are_given_when_all_ends(error, tmp_path):
     """Both tasks are done, as the first is taken up; what the second told is heard, too."""
@@ -138,7 +139,6 @@ def test_answers_that_have_come_are_given_when_all_ends(error, tmp_path):
     def answered(k, answer):
         answers.append(k)
         if len(answers) == 1:
-            time.sleep(1)
             raise error
 
     with pytest.raises(error):
@@ -147,6 +147,7 @@ def test_answers_that_have_come_are_given_when_all_ends(error, tmp_path):
     assert sorted(told) == ["first has begun", "first is done", "second is done"]
 
 
+@pytest.mark.usefixtures("patient")
 def test_what_goes_wrong_with_one_of_those_answers_is_not_what_ended_all(tmp_path):
     """As on a disk that is full: another is taken up all the same, and Ctrl-C remains Ctrl-C."""
     take, answers = iter([(k, (k, tmp_path / "begun")) for k in ("first", "second")]).__next__, []
@@ -154,7 +155,6 @@ def test_what_goes_wrong_with_one_of_those_answers_is_not_what_ended_all(tmp_pat
     def answered(k, answer):
         answers.append(k)
         if len(answers) == 1:
-            time.sleep(1)
             raise KeyboardInterrupt
         raise OSError(28, "No space left on device")
 
@@ -162,13 +162,37 @@ def test_what_goes_wrong_with_one_of_those_answers_is_not_what_ended_all(tmp_pat
         if answers:
             raise OSError(28, "No space left on device")
 
-    with pytest.raises(KeyboardInterrupt):
+    with pytest.warns(UserWarning, match="could not be kept: OSError: .*No space left"), pytest.raises(KeyboardInterrupt):
         as_they_may(_telling, take, jobs=2, answered=answered, heard=heard)
+    assert sorted(answers) == ["first", "second"] and not active_children()
+
+
+@pytest.mark.usefixtures("patient")
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
+def test_another_ctrl_c_waits_until_what_has_come_is_taken_up(tmp_path, monkeypatch):
+    _interrupt_joins(monkeypatch)
+    take, answers = iter([(k, (k, tmp_path / "begun")) for k in ("first", "second")]).__next__, []
+
+    def answered(k, answer):
+        answers.append(k)
+        if len(answers) == 1:
+            raise ZeroDivisionError
+
+    with pytest.raises(KeyboardInterrupt):
+        as_they_may(_telling, take, jobs=2, answered=answered)
     assert sorted(answers) == ["first", "second"] and not active_children()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
 def test_another_ctrl_c_waits_until_the_processes_have_ended(monkeypatch):
+    _interrupt_joins(monkeypatch)
+    with pytest.raises(KeyboardInterrupt), Workers(_inverse_later, 2) as workers:
+        workers.give(100.0)
+        workers.give(100.0)
+    assert not active_children()
+
+
+def _interrupt_joins(monkeypatch):
     join = processes._Worker.join
 
     def interrupted(self):
@@ -176,10 +200,6 @@ def test_another_ctrl_c_waits_until_the_processes_have_ended(monkeypatch):
         join(self)
 
     monkeypatch.setattr(processes._Worker, "join", interrupted)
-    with pytest.raises(KeyboardInterrupt), Workers(_inverse_later, 2) as workers:
-        workers.give(100.0)
-        workers.give(100.0)
-    assert not active_children()
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
@@ -217,6 +237,27 @@ def test_ctrl_c_is_no_failure_of_a_task():
     """Where a library makes an error of it, and the work has that for its answer."""
     with pytest.raises(KeyboardInterrupt):
         each(_interrupted, [1, 2])
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
+def test_a_kept_process_that_is_killed_before_it_takes_up_other_work_costs_its_task(monkeypatch):
+    wrong = {}
+    with kept_processes():
+        each(_squared, [2, 3], jobs=2)
+        begin = processes._Worker.take_up
+
+        def killed(self, payload):
+            os.kill(self.process.pid, signal.SIGKILL)
+            begin(self, payload)
+
+        monkeypatch.setattr(processes._Worker, "take_up", killed)
+        as_they_may(_squared, iter([(0, 2), None]).__next__, jobs=1, answered=None, failed=wrong.__setitem__)
+    assert "killed by SIGKILL" in str(wrong[0])
+
+
+def test_notes_of_work_beside_other_work_are_left():
+    with beside(partial(_telling, ("first", Path(__file__)))) as answer:
+        assert answer() != os.getpid()
 
 
 def test_notes_and_answers_come_in_their_order():

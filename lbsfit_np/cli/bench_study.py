@@ -102,10 +102,11 @@ def run_study(values):
             )
     except BaseException as why:
         progress.close()
-        if begun:
-            how = "stopped: " if isinstance(why, KeyboardInterrupt) else ""
-            again = "the same command" + (" without --existing replace" if replace else "")
-            say(f"{how}what is done is kept in {out}, and {again} goes on")
+        stopped = isinstance(why, KeyboardInterrupt)
+        if begun and (stopped or results.exists()):
+            how, again = "stopped: " * stopped, "the same command" + " without --existing replace" * replace
+            with suppress(OSError):  # which is not what went wrong
+                say(f"{how}what is done is kept in {out}, and {again} goes on")
         raise
     finally:
         progress.close()

@@ -49,7 +49,7 @@ def kept_entries(files, fitter, subjects):
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)
         other = {name: result.settings.get(name) for name in now if result.settings.get(name) != now[name]}
         if other:
-            kept[f.name]["other_settings"] = other
+            kept[f.name]["other_settings"] = other if result.settings else None
             others[_in_words(other, now)] += 1
     _say_others(others)
     return kept
@@ -65,7 +65,7 @@ def _say_others(others):
 
 def _in_words(settings, now):
     """Settings that differ, as options."""
-    if "version" in settings and settings["version"] is None:
+    if settings.get("version", now) is None:  # which all have that have any
         return "settings that are not known"
     return ", ".join(f"{_option(name, value)}, not {_option(name, now[name])}" for name, value in settings.items())
 

@@ -121,9 +121,11 @@ class FitResult:
         from ..io.write import check_npz_name, write_npz
 
         check_npz_name(path)
+        if not isinstance(self.settings, dict):
+            raise InputError("settings", f"a {type(self.settings).__name__}", "a dict")
         try:
             settings = json.dumps(self.settings)
-        except TypeError as error:
+        except (TypeError, ValueError, RecursionError) as error:
             raise InputError("settings", f"what JSON does not know ({error})", "text, numbers, lists and dicts") from None
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         scalars = {name: np.array(getattr(self, name)) for name in _SCALARS}

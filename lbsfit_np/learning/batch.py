@@ -5,6 +5,7 @@ import time
 import traceback
 from collections import deque
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -184,29 +185,29 @@ def _fit_by_workers(work, scans, subjects, todo, jobs, report):
     come, called = deque(), set()
     with Workers(work, min(jobs, len(todo))) as workers:
 
-        def take(answers, *, again=True):
-            come.extend(answers)
-            while come:  # what is left where one is stopped in the middle is reported then
-                (index, *_), outcome, death = come.popleft()
-                if death is not None:
-                    report(ScanOutcome(index, error=f"the process that fitted it ended: {death}"))
-                elif not isinstance(outcome, Unsent):
-                    report(outcome)
-                elif again and outcome.task and callable(scans[index]) and index not in called:
-                    called.add(index)  # what it returns may be no better
-                    _give_called(workers, index, scans, subjects, report)
-                else:
-                    what = "it cannot be sent to" if outcome.task else "its fit cannot be sent from"
-                    report(ScanOutcome(index, error=f"{what} a worker process: {outcome.why}"))
+        def take_in(word, again=True):
+            (index, *_), outcome, death = word
+            if death is not None:
+                report(ScanOutcome(index, error=f"the process that fitted it ended: {death}"))
+            elif not isinstance(outcome, Unsent):
+                report(outcome)
+            elif again and outcome.task and callable(scans[index]) and index not in called:
+                called.add(index)  # what it returns may be no better
+                _give_called(workers, index, scans, subjects, report)
+            else:
+                what = "it cannot be sent to" if outcome.task else "its fit cannot be sent from"
+                report(ScanOutcome(index, error=f"{what} a worker process: {outcome.why}"))
 
         try:
             while todo or workers.busy:
                 while todo and workers.idle:
                     _give(workers, todo.popleft(), scans, subjects, report)
                 if workers.busy:
-                    take(workers.answers())
+                    come.extend(workers.answers())
+                while come:  # what is left where this is stopped in the middle is taken in then
+                    take_in(come.popleft())
         except BaseException:
-            take(workers.stop(), again=False)
+            workers.stop_after(come, partial(take_in, again=False))
             raise
 
 

@@ -4,6 +4,8 @@ import json
 from dataclasses import replace
 from numbers import Integral, Real
 
+import numpy as np
+
 from .. import __version__
 from .archive import learned_digests, model_digest, plain_parameters
 
@@ -23,6 +25,8 @@ def settings_of(fitter, *, learning=False):
 
 def _plain(value):
     """What JSON knows in place of what it does not: no fit is lost for how a number was written."""
+    if isinstance(value, np.generic):
+        return value.item()
     return int(value) if isinstance(value, Integral) else float(value) if isinstance(value, Real) else str(value)
 
 
