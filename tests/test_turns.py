@@ -232,7 +232,7 @@ def _as_learned(fitter, template, monkeypatch):
     learned["_learned_with"] = template.digest, True, True
     for name, value in {**learned, "segmenter_": None, "regressor_": SimpleNamespace(digest="")}.items():
         setattr(fitter, name, value)
-    monkeypatch.setattr("lbsfit_np.learning.fitter.model_digest", lambda *given, **named: "")
+    monkeypatch.setattr("lbsfit_np.learning.made_with.model_digest", lambda *given, **named: "")
     return fitter
 
 
