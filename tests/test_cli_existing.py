@@ -225,14 +225,15 @@ def test_kept_fits_that_were_made_with_other_options_are_told(fitted, made, tmp_
     more = ("--seed", "3", "--partial", "--up=+z", "--training", "noise=0.01")
     code, text, _ = run(*arguments, *more)
     assert code == 0 and "2 of 2 scans fitted, 2 of the fits kept from before" in text
-    words = "no --partial, not --partial, --seed {}, not --seed 3, no --training, not --training noise=0.01, no --up, not --up +z"
+    words = "no --partial (not --partial), --seed {} (not --seed 3)"
+    words += ", no --training (not --training noise=0.01), no --up (not --up +z)"
     notes = [line for line in text.splitlines() if line.startswith("note: 1 kept fit was made with ")]
     assert [note.partition(" with ")[2].split(";")[0] for note in notes] == [words.format(0), words.format(7)]
     assert all(note.endswith("; --existing replace makes all anew") for note in notes)
     entries = {entry["name"]: entry for entry in json.loads((tmp_path / "summary.json").read_text())["scans"]}
     other = {"up": None, "partial": False, "training": {}, "random_state": 0}
     text = run(*arguments)[1]
-    assert "note: 1 kept fit was made with --seed 7, not --seed 0; " in text and text.count("note: ") == 1
+    assert "note: 1 kept fit was made with --seed 7 (not --seed 0); " in text and text.count("note: ") == 1
     replace(two, settings={}).save(tmp_path / "two.fit.npz")
     assert "note: 1 kept fit was made with settings that are not known; " in run(*arguments)[1]
     assert '"other_settings": null' in (tmp_path / "summary.json").read_text()

@@ -67,7 +67,7 @@ def _in_words(settings, now):
     """Settings that differ, as options."""
     if settings.get("version", now) is None:  # which all have that have any
         return "settings that are not known"
-    return ", ".join(f"{_option(name, value)}, not {_option(name, now[name])}" for name, value in settings.items())
+    return ", ".join(f"{_option(name, value)} (not {_option(name, now[name])})" for name, value in settings.items())
 
 
 def _option(name, value):
