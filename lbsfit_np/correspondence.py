@@ -48,7 +48,7 @@ def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
     faces = _checked_faces(faces, len(a))
     snap_to = None if snap_to is None else _checked_points("snap_to", snap_to)
     if snap_to is not None and not len(snap_to):
-        raise InputError("snap_to", "an array without points", "points of scan B, shape (k, 3)", "Leave it out for no snap.")
+        raise InputError("snap_to", "an empty array", "points of scan B, shape (k, 3)", "Leave it out to skip snapping.")
     corners, barycentric = surface_places(points, a, faces)
     found = at_places(corners, barycentric, b)
     return found if snap_to is None else snap_to[PointIndex(snap_to).nearest(found)]
@@ -157,10 +157,10 @@ def _checked_points(argument, value):
 
 def _checked_faces(faces, m):
     check_unmasked("faces", faces)
-    faces = as_array("faces", faces, "whole numbers of shape (F, 3), one triangle at least")
+    faces = as_array("faces", faces, "whole numbers of shape (F, 3), at least one triangle")
     if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces) or faces.dtype.kind not in "iu":
         got = f"{faces.dtype} values of shape {faces.shape}"
-        raise InputError("faces", got, "whole numbers of shape (F, 3), one triangle at least", "Pass rig.faces.")
+        raise InputError("faces", got, "whole numbers of shape (F, 3), at least one triangle", "Pass rig.faces.")
     if faces.min() < 0 or faces.max() >= m:
         got = f"vertices {faces.min()} to {faces.max()}"
         raise InputError("faces", got, f"rows of the registrations, 0 to {m - 1}", "Pass the faces of the rig that was fitted.")

@@ -113,7 +113,7 @@ def check_real(argument, value, expected):
         raise InputError(argument, "complex numbers", expected)
 
 
-def check_unmasked(argument, value, *, rows="rows", remedy="Leave masked entries out, or fill them: numpy.ma.filled."):
+def check_unmasked(argument, value, *, rows="rows", remedy="Leave masked entries out, or fill them with numpy.ma.filled."):
     """Raise InputError where a masked array, or a list with rows of one, has masked entries: plain arrays know of no mask.
 
     ``rows``, ``remedy``: what the error calls the rows of ``value``, and what it says to do.

@@ -90,7 +90,7 @@ class Workers:
             self._payload = pickle.dumps(work, protocol=pickle.HIGHEST_PROTOCOL)
         except (pickle.PicklingError, AttributeError, TypeError) as error:
             remedy = "Use functions from the top level of a module, or n_jobs=1."
-            got = f"more than 1 with what cannot be sent to processes ({error})"
+            got = f"more than 1 with work that cannot be sent to processes ({error})"
             raise InputError("n_jobs", got, "picklable work", remedy) from None
         self._n, self._begun, self._unbegun = n, False, None
         self._workers, self._come = [], []
@@ -134,7 +134,7 @@ class Workers:
             self._come = [word for word in self._come if word[2] is None]
             raise InputError(
                 "n_jobs",
-                f"worker processes that end before they begin ({self._unbegun})",
+                f"worker processes that ended before they started work ({self._unbegun})",
                 "processes that start",
                 'In a script, call this under `if __name__ == "__main__":`.',
             )
@@ -162,7 +162,7 @@ class Workers:
                     take_in(word)
                 except Exception as error:  # noqa: BLE001 (whatever it is, the others are taken in)
                     with suppress(Exception):  # where warnings are errors
-                        warnings.warn(f"something that was done by then could not be kept: {in_words(error)}", stacklevel=2)
+                        warnings.warn(f"some finished work could not be kept: {in_words(error)}", stacklevel=2)
 
     def _stop(self):
         workers, self._workers = self._workers, []
@@ -282,7 +282,7 @@ class _Worker:
                 name = signal.Signals(-code).name
             except ValueError:
                 name = f"signal {-code}"
-            return f"killed by {name}" + (", perhaps for want of memory" if name == "SIGKILL" else "")
+            return f"killed by {name}" + (", possibly because memory ran out" if name == "SIGKILL" else "")
         return f"exit code {code}"
 
 

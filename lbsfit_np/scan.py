@@ -173,7 +173,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         array = array[~bad]
         dropped = f" after {count} with a coordinate that is NaN or infinite were left out"
     if not len(array):
-        raise InputError(argument, f"0 points{dropped}", expected, "No point is left: see how the scan was made.")
+        raise InputError(argument, f"0 points{dropped}", expected, "No points are left; check how the scan was made.")
     if len(array) < minimum:
         raise InputError(argument, f"{counted(len(array), 'point')}{dropped}", expected, _DENSER)
     if len(array) > 1 and (array == array[0]).all():
@@ -222,5 +222,5 @@ def _reshaping(shape):
     if len(shape) == 2 and shape[1] > 3:
         return "Pass the coordinates only: points[:, :3]."
     if len(shape) == 3 and shape[-1] == 3:
-        return "Pass one cloud at a time; an organised cloud wants points.reshape(-1, 3)."
+        return "Pass one cloud at a time; flatten an organised cloud with points.reshape(-1, 3)."
     return None

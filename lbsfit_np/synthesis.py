@@ -189,7 +189,7 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
         poses = check_array("poses", poses, shape)
     if templates is not None:
         if not isinstance(templates, (list, tuple)):
-            remedy = "Of a rig's subject it is [(subject.vertices, subject.joints)]."
+            remedy = "For a rig's subject, pass [(subject.vertices, subject.joints)]."
             raise InputError("templates", f"a {type(templates).__name__}", "a list of pairs (vertices, joints), or None", remedy)
         templates = [_checked_template(rig, k, template) for k, template in enumerate(templates)]
         if not templates:
@@ -258,7 +258,7 @@ def make_settings(settings, others=()):
             raise InputError(name, brief(value), f"{what} of at least {least} and at most {most}", remedy)
     made = Synthesis(**settings)
     if made.least_holes > made.holes:
-        raise InputError("least_holes", str(made.least_holes), f"at most holes, {made.holes}", "Set holes, too.")
+        raise InputError("least_holes", str(made.least_holes), f"at most {made.holes}, the value of holes", "Set holes, too.")
     return made
 
 
@@ -373,7 +373,7 @@ def synthesize_one(rig, pose, template, settings, rng):
     if settings.one_sided:
         points, triangle, bary = sample_seen_surface(vertices, rig.faces, n, rng, up=up, density=settings.density)
         if not len(points):
-            raise InputError("one_sided", "on, of a rig without any surface to be seen", "triangles that have an area")
+            raise InputError("one_sided", "True for a rig without a visible surface", "triangles that have an area")
     else:
         points, triangle, bary = sample_surface(vertices, rig.faces, n, rng, density=settings.density)
     labels = rig.vertex_labels[rig.faces[triangle, bary.argmax(axis=1)]]

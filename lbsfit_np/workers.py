@@ -134,10 +134,11 @@ def beside(work):
 def _outcome(answer, death):
     """(answer of ``_Caught`` work, None), or (None, what went wrong)."""
     if death is not None:
-        return None, InputError("n_jobs", f"a process that ended ({death})", "processes that live", "Use fewer of them.")
+        got = f"a worker process that ended ({death})"
+        return None, InputError("n_jobs", got, "processes that stay alive", "Use fewer processes.")
     if isinstance(answer, Unsent):
         got = f"more than 1 where {'a task' if answer.task else 'an answer'} cannot be sent between processes ({answer.why})"
-        return None, InputError("n_jobs", got, "what pickle takes", "Use functions from the top level of a module, or n_jobs=1.")
+        return None, InputError("n_jobs", got, "picklable work", "Use functions from the top level of a module, or n_jobs=1.")
     answer, error, trace = answer
     if trace is not None:
         error.__cause__ = _Elsewhere(trace)  # whoever mends it must know where it came from

@@ -257,7 +257,7 @@ def test_a_script_without_a_main_guard_is_told_so(tmp_path):
         env=os.environ | {"PYTHONPATH": PACKAGE_PARENT},
         timeout=120,
     )
-    assert "InputError: n_jobs: got worker processes that end before they begin" in done.stderr
+    assert "InputError: n_jobs: got worker processes that ended before they started work" in done.stderr
     assert 'if __name__ == "__main__":' in done.stderr
     assert done.stderr.count("Traceback") == 1 and "freeze_support" not in done.stderr  # and not by each process
 

@@ -137,7 +137,7 @@ def test_a_lack_of_memory_says_what_takes_less(made, tmp_path, run, monkeypatch)
 
 def test_a_rig_is_no_scan(made, tmp_path, run):
     code, _, err = run("fit", made / "tube.npz", made / "tube.npz", "-o", tmp_path / "out", *QUICK)
-    assert code == 1 and "a rig, or a model that was learned" in err and "expected a scan" in err
+    assert code == 1 and "a rig, or a learned model" in err and "expected a scan" in err
     scan = {"points": np.eye(3), "parents": np.zeros(2), "joints": np.zeros((2, 3)), "weights": np.zeros((3, 2))}
     np.savez(tmp_path / "tracked.npz", **scan)
     assert np.array_equal(lbs.load_scan(tmp_path / "tracked.npz").points, np.eye(3))

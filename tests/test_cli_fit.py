@@ -104,11 +104,11 @@ def test_row_numbers_taken_for_x_are_told_of_each_scan_and_why_its_fit_is_wrong(
         np.savetxt(tmp_path / name, np.column_stack([rows, points]), delimiter=",")
     scans, out = sorted(tmp_path.glob("*.csv")), tmp_path / "out"
     code, text, err = run("fit", made / "tube.npz", *scans, made / "one.ply", "-o", out, *QUICK)
-    assert code == 1 and err.count(": failed: Columns 1 to 3 were taken for x, y, z, but the first (") == 2
+    assert code == 1 and err.count(": failed: Columns 1 to 3 were read as x, y, z, but the first (") == 2
     entries = {e["name"]: e for e in json.loads((out / "summary.json").read_text())["scans"]}
     assert entries["one"]["status"] == "ok" and entries["one"]["message"] == lbs.FitResult.load(out / "one.fit.npz").message
     for name, rows in (("filtered", "0, 2, 4"), ("shuffled", "399, 398, 397")):
-        note = f"Columns 1 to 3 were taken for x, y, z, but the first ({rows}, …) looks like row numbers"
+        note = f"Columns 1 to 3 were read as x, y, z, but the first ({rows}, …) looks like row numbers"
         why = f"{note}: leave it out, or name the columns in a header line (row x y z)"
         first, *others = entries[name]["message"].split("; ")
         assert text.count(f"note: {name}: {note}") == 1 and first == why and others
@@ -116,7 +116,7 @@ def test_row_numbers_taken_for_x_are_told_of_each_scan_and_why_its_fit_is_wrong(
         reasons = ("\n" + " " * len(row[0])).join([why, *others])  # each has a line, one below the other
         assert text[row.end() :].startswith(f"{reasons}\n")
     kept = run("fit", made / "tube.npz", *scans, "-o", out, "--existing", "skip", *QUICK)[1]
-    assert kept.count(" Columns 1 to 3 were taken for x") == 2  # in the table: nothing is read again
+    assert kept.count(" Columns 1 to 3 were read as x") == 2  # in the table: nothing is read again
 
 
 def test_samples_of_a_mesh(made, tube_rig, tmp_path, run):

@@ -272,7 +272,7 @@ def test_row_numbers_taken_for_x_are_why_a_fit_is_in_doubt(status, written, tube
     scans = tmp_path / "well.csv", tmp_path / "rows.csv"
     code, text, _ = run("learn", tubes / "tube.npz", *scans, *outputs, "--variant", "free-form")
     assert code == (0 if status in ("ok", "suspect") else 1)
-    why = "Columns 1 to 3 were taken for x, y, z, but the first (0, 2, 4, …) looks like row numbers: leave it out, "
+    why = "Columns 1 to 3 were read as x, y, z, but the first (0, 2, 4, …) looks like row numbers: leave it out, "
     assert text.count(f"note: rows: {why}") == 1
     if status == "ok":
         assert text.count(why) == 1

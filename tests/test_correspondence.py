@@ -146,11 +146,11 @@ def test_one_point_and_none(tube_rig, poses):
         ({"points": np.ma.masked_less(np.eye(3), 0.5)}, ["points: got a masked array with 3 of 3 rows masked"]),
         ({"registration_a": np.zeros(3)}, ["registration_a", "(3,)"]),
         ({"registration_b": np.zeros((5, 3))}, ["registration_b: got shape (5, 3)"]),
-        ({"faces": np.zeros((0, 3), int)}, ["faces", "one triangle at least", "rig.faces"]),
+        ({"faces": np.zeros((0, 3), int)}, ["faces", "at least one triangle", "rig.faces"]),
         ({"faces": np.zeros((2, 3))}, ["faces", "float64", "whole numbers"]),
         ({"faces": [[0, 1, 242]]}, ["faces", "0 to 242", "0 to 241"]),
         ({"faces": [[0, -1, 2]]}, ["faces", "-1 to 2"]),
-        ({"snap_to": np.zeros((0, 3))}, ["snap_to", "without points"]),
+        ({"snap_to": np.zeros((0, 3))}, ["snap_to", "an empty array"]),
         ({"snap_to": np.zeros((5, 4))}, ["snap_to", "(5, 4)"]),
     ],
 )

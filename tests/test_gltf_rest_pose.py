@@ -46,7 +46,7 @@ def test_node_pose_is_not_the_rest_pose(tmp_path):
     data = read_gltf(save(write_arm(ARM, armature=TILTED, posed=posed), tmp_path))
     check_arm(data, TILTED, atol=1e-5)
     assert (data.up, data.metres_per_unit) == ("+y", 1.0)
-    assert "node 'Armature'" in data.notes[0] and "do not stand in the bind pose" in data.notes[0]
+    assert "node 'Armature'" in data.notes[0] and "are not in the bind pose" in data.notes[0]
     assert "confirm" in data.notes[0]
     turned = [Rotation.from_rotvec(POSED[j]).magnitude() for j in (1, 2, 3)]
     assert max(turned) > np.radians(100)
@@ -93,7 +93,7 @@ def test_without_a_witness_the_node_that_the_pose_is_least_turned_against(tmp_pa
     posed = np.array([[0.2, 0.1, -0.2], [0.4, -0.2, 0.3], [-0.5, 0.3, 0.1], [0.2, 0.1, 1.9], [0.3, 0.3, 0.2]])
     data = read_gltf(save(write_arm(ARM, armature=armature, posed=posed), tmp_path))
     check_arm(data, armature, atol=1e-5)
-    assert "taken to be placed as node 'Armature'" in data.notes[0]
+    assert "assumed to be placed in the scene like node 'Armature'" in data.notes[0]
 
 
 def test_a_majority_of_the_skin_decides_where_no_node_fits(tmp_path):
@@ -113,7 +113,7 @@ def test_bind_space_is_kept_where_nothing_tells_its_place(tmp_path):
     check_arm(data, np.linalg.inv(Z_UP), atol=1e-5)
     assert data.up is None and data.forward is None
     assert data.metres_per_unit == pytest.approx(0.01 * 0.02, rel=1e-5)
-    assert "name them in a card" in data.notes[0]
+    assert "set them in a card" in data.notes[0]
 
 
 def test_a_mesh_that_the_scene_mirrors(tmp_path):

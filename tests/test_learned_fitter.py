@@ -145,7 +145,7 @@ def test_new_scans_start_from_what_the_variant_allows(variant, nearest, own, clo
 
 
 def test_what_was_learned_is_a_line_each(learned_people):
-    assert re.fullmatch(r"<Segmenter: 4 parts, \d+ numbers a point, 2 stages>", repr(learned_people.segmenter_))
+    assert re.fullmatch(r"<Segmenter: 4 parts, \d+ numbers per point, 2 stages>", repr(learned_people.segmenter_))
     assert re.fullmatch(r"<PoseLibrary: 100 poses of 4 joints, f \d+ → .*\d → 12>", repr(learned_people.regressor_))
     turning = int((learned_people.rig.upper > learned_people.rig.lower)[1:].sum())  # all but the root's
     assert repr(learned_people.pose_prior_) == f"<PosePrior: 4 joints, {turning} angles>"

@@ -207,7 +207,7 @@ def test_a_bool_is_no_subject(given, learned, clouds):
         (Synthesis(n_points=10**30), "training: got n_points: 1000"),
         (Synthesis(noise=-1.0), "training: got noise: -1.0"),
         ({"trun": 1.0}, "training: got trun: a setting that is not known"),
-        ({"holes": 0, "least_holes": 1}, "training: got least_holes: 1; expected at most holes, 0. Set holes, too."),
+        ({"holes": 0, "least_holes": 1}, "training: got least_holes: 1; expected at most 0, the value of holes. Set holes, too."),
     ],
 )
 def test_training_that_cannot_be_computed_is_named_before_any_work(training, words, tube_rig, clouds, monkeypatch):

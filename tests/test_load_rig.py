@@ -64,7 +64,7 @@ def test_wrong_kinds_of_files(tmp_path):
     with pytest.raises(InputError, match="path_or_name: got an empty text"):
         load_rig("")
     (tmp_path / "scan.ply").write_text("x")
-    with pytest.raises(FileError, match=r"'\.ply'.*glTF.*If this is a scan: the rig comes before the scans"):
+    with pytest.raises(FileError, match=r"'\.ply'.*glTF.*If this is a scan, give the rig before the scans"):
         load_rig(tmp_path / "scan.ply")
     with pytest.raises(InputError, match="path: got a int; expected the path of an NPZ file"):
         read_npz(3)
@@ -75,9 +75,9 @@ def test_wrong_kinds_of_files(tmp_path):
 
 def test_options_of_other_formats_are_refused(tmp_path, tube_rig):
     tube_rig.save(tmp_path / "rig.npz")
-    with pytest.raises(InputError, match="shape: got 'tall'.*holds one only"):
+    with pytest.raises(InputError, match="shape: got 'tall'.*holds only one"):
         load_rig(tmp_path / "rig.npz", shape="tall")
-    with pytest.raises(InputError, match="skin: got 'body'.*no glTF"):
+    with pytest.raises(InputError, match="skin: got 'body'.*not a glTF"):
         load_rig(tmp_path / "rig.npz", skin="body")
 
 

@@ -49,7 +49,7 @@ BAD = [
     (lambda: chamfer(_X, _V, x_index=PointIndex(_V)), ["x_index", "30 points", "37 points"]),
     (lambda: chamfer(_X, _V, x_index=PointIndex(_X, _xl)), ["x_index", "with labels", "without labels"]),
     (lambda: structured_chamfer(_X, _V, _xl, _vl, x_index=PointIndex(_X)), ["x_index", "without labels", "with labels"]),
-    (lambda: chamfer(_X, _V, x_index=PointIndex(_X[::-1])), ["x_index: got a PointIndex over other points", "Build it anew"]),
+    (lambda: chamfer(_X, _V, x_index=PointIndex(_X[::-1])), ["x_index: got a PointIndex over other points", "Build it again"]),
     (lambda: structured_chamfer(_X, _V, _xl, _vl, x_index=PointIndex(_X, _xl[::-1])), ["x_index", "over other labels"]),
     (lambda: chamfer(_X, _V, x_index=_X), ["x_index: got a ndarray", "PointIndex over X"]),
     (lambda: loopback(np.full_like(S.V, np.nan), S.V), ["predicted", "NaN", "finite numbers"]),

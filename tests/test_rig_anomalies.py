@@ -32,7 +32,7 @@ def test_turned_faces_are_noted():
     assert any("inside out" in note for note in build_rig(replace(data, faces=data.faces[:, ::-1])).notes)
     some = data.faces.copy()
     some[0] = some[0, ::-1]
-    assert any("turned opposite ways at 3 edges" in note for note in build_rig(replace(data, faces=some)).notes)
+    assert any("have opposite orientations at 3 edges" in note for note in build_rig(replace(data, faces=some)).notes)
 
 
 def test_non_manifold_and_degenerate_faces_are_noted():
@@ -50,9 +50,9 @@ def test_many_influences_are_told_and_are_no_anomaly():
     data = with_joint(make_tube_data(), "fifth", 1)
     w = rng.random((242, 5))
     rig = build_rig(replace(data, weights=w / w.sum(axis=1, keepdims=True)))
-    assert "skin      up to 5 joints a vertex, more than 4 at 242 vertices" in describe(rig)
-    assert not any("a vertex" in note for note in rig.notes)
-    assert "joints a vertex\n" in describe(build_rig(make_tube_data()))
+    assert "skin      up to 5 joints per vertex, more than 4 at 242 vertices" in describe(rig)
+    assert not any("per vertex" in note for note in rig.notes)
+    assert "joints per vertex\n" in describe(build_rig(make_tube_data()))
 
 
 # ---- welding ----
@@ -80,7 +80,7 @@ def test_seams_are_welded_for_the_geometry_only(tube_rig):
     np.testing.assert_array_equal(rig.welded.vertices[rig.weld], rig.vertices)
     np.testing.assert_array_equal(rig.welded.faces, tube_rig.faces)
     np.testing.assert_allclose(rig.welded.regressor @ rig.welded.vertices, rig.joints, atol=1e-12)
-    assert any("245 vertices are 242 distinct" in note for note in rig.notes)
+    assert any("245 vertices lie at 242 distinct" in note for note in rig.notes)
     assert not any("open" in note for note in rig.notes)
 
 

@@ -31,7 +31,7 @@ def test_card_can_change_the_root():
     [
         (Card(chains=(("root", "elbow"),)), r"3 root joints: root, long, short.*card's \[hierarchy\]"),
         (Card(chains=(("root", "elbow"), ("long", "elbow"))), r"\[hierarchy\].*two parents for joint 'elbow': 'root' and 'long'"),
-        (Card(root="elbow", chains=(("root", "elbow"),)), "the root 'elbow' hanging on 'root'"),
+        (Card(root="elbow", chains=(("root", "elbow"),)), "the root 'elbow' as a child of 'root'"),
         (Card(chains=(("root", "elbw"),)), r"\[hierarchy\].*'elbw'.*no joint.*Did you mean 'elbow'"),
         (Card(chains=(("root", "elbow", "long", "root"),)), "cycle"),
         (Card(chains=(("root", "*o*"),)), "matches 4 joints.*one joint"),
@@ -77,7 +77,7 @@ def test_locked_joints_keep_their_skin_and_never_turn():
 def test_limits_of_a_joint_that_stays_still_are_noted():
     card = Card(lock=("long",), limits=(("*", (-1, -1, -1), (1, 1, 1)), ("long", (-1, 0, 0), (1, 0, 0))), path="a.toml")
     notes = [note for note in build_rig(make_tube_data(), card).notes if "no effect" in note]
-    assert notes == ["card a.toml, [limits]: those of 'long' have no effect, as that joint is locked or merged"]
+    assert notes == ["card a.toml, [limits]: limits of 'long' have no effect, because that joint is locked or merged"]
     assert not any("no effect" in note for note in build_rig(make_tube_data(), replace(card, lock=())).notes)
     globs = replace(card, limits=(("lon*", (-1, 0, 0), (1, 0, 0)),))  # which mean no joint in particular
     assert not any("no effect" in note for note in build_rig(make_tube_data(), globs).notes)

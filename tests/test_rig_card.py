@@ -145,7 +145,7 @@ def test_missing_card(tmp_path):
 def test_card_of_an_impossible_name(tmp_path, tube_rig, name, words):
     with pytest.raises(FileError, match=words):
         read_card(tmp_path / name)
-    with pytest.raises(FileError, match="a place that cannot be written"):
+    with pytest.raises(FileError, match="a path that cannot be written to"):
         write_card(tube_rig, tmp_path / name)
     assert not list(tmp_path.iterdir())
 

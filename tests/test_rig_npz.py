@@ -174,17 +174,17 @@ BAD = {
     "no lower": ({"lower": None, "notes": None}, "no 'lower', 'notes'.*keys"),
     "text for a name list": ({"joint_names": np.array(3)}, "'joint_names'.*list of texts"),
     "vertices of no shape": ({"vertices": np.array(3.0)}, "'vertices' of type float64 and shape .*2 dimensions"),
-    "one name less": ({"joint_names": np.array(["a", "b", "c"])}, "no sparse matrix of shape|shape"),
+    "one name less": ({"joint_names": np.array(["a", "b", "c"])}, "not a sparse matrix of shape|shape"),
     "a name of numbers": ({"name": np.arange(3)}, "'name' of type.*one text"),
     "broken JSON": ({"partitions": np.array("{")}, "'partitions'.*JSON"),
-    "another JSON": ({"partitions": np.array(json.dumps({"p": ["root"]}))}, "'partitions' of another form"),
-    "weights cut short": ({"weights_data": np.ones(3)}, "'weights' that is no sparse matrix"),
+    "another JSON": ({"partitions": np.array(json.dumps({"p": ["root"]}))}, "'partitions' in another form"),
+    "weights cut short": ({"weights_data": np.ones(3)}, "'weights' that is not a sparse matrix"),
     "weights of strange columns": (
         {"weights_indices": np.full(10, 99), "weights_data": np.ones(10)},
-        "'weights' that is no sparse matrix",
+        "'weights' that is not a sparse matrix",
     ),
-    "weights of ints": ({"weights_data": np.arange(3)}, "'weights' that is no sparse matrix"),
-    "row pointers that go back": ({"regressor_indptr": np.array([0, 50, 20, 60, 70])}, "'regressor' that is no sparse matrix"),
+    "weights of ints": ({"weights_data": np.arange(3)}, "'weights' that is not a sparse matrix"),
+    "row pointers that go back": ({"regressor_indptr": np.array([0, 50, 20, 60, 70])}, "'regressor' that is not a sparse matrix"),
     "faces out of range": ({"faces": np.array([[0, 1, 5000]])}, "faces out of range"),
     "merged of another type": ({"merged": np.zeros(4)}, "merged.*true or false"),
     "root merged": ({"merged": np.array([True, False, False, False])}, "root joint 'root' among the merged"),
@@ -217,7 +217,7 @@ def test_truncated_file(tmp_path, tube_rig, share):
     tube_rig.save(tmp_path / "rig.npz")
     whole = (tmp_path / "rig.npz").read_bytes()
     (tmp_path / "cut.npz").write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(FileError, match=r"cut\.npz.*broken or no NPZ.*again"):
+    with pytest.raises(FileError, match=r"cut\.npz.*broken or not NPZ.*again"):
         load_rig(tmp_path / "cut.npz")
 
 
@@ -247,7 +247,7 @@ def test_damaged_file(tmp_path, tube_rig):
 
 def test_not_an_npz(tmp_path):
     (tmp_path / "text.npz").write_text("hello")
-    with pytest.raises(FileError, match="broken or no NPZ"):
+    with pytest.raises(FileError, match="broken or not NPZ"):
         load_rig(tmp_path / "text.npz")
     np.save(tmp_path / "one.npy", np.zeros(3))
     (tmp_path / "one.npy").rename(tmp_path / "one.npz")

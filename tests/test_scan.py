@@ -106,7 +106,7 @@ def test_check_points_counts_after_dropping():
         check_points(points, minimum=5, drop_invalid=True)
     with pytest.raises(InputError, match="got 4 points; expected at least 9 points. A denser scan"):
         check_points(POINTS, minimum=9)
-    with pytest.raises(InputError, match="0 points after 2 .*at least 1 point(?!s).*No point is left"):
+    with pytest.raises(InputError, match="0 points after 2 .*at least 1 point(?!s).*No points are left"):
         check_points(np.full((2, 3), np.nan), drop_invalid=True)
     with pytest.raises(InputError, match="got 1 point after 1 with.*at least 2 points. A denser"):
         check_points([[1, 2, 3], [np.nan, 0, 0]], minimum=2, drop_invalid=True)

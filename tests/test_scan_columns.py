@@ -28,7 +28,7 @@ def test_a_column_that_counts_the_rows_is_no_x(tmp_path):
         np.testing.assert_array_equal(scan.points[:, 0], column)
         first = ", ".join(map(str, column[:3]))
         assert scan.notes[0] == (
-            f"Columns 1 to 3 were taken for x, y, z, but the first ({first}, …) looks like row numbers: leave it out, "
+            f"Columns 1 to 3 were read as x, y, z, but the first ({first}, …) looks like row numbers: leave it out, "
             "or name the columns in a header line (row x y z)."
         )
         assert len(scan.notes) == 2 and scan.notes[1].startswith("One further column")
@@ -152,5 +152,5 @@ def test_points_beside_what_a_rig_has_are_a_scan(tmp_path):
         np.savez(tmp_path / "scan.npz", **of_rig, **{key: points})
         np.testing.assert_array_equal(load_scan(tmp_path / "scan.npz").points, points)
     np.savez(tmp_path / "rig.npz", **of_rig, vertices=points)
-    with pytest.raises(FileError, match="a rig, or a model"):
+    with pytest.raises(FileError, match="a rig, or a learned model"):
         load_scan(tmp_path / "rig.npz")

@@ -45,7 +45,7 @@ def test_meshes_give_their_vertices_in_order(tmp_path, name, content):
     if name == "m.obj":
         np.testing.assert_array_equal(scan.normals, NORMALS)
     if name.endswith("stl"):
-        assert "12 corners are 4 different points" in scan.notes[0]
+        assert "12 corners share 4 different points" in scan.notes[0]
 
 
 @pytest.mark.parametrize(

@@ -98,7 +98,8 @@ def test_a_broken_file_in_the_cache_is_trained_again(empty_cache, small_segmente
 def test_a_cache_that_cannot_be_made_is_no_error(empty_cache, small_segmenter):
     empty_cache.write_text("a file where the folder should be")
     train = Trainer(small_segmenter)
-    with pytest.warns(UserWarning, match="trained cannot be kept in .* .File exists.*LBSFIT_CACHE can name another folder"):
+    words = "training results cannot be kept in .* .File exists.*set LBSFIT_CACHE to another folder"
+    with pytest.warns(UserWarning, match=words):
         assert cached("key", train) is small_segmenter
     assert cached("key", train) is small_segmenter and train.calls == 1
 

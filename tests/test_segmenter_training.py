@@ -84,7 +84,7 @@ def _dies(i):
 def test_errors_in_processes_arrive(tube_rig):
     with pytest.raises(InputError, match="scan: got one that cannot be made"):
         train_segmenter(tube_rig, _fails, 200, random_state=0, n_jobs=2)
-    with pytest.raises(InputError, match=r"n_jobs: got a process that ended \(exit code 7\)"):
+    with pytest.raises(InputError, match=r"n_jobs: got a worker process that ended \(exit code 7\)"):
         train_segmenter(tube_rig, _dies, 200, random_state=0, n_jobs=2)
 
 

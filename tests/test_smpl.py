@@ -137,7 +137,7 @@ def test_names_by_the_number_of_joints(tmp_path, J, first, last, up):
     assert len(names) == len(set(names)) == J
     assert names[: len(first)] == first and names[-len(last) :] == last
     assert rig.up == up
-    assert any("fit no known model" in note for note in rig.notes) == (J in (5, 120))
+    assert any("match no known model" in note for note in rig.notes) == (J in (5, 120))
 
 
 def test_known_rows_of_smplx(tmp_path):
@@ -217,7 +217,7 @@ def test_truncated(tmp_path, suffix, share):
     path = save(tmp_path, model(), suffix)
     data = path.read_bytes()
     path.write_bytes(data[: int(share * len(data))])
-    with pytest.raises(FileError, match="truncated|broken or no NPZ") as e:
+    with pytest.raises(FileError, match="truncated|broken or not NPZ") as e:
         read_smpl(path)
     assert e.value.argument == str(path)
 

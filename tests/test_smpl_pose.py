@@ -131,5 +131,5 @@ def test_bad_poses(pose, words):
 
 def test_rigs_without_the_relation_say_which_have_it(tube_rig):
     for convert in (tube_rig.to_smpl_pose, tube_rig.from_smpl_pose):
-        with pytest.raises(InputError, match="'tube'.*smpl_rest.*bundled rigs, body and hand"):
+        with pytest.raises(InputError, match="'tube'.*smpl_rest.*bundled rigs body, hand and hand-left"):
             convert(np.zeros((4, 3)))

@@ -366,7 +366,7 @@ def test_samples_are_uniform_by_area_and_on_their_triangles(tube_rig):
         ({"hole_radius": 50}, ["hole_radius: got 50", "at most 10. It is in half sizes of the rig."]),
         ({"holes": 1.5}, ["holes: got 1.5", "integer"]),
         ({"holes": True}, ["holes: got True", "integer"]),
-        ({"holes": 1, "least_holes": 2}, ["least_holes: got 2", "at most holes, 1"]),
+        ({"holes": 1, "least_holes": 2}, ["least_holes: got 2", "at most 1, the value of holes"]),
         ({"least_hole": 1.5}, ["least_hole: got 1.5", "at most 1"]),
         ({"scale": 1.0}, ["scale: got 1.0", "at most 0.9"]),
         ({"n_scans": -1}, ["n_scans: got -1", "at least 0"]),

@@ -27,7 +27,7 @@ def test_of_a_flat_mesh_a_side_is_taken_that_shows_something(seed):
 def test_a_mesh_that_no_camera_sees_is_an_error(tube_rig):
     thread = replace(tube_rig, vertices=tube_rig.vertices * [0, 1, 0])
     for seed in range(8):  # normals of rounding look anywhere
-        with pytest.raises(InputError, match="one_sided: got on, of a rig without any surface"):
+        with pytest.raises(InputError, match="one_sided: got True for a rig without a visible surface"):
             lbs.synthesize(thread, random_state=seed, n_points=20, one_sided=True, poses=np.zeros((1, 4, 3)), shape=0.0)
 
 

@@ -42,9 +42,10 @@ def test_errors_of_tasks_pass_on(jobs):
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
 def test_a_process_that_dies_is_said():
-    with pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
+    words = "n_jobs: got a worker process that ended .*SIGKILL"
+    with pytest.raises(InputError, match=words):
         each(_killed, [1, 2, 3], jobs=2)
-    with beside(partial(_killed, 1)) as answer, pytest.raises(InputError, match="n_jobs: got a process that ended .*SIGKILL"):
+    with beside(partial(_killed, 1)) as answer, pytest.raises(InputError, match=words):
         answer()
 
 
@@ -285,7 +286,7 @@ def test_work_beside_other_work():
             answer()
         with pytest.raises(KeyError), beside(partial(_inverse_later, 100.0)):  # it need not be waited for
             raise KeyError
-        with pytest.raises(InputError, match="n_jobs: got more than 1 with what cannot be sent"), beside(lambda: 0):
+        with pytest.raises(InputError, match="n_jobs: got more than 1 with work that cannot be sent"), beside(lambda: 0):
             pass
     assert not active_children()
 

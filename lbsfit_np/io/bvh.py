@@ -220,7 +220,7 @@ def _read_motion(words, lines, n_channels):
             remedy = "The file may be truncated." if words.line == rows[-1][0] else None
             raise words.wrong(f"{len(row)} values", f"{n_channels}, one for each channel of the hierarchy", remedy)
     if len(rows) != n_frames or not n_frames:
-        expected = f"the {n_frames} that Frames: announces" if n_frames else "at least one frame"
+        expected = f"the {n_frames} that the line Frames: announces" if n_frames else "at least one frame"
         raise words.wrong(f"{len(rows)} frames, the last", expected, "The file may be truncated.")
     values = np.empty((n_frames, n_channels))
     for t, (words.line, row) in enumerate(rows):

@@ -13,7 +13,7 @@ from .cloud import CloudData, cloud_from_columns, column_role, set_labels
 __all__ = ["ODD_X", "read_npy", "read_npz", "read_table"]
 
 # How the note begins that x is hardly what was meant: of each scan that has it, the fit is all but certainly wrong.
-ODD_X = "Columns 1 to 3 were taken for x, y, z, but the first"
+ODD_X = "Columns 1 to 3 were read as x, y, z, but the first"
 
 _HEAD_LINES = 200  # comment lines before the first row; more than that is no table
 _NPZ_KEYS = {
@@ -47,7 +47,7 @@ def read_table(path):
     """
     skip, names, cells, delimiter = _read_head(path)
     if cells is None:
-        below = "" if names is None else f" below the first, {_row(names)!r}, which was taken for a heading"
+        below = "" if names is None else f" below the first line, {_row(names)!r}, which was read as a header"
         raise FileError(str(path), f"no line of numbers{below}", "one point per line")
     decimal_comma = delimiter == ";" and any("," in cell for cell in cells)
     numeric = [_is_number(cell.replace(",", ".") if decimal_comma else cell) or not cell for cell in cells]
@@ -100,11 +100,11 @@ def read_npz(path):
     """Read an NPZ file: points (or xyz, vertices, …), and faces, normals and labels where it has them."""
     by_name = {key.lower(): key for key in sorted(npz.npz_keys(path))}
     if "lbsfit_np_result" in by_name:
-        remedy = "Give the scan that was fitted; FitResult.load reads this."
+        remedy = "Give the scan that was fitted; FitResult.load reads this file."
         raise FileError(str(path), "the result of a fit", "a scan", remedy)
     of_rig = {"parents", "joints"} <= set(by_name) and any(key.startswith("weights") for key in by_name)
     if of_rig and not {"points", "xyz"} & set(by_name):
-        raise FileError(str(path), "a rig, or a model that was learned", "a scan", "The rig comes before the scans.")
+        raise FileError(str(path), "a rig, or a learned model", "a scan", "Give the rig before the scans.")
     found = {what: next((by_name[k] for k in keys if k in by_name), None) for what, keys in _NPZ_KEYS.items()}
     found["labels"] = next((key for name, key in by_name.items() if column_role(name) == 6), None)
     axes = [by_name.get(axis) for axis in "xyz"]
@@ -233,7 +233,7 @@ def _unnamed(table, without_rows, with_names):
             cloud.normals, used = table[:, 3:6], 6
     if table.shape[1] > used:
         columns = f"{table.shape[1] - used} further columns" if table.shape[1] - used > 1 else "One further column"
-        cloud.notes.append(f"{columns} without a name left out: {with_names} would say what they are.")
+        cloud.notes.append(f"{columns} without a name left out: to name the columns, use {with_names}.")
     return cloud
 
 

@@ -76,7 +76,7 @@ def read_gltf(path, *, skin=None):
         inverse_bind = np.tile(np.eye(4), (len(joints), 1, 1))
         if not np.allclose(worlds, worlds[0], atol=1e-6 * max(np.abs(worlds).max(), 1.0)):
             vertices, inverse_bind = blend(vertices, weights, worlds), _inverted(document, worlds, names, "world matrix")
-            notes.append("the skin has no inverse bind matrices: the rest pose is the one that the nodes stand in")
+            notes.append("the skin has no inverse bind matrices: the pose of the nodes is taken as the rest pose")
 
     roots = np.flatnonzero(parents < 0)
     candidates = _bind_space_candidates(graph, [joints[r] for r in roots], set(joints), mesh_nodes)
@@ -140,7 +140,7 @@ def _choose_skin(document, graph, wanted, notes):
     choices = ", ".join(f"{s} ({name!r})" for s, name in sorted(named.items()))
     index = _skin_index(document, wanted, named, choices, skins)
     if len(users) > 1:
-        notes.append(f"the file has several skins in use: {choices}; this is {index}")
+        notes.append(f"meshes of the file use several skins: {choices}; this rig uses skin {index}")
     if props:
         notes.append(f"{len(props)} mesh(es) without a skin left out: {listed(props, 5)}")
     return index, _shown(document, graph, users[index], notes)
@@ -150,7 +150,7 @@ def _skin_index(document, wanted, named, choices, skins):
     if wanted is None:
         if len(named) > 1:
             raise InputError(
-                "skin", f"no choice, where meshes of {document.path} use several", f"one of {choices}", "Name one: skin=."
+                "skin", f"no choice, but meshes of {document.path} use several", f"one of {choices}", "Choose one with skin=."
             )
         return next(iter(named))
     if isinstance(wanted, str):
@@ -211,9 +211,9 @@ def _joint_names(graph, joints, notes):
             repeated.append(name)
         names.append(name)
     if unnamed:
-        notes.append(f"{len(unnamed)} joint(s) without a name, called by their nodes: {listed(unnamed, 5)}")
+        notes.append(f"{len(unnamed)} joint(s) without a name, named after their nodes: {listed(unnamed, 5)}")
     if repeated:
-        notes.append(f"{len(repeated)} joint(s) with a name that another has, numbered: {listed(repeated, 5)}")
+        notes.append(f"{len(repeated)} joint(s) with the name of another joint, made unique by a number: {listed(repeated, 5)}")
     return names
 
 
@@ -285,8 +285,8 @@ def _unkept(moved, parents, rest, names, size):
         if far.max() > 1e-3 * size:
             worst = names[below[int(far.argmax())]]
             notes.append(
-                f"animations move {int((far > 1e-3 * size).sum())} joint(s) against their parents, {worst!r} the furthest (by "
-                f"{100 * far.max() / size:.2g} % of the rig's size): only rotations are kept"
+                f"animations move {int((far > 1e-3 * size).sum())} joint(s) relative to their parents, {worst!r} the furthest "
+                f"(by {100 * far.max() / size:.2g} % of the rig's size): only rotations are kept"
             )
     stretch = np.linalg.svd(moved[..., :3, :3], compute_uv=False)
     scaled = np.abs(stretch - 1.0).max(axis=(0, 2))

@@ -294,7 +294,7 @@ class Document:
         path = unquote(uri)
         if ":" in uri.split("/")[0] or path.startswith(("/", "\\")):
             raise self.error(
-                f"buffer {index} lies at {_short(uri)}", "a path relative to the file", "Put the buffer beside the file."
+                f"buffer {index} has the uri {_short(uri)}", "a path relative to the file", "Put the buffer beside the file."
             )
         file = self._folder / path
         if "\0" not in path and not file.exists() and (self._folder / uri).exists():
@@ -387,7 +387,7 @@ def _read_bytes(file, path, what=None):
             raise FileError(path, "no such file", "the path of a .glb or .gltf file", "Check the path.") from None
         raise FileError(
             path,
-            f"{what} which is not there",
+            f"{what} which does not exist",
             f"that file in {os.fspath(file.parent)!r}",
             "Keep a .gltf together with its buffers.",
         ) from None

@@ -110,28 +110,28 @@ def place(vertices, weights, skinning, joint_labels, roots, candidates):
             chosen = min(same, key=lambda c: np.abs((c[1] - chosen) @ corners.T).max())[1]
     elif witnessed:
         label, chosen, _ = max(witnessed, key=lambda c: (c[2] @ mass, c[2].sum()))
-        how = f"is placed as {label} is in the scene, which joints that are not posed confirm"
+        how = f"placed in the scene like {label}, as joints that are not posed confirm"
     elif scale > 0 and shares[best] >= _MAJORITY:
         chosen = _mean(skinning, mass * agree(skinning[best]))
         share = f"the {100 * shares[best]:.0f} % of the skin that moves with it"
-        how = f"is placed as {joint_labels[best]} and {share} are in the scene"
+        how = f"placed in the scene like {joint_labels[best]} and {share}"
     else:
         posed = blend(vertices, weights, skinning)
         turned = nearest_rotations((_covariance(vertices, posed) * (-1.0 if mirrored else 1.0))[None])[0]
         label, chosen = _least_turned(fitting, turned, mirrored)
         if chosen is not None:
-            how = f"is taken to be placed as {label} is in the scene, the node that the posed mesh is turned least against"
+            how = f"assumed to be placed in the scene like {label}, the node from which the posed mesh is turned the least"
     if chosen is not None:
         if not all_agree:
             turn = _largest_turn(skinning, chosen, bearing, joint_labels)
-            notes.append(f"the nodes do not stand in the bind pose ({turn}); the rest pose is the bind pose, which {how}")
+            notes.append(f"the nodes are not in the bind pose ({turn}); the rest pose is the bind pose, {how}")
         notes += _placed(chosen)
         return Placement(chosen, np.eye(4), True, 1.0, tuple(notes))
 
     unit = float(scale) if one_scale else None
     notes.append(
-        "the nodes do not stand in the bind pose and nothing says how bind space lies in the scene: the rig stays in bind space, "
-        f"its up and forward axes are unknown and its unit is {f'{unit:.6g} m' if unit else 'unknown'}; name them in a card"
+        "the nodes are not in the bind pose, and nothing shows how bind space lies in the scene: the rig stays in bind space, "
+        f"its up and forward axes are unknown and its unit is {f'{unit:.6g} m' if unit else 'unknown'}; set them in a card"
     )
     scene_T_rig = np.eye(4)
     scene_T_rig[:3, :3] = turned * (unit or 1.0) * (-1.0 if mirrored else 1.0)
@@ -190,10 +190,10 @@ def _placed(matrix):
             f"brought from bind space into the scene's frame (y up, metres): turned by {angle:.0f}°, scaled by {scale:.6g}"
         )
     if determinant < 0:
-        notes.append("the scene mirrors the mesh: the rig is the mirror image, its faces turned to keep their outside")
+        notes.append("the scene mirrors the mesh: the rig is the mirror image, its faces reversed so that they point outwards")
     if stretch[0] > 1.01 * stretch[2]:
         notes.append(
-            f"the scene stretches the mesh unevenly ({stretch[0] / stretch[2]:.3g} to 1): the file's rotations hold only nearly"
+            f"the scene stretches the mesh unevenly ({stretch[0] / stretch[2]:.3g} to 1): the file's rotations are approximate"
         )
     return notes
 

@@ -40,7 +40,7 @@ def skinned_geometry(document, mesh_nodes, n_joints, graph, notes):
     for i in mesh_nodes:
         mesh = document.integer(document.items("nodes")[i], "mesh", f"node {i}")
         if mesh in done:
-            notes.append(f"node {graph.label(i)} shows a mesh of the skin once more: left out")
+            notes.append(f"node {graph.label(i)} shows a mesh of the skin again: left out")
             continue
         done.add(mesh)
         for p, primitive in enumerate(document.objects(document.items("meshes")[mesh], "primitives", f"mesh {mesh}")):
@@ -61,7 +61,7 @@ def skinned_geometry(document, mesh_nodes, n_joints, graph, notes):
             first, vertices = blocks[key][:2]
             faces.append(first + _faces(document, primitive, mode, len(vertices), where, notes))
     if morphs:
-        notes.append(f"morph targets of {morphs} primitive(s) left out: the rig is the shape without them")
+        notes.append(f"morph targets of {morphs} primitive(s) left out: the rig has the shape without them")
     if not sum(map(len, faces)):
         raise document.error(
             "no triangles with joints and weights on the skin",

@@ -36,7 +36,7 @@ class NodeGraph:
             for child in document.integers(node, "children", f"node {i}"):
                 document.item("nodes", child, f"children of node {i}")
                 if self.parents[child] >= 0 or child == i:
-                    raise document.error(f"node {child} with two parents, or itself its parent", "nodes with one parent each")
+                    raise document.error(f"node {child} with two parents, or as its own parent", "nodes with one parent each")
                 self.parents[child] = i
         self._order = self._parents_first()
         self.translations, self.scales, self.rotations = np.zeros((n, 3)), np.ones((n, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (n, 1))

@@ -70,7 +70,7 @@ def _skinning(document, nodes, skin):
         return worlds
     inverse = document.accessor(document.integer(item, "inverseBindMatrices", where), where, ("MAT4",))
     if len(inverse) < len(joints):
-        raise document.error(f"{len(inverse)} inverse bind matrices for the {len(joints)} joints of {where}", "one a joint")
+        raise document.error(f"{len(inverse)} inverse bind matrices for the {len(joints)} joints of {where}", "one per joint")
     return worlds @ inverse[: len(joints)]
 
 

@@ -53,7 +53,7 @@ def read_npz(path, keys=None):
             except ValueError as e:
                 if "pickle" in str(e).lower():
                     got, expected = (
-                        f"Python objects in {key!r}, which are not loaded, as loading them can run code",
+                        f"Python objects in {key!r}, which are not loaded because loading them can run code",
                         "plain arrays",
                     )
                     raise FileError(str(path), got, expected, "Save the array with a plain dtype.") from None
@@ -61,7 +61,7 @@ def read_npz(path, keys=None):
             except (*_BROKEN, OSError):
                 raise _broken(path, f"{key!r} cannot be unpacked") from None
             if not isinstance(value, np.ndarray):  # a member that is not an NPY file comes as bytes
-                raise _broken(path, f"{key!r} is no array")
+                raise _broken(path, f"{key!r} is not an array")
             out[key] = value
     return out
 
@@ -82,7 +82,7 @@ def read_npy(path):
     except OSError as error:
         raise FileError(str(path), f"a file that cannot be read ({error.strerror or error})", "an NPY file") from None
     if magic != b"\x93NUMPY":
-        raise FileError(str(path), "content that is no NPY array", "an NPY file", "Check the extension.")
+        raise FileError(str(path), "content that is not an NPY array", "an NPY file", "Check the extension.")
     try:
         return np.load(path, allow_pickle=False)
     except (*_BROKEN, OSError) as error:
@@ -115,4 +115,4 @@ def _opened(path):
 
 
 def _broken(path, what):
-    return FileError(str(path), f"a file that is broken or no NPZ ({what})", "a whole NPZ file", "Copy or download it again.")
+    return FileError(str(path), f"a file that is broken or not NPZ ({what})", "a complete NPZ file", "Copy or download it again.")

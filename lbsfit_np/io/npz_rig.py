@@ -154,7 +154,7 @@ def read_rig_npz(path):
     m, J = len(file.numbers("vertices", 2)), len(names)
     partitions = file.json("partitions", dict)
     if not all(isinstance(p, dict) and all(_is_texts(js) for js in p.values()) for p in partitions.values()):
-        raise FileError(file.path, "'partitions' of another form", "JSON of the form {partition: {part: [joint names]}}")
+        raise FileError(file.path, "'partitions' in another form", "JSON of the form {partition: {part: [joint names]}}")
     notes = file.json("notes", list)
     unit = file.number("metres_per_unit")
     return RigData(
@@ -365,7 +365,7 @@ class _Arrays:
         except (json.JSONDecodeError, RecursionError):
             value = None
         if not isinstance(value, kind):
-            raise FileError(self.path, f"{key!r} that is not the JSON it should be", "a file that save_rig wrote")
+            raise FileError(self.path, f"{key!r} without the JSON that belongs there", "a file that save_rig wrote")
         return value
 
     def rows(self, key, shape):
@@ -385,7 +385,7 @@ class _Arrays:
             matrix.check_format(full_check=True)
         except (ValueError, IndexError, TypeError):
             raise FileError(
-                self.path, f"{key!r} that is no sparse matrix of shape {shape}", "a file that save_rig wrote"
+                self.path, f"{key!r} that is not a sparse matrix of shape {shape}", "a file that save_rig wrote"
             ) from None
         return matrix
 

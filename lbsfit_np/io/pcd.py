@@ -117,7 +117,7 @@ def _read_compressed(file, path, dtypes, n):
         )
     data = _lzf(packed, whole)
     if data is None:
-        raise FileError(str(path), "a compressed block that does not unpack", "LZF data", "The file is damaged.")
+        raise FileError(str(path), "a compressed block that cannot be unpacked", "LZF data", "The file is damaged.")
     columns, at = [], 0
     for dtype in dtypes:
         columns.append(np.frombuffer(data, dtype, n, at)[:, 0])

@@ -91,13 +91,13 @@ def read_rig_data(path_or_name, *, shape=None, skin=None):
         if ending in (".fbx", ".blend", ".dae", ".obj", ".ply"):
             remedy = "Export the rig as glTF 2.0 (.glb), which keeps its skin."
         if ending in SCAN_EXTENSIONS:
-            remedy = " ".join(filter(None, [remedy, "If this is a scan: the rig comes before the scans."]))
+            remedy = " ".join(filter(None, [remedy, "If this is a scan, give the rig before the scans."]))
         raise FileError(str(path), got, f"a rig file: {', '.join(_ENDINGS)}", remedy)
     reader = _npz_reader(path) if ending == ".npz" else {".pkl": "smpl"}.get(ending, "gltf")
     if shape is not None and reader != "body":
-        raise InputError("shape", repr(shape), f"no shape, as {path} holds one only", "Leave it out.")
+        raise InputError("shape", repr(shape), f"no shape, because {path} holds only one", "Leave it out.")
     if skin is not None and reader != "gltf":
-        raise InputError("skin", repr(skin), f"no skin, as {path} is no glTF file", "Leave it out.")
+        raise InputError("skin", repr(skin), f"no skin, because {path} is not a glTF file", "Leave it out.")
     if reader == "gltf":
         return _reader("gltf").read_gltf(path, skin=skin)
     if reader == "smpl":
@@ -187,8 +187,8 @@ def _npz_reader(path):
     if "verts" in keys:
         return "body"
     if "lbsfit_np_result" in keys:
-        remedy = "The rig is what the scan was fitted with; lbs.FitResult.load reads this."
-        raise FileError(str(path), "the result of a fit", "a rig, or a model that was learned", remedy)
+        remedy = "Give the rig that the scan was fitted with; lbs.FitResult.load reads this file."
+        raise FileError(str(path), "the result of a fit", "a rig, or a learned model", remedy)
     shown = ", ".join(sorted(keys)[:10]) or "nothing"
     expected = f"a rig: the package's own ({OWN_KEY}, ...), SMPL-family ({', '.join(_SMPL_KEYS)}, ...), or {', '.join(BODY_KEYS)}"
     raise FileError(str(path), f"an NPZ with {shown}", expected)

@@ -97,7 +97,7 @@ def read_stl(path):
     _, first, inverse = np.unique(corners.view(f"V{corners.itemsize * 3}").ravel(), return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=int)
     rank[np.argsort(first)] = np.arange(len(first))
-    note = f"STL stores loose triangles: their {len(corners)} corners are {len(first)} different points."
+    note = f"STL stores loose triangles: their {len(corners)} corners share {len(first)} different points."
     return CloudData(corners[np.sort(first)], rank[inverse].reshape(-1, 3), notes=[note])
 
 
@@ -189,7 +189,7 @@ def _ascii_corners(path, data):
     facets = words.count(b"endfacet")
     if b"endsolid" not in words or len(corners) != 3 * facets:
         got = f"{len(corners)} corners in {facets} complete facets" + ("" if b"endsolid" in words else ", without 'endsolid'")
-        raise FileError(str(path), got, "three corners a facet, and 'endsolid' at the end", _TRUNCATED)
+        raise FileError(str(path), got, "three corners per facet, and 'endsolid' at the end", _TRUNCATED)
     try:
         return np.array([words[k + 1 : k + 4] for k in corners], dtype=float).reshape(-1, 3)
     except ValueError as error:

@@ -81,7 +81,7 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
     if n_samples is not None and (isinstance(n_samples, bool) or not isinstance(n_samples, (int, np.integer)) or n_samples < 1):
         raise InputError("n_samples", brief(n_samples), "a positive whole number, or None for the points as they are")
     if n_samples is not None and n_samples > sys.maxsize:
-        raise InputError("n_samples", brief(n_samples), "as many points as memory can hold")
+        raise InputError("n_samples", brief(n_samples), "no more points than memory can hold")
     shown = str(path)
     cloud = _read(path, shown)
     notes = list(cloud.notes)
@@ -106,7 +106,7 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
             None if labels is None else labels[keep],
         )
     elif len(faces) and _evenness(points, faces) < _UNEVEN:
-        notes.append("Its vertices lie unevenly: n_samples (--samples), such as 20000, takes points of its surface instead.")
+        notes.append("Its vertices are unevenly spaced: set n_samples (--samples), such as 20000, to sample its surface instead.")
     for array in (points, normals, labels):  # these are ours alone: Scan need not copy what nobody else can write to
         if array is not None:
             array.flags.writeable = False
@@ -168,7 +168,7 @@ def _read(path, shown):
         got = f"the extension {suffix!r}" if suffix else "a name without an extension"
         raise FileError(shown, got, f"one of {' '.join(_READERS)}", "Convert the scan to one of these formats, for instance PLY.")
     if "\0" in shown:
-        raise FileError(repr(shown), "a name with a NUL character, which no file has", "the path of a file")
+        raise FileError(repr(shown), "a name with a NUL character, which no file can have", "the path of a file")
     try:
         if path.is_dir():
             raise FileError(shown, "a folder", "a file")
@@ -220,7 +220,7 @@ def _checked_faces(faces, n, shown):
         raise FileError(shown, f"faces of shape {faces.shape} and type {faces.dtype}", "whole numbers of shape (F, 3)")
     if faces.min() < 0 or faces.max() >= n:
         bad = int(np.argmax(((faces < 0) | (faces >= n)).any(axis=1)))
-        expected = f"vertex numbers that the file's {n} vertices have"
+        expected = f"numbers of the file's {n} vertices"
         raise FileError(shown, f"face {bad} with vertices out of range", expected, "The file is truncated or damaged.")
     return faces.astype(int)
 

@@ -72,7 +72,7 @@ def read_smpl(path):
     elif "J" in model:
         regressor, joints = None, model.floats("J", (J, 3))
     else:
-        raise model.wrong("no J_regressor and no J", "the joints' positions by one of them")
+        raise model.wrong("no J_regressor and no J", "one of them, for the positions of the joints")
 
     family, names = _NAMES.get(J, (None, [f"joint_{j:0{max(2, len(str(J - 1)))}d}" for j in range(J)]))
     body = family is not None and family != "MANO"
@@ -98,7 +98,7 @@ def read_smpl(path):
 def _notes(model, family, J):
     notes = []
     if family is None:
-        notes.append(f"{J} joints fit no known model of the SMPL family: joints are numbered, the up axis is unknown")
+        notes.append(f"{J} joints match no known model of the SMPL family: joints are numbered, and the up axis is unknown")
     left_out = [key for key in ("shapedirs", "posedirs") if key in model]
     if left_out:
         what = " and ".join(left_out)

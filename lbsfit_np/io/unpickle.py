@@ -69,7 +69,7 @@ def safe_load(path):
     except OSError as e:
         raise FileError(name, e.strerror or str(e), "a readable file") from None
     except MemoryError:
-        raise FileError(name, "a pickle that needs more memory than there is", _ADMITTED) from None
+        raise FileError(name, "a pickle that needs more memory than is available", _ADMITTED) from None
     except RecursionError:
         raise FileError(name, "a pickle whose content is nested too deeply", _ADMITTED) from None
     except Exception as e:  # noqa: BLE001  a broken or hostile stream can make the reader fail in any way; the user sees one
@@ -244,7 +244,7 @@ def _record_of(cls, base, state):
 
 
 def _no_call(*args):
-    raise ValueError("a call of a class that is only named in array files")
+    raise ValueError("a call of a class that array files may only name")
 
 
 _NDARRAY = _Call(_no_call)

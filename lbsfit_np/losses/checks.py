@@ -27,7 +27,7 @@ def check_set(argument, value, most=_LARGEST):
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", "numbers of shape (k, 3)") from None
     if a.ndim != 2 or a.shape[1] != 3:
-        raise InputError(argument, f"shape {a.shape}", "shape (k, 3), one point a row")
+        raise InputError(argument, f"shape {a.shape}", "shape (k, 3), one point per row")
     if not len(a):
         raise InputError(argument, "an empty set", "at least one point")
     largest = np.abs(a).max()
@@ -51,7 +51,7 @@ def check_labels(argument, value, n):
     check_unmasked(argument, value)
     a = as_array(argument, value, f"integers of shape ({n},)")
     if a.shape != (n,):
-        raise InputError(argument, f"shape {a.shape}", f"shape ({n},), one label a point")
+        raise InputError(argument, f"shape {a.shape}", f"shape ({n},), one label per point")
     if a.dtype.kind not in "iu":
         raise InputError(argument, f"values of type {a.dtype}", "integers")
     if a.dtype.kind == "i" and a.min() < 0:
@@ -59,7 +59,7 @@ def check_labels(argument, value, n):
         raise InputError(argument, got, "integers of at least 0", "Leave points without a part out.")
     if a.max() >= _MOST_PARTS:
         got = f"{a.max()} at index {a.argmax()}"
-        raise InputError(argument, got, f"integers below {_MOST_PARTS}", "Number the parts from 0 on.")
+        raise InputError(argument, got, f"integers below {_MOST_PARTS}", "Number the parts from 0.")
     return a.astype(np.intp, copy=False)
 
 
@@ -75,7 +75,7 @@ def check_weights(argument, value, n):
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", f"numbers of shape ({n},)") from None
     if a.shape != (n,):
-        raise InputError(argument, f"shape {a.shape}", f"shape ({n},), one weight a point")
+        raise InputError(argument, f"shape {a.shape}", f"shape ({n},), one weight per point")
     if not (a.min() >= 0 and 0 < a.sum() < np.inf):  # not: NaN fails every comparison
         raise InputError(argument, "weights that are negative, not finite, or all 0", "finite weights of at least 0, not all 0")
     return a
@@ -92,7 +92,7 @@ def check_index(argument, index, points, labels=None):
         raise InputError(argument, f"a PointIndex {got} labels", f"one {expected} labels")
     for what, own, given in (("points", index.points, points), ("labels", index.labels, labels)):
         if own is not given and not np.array_equal(own, given):
-            raise InputError(argument, f"a PointIndex over other {what} than X has", f"one over these {what}", "Build it anew.")
+            raise InputError(argument, f"a PointIndex over other {what} than X has", f"one over these {what}", "Build it again.")
 
 
 def check_number(argument, value):

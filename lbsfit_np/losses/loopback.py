@@ -34,7 +34,7 @@ def loopback(predicted, theta):
     try:
         predicted, theta = np.asarray(predicted, dtype=float), np.asarray(theta, dtype=float)
     except (TypeError, ValueError):
-        raise InputError("predicted and theta", "something else than numbers", "arrays of shape (J, 3) or (B, J, 3)") from None
+        raise InputError("predicted and theta", "something other than numbers", "arrays of shape (J, 3) or (B, J, 3)") from None
     if predicted.ndim not in (2, 3) or predicted.shape[-1] != 3 or not predicted.size:
         raise InputError("predicted", f"shape {predicted.shape}", "shape (J, 3) or (B, J, 3)")
     if theta.shape != predicted.shape:

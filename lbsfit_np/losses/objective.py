@@ -157,7 +157,7 @@ def objective(
             grad_Vd += weights.lam_lap * g
         else:
             if offsets is None:
-                raise InputError("offsets", "None", "U^d − U, shape (m, 3)", "The 'offsets' Laplacian looks at them.")
+                raise InputError("offsets", "None", "U^d − U, shape (m, 3)", "The 'offsets' Laplacian needs them.")
             offsets = check_set("offsets", offsets)
             check_same_length("offsets", offsets, "V", V)
             terms["laplacian"], g = laplacian_offsets(offsets, K, squared=weights.squared)

@@ -15,7 +15,7 @@ def mesh_notes(rig):
     notes = []
     m, n = len(rig.vertices), len(rig.welded.vertices)
     if n < m:
-        notes.append(f"{m} vertices are {n} distinct points: duplicates at seams are welded for the geometry")
+        notes.append(f"{m} vertices lie at {n} distinct points: duplicates at seams are welded for the geometry")
     faces = rig.welded.faces
     lost = len(rig.faces) - len(faces)
     if lost:
@@ -33,10 +33,10 @@ def mesh_notes(rig):
         notes.append(f"the mesh is not manifold: {np.count_nonzero(counts > 2)} edges with more than two faces")
     same_way = np.unique(directed, axis=0, return_counts=True)[1]
     if (same_way > 1).any():
-        notes.append(f"neighbouring faces are turned opposite ways at {np.count_nonzero(same_way > 1)} edges")
+        notes.append(f"neighbouring faces have opposite orientations at {np.count_nonzero(same_way > 1)} edges")
     elif (counts == 2).all():
         if inside_out(rig.welded.vertices, faces):
-            notes.append("the mesh is inside out: its faces are turned inwards")
+            notes.append("the mesh is inside out: its faces point inwards")
     graph = sparse.coo_array((np.ones(len(edges)), edges.T), shape=(n, n))
     from scipy.sparse.csgraph import connected_components
 
@@ -54,7 +54,8 @@ def size_notes(rig):
     metres = rig.size * rig.metres_per_unit
     if 0.01 <= metres <= 20.0:
         return []
-    return [f"the rig is {metres:.3g} m long if its unit is {rig.metres_per_unit:g} m: is it? (a card's [rig] unit can say)"]
+    unit = f"{rig.metres_per_unit:g} m"
+    return [f"the rig is {metres:.3g} m long if its unit is {unit}; if the unit is wrong, set it in a card ([rig] unit)"]
 
 
 def skin_notes(rig):
@@ -68,7 +69,7 @@ def skin_notes(rig):
     blind = [rig.joint_names[j] for j in np.flatnonzero(rig.moving) if j not in leads and carried[j] > 0]
     if blind:
         notes.append(
-            f"{len(blind)} moving joints have no part of their own, as no vertex belongs mostly to them: {listed(blind)}"
+            f"{len(blind)} moving joints have no part of their own, because no vertex belongs mostly to them: {listed(blind)}"
         )
     for name, groups in rig.partitions.items():
         missing = [part for part in groups if part not in rig.with_parts(name).parts]

@@ -120,7 +120,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     notes += mesh_notes(rig) + skin_notes(rig) + size_notes(rig)
     unknown = [word for word, value in (("unit", unit), ("up axis", up), ("forward axis", forward)) if value is None]
     if unknown:
-        notes.append(f"unknown: {', '.join(unknown)} (a card's [rig] can say)")
+        notes.append(f"unknown: {', '.join(unknown)} (can be set in a card's [rig])")
     return _with_notes(rig, notes)
 
 
@@ -165,7 +165,7 @@ def _hierarchy(parents, names, card):
         if root in by_chain:
             raise InputError(
                 where,
-                f"the root {card.root!r} hanging on {names[by_chain[root]]!r}",
+                f"the root {card.root!r} as a child of {names[by_chain[root]]!r}",
                 "a root that no chain puts below another joint",
             )
         parents[root] = -1
@@ -215,7 +215,7 @@ def _regressor(report, data, vertices, weights, parents, joints, names, notes):
         j = int(np.argmax(miss))
         notes.append(
             f"the file's joint regressor misses the file's joints by up to {100 * miss[j] / size:.2g} % of the size "
-            f"({names[j]}); the positions were kept and the regressor put right"
+            f"({names[j]}); the positions were kept and the regressor was corrected"
         )
     made = exact_regressor(given, vertices, joints)
     lacking = np.linalg.norm(made @ vertices - joints, axis=1) > 1e-9 * size
@@ -224,7 +224,7 @@ def _regressor(report, data, vertices, weights, parents, joints, names, notes):
         made = sparse.csr_array(sparse.vstack([(derived if bad else made)[[j]] for j, bad in enumerate(lacking)], format="csr"))
         if not (np.abs(miss[lacking]) <= 1e-9 * size).all():
             notes.append(
-                f"the file's joint regressor cannot give the position of {_named(names, lacking)}: derived from the weights"
+                f"the file's joint regressor cannot give the position of {_named(names, lacking)}: it is derived from the weights"
             )
     return made
 
@@ -256,11 +256,11 @@ def _states(report, data, weights, parents, root, names, card, notes):
         idle, rootlike = _powerless(weights, parents, root)
         idle, rootlike = idle & ~merged & ~locked, rootlike & ~merged & ~locked & ~spoken_for
         if idle.any():
-            notes.append(f"{np.count_nonzero(idle)} joints locked, as they move no vertex: {_named(names, idle)}")
+            notes.append(f"{np.count_nonzero(idle)} joints locked because they move no vertex: {_named(names, idle)}")
         if rootlike.any():
             notes.append(
-                f"{np.count_nonzero(rootlike)} joints locked, as they turn the whole mesh like the root: "
-                f"{_named(names, rootlike)} (limits in a card, by name, would free them)"
+                f"{np.count_nonzero(rootlike)} joints locked because they turn the whole mesh like the root: "
+                f"{_named(names, rootlike)} (to free them, give them limits by name in a card)"
             )
         locked |= idle | rootlike
     return _States(merged, merged & ~before, locked)
@@ -321,7 +321,7 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
     for pattern, low, high in card.limits:
         rows = matching(pattern, names, f"{card.where}, [limits]")
         if pattern in names and not moving[rows].any():
-            notes.append(f"{card.where}, [limits]: those of {pattern!r} have no effect, as that joint is locked or merged")
+            notes.append(f"{card.where}, [limits]: limits of {pattern!r} have no effect, because that joint is locked or merged")
         lower[rows], upper[rows] = low, high
         of_card[rows] = True
     derived &= ~of_card
@@ -329,7 +329,7 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
         stale = [note for note in notes if note.startswith(NO_LIMITS)]
         notes[:] = [note for note in notes if note not in stale]
         if stale and not of_card[moving].all():
-            notes.append(f"{NO_LIMITS} some of the moving joints; they were derived (a card's [limits] can say better)")
+            notes.append(f"{NO_LIMITS} some of the moving joints; they were derived (a card's [limits] can replace them)")
     lower, upper = check_limits(report, lower, upper, names)
     lower[~moving] = upper[~moving] = 0.0
     derived &= moving
@@ -346,7 +346,7 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
             ways.append(f"±{DEFAULT_ROOT_LIMIT} rad for sampling the root ({np.degrees(DEFAULT_ROOT_LIMIT):.0f}°)")
         notes.append(
             f"{NO_LIMITS} {np.count_nonzero(derived)} of {np.count_nonzero(moving)} moving joints; "
-            f"they were derived: {'; '.join(ways)} (a card's [limits] can say better)"
+            f"they were derived: {'; '.join(ways)} (a card's [limits] can replace them)"
         )
     return lower, upper
 
@@ -364,7 +364,7 @@ def _library(report, data, names, parents, root, turned, state, notes):
             notes.append(f"the file has no natural poses: {len(poses)} were taken from its animations")
     rest = None if data.smpl_rest is None else check_rotations(report, "smpl_rest", data.smpl_rest, names)
     if (poses or rest is not None) and not np.array_equal(parents, data.parents):
-        notes.append("the file's natural poses and its relation to SMPL are left out, as the card changes the hierarchy")
+        notes.append("the file's natural poses and its relation to SMPL are left out, because the card changes the hierarchy")
         return {}, None
     for name, theta in poses.items():
         if turned is not None:

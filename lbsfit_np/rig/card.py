@@ -120,7 +120,7 @@ def read_card(path):
     except ValueError:  # what int says
         raise FileError(str(path), "a number of several thousand digits", "a rig card in TOML") from None
     except RecursionError:
-        raise FileError(str(path), "brackets nested without end", "a rig card in TOML") from None
+        raise FileError(str(path), "brackets nested too deeply", "a rig card in TOML") from None
     return _Parser(str(path)).card(content)
 
 
@@ -141,7 +141,7 @@ def write_card(rig, path):
         if os.path.lexists(scratch):
             scratch.unlink()
         why = getattr(e, "strerror", None) or e
-        raise FileError(str(path), f"a place that cannot be written ({why})", "a path in an existing folder") from None
+        raise FileError(str(path), f"a path that cannot be written to ({why})", "a path in an existing folder") from None
 
 
 def card_text(rig):

@@ -34,12 +34,12 @@ def card_text(rig):
         f"into_parent = {_list(n for n, on in zip(names, merged) if on)}",
         "",
         "[lock]",
-        "# Joints that keep their skin but never turn: limits below have no effect on them until they are taken out here. Those",
-        "# that turn the whole mesh as the root does stay locked then, unless limits name them (in full, not by a glob).",
+        "# Joints that keep their skin but never turn. Limits below have no effect on them until you remove them from this list.",
+        "# Joints that turn the whole mesh like the root stay locked even then, unless limits give their full names (no glob).",
         f"joints = {_list(n for n, on in zip(names, locked) if on)}",
         "",
         "# [frames]",
-        '# "*" = "bone"     # angles turn about: y along the bone, x across (bending), z forward; "rig": the rig\'s own axes',
+        '# "*" = "bone"     # axes of the angles: y along the bone, x across (bending), z forward; "rig": the rig\'s own axes',
         "",
     ]
     lines += _limits_table(rig, names, parents, merged | locked)
@@ -99,10 +99,10 @@ def _hierarchy_table(rig, names, parents):
     roots = np.flatnonzero(parents < 0)
     lines = [
         "[hierarchy]",
-        '# chains: each joint hangs on the one before it. parents = { "child" = "parent" } does the same one by one.',
+        '# chains: each joint is a child of the one before it. parents = { "child" = "parent" } does the same for single joints.',
     ]
     if len(roots) == 1 and isinstance(rig, RigData):
-        return [*lines, "# The file says the hierarchy; lines here would override it.", f"root = {_quote(names[roots[0]])}", ""]
+        return [*lines, "# The hierarchy comes from the file; lines here override it.", f"root = {_quote(names[roots[0]])}", ""]
     if len(roots) == 1:  # of a built rig nobody knows whether the file or a card said it: say it all
         lines += [f"root = {_quote(names[roots[0]])}", "chains = ["]
         return [*lines, *(f"    {_list(names[j] for j in chain)}," for chain in _chains(parents, roots[0])), "]", ""]
@@ -134,7 +134,7 @@ def _limits_table(rig, names, parents, still):
     lines = [
         "[limits]",
         "# How far each joint turns about the x, y, z of its rest frame: [lower], [upper]. Globs, such as *-finger-*, stand for",
-        "# several joints; later lines override earlier ones. The root's serve for sampling only: a fit leaves the root free.",
+        "# several joints; later lines override earlier ones. The root's are used for sampling only: a fit leaves it free.",
     ]
     if lower is None:
         root = int(np.flatnonzero(parents < 0)[0]) if (parents < 0).any() else 0
@@ -146,8 +146,8 @@ def _limits_table(rig, names, parents, still):
     if derived:  # as lines of the card they would pass for what somebody has thought about
         lower, upper = np.round(lower, 3), np.round(upper, 3)
         lines += [
-            "# The file has none. These, derived from its animations or defaults, are in use until you give others: correct a",
-            "# line, and remove its #.",
+            "# The file has none. These, derived from its animations or defaults, are used until you give others: to do so,",
+            "# correct a line and remove its #.",
         ]
     lines.append('unit = "rad"')
     for j, name in enumerate(names):

@@ -50,7 +50,7 @@ class Reporter:
         except (TypeError, ValueError):
             self.fail(field, type(value).__name__, f"an array of {kind} of shape {words}")
         if np.ma.is_masked(value):
-            self.fail(field, "a masked array", f"an array of {kind} of shape {words}", "Fill it: numpy.ma.filled.")
+            self.fail(field, "a masked array", f"an array of {kind} of shape {words}", "Fill it with numpy.ma.filled.")
         if a.dtype.kind not in "fiu" or (kind == "indices" and a.dtype.kind == "f"):
             self.fail(
                 field, f"an array of type {a.dtype}", f"an array of {kind if kind == 'numbers' else 'integers'} of shape {words}"
@@ -132,7 +132,7 @@ def check_weights(report, weights, m, joint_names, normalize, notes):
         count = np.count_nonzero(off > _TOLERATED)
         got = f"{count} of {m} weight rows that do not sum to 1: they sum to {_range(sums, '.4g')}, "
         got += f"the worst is vertex {worst} with {sums[worst]:.4g}"
-        remedy = "To divide each row by its sum, ask for it: --normalize-weights, or normalize_weights=True."
+        remedy = "To divide each row by its sum, use --normalize-weights or normalize_weights=True."
         report.fail("weights", got, "rows that sum to 1 within 1 %", remedy)
     if off[worst] > 1e-12:  # rows that are right to the last bits stay as they are
         w.data /= np.repeat(sums, np.diff(w.indptr))
@@ -212,17 +212,18 @@ def check_tree(report, parents, names, explained):
             j = int(parents[j])
         if j >= 0:
             loop = [names[k] for k in path[path.index(j) :]] + [names[j]]
-            report.fail("parents", f"a cycle in the hierarchy: {' → '.join(loop)} (each hangs on the next)", "a tree of joints")
+            got = f"a cycle in the hierarchy: {' → '.join(loop)} (each is a child of the next)"
+            report.fail("parents", got, "a tree of joints")
     roots = [names[j] for j in np.flatnonzero(parents < 0)]
     if len(roots) > 1:
         rig = "RIG" if report.path is None else shlex.quote(str(report.path))
         remedy = (
-            "Name what these hang on in the card's [hierarchy], in chains or parents."
+            "Give their parents in the card's [hierarchy], in chains or parents."
             if explained
             else f"Write a card with: lbsfit rig card {rig} -o CARD, check its [hierarchy], which is a guess, "
             "and pass it with --card (card=...)."
         )
-        report.fail("parents", f"{len(roots)} root joints: {listed(roots)}", "one root, on which all other joints hang", remedy)
+        report.fail("parents", f"{len(roots)} root joints: {listed(roots)}", "one root, with all other joints below it", remedy)
     return int(np.flatnonzero(parents < 0)[0])
 
 

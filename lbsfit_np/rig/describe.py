@@ -44,7 +44,7 @@ def _facts(rig):
     yield "faces", f"{len(rig.faces)}"
     influences = np.diff(rig.weights.indptr)
     more = np.count_nonzero(influences > 4)  # of which some programs show four
-    yield "skin", f"up to {influences.max()} joints a vertex" + (f", more than 4 at {more} vertices" if more else "")
+    yield "skin", f"up to {influences.max()} joints per vertex" + (f", more than 4 at {more} vertices" if more else "")
     still = f", {np.count_nonzero(rig.locked)} locked, {np.count_nonzero(rig.merged)} merged"
     yield "joints", f"{len(rig.parents)}: {np.count_nonzero(rig.moving)} move{still}"
     others = [name for name in ("joints", *rig.partitions) if name != rig.granularity]

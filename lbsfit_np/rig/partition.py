@@ -47,7 +47,7 @@ def parts_of_joints(rig):
         raise InputError(
             f"partition {rig.granularity!r}",
             f"no part for the vertices of {', '.join(homeless[:5])}",
-            "every joint that leads vertices in a part, by itself or by an ancestor",
+            "a part for every joint that leads vertices, its own or that of an ancestor",
             "Add the root joint to one of the parts.",
         )
     used = np.unique(part[leads])

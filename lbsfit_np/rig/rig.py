@@ -381,7 +381,7 @@ def _checked_factor(factor):
         size = np.inf
     if not _LEAST_FACTOR <= size <= 1 / _LEAST_FACTOR:
         bounds = f"a positive number, from {_LEAST_FACTOR:g} to {1 / _LEAST_FACTOR:g}"
-        raise InputError("factor", brief(factor), bounds, "Such as 100 from metres to centimetres.")
+        raise InputError("factor", brief(factor), bounds, "For example, 100 converts metres to centimetres.")
     return size
 
 

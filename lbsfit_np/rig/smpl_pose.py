@@ -51,7 +51,7 @@ def _check(rig):
     if rig.smpl_rest is None:
         raise InputError(
             "rig",
-            f"{rig.name!r}, which does not say how its rest pose lies to SMPL's or MANO's (smpl_rest)",
-            "a rig with SMPL's or MANO's joints that says so",
-            "Of the bundled rigs, body and hand do, and hand-left, and the coarse levels of all.",
+            f"{rig.name!r}, which does not say how its rest pose relates to SMPL's or MANO's (smpl_rest)",
+            "a rig with SMPL's or MANO's joints that has smpl_rest",
+            "The bundled rigs body, hand and hand-left have it, and so have their coarse levels.",
         )

@@ -77,8 +77,8 @@ def cached(kind, key, train, load):
         except (OSError, FileError) as error:
             why = error.got if isinstance(error, FileError) else error.strerror or in_words(error)
             if path.parent not in _WARNED_OF:
-                words = f"what was trained cannot be kept in {path.parent} ({why}), and is trained again the next time"
-                warnings.warn(f"{words}; LBSFIT_CACHE can name another folder", stacklevel=2)
+                words = f"training results cannot be kept in {path.parent} ({why}), so the next run trains again"
+                warnings.warn(f"{words}; set LBSFIT_CACHE to another folder", stacklevel=2)
             _WARNED_OF.add(path.parent)
     _MEMORY[name] = trained
     return trained

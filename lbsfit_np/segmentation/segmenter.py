@@ -54,7 +54,7 @@ class Segmenter:
     def __post_init__(self):
         """Raise ValueError unless the stages fit the descriptor and each other, and half and turn can be."""
         if not 0 < self.half < np.inf:
-            raise ValueError(f"half a size of {self.half}")
+            raise ValueError(f"a half size of {self.half}")
         if not 0 <= self.turn <= _TURN:
             raise ValueError(f"views turned by {self.turn}")
         widths = [self.descriptor.size, self.descriptor.size + context_size(self.n_parts)]
@@ -63,7 +63,7 @@ class Segmenter:
 
     def __repr__(self):
         stages = f"{len(self.stages)} stage{'s' * (len(self.stages) > 1)}"
-        return f"<Segmenter: {self.n_parts} parts, {self.descriptor.size} numbers a point, {stages}>"
+        return f"<Segmenter: {self.n_parts} parts, {self.descriptor.size} numbers per point, {stages}>"
 
     @one_thread()
     def predict_proba(self, points, *, scale=1.0, rows=None, views=4):
@@ -294,7 +294,8 @@ def jobs_of(n_jobs, random_state):
     if n_jobs is None:
         return 1
     if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs < -1 or n_jobs == 0:
-        raise InputError("n_jobs", brief(n_jobs), "a positive whole number of processes, −1 for one a processor, or None for one")
+        expected = "a positive whole number of processes, −1 for one per processor, or None for one"
+        raise InputError("n_jobs", brief(n_jobs), expected)
     if isinstance(random_state, np.random.Generator):
         return 1  # copies of it in several processes would draw the same numbers for different scans
     if multiprocessing.current_process().daemon:

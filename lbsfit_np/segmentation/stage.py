@@ -90,10 +90,10 @@ class Stage:
     def __post_init__(self):
         """Raise ValueError unless the arrays fit together, so that no broken file fails later, far from its name."""
         if self.mean.ndim != 1 or self.mean.shape != self.deviation.shape:
-            raise ValueError("a standardisation that does not fit together")
+            raise ValueError("a mean and deviations of different shapes")
         if self.classifier is None:
             if not 0 <= self.only < self.n_parts:
-                raise ValueError("a part that is none")
+                raise ValueError("a part that does not exist")
             return
         width = len(self.mean)
         for w, b in zip(self.classifier.coefs_, self.classifier.intercepts_, strict=True):
