@@ -191,7 +191,7 @@ def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, r
     def learn(*options):
         out = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--existing", "replace", "--variant", "free-form")
         code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *out, *options)
-        assert (code, err) == (0, "") and "fitted 4 of 4 scans, each by itself; wrote their unit to " in text
+        assert (code, err) == (0, "") and "fitted 4 of 4 scans, each by itself; wrote " in text
         return text, json.loads((tmp_path / "fits" / "summary.json").read_text())["settings"]
 
     text, settings = learn(*(word for option in UNUSED for word in option), "--joints", "fixed", "--seed", 5)

@@ -332,7 +332,7 @@ def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path,
     arguments = ("learn", tubes / "tube.npz", tubes / "t0.ply", tmp_path / "broken.ply", "-o", tmp_path / "m.npz")
     more = ("--results", results, "--existing", "replace", "--variant", "free-form")
     code, text, _ = run(*arguments, *more)
-    assert code == 1 and "fitted 1 of 2 scans, each by itself; wrote their unit to " in text
+    assert code == 1 and "fitted 1 of 2 scans, each by itself; wrote " in text
     kept = {"t9.fit.npz", "summary.json", *(f"t0.{kind}" for kind in ("fit.npz", "mesh.ply", "labels.ply"))}
     assert {path.name for path in results.iterdir()} == kept
 

@@ -302,7 +302,7 @@ def _learned(fitter, reading, model, seconds):
     scans = f"{n} scan{'' if n == 1 else 's'}"
     if not VARIANTS[fitter.variant].skinning:
         fitted = n - len(reading.failures)
-        return f"fitted {fitted} of {scans}, each by itself; wrote their unit to {model} after {span(seconds)}"
+        return f"fitted {fitted} of {scans}, each by itself; wrote {model}, with their unit, after {span(seconds)}"
     learned, held, set_apart, failed = map(fitter.roles_.count, (LEARNED_FROM, HELD_OUT, APART, None))
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
     apart = [f"{held} held out"] * (held > 0) + [f"{set_apart} not learned from"] * (set_apart > 0)
