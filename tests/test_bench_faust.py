@@ -184,7 +184,7 @@ def test_exact_fits_have_no_error_and_write_what_the_challenge_asks_for(made, tr
     theirs = next(line for line in out.splitlines() if line.startswith("LBS-AE (23K)"))
     assert theirs.split() == ["LBS-AE", "(23K)", "test", "4.08", "–", "–", "–", "2.161", "–", "–", "–"]
     assert out.index("inter ") < out.index("intra ") and "0.00" in out and "another set" in out
-    assert "measuring the errors: 20 pairs\n" in out and "writing what the challenge asks for: 3 pairs\n" in out
+    assert "measuring errors: 20 pairs\n" in out and "writing the challenge files: 3 pairs\n" in out
     a, b = "test_scan_000", "test_scan_020"
     found = np.loadtxt(tmp_path / "challenge-inter" / "000_020.txt")
     faces = lbs.load_rig("body-coarse").faces
@@ -340,5 +340,5 @@ def test_all_of_it_with_fits_of_its_own(own, tmp_path, run):
         assert report["figures"][kind]["before"]["median"] < 0.03 and report["challenge"][kind]["missing"] == 0
     assert {path.name for path in (out / "fits").iterdir()} == {f"{scan['name']}.npz" for scan in report["scans"]}
     again, said, _ = run(*command)
-    assert again == 0 and "6 scans are fitted already and kept" in said
+    assert again == 0 and "kept existing fits of 6 scans" in said
     assert json.loads((out / "results.json").read_text())["pairs"] == report["pairs"]

@@ -230,19 +230,19 @@ def test_steps_of_a_seed_are_kept_until_it_is_done(shared_rigs, quick, monkeypat
         assert run([*command, "--variants", "joint,cd"]) == 130
     kept = tmp_path / "results.json.unfinished" / "3"
     assert seen == [(kept, 0), (kept, 1)] and steps_in(kept) == 2
-    assert "what is done is kept in" in capsys.readouterr().out
+    assert "finished work is kept in" in capsys.readouterr().out
     assert run([*command, "--variants", "joint,cd"]) == 0
     assert seen[2:] == [(kept, 2)] and not kept.parent.exists()
     rows = json.loads((tmp_path / "results.json").read_text())["rows"]
     assert rows["joint"]["3"]["seconds"] is not None and rows["cd"]["3"]["seconds"] is None
-    assert "has 2 steps of a run that was stopped" in capsys.readouterr().out
+    assert "found 2 saved steps of an interrupted run in" in capsys.readouterr().out
 
     def stopped(self, *given, **options):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", stopped)  # nothing of a replacing run is kept then
     assert run([*command, "--variants", "cd", "--existing", "replace"]) == 130
-    assert "what is done is kept in" not in capsys.readouterr().out
+    assert "finished work is kept in" not in capsys.readouterr().out
 
 
 def test_a_motion_of_few_frames_is_named_before_any_training(shared_rigs, monkeypatch):

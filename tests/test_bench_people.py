@@ -136,7 +136,7 @@ def test_the_command_measures_between_people(shared_rigs, same_rig, tmp_path, ru
         np.testing.assert_array_equal(lbs.load_scan(out / "scans" / f"{name}.ply").points, scan.points)
         np.testing.assert_array_equal(lbs.load_scan(out / "registrations" / f"{name}.ply").points, scan.vertices)
     code, text, _ = run(*command)
-    assert code == 0 and "4 scans are fitted already and kept" in text
+    assert code == 0 and "kept existing fits of 4 scans" in text
     # What it has written is a folder for bench pairs.
     pairs = ("bench", "pairs", out / "scans", "--truth", out / "truth.csv", "--no-learn")
     code, text, err = run(*pairs, "--rig", same_rig, "--points", 200, "--pictures", 0, "-o", tmp_path / "again")

@@ -28,7 +28,7 @@ def test_fits_become_an_animation(fitted, made, cli_cache, tmp_path):
     for time, r in zip(viewer.times, results, strict=True):
         drawn = viewer.draw(time) / rig.metres_per_unit  # the tube is 0.25 m long, and so are the scans
         away.append(100 * np.linalg.norm(drawn - r.vertices, axis=1).mean() / (rig.size * r.scale))
-    assert "the scans seem to be in the rig's unit (--unit says otherwise)" in done.stdout
+    assert "the scans seem to be in the rig's unit (use --unit to change this)" in done.stdout
     assert mean == pytest.approx(np.mean(away), rel=0.06) and most == pytest.approx(max(away), rel=0.06) and most < 5
 
 
@@ -58,7 +58,7 @@ def test_scans_in_other_units_are_named(fitted, made, tmp_path, run):
     fits = [tmp_path / f"{name}.fit.npz" for name in "abc"]
     code, out, err = run("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb")
     assert (code, err) == (0, "")
-    assert "note: scales that differ by more than people do: of c.fit.npz; are the scans in one unit?" in out
+    assert "note: the scales of c.fit.npz differ by more than people do; are all scans in one unit?" in out
     assert "one unit?" not in run("animate", made / "tube.npz", *fits[:2], "-o", tmp_path / "b.glb")[1]
     with pytest.warns(UserWarning, match=r"of results\[2\]; are the scans in one unit"):
         lbs.save_animation(tmp_path / "c.glb", lbs.load_rig(made / "tube.npz"), [lbs.FitResult.load(f) for f in fits])
@@ -73,7 +73,7 @@ def test_fits_that_would_lie_are_told_how_to_stand(fitted, made, tmp_path, run):
     lying = ["animate", made / "tube.npz", tmp_path / "z.fit.npz", "--existing", "replace", "-o", tmp_path / "a.glb"]
     code, out, err = run(*lying)
     assert (code, err) == (0, "")
-    assert "note: the fits stand along +z: with --up=+z the animation is upright, unless they lie\n" in out
+    assert "note: the fits stand along +z: use --up=+z for an upright animation, unless they lie down\n" in out
     assert "stand along" not in run(*lying, "--up=+z")[1]
     for angle, axis in ((0.9, None), (1.2, "+z"), (-1.2, "-z")):  # what leans by half stands along none
         leans = replace(fit, pose=np.vstack([[angle, 0.0, 0.0], pose[1:]]))
@@ -99,9 +99,9 @@ def test_fits_that_may_be_wrong_are_named(fitted, made, tmp_path, run):
     fits = [tmp_path / f"{name}.fit.npz" for name in ("a10", "a9", "a11")]
     code, out, _ = run("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb")
     assert code == 0 and (tmp_path / "a.glb").is_file() and "registered meshes" not in out  # which are the same one
-    assert "note: 1 fit is suspect: a9.fit.npz" in out and "note: 1 fit is failed: a11.fit.npz" in out
-    assert "note: a9.fit.npz is given after a10.fit.npz, which is no order of numbers" in out
-    assert "several subjects (nobody that was learned, 'tom')" in out
+    assert "note: 1 fit has status suspect: a9.fit.npz" in out and "note: 1 fit has status failed: a11.fit.npz" in out
+    assert "note: a9.fit.npz is given after a10.fit.npz: these files are not in order of their numbers" in out
+    assert "several subjects (no learned subject, 'tom')" in out
 
 
 @pytest.mark.parametrize(

@@ -132,7 +132,7 @@ def test_a_lack_of_memory_says_what_takes_less(made, tmp_path, run, monkeypatch)
 
     monkeypatch.setattr("lbsfit_np.learning.pretraining.train_segmenter", full)
     code, _, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", "--training-scans", 41)
-    assert code == 2 and "out of memory; fewer training scans" in one_line(err) and "--training-scans, --jobs" in err
+    assert code == 2 and "out of memory; use fewer training scans" in one_line(err) and "--training-scans, --jobs" in err
 
 
 def test_a_rig_is_no_scan(made, tmp_path, run):

@@ -75,13 +75,13 @@ def test_existing_results(fitted, made, tmp_path, run):
     assert {path: path.stat().st_mtime_ns for path in tmp_path.iterdir()} == old
 
     code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", "skip", *QUICK)
-    assert code == 0 and "1 of 2 scans is fitted already" in text and "[1/1] two: fitted" in text
+    assert code == 0 and "kept existing fits of 1 of 2 scans\n" in text and "[1/1] two: fitted" in text
     assert (tmp_path / "one.fit.npz").stat().st_mtime_ns == old[tmp_path / "one.fit.npz"]
     assert (tmp_path / "two.labels.ply").is_file()
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert [(s["status"], s["kept"]) for s in summary["scans"]] == [("ok", True), ("ok", False)]
     assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "unfitted": 0, "kept": 1}
-    assert f"2 of 2 scans fitted, 1 of the fits kept from before; results in {tmp_path}\n" in text
+    assert f"2 of 2 scans fitted, 1 of the fits kept from earlier runs; results in {tmp_path}\n" in text
     assert summary["scans"][0]["terms"] == lbs.FitResult.load(tmp_path / "one.fit.npz").terms
 
     (tmp_path / "one.fit.npz").write_bytes(b"broken")
@@ -107,8 +107,8 @@ def test_files_that_no_fit_belongs_to_are_nothing_to_skip(made, tmp_path, run):
     "statuses, doubts",
     [
         (["ok", "ok"], ""),
-        (["ok", "suspect", "failed", "failed", "none"], ", 1 could not be (status: 1 ok, 1 suspect, 2 failed)"),
-        (["none", "none"], ", 2 could not be"),
+        (["ok", "suspect", "failed", "failed", "none"], ", 1 could not be fitted (status: 1 ok, 1 suspect, 2 failed)"),
+        (["none", "none"], ", 2 could not be fitted"),
         (["failed", "suspect", "suspect"], " (status: 2 suspect, 1 failed)"),
     ],
 )
@@ -138,17 +138,17 @@ def test_stopped_while_replacing_it_is_said_that_other_fits_are_older(existing, 
     code, text, _ = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--existing", existing, *QUICK)
     told = f"stopped: 1 of 3 scans is fitted and kept in {tmp_path}; 1 of the others has a fit"
     if not done:
-        told = "stopped before a scan was fitted; the same command begins again; 2 scans have fits"
-    told += " of an earlier run, which --existing skip would keep\n"
+        told = "stopped before any scan was fitted; run the same command to start again; 2 scans have fits"
+    told += " from an earlier run, which --existing skip would keep\n"
     if existing == "skip":
-        told = f"stopped: 1 of 3 scans is fitted and kept in {tmp_path}; the same command with --existing skip does the rest\n"
+        told = f"stopped: 1 of 3 scans is fitted and kept in {tmp_path}; run the same command with --existing skip to continue\n"
     assert code == 130 and text.endswith(told)
 
 
 def test_stopped_before_a_scan_was_fitted_the_same_command_begins_again(made, tmp_path, run, monkeypatch):
     monkeypatch.setattr(fit, "_fit", _interrupted)
     code, text, _ = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", *QUICK)
-    assert code == 130 and text.endswith("stopped before a scan was fitted; the same command begins again\n")
+    assert code == 130 and text.endswith("stopped before any scan was fitted; run the same command to start again\n")
 
 
 def test_one_scan_alone_is_told_as_one(fitted, made, tmp_path, run, monkeypatch):
@@ -156,9 +156,9 @@ def test_one_scan_alone_is_told_as_one(fitted, made, tmp_path, run, monkeypatch)
         (tmp_path / path.name).write_bytes(path.read_bytes())
     arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
     _, text, _ = run(*arguments)
-    assert "1 of 1 scan is fitted already and kept\n" in text and "1 of 1 scan fitted, 1 of the fits kept from before" in text
+    assert "kept existing fits of 1 of 1 scan\n" in text and "1 of 1 scan fitted, 1 of the fits kept from earlier runs" in text
     monkeypatch.setattr(fit, "_fit", _interrupted)
-    assert f"stopped: 1 of 1 scan is fitted and kept in {tmp_path}; the same" in run(*arguments)[1]
+    assert f"stopped: 1 of 1 scan is fitted and kept in {tmp_path}; run the same" in run(*arguments)[1]
 
 
 def _interrupted(*given):
@@ -205,7 +205,7 @@ def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
         doubtful.save(tmp_path / "two.fit.npz")
         found, text, _ = run(*arguments)
         assert found == code
-        assert f"2 of 2 scans fitted (status: 1 ok, 1 {status}), 2 of the fits kept from before; results in" in text
+        assert f"2 of 2 scans fitted (status: 1 ok, 1 {status}), 2 of the fits kept from earlier runs; results in" in text
         assert f"two   {status.ljust(len('status'))}  {probability:.2f}" in text and text.rstrip().count("odd") == 1
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert [(s["name"], s["status"], s["kept"]) for s in summary["scans"]] == [("two", status, True), ("one", "ok", True)]
@@ -224,18 +224,18 @@ def test_kept_fits_that_were_made_with_other_options_are_told(fitted, made, tmp_
     replace(two, settings=two.settings | {"random_state": 7}).save(tmp_path / "two.fit.npz")
     more = ("--seed", "3", "--partial", "--up=+z", "--training", "noise=0.01")
     code, text, _ = run(*arguments, *more)
-    assert code == 0 and "2 of 2 scans fitted, 2 of the fits kept from before" in text
+    assert code == 0 and "2 of 2 scans fitted, 2 of the fits kept from earlier runs" in text
     words = "no --partial (not --partial), --seed {} (not --seed 3)"
     words += ", no --training (not --training noise=0.01), no --up (not --up +z)"
     notes = [line for line in text.splitlines() if line.startswith("note: 1 kept fit was made with ")]
     assert [note.partition(" with ")[2].split(";")[0] for note in notes] == [words.format(0), words.format(7)]
-    assert all(note.endswith("; --existing replace makes all anew") for note in notes)
+    assert all(note.endswith("; --existing replace fits all again") for note in notes)
     entries = {entry["name"]: entry for entry in json.loads((tmp_path / "summary.json").read_text())["scans"]}
     other = {"up": None, "partial": False, "training": {}, "random_state": 0}
     text = run(*arguments)[1]
     assert "note: 1 kept fit was made with --seed 7 (not --seed 0); " in text and text.count("note: ") == 1
     replace(two, settings={}).save(tmp_path / "two.fit.npz")
-    assert "note: 1 kept fit was made with settings that are not known; " in run(*arguments)[1]
+    assert "note: 1 kept fit was made with unknown settings; " in run(*arguments)[1]
     assert '"other_settings": null' in (tmp_path / "summary.json").read_text()
     assert entries["one"]["other_settings"] == other and entries["two"]["other_settings"] == other | {"random_state": 7}
 

@@ -76,7 +76,7 @@ def test_failed_scans_are_named_and_the_others_written(made, tmp_path, run):
     (tmp_path / "empty.ply").write_bytes(b"")
     code, text, err = run("fit", made / "tube.npz", tmp_path / "empty.ply", made / "one.ply", "-o", tmp_path / "out", *QUICK)
     assert code == 1
-    assert "empty: failed: " in err and "an empty file (0 bytes)" in err and "1 of 2 scans fitted, 1 could not be;" in text
+    assert "empty: failed: " in err and "an empty file (0 bytes)" in err and "1 of 2 scans fitted, 1 could not be fitted;" in text
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == [
         "one.fit.npz",
         "one.labels.ply",
@@ -133,7 +133,7 @@ def test_a_saved_segmenter(fitted, made, tube_rig, tmp_path, run, monkeypatch):
     monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path / "empty"))
     monkeypatch.setattr("lbsfit_np.segmentation.cache._MEMORY", {})
     code, out, _ = run(*arguments)
-    assert code == 0 and "poses to start from" in out and "training the segmenter" not in out
+    assert code == 0 and "building the library of starting poses" in out and "training the segmenter" not in out
     assert (tmp_path / "out" / "one.mesh.ply").read_bytes() == (fitted[0] / "one.mesh.ply").read_bytes()
     code, _, err = run(*arguments[:4], tmp_path / "other", *arguments[5:], "--parts", "arm and fingers")
     assert code == 2 and "segmenter: got one that was trained on another rig" in one_line(err)

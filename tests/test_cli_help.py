@@ -61,8 +61,8 @@ def test_training_says_a_line_a_minute(capsys):
         now[0] += 0.6 * SILENCE
     progress.close()
     first, *lines = capsys.readouterr().out.splitlines()
-    assert first == "training the segmenter on synthetic scans of the rig, once for a rig and its settings"
-    assert lines == [f"{first}: 25%, about 4 min left of this step"]  # 72 s for a quarter
+    assert first == "training the segmenter on synthetic scans of the rig (once per rig and settings)"
+    assert lines == [f"{first}: 25%, about 4 min left in this step"]  # 72 s for a quarter
 
 
 @pytest.mark.parametrize("status", ["suspect", "failed"])

@@ -47,13 +47,13 @@ def test_templates_are_the_subjects_own(learned_hands):
 def test_what_it_says_meanwhile(learned_hands):
     _, _, text, err, _ = learned_hands
     assert len(err.splitlines()) == 1 and err.startswith("broken: failed: ") and "expected" in err
-    said = r"each scan by itself, with proportions of its own: recon 0\.\d+ on the scans learned from, 0\.\d+ on those held out; "
+    said = r"each scan by itself, with its own proportions: recon 0\.\d+ on the scans learned from, 0\.\d+ on those held out; "
     assert re.search(said + r"took \d+ s", text)
-    line = r"round 1 of at most 1: recon 0\.\d+ on the scans .* held out; a new start won for \d scans?; took \d+ s\n"
-    assert re.search(line, text)
+    line = r"round 1 of at most 1: recon 0\.\d+ on the scans .* held out; \d scans? got a better pose from a new start; "
+    assert re.search(line + r"took \d+ s\n", text)
     for stage in ("training the segmenter", "fitting each scan by itself", "round 1 of at most 1: poses of scans", "results"):
         assert stage in text
-    assert "learned from 6 of 8 scans of 2 subjects, 1 more held out, 1 could not be used, in 1 round; " in text
+    assert "learned from 6 of 8 scans of 2 subjects (1 held out; 1 could not be used) in 1 round; wrote " in text
     assert "7 of 8 results in" in text
     assert "warning" not in text + err and "\r" not in text
 
@@ -64,8 +64,8 @@ def test_the_last_line_counts_scans_by_what_they_were_to_learning(learned_hands)
     fitter = SimpleNamespace(roles_=roles, history_=history, template_={0: 0}, variant="joint", rounds=1)
     reading = SimpleNamespace(paths=list("abcdef"), failures={}, name=lambda i: "abcdef"[i])
     said = learn._learned(fitter, reading, "m.npz", 3.0)
-    roles = "1 more held out, 2 more not learned from, whose first fit had another scale (b, d), 1 could not be used"
-    assert said.startswith(f"learned from 2 of 6 scans of 1 subject, {roles}, in 1 round; ")
+    roles = "(1 held out; 2 not learned from, as their first fits had another scale: b, d; 1 could not be used)"
+    assert said.startswith(f"learned from 2 of 6 scans of 1 subject {roles} in 1 round; wrote m.npz ")
 
 
 @pytest.mark.parametrize("failed, unused, warns", [(0, 0, False), (2, 0, False), (3, 0, True), (4, 0, True), (3, 2, False)])
@@ -145,7 +145,7 @@ def test_the_statuses_of_all_fits_are_told_and_failed_ones_count(status, code, w
         (1.0, (), "scans are in the rig's unit\n"),
         (250.0, (), r"scans seem to be in millimetres \(2\d\d(\.\d)? per rig unit\)\n"),  # one unit of this rig is 250 mm
         (60.0, (), r"scans are in another unit, or of another size \([56]\d(\.\d+)? per rig unit\)\n"),
-        (1.0, ("--scale", "fixed"), r"scans are taken to be in the rig's unit \(scale fixed at 1\)\n"),
+        (1.0, ("--scale", "fixed"), r"scans are assumed to be in the rig's unit \(scale fixed at 1\)\n"),
     ],
 )
 def test_the_unit_of_the_scans_is_told(unit, options, words, tubes, tmp_path, run):
@@ -191,7 +191,7 @@ def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, r
     def learn(*options):
         out = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--existing", "replace", "--variant", "free-form")
         code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *out, *options)
-        assert (code, err) == (0, "") and "fitted 4 of 4 scans, each by itself; " in text
+        assert (code, err) == (0, "") and "fitted 4 of 4 scans, each by itself; wrote " in text
         return text, json.loads((tmp_path / "fits" / "summary.json").read_text())["settings"]
 
     text, settings = learn(*(word for option in UNUSED for word in option), "--joints", "fixed", "--seed", 5)
@@ -313,7 +313,7 @@ def test_a_picture_of_others_is_in_the_way_of_results(tubes, tmp_path, run):
     arguments = ("learn", tubes / "tube.npz", tubes / "t0.ply", "-o", tmp_path / "m.npz", "--results", tmp_path, "--pictures")
     code, _, err = run(*arguments)
     line = one_line(err)
-    assert code == 2 and "--results: got" in line and "t0.png exists already, which lbsfit has not drawn" in line
+    assert code == 2 and "--results: got" in line and "t0.png exists already, which lbsfit did not draw" in line
     assert line.endswith("Choose another folder, or --existing replace.")  # learn cannot skip
 
 

@@ -59,7 +59,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "inf", "--sequence"), ["--smooth", "at least 0"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "1e-5"), ["--smooth", "without --sequence"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--variant", "best"), ["--variant", "'best'", "pose-only"]),
-        (("tube.npz", "t0.ply", "-o", "m.npz", "--existing", "skip"), ["'skip'", "'replace'). Learning begins anew each time"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--existing", "skip"), ["'skip'", "'replace'). Learning always starts again"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--jobs", "0"), ["--jobs", "at least 1"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--training", "trun=1"), ["trun", "Did you mean 'turn'?"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--training", f"n_points={10**30}"), ["--training: got n_points: 1", "at most"]),
@@ -69,7 +69,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "bad.toml"), ["bad.toml", "'round'", "Did you mean 'rounds'"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "share.toml"), ["held-out", "from 0 to 0.9"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "word.toml"), ["smooth = 'much'", "a number"]),
-        (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "skip.toml"), ["existing = 'skip'", "Learning begins anew each time"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "skip.toml"), ["existing = 'skip'", "Learning always starts again"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "half.toml"), ["rounds = 1.5", "a whole number"]),
     ],
 )
@@ -108,7 +108,7 @@ def test_what_is_no_model_is_not_replaced(content, tubes, tmp_path, run):
     (tmp_path / "m.npz").write_bytes(before)
     arguments = ("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz")
     code, _, err = run(*arguments, "--existing", "replace")
-    assert code == 2 and "m.npz, a file that is no model and would be replaced" in one_line(err)
+    assert code == 2 and "m.npz, a file that is not a model and would be replaced" in one_line(err)
     assert (tmp_path / "m.npz").read_bytes() == before
 
 
@@ -204,7 +204,7 @@ def test_what_was_learned_from_is_counted_as_such_without_a_result(tubes, tube_m
     (tmp_path / "learned from.ply").write_bytes(b"")
     code, text, err = run("learn", tubes / "tube.npz", *scans[:3], tmp_path / "learned from.ply", "-o", tmp_path / "m.npz")
     assert code == 1 and all(f"t{i}: failed: {words}\n" in err for i, words in failures.items())
-    assert "learned from 2 of 4 scans of 1 subject, 1 more held out, 1 could not be used, in " in text
+    assert "learned from 2 of 4 scans of 1 subject (1 held out; 1 could not be used) in " in text
 
 
 def test_a_result_that_is_not_finite_is_a_failure(tubes, tmp_path, run, monkeypatch):

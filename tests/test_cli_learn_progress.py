@@ -47,13 +47,14 @@ def test_rounds_with_the_time_left(terminal, capsys):
     out, err = capsys.readouterr()
     shown = err if terminal else out
     assert ("no points" in out, "one: failed: no points" in err) == (False, True)
-    alone = "each scan by itself, with proportions of its own"
+    alone = "each scan by itself, with its own proportions"
     assert f"{alone}: recon 0.0200 on the scans learned from, 0.0300 on those held out; took 60 s\n" in shown
     assert "beyond the rig" not in shown
-    assert "; a new start won for 1 scan; took 60 s; at most about 3 min of rounds left\n" in shown  # three rounds like the first
-    assert "; a new start won for 2 scans; took 3 min; at most about 4 min of rounds left\n" in shown  # two of 120 s
+    better, left = "got a better pose from a new start", "left for the rounds\n"
+    assert f"; 1 scan {better}; took 60 s; at most about 3 min {left}" in shown  # three rounds like the first
+    assert f"; 2 scans {better}; took 3 min; at most about 4 min {left}" in shown  # two of 120 s
     if terminal:
-        assert out == "" and "round 2 of at most 4: poses of scans" in err and ", at most about 3 min of rounds left" in err
+        assert out == "" and "round 2 of at most 4: poses of scans" in err and ", at most about 3 min left for the rounds" in err
         assert "results" in err and "left" not in err[err.rindex("results") :]
     else:
         assert out.count("round 2 of at most 4: poses of scans\n") == 1 and "\nresults\n" in out
@@ -62,7 +63,7 @@ def test_rounds_with_the_time_left(terminal, capsys):
 @pytest.mark.parametrize("n, words", [(1, "1 scan"), (3, "3 scans")])
 def test_scans_that_go_on_beyond_the_rig_are_told_of(n, words, capsys):
     LearningProgress(4, terminal=False)("round", 1.0, _figures(0, beyond=n))
-    told = f"held out; {words} found to go on beyond the rig, and what lies there left out; took 60 s\n"
+    told = f"held out; points beyond the rig left out in {words}; took 60 s\n"
     assert told in capsys.readouterr().out
 
 
@@ -90,9 +91,9 @@ def test_the_time_left_of_a_step_where_rounds_do_not_tell(stage, terminal, capsy
     shown.close()
     out, err = capsys.readouterr()
     if terminal:
-        assert "about 4 min left of this step" in err and "about 80 s left of this step" in err and out == ""
+        assert "about 4 min left in this step" in err and "about 80 s left in this step" in err and out == ""
     else:
-        assert ": 25%, about 4 min left of this step\n" in out and "80 s" not in out  # a line a minute, no more
+        assert ": 25%, about 4 min left in this step\n" in out and "80 s" not in out  # a line a minute, no more
         assert len([line for line in out.splitlines() if "recon" not in line]) == 2
 
 
@@ -106,7 +107,7 @@ def test_a_stage_that_is_done_again_starts_anew(capsys, drawn_at_once):
     clock.now += 20
     shown("smoothing", 0.5)
     shown.close()
-    assert "about 20 s left of this step" in capsys.readouterr().err
+    assert "about 20 s left in this step" in capsys.readouterr().err
 
 
 def test_what_an_earlier_run_has_done_takes_no_time(capsys, drawn_at_once):
@@ -115,11 +116,11 @@ def test_what_an_earlier_run_has_done_takes_no_time(capsys, drawn_at_once):
     shown("first fits", 0.5)
     clock.now += 20
     shown("first fits", 0.75)
-    assert "about 20 s left of this step" in capsys.readouterr().err
+    assert "about 20 s left in this step" in capsys.readouterr().err
     shown("round", 1.0, _figures(0))
     shown("round", 1.0, _figures(1))  # at once, but it had taken a minute
     shown.close()
-    assert "took 60 s; at most about 3 min of rounds left" in capsys.readouterr().err
+    assert "took 60 s; at most about 3 min left for the rounds" in capsys.readouterr().err
 
 
 def test_a_scan_that_cannot_be_used_has_no_line_said_again(capsys):
@@ -203,7 +204,7 @@ def test_narrow_terminals_show_the_time_left(monkeypatch, drawn_at_once):
         monkeypatch.undo()
         text = os.read(ours, 10_000).decode()
     os.close(ours)
-    assert re.search(r" 25%\|.*about 30 min left of this step: training", text)
+    assert re.search(r" 25%\|.*about 30 min left in this step: training", text)
     assert "-0 s" not in text and max(map(len, text.split("\r"))) <= 80
 
 

@@ -44,7 +44,7 @@ def stop_after_a_round(tube_model, monkeypatch):
             ("a", "b"),
             None,
             ("--subjects", "{}/who is who.csv"),
-            "with it (others without --subjects, or with an empty id in its file): "
+            "with it (fit others without --subjects, or with an empty id in its file): "
             "lbsfit fit '{}/m n.npz' SCAN... -o OUT --subjects '{}/who is who.csv'\n",
         ),
     ],
@@ -58,7 +58,7 @@ def test_how_to_go_on_after_a_round(subjects, results, options, words, tubes, tm
     code, text, err = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, *options)
     assert (code, err) == (130, "t1: failed: nobody foresaw this\n")
     with_it = "" if options[:1] == ["--existing"] else "with --existing replace "
-    anew = f"results; the same command {with_it}begins anew; to fit {'these ' if '--subjects' in options else ''}scans "
+    anew = f"results; run the same command {with_it}to start again; to fit {'these ' if '--subjects' in options else ''}scans "
     *_, heading, failed, last = text.splitlines()
     assert heading.split() == ["scan", "status", "probability", "why"]  # of a scan that was named long before
     assert failed.split(maxsplit=3) == ["t1", "failed", "–", "nobody foresaw this"]
@@ -88,7 +88,7 @@ def test_subjects_of_whom_nothing_was_learned_are_named_after_a_stop(tubes, tmp_
     arguments = ("-o", tmp_path / "m.npz", "--subjects", tmp_path / "who.csv")
     text = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *arguments)[1]
     line = text.splitlines()[-1]
-    which = "to fit these scans with it, but for those of 'carl', of whom nothing was learned (others without --subjects, "
+    which = "to fit these scans with it, except scans of 'carl', of whom nothing was learned (fit others without --subjects, "
     assert f"{which}or with an empty id in its file): lbsfit fit " in line
     command = as_said(line.replace("OUT", str(tmp_path / "out")), [str(tubes / "t0.ply"), str(tubes / "t2.ply")])
     code, text, _ = run(*command)

@@ -33,7 +33,7 @@ def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes
     assert (returned, err) == (code, ""), err
     scans = " ".join(shlex.quote(str(path)) for path in sorted(tubes.glob("*.ply")))
     scans = re.escape(scans if len(scans) <= stopped_learning._SHORT else "SCAN...")
-    how = r"the same command with --existing replace goes on from what is kept in .*m\.npz\.unfinished; "
+    how = r"run the same command with --existing replace to continue from the steps kept in .*m\.npz\.unfinished; "
     how += rf"to fit scans with it: lbsfit fit .*m\.npz {scans} -o .*fits"
     round_kept = re.search(rf"stopped: .*m\.npz has what round (\d+) learned, without results; {how}\n$", text)[1]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m.npz", "m.npz.unfinished"]  # no empty folder of results
@@ -48,7 +48,8 @@ def test_ctrl_c_before_the_first_round_ends_leaves_no_model(jobs, sent, code, tu
     text, err, returned = _stopped_after("each scan by itself, with", jobs, sent, tubes, cli_cache, tmp_path, wait=0.0)
     assert (returned, err) == (code, ""), err
     folder = tmp_path / "m.npz.unfinished"
-    assert text.endswith(f"stopped before the model was learned; the same command goes on from what is kept in {folder}\n")
+    end = f"run the same command to continue from the steps kept in {folder}\n"
+    assert text.endswith(f"stopped before the model was learned; {end}")
     assert list(tmp_path.iterdir()) == [folder]
 
 
@@ -67,8 +68,8 @@ def test_a_run_that_was_killed_goes_on_with_the_same_command(jobs, tubes, tube_m
     monkeypatch.setattr(FirstFit, "__call__", lambda self, member: fitted.append(member) or call(self, member))
     code, text, err = run(*arguments[:-1], 1)
     assert (code, err, len(fitted)) == (0, "", max(len(scans) - kept, 0)) and kept >= 2
-    some = "those that suit this one, if any, are taken"
-    assert text.startswith(f"note: {folder} has {kept} steps of a run that was stopped; {some}\n")
+    some = "those that match this run are reused"
+    assert text.startswith(f"note: found {kept} saved steps of an interrupted run in {folder}; {some}\n")
     assert [path.name for path in tmp_path.iterdir()] == ["m.npz"]
     found, expected = (dict(np.load(path)) for path in (tmp_path / "m.npz", tube_model[0]))
     for name in expected.keys() - {MODEL_KEY}:  # which has the seconds of rounds
@@ -89,8 +90,8 @@ def test_what_a_cache_could_not_keep_is_not_said_to_be_kept(tubes, tmp_path, run
         monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path / folder))
         code, text, err = run(*arguments, "--seed", 1)
         assert code == 130 and ("cannot be kept" in err) == (not kept)
-        more = "what was trained first is kept, and the rounds begin anew with the same command"
-        assert text.endswith(f"stopped before the model was learned; {more if kept else 'the same command begins anew'}\n")
+        more = "the first training is kept; run the same command to start the rounds again"
+        assert text.endswith(f"stopped before the model was learned; {more if kept else 'run the same command to start again'}\n")
 
 
 def _stopped_after(words, jobs, sent, tubes, cache, folder, wait=0.5):
@@ -118,7 +119,7 @@ def test_stopped_before_anything_was_trained_nothing_is_said_to_be_kept(variant,
     (tmp_path / "mine").mkdir()
     outputs = ("-o", tmp_path / "new" / "deep" / "m.npz", "--results", tmp_path / "mine")
     code, text, _ = run("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), *outputs, "--variant", variant)
-    assert code == 130 and text.endswith("stopped before the model was learned; the same command begins anew\n")
+    assert code == 130 and text.endswith("stopped before the model was learned; run the same command to start again\n")
     assert [p.name for p in tmp_path.iterdir()] == ["mine"]  # which was there
 
 
@@ -189,7 +190,7 @@ def test_the_rest_of_the_results_after_ctrl_c(where, tubes, tmp_path, run, monke
     line, scans = _stopped_among_results(run, *how, stop_in=stop_in, method=method)
     written, model, fits = (0 if where == "before" else 2), tmp_path / "m n.npz", tmp_path / "fi ts"
     more = " --samples 300 --drop-invalid --pictures" if options else ""
-    rest = f"; the rest: lbsfit fit '{model}' SCAN... -o '{fits}'{more} --existing skip"
+    rest = f"; to write the rest: lbsfit fit '{model}' SCAN... -o '{fits}'{more} --existing skip"
     assert line == f"stopped: {model} is complete, {written} of 4 results in {fits}{rest}"
     before = {path: path.read_bytes() for path in fits.glob("*.fit.npz")}
     if where != "before":
@@ -198,7 +199,7 @@ def test_the_rest_of_the_results_after_ctrl_c(where, tubes, tmp_path, run, monke
         first = ["fit", "labels", "mesh", *["picture"] * bool(options)]
         assert {s["name"]: sorted(s["files"]) for s in summary["scans"]} == {"t0": first, "t1": ["fit", "labels", "mesh"]}
     code, text, err = run(*as_said(line, scans))
-    assert (code, err) == (0, "") and ("2 of 4 scans are fitted already and kept" in text) == (written == 2)
+    assert (code, err) == (0, "") and ("kept existing fits of 2 of 4 scans" in text) == (written == 2)
     assert len(before) == written and all(path.read_bytes() == content for path, content in before.items())
     assert len(list(fits.iterdir())) == 4 * (3 + (where == "pictures")) + 1
 
@@ -209,7 +210,8 @@ def test_the_rest_of_the_results_where_those_of_an_earlier_run_are(tubes, tmp_pa
     run("fit", tubes / "tube.npz", *sorted(tubes.glob("t*.ply")), "-o", tmp_path / "fi ts", *QUICK)
     how = (run, tubes, tmp_path, 2, monkeypatch, "--existing", "replace")
     line, scans = _stopped_among_results(*how)
-    end = f"; the rest alone, where files of an earlier run are: lbsfit fit '{tmp_path}/m n.npz' SCAN... -o '{tmp_path}/fi ts'"
+    end = "; to write only the rest, replacing files of an earlier run: "
+    end += f"lbsfit fit '{tmp_path}/m n.npz' SCAN... -o '{tmp_path}/fi ts'"
     assert "is complete, 2 of 4 results in" in line and line.endswith(end + " --existing replace")
     code, text, err = run(*[word.replace("replace", "skip") for word in as_said(line, scans)])
     assert code == 2 and "t2.fit.npz, a fit without a model" in one_line(err)
@@ -228,7 +230,7 @@ def test_the_rest_of_the_results_where_those_of_the_same_learning_are(tubes, tmp
     assert "is complete, 3 of 4 results in" in line and line.endswith("--existing skip")
     assert json.loads((tmp_path / "fi ts" / "summary.json").read_text())["not_done"] == ["t3"]
     code, text, err = run(*shlex.split(line[line.index("lbsfit fit ") :])[1:])
-    assert (code, err) == (0, "") and "4 of 4 scans are fitted already and kept" in text
+    assert (code, err) == (0, "") and "kept existing fits of 4 of 4 scans" in text
 
 
 @pytest.mark.parametrize("whole", [True, False])
@@ -257,12 +259,12 @@ _AS_IT_IS = {"samples": None, "subjects": None, "drop_invalid": False, "pictures
 @pytest.mark.parametrize(
     "there, how",
     [
-        (("fit", "mesh", "labels"), "; the rest: "),  # of an earlier run that learned the same
-        (("fit", "labels"), "; the rest alone, where files of an earlier run are: "),  # no fit without its mesh
-        (("fit", "mesh"), "; the rest alone, where files of an earlier run are: "),
-        (("mesh",), "; the rest alone, where files of an earlier run are: "),
-        (("labels",), "; the rest alone, where files of an earlier run are: "),
-        ((), "; the rest: "),
+        (("fit", "mesh", "labels"), "; to write the rest: "),  # of an earlier run that learned the same
+        (("fit", "labels"), "; to write only the rest, replacing files of an earlier run: "),  # no fit without its mesh
+        (("fit", "mesh"), "; to write only the rest, replacing files of an earlier run: "),
+        (("mesh",), "; to write only the rest, replacing files of an earlier run: "),
+        (("labels",), "; to write only the rest, replacing files of an earlier run: "),
+        ((), "; to write the rest: "),
     ],
 )
 def test_what_is_there_of_scans_that_nobody_came_to(there, how, tube_model, tubes, tmp_path):
@@ -280,18 +282,18 @@ def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, 
     """Learning's own results are kept, as their subjects'; a subject of whom nothing was learned is named."""
     (tmp_path / "who.csv").write_text("t0,a\nt1,b\nt2,a\nt3,b\n")
     line, scans = _stopped_among_results(run, tubes, tmp_path, 2, monkeypatch, "--subjects", tmp_path / "who.csv")
-    assert f"; the rest: lbsfit fit '{tmp_path}/m n.npz'" in line
+    assert f"; to write the rest: lbsfit fit '{tmp_path}/m n.npz'" in line
     assert line.endswith(f" --subjects {tmp_path / 'who.csv'} --existing skip")
     code, text, err = run(*as_said(line, scans))
-    assert (code, err) == (0, "") and "2 of 4 scans are fitted already and kept" in text
+    assert (code, err) == (0, "") and "kept existing fits of 2 of 4 scans" in text
     monkeypatch.setattr(stopped_learning, "_SHORT", 0)
     fitter, values = lbs.LBSFitter.load(tmp_path / "m n.npz"), {"results": "new", "samples": None, "subjects": "who.csv"}
     files = outputs.plan(scans, tmp_path / "new", inputs=[], existing="replace")
     values |= {"drop_invalid": False, "pictures": False}
-    rest = ", but for those of 'carl', 'dora', of whom nothing was learned: lbsfit fit m.npz"
-    for existing, alone in (("skip", ""), ("replace", " alone, where files of an earlier run are")):
+    rest = "the rest, except scans of 'carl', 'dora', of whom nothing was learned"
+    for existing, only, replacing in (("skip", "", ""), ("replace", "only ", ", replacing files of an earlier run")):
         words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)
-        assert f"; the rest{alone}{rest} SCAN... -o new" in words and words.endswith(existing)
+        assert f"; to write {only}{rest}{replacing}: lbsfit fit m.npz SCAN... -o new" in words and words.endswith(existing)
         make_folder(tmp_path / "new")
         files[0].mesh.write_text("of an earlier run")
     monkeypatch.setattr(stopped_learning, "_SHORT", 10**4)
@@ -330,7 +332,7 @@ def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path,
     arguments = ("learn", tubes / "tube.npz", tubes / "t0.ply", tmp_path / "broken.ply", "-o", tmp_path / "m.npz")
     more = ("--results", results, "--existing", "replace", "--variant", "free-form")
     code, text, _ = run(*arguments, *more)
-    assert code == 1 and "fitted 1 of 2 scans, each by itself; " in text
+    assert code == 1 and "fitted 1 of 2 scans, each by itself; wrote " in text
     kept = {"t9.fit.npz", "summary.json", *(f"t0.{kind}" for kind in ("fit.npz", "mesh.ply", "labels.ply"))}
     assert {path.name for path in results.iterdir()} == kept
 
@@ -381,8 +383,8 @@ def test_a_model_that_cannot_be_written_leaves_its_steps_and_says_so(tubes, tmp_
     scans, folder = sorted(tubes.glob("*.ply")), tmp_path / "m.npz.unfinished"
     code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
     assert code == 2 and "a full disk" in one_line(err) and steps_in(folder)
-    end = f"mended, the same command goes on from what is kept in {folder}"
-    assert text.splitlines()[-1] == f"ended by an error before the model was written; {end}"
+    end = f"fix it, then run the same command to continue from the steps kept in {folder}"
+    assert text.splitlines()[-1] == f"an error ended the run before the model was written; {end}"
 
 
 def test_a_result_that_cannot_be_written_does_not_stop_the_others(tubes, tmp_path, run, monkeypatch):

@@ -64,7 +64,7 @@ def test_fit_with_a_table_of_subjects(learned_hands, hands, tmp_path, run):
         assert ours.subject == name[:-1] and ours.model_digest == theirs.model_digest
     (tmp_path / "other.csv").write_text("anna1,anna\nben1,anna\n")
     code, text, _ = run(*arguments, hands[0] / "who.csv", "--existing", "skip")
-    assert code == 0 and "2 of 2 scans are fitted already" in text
+    assert code == 0 and "kept existing fits of 2 of 2 scans\n" in text
     code, _, err = run(*arguments, tmp_path / "other.csv", "--existing", "skip")
     assert code == 2 and "ben1.fit.npz, a fit with this model as 'ben'; expected fits with" in one_line(err)
 
@@ -97,12 +97,12 @@ def test_tables_of_subjects_that_cannot_be_used(learned_hands, hands, tubes, tmp
         assert code == 2 and not (tmp_path / "out").exists()
         return one_line(err)
 
-    unknown = "got 'carl', the id of 'ben1' in line 2; expected a learned subject: 'anna', 'ben'. Leave the ids of others' "
-    assert said("scan,subject\nben1,carl").endswith(f"who.csv: {unknown}scans empty.")
+    unknown = "got 'carl', the id of 'ben1' in line 2; expected a learned subject: 'anna', 'ben'. Leave the id empty for "
+    assert said("scan,subject\nben1,carl").endswith(f"who.csv: {unknown}scans of other subjects.")
     assert said("ben1.ply,bne").endswith("got 'bne', the id of 'ben1.ply' in line 1; expected a learned subject: "
                                          "'anna', 'ben'. Did you mean 'ben'?")  # fmt: skip
     assert f"got a file that names none of these scans: '{hands[0] / 'ben1.ply'}'; expected" in said("ben2,ben")
-    assert "who.csv beside --subject ben; expected one of the two" in said("ben1,ben", "--subject", "ben")
+    assert "who.csv together with --subject ben; expected one of the two" in said("ben1,ben", "--subject", "ben")
     assert "--subjects: got" in (line := said("ben1,ben", model=HAND)) and "which is a rig" in line
 
 
@@ -212,11 +212,11 @@ def test_skip_keeps_fits_of_the_same_model(tube_model, tubes, tmp_path, run):
     arguments = ("fit", model, tubes / "t0.ply", tubes / "t1.ply", "-o", tmp_path, "--existing", "skip")
     for kept in (1, 2):
         code, text, _ = run(*arguments)
-        assert code == 0 and f"{kept} of 2 scans {'is' if kept == 1 else 'are'} fitted already" in text
+        assert code == 0 and f"kept existing fits of {kept} of 2 scans\n" in text
     assert (tmp_path / "t0.fit.npz").read_bytes() == (results / "t0.fit.npz").read_bytes()
     assert run(*arguments, "--max-points", 99)[0] == 0  # settings do not count
     code, _, err = run(*arguments, "--subject", "0")  # its only one; but without, a scan may be somebody else's
-    assert code == 2 and "t1.fit.npz, a fit with this model where no subject was named; it got the template of '0'" in err
+    assert code == 2 and "t1.fit.npz, a fit with this model and no subject named (template of '0')" in err
 
 
 @pytest.mark.parametrize("change", ["another model", "a rig", "a model"])
@@ -254,7 +254,7 @@ def test_skip_goes_by_the_subjects_in_use(learned_hands, hands, tmp_path, run):
     fitter.save(tmp_path / "other.npz")
     for model in (learned_hands[0], tmp_path / "other.npz"):
         code, text, _ = run("fit", model, *arguments, "ben")
-        assert code == 0 and "1 of 1 scan is fitted already" in text
+        assert code == 0 and "kept existing fits of 1 of 1 scan\n" in text
     code, _, err = run("fit", learned_hands[0], *arguments, "anna")
     assert code == 2 and "with this model as 'ben'" in one_line(err)
 
@@ -267,7 +267,7 @@ def test_skip_keeps_what_learning_left_with_and_without_the_subjects(learned_han
     arguments = ("-o", tmp_path, "--existing", "skip")
     for options in ((), ("--subjects", hands[0] / "who.csv")):
         code, text, _ = run("fit", learned_hands[0], *scans, *arguments, *options)
-        assert code == 0 and "4 of 4 scans are fitted already" in text
+        assert code == 0 and "kept existing fits of 4 of 4 scans\n" in text
     code, _, err = run("fit", learned_hands[0], *scans, *arguments, "--subject", "ben")
     assert code == 2 and "anna0.fit.npz, a fit with this model as 'anna'; expected" in one_line(err)
     for name in (f"{name}.fit.npz" for name in names):
@@ -279,8 +279,9 @@ def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, h
     assert run(*arguments)[0] == 0
     code, _, err = run(*arguments, "--subject", "ben")
     line = one_line(err)
-    assert code == 2 and "with this model where no subject was named; it got the template of " in line
-    assert "Give --subject or --subjects as in that run, or leave them out as there; without ben1.fit.npz, .mesh.ply and " in line
+    assert code == 2 and "with this model and no subject named (template of " in line
+    remedy = "Give --subject or --subjects as in that run, or leave them out as there; or delete ben1.fit.npz, .mesh.ply and "
+    assert remedy in line
     for path in tmp_path.glob("ben1.*"):
         path.unlink()
     code, text, _ = run(*arguments, "--subject", "ben")
@@ -295,7 +296,7 @@ def test_skip_says_why_a_fit_cannot_be_read(tube_model, tubes, tmp_path, run, mo
     monkeypatch.setattr(fit, "_fit", lambda *_: None)
     _, text, _ = run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path, "--existing", "skip")
     why = f"(result format 3; expected format {int(arrays['lbsfit_np_result'])})"
-    assert f"t0: {tmp_path / 't0.fit.npz'} cannot be read {why}, so it is fitted again" in text
+    assert f"t0: {tmp_path / 't0.fit.npz'} cannot be read {why}, so the scan is fitted again" in text
 
 
 @pytest.mark.parametrize(
@@ -313,7 +314,7 @@ def test_subjects_on_the_command_line_win(in_file, table, given, tube_model, tub
     assert told == [{"t0": 0}]
     (tmp_path / "fit.toml").write_text("subject = '0'\nsubjects = 'who.csv'")
     code, _, err = run(*arguments)
-    assert code == 2 and "beside --subject 0; expected one of the two" in one_line(err)
+    assert code == 2 and "together with --subject 0; expected one of the two" in one_line(err)
 
 
 @pytest.mark.parametrize("variant", ["cd", "free-form"])
@@ -383,7 +384,7 @@ def test_learning_with_a_models_rig(tube_model, tubes, tmp_path, run, monkeypatc
 
     monkeypatch.setattr(lbs.LBSFitter, "fit", fit)
     code, text, _ = run("learn", tube_model[0], *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz")
-    assert code == 130 and "its rig is used, what it has learned is not" in text
+    assert code == 130 and "; only its rig is used, not what it has learned" in text
 
 
 def test_skip_leaves_each_scan_its_own_subject(learned_hands, hands, tmp_path, run):
@@ -392,7 +393,7 @@ def test_skip_leaves_each_scan_its_own_subject(learned_hands, hands, tmp_path, r
     arguments = ("-o", tmp_path, "--subjects", hands[0] / "who.csv")
     assert run("fit", learned_hands[0], scans[0], *arguments)[0] == 0
     code, text, _ = run("fit", learned_hands[0], *scans, *arguments, "--existing", "skip")
-    assert code == 0 and "1 of 2 scans is fitted already and kept" in text
+    assert code == 0 and "kept existing fits of 1 of 2 scans\n" in text
     entries = json.loads((tmp_path / "summary.json").read_text())["scans"]
     assert [(e["subject"], e["kept"]) for e in entries] == [("anna", True), ("ben", False)]
     assert lbs.FitResult.load(tmp_path / "ben1.fit.npz").subject == "ben"

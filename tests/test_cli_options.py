@@ -61,7 +61,7 @@ def test_configuration_files(made, tmp_path, run):
         ('output = ""', ["got output = ''; expected text in quotes that is not empty."]),
         ("training = { turn = true }", ["got training: turn: true; expected a number of at least 0 and"]),
         ("training = { one_sided = 2 }", ["got training: one_sided: 2; expected true or false, or 1 or 0."]),
-        ("one_sided = true", ["'one_sided'", "say partial = true. It belongs in training: training = { one_sided = true }."]),
+        ("one_sided = true", ["'one_sided'", "set partial = true. It belongs in training: training = { one_sided = true }."]),
         ("hole-radius = 0.1", ["'hole-radius'", "It belongs in training: training = { hole_radius = 0.1 }."]),
         ("n_points = 0", ["'n_points'", "Did you mean 'max_points'?"]),
     ],

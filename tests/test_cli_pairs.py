@@ -45,7 +45,7 @@ def test_a_run_that_learns_and_what_the_next_one_keeps(pair_folder, tmp_path, ru
     (tmp_path / "out" / "fits" / "s3.npz").unlink()
     fits_are_given(monkeypatch, {"s3": pair_meshes[3]})
     code, out, _ = run(*_command(pair_folder, tmp_path / "out", *QUICK_LEARNING, "--points", 50, "--markdown"))
-    assert "3 scans are fitted already and kept" in out and "[1/1] s3: fitted" in out and "| intra | before the snap |" in out
+    assert "kept existing fits of 3 scans" in out and "[1/1] s3: fitted" in out and "| intra | before the snap |" in out
     assert json.loads((tmp_path / "out" / "results.json").read_text())["history"] == report["history"]
 
 
@@ -53,7 +53,7 @@ def test_fits_one_by_one(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(pair_meshes)})
     code, out, err = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--unit", "mm", "--pictures", 1))
     assert (code, err) == (0, "") and "fitted one by one" in out and "(mm)" in out
-    assert "measuring the errors: 12 pairs\n" in out and "gallery.png, from top to bottom: s0\n" in out
+    assert "measuring errors: 12 pairs\n" in out and "gallery.png, from top to bottom: s0\n" in out
     report = json.loads((tmp_path / "out" / "results.json").read_text())
     assert report["figures"]["inter"]["before"]["mean"] < 1e-9 and report["cm_per_unit"] == 0.1
     assert not (tmp_path / "out" / "model.npz").exists() and "rounds" not in report["settings"]
@@ -140,13 +140,13 @@ def test_scans_that_fail_are_named_and_their_pairs_missing(pair_folder, tmp_path
 def test_a_run_that_is_stopped_says_what_is_kept(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     fits_are_given(monkeypatch, {"s0": pair_meshes[0], "s1": KeyboardInterrupt()})
     code, out, _ = run(*_command(pair_folder, tmp_path / "out", "--no-learn"))
-    assert code == 130 and f"stopped: 1 fit is kept in {tmp_path / 'out'}; the same command once more does the rest" in out
+    assert code == 130 and f"stopped: 1 fit is kept in {tmp_path / 'out'}; run the same command to continue" in out
     for name in ("results.json", "gallery.png"):
         (tmp_path / "out" / name).write_text("of fits that are to be gone")
     fits_are_given(monkeypatch, {"s0": pair_meshes[0], "s1": pair_meshes[1], "s2": KeyboardInterrupt()})
     code, out, _ = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--existing", "replace"))
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"fits", "fits.json"}
-    assert code == 130 and "2 fits are kept" in out and "; the same command without --existing replace does the rest" in out
+    assert code == 130 and "2 fits are kept" in out and "; run the same command without --existing replace to continue" in out
 
 
 def test_a_loop_that_is_stopped_says_what_is_kept(pair_folder, tmp_path, run, monkeypatch):
@@ -160,15 +160,15 @@ def test_a_loop_that_is_stopped_says_what_is_kept(pair_folder, tmp_path, run, mo
 
     monkeypatch.setattr(lbs.LBSFitter, "fit", stopped)
     code, text, _ = run(*_command(pair_folder, out))
-    assert code == 130 and text.endswith("stopped before a scan was fitted\n")
+    assert code == 130 and text.endswith("stopped before any scan was fitted\n")
     keeps.append("first-fit")
-    kept = f"goes on from what is kept in {out / 'model.npz.unfinished'}\n"
-    assert run(*_command(pair_folder, out))[1].endswith(f"stopped before a scan was fitted; the same command once more {kept}")
+    kept = f"to continue from the steps kept in {out / 'model.npz.unfinished'}\n"
+    assert run(*_command(pair_folder, out))[1].endswith(f"stopped before any scan was fitted; run the same command {kept}")
     text = run(*_command(pair_folder, out))[1]
-    assert f"note: {out / 'model.npz.unfinished'} has 1 step of a run that was stopped; those that suit" in text
+    assert f"note: found 1 saved step of an interrupted run in {out / 'model.npz.unfinished'}; those that match" in text
     text = run(*_command(pair_folder, out, "--existing", "replace"))[1]
-    again = "the same command without --existing replace"
-    assert " of a run that was stopped" not in text and text.endswith(f"stopped before a scan was fitted; {again} {kept}")
+    again = "run the same command without --existing replace"
+    assert " of an interrupted run" not in text and text.endswith(f"stopped before any scan was fitted; {again} {kept}")
 
 
 def test_sigterm_stops_a_run_as_ctrl_c_does(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
@@ -197,15 +197,15 @@ def test_measuring_says_a_line_a_minute(capsys):
         now[0] += 0.6 * SILENCE
         progress.measured(done, 5)
     lines = capsys.readouterr().out.splitlines()
-    assert lines == ["measuring the errors: 5 pairs", "measuring the errors: 2 of 5 pairs", "measuring the errors: 4 of 5 pairs"]
+    assert lines == ["measuring errors: 5 pairs", "measuring errors: 2 of 5 pairs", "measuring errors: 4 of 5 pairs"]
     progress.written(0, 1)
     progress.written(1, 1)
-    assert capsys.readouterr().out.splitlines() == ["writing what the challenge asks for: 1 pair"]
+    assert capsys.readouterr().out.splitlines() == ["writing the challenge files: 1 pair"]
     progress = PairsProgress(1, terminal=True)
     for done in range(3):
         progress.measured(done, 2)
     told = capsys.readouterr()
-    assert told.out == "" and "measuring the errors" in told.err
+    assert told.out == "" and "measuring errors" in told.err
 
 
 @pytest.mark.parametrize(

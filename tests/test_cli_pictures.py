@@ -95,7 +95,7 @@ def test_a_picture_of_others_is_none_of_a_kept_fit_and_stays(fitted, made, tmp_p
     texture.write_bytes(b"\x89PNG of others")
     os.utime(texture, ns=(0, 0))
     code, out, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", "--pictures", *QUICK)
-    assert code == 0 and "one.png is none that lbsfit has drawn" in out + err
+    assert code == 0 and "one.png was not drawn by lbsfit" in out + err
     assert texture.read_bytes() == b"\x89PNG of others"
     assert "picture" not in json.loads((tmp_path / "summary.json").read_text())["scans"][0]["files"]
 
@@ -105,15 +105,15 @@ def test_a_picture_of_others_is_not_drawn_over_where_a_scan_is_still_to_be_fitte
     texture.write_bytes(b"\x89PNG of others")
     arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--pictures", *QUICK)
     code, _, err = run(*arguments)
-    assert code == 2 and "one.png exists already, which lbsfit has not drawn" in one_line(err)
-    assert "leaves what others have drawn as it is" in err and "keeps finished fits" not in err
+    assert code == 2 and "one.png exists already, which lbsfit did not draw" in one_line(err)
+    assert "keeps pictures that lbsfit did not draw" in err and "keeps finished fits" not in err
     code, out, _ = run(*arguments, "--existing", "skip")
-    assert code == 0 and out.count("one.png is none that lbsfit has drawn, and stays\n") == 1 and "1 of 1 scan fitted" in out
+    assert code == 0 and out.count("one.png was not drawn by lbsfit and is kept\n") == 1 and "1 of 1 scan fitted" in out
     assert texture.read_bytes() == b"\x89PNG of others" and (tmp_path / "one.fit.npz").is_file()
     (scan,) = json.loads((tmp_path / "summary.json").read_text())["scans"]
     assert sorted(scan["files"]) == ["fit", "labels", "mesh"]
     code, _, err = run(*arguments)
-    assert "keeps finished fits" in err and ", of which one.png lbsfit has not drawn" in one_line(err)
+    assert "keeps finished fits" in err and ", of which one.png lbsfit did not draw" in one_line(err)
     assert run(*arguments, "--existing", "replace")[0] == 0 and is_signed(texture)
 
 

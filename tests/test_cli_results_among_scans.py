@@ -30,9 +30,9 @@ def test_the_same_pattern_means_the_same_scans_once_there_are_results(folder, ma
     before = {path: path.stat().st_mtime_ns for path in folder.glob("*.fit.npz")}
     arguments = ("fit", made / "tube.npz", *sorted(folder.iterdir()), "-o", folder, *QUICK)
     code, text, err = run(*arguments, "--existing", "skip")
-    assert (code, err) == (0, "") and "2 of 2 scans fitted, 2 of the fits kept from before" in text
-    told = "left out 7 of 9 files, which are results that lbsfit has written beside their scans: one.fit.npz, one.labels.ply, "
-    told += "one.mesh.ply and 4 more; to fit such a file as a scan, give it without the scan that it is of\n"
+    assert (code, err) == (0, "") and "2 of 2 scans fitted, 2 of the fits kept from earlier runs" in text
+    told = "skipped 7 of 9 files, which are results that lbsfit has written beside their scans: one.fit.npz, one.labels.ply, "
+    told += "one.mesh.ply and 4 more; to fit such a file as a scan, give it without its scan\n"
     assert text.startswith(told)
     assert {path: path.stat().st_mtime_ns for path in before} == before
     code, _, err = run(*arguments)
@@ -41,7 +41,7 @@ def test_the_same_pattern_means_the_same_scans_once_there_are_results(folder, ma
 
 def test_results_are_not_fitted_into_another_folder(folder, made, tmp_path, run):
     code, text, _ = run("fit", made / "tube.npz", *sorted(folder.glob("one.*")), "-o", tmp_path / "out", *QUICK)
-    assert code == 0 and "left out 3 of 4 files, which are results " in text and "1 of 1 scan fitted" in text
+    assert code == 0 and "skipped 3 of 4 files, which are results " in text and "1 of 1 scan fitted" in text
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [scan["name"] for scan in summary["scans"]] == ["one"]
 
@@ -64,7 +64,7 @@ def test_learning_leaves_results_out_as_well(folder, made, tmp_path, run, monkey
     monkeypatch.setattr(learn, "_learn", stopped)
     code, text, _ = run("learn", made / "tube.npz", *sorted(folder.iterdir()), "-o", tmp_path / "m.npz", "--results", folder,
                         "--existing", "replace")  # fmt: skip
-    assert code == 130 and text.startswith("left out 7 of 9 files") and read == [str(folder / n) for n in ("one.ply", "two.xyz")]
+    assert code == 130 and text.startswith("skipped 7 of 9 files") and read == [str(folder / n) for n in ("one.ply", "two.xyz")]
 
 
 @pytest.mark.parametrize("relative", [False, True])
@@ -83,11 +83,11 @@ def test_what_is_a_result(relative, folder, fitted, capsys, monkeypatch):
         return list(names) if relative else [str(folder / name) for name in names]
 
     assert without_results(given("one.png", "one.mesh.ply", "one.ply", "two.png")) == given("one.ply", "two.png")
-    assert "left out 2 of 4 files, which are results that lbsfit has written beside their scans: one.png, one.mesh.ply; " in (
+    assert "skipped 2 of 4 files, which are results that lbsfit has written beside their scans: one.png, one.mesh.ply; " in (
         capsys.readouterr().out
     )
     assert without_results(given("one.ply", "one.mesh.ply")) == given("one.ply")
-    assert "left out 1 of 2 files, which is a result that lbsfit has written beside its scan: one.mesh.ply; " in (
+    assert "skipped 1 of 2 files, which is a result that lbsfit has written beside its scan: one.mesh.ply; " in (
         capsys.readouterr().out
     )
     scans = given(*names, "three.fit.npz", "summary.json", "two.png", "two.xyz", "one.mesh.ply", "one.labels.ply", "one.png")
@@ -120,4 +120,4 @@ def test_results_are_found_however_paths_are_written(folder, monkeypatch, capsys
     monkeypatch.chdir(folder)
     scan = str(folder / "one.ply")
     assert without_results([scan, "one.mesh.ply", "../scans/one.fit.npz", "./summary.json", "two.xyz"]) == [scan, "two.xyz"]
-    assert "left out 3 of 5 files" in capsys.readouterr().out
+    assert "skipped 3 of 5 files" in capsys.readouterr().out

@@ -39,10 +39,10 @@ def test_rig_card(made, tmp_path, run):
     rig = tmp_path / "tube.npz"
     rig.write_bytes((made / "tube.npz").read_bytes())
     elsewhere = f"pass it with --card {tmp_path}"
-    for name, words in (("b.toml", elsewhere), ("tube.card.toml", f"it is used with {rig} by itself"), ("a.toml", elsewhere)):
+    for name, words in (("b.toml", elsewhere), ("tube.card.toml", f"it is used automatically with {rig}"), ("a.toml", elsewhere)):
         code, text, _ = run("rig", "card", rig, "-o", tmp_path / name)
         assert code == 0 and words in text
-        assert ("note: it says what tube.npz is without tube.card.toml, which was not read" in text) == (name == "a.toml")
+        assert ("note: the card describes tube.npz without tube.card.toml, which was not read" in text) == (name == "a.toml")
     assert "tube.card.toml beside the file was used" in run("rig", "show", rig)[1]
     code, _, err = run("rig", "card", rig, "-o", rig, "--existing", "replace")
     assert code == 2 and "which is the rig itself" in one_line(err) and rig.read_bytes() == (made / "tube.npz").read_bytes()
@@ -109,11 +109,11 @@ def test_demo(made, tmp_path, run):
 def test_a_demo_without_a_fit_leaves_nothing_in_the_way_of_the_next(made, tmp_path, run, monkeypatch):
     arguments = ("demo", "-o", tmp_path / "a demo", "--rig", made / "tube.npz", *TRAINING)
     code, text, _ = run(*arguments, "--points", 3)
-    assert code == 1 and not (tmp_path / "a demo").exists() and "nothing of this demo is kept in" in text
+    assert code == 1 and not (tmp_path / "a demo").exists() and "the scan was not fitted, so the demo's files in" in text
     with monkeypatch.context() as patched:
         patched.setattr("lbsfit_np.learning.batch.fit_scans", lambda *a, **k: (_ for _ in ()).throw(KeyboardInterrupt))
         code, text, _ = run(*arguments)
-        assert code == 130 and "the same command begins again" in text and not (tmp_path / "a demo").exists()
+        assert code == 130 and "run the same command to start again" in text and not (tmp_path / "a demo").exists()
     code, text, _ = run(*arguments, "--points", 500)
     again = f"lbsfit fit '{tmp_path}/a demo/rig.npz' '{tmp_path}/a demo/scan.ply' -o OUT {' '.join(TRAINING)}\n"
     assert code == 0 and again in text  # with what the segmenter was trained with

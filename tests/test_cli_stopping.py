@@ -33,7 +33,7 @@ def test_ctrl_c_keeps_what_is_finished(jobs, sent, code, fitted, made, cli_cache
         time.sleep(0.02)
     text, err = stopped(process, sent)
     assert process.returncode == code, err
-    assert err == "" and "--existing skip does the rest" in text
+    assert err == "" and "--existing skip to continue" in text
     summary = json.loads((out / "summary.json").read_text())
     finished = {scan["name"] for scan in summary["scans"]}
     assert summary["stopped"] and 1 <= len(finished) < len(scans)
@@ -43,7 +43,7 @@ def test_ctrl_c_keeps_what_is_finished(jobs, sent, code, fitted, made, cli_cache
         assert lbs.FitResult.load(out / f"{name}.fit.npz").status == "ok"
 
     code, text, _ = run("fit", made / "tube.npz", *scans[: len(finished) + 1], "-o", out, "--existing", "skip", *QUICK)
-    assert code == 0 and "fitted already and kept" in text
+    assert code == 0 and "kept existing fits of " in text
 
 
 def test_ctrl_c_before_the_first_fit_leaves_nothing(made, tmp_path, run, monkeypatch):
@@ -52,7 +52,7 @@ def test_ctrl_c_before_the_first_fit_leaves_nothing(made, tmp_path, run, monkeyp
 
     monkeypatch.setattr(lbs.LBSFitter, "pretrain", interrupted)
     code, text, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path / "out", *QUICK)
-    assert (code, err) == (130, "") and "before a scan was fitted" in text
+    assert (code, err) == (130, "") and "before any scan was fitted" in text
     assert not (tmp_path / "out").exists()
 
 
@@ -98,7 +98,7 @@ def test_a_fit_that_is_being_written_at_ctrl_c_is_finished_and_counted(at, numbe
     summary = json.loads((out / "summary.json").read_text())
     assert [scan["name"] for scan in summary["scans"]] == ["one"] and summary["not_done"] == ["two"]
     code, text, _ = run(*command, "-o", out, "--existing", "skip")
-    assert code == 0 and "1 of 2 scans is fitted already and kept" in text
+    assert code == 0 and "kept existing fits of 1 of 2 scans" in text
 
 
 def test_fits_of_an_earlier_run_are_not_counted_at_ctrl_c(made, fitted, tmp_path, run, monkeypatch):
@@ -113,7 +113,7 @@ def test_fits_of_an_earlier_run_are_not_counted_at_ctrl_c(made, fitted, tmp_path
     monkeypatch.setattr(outputs.Writer, "__call__", interrupted)
     command = ("fit", made / "tube.npz", made / "one.ply", made / "two.xyz", *QUICK, "-o", out, "--existing", "replace")
     code, text, _ = run(*command)
-    assert code == 130 and "1 of 2 scans is fitted and kept" in text and "1 of the others has a fit of an earlier run" in text
+    assert code == 130 and "1 of 2 scans is fitted and kept" in text and "1 of the others has a fit from an earlier run" in text
     assert [scan["name"] for scan in json.loads((out / "summary.json").read_text())["scans"]] == ["one"]
 
 

@@ -44,7 +44,7 @@ def test_scans_of_one_name_are_told_apart_by_path(tmp_path):
     (tmp_path / "who.csv").write_text("b/1.ply,ben\na/1.ply,anna\n")
     assert read_subjects(tmp_path / "who.csv", scans) == ["anna", "ben"]
     (tmp_path / "who.csv").write_text("1.ply,ben\na/1.ply,anna\n")
-    with pytest.raises(FileError, match=r"'1.ply' in line 1, which 2 scans are called.*Write its path, such as a/1.ply"):
+    with pytest.raises(FileError, match=r"'1.ply' in line 1, which is the name of 2 scans.*Write its path, such as a/1.ply"):
         read_subjects(tmp_path / "who.csv", scans)
     (tmp_path / "who.csv").write_text("b/1.ply,ben\n1.plx,anna\n")  # of whose names one is still free
     with pytest.raises(FileError, match=r"'1.plx' in line 2, which is none of the scans given.*Did you mean '1.ply'\?"):
@@ -64,14 +64,18 @@ def test_empty_ids_and_other_scans_where_both_may_be(name, text, tmp_path):
 @pytest.mark.parametrize(
     "content, got, remedy",
     [
-        ("a1,anna\nb 1,\n", "no id for 1 of 3 scans: in/a2.ply", "Add them, with an empty id where nobody knows whose"),
-        ("a1,anna\nb 1,\naa2,anna\n", "no id for 1 of 3 scans: in/a2.ply", "If 'aa2' in line 3 is 'in/a2.ply', write it so"),
-        ("a1,anna\nb 1,\nA02.ply,anna\n", "no id for 1 of 3 scans: in/a2.ply", "If 'A02.ply' in line 3 is 'in/a2.ply', write"),
-        ("a1,anna\nb_1,ben\n", "no id for 2 of 3 scans: in/a2.ply, in/b 1.xyz", "If 'b_1' in line 2 is 'in/b 1.xyz', write"),
+        ("a1,anna\nb 1,\n", "no id for 1 of 3 scans: in/a2.ply", "Add them, with an empty id where the subject is unknown"),
+        (
+            "a1,anna\nb 1,\naa2,anna\n",
+            "no id for 1 of 3 scans: in/a2.ply",
+            "If 'aa2' in line 3 means 'in/a2.ply', write it that way",
+        ),
+        ("a1,anna\nb 1,\nA02.ply,anna\n", "no id for 1 of 3 scans: in/a2.ply", "If 'A02.ply' in line 3 means 'in/a2.ply', write"),
+        ("a1,anna\nb_1,ben\n", "no id for 2 of 3 scans: in/a2.ply, in/b 1.xyz", "If 'b_1' in line 2 means 'in/b 1.xyz', write"),
         ("a1,anna\nb 1,\na3,anna\n", "no id for 1 of 3 scans: in/a2.ply", "Add them"),  # another of the series
         ("z,anna\n", "a file that names none of these scans: 'in/a1.ply', 'in/a2.ply', 'in/b 1.xyz'", "Add them"),
-        ("../in/a1.ply,anna\n", "a file that names none of these scans: ", "If '../in/a1.ply' in line 1 is 'in/a1.ply'"),
-        ("anna,a1\nben,b 1\n", "a file that names none of these scans: ", "The columns seem to be exchanged"),
+        ("../in/a1.ply,anna\n", "a file that names none of these scans: ", "If '../in/a1.ply' in line 1 means 'in/a1.ply'"),
+        ("anna,a1\nben,b 1\n", "a file that names none of these scans: ", "The columns seem to be swapped"),
         ("", "no id for 3 of 3 scans", "Add them"),
     ],
 )
@@ -94,16 +98,16 @@ def test_scans_that_a_table_with_others_lacks(content, got, remedy, tmp_path):
         ("who.csv", "", ["no id for 3 of 3 scans"]),
         ("who.csv", "a1,anna\na2,anna\n\na1.ply,ben\n", ["'a1.ply' twice, in lines 1 and 4"]),
         ("who.csv", "a1,anna\na2,\n", ["no id for 'a2' in line 2"]),
-        ("who.csv", "a1,anna\na2\n", ["'a2' in line 2", "has 1 column (as in line 1, commas separate them);"]),
-        ("who.csv", "# who\na1,anna\na2;anna\n", ["'a2;anna' in line 3", "1 column (as in line 2, commas separate them)"]),
-        ("who.csv", "a1;anna\na2,anna\n", ["line 2", "1 column (as in line 1, semicolons separate them)"]),
-        ("who.csv", "a1,anna\na2,anna,left\n", ["line 2", "3 columns (as in line 1, commas", "Leave out the other columns"]),
+        ("who.csv", "a1,anna\na2\n", ["'a2' in line 2", "has 1 column (separated by commas, as in line 1);"]),
+        ("who.csv", "# who\na1,anna\na2;anna\n", ["'a2;anna' in line 3", "1 column (separated by commas, as in line 2)"]),
+        ("who.csv", "a1;anna\na2,anna\n", ["line 2", "1 column (separated by semicolons, as in line 1)"]),
+        ("who.csv", "a1,anna\na2,anna,left\n", ["line 2", "3 columns (separated by commas, as", "Leave out the other columns"]),
         ("who.csv", "scan,subject,age\na1,anna,9\n", ["in line 1, which has 3 columns;", "Leave out the other columns"]),
         ("who.csv", "a1\na2\n", ["'a1' in line 1, which has 1 column;", "Put a comma in all lines, or a blank, between"]),
         ("who.csv", "a1;anna\na2\n", ["'a2' in line 2", "Put a semicolon between name and id."]),
         ("who.csv", 'a1,anna\n"a2,anna\n', ["line 2", "cannot be read"]),
         ("who.csv", b"a1,anna\n\xff\xfe\n", ["not UTF-8", "Save it as CSV in UTF-8"]),
-        ("who.txt", "a1 anna\na2\n", ["'a2' in line 2", "1 column (as in line 1, blanks separate them)"]),
+        ("who.txt", "a1 anna\na2\n", ["'a2' in line 2", "1 column (separated by blanks, as in line 1)"]),
         ("who.toml", "a1 = 'anna'\na3 = 'anna'\n", ["'a3' in line 2"]),
         ("who.toml", "a1.ply = 'anna'\n", ["line 1", "names with dots in quotes"]),
         ("who.toml", "a1 = 'anna'\n\na2 = ['anna']\n", ["a2 = ['anna'] in line 3"]),
@@ -200,7 +204,7 @@ def test_a_file_may_be_named_by_another_path(tmp_path, monkeypatch):
 def test_columns_that_are_exchanged(tmp_path):
     for content in ("anna,a1\n", "anna,a1\na2,anna\n", "subject,scan\nanna,a1\n"):
         (tmp_path / "who.csv").write_text(content)
-        with pytest.raises(FileError, match=" in line 1, which is none .* The columns seem to be exchanged: put the file name"):
+        with pytest.raises(FileError, match=" in line 1, which is none .* The columns seem to be swapped: put the file name"):
             read_subjects(tmp_path / "who.csv", SCANS)
 
 
@@ -221,12 +225,12 @@ def test_accents_in_either_way_of_writing_them(tmp_path):
     [
         (None, []),
         (["a", "a"], []),
-        (["b", "a", "b"], ["2 subjects, with so many scans each: a 1, b 2"]),
+        (["b", "a", "b"], ["2 subjects, with these numbers of scans: a 1, b 2"]),
         (
             ["rex", "Rex", "ben"],
             [
-                "3 subjects, with so many scans each: rex 1, Rex 1, ben 1",
-                "note: 'rex' and 'Rex' differ in case alone: one person?",
+                "3 subjects, with these numbers of scans: rex 1, Rex 1, ben 1",
+                "note: 'rex' and 'Rex' differ only in upper and lower case: are they one person?",
             ],
         ),
     ],
@@ -237,4 +241,4 @@ def test_whose_scans_they_are_is_said_before_work(ids, lines):
 
 def test_of_many_subjects_those_of_few_scans_are_named():
     (line,) = who_words([str(k) for k in range(40)] * 2 + ["3o"])
-    assert line == f"41 subjects, with so many scans each: 3o 1, {', '.join(f'{k} 2' for k in range(11))}, …"
+    assert line == f"41 subjects, with these numbers of scans: 3o 1, {', '.join(f'{k} 2' for k in range(11))}, …"

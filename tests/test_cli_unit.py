@@ -66,7 +66,7 @@ def test_a_small_animal_in_centimetres(tubes, kits, cli_cache, tmp_path, run):
     assert told["settings"]["unit"] == "cm" and told["scans"][0]["unit"] == "cm"
     fit = tmp_path / "fits" / "t0.fit.npz"
     out, metres = animated(run, rig, fit, tmp_path / "a.glb")
-    assert "the scans are in centimetres, as the fits were told (--unit says otherwise)" in out
+    assert "the scans are in centimetres, as specified when they were fitted (use --unit to change this)" in out
     assert metres == pytest.approx(0.01 * length(r.vertices), rel=0.05)
     assert animated(run, rig, fit, tmp_path / "b.glb", "--unit", "m")[1] == pytest.approx(100 * metres)
 
@@ -75,7 +75,7 @@ def test_fits_in_another_unit_are_not_kept(tubes, kits, tmp_path, run):
     fit = ["fit", tubes / "tube.npz", kits[0], "-o", tmp_path, *QUICK]
     assert run(*fit, "--unit", "cm")[0] == 0
     assert run(*fit, "--unit", "cm", "--existing", "skip")[0] == 0
-    for unit, said in (("in", "in 'in'"), ("auto", "in a unit that was not said")):
+    for unit, said in (("in", "in 'in'"), ("auto", "in an unspecified unit")):
         code, _, err = run(*fit, "--unit", unit, "--existing", "skip")
         assert code == 2 and f"of a scan in 'cm'; expected fits of scans {said}. Give --unit as in that run" in one_line(err)
 
@@ -112,7 +112,8 @@ def test_learning_tells_the_sizes_of_subjects(tubes, kits, kit_model):
     model, folder, printed = kit_model
     fitter = lbs.LBSFitter.load(model)
     assert (fitter.unit, fitter.learned_unit_) == ("cm", "cm") and _units(fitter) in printed
-    size = float(re.search(r"scans are in centimetres, as was said, and subjects ([\d.]+) times as large as the rig", printed)[1])
+    said = r"scans are in centimetres, as specified; subjects are ([\d.]+) times as large as the rig"
+    size = float(re.search(said, printed)[1])
     assert size == pytest.approx(KIT, rel=0.15)
     for fit in folder.glob("*.fit.npz"):
         r = lbs.FitResult.load(fit)

@@ -122,7 +122,7 @@ def test_the_command_writes_a_page_and_resumes(quick, tmp_path, capsys):
     (out / "results.json").write_text(json.dumps(results))
     capsys.readouterr()
     assert run(command) == 1 and quick == [300]
-    note = f"note: 1 row in {out} was made by other code or libraries, and not again: hand-coarse-300-joint;"
+    note = f"note: kept 1 row in {out} that was made by other code or libraries: hand-coarse-300-joint;"
     assert note in capsys.readouterr().out
     assert run([*command, "--size", "medium"]) == 2 and "--existing replace" in capsys.readouterr().err
     assert run(["bench", "study"]) == 2 and "-o OUT" in capsys.readouterr().err
@@ -252,10 +252,10 @@ def test_the_command_says_what_is_missing_and_what_goes_on(quick, tmp_path, monk
     monkeypatch.setattr("lbsfit_np.bench.study.run.study", stopped)
     assert run(["bench", "study", "--rig", "hand-coarse", "--rows", "joint", "-o", str(tmp_path)]) == 130
     text = capsys.readouterr().out
-    assert "2 rows in" in text and "were made by other code or libraries, and not again: h-300-cd, h-300-rand; --existing" in text
+    assert "kept 2 rows in" in text and "that were made by other code or libraries: h-300-cd, h-300-rand; --existing" in text
     assert "10% of all rows; h 300 pretraining 90%, b 300 oracle-fit 10%\n20% of all rows; b 300 oracle-fit 10%\n" in text
     assert "35% of all rows; b 300 oracle-fit 10%, h 300 joint 50%, b 300 cd 20%\n" in text
-    assert "'lbsfit_np[viz]'" in text and "the same command goes on" in text
+    assert "'lbsfit_np[viz]'" in text and "run the same command to continue" in text
 
 
 def test_a_bar_is_of_all_rows_and_names_those_that_are_being_made(monkeypatch):

@@ -200,7 +200,7 @@ def test_a_run_that_is_stopped_goes_on(command, tmp_path, monkeypatch, capsys):
     with monkeypatch.context() as patch:
         patch.setattr("lbsfit_np.io.write.write_npz", stop)
         assert run([*command, ",".join(_QUICK)]) == 130
-    assert not active_children() and "the same command goes on" in capsys.readouterr().out
+    assert not active_children() and "run the same command to continue" in capsys.readouterr().out
     assert run([*command, ",".join(_QUICK)]) == 0
     assert list(json.loads((out / "results.json").read_text())["rigs"]["tube"]["seeds"]["5"]) == sorted(_QUICK)
     assert {path.name for path in (out / "cells").iterdir()} == {f"tube-5-{row}.npz" for row in _QUICK}
@@ -279,7 +279,7 @@ def test_errors_say_of_which_row_they_are(at_once_too, before, command, monkeypa
     told, said = capsys.readouterr()
     said = said.splitlines()
     assert said[-1].startswith(f"lbsfit: error: tube, seed 5, {rows.split(',')[0]}: points: got nothing")
-    kept = f"what is done is kept in {command[command.index('-o') + 1]}, and the same command goes on"
+    kept = f"finished work is kept in {command[command.index('-o') + 1]}; run the same command to continue"
     assert (kept in told.splitlines()) == before
     warned = ["lbsfit: warning: tube, seed 5, oracle-labels failed: points: got nothing"] if at_once_too else []
     assert [line.split(";")[0] for line in said[:-1]] == warned

@@ -66,13 +66,14 @@ def test_a_row_that_is_stopped_goes_on(command, run_stopped, tube_rig, tmp_path,
     out, fitted, fit_scan = tmp_path / "out", [], LBSFitter.fit_scan
     whole = study({"tube": tube_rig}, rows=("joint",), seeds=[5])["rigs"]["tube"]["seeds"]["5"]
     assert run_stopped([*command, "joint"]) == 130
-    assert f"stopped: what is done is kept in {out}, and the same command goes on" in capsys.readouterr().out
+    assert f"stopped: finished work is kept in {out}; run the same command to continue" in capsys.readouterr().out
     assert not (out / "results.json").exists() and steps_in(out / "cells" / "tube-5-joint.npz.unfinished") > 6
     monkeypatch.setattr(LBSFitter, "fit_scan", lambda self, *a: fitted.append(self.variant) or fit_scan(self, *a))
     monkeypatch.setattr("lbsfit_np.learning.loop.FirstFit.__call__", lambda self, task: fitted.append("first") or 1 / 0)
     steps = steps_in(out / "cells" / "tube-5-joint.npz.unfinished")
     assert run([*command, "joint"]) == 0
-    assert f"tube-5-joint.npz.unfinished has {steps} steps of a run that was stopped; those" in capsys.readouterr().out
+    found = f"found {steps} saved steps of an interrupted run in {out / 'cells' / 'tube-5-joint.npz.unfinished'}; those"
+    assert found in capsys.readouterr().out
     found = _rows(out)["5"]["joint"]
     assert _found(found) == json.loads(json.dumps(_found(whole["joint"])))
     text = (out / "README.md").read_text()
@@ -200,10 +201,10 @@ def test_steps_are_announced_for_rows_that_are_to_be_done(command, run_stopped, 
     (cells / "tube-5-oracle-fit.npz.unfinished").mkdir()
     (cells / "tube-5-oracle-fit.npz.unfinished" / f"result-{32 * '0'}.npz").write_bytes(b"")
     capsys.readouterr()
-    assert run([*command, "oracle-fit"]) == 0 and "of a run that was stopped" not in capsys.readouterr().out
+    assert run([*command, "oracle-fit"]) == 0 and "of an interrupted run" not in capsys.readouterr().out
     assert {path.name for path in cells.iterdir()} == {"tube-5-oracle-fit.npz", "tube-5-cd.npz.unfinished"}
     assert steps_in(cells / "tube-5-cd.npz.unfinished") == steps
-    assert run([*command, "cd,oracle-fit"]) == 0 and f"has {steps} steps of a run that was stopped" in capsys.readouterr().out
+    assert run([*command, "cd,oracle-fit"]) == 0 and f"found {steps} saved steps of an interrupted run" in capsys.readouterr().out
 
 
 def test_steps_of_a_row_that_has_to_be_made_again_stay(command, run_stopped, tmp_path):
@@ -230,13 +231,13 @@ def test_what_is_replaced_is_gone_before_anything_is_stopped(command, run_stoppe
     assert run([*command, "nothing", "--existing", "replace"]) == 2 and len(_rows(out)["5"]) == 2 and (out / "README.md").exists()
     assert run_stopped([*command, "cd", "--existing", "replace"]) == 130
     said = capsys.readouterr().out
-    assert f"note: 2 rows of earlier runs in {out} are removed" in said
-    assert said.endswith("and the same command without --existing replace goes on\n")
+    assert f"note: removed 2 rows of earlier runs from {out}" in said
+    assert said.endswith("; run the same command without --existing replace to continue\n")
     assert _rows(out) == {} and not (out / "README.md").exists()
     assert (out / "mine.png").exists() and not (out / "drawn.png").exists()
     steps = steps_in(out / "cells" / "tube-5-cd.npz.unfinished")
     assert {path.name for path in (out / "cells").iterdir()} == {"tube-5-cd.npz.unfinished", "mine-5.npz"} and steps >= 2
-    assert run([*command, "cd"]) == 0 and f"has {steps} steps of a run that was stopped" in capsys.readouterr().out
+    assert run([*command, "cd"]) == 0 and f"found {steps} saved steps of an interrupted run" in capsys.readouterr().out
     assert list(_rows(out)["5"]) == ["cd"] and _rows(out)["5"]["cd"]["seconds"] is None
 
 
@@ -249,7 +250,8 @@ def test_steps_are_gone_where_all_is_to_be_done_anew(command, tmp_path, monkeypa
     capsys.readouterr()
     assert run([*command, "joint", "--existing", "replace"]) == 130 and not steps.exists()
     said = capsys.readouterr().out
-    assert "of a run that was stopped" not in said and said.endswith("and the same command without --existing replace goes on\n")
+    assert "of an interrupted run" not in said
+    assert said.endswith("; run the same command without --existing replace to continue\n")
 
 
 def test_two_studies_fill_one_folder(command, tmp_path, monkeypatch):

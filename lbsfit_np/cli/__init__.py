@@ -66,8 +66,8 @@ def main(argv=None):
         print(f"lbsfit: error: {_notes(error)}{where}{error.strerror or error}", file=sys.stderr)
         return 2
     except MemoryError as error:
-        options = "--training-scans, --jobs, --samples, where there are such"
-        words = f"{_notes(error)}out of memory; fewer training scans, processes or points take less ({options})"
+        options = "--training-scans, --jobs, --samples, where the command has them"
+        words = f"{_notes(error)}out of memory; use fewer training scans, worker processes or points ({options})"
         print(f"lbsfit: error: {words}", file=sys.stderr)
         return 2
 

@@ -90,7 +90,7 @@ def _run(arguments):
         raise InputError("-o/--output", path, "a name that ends in .glb")
     for fit in fits:
         if not fit.lower().endswith(".npz"):
-            raise InputError("FIT", fit, "results that lbsfit fit or learn has written: NAME.fit.npz", "Such as fits/*.fit.npz.")
+            raise InputError("FIT", fit, "results written by lbsfit fit or learn: NAME.fit.npz", "For example, fits/*.fit.npz.")
     inputs = [(arguments.rig, "the rig itself"), *((fit, "one of the fits") for fit in fits)]
     check_file(path, inputs=inputs, existing=values["existing"])
     rig = load_rig_with(arguments.rig, values)
@@ -103,12 +103,12 @@ def _run(arguments):
     _say_doubtful(fits, results)
     people = sorted({result.subject for result in results})
     if len(people) > 1 and values["offsets"] == "mean":
-        names = listed([repr(name) if name else "nobody that was learned" for name in people])
-        say(f"note: the fits are of several subjects ({names}): frames have the mean of their templates")
+        names = listed([repr(name) if name else "no learned subject" for name in people])
+        say(f"note: the fits are of several subjects ({names}): all frames use the mean of their templates")
     if axis := stands_along(rig, results, values["up"]):
-        say(f"note: the fits stand along {axis}: with --up={axis} the animation is upright, unless they lie")
+        say(f"note: the fits stand along {axis}: use --up={axis} for an upright animation, unless they lie down")
     if odd := [os.path.basename(fits[k]) for k in odd_scales(results)]:
-        say(f"note: scales that differ by more than people do: of {listed(odd)}; are the scans in one unit?")
+        say(f"note: the scales of {listed(odd)} differ by more than people do; are all scans in one unit?")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the same, without names
         away = save_animation(
@@ -123,9 +123,9 @@ def _run(arguments):
         )
     if values["unit"] == "auto":
         name = unit_of(rig, results)[0]
-        known = f"the scans seem to be in {name}" if name else "the scans' unit is not known, and taken as metres"
-        known = f"the scans are in {name}, as the fits were told" if said_unit(results) else known
-        say(f"{known} (--unit says otherwise)")
+        known = f"the scans seem to be in {name}" if name else "the scans' unit is not known, and is assumed to be metres"
+        known = f"the scans are in {name}, as specified when they were fitted" if said_unit(results) else known
+        say(f"{known} (use --unit to change this)")
     say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, fits, away, values)}")
     return 0
 
@@ -135,7 +135,7 @@ def _say_doubtful(fits, results):
     for status in ("failed", "suspect"):
         names = [os.path.basename(fit) for fit, result in zip(fits, results, strict=True) if result.status == status]
         if names:
-            say(f"note: {counted(len(names), 'fit')} {'is' if len(names) == 1 else 'are'} {status}: {listed(names)}")
+            say(f"note: {counted(len(names), 'fit')} {'has' if len(names) == 1 else 'have'} status {status}: {listed(names)}")
 
 
 def _distance(rig, results, fits, away, values):
@@ -145,8 +145,8 @@ def _distance(rig, results, fits, away, values):
     if shares[worst] < _ROUNDING:
         return ""
     mean = values["offsets"] == "mean" and values["influences"] is None and len(results) > 1
-    hint = "; with --offsets each they would be these" if mean else ""
+    hint = "; with --offsets each they would be the same" if mean else ""
     return (
-        f", whose vertices are {sum(shares) / len(shares):.2g} % of the rig's size away from the registered meshes in the mean, "
+        f", whose vertices are {sum(shares) / len(shares):.2g} % of the rig's size away from the registered meshes on average, "
         f"at most {shares[worst]:.2g} % ({os.path.basename(fits[worst])}){hint}"
     )

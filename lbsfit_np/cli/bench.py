@@ -274,7 +274,8 @@ def _seeds(text):
     """The text itself, once it is known to be different whole numbers with commas between them."""
     parts = text.split(",")
     if not all(part.strip().isdecimal() for part in parts) or len({int(part) for part in parts}) < len(parts):
-        raise argparse.ArgumentTypeError(f"got {text!r}; expected different whole numbers with commas, such as 100,101,102")
+        expected = "different whole numbers separated by commas, such as 100,101,102"
+        raise argparse.ArgumentTypeError(f"got {text!r}; expected {expected}")
     return text
 
 
@@ -284,7 +285,7 @@ def _some_of(known):
     def names(text):
         given = text.split(",")
         if not set(given) <= set(known) or len(set(given)) < len(given):
-            raise argparse.ArgumentTypeError(f"got {text!r}; expected some of {', '.join(known)}, with commas")
+            raise argparse.ArgumentTypeError(f"got {text!r}; expected some of {', '.join(known)}, separated by commas")
         return text
 
     return names

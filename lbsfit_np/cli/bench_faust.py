@@ -80,5 +80,5 @@ def _written(kind, written):
     n, missing = written["written"], written["missing"]
     words = f"{kind}-subject challenge: {counted(n, 'file')} in challenge-{kind}"
     if missing:
-        words += f", {counted(missing, 'pair')} missing, as a scan has no fit"
-    return words + (f"; to submit: {written['archive']}" if written["archive"] else "; no archive, as it would not be complete")
+        words += f", {counted(missing, 'pair')} missing because a scan has no fit"
+    return words + (f"; to submit: {written['archive']}" if written["archive"] else "; no archive, as it would be incomplete")

@@ -108,8 +108,8 @@ def run_learn(name, values):
     except KeyboardInterrupt:
         progress.close()
         if made or any(steps_in(steps_of(steps, seed)) for seed in numbers(values["seeds"])):
-            again = "the same command" + (" without --existing replace" if values["existing"] == "replace" else "")
-            say(f"stopped: what is done is kept in {values['output']}, and {again} goes on")
+            again = "run the same command" + (" without --existing replace" if values["existing"] == "replace" else "")
+            say(f"stopped: finished work is kept in {values['output']}; {again} to continue")
         raise
     finally:
         progress.close()

@@ -47,7 +47,7 @@ def run_study(values):
     replace, begun = values["existing"] == "replace", False
     resumed = results.exists() and not replace
     if values["figures"] and find_spec("matplotlib") is None:
-        say(f"note: {MissingExtraError('matplotlib', 'viz', 'drawing the figures')}; without it, all but these is done")
+        say(f"note: {MissingExtraError('matplotlib', 'viz', 'drawing the figures')}; everything else is done without it")
     progress = _StudyProgress()
     made = make_folder(cells)  # before any work, as it may be impossible
 
@@ -74,8 +74,8 @@ def run_study(values):
             write_json(results, report)  # with it the same command goes on, stopped as soon as may be
         if others:
             were = "was" if len(others) == 1 else "were"
-            made = f"note: {counted(len(others), 'row')} in {out} {were} made by other code or libraries"
-            say(f"{made}, and not again: {', '.join(others)}; --existing replace makes all rows anew")
+            made = f"note: kept {counted(len(others), 'row')} in {out} that {were} made by other code or libraries"
+            say(f"{made}: {', '.join(others)}; --existing replace makes all rows again")
         for cell in todo:
             say_steps(steps(cell))
 
@@ -104,9 +104,9 @@ def run_study(values):
         progress.close()
         stopped = isinstance(why, KeyboardInterrupt)
         if begun and (stopped or results.exists()):
-            how, again = "stopped: " * stopped, "the same command" + " without --existing replace" * replace
+            how, again = "stopped: " * stopped, "run the same command" + " without --existing replace" * replace
             with suppress(OSError):  # which is not what went wrong
-                say(f"{how}what is done is kept in {out}, and {again} goes on")
+                say(f"{how}finished work is kept in {out}; {again} to continue")
         raise
     finally:
         progress.close()
@@ -139,7 +139,7 @@ def _remove_earlier(out, cells, results):
         with suppress(OSError):
             file.unlink()
     if rows:
-        say(f"note: {counted(len(rows), 'row')} of earlier runs in {out} {'is' if len(rows) == 1 else 'are'} removed")
+        say(f"note: removed {counted(len(rows), 'row')} of earlier runs from {out}")
 
 
 def _arrays_of(cells, cell, digest):

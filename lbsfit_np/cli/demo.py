@@ -37,14 +37,14 @@ example:
 _FILES = """\
 In {out}:
   rig.npz          the rig
-  scan.ply         the scan that was fitted: points, nothing else
+  scan.ply         the scan that was fitted: points only
   scan.fit.npz     the fit: joint angles, registered vertices, joints, labels, ...; lbsfit_np.FitResult.load reads it
   scan.mesh.ply    the registered mesh in the scan's frame
   scan.labels.ply  the scan's points with their parts and confidence
   summary.json     how the fit went, with all settings and versions
-  truth.npz        the true pose, translation, template, vertices, joints and labels, by these keys
+  truth.npz        the true pose, translation, template, vertices, joints and labels, under these keys
   demo.png         left to right: the scan coloured by the parts found, the true mesh, the registered mesh; two views
-Again, as for a scan of your own: lbsfit fit {rig} {scan} -o OUT{options}"""
+To fit it again, as you would fit a scan of your own: lbsfit fit {rig} {scan} -o OUT{options}"""
 
 
 def add_parser(commands):
@@ -101,7 +101,7 @@ def _run(arguments):
         if not fits[0].is_file():  # without a fit, nothing that would be in the way of the same command
             remove([*paths.values(), out / SUMMARY])
             remove_empty(folders)
-            say(f"without a fit, nothing of this demo is kept in {out}")
+            say(f"the scan was not fitted, so the demo's files in {out} are removed")
     if code:
         return code
     result = FitResult.load(out / "scan.fit.npz")
@@ -112,7 +112,7 @@ def _run(arguments):
     options = "".join(f" {option} {chosen[key]}" for option, key in same.items() if chosen[key] != defaults[key])
     quoted = {name: shlex.quote(str(paths[name])) for name in ("rig", "scan")}
     say(_FILES.format(out=out, options=options, **quoted))
-    say(f"{time.perf_counter() - started:.0f} s in all")
+    say(f"{time.perf_counter() - started:.0f} s in total")
     return 0
 
 
@@ -147,9 +147,9 @@ def _report(rig, truth, result):
         error, before = mean_distance(found, true), mean_distance(rest, true)
         lines.append(
             f"  {name:<10}{_length(error, rig):>9}, {100 * error / rig.size:4.1f} % of the rig's size"
-            f"   (before the fit, at rest on the scan's centroid: {_length(before, rig)})"
+            f"   (before the fit, in the rest pose at the scan's centroid: {_length(before, rig)})"
         )
-    lines.append(f"  {'labels':<10}{100 * (result.labels == truth.labels).mean():7.1f} % of the points have their right part")
+    lines.append(f"  {'labels':<10}{100 * (result.labels == truth.labels).mean():7.1f} % of the points have the right part")
     return "\n".join(lines) + "\n"
 
 

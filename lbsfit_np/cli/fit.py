@@ -91,7 +91,7 @@ OPTIONS = (
         metavar="NAME=VALUE",
         table=True,
         check=lambda given: check_training(given),
-        refusals={"one_sided": "Of scans that show one side only say partial = true."},
+        refusals={"one_sided": "For scans that show one side only, set partial = true."},
     ),
     Option("seed", "seed of everything random", natural, 0, metavar="N", parameter="random_state"),
     Option("jobs", "worker processes; the results do not depend on how many", positive, 1, metavar="N", parameter="n_jobs"),
@@ -259,7 +259,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     kept = kept_entries(files, fitter, subjects) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
-        say(f"{of_all(len(kept), len(files))} {_are(len(kept))} fitted already and kept")
+        say(f"kept existing fits of {of_all(len(kept), len(files))}")
     folders = make_folder(out)
     entries, before = dict(kept), named(todo)
     progress = Progress(len(todo))
@@ -312,8 +312,8 @@ def _fitter(rig_path, values, given):
             raise InputError(
                 f"--{name}",
                 f"{brief(values[name])} with {rig_path}, which is a rig",
-                "a model that lbsfit learn has written, which knows subjects",
-                "Leave it out, or name a model.",
+                "a model written by lbsfit learn, which knows subjects",
+                "Leave it out, or give a model instead of the rig.",
             )
     check_training(values["training"])
     fitter = LBSFitter(
@@ -371,16 +371,16 @@ def _farewell(counts, n, out, stopped, older):
     if stopped is not None:
         kept, rest = f"stopped: {of_all(done, n)} {_are(done)} fitted and kept in {out}", ""
         if not done:
-            kept = "stopped before a scan was fitted; the same command begins again"
+            kept = "stopped before any scan was fitted; run the same command to start again"
         elif not older:
-            rest = "; the same command with --existing skip does the rest"
+            rest = "; run the same command with --existing skip to continue"
         if older:  # which would be skipped
             whose = f"{older} of the others" if done else counted(older, "scan")
             have = "has a fit" if older == 1 else "have fits"
-            rest = f"; {whose} {have} of an earlier run, which --existing skip would keep"
+            rest = f"; {whose} {have} from an earlier run, which --existing skip would keep"
         say(kept + rest)
         return exit_code(stopped)
-    kept = f", {counts['kept']} of the fits kept from before" if counts["kept"] else ""
+    kept = f", {counts['kept']} of the fits kept from earlier runs" if counts["kept"] else ""
     say(f"{of_all(done, n)} fitted{doubts_of(counts)}{kept}; results in {out}")
     return 1 if counts["failed"] else 0
 

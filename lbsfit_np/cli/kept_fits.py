@@ -29,20 +29,20 @@ def kept_entries(files, fitter, subjects):
         try:
             result = FitResult.load(f.fit)
         except FileError as error:
-            say(f"{f.name}: {f.fit} cannot be read ({error.got}; expected {error.expected}), so it is fitted again")
+            say(f"{f.name}: {f.fit} cannot be read ({error.got}; expected {error.expected}), so the scan is fitted again")
             continue
         if result.rig_digest != rig.digest:
             raise InputError(
                 "--existing skip",
-                f"{f.fit}, a fit of another rig (or of other parts or limits of this one)",
+                f"{f.fit}, a fit of another rig (or of this rig with other parts or limits)",
                 f"fits of rig {rig.name!r}",
                 "Choose another folder, or --existing replace.",
             )
         if result.model_digest not in made.wanted(subjects[f.name]):
             raise made.refusal(f, result)
         if result.unit != (fitter.unit or ""):
-            said = [f"in {unit!r}" if unit else "in a unit that was not said" for unit in (result.unit, fitter.unit)]
-            remedy = "Give --unit as in that run (auto: not said), choose another folder, or --existing replace."
+            said = [f"in {unit!r}" if unit else "in an unspecified unit" for unit in (result.unit, fitter.unit)]
+            remedy = "Give --unit as in that run (auto: unspecified), choose another folder, or --existing replace."
             raise InputError("--existing skip", f"{f.fit}, a fit of a scan {said[0]}", f"fits of scans {said[1]}", remedy)
         if f.picture is not None and not _is_newer(f.picture, f.fit):
             _draw_kept(f, rig, result)
@@ -59,14 +59,14 @@ def _say_others(others):
     """How many of the fits that are kept were made with what; of many kinds, the most frequent ones."""
     kinds = others.most_common(_KINDS)
     left = others.total() - sum(n for _, n in kinds)
-    for words, n in [*kinds, *([("yet others", left)] if left else [])]:
-        say(f"note: {counted(n, 'kept fit')} {'was' if n == 1 else 'were'} made with {words}; --existing replace makes all anew")
+    for words, n in [*kinds, *([("still other settings", left)] if left else [])]:
+        say(f"note: {counted(n, 'kept fit')} {'was' if n == 1 else 'were'} made with {words}; --existing replace fits all again")
 
 
 def _in_words(settings, now):
     """Settings that differ, as options."""
     if settings.get("version", now) is None:  # which all have that have any
-        return "settings that are not known"
+        return "unknown settings"
     return ", ".join(f"{_option(name, value)} (not {_option(name, now[name])})" for name, value in settings.items())
 
 
@@ -104,15 +104,15 @@ class _MadeWith:
         else:
             words = "with another model"
             if digest == self.anybody:
-                got = f"it got the template of {result.subject!r}" if result.subject else "it is of none of its subjects"
-                words = f"with this model where no subject was named; {got}"
+                got = f"template of {result.subject!r}" if result.subject else "of none of its subjects"
+                words = f"with this model and no subject named ({got})"
             for subject, learned in self.learned.items():
                 if digest in (learned, self.named(subject)):
                     words = f"with this model as {str(subject)!r}"
             if words != "with another model":
                 files_of = f"{files.name}.fit.npz, .mesh.ply and .labels.ply"
-                remedy = f"Give --subject or --subjects as in that run, or leave them out as there; without {files_of} it is "
-                remedy += "fitted again; or choose another folder, or --existing replace."
+                remedy = f"Give --subject or --subjects as in that run, or leave them out as there; or delete {files_of} to fit "
+                remedy += "the scan again; or choose another folder, or --existing replace."
         expected = "fits with this model and subject" if self.anybody else f"fits with rig {self.rig.name!r} alone"
         return InputError("--existing skip", f"{files.fit}, a fit {words}", expected, remedy)
 
@@ -124,7 +124,7 @@ def _draw_kept(files, rig, result):
     try:
         points = load_scan(files.labels).points
         if len(points) != len(result.labels):
-            got, expected = f"{len(points)} points", f"the {len(result.labels)} that the fit has labels of"
+            got, expected = f"{len(points)} points", f"the {len(result.labels)} that the fit has labels for"
             raise FileError(str(files.labels), got, expected)
     except FileError as error:
         notes = [f"no picture: {error}", *outputs.remove([files.picture])]

@@ -61,7 +61,7 @@ OPTIONS = (
         "what to do if the model or results already exist",
         default="error",
         choices=("error", "replace"),
-        refusals={"skip": "Learning begins anew each time: only lbsfit fit can skip, with a model that is there."},
+        refusals={"skip": "Learning always starts again: only lbsfit fit can skip, with an existing model."},
     ),
 )  # fmt: skip
 
@@ -192,7 +192,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     except Exception:
         progress.close()
         if not written and (words := goes_on(model)):
-            say(f"ended by an error before the model was written; mended, the same command {words}")
+            say(f"an error ended the run before the model was written; fix it, then run the same command {words}")
         raise
     finally:
         progress.close()
@@ -222,11 +222,11 @@ def _checked(rig_path, scans, values, inputs):
     _check_twice(scans)
     outputs.check_file(model, inputs=[(path, f"an input ({path})") for path in (*scans, *others)], existing=existing)
     if model.is_file() and not _was_model(model):
-        got = f"{model}, a file that is no model and would be replaced"
-        raise InputError("-o/--output", got, "a new name, or a model of before", "Choose another name, or delete that file.")
+        got = f"{model}, a file that is not a model and would be replaced"
+        raise InputError("-o/--output", got, "a new name, or an existing model", "Choose another name, or delete that file.")
     if values["results"] is None:
         if values["pictures"]:
-            raise InputError("--pictures", "no --results", "a folder for the fits, and their pictures", "Add --results OUT.")
+            raise InputError("--pictures", "no --results", "a folder for the fits and their pictures", "Add --results OUT.")
         return ()
     names = {"existing": existing, "argument": "--results", "pictures": values["pictures"]}
     files = tuple(outputs.plan(scans, values["results"], inputs=others, **names))
@@ -302,21 +302,22 @@ def _learned(fitter, reading, model, seconds):
     scans = f"{n} scan{'' if n == 1 else 's'}"
     if not VARIANTS[fitter.variant].skinning:
         fitted = n - len(reading.failures)
-        return f"fitted {fitted} of {scans}, each by itself; {model}, with their unit, written after {span(seconds)}"
+        return f"fitted {fitted} of {scans}, each by itself; wrote {model}, with their unit, after {span(seconds)}"
     learned, held, set_apart, failed = map(fitter.roles_.count, (LEARNED_FROM, HELD_OUT, APART, None))
     rounds = max((entry["round"] for entry in fitter.history_), default=0)
-    apart = [f"{held} more held out"] * (held > 0) + [f"{set_apart} more not learned from"] * (set_apart > 0)
+    apart = [f"{held} held out"] * (held > 0) + [f"{set_apart} not learned from"] * (set_apart > 0)
     apart += [f"{failed} could not be used"] * (failed > 0)
     if set_apart:
         named = [reading.name(i) for i, role in enumerate(fitter.roles_) if role == APART][:_NAMED]
-        apart[-1 - (failed > 0)] += f", whose first fit had another scale ({', '.join(named)}{', …' * (set_apart > _NAMED)})"
-    apart = f", {', '.join(apart)}," if apart else ""
-    early = ", until those held out were explained no better" if 0 < rounds < fitter.rounds else ""
+        why = "its first fit" if set_apart == 1 else "their first fits"
+        apart[-1 - (failed > 0)] += f", as {why} had another scale: {', '.join(named)}{', …' * (set_apart > _NAMED)}"
+    apart = f" ({'; '.join(apart)})" if apart else ""
+    early = ", ended early as the held-out scans no longer improved" if 0 < rounds < fitter.rounds else ""
     kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
-    which = f", round {kept} kept" if kept < rounds else ""
+    which = f", keeping round {kept}" if kept < rounds else ""
     return (
         f"learned from {learned} of {scans} of {who} subject{'' if who == 1 else 's'}{apart} "
-        f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; {model} written after {span(seconds)}"
+        f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; wrote {model} after {span(seconds)}"
     )
 
 
@@ -326,15 +327,15 @@ def _units(fitter):
     from ..starts.scale import likely_unit, same_unit, unit_scale
 
     if fitter.unit is not None:
-        words = f"scans are in {WORDS[fitter.unit]}, as was said"
+        words = f"scans are in {WORDS[fitter.unit]}, as specified"
         if fitter.scale == "fixed" or not VARIANTS[fitter.variant].skinning:
             return words
         per, own = unit_scale(fitter.rig, fitter.unit), fitter.rig.size  # templates take up part of how large a subject is
         sizes = [unit / per * fitter.template_[subject].size / own for subject, unit in fitter.unit_.items()]
         low, high = f"{min(sizes):.2f}", f"{max(sizes):.2f}"
-        return f"{words}, and subjects {low if low == high else f'{low} to {high}'} times as large as the rig"
+        return f"{words}; subjects are {low if low == high else f'{low} to {high}'} times as large as the rig"
     if fitter.scale == "fixed":
-        return "scans are taken to be in the rig's unit (scale fixed at 1)"
+        return "scans are assumed to be in the rig's unit (scale fixed at 1)"
     told = {}
     for subject, unit in fitter.unit_.items():
         found = likely_unit(unit, fitter.rig)

@@ -57,7 +57,7 @@ def load_model(path, values, given):
             settled[0],
             f"{listed(settled)} with {path}, which is a learned model",
             "no option about the rig or about training: a model keeps both as they were when it was learned",
-            "Leave it out, or learn again with it: lbsfit learn has these options.",
+            "Leave it out, or learn a new model with it: lbsfit learn has these options.",
         )
     fitter = LBSFitter.load(path)
     wanted = [key for key in _FREE if key in given]
@@ -97,7 +97,7 @@ def about_model(path):
             "subjects": [str(s) for s in header["subjects"]],
         }
     except (KeyError, TypeError, ValueError, AttributeError, RecursionError) as error:
-        expected = "a model that was written by lbsfit learn"
+        expected = "a model written by lbsfit learn"
         raise FileError(str(path), f"a model whose content does not fit ({error})", expected, "Learn it again.") from None
 
 
@@ -112,7 +112,7 @@ def model_in_words(about):
 def say_model_as_rig(path):
     """Say that of a model only the rig is used, where ``path`` is one."""
     if is_model(path):
-        say(f"{path} is {model_in_words(about_model(path))}: its rig is used, what it has learned is not")
+        say(f"{path} is {model_in_words(about_model(path))}; only its rig is used, not what it has learned")
 
 
 def _is_none(name, values):
@@ -145,7 +145,7 @@ def subjects_of(fitter, values, scans):
     if table is None:
         return [None if one is None else _subject(fitter, one, "--subject")] * len(scans)
     if one is not None:
-        raise InputError("--subjects", f"{table} beside --subject {one}", "one of the two", "Leave one out.")
+        raise InputError("--subjects", f"{table} together with --subject {one}", "one of the two", "Leave one out.")
     return read_subjects(table, scans, others=True, known=lambda wanted: _subject(fitter, wanted, "--subjects"))
 
 
@@ -162,7 +162,7 @@ def _subject(fitter, wanted, option):
         return known_subject(fitter.template_, wanted, option)
     except InputError as error:
         if table and not did_you_mean(wanted, map(str, fitter.template_)):
-            raise InputError(option, error.got, error.expected, "Leave the ids of others' scans empty.") from None
+            raise InputError(option, error.got, error.expected, "Leave the id empty for scans of other subjects.") from None
         raise
 
 

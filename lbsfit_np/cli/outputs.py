@@ -128,7 +128,7 @@ def without_pictures_of_others(files):
     kept, notes = [], []
     for f in files:
         if f.picture is not None and _is_of_others(f.picture):
-            notes.append(f"{f.name}: no picture: {f.picture} is none that lbsfit has drawn, and stays")
+            notes.append(f"{f.name}: no picture: {f.picture} was not drawn by lbsfit and is kept")
             f = replace(f, picture=None)
         kept.append(f)
     return kept, notes
@@ -142,7 +142,7 @@ def check_outputs(paths, out, *, inputs, existing, argument="-o"):
     for path in paths:
         _check_length(path, "Rename the scan.")
         if (source := read.same(path)) is not None:
-            remedy = "An input is never overwritten: choose another folder, or leave it out where it is a result of before."
+            remedy = "An input is never overwritten: choose another folder, or leave it out if it is a result of an earlier run."
             raise InputError(argument, f"{out}, where {path.name} is an input ({source})", "a folder for the results", remedy)
         if os.path.isdir(path):
             raise FileError(str(path), "a folder", "the name of a file to write")
@@ -331,9 +331,9 @@ def without_results(sources):
     """
     if left := _results_among(sources):
         which, names = ("which is a result", "its scan") if len(left) == 1 else ("which are results", "their scans")
-        words = f"left out {len(left)} of {len(sources)} files, {which} that lbsfit has written beside {names}: "
+        words = f"skipped {len(left)} of {len(sources)} files, {which} that lbsfit has written beside {names}: "
         words += listed([os.path.basename(s) for s in sources if s in left], 3)
-        say(f"{words}; to fit such a file as a scan, give it without the scan that it is of")
+        say(f"{words}; to fit such a file as a scan, give it without its scan")
     return [s for s in sources if s not in left]
 
 
@@ -381,12 +381,12 @@ def _check_there(files, out, argument, may_skip):
     words = _there_in_words(out, there)
     if others:
         which = "which" if others == there else f"of which {listed([path.name for path in others], 5)}"
-        words += f", {which} lbsfit has not drawn"
+        words += f", {which} lbsfit did not draw"
     ways = f"--existing skip, which keeps finished fits, or {_REPLACE}" if may_skip else _REPLACE
     if others == there and may_skip:
-        ways = f"--existing skip, which leaves what others have drawn as it is, or {_REPLACE}"
+        ways = f"--existing skip, which keeps pictures that lbsfit did not draw, or {_REPLACE}"
     elif not any(os.path.lexists(f.fit) for f in files):  # nothing that could be kept
-        words, ways = f"{words}, and no fit (NAME.fit.npz) with {'it' if len(there) == 1 else 'them'}", _REPLACE
+        words, ways = f"{words}, but no fit (NAME.fit.npz) with {'it' if len(there) == 1 else 'them'}", _REPLACE
     raise InputError(argument, words, _FREE, f"Choose another folder, or {ways}.")
 
 
@@ -397,7 +397,7 @@ def _check_strays(files, out):
         raise InputError(
             "--existing skip",
             f"{_there_in_words(out, strays)}, but no fit (NAME.fit.npz) with {'it' if len(strays) == 1 else 'them'}",
-            "finished fits, which have all their files, or none",
+            "finished fits with all their files, or no results",
             f"Choose another folder, move {'it' if len(strays) == 1 else 'them'} away, or {_REPLACE}.",
         )
 

@@ -229,12 +229,12 @@ def run_stoppable(work, values, out):
     except KeyboardInterrupt as stop:
         progress.close()
         n, steps = len(list((out / "fits").glob("*.npz"))), checkpoint_in(out)
-        again = "the same command " + ("without --existing replace" if values["existing"] == "replace" else "once more")
+        again = "run the same command" + (" without --existing replace" if values["existing"] == "replace" else "")
         if n:
-            say(f"stopped: {n} fit{' is' if n == 1 else 's are'} kept in {out}; {again} does the rest")
+            say(f"stopped: {n} fit{' is' if n == 1 else 's are'} kept in {out}; {again} to continue")
         else:
-            rest = f"; {again} goes on from what is kept in {steps}" if steps_in(steps) else ""
-            say(f"stopped before a scan was fitted{rest}")
+            rest = f"; {again} to continue from the steps kept in {steps}" if steps_in(steps) else ""
+            say(f"stopped before any scan was fitted{rest}")
         return exit_code(stop)
     finally:
         progress.close()
@@ -264,7 +264,7 @@ class PairsProgress(Progress):
 
     def kept(self, n):
         """So many fits are there already."""
-        self.line(f"{n} scan{' is' if n == 1 else 's are'} fitted already and kept")
+        self.line(f"kept existing fits of {counted(n, 'scan')}")
 
     def fitted(self, name, entry, total):
         """One of so many scans is done."""
@@ -281,11 +281,11 @@ class PairsProgress(Progress):
 
     def measured(self, done, total):
         """So many pairs are measured; at first none."""
-        self._pairs("measuring the errors", done, total)
+        self._pairs("measuring errors", done, total)
 
     def written(self, done, total):
         """So many pairs of the challenge are written; at first none."""
-        self._pairs("writing what the challenge asks for", done, total)
+        self._pairs("writing the challenge files", done, total)
 
     def _pairs(self, doing, done, total):
         self._learning.close()

@@ -12,12 +12,12 @@ __all__ = ["SILENCE", "LearningProgress", "Progress", "bar", "of_all", "percenta
 
 # What the stages of LBSFitter.fit do, in words; others are called by their names.
 _STAGES = {
-    "pretraining": "training the segmenter on synthetic scans of the rig, once for a rig and its settings",
-    "library": "poses to start from, made once for a rig and its settings",
+    "pretraining": "training the segmenter on synthetic scans of the rig (once per rig and settings)",
+    "library": "building the library of starting poses (once per rig and settings)",
     "first fits": "fitting each scan by itself",
-    "templates": "templates of the subjects",
+    "templates": "fitting the subjects' templates",
     "segmenter": "training the segmenter on scans like these",
-    "labels": "labels of the scans",
+    "labels": "labelling the scans",
 }
 # Seconds, at least, between lines about one stage where there is no bar.
 SILENCE = 60
@@ -215,13 +215,13 @@ class LearningProgress:
         words = [recon]
         if "new_starts_won" in figures:
             n = figures["new_starts_won"]
-            words.append(f"a new start won for {counted(n, 'scan')}")
+            words.append(f"{counted(n, 'scan')} got a better pose from a new start")
         if n := figures.get("beyond"):
-            words.append(f"{counted(n, 'scan')} found to go on beyond the rig, and what lies there left out")
+            words.append(f"points beyond the rig left out in {counted(n, 'scan')}")
         words.append(f"took {span(figures['seconds'])}")
         if k < self.rounds and self._took:
             words.append(self._left_in_words())
-        name = f"round {k} of at most {self.rounds}" if k else "each scan by itself, with proportions of its own"
+        name = f"round {k} of at most {self.rounds}" if k else "each scan by itself, with its own proportions"
         print(f"{name}: {'; '.join(words)}", file=sys.stderr if self.terminal else sys.stdout, flush=True)
 
     def _tell(self):
@@ -238,10 +238,10 @@ class LearningProgress:
         """
         if not self._took or not self.round:
             took, done = 0.0 if self._stage is None else self._clock() - self._stage_began, self._share - self._first
-            return f"about {span(took / done * (1 - self._share))} left of this step" if took and done else ""
+            return f"about {span(took / done * (1 - self._share))} left in this step" if took and done else ""
         mean = sum(self._took) / len(self._took)
         left = (self.rounds - self.round + 1) * mean - (self._clock() - self._began)
-        return f"at most about {span(max(left, 0))} of rounds left"
+        return f"at most about {span(max(left, 0))} left for the rounds"
 
 
 def of_all(k, n, what="scan"):

@@ -90,10 +90,10 @@ def _card(arguments):
     beside = rig.with_name(rig.stem + CARD_SUFFIX)
     by_itself = rig.is_file() and same_file(path, beside)
     if rig.is_file() and not by_itself and beside.is_file():
-        print(f"note: it says what {rig.name} is without {beside.name}, which was not read")
+        print(f"note: the card describes {rig.name} without {beside.name}, which was not read")
     several = sum(parent < 0 for parent in found.parents) > 1
     edit = "check its [hierarchy], which is a guess" if several else "edit it"
-    print(f"{path} written; {edit}; " + (f"it is used with {rig} by itself" if by_itself else f"pass it with --card {path}"))
+    print(f"{path} written; {edit}; " + (f"it is used automatically with {rig}" if by_itself else f"pass it with --card {path}"))
     return 0
 
 

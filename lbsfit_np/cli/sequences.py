@@ -25,7 +25,7 @@ def order_note(paths, subjects=None):
         before, digits_before, name = last.get(like, (numbers, digits, ""))
         changed = [(old, new) for old, new in zip(before, numbers, strict=True) if old != new]
         if len(changed) == 1 and changed[0][1] < changed[0][0] and digits < digits_before:
-            advice = "Shells sort names by their text; $(ls -v ...) gives them by number on Linux"
-            return f"{path.name} is given after {name}, which is no order of numbers. {advice}."
+            advice = "Shells sort file names as text; on Linux, $(ls -v ...) sorts them by number"
+            return f"{path.name} is given after {name}: these files are not in order of their numbers. {advice}."
         last[like] = numbers, digits, path.name
     return ""

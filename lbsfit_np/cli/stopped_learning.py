@@ -29,18 +29,18 @@ def stopped_early(fitter, model, scans, failed, subjects, values):
         # In the results' folder those of an earlier run may be.
         known = [scans[i] for i in _of_the_known(fitter, subjects, len(scans)) if i not in failed]
         to_fit = _to_fit(model, values, "replace" if replace and values["results"] else None, known)
-        anew = f"the same command{'' if replace else ' with --existing replace'} {goes_on(model) or 'begins anew'}"
+        anew = f"run the same command{'' if replace else ' with --existing replace'} {goes_on(model) or 'to start again'}"
         which = "scans with it"
         if subjects is not None:
             which = f"these scans with it{_but_for_strangers(fitter, subjects)}"
-            which += " (others without --subjects, or with an empty id in its file)"
+            which += " (fit others without --subjects, or with an empty id in its file)"
         return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit {which}: {to_fit}"
     if words := goes_on(model):
-        return f"stopped before the model was learned; the same command {words}"
+        return f"stopped before the model was learned; run the same command {words}"
     # Training is over only when all of it is; what could not be written is gone, as was warned of.
     if getattr(fitter, "regressor_", None) is None or could_not_keep():
-        return "stopped before the model was learned; the same command begins anew"
-    kept = "what was trained first is kept, and the rounds begin anew with the same command"
+        return "stopped before the model was learned; run the same command to start again"
+    kept = "the first training is kept; run the same command to start the rounds again"
     return f"stopped before the model was learned; {kept}"
 
 
@@ -49,7 +49,7 @@ def goes_on(model):
     from ..learning.checkpoint import checkpoint_of, steps_in
 
     kept = checkpoint_of(model)
-    return f"goes on from what is kept in {kept}" if steps_in(kept) else ""
+    return f"to continue from the steps kept in {kept}" if steps_in(kept) else ""
 
 
 def results_so_far(fitter, model, files, entries, subjects, values):
@@ -69,8 +69,8 @@ def results_so_far(fitter, model, files, entries, subjects, values):
     known = [files[i] for i in _of_the_known(fitter, subjects, len(files))]
     known = [f.source for f in known if f in left or (not anew and f.name not in useless)]
     command = _to_fit(model, values, "replace" if anew else "skip", known)
-    alone = " alone, where files of an earlier run are" if anew else ""
-    return f"{words}; the rest{alone}{_but_for_strangers(fitter, subjects)}: {command}"
+    only, replacing = ("only ", ", replacing files of an earlier run") if anew else ("", "")
+    return f"{words}; to write {only}the rest{_but_for_strangers(fitter, subjects)}{replacing}: {command}"
 
 
 def _strangers(fitter, subjects):
@@ -87,7 +87,7 @@ def _of_the_known(fitter, subjects, n):
 def _but_for_strangers(fitter, subjects):
     """Whose scans have to be left out of a command with the table; nothing where there are none."""
     strangers = listed([repr(s) for s in _strangers(fitter, subjects)])
-    return f", but for those of {strangers}, of whom nothing was learned" if strangers else ""
+    return f", except scans of {strangers}, of whom nothing was learned" if strangers else ""
 
 
 def is_result_of(learned, files):

@@ -18,7 +18,8 @@ def say_steps(folder):
     from ..learning.checkpoint import steps_in
 
     if kept := steps_in(folder):
-        say(f"note: {folder} has {counted(kept, 'step')} of a run that was stopped; those that suit this one, if any, are taken")
+        found = f"found {counted(kept, 'saved step')} of an interrupted run in {folder}"
+        say(f"note: {found}; those that match this run are reused")
 
 
 def exit_code(stopped):

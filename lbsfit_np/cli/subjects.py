@@ -34,7 +34,7 @@ _EXPECTED_TOML = 'one line for each scan, such as "anna_01.ply" = "anna"'
 _FIRST_BYTES, _FIRST_MISSING = 4096, 20
 _LISTED = 12  # subjects, at most
 _NO_HEADING = 'If it is a heading, write "scan" in its place; if it is a scan that is not given to this command, leave it out.'
-_FILE_FIRST = "The columns seem to be exchanged: put the file name first, the id after it."
+_FILE_FIRST = "The columns seem to be swapped: put the file name first, then the id."
 
 
 def read_subjects(path, scans, *, others=False, known=None):
@@ -85,8 +85,8 @@ def read_subjects(path, scans, *, others=False, known=None):
             remedy = _FILE_FIRST if headed or names.of(subject) else remedy
             raise FileError(str(path), f"{brief(name)} in line {line}, which is none of the scans given", expected, remedy)
         if len(found) > 1:
-            got = f"{brief(name)} in line {line}, which {len(found)} scans are called"
-            raise FileError(str(path), got, "a name that says which scan", f"Write its path, such as {scans[found[0]]}")
+            got = f"{brief(name)} in line {line}, which is the name of {len(found)} scans"
+            raise FileError(str(path), got, "a name that only one scan has", f"Write its path, such as {scans[found[0]]}")
         i = found[0]
         if i in ids:
             raise FileError(str(path), f"the scan {brief(name)} twice, in lines {lines[i]} and {line}", expected)
@@ -104,7 +104,7 @@ def read_subjects(path, scans, *, others=False, known=None):
         got = f"no id for {len(missing)} of {len(scans)} scans: {listed(missing, 5)}"
         if passed and not ids:
             got = f"a file that names none of these scans: {listed([brief(s) for s in missing], 5)}"
-        unknown = ", with an empty id where nobody knows whose a scan is" if others else ""
+        unknown = ", with an empty id where the subject is unknown" if others else ""
         remedy = " ".join([*_likeness(missing, passed), f"Add them{unknown}, or leave these scans out."])
         if any(names.of(subject) for _, _, subject in passed):
             remedy = _FILE_FIRST
@@ -149,8 +149,8 @@ def _likeness(missing, passed):
         for given in (Path(scan).stem, Path(scan).name, scan):
             if close := get_close_matches(given.casefold(), alike, n=1):
                 name, line = alike[close[0]]
-                words = f"If {brief(name)} in line {line} is {brief(scan)}, write it so"
-                return [f"{words}: scans are called by their file names, or as on the command line."]
+                words = f"If {brief(name)} in line {line} means {brief(scan)}, write it that way"
+                return [f"{words}: name scans by their file names, or as on the command line."]
     return []
 
 
@@ -229,8 +229,8 @@ def _table_rows(path, text):
             cells.pop()
         if len(cells) != 2:
             first = lines[0][0]
-            separated = f" (as in line {first}, {_SEPARATORS[delimiter]} separate them)" if k != first else ""
-            remedy = "Leave out the other columns, and put names that hold a separator in quotes."
+            separated = f" (separated by {_SEPARATORS[delimiter]}, as in line {first})" if k != first else ""
+            remedy = "Leave out the other columns, and put names that contain a separator in quotes."
             if len(cells) == 1:
                 remedy = f"Put {_ONE[delimiter]} between name and id."
             got = f"{brief(line)} in line {k}, which has {counted(len(cells), 'column')}{separated}"
@@ -282,10 +282,10 @@ def who_words(subjects):
     if len(counts) > 1:
         fewest = sorted(counts, key=counts.get)[:_LISTED]  # ids that are typing errors have few
         listed = ", ".join(f"{subject} {counts[subject]}" for subject in fewest) + ", …" * (len(counts) > _LISTED)
-        yield f"{len(counts)} subjects, with so many scans each: {listed}"
+        yield f"{len(counts)} subjects, with these numbers of scans: {listed}"
     alike = {}
     for subject in counts:
         alike.setdefault(subject.casefold(), []).append(subject)
     for ids in alike.values():
         if len(ids) > 1:
-            yield f"note: {' and '.join(map(repr, ids))} differ in case alone: one person?"
+            yield f"note: {' and '.join(map(repr, ids))} differ only in upper and lower case: are they one person?"

@@ -22,7 +22,7 @@ def counts_of(entries):
 def doubts_of(counts):
     """How many scans have no fit, and in brackets how many fits have which status; nothing where all are well."""
     fits = {"ok": counts["ok"], "suspect": counts["suspect"], "failed": counts["failed"] - counts["unfitted"]}
-    unfitted = f", {counts['unfitted']} could not be" if counts["unfitted"] else ""
+    unfitted = f", {counts['unfitted']} could not be fitted" if counts["unfitted"] else ""
     if not fits["suspect"] + fits["failed"]:
         return unfitted
     return f"{unfitted} (status: {', '.join(f'{n} {status}' for status, n in fits.items() if n)})"
