@@ -262,8 +262,8 @@ def test_a_subject_of_another_size_than_learned_is_asked_about(kit_and_fox, peop
     r = fitter.fit_scan(3 * 0.5 * CM * people_scans[8].points, subject="kit")
     ratio = r.scale / fitter.unit_["kit"]
     assert ratio == pytest.approx(3.0, rel=0.15)
-    asked = f" times as large as the rig, and {ratio:.3g} times as large as was learned: is the scan in centimetres?"
-    assert (asked in r.message) == (unit == "cm") and ("as was learned" in r.message) == (unit == "cm")
+    asked = f" times as large as the rig, and {ratio:.3g} times as large as learned: is the scan in centimetres?"
+    assert (asked in r.message) == (unit == "cm") and ("as large as learned" in r.message) == (unit == "cm")
 
 
 def test_learned_sizes_are_converted_where_both_units_were_said(kit_and_fox):
