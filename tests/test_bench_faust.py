@@ -300,7 +300,7 @@ def test_bad_usage(made, tmp_path, run):
     code, _, err = run("bench", "faust", made)
     assert code == 2 and "-o/--output: got nothing" in one_line(err)
     code, _, err = run("bench", "faust", tmp_path, "-o", tmp_path / "out")
-    assert code == 2 and "without training or test" in one_line(err) and not (tmp_path / "out").exists()
+    assert code == 2 and "with neither training nor test" in one_line(err) and not (tmp_path / "out").exists()
     code, _, err = run("bench", "faust", made, "-o", tmp_path / "out", "--rig", "none.npz")
     assert code == 2 and "none.npz" in one_line(err) and not (tmp_path / "out").exists()
 
