@@ -291,7 +291,7 @@ def test_what_a_failed_fit_found_is_said_with_reserve_and_what_would_look_furthe
     assert r.message.endswith(f"a note; {reserve}{both}")
     assert ("; effort looks further" in r.message) == (status != "ok" and bool(further))
     r, *_ = _assembled(rigs["tube"], model, TURNS["none"], changed=False, found=("", ""))
-    assert "if it were right" not in r.message
+    assert "if the fit is right" not in r.message
 
 
 @pytest.mark.parametrize("weights", ["paper", "default"])

@@ -141,7 +141,7 @@ def test_the_lists_may_stand_beside_training_and_test(own):
 def test_what_is_broken_is_named(own, tmp_path, body):
     with pytest.raises(FileError, match="no such folder; expected the folder MPI-FAUST"):
         read_faust(tmp_path / "none")
-    with pytest.raises(FileError, match="without training or test"):
+    with pytest.raises(FileError, match="with neither training nor test"):
         read_faust(own / "training")
     lists = own / "test" / "challenge_pairs" / "inter_challenge.txt"
     lists.write_text("000_020\n\n1-2\n")

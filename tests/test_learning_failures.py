@@ -219,7 +219,7 @@ def test_of_people_without_results_something_was_learned(tube_rig, clouds, monke
         warnings.simplefilter("always")
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], clouds[1][:399], *clouds[2:]], list("abaa"))
     assert list(fitter.template_) == ["a", "b"] and fitter.results_[1] is None and fitter.roles_[1] is not None
-    said = [str(w.message) for w in told if "do not suit" not in str(w.message)]
+    said = [str(w.message) for w in told if "do not match" not in str(w.message)]
     assert [words[:28] for words in said] == ["1 of 4 scans cannot be used;"]
 
 
