@@ -264,6 +264,6 @@ def test_what_takes_part_is_told_of_the_body_alone(hand, long_scan):
     among[n : n + n // 2] = False  # of the floor, as much as lies beyond
     part = taking_part(points, hand, most=1500, rng=rng, scale="estimate", ups=[np.array([0.0, 1.0, 0.0])], among=among)
     share = (long_scan.labels < 0).mean()
-    assert f"beyond the rig, {share:.0%}"[:-2] in part.left_out and "500 identical points" in part.left_out
+    assert f"beyond the rig: {share:.0%}"[:-2] in part.left_out and "500 identical points" in part.left_out
     assert "of a floor" in part.left_out and len(part.rows) > 1200
     assert among[part.every].all() and (part.every < n).all()
