@@ -23,7 +23,7 @@ from lbsfit_np.rotations import matrix_from_rotvec, rotvec_from_matrix
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
-_HARDLY = "hardly any points tell where these joints are, see joint_std: "
+_HARDLY = "almost no points show where these joints are (see joint_std): "
 TURNS = {
     "none": np.eye(3),
     "about the up axis": matrix_from_rotvec(np.array([0.0, 2.4, 0.0])),
@@ -277,7 +277,7 @@ def test_a_fit_that_has_failed_asks_about_other_things(rigs, monkeypatch):
     V = model.pose(model.rest())[0].vertices
     beside = V[:60] + [1.0, 0.0, 0.0]
     for points, asks in ((V, False), (np.vstack([V, beside]), True)):
-        assert ("nothing in the scan but the body" in _at_rest(model, points).message) == asks
+        assert ("does the scan show only the body" in _at_rest(model, points).message) == asks
 
 
 @pytest.mark.parametrize("status", ["ok", "suspect", "failed"])
@@ -286,12 +286,12 @@ def test_what_a_failed_fit_found_is_said_with_reserve_and_what_would_look_furthe
     monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *known: (status, "" if status == "ok" else "odd"))
     model, found = Model(rigs["tube"]), ("in inches", "", "along +z")
     r, *_ = _assembled(rigs["tube"], model, TURNS["none"], changed=False, found=found, further=further)
-    reserve = "if it were right all the same: " if status == "failed" else ""
+    reserve = "if the fit is right nevertheless: " if status == "failed" else ""
     both = "in inches, and along +z" if reserve else "in inches; along +z"  # reasons are parted at "; "
     assert r.message.endswith(f"a note; {reserve}{both}")
     assert ("; effort looks further" in r.message) == (status != "ok" and bool(further))
     r, *_ = _assembled(rigs["tube"], model, TURNS["none"], changed=False, found=("", ""))
-    assert "if it were right" not in r.message
+    assert "if the fit is right" not in r.message
 
 
 @pytest.mark.parametrize("weights", ["paper", "default"])
@@ -319,7 +319,7 @@ def test_a_fit_that_is_not_finite_has_failed_and_found_nothing(rigs, judged, wil
     wild = model.rest().replace(translation=np.array([0.0, wild, 0.0]))
     r = _at_rest(model, X, state=wild, notes=["a note", ""], found=("in inches", ""), further=further, judged=judged)
     assert (r.status, r.probability, r.evidence) == ("failed", 0.0, {})
-    assert r.message == "it is not finite; check the scan for wild points; a note"
+    assert r.message == "the fit is not finite; check the scan for extreme outliers; a note"
     assert not np.isfinite(r.vertices).any() and not np.isfinite(r.terms["total"]) and not r.confidence.any()
 
 

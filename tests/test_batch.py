@@ -139,7 +139,7 @@ def test_parameters_of_the_fitter_that_cannot_be(quick_fitter, clouds, parameter
 
 def test_what_cannot_be_sent_to_processes(quick_fitter, clouds):
     untrained = lbs.LBSFitter(quick_fitter.rig, random_state=0)
-    with pytest.raises(InputError, match="finish: .*cannot be sent to a worker.*at the top of a module"):
+    with pytest.raises(InputError, match="finish: .*cannot be sent to a worker.*at the top level of a module"):
         fit_scans(untrained, clouds, n_jobs=2, finish=lambda index, scan, result: None, pretrain=pytest.fail)
     sources = [lambda: clouds[0], clouds[1], lambda: 1 / 0, threading.Lock(), lambda: threading.Lock()]
     outcomes = fit_scans(quick_fitter, sources, n_jobs=2)
@@ -183,7 +183,7 @@ def test_a_scan_that_cannot_be_pickled_costs_itself_only(quick_fitter, clouds):
 def test_what_finish_makes_has_to_come_back(quick_fitter, clouds):
     outcomes = fit_scans(quick_fitter, clouds, n_jobs=2, finish=_locked_at_1)
     assert [o.result for o in outcomes] == [0, None, 2]
-    assert "its fit cannot be sent from a worker process" in outcomes[1].error and "lock" in outcomes[1].error
+    assert "its fit cannot be sent back from a worker process" in outcomes[1].error and "lock" in outcomes[1].error
 
 
 def test_fits_that_have_come_are_reported_though_one_report_is_stopped(quick_fitter, clouds, monkeypatch):

@@ -103,7 +103,7 @@ def test_the_first_scans_of_each_subject(made):
         ("training/registrations", "training/registrations: no such folder; errors cannot be measured"),
         ("training/registrations/tr_reg_001.ply", "no registrations of 1 scans"),
         ("training/ground_truth_vertices", "ground_truth_vertices: no such folder; all vertices of the scans count"),
-        ("training/ground_truth_vertices/tr_gt_001.txt", "no file for tr_scan_001, all of whose vertices count"),
+        ("training/ground_truth_vertices/tr_gt_001.txt", "no file for tr_scan_001; all their vertices count"),
         ("test/scans", "test/scans: no such folder; no files for the challenge"),
         ("test/scans/test_scan_020.ply", "1 of 1 inter-subject pairs"),
         ("test/challenge_pairs", "test/challenge_pairs: no such folder"),
@@ -141,7 +141,7 @@ def test_the_lists_may_stand_beside_training_and_test(own):
 def test_what_is_broken_is_named(own, tmp_path, body):
     with pytest.raises(FileError, match="no such folder; expected the folder MPI-FAUST"):
         read_faust(tmp_path / "none")
-    with pytest.raises(FileError, match="without training or test"):
+    with pytest.raises(FileError, match="with neither training nor test"):
         read_faust(own / "training")
     lists = own / "test" / "challenge_pairs" / "inter_challenge.txt"
     lists.write_text("000_020\n\n1-2\n")
@@ -272,7 +272,7 @@ def test_the_options_reach_what_they_are_for(made, truth, body, tmp_path, run, m
     measured = measure_pairs(found.training, found.truth, fits, body.faces, pairs, points=7, seed=4)
     assert report["pairs"] == measured["pairs"] and len(report["pairs"]) == 6 and {e["points"] for e in report["pairs"]} == {7}
     code, _, err = run(*_command(made, out, *options, "--samples", 200))
-    assert code == 2 and "fits of samples 300; expected samples 200" in one_line(err)
+    assert code == 2 and "fits made with samples 300; expected samples 200" in one_line(err)
     asked.clear()
     assert run(*_command(made, out, *options))[0] == 0 and asked == []
     assert run(*_command(made, out, *options, "--existing", "replace"))[0] == 0 and len(asked) == 9
@@ -300,7 +300,7 @@ def test_bad_usage(made, tmp_path, run):
     code, _, err = run("bench", "faust", made)
     assert code == 2 and "-o/--output: got nothing" in one_line(err)
     code, _, err = run("bench", "faust", tmp_path, "-o", tmp_path / "out")
-    assert code == 2 and "without training or test" in one_line(err) and not (tmp_path / "out").exists()
+    assert code == 2 and "with neither training nor test" in one_line(err) and not (tmp_path / "out").exists()
     code, _, err = run("bench", "faust", made, "-o", tmp_path / "out", "--rig", "none.npz")
     assert code == 2 and "none.npz" in one_line(err) and not (tmp_path / "out").exists()
 

@@ -110,7 +110,7 @@ def _cell(text, row, column):
 def test_variants_are_compared_over_the_seeds_that_all_have():
     text = learn_table(_rows(joint={100: 0.03, 101: 0.07}, cd={100: 0.04}), markdown=True)
     assert [_cell(text, row, "joints") for row in ("joint", "cd")] == ["0.0300", "0.0400"]
-    assert "Mean over seeds (1)" in text and "Seed 101 is left out: there is no cd of it." in text
+    assert "Mean over seeds (1)" in text and "Seed 101 is left out: it has no cd." in text
     text = learn_table(_rows(joint={100: 0.03}, cd={101: 0.04}), markdown=True)
     assert [_cell(text, row, "joints") for row in ("joint", "cd")] == ["–", "–"] and "Mean over seeds (0)" in text
     assert "left out" not in learn_table(_rows(joint={100: 0.03, 101: 0.07}, cd={100: 0.04, 101: 0.05}))
@@ -121,7 +121,7 @@ def test_a_seed_in_which_nothing_was_fitted_counts_for_no_row_of_that_column(not
     text = learn_table(_rows(joint={100: 0.03, 101: 0.07}, cd={100: 0.04, 101: nothing}), markdown=True)
     assert [_cell(text, row, "joints") for row in ("joint", "cd")] == ["0.0300", "0.0400"]
     assert _cell(text, "joint", "s in all") == "1005" and "Mean over seeds (2)" in text
-    assert "joints: without seed 101, of which a row has no value." in text
+    assert "joints: without seed 101, for which a row has no value." in text
     text = learn_table(_rows(joint={100: 0.03}, cd={100: nothing}), markdown=True)
     assert [_cell(text, row, "joints") for row in ("joint", "cd")] == ["0.0300", "–"] and "without" not in text
 
@@ -175,7 +175,7 @@ def test_results_of_another_rig_or_other_poses_are_not_gone_on_with(shared_rigs,
     options = {"n_scans": 3, "seeds": (3,), "variants": ("joint",)}
     report = learn_bench("hand", shared_rigs, **options)
     for key in ("rig", "poses", "people", "scans"):
-        with pytest.raises(InputError, match=f"results with other {key} than there are now.*--existing replace"):
+        with pytest.raises(InputError, match=f"results with other {key} than this run's.*--existing replace"):
             learn_bench("hand", shared_rigs, before=report | {key: "another"}, **options)
     for lacking in ("rig", "rows"):
         older = {key: value for key, value in report.items() if key != lacking}

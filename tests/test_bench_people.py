@@ -197,7 +197,7 @@ def test_bad_usage_is_told_before_any_work(shared_rigs, tmp_path, run):
     code, _, err = run(*command, "--data", tmp_path)
     assert code == 2 and "mpfb2_body" in one_line(err) and "motion" in one_line(err)
     code, _, err = run(*command, "--data", shared_rigs, "--people", 1)
-    assert code == 2 and "two people at least" in one_line(err)
+    assert code == 2 and "at least two people" in one_line(err)
     code, _, err = run("bench", "people", "feet", "--data", shared_rigs, "-o", tmp_path / "out")
     assert code == 2 and "'hand', 'body'" in one_line(err)
     assert not (tmp_path / "out").exists()

@@ -160,14 +160,14 @@ def test_without_subjects_all_are_one(folder):
         ("scan,subject\n", ["1 line;"]),
         ("scan,subject\ns0,a\n", ["1 scan", "two scans"]),
         ("scan,subject,vertx\ns0,a,5\n", ["scan, subject, vertx", "name and vertex"]),
-        ("scan,subject,name\ns0,a,b\n", ["name and vertex, or name, x, y and z"]),
+        ("scan,subject,name\ns0,a,b\n", ["name and vertex; name, x, y and z"]),
         ("scan,subject,name,vertex,x,y,z\ns0,a,t,1,1,1,1\n", ["scan, subject, name, vertex"]),
         ("file,subject\ns0,a\n", ["file, subject"]),
         ("scan,scan\ns0,a\n", ["scan, scan", "different"]),
         ("scan,subject\ns0,a\ns1\n", ["1 columns in line 3", "2, as in the heading"]),
         ("scan,subject\ns0,a\ns1,\n", ["no subject in line 3"]),
-        ("scan,subject\ns0,a\ns0,a\n", ["'s0' once more in line 3"]),
-        ("scan,subject\ns0,a\nx1,a\n", ["'x1' in line 3", "no scan file"]),
+        ("scan,subject\ns0,a\ns0,a\n", ["'s0' again in line 3"]),
+        ("scan,subject\ns0,a\nx1,a\n", ["'x1' in line 3", "not a scan file"]),
         ("scan,subject\ns0,a\ns1.pyl,a\n", ["'s1.pyl'", "Did you mean 's1.ply'?"]),
         ("scan,subject,name,vertex\ns0,a,t,1\ns0,b,u,2\n", ["'b' in line 3", "'a' above"]),
         ("scan,subject,name,vertex\ns0,a,t,1\ns0,a,t,2\ns1,a,t,1\n", ["'t' of s0.ply twice, in lines 2 and 3"]),
@@ -198,10 +198,10 @@ def test_other_things_that_are_wrong(folder, tube_rig, meshes, tmp_path):
         _read(folder, "scan,subject\ns0,a\ns1,a\n", subject_column="person")
     write_meshes(tmp_path / "scans" / "b", tube_rig, meshes[:1], "t{}.ply")
     write_meshes(tmp_path / "scans" / "c", tube_rig, meshes[:1], "t{}.ply")
-    with pytest.raises(FileError, match="'t0' in line 2, which may be b/t0.ply, c/t0.ply"):
+    with pytest.raises(FileError, match="'t0' in line 2, which matches b/t0.ply, c/t0.ply"):
         _read(folder, "scan,subject\nt0,a\ns1,a\n")
     np.savetxt(folder / "s0.xyz", meshes[0])
-    with pytest.raises(FileError, match="one name"):
+    with pytest.raises(FileError, match="the same name"):
         _read(folder, "scan,subject\ns0.ply,a\ns0.xyz,a\n")
     with pytest.raises(FileError, match="points without faces"):
         _read(folder, "scan,subject,registration\ns0.ply,a,scans/s0.xyz\ns1,a,scans/s1.ply\n")

@@ -179,7 +179,7 @@ def test_units_are_told_by_subject_where_they_differ(units, words, tubes):
     assert learn._units(SimpleNamespace(scale="estimate", unit=None, unit_=units, rig=rig)) == words
 
 
-FREE_FORM = "note: in the variant free-form scans have to face the rig's way"
+FREE_FORM = "note: in the variant free-form, scans must face the same way as the rig"
 # Options that mean nothing without skinning, in the order of the help, and their defaults.
 UNUSED = {
     ("--rounds", 3): 4, ("--held-out", 0): 0.1, ("--sequence",): False, ("--smooth", 1e-5): 0, ("--partial",): False,
@@ -195,18 +195,18 @@ def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, r
         return text, json.loads((tmp_path / "fits" / "summary.json").read_text())["settings"]
 
     text, settings = learn(*(word for option in UNUSED for word in option), "--joints", "fixed", "--seed", 5)
-    assert f"{FREE_FORM}; {', '.join(flag for flag, *_ in UNUSED)} mean nothing\n" in text
-    assert "round" not in text.split("mean nothing")[1]
+    assert f"{FREE_FORM}; {', '.join(flag for flag, *_ in UNUSED)} have no effect\n" in text
+    assert "round" not in text.split("have no effect")[1]
     assert {flag: settings[flag[2:].replace("-", "_")] for flag, *_ in UNUSED} == {f: v for (f, *_), v in UNUSED.items()}
     assert (settings["joints"], settings["seed"]) == ("fixed", 5) and lbs.LBSFitter.load(tmp_path / "m.npz").joints == "fixed"
-    assert f"{FREE_FORM}; --smooth means nothing\n" in learn("--smooth", 1e-5)[0]  # without --sequence: no error
+    assert f"{FREE_FORM}; --smooth has no effect\n" in learn("--smooth", 1e-5)[0]  # without --sequence: no error
     assert f"{FREE_FORM}\n" in learn()[0]
-    assert f"{FREE_FORM}; --orientation, --up only tell where a floor may be\n" in learn("--orientation", "aligned", "--up=+y")[0]
+    assert f"{FREE_FORM}; --orientation, --up only say where a floor may be\n" in learn("--orientation", "aligned", "--up=+y")[0]
 
     options = ("--orientation", "any", "--partial", "--effort", "fast", "--max-points", 300)
     code, text, _ = run("fit", tmp_path / "m.npz", tubes / "t0.ply", "-o", tmp_path / "new", *options)
     assert code == 0 and "m.npz is a learned model: 1 subject, variant 'free-form'" in text
-    assert f"{FREE_FORM}; --orientation only tells where a floor may be; --partial, --effort mean nothing\n" in text
+    assert f"{FREE_FORM}; --orientation only says where a floor may be; --partial, --effort have no effect\n" in text
     settings = json.loads((tmp_path / "new" / "summary.json").read_text())["settings"]
     found = [settings[key] for key in ("orientation", "up", "partial", "effort", "max_points")]
     assert found == ["any", None, False, "balanced", 300]

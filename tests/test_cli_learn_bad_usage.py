@@ -186,7 +186,7 @@ def test_a_scan_that_fails_on_the_way_is_named_and_left_out(tubes, tmp_path, run
 def test_what_was_learned_from_is_counted_as_such_without_a_result(tubes, tube_model, tmp_path, run, monkeypatch):
     """One scan is read as a broken one, one teaches and one is held out, but there is no result of either."""
     scans = sorted(tubes.glob("*.ply"))
-    failures = {1: "learned from, but there is no result of it: it", 2: "held out of learning, but there is no result of it: it"}
+    failures = {1: "learned from, but it has no result: it", 2: "held out of learning, but it has no result: it"}
 
     def fit(self, sources, *given, **options):
         learned = lbs.LBSFitter.load(tube_model[0])

@@ -371,7 +371,7 @@ def test_a_full_disk_leaves_no_half_model(tubes, tmp_path, run, monkeypatch):
     scans = sorted(tubes.glob("*.ply"))
     code, _, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--variant", "free-form")
     kept, failed = err.splitlines(keepends=True)
-    assert kept.startswith(f"lbsfit: warning: what is done cannot be kept in {tmp_path / 'm.npz.unfinished'} (an error while ")
+    assert kept.startswith(f"lbsfit: warning: finished steps cannot be kept in {tmp_path / 'm.npz.unfinished'} (an error while ")
     assert code == 2 and "No space left" in one_line(failed) and not list(tmp_path.iterdir())
 
 

@@ -188,7 +188,7 @@ def test_an_unknown_subject_of_a_model_of_one_that_has_a_name(tube_model, tubes,
     fitter = lbs.LBSFitter.load(tube_model[0])
     fitter.template_, fitter.unit_ = {"anna": fitter.template_[0]}, {"anna": fitter.unit_[0]}
     fitter.save(tmp_path / "anna.npz")
-    for got, more in (("carl", ". Fit scans of others without it."), ("ana", ". Did you mean 'anna'?")):
+    for got, more in (("carl", ". Fit scans of other people without it."), ("ana", ". Did you mean 'anna'?")):
         code, _, err = run("fit", tmp_path / "anna.npz", tubes / "t0.ply", "-o", tmp_path / "out", "--subject", got)
         assert code == 2 and one_line(err).endswith(f"--subject: got {got!r}; expected a learned subject: 'anna'{more}")
 

@@ -59,7 +59,7 @@ def test_fits_one_by_one(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     assert not (tmp_path / "out" / "model.npz").exists() and "rounds" not in report["settings"]
     assert report["gallery"] == ["s0"]
     code, out, err = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--seed", 1))
-    assert code == 2 and "fits of seed 0; expected seed 1" in one_line(err)
+    assert code == 2 and "fits made with seed 0; expected seed 1" in one_line(err)
     other = shutil.copytree(pair_folder, tmp_path / "other")
     write_points_ply(other / "s1.ply", pair_meshes[1][:50])
     code, out, err = run(*_command(other, tmp_path / "out", "--no-learn", "--existing", "replace"))
@@ -84,7 +84,7 @@ def test_the_options_reach_what_they_are_for(pair_folder, pair_scans, tmp_path, 
     assert report["pairs"] == measure_pairs(pair_scans, truth, fits, tube_rig.faces, pairs, points=7, seed=4)["pairs"]
     assert len(report["pairs"]) == 6 and {e["points"] for e in report["pairs"]} == {7}
     code, _, err = run(*_command(pair_folder, out, *options, "--samples", 60))
-    assert code == 2 and "fits of samples 50; expected samples 60" in one_line(err)
+    assert code == 2 and "fits made with samples 50; expected samples 60" in one_line(err)
     asked.clear()
     assert run(*_command(pair_folder, out, *options, "--samples", 50))[0] == 0 and asked == []
     assert run(*_command(pair_folder, out, *options, "--samples", 50, "--existing", "replace"))[0] == 0
@@ -240,7 +240,7 @@ def test_the_truth_must_fit_the_scans(pair_folder, tmp_path, run, tube_rig):
     assert code == 2 and "242 and 200 vertices" in one_line(err) and "name and vertex" in err and "s1.xyz" in err
     (scans / "truth.csv").write_text("scan,subject,name,vertex\ns0,a,tip,1\ns1,b,end,1\n")
     code, _, err = run(*_command(scans, tmp_path / "out"))
-    assert code == 2 and "no two scans of which it knows the same places" in one_line(err)
+    assert code == 2 and "no two scans with places in common" in one_line(err)
 
 
 def test_an_input_is_never_overwritten(tube_rig, pair_folder, tmp_path, run):

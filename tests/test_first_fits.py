@@ -168,4 +168,4 @@ def test_where_a_rig_ends_scales_that_are_apart_may_be_of_what_lies_beyond(ends)
     members = [Member(k, np.zeros((0, 3)), None, None, "ann", name=str(k)) for k in range(5)]
     with pytest.raises(InputError, match="different units") as error:
         check_scales(members, [1.0, 1.0, 1.0, 1.75, 1.8], ends=ends)
-    assert ("such as an arm, cut it off. Convert them" in str(error.value)) == ends
+    assert ("such as an arm, crop them. Convert them" in str(error.value)) == ends

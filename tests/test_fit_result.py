@@ -59,7 +59,7 @@ def test_a_result_knows_what_it_was_made_with(tube_rig, tube_scan, tmp_path):
     odd = {"training": {"noise": Fraction(1, 100)}, "weights": replace(PRESETS["default"], lam=Fraction(1, 2))}
     odd = settings_of(lbs.LBSFitter(tube_rig, partial=np.bool_(False), **odd))  # which all that fits can use
     assert odd["training"] == {"noise": 0.01} and odd["weights"]["lam"] == 0.5 and odd["partial"] is False
-    with pytest.raises(InputError, match="settings: got what JSON does not know .*set"):
+    with pytest.raises(InputError, match="settings: got what JSON cannot store .*set"):
         replace(made, settings={"a": {1}}).save(tmp_path / "a.npz")
     with pytest.raises(InputError, match="settings: got a list; expected a dict"):
         replace(made, settings=[1]).save(tmp_path / "a.npz")

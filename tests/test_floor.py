@@ -189,7 +189,7 @@ def test_clean_rows_says_what_it_left_out(hand):
     assert note == "" and len(rows) == len(plain.points)
     assert clean_rows(plain.points, np.arange(0, len(plain.points), 2), ups=[UP])[1] == ""
     rows, note, _ = clean_rows(points, np.arange(0, len(points), 2), ups=[UP])  # its counts are not of the whole scan
-    assert note.endswith(f"points of a floor left out (of {(len(points) + 1) // 2} that were looked at)")
+    assert note.endswith(f"points of a floor left out (of {(len(points) + 1) // 2} examined)")
 
 
 def test_a_wide_floor_says_nothing_of_the_unit(hand):
@@ -314,11 +314,14 @@ def _before_a_wall(rig, axis=2, width=2.0):
     return np.vstack([scan.points, wall]), len(scan.points)
 
 
+KEPT = "a flat side that might be a floor is kept, as the fit is more probable with it"
+
+
 @pytest.mark.parametrize(
     "ends, tries, kept, said",
     [
-        ([("failed", 0.1), ("ok", 0.9)], 2, 2, "; a flat side that might be a floor takes part, as the fit is likelier with it"),
-        ([("suspect", 0.5), ("suspect", 0.2)], 2, 1, "; with the points of that floor it is no likelier"),
+        ([("failed", 0.1), ("ok", 0.9)], 2, 2, f"; {KEPT}"),
+        ([("suspect", 0.5), ("suspect", 0.2)], 2, 1, "; with the points of that floor, the fit is no more probable"),
         ([("ok", 0.9), ("ok", 0.99)], 1, 1, ""),
     ],
 )

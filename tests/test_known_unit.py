@@ -85,7 +85,7 @@ def test_starts_are_of_sizes_that_subjects_have(tube_rig, quick_fitter, tube_sca
         (2.0, 1.0, "estimate", "the scan is in centimetres, and the subject is 2.00 times as large as the rig"),
         (1.0, 1.2, "estimate", "the scan is in centimetres, and the subject is 1.20 times as large as the rig"),
         (9.0, 1.0, "estimate", "and the subject is 9.00 times as large as the rig: is the scan in centimetres?"),
-        (1.0, 1.0, "fixed", "the scan is in centimetres, and its size fixed at the rig's"),
+        (1.0, 1.0, "fixed", "the scan is in centimetres, and its size is fixed at the rig's"),
     ],
 )
 def test_the_message_says_the_size(tube_rig, scale, size, mode, words):
@@ -114,7 +114,7 @@ def test_the_message_says_the_size(tube_rig, scale, size, mode, words):
     ],
 )
 def test_without_a_unit_sizes_in_those_that_are_near_are_told(tube_rig, scale, metres, words, sizes):
-    also = f" ({sizes} times as large as the rig: where the unit is known, say so with unit, --unit)" if sizes else ""
+    also = f" ({sizes} times as large as the rig: if the unit is known, pass unit, --unit)" if sizes else ""
     assert unit_note(scale, replace(tube_rig, metres_per_unit=metres), "estimate") == f"the scan {words}{also}"
 
 
@@ -143,7 +143,7 @@ def test_the_size_is_found_in_the_unit_that_was_said(tube_rig, quick_fitter, tub
 def test_a_fixed_scale_is_the_conversion(quick_fitter, tube_scan):
     fitter = copy.copy(quick_fitter).set_params(unit="cm", scale="fixed")
     r = fitter.fit_scan(CM / tube_scan.scale * tube_scan.points)
-    assert r.scale == pytest.approx(CM, rel=1e-12) and r.unit == "cm" and "its size fixed at the rig's" in r.message
+    assert r.scale == pytest.approx(CM, rel=1e-12) and r.unit == "cm" and "its size is fixed at the rig's" in r.message
     same = copy.copy(quick_fitter).set_params(scale="fixed").fit_scan(tube_scan.points / tube_scan.scale)
     apart = np.linalg.norm(r.joints / CM - same.joints, axis=1).max() / fitter.rig.size
     assert apart < 0.005  # rounding alone, which decides between points that are as near
@@ -262,8 +262,8 @@ def test_a_subject_of_another_size_than_learned_is_asked_about(kit_and_fox, peop
     r = fitter.fit_scan(3 * 0.5 * CM * people_scans[8].points, subject="kit")
     ratio = r.scale / fitter.unit_["kit"]
     assert ratio == pytest.approx(3.0, rel=0.15)
-    asked = f" times as large as the rig, and {ratio:.3g} times as large as was learned: is the scan in centimetres?"
-    assert (asked in r.message) == (unit == "cm") and ("as was learned" in r.message) == (unit == "cm")
+    asked = f" times as large as the rig, and {ratio:.3g} times as large as learned: is the scan in centimetres?"
+    assert (asked in r.message) == (unit == "cm") and ("as large as learned" in r.message) == (unit == "cm")
 
 
 def test_learned_sizes_are_converted_where_both_units_were_said(kit_and_fox):
@@ -299,7 +299,7 @@ def test_collections_of_the_rigs_size_may_have_it_fixed(tube_rig, unlearned, peo
     fitter.pretrain(segmenter=unlearned.segmenter_)
     fitter.fit([CM * s.points for s in people_scans[:4:2]])
     assert list(fitter.unit_.values()) == [CM] and {r.scale for r in fitter.results_} == {CM}
-    assert all("its size fixed at the rig's" in r.message for r in fitter.results_)
+    assert all("its size is fixed at the rig's" in r.message for r in fitter.results_)
 
 
 def test_collections_without_skinning_have_units(tube_rig, few_scans):

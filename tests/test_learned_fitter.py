@@ -166,7 +166,7 @@ def test_what_was_learned_with_labels_is_not_used_without(variant, learned_with_
 @pytest.mark.usefixtures("hurried")
 def test_chamfer_alone_takes_no_labels(tube_rig, people_scans):
     scan = people_scans[0]
-    with pytest.raises(InputError, match="labels: got known ones; expected None: the variant 'cd' uses labels nowhere"):
+    with pytest.raises(InputError, match="labels: got known labels; expected None: the variant 'cd' does not use labels"):
         lbs.LBSFitter(tube_rig, variant="cd", random_state=0).fit_scan(scan.points, labels=scan.labels)
 
 
@@ -283,9 +283,10 @@ def test_subjects_are_known_by_the_text_of_their_ids(ids, others, own, clouds):
     np.testing.assert_array_equal(own.transform(clouds[:2], others), [r.vertices for r in plain])
     listed = ", ".join(map(repr, ids))
     for given in ("3", 3, 1.0, 10**5000, ["1"], (["1"],)):
-        with pytest.raises(InputError, match=f"subject: got .*; expected a learned subject: {listed}. Fit scans of others with"):
+        words = f"subject: got .*; expected a learned subject: {listed}. Fit scans of other people without"
+        with pytest.raises(InputError, match=words):
             own.fit_scan(clouds[0], subject=given)
-    with pytest.raises(InputError, match=f"subjects: got '3' for scan 1; .*: {listed}. Give None for scans of others."):
+    with pytest.raises(InputError, match=f"subjects: got '3' for scan 1; .*: {listed}. Pass None for scans of other people."):
         own.transform(clouds[:2], [*others[:1], "3"])
 
 

@@ -183,7 +183,8 @@ def test_a_free_form_scan_whose_extent_is_not_the_others_says_so_and_has_its_own
     points = [s.points for s in few_scans[:4]]
     points[2] = 4.0 * points[2]  # in no usual unit
     free = make_learner(variant="free-form").fit(points)
-    words = r"its extent is \d\.\d+ times the rig's in the scans' unit: in another unit\? Convert it and learn again; free-form"
+    words = r"its extent is \d\.\d+ times the rig's in the scans' unit: "
+    words += r"is it in another unit\? Convert it and learn again; free-form"
     assert [bool(re.match(words, r.message)) for r in free.results_] == [False, False, True, False]
     assert [r.scale == 1.0 for r in free.results_] == [True, True, False, True]
     assert free.results_[2].scale == pytest.approx(4.0, rel=0.5) and "one rig unit taken as" in free.results_[2].message

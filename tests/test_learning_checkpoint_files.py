@@ -106,7 +106,8 @@ def test_a_folder_that_cannot_be_written_to_is_told_once_and_no_error(make_learn
     with pytest.warns(UserWarning) as told:
         fitter = make_learner(variant="free-form").fit(points, checkpoint=tmp_path / "kept")
     words = [str(w.message) for w in told if "kept" in str(w.message)]
-    assert words == [f"what is done cannot be kept in {tmp_path / 'kept'} (a full disk): after a stop it is done again"]
+    expected = f"finished steps cannot be kept in {tmp_path / 'kept'} (a full disk): an interrupted run will repeat them"
+    assert words == [expected]
     assert len(fitter.results_) == len(points)
 
 

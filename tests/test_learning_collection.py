@@ -65,11 +65,12 @@ def test_one_scan_of_many_in_another_unit_is_left_out(factor, tube_rig, clouds):
     made = collected(tube_rig, scans)
     assert [m.index for m in made.members] == [0, 1, 2, 3, 4, 5, 7, 8, 9] and {m.unit for m in made.members} == {1.0}
     assert made.roles[6] is None and len(made.with_role(LEARNED_FROM)) == 8
-    told = r"points: got an extent of \S+, the others of about \S+; expected scans .* in one unit. It is left out: convert"
+    told = r"points: got an extent of \S+, where the other scans have about \S+; "
+    told += "expected scans .* in one unit. The scan is left out: convert"
     assert list(made.failures) == [6] and re.match(told, made.failures[6])
     with pytest.warns(UserWarning, match="^1 of 10 scans cannot be used; scan 6: points: got an extent of "):
         made.warn(1)
-    with pytest.raises(InputError, match="different units: scan 5 has .* by itself, or leave out those that are wrong"):
+    with pytest.raises(InputError, match="different units: scan 5 has .* separately, or leave out the wrong scans"):
         collected(tube_rig, scans[1:])  # of nine, one is more than a tenth
 
 
@@ -87,8 +88,9 @@ def test_more_than_one_and_more_than_a_tenth_of_the_scans_are_somebody_elses(odd
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         Collection(n + 1, taught=_taught(n)).warn(1, [*results, None])
-    words = f"{odd} of {n} scans do not suit their subject's template; are they of several people? Say whose each scan is: "
-    assert [str(w.message) for w in told] == [words + "subjects (--subjects)"] * warns
+    words = f"{odd} of {n} scans do not match their subject's template; are they of several people? "
+    words += "Name the subject of each scan: subjects (--subjects)"
+    assert [str(w.message) for w in told] == [words] * warns
 
 
 @pytest.mark.parametrize(
@@ -118,7 +120,8 @@ def test_most_fits_that_fail_in_learning_are_warned_of(tube_rig, clouds, monkeyp
     """By the estimator, where it was called."""
     fit = learning_fitter.fit_free_form
     monkeypatch.setattr(learning_fitter, "fit_free_form", lambda *a, **k: [replace(r, status="failed") for r in fit(*a, **k)])
-    with pytest.warns(UserWarning, match="most fits have failed: do not trust what was learned; fit single scans first") as told:
+    words = "most fits have failed: do not trust what was learned; fit single scans .*to see why$"
+    with pytest.warns(UserWarning, match=words) as told:
         lbs.LBSFitter(tube_rig, **SMALL | {"variant": "free-form"}).fit([x[:60] for x in clouds[:3]])
     assert [w.filename for w in told] == [__file__]
 

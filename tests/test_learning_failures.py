@@ -48,7 +48,7 @@ def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube
     given = [clouds[0], clouds[1][:399], *clouds[2:]]
     words = "ZeroDivisionError: nobody foresaw this"
     if module is finish:  # by then the scan has had its part in learning
-        words = f"held out of learning, but there is no result of it: {words}"
+        words = f"held out of learning, but it has no result: {words}"
     with pytest.warns(UserWarning, match=f"1 of 4 scans cannot be used; scan 1: {words}"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(given)
     assert fitter.failures_ == {1: words}
@@ -95,7 +95,7 @@ def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds
     with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], clouds[1][:399], *clouds[2:]], list("abaa"))
     assert list(fitter.template_) == list(fitter.unit_) == ["a"]
-    with pytest.warns(UserWarning, match="^nothing is learned of subject 'b': none of the scans can be used$"):
+    with pytest.warns(UserWarning, match="^nothing is learned for subject 'b': none of their scans can be used$"):
         lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], np.zeros((0, 3)), *clouds[2:]], list("abaa"))
     fitter.save(tmp_path / "m.npz")
     assert list(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == ["a"]
@@ -110,7 +110,8 @@ def test_a_subject_without_a_template_is_left_out(tube_rig, clouds, monkeypatch)
         return call(self, task)
 
     monkeypatch.setattr(tasks.Template, "__call__", careless)
-    with pytest.warns(UserWarning, match="scan 1: no template of its subject was found: ZeroDivisionError: nobody foresaw this"):
+    words = "scan 1: no template could be found for its subject: ZeroDivisionError: nobody foresaw this"
+    with pytest.warns(UserWarning, match=words):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
     assert list(fitter.template_) == ["a"] and list(fitter.failures_) == [1]
     assert [r is None for r in fitter.results_] == [False, True, False, False]
@@ -138,7 +139,8 @@ def _without_templates_from(k, monkeypatch):
 @pytest.mark.parametrize("k", [2, 3])
 def test_a_template_that_fails_in_a_turn_costs_nothing_that_the_round_has_found(tube_rig, clouds, monkeypatch, k):
     _without_templates_from(k, monkeypatch)
-    with pytest.warns(UserWarning, match=f"in turn ended after {k - 2} of 2 times: .*: ZeroDivisionError: nobody foresaw this"):
+    words = f"in turn' stopped after {k - 2} of 2 turns: .*: ZeroDivisionError: nobody foresaw this"
+    with pytest.warns(UserWarning, match=words):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
     assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and None not in fitter.roles_
     assert None not in fitter.results_
@@ -164,7 +166,7 @@ def test_a_turn_that_fails_leaves_what_was_found_before_it(tube_rig, clouds, aft
     before = (1 + turns) * (1 if name == "Template" else len(clouds))
     monkeypatch.setitem(VARIANTS, "cd", replace(VARIANTS["cd"], prior=True))
     _failing_from(before + k, name, monkeypatch)
-    with pytest.warns(UserWarning, match=f"in turn ended after {turns} of 2 times: .*nobody foresaw this"):
+    with pytest.warns(UserWarning, match=f"in turn' stopped after {turns} of 2 turns: .*nobody foresaw this"):
         found = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
     expected = after_turns[turns]
     assert not found.failures_ and None not in found.results_
@@ -185,7 +187,7 @@ def test_what_a_caller_raises_in_a_turn_ends_learning(tube_rig, clouds):
 
 def test_the_round_after_a_turn_that_lost_a_subject_has_that_again(tube_rig, clouds, monkeypatch):
     _failing_from(2, "Template", monkeypatch, lambda task: len(task[0]) == 1, until=2)
-    with pytest.warns(UserWarning, match="round 1: templates and poses in turn ended after 0 of 2 times"):
+    with pytest.warns(UserWarning, match="round 1: the step 'templates and poses in turn' stopped after 0 of 2 turns"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK | {"rounds": 2}).fit(clouds, list("abaa"))
     assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and len(fitter.history_) == 3
 
@@ -217,7 +219,7 @@ def test_of_people_without_results_something_was_learned(tube_rig, clouds, monke
         warnings.simplefilter("always")
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit([clouds[0], clouds[1][:399], *clouds[2:]], list("abaa"))
     assert list(fitter.template_) == ["a", "b"] and fitter.results_[1] is None and fitter.roles_[1] is not None
-    said = [str(w.message) for w in told if "do not suit" not in str(w.message)]
+    said = [str(w.message) for w in told if "do not match" not in str(w.message)]
     assert [words[:28] for words in said] == ["1 of 4 scans cannot be used;"]
 
 
@@ -276,6 +278,6 @@ def test_failures_after_learning_say_what_the_scan_was_to_it(taught):
     members = [Member(i, np.zeros((0, 3)), None, None, "a", held_out=i == 1, apart=i == 2) for i in range(4)]
     collection = Collection(4, members)
     assert collection.work(lambda x: 1 / x, [0, 0, 0, 1], jobs=1, done=None, taught=taught) == [1]
-    error, after = "ZeroDivisionError: division by zero", "{}, but there is no result of it: ".format
+    error, after = "ZeroDivisionError: division by zero", "{}, but it has no result: ".format
     said = [after(role) + error if taught else error for role in ("learned from", "held out of learning", "not learned from")]
     assert collection.failures == dict(enumerate(said))

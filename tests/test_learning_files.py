@@ -134,7 +134,7 @@ def test_a_model_with_another_rig_is_one_clear_error(saved, tmp_path, key):
         arrays = {k: z[k] for k in z.files}
     arrays[key] = 1.01 * arrays[key]
     np.savez(tmp_path / "odd.npz", **arrays)
-    with pytest.raises(FileError, match=r"odd\.npz: got a model whose .* \(another rig than it was learned with"):
+    with pytest.raises(FileError, match=r"odd\.npz: got a model whose .* \(its rig is not the one that it was learned with"):
         lbs.LBSFitter.load(tmp_path / "odd.npz")
 
 
@@ -145,7 +145,7 @@ def test_other_files_are_no_models(learned_people, tube_rig, tmp_path):
     for name in ("rig.npz", "result.npz", "text.npz", "none.npz"):
         with pytest.raises(FileError, match=name):
             lbs.LBSFitter.load(tmp_path / name)
-    with pytest.raises(FileError, match="got the result of a fit; expected a model .*FitResult.load results"):
+    with pytest.raises(FileError, match="got the result of a fit; expected a model .*FitResult.load reads results"):
         lbs.LBSFitter.load(tmp_path / "result.npz")
     with pytest.raises(FileError, match="got the result of a fit; expected a rig"):
         lbs.load_rig(tmp_path / "result.npz")

@@ -75,14 +75,14 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
     if not somebody_else:
         assert f"on the template of subject {whose!r}" in r.message
         return
-    words = "by itself; proportions of its own explain it much better than {}: somebody else?"
-    several = words.format(f"that of {whose!r}, the nearest one")
+    words = "by itself; proportions of its own explain it much better than {}: is it somebody else?"
+    several = words.format(f"the template of {whose!r}, the nearest one")
     assert r.found is seen and r.message == several  # what was seen is not looked for again
     np.testing.assert_array_equal(given["part"].rows, np.arange(300))
     for alone["status"] in ("suspect", "failed"):
         assert new_scan.fit_new(fitter, scan.points, list(people), None, None, None).message == several + ASKS
     fitter.template_ = {"ann": people["ann"]}
-    assert new_scan.fit_new(fitter, scan.points, ["ann"], None, None, None).message == words.format("the learned one")
+    assert new_scan.fit_new(fitter, scan.points, ["ann"], None, None, None).message == words.format("the learned template")
 
 
 @pytest.mark.parametrize(
@@ -217,7 +217,7 @@ def test_views_of_one_side_are_compared_by_what_they_show(tube_rig):
 
 
 LEFT = SimpleNamespace(left=lambda problem, state: 0.0)
-FASTER = ("effort 'balanced' (--effort balanced) looks further, and for what goes on beyond the rig",)
+FASTER = ("effort 'balanced' (--effort balanced) looks further, also for what goes on beyond the rig",)
 
 
 @pytest.mark.parametrize("status, asks", [("ok", False), ("suspect", True), ("failed", True)])
@@ -237,7 +237,7 @@ def test_a_scan_of_somebody_else_than_named_is_told_to_leave_the_name_out(status
         fit = SimpleNamespace(proportions=lambda *of, p=proportions: p, finish=finished, refit=LEFT)
         monkeypatch.setattr(new_scan, "_template_fit", lambda *made_of, fit=fit: fit)
         message = new_scan.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message
-        words = "; without subject (--subject, or its line of --subjects, which may be wrong) the template that suits it best is "
+        words = "; without subject (--subject, or its line of --subjects, which may be wrong) the template that fits best is used"
         assert (words in message) == (asks and proportions > 0.5)
     assert given == [(), FASTER]
 
@@ -361,7 +361,7 @@ def test_a_subject_that_nobody_knows(learned_people, tube_rig, people_scans, sub
         learned_people.fit_scan(people_scans[0].points, subject=subject)
     with pytest.raises(InputError, match="subjects: got .* for scan 1; expected a learned subject: 'ann', 'bob'"):
         learned_people.transform([people_scans[0].points] * 2, ["bob", subject])
-    with pytest.raises(InputError, match="no subject, as nothing was learned yet"):
+    with pytest.raises(InputError, match="no subject, as nothing has been learned yet"):
         lbs.LBSFitter(tube_rig, **SMALL).fit_scan(people_scans[0].points, subject=subject)
 
 
@@ -404,7 +404,7 @@ def test_several_processes_transform_alike(learned_people, people_scans, monkeyp
 
 def test_what_wants_learning_says_so(unlearned, tmp_path):
     for call in (lambda: unlearned.transform([]), lambda: unlearned.score([]), lambda: unlearned.save(tmp_path / "m.npz")):
-        with pytest.raises(InputError, match=r"fitter: got one that has learned nothing.*fit\(scans\)") as error:
+        with pytest.raises(InputError, match=r"fitter: got one that has not learned.*fit\(scans\)") as error:
             call()
         assert isinstance(error.value, NotFittedError)
 

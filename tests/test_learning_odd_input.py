@@ -39,7 +39,7 @@ def test_subjects_in_different_units_are_warned_of(unit, scale, tube_rig, clouds
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         fitter = lbs.LBSFitter(tube_rig, scale=scale, **QUICK).fit(given, subjects=["a", "a", "b", "b"])
-    apart = [str(w.message) for w in told if "times the scale of those of 'a': in another unit?" in str(w.message)]
+    apart = [str(w.message) for w in told if "times the scale of those of 'a': are they in another unit?" in str(w.message)]
     assert len(apart) == (unit != 1.0 and scale == "estimate")
     assert (fitter.unit_["b"] / fitter.unit_["a"] > 2) == (len(apart) == 1)
 
@@ -100,7 +100,7 @@ def test_scans_that_are_no_sequence(given, words, tube_rig, learned):
 
 def test_a_single_scan_wants_a_list(learned, clouds):
     for call in (learned.fit, learned.transform):
-        with pytest.raises(InputError, match="scans: got a Scan; .* Put a single scan in a list, too"):
+        with pytest.raises(InputError, match="scans: got a Scan; .* Put a single scan in a list[.]"):
             call(lbs.Scan(clouds[0]))
 
 
@@ -122,7 +122,7 @@ class Frame:
 
 def test_a_data_frame_is_one_scan(learned, clouds):
     for call in (learned.fit, learned.transform):
-        with pytest.raises(InputError, match=r"scans: got one array of shape \(.*, 3\); .* Put a single scan in a list, too"):
+        with pytest.raises(InputError, match=r"scans: got one array of shape \(.*, 3\); .* Put a single scan in a list[.]"):
             call(Frame(clouds[0]))
 
 

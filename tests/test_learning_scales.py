@@ -19,11 +19,11 @@ from lbsfit_np.learning.scales import check_scales, scale_warnings, units_apart
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.starts.turns import Facing
 
-CONVERT = "in another unit? Convert it and learn again"
-OTHERS = "its first fit had {} times the scale of its subject's others"
-TWO = "the first fits of scans {} and {} had the scales {} and {}: in two units, or of two people? "
+CONVERT = "is it in another unit? Convert it and learn again"
+OTHERS = "its first fit has {} times the scale of its subject's other scans"
+TWO = "the first fits of scans {} and {} have the scales {} and {}: are they in two units, or of two people? "
 TWO += "Convert one, or name two subjects (--subjects), and learn again"
-TOLD = "{}: in another unit, or a wrong fit? Its result will tell; learned from"
+TOLD = "{}: is it in another unit, or is the fit wrong? Its result will tell; learned from"
 
 
 def _members(n):
@@ -36,8 +36,8 @@ def _members(n):
 @pytest.mark.parametrize(
     "scales, words",
     [
-        ([1.0, 0.9, 2.54, 2.5], "of subject 'a', scans 2, 3 have"),
-        ([100.0, 39.4, 101.0, 39.0, 100.0], "of subject 'a', scans 1, 3 have 0.394 times the others' scale"),
+        ([1.0, 0.9, 2.54, 2.5], "scans 2, 3 of subject 'a' have"),
+        ([100.0, 39.4, 101.0, 39.0, 100.0], "scans 1, 3 of subject 'a' have 0.394 times the scale of the others"),
         ([1.0, 1.1, 0.95, 2.0], None),  # one of them may be a wrong fit
         ([0.9, 1.0, 1.1, 1.2], None),
     ],
@@ -105,7 +105,7 @@ def test_the_one_scan_that_a_subject_is_learned_from_is_not_set_apart():
     [
         ({"anna": [1.0, 0.95, 1.0], "ben": [0.39, 0.4]}, "scans of subject 'anna' have 2.53 times the scale of those of 'ben'"),
         ({"ben": [0.39, 0.4], "anna": [1.0, 0.95, 1.0], "carl": [0.7]}, "'anna' have 2.53 times the scale of those of 'ben'"),
-        ({1: [1.0], 2: [1.62]}, "scans of subject 2 have 1.62 times the scale of those of 1: in another unit?"),
+        ({1: [1.0], 2: [1.62]}, "scans of subject 2 have 1.62 times the scale of those of 1: are they in another unit?"),
         ({"anna": [1.0, 1.1], "child": [0.7]}, None),  # people differ as much
         ({"anna": [1.0, 3.0, 1.0], "ben": [1.2]}, None),  # one wrong first fit
         ({"anna": [25.4]}, None),
@@ -122,8 +122,9 @@ def test_subjects_in_different_units_are_told(scales, words):
 def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans):
     points = [s.points for s in few_scans]
     points[1] = 2.54 * points[1]
-    odd = r"2\.\d+ times the scale of its subject's others: in another unit\? Convert it and learn again; not learned from"
-    with pytest.warns(UserWarning, match=f"scan 1: its first fit had {odd}"):
+    odd = r"2\.\d+ times the scale of its subject's other scans: is it in another unit\? "
+    odd += "Convert it and learn again; not learned from"
+    with pytest.warns(UserWarning, match=f"scan 1: its first fit has {odd}"):
         fitter = make_learner(held_out=0, rounds=1).fit(points)
     assert re.match(f"it has {odd}; the scan is in another unit", fitter.results_[1].message)
     assert [r.message.startswith("learned from; scan and rig are in one unit") for r in fitter.results_] == [1, 0, 1, 1, 1]
@@ -146,10 +147,11 @@ def test_a_scan_of_another_size_than_its_subjects_others_is_told_so_and_fitted_i
     points = [s.points for s in few_scans]
     points[1] = 1.5 * points[1]
     first = OTHERS.format(r"1\.[45]\d*")
-    with pytest.warns(UserWarning, match=rf"scan 1: {first}: in another unit, or a wrong fit\?") as told:
+    with pytest.warns(UserWarning, match=rf"scan 1: {first}: is it in another unit, or is the fit wrong\?") as told:
         fitter = make_learner(held_out=0, rounds=1).fit(points)
     assert len(told) == 1
-    odd = r"it has 1\.[45]\d* times the scale of its subject's others: in another unit, or somebody else's\?; learned from; "
+    odd = r"it has 1\.[45]\d* times the scale of its subject's other scans: "
+    odd += r"is it in another unit, or somebody else's\?; learned from; "
     assert [bool(re.match(odd, r.message)) for r in fitter.results_] == [False, True, False, False, False]
     joints = np.linalg.norm(fitter.results_[1].joints - 1.5 * few_scans[1].joints, axis=1).mean()
     assert joints < 0.03 * 1.5 * tube_rig.size / 2 and fitter.results_[1].status == "ok"
@@ -223,7 +225,7 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, un
     np.testing.assert_array_equal(best.X, own.X if wins else as_it_is)
     assert best.proba is (proba if wins else m.proba)
     assert m.state == "as it is" and m.unit == unit
-    doubt = "it has 3.1 times the scale of its subject's others: in another unit, or somebody else's?"
+    doubt = "it has 3.1 times the scale of its subject's other scans: is it in another unit, or somebody else's?"
     assert best.doubt == (doubt if wins else "")
     assert best.prior == (None if wins else m.prior) and best.own is m.own
 
@@ -239,7 +241,7 @@ def test_a_scan_of_its_subjects_size_after_all_is_fitted_in_that(scale, apart, o
     assert best.own is (m.own if own else None) and best.prior == (None if own else m.prior) and best.doubt == "so it seemed"
 
 
-@pytest.mark.parametrize("own, said", [("own", "it has 2.5 times the scale of its subject's others: {}"), (None, "so far")])
+@pytest.mark.parametrize("own, said", [("own", "it has 2.5 times the scale of its subject's other scans: {}"), (None, "so far")])
 def test_a_scan_fitted_in_its_own_unit_says_by_how_much_as_the_template_has_it(own, said, tube_rig, few_scans):
     """That is nearer to the truth than its first fit; in its subject's unit no scale of its own was found."""
     m = _in_doubt(tube_rig, few_scans[0])

@@ -24,7 +24,8 @@ def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_p
     changed[0][upper, 1] += 0.3 * (changed[0][upper, 1] - 0.5 * tube_rig.vertices[:, 1].max())
     scans = lbs.synthesize(tube_rig, 3, templates=[changed], poses="uniform", random_state=8, n_points=400)
     found = [learned_people.fit_scan(s.points) for s in scans]
-    assert all(re.search(r"much better than that of '(ann|bob)', the nearest one: somebody else\?", r.message) for r in found)
+    told = r"much better than the template of '(ann|bob)', the nearest one: is it somebody else\?"
+    assert all(re.search(told, r.message) for r in found)
     assert [r.subject for r in found] == [""] * 3
     named = [learned_people.fit_scan(s.points, subject="ann") for s in scans]
     assert all("of somebody else than this template?" in r.message and r.status != "ok" for r in named)
@@ -80,7 +81,7 @@ def test_scans_of_somebody_else_are_nearer_to_the_truth_for_what_was_learned_of_
 def test_several_people_that_pass_for_one_are_noticed(tube_rig, make_learner, learned_people, people_scans):
     """Their joints are worse than with subjects; the results say that they are doubtful, and a warning says what to do."""
     scans = [s.points for s in people_scans[:6]]
-    with pytest.warns(UserWarning, match=r"of 6 scans do not suit their subject's template; are they of several people\? Say "):
+    with pytest.warns(UserWarning, match=r"of 6 scans do not match their subject's template; are they of several people\? Name "):
         mixed = make_learner().fit(scans)
     odd = [r.evidence["proportions"] > SOMEBODY_ELSE for r in mixed.results_]
     assert sum(odd) > 1

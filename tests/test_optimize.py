@@ -324,7 +324,7 @@ def test_extents_without_a_number_are_errors(tube_rig):
     with pytest.raises(InputError, match="points: got an extent of .*that double precision can square"):
         reference_scale(1e300 * s.points, tube_rig, "estimate")
     for place in (np.zeros((1, 3)), np.full((100, 3), 7.0), 1e-200 * s.points):
-        with pytest.raises(InputError, match="points: got an extent of 0, as of points at one place; .*spread"):
+        with pytest.raises(InputError, match="points: got an extent of 0: all points are at one place; .*spread"):
             reference_scale(place, tube_rig, "estimate")
     piled = np.zeros((100, 3))
     piled[0] = tube_rig.size

@@ -57,7 +57,7 @@ def test_fits_of_other_settings_or_scans_are_not_taken(pair_folder, fitter, tube
     out.mkdir()
     fit_scans_of(fitter, scans, out, settings={"seed": 0})
     asked.clear()
-    with pytest.raises(InputError, match="fits of seed 0; expected seed 1.*--existing replace"):
+    with pytest.raises(InputError, match="fits made with seed 0; expected seed 1.*--existing replace"):
         fit_scans_of(fitter, scans, out, settings={"seed": 1})
     with pytest.raises(InputError, match="learned from nothing; expected fits that learned from 2 scans"):
         fit_scans_of(fitter, scans, out, learn_from=scans, settings={"seed": 0})
@@ -148,7 +148,7 @@ def test_fits_of_another_state_of_the_code_are_not_mixed_with_others(pair_scans,
     fits_are_given(monkeypatch, {s.name: v for s, v in zip(pair_scans, pair_meshes)})
     fit_scans_of(fitter, pair_scans[:2], tmp_path)
     monkeypatch.setattr(pair_fits, "state_of_the_code", lambda: 64 * "f")
-    with pytest.raises(InputError, match="fits of code [0-9a-f]{12}….*expected code ffffffffffff….*--existing replace"):
+    with pytest.raises(InputError, match="fits made with code [0-9a-f]{12}….*expected code ffffffffffff….*--existing replace"):
         fit_scans_of(fitter, pair_scans, tmp_path)
 
 

@@ -338,7 +338,7 @@ def test_a_rig_that_says_less_is_drawn_as_well(tube_rig, tube_scan, tube_result,
 def test_scans_are_drawn_as_their_points(tube_rig, tube_scan, tube_result):
     drawn = [fit_picture(tube_rig, points, tube_result) for points in (tube_scan.points, lbs.Scan(tube_scan.points))]
     np.testing.assert_array_equal(*drawn)
-    with pytest.raises(InputError, match=r"points: got \d+; expected the \d+ that the fit is of"):
+    with pytest.raises(InputError, match=r"points: got \d+; expected \d+, as many as the fit has labels"):
         fit_picture(tube_rig, tube_scan.points[1:], tube_result)
 
 

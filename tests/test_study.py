@@ -81,9 +81,9 @@ def test_reports_of_something_else_are_refused(coarse_hand, quick):
     report = study({"h": coarse_hand}, rows=("joint",), seeds=[1])
     with pytest.raises(InputError, match="size small.*size medium"):
         study({"h": coarse_hand}, size="medium", before=report)
-    with pytest.raises(InputError, match="another rig than 'h'"):
+    with pytest.raises(InputError, match="another rig named 'h'"):
         study({"h": load_rig("hand-left-coarse")}, before=report)
-    with pytest.raises(InputError, match="another rig than 'h'"):
+    with pytest.raises(InputError, match="another rig named 'h'"):
         study({"h": replace(coarse_hand, poses=dict(list(coarse_hand.poses.items())[:20]))}, before=report)
     with pytest.raises(InputError, match="results of starts.*results of study"):
         study({"h": coarse_hand}, before={"benchmark": "starts"})

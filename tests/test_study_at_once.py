@@ -236,7 +236,7 @@ def test_what_goes_wrong_in_a_process_is_said_and_what_is_made_beside_it_is_kept
         study(rigs, **what)
     (text,) = [str(warning.message) for warning in said]
     assert re.match(f"tube, seed 5, free-form-supervised failed: {words}", text)
-    assert text.endswith("; no more is begun, what other processes have begun is finished first")
+    assert text.endswith("; no further rows are started; rows that other processes have begun are finished first")
     assert not active_children() and there == ["free-form"]  # the two that weigh most came first
 
 
@@ -322,7 +322,7 @@ def test_warnings_of_rows_are_given_here(rigs, monkeypatch):
 
 def test_a_process_that_has_read_other_code_is_refused(rigs):
     batch = Batch("tube", 5, ("cd",), frozenset(), frozenset())
-    with pytest.raises(InputError, match="lbsfit_np: got files that have changed.*the same command makes the others"):
+    with pytest.raises(InputError, match="lbsfit_np: got files or libraries that have changed.*same command .*to continue"):
         at_once._Made(rigs, {"tube": _SIZE}, {}, 2, "of before")((batch, False))
 
 

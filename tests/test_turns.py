@@ -137,7 +137,7 @@ def test_a_scan_that_stands_otherwise_is_told(side, words):
 
 def test_the_option_that_spares_the_search_is_the_one_that_was_found():
     note = stands_note(matrix_from_rotvec(np.array([-np.pi / 2, 0.0, 0.0])), np.array([0.0, 1.0, 0.0]))
-    assert "along its -z axis" in note and "(if it does, up='-z', --up=-z, spares the search)" in note
+    assert "along its -z axis" in note and "(if this is right, up='-z', --up=-z, saves the search)" in note
 
 
 @pytest.mark.parametrize("axis", [[1, 0, 1], [1, 0, -1], [-1, 0, 1]])
@@ -179,18 +179,18 @@ def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
     r = fit.fit(points, part=fit.taking_part(points), found=seen)
     assert r.status == "ok"
     assert ("the scan stands along its +z axis" in r.message) == ("stands" in r.message) == told
-    assert ("though up says '+y'" in r.message) == (told and up is not None) == ("spares the search" not in r.message and told)
+    assert ("though up says '+y'" in r.message) == (told and up is not None) == ("saves the search" not in r.message and told)
 
 
-FASTER = "effort 'balanced' (--effort balanced) looks further, and for what goes on beyond the rig"
-AXES_TOO = "without up (--up) other axes are tried, too"
+FASTER = "effort 'balanced' (--effort balanced) looks further, also for what goes on beyond the rig"
+AXES_TOO = "without up (--up), other axes are tried, too"
 
 
 @pytest.mark.parametrize(
     "effort, orientation, up, words",
     [
         ("fast", "upright", None, (FASTER,)),
-        ("fast", "upright", "+z", (FASTER, f"with that, and {AXES_TOO}")),
+        ("fast", "upright", "+z", (FASTER, f"with that and {AXES_TOO}")),
         ("balanced", "upright", "+z", (AXES_TOO,)),
         ("thorough", "upright", "+y", (AXES_TOO,)),
         ("balanced", "upright", None, ()),  # they are tried already

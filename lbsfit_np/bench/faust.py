@@ -114,9 +114,9 @@ def _root(folder):
     for root in (folder, folder / "MPI-FAUST"):
         if (root / "training").is_dir() or (root / "test").is_dir():
             return root
-    got = "no such folder" if not folder.exists() else "a folder without training or test, or MPI-FAUST with one of them"
-    remedy = "Its licence forbids to ship it: see http://faust.is.tue.mpg.de."
-    raise FileError(str(folder), got, "the folder MPI-FAUST of the data set, or the one it is in", remedy)
+    got = "no such folder" if not folder.exists() else "a folder with neither training nor test, also not in MPI-FAUST"
+    remedy = "Its licence does not allow us to ship it: see http://faust.is.tue.mpg.de."
+    raise FileError(str(folder), got, "the folder MPI-FAUST of the data set, or the folder that contains it", remedy)
 
 
 def _nothing(where):
@@ -148,7 +148,7 @@ def _truth(training, found):
         return None
     missing = sum(path is None for path in there)
     if missing:
-        found.notes.append(f"{where}: no registrations of {missing} scans, of which no errors are measured")
+        found.notes.append(f"{where}: no registrations of {missing} scans, whose errors are not measured")
     found.files += [path for path in there if path is not None]
     vertices, faces = read_registrations(there, what="registrations of FAUST")
     flags = training / "ground_truth_vertices"
@@ -159,7 +159,7 @@ def _truth(training, found):
     given = zip(found.training, vertices, reliable, strict=True)
     unknown = [scan.name for scan, registration, known in given if known is None and registration is not None]
     if unknown:
-        found.notes.append(f"{flags}: no file for {listed(unknown, 5)}, all of whose vertices count, reliably registered or not")
+        found.notes.append(f"{flags}: no file for {listed(unknown, 5)}; all their vertices count, reliably registered or not")
     return Registrations(vertices, faces, reliable)
 
 
@@ -169,7 +169,7 @@ def _flags(path):
         return None
     words = path.read_bytes().split()
     if not words or not set(words) <= {b"0", b"1"}:
-        raise FileError(str(path), f"{len(words)} words, of which some are not 0 or 1", "a line for each vertex, 1 or 0")
+        raise FileError(str(path), f"{len(words)} words, some of which are not 0 or 1", "a line for each vertex, 1 or 0")
     return np.array(words) == b"1"
 
 
@@ -192,7 +192,7 @@ def _read_test(root, found, most):
         found.complete[kind] = len(found.challenges[kind]) == len(pairs)
         if not found.complete[kind]:
             left = f"{len(pairs) - len(found.challenges[kind])} of {len(pairs)} {kind}-subject pairs of the challenge"
-            found.notes.append(f"{left} are left out, as their scans are not there or not taken; no archive is made")
+            found.notes.append(f"{left} are left out, as their scans are missing or not used; no archive is written")
     for kind in (k for k in KINDS if k not in lists):
         found.notes.append(f"{where}: no {_CHALLENGES[kind][0]}; no files for the {kind}-subject challenge are written")
 
@@ -217,7 +217,7 @@ def _pairs(path):
             continue
         match = _PAIR.fullmatch(line)
         if match is None:
-            raise FileError(str(path), f"{brief(line)} in line {k}", "pairs of numbers of scans, such as 012_023")
+            raise FileError(str(path), f"{brief(line)} in line {k}", "pairs of scan numbers, such as 012_023")
         pairs.append((int(match[1]), int(match[2])))
     return pairs
 
@@ -365,8 +365,8 @@ def faust_table(report, *, markdown=False):
         cells = [f"{inter:g}", *"–––", "–" if intra is None else f"{intra:g}", *"–––"]
         lines.append((name, "test", *cells))
     legend = [
-        "Errors in cm: means, then percentiles. The other methods are the paper's table, on the test scans, whose truth is",
-        "withheld: the files for the challenge are what can be compared with them. Errors on the training scans are another set.",
+        "Errors in cm: means, then percentiles. Figures of other methods are from the paper's table, on the test scans, whose",
+        "truth is withheld: only the files for the challenge can be compared with them. The training scans are another set.",
     ]
     if figures:
         counts = ", ".join(f"{figures[kind]['pairs']} {kind} pairs ({figures[kind]['missing']} missing)" for kind in KINDS)

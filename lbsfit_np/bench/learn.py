@@ -217,7 +217,7 @@ def learn_bench(
     report = begun(before, empty, same=("settings", "test_scans")) | {"complete": False, "environment": environment()}
     other = [key for key, digest in read.items() if report.get(key) != digest]
     if other:
-        got = f"results with other {' and other '.join(other)} than there are now"
+        got = f"results with other {' and other '.join(other)} than this run's"
         raise InputError("before", got, "results of the same data, test people and scans", REMEDY)
     if not set(report["rows"]) <= {_ONE_BY_ONE, *VARIANT_ROWS}:
         raise InputError("before", "results by an earlier version", "results of this version", REMEDY)
@@ -371,15 +371,15 @@ def learn_table(report, *, markdown=False):
     unit = "cm" if report["unit"] == "cm" else "half sizes of the rig"
     legend = (
         f"Mean over seeds ({len(seeds)}), {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
-        f"of the segmenter alone on {n // 3} scans that nobody learned from. Of variants that learn from labels the first one\n"
-        "that a run has done of a seed has the seconds of first fits, which the others take."
+        f"of the segmenter alone on {n // 3} scans that were not learned from. For each seed, the seconds of the first fits are\n"
+        "counted for the first variant with labels that a run fits; the others reuse these fits."
     )
     for seed in every:
         lacking = [row for row, of in rows.items() if seed not in of]
         if lacking:
-            legend += f"\nSeed {seed} is left out: there is no {', no '.join(lacking)} of it."
+            legend += f"\nSeed {seed} is left out: it has no {', no '.join(lacking)}."
     for without, heads in few.items():
-        legend += f"\n{', '.join(heads)}: {without}, of which a row has no value."
+        legend += f"\n{', '.join(heads)}: {without}, for which a row has no value."
     return f"{layout(lines, markdown=markdown)}\n\n{legend}{_of_rounds(rows, seeds)}"
 
 

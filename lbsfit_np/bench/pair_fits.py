@@ -306,7 +306,7 @@ class _Record:
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError):
-            raise FileError(str(path), "a file that cannot be read", "what an earlier run has written", _REMEDY) from None
+            raise FileError(str(path), "a file that cannot be read", "a file that an earlier run has written", _REMEDY) from None
 
     def write(self, path):
         from ..io.write import write_json
@@ -319,11 +319,11 @@ class _Record:
         other = [key for key in now.settings if self.settings.get(key) != now.settings[key]]
         if other:
             theirs, ours = (", ".join(f"{key} {_brief(of.get(key))}" for key in other) for of in (self.settings, now.settings))
-            raise InputError("-o/--output", f"{folder}, with fits of {theirs}", ours, _REMEDY)
+            raise InputError("-o/--output", f"{folder}, with fits made with {theirs}", ours, _REMEDY)
         if self.learned_from != now.learned_from:
             theirs, ours = (f"{len(of.learned_from)} scans" if of.learned_from else "nothing" for of in (self, now))
             got = f"{folder}, with fits that learned from {theirs}"
-            raise InputError("-o/--output", got, f"fits that learned from {ours}, these and as they are now", _REMEDY)
+            raise InputError("-o/--output", got, f"fits that learned from {ours}, the same and unchanged", _REMEDY)
 
 
 def _described(rig):

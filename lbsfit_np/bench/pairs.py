@@ -79,7 +79,7 @@ def pairs_bench(
     readable = read_all(scans, truth)
     pairs = {} if truth is None else choose_pairs(scans, truth, most_pairs, seed)
     if truth is not None and not any(pairs.values()):
-        raise InputError("truth", "no two scans of which it knows the same places", "names that several scans have")
+        raise InputError("truth", "no two scans with places in common", "names that occur on several scans")
     learn_from, everyone = readable if learn else (), [*scans, *also]
     options |= {"settings": settings, "jobs": jobs, "reporter": reporter}
     fits = fit_scans_of(fitter, everyone, folder, learn_from=learn_from, **options)

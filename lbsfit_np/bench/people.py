@@ -71,7 +71,7 @@ def people_scans(kind, data, *, n_people=6, n_scans=5, seed):
         Fewer than two people: nothing would be measured between them.
     """
     if n_people < 2:
-        raise InputError("people", str(n_people), "two people at least")
+        raise InputError("people", str(n_people), "at least two people")
     rig = hand_rig(data) if kind == "hand" else body_rig(data)
     person, pose = (_hands if kind == "hand" else _bodies)(rig, data)
     names, scans = iter(people_names(n_people, n_scans)), []

@@ -33,7 +33,7 @@ def begun(before, empty, *, same=("settings",)):
     """
     if before is None:
         return empty
-    theirs, ours = before.get("benchmark", "nothing known"), empty["benchmark"]
+    theirs, ours = before.get("benchmark", "an unknown benchmark"), empty["benchmark"]
     if theirs != ours:
         raise InputError("before", f"results of {theirs}", f"results of {ours}", REMEDY)
     lacking = [key for key, value in empty.items() if key not in before or not _alike(before[key], value)]

@@ -165,8 +165,8 @@ def roundtrip_table(report, *, markdown=False):
     n, training = (report["settings"][key] for key in ("scans_a_seed", "training_scans"))
     legend = (
         f"{n} scans a seed in natural poses, the rig's own shape. Mean joint errors in % of the rig's size: median, 95th\n"
-        f"percentile, and the share of scans with at most {100 * report['close']:g} %, which is to be at least "
-        f"{100 * report['aim']:g} %. Segmenter trained on {training} synthetic scans."
+        f"percentile, and the share of scans with at most {100 * report['close']:g} % (aim: at least "
+        f"{100 * report['aim']:g} %). Segmenter trained on {training} synthetic scans."
     )
     return f"{layout(rows, markdown=markdown)}\n\n{legend}"
 

@@ -141,7 +141,7 @@ def _plan(rigs, rows, fits):
     ]
     if not todo:
         got = f"{', '.join(rows or ())} with fits {', '.join(fits)} for {', '.join(rigs)}"
-        raise InputError("rows", got, "a row that one of the rigs can be in, with labels to give where fits is oracle")
+        raise InputError("rows", got, "a row that applies to one of the rigs; for the fit oracle, one with labels")
     return todo
 
 

@@ -62,7 +62,7 @@ def _legend(report):
     return "\n".join(
         (
             f"{report['scans_a_seed']} scans a seed, means over them{of_seeds}. Lengths in {unit}.",
-            f"To reach with the own segmenter: {', '.join(f'{name} {aim}' for name, aim in aims.items())}.",
+            f"Aims with the own segmenter: {', '.join(f'{name} {aim}' for name, aim in aims.items())}.",
             f"Segmenter trained on {report['settings']['fitter']['training_scans']} synthetic scans; "
             f"lbsfit_np {env['lbsfit_np']}, numpy {env['numpy']}, scipy {env['scipy']}, scikit-learn {env['scikit-learn']}, "
             f"Python {env['python']}, {env['cpus']} CPUs, jobs {report['settings']['jobs']}.",

@@ -68,8 +68,8 @@ class VertexOrder:
         if len(points) != self.n:
             raise InputError(
                 "truth",
-                f"a table without truth for scans of {self.n} and {len(points)} vertices",
-                "scans with the same vertices in the same order, or columns that say what corresponds",
+                f"scans of {self.n} and {len(points)} vertices, and a table without truth for them",
+                "scans with the same vertices in the same order, or columns that say which points correspond",
                 "Add the columns name and vertex, or name, x, y and z, or registration.",
             )
 
@@ -174,7 +174,7 @@ class Registrations:
         if known is not None and len(known) != len(points):
             raise InputError("truth", f"{len(known)} flags of reliable points", f"{len(points)}, one for each point of the scan")
         if known is not None and not known.any():
-            raise InputError("truth", "no reliable point", "some points where the registration can be relied on")
+            raise InputError("truth", "no reliable point", "some points where the registration is reliable")
 
     def linked(self, a, b):
         """Whether anything is known of the pair."""
@@ -247,7 +247,7 @@ def read_registrations(paths, what="registrations"):
             first, m, faces = path, len(v), f
         elif len(v) != m or not np.array_equal(f, faces):
             got = f"a mesh of {len(v)} vertices and {len(f)} triangles that are not those of {first} ({m} and {len(faces)})"
-            raise FileError(str(path), got, f"{what} of one mesh, whose vertices mean the same on all scans")
+            raise FileError(str(path), got, f"{what} of one mesh, so that each vertex is the same place on all scans")
         vertices.append(v)
     return tuple(vertices), faces
 

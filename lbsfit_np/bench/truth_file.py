@@ -21,7 +21,7 @@ Its columns say what corresponds:
 Rows of different scans with the same name correspond. Scans are file names in DIR, with or without the extension; files that
 FILE does not name are left out. Without the column subject, all scans are of one subject."""
 
-_FORMS = "scan and subject alone, or with them name and vertex, or name, x, y and z, or registration"
+_FORMS = "scan and subject, alone or with: name and vertex; name, x, y and z; or registration"
 
 
 def read_truth(path, folder, *, subject_column="subject", output=None):
@@ -68,10 +68,10 @@ def read_truth(path, folder, *, subject_column="subject", output=None):
             entries.append([])
         i = at[file]
         if scans[i].subject != subject:
-            got = f"{brief(subject)} in line {line} for {row['scan']}, which is of {brief(scans[i].subject)} above"
+            got = f"{brief(subject)} in line {line} for {row['scan']}, whose {subject_column} is {brief(scans[i].subject)} above"
             raise FileError(str(path), got, f"one {subject_column} for each scan")
         if entries[i] and form in ("order", "registration"):
-            raise FileError(str(path), f"the scan {brief(row['scan'])} once more in line {line}", "one row for each scan")
+            raise FileError(str(path), f"the scan {brief(row['scan'])} again in line {line}", "one row for each scan")
         entries[i].append((line, row))
     _check_scans(path, scans)
     truth = _MAKERS[form](path, scans, entries)
@@ -127,7 +127,7 @@ def _table(path):
 def _form(path, columns, subject_column):
     """"order", "vertex", "xyz" or "registration"."""
     if len(set(columns)) < len(columns) or "scan" not in columns:
-        raise FileError(str(path), f"the columns {listed(columns)}", f"different ones: {_FORMS}")
+        raise FileError(str(path), f"the columns {listed(columns)}", f"different names: {_FORMS}")
     if subject_column not in columns and subject_column != "subject":
         raise FileError(str(path), f"the columns {listed(columns)}", f"a column {subject_column!r}", "See --subject-column.")
     found = set(columns)
@@ -179,12 +179,12 @@ class _Named:
         found = next(filter(None, found), [])
         if len(found) > 1:
             names = listed([p.relative_to(self.folder).as_posix() for p in found], 4)
-            raise FileError(str(path), f"{brief(name)} in line {line}, which may be {names}", "a name that says which file")
+            raise FileError(str(path), f"{brief(name)} in line {line}, which matches {names}", "a name that matches one file")
         if found:
             return found[0]
         remedy = did_you_mean(wanted, [p.name for p in self.files] + [p.stem for p in self.files])
-        got = f"{brief(name)} in line {line}, which is no scan file in {self.folder}"
-        raise FileError(str(path), got, "names of scans", remedy)
+        got = f"{brief(name)} in line {line}, which is not a scan file in {self.folder}"
+        raise FileError(str(path), got, "names of scan files", remedy)
 
 
 def _name(file, folder):
@@ -193,12 +193,12 @@ def _name(file, folder):
 
 def _check_scans(path, scans):
     if len(scans) < 2:
-        raise FileError(str(path), f"{len(scans)} scan", "two scans at least")
+        raise FileError(str(path), f"{len(scans)} scan", "at least two scans")
     seen = {}
     for scan in scans:
         other = seen.setdefault(scan.name.casefold(), scan)
         if other is not scan:
-            got = f"{scan.path.name} and {other.path.name}, whose fits would have one name"
+            got = f"{scan.path.name} and {other.path.name}, whose fits would have the same name"
             raise FileError(str(path), got, "scans whose names differ by more than the extension", "Rename one.")
 
 

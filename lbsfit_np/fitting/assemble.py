@@ -139,7 +139,7 @@ def assemble(
             labels[unknown], confidence[unknown] = own
     if among is not None:
         confidence = np.where(among, confidence, 0.0)
-    evidence, probability, status, reason = {}, 0.0, "failed", "it is not finite; check the scan for wild points"
+    evidence, probability, status, reason = {}, 0.0, "failed", "the fit is not finite; check the scan for extreme outliers"
     if finite and not judged:
         status, reason = "ok", ""
     elif finite:
@@ -171,7 +171,7 @@ def assemble(
     if not finite:
         found = ()
     elif status == "failed" and any(found):
-        found = [f"if it were right all the same: {', and '.join(filter(None, found))}"]
+        found = [f"if the fit is right nevertheless: {', and '.join(filter(None, found))}"]
     return FitResult(
         pose=pose,
         translation=translation,
@@ -222,14 +222,14 @@ def _guessed(rig, std):
         return ""
     names = [rig.joint_names[j] for j in rows[np.argsort(-std[rows], kind="stable")]]
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return f"hardly any points tell where these joints are, see joint_std: {', '.join(names[:_MOST_NAMED])}{more}"
+    return f"almost no points show where these joints are (see joint_std): {', '.join(names[:_MOST_NAMED])}{more}"
 
 
 def _asked(given, evidence):
     """What may be wrong of a fit that has failed, as a question."""
     asked = ["is it the right rig"]
     if evidence["part_unexplained"] > MISFIT:  # these points may be of another thing
-        asked.append("is there nothing in the scan but the body, floors, walls and single points")
+        asked.append("does the scan show only the body, floors, walls and single points")
     if given:
         asked.append(f"{'are' if 'labels' in given else 'is'} {' and '.join(given)} right")
     if "theta0" not in given:  # which says how the scan is turned

@@ -126,7 +126,7 @@ class FitResult:
         try:
             settings = json.dumps(self.settings)
         except (TypeError, ValueError, RecursionError) as error:
-            raise InputError("settings", f"what JSON does not know ({error})", "text, numbers, lists and dicts") from None
+            raise InputError("settings", f"what JSON cannot store ({error})", "text, numbers, lists and dicts") from None
         arrays = {name: getattr(self, name) for name in _ARRAYS}
         scalars = {name: np.array(getattr(self, name)) for name in _SCALARS}
         write_npz(
@@ -155,12 +155,12 @@ class FitResult:
             fields.update({name: z[name].item() for name in _SCALARS})
             terms, evidence, settings = (json.loads(str(z[name])) for name in ("terms", "evidence", "settings"))
             if z["parts"].ndim != 1:
-                raise ValueError("parts that are no list")
+                raise ValueError("parts that are not a list")
             _check(fields, terms, evidence, settings)
             return cls(terms=terms, evidence=evidence, settings=settings, parts=tuple(z["parts"].tolist()), **fields)
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError, RecursionError) as error:
             raise FileError(
-                str(path), f"a result that lacks something or is broken ({error})", "a result that was saved with FitResult.save"
+                str(path), f"an incomplete or broken result ({error})", "a result that was saved with FitResult.save"
             ) from None
 
 
@@ -189,7 +189,7 @@ def _check(fields, terms, evidence, settings):
     if fields["unit"] not in ("", *METRES):
         raise ValueError(f"unit is {fields['unit']!r}")
     if not isinstance(settings, dict):
-        raise ValueError("settings that are no table")
+        raise ValueError("settings that are not a dict")
     for name, numbers in (("terms", terms), ("evidence", evidence)):
         if not isinstance(numbers, dict) or not all(isinstance(v, float) for v in numbers.values()):
-            raise ValueError(f"{name} that are no numbers")
+            raise ValueError(f"{name} that are not numbers")

@@ -349,8 +349,8 @@ def stands_words(facing, rig, frame, theta):
 def further_words(rig, settings, facing):
     """What would look further at a scan in doubt than a search with these settings, a tuple of strings for users."""
     fast = settings.effort == "fast"
-    ends = ", and for what goes on beyond the rig" if end_of(rig) is not None else ""
+    ends = ", also for what goes on beyond the rig" if end_of(rig) is not None else ""
     more = (f"effort 'balanced' (--effort balanced) looks further{ends}",) if fast else ()
     if facing.told and len(facing.turns) > 1:  # by a second look, which "fast" has none of
-        more += (f"{'with that, and ' if fast else ''}without up (--up) other axes are tried, too",)
+        more += (f"{'with that and ' if fast else ''}without up (--up), other axes are tried, too",)
     return more

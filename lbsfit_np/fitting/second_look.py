@@ -9,8 +9,8 @@ from .assemble import GUESS
 __all__ = ["is_long", "looked_at_again", "may_go_on"]
 
 # Of a plane below another axis than the likeliest that was taken for a floor at first.
-_FLOOR = "with the points of that floor it is no likelier"
-_NO_FLOOR = "a flat side that might be a floor takes part, as the fit is likelier with it"
+_FLOOR = "with the points of that floor, the fit is no more probable"
+_NO_FLOOR = "a flat side that might be a floor is kept, as the fit is more probable with it"
 # From this share of a scan's points on it is worth a fit to leave out what is beyond the rig, and up to this one.
 _LEAST, _MOST = 0.03, 0.85
 # A long scan whose first fit is right with this probability is looked at no further.

@@ -33,7 +33,7 @@ __all__ = [
 MODEL_KEY = "lbsfit_np_model"
 _FORMAT = 5
 _EXPECTED = "a model that was saved with LBSFitter.save or written by lbsfit learn"
-_OTHERS = "lbs.load_rig reads rigs, lbs.FitResult.load results."
+_OTHERS = "lbs.load_rig reads rigs; lbs.FitResult.load reads results."
 
 
 def write_fitter(fitter, path):
@@ -158,7 +158,7 @@ def read_fitter(path, make):
 
     if isinstance(path, (str, os.PathLike)) and os.path.isfile(path) and Path(path).suffix.lower() != ".npz":
         got = f"a file that ends in {Path(path).suffix}" if Path(path).suffix else "a file without an ending"
-        raise FileError(str(path), got, f"{_EXPECTED}, which end in .npz", _OTHERS)
+        raise FileError(str(path), got, f"{_EXPECTED}, whose name ends in .npz", _OTHERS)
     keys = npz_keys(path)
     if MODEL_KEY not in keys:
         got = "the result of a fit" if "lbsfit_np_result" in keys else f"an NPZ without the key {MODEL_KEY}"
@@ -170,7 +170,7 @@ def read_fitter(path, make):
         if header["format"] != _FORMAT:
             raise FileError(str(path), f"model format {header['format']}", f"format {_FORMAT}", "Learn it again.")
         if rig.digest != header["rig_digest"]:
-            raise ValueError("another rig than it was learned with")
+            raise ValueError("its rig is not the one that it was learned with")
         parameters = dict(header["parameters"])
         if isinstance(parameters["weights"], dict):
             parameters["weights"] = LossWeights(**parameters["weights"])
@@ -191,7 +191,7 @@ def read_fitter(path, make):
             if prior.mean.shape != rig.lower.shape or prior.precision.shape != (t, t):
                 raise ValueError("a prior of poses of another rig")
             if not (np.isfinite(prior.mean).all() and np.isfinite(prior.precision).all()):
-                raise ValueError("a prior of poses that is not finite")
+                raise ValueError("a prior of poses with values that are not finite")
         fields = {
             "template_": {s: rig.with_template(u, j) for s, u, j in zip(subjects, U, J, strict=True)},
             "unit_": dict(zip(subjects, map(float, header["units"]), strict=True)),
@@ -210,5 +210,5 @@ def read_fitter(path, make):
 
 def _known_unit(name):
     if name is not None and name not in METRES:
-        raise ValueError(f"the unit {name!r}")
+        raise ValueError(f"the unknown unit {name!r}")
     return name

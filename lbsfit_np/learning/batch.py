@@ -119,8 +119,8 @@ def _check_sent(argument, value):
     try:
         pickle.dumps(value)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
-        remedy = "Define it at the top of a module, or take n_jobs=1."
-        raise InputError(argument, f"what cannot be sent to a worker process ({error})", "what pickle takes", remedy) from None
+        remedy = "Define it at the top level of a module, or pass n_jobs=1."
+        raise InputError(argument, f"what cannot be sent to a worker process ({error})", "what can be pickled", remedy) from None
 
 
 def _pretrained(fitter, scans, report, pretrain):
@@ -195,7 +195,7 @@ def _fit_by_workers(work, scans, subjects, todo, jobs, report):
                 called.add(index)  # what it returns may be no better
                 _give_called(workers, index, scans, subjects, report)
             else:
-                what = "it cannot be sent to" if outcome.task else "its fit cannot be sent from"
+                what = "it cannot be sent to" if outcome.task else "its fit cannot be sent back from"
                 report(ScanOutcome(index, error=f"{what} a worker process: {outcome.why}"))
 
         try:

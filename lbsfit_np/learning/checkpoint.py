@@ -137,7 +137,7 @@ class _Slot:
             self._trouble.append(why)
             with suppress(OSError):  # where other steps are in it
                 self._path.parent.rmdir()
-            words = f"what is done cannot be kept in {self._path.parent} ({why}): after a stop it is done again"
+            words = f"finished steps cannot be kept in {self._path.parent} ({why}): an interrupted run will repeat them"
             warnings.warn(words, stacklevel=2)
         return answer
 

@@ -263,7 +263,7 @@ class Collection:
                 self.failures[m.index] = in_words(error)
                 if taught:
                     self.taught[m.index] = m
-                    self.failures[m.index] = f"{m.role}, but there is no result of it: {in_words(error)}"
+                    self.failures[m.index] = f"{m.role}, but it has no result: {in_words(error)}"
         self.members = [m for m, (_, error) in zip(self.members, found, strict=True) if error is None]
         return [answer for answer, error in found if error is None]
 
@@ -278,7 +278,7 @@ class Collection:
         found = dict(zip(self.subjects, self._tried(work, tasks, kept, jobs, done), strict=True))
         for m in self.members:
             if (error := found[m.subject][1]) is not None:
-                self.failures[m.index] = f"no template of its subject was found: {in_words(error)}"
+                self.failures[m.index] = f"no template could be found for its subject: {in_words(error)}"
         self.members = [m for m in self.members if found[m.subject][1] is None]
         return {s: answer for s, (answer, error) in found.items() if error is None}
 
@@ -306,11 +306,11 @@ class Collection:
         self.told_lost.update(lost)
         if lost:
             whose = f"subject{'s' * (len(lost) > 1)} {', '.join(repr(str(s)) for s in lost[:5])}" + ", …" * (len(lost) > 5)
-            warnings.warn(f"nothing is learned of {whose}: none of the scans can be used", stacklevel=stacklevel + 1)
+            warnings.warn(f"nothing is learned for {whose}: none of their scans can be used", stacklevel=stacklevel + 1)
         odd = [r.evidence.get("proportions", 0.0) > SOMEBODY_ELSE for r in results if r is not None]
         if sum(odd) > max(1, _STRANGERS * len(odd)):
-            words = f"{sum(odd)} of {len(odd)} scans do not suit their subject's template; are they of several people? "
-            words += "Say whose each scan is: subjects (--subjects)"
+            words = f"{sum(odd)} of {len(odd)} scans do not match their subject's template; are they of several people? "
+            words += "Name the subject of each scan: subjects (--subjects)"
             warnings.warn(words, stacklevel=stacklevel + 1)
         if results and (words := most_failed(["failed" if r is None else r.status for r in results], self.roles)):
             warnings.warn(words, stacklevel=stacklevel + 1)
@@ -342,4 +342,4 @@ def most_failed(statuses, roles):
     used = [status for status, role in zip(statuses, roles, strict=True) if role is not None]
     if 2 * used.count("failed") <= len(used):
         return ""
-    return "most fits have failed: do not trust what was learned; fit single scans first (lbs.fit_scan, lbsfit fit) and see why"
+    return "most fits have failed: do not trust what was learned; fit single scans (lbs.fit_scan, lbsfit fit) to see why"

@@ -162,7 +162,7 @@ def _in_its_unit(m, fit, size, others):
         return replace(m, state=size.state, own=None)
     if size.own is None:
         return replace(m, state=size.state)
-    words = f"it has {size.scale / others:.3g} times the scale of its subject's others: in another unit"
+    words = f"it has {size.scale / others:.3g} times the scale of its subject's other scans: is it in another unit"
     doubt = m.doubt or f"{words}, or somebody else's?"
     if m.apart and not same_size(size.scale, others):  # nearer to the truth than the first fit's, which its doubt has so far
         doubt = f"{words}? Convert it and learn again"

@@ -220,8 +220,8 @@ class LBSFitter(BaseEstimator):
         self._check()
         check_callables(progress=progress, on_round=on_round)
         if checkpoint is not None and not self._repeatable():
-            got = f"random_state {brief(self.random_state)}, with which no run is made again"
-            raise InputError("checkpoint", got, "a seed", "Pass random_state=0, say.")
+            got = f"random_state {brief(self.random_state)}, with which a run cannot be repeated"
+            raise InputError("checkpoint", got, "a seed", "Pass a seed, such as random_state=0.")
         checkpoint = as_checkpoint(checkpoint)
         variant, seed, facing = as_variant(self.variant), self._seed(), facing_of(self.rig, self.orientation, self.up)
         held_out = self.held_out if variant.skinning else 0.0

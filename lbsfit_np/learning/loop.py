@@ -378,7 +378,8 @@ class Loop:
             found, lost = self.collection.unless_lost(partial(turn, i / n, (i + 1) / n))
             if lost:
                 self.coefficients, self.pose_prior = known
-                warnings.warn(f"round {k}: templates and poses in turn ended after {i} of {n} times: {lost}", stacklevel=2)
+                words = f"round {k}: the step 'templates and poses in turn' stopped after {i} of {n} turns: {lost}"
+                warnings.warn(words, stacklevel=2)
                 break
             templates = found
         return templates

@@ -41,15 +41,15 @@ def check_names(parameters, known):
     """Raise InputError unless every name is one of a fitter's parameters."""
     for name in parameters:
         if name == "subject":
-            remedy = "LBSFitter.load(model).fit_scan(points, subject=...) fits a scan of a subject that was learned."
-            raise InputError(name, "an argument of a learned fitter's fit_scan", "a rig alone, which knows no subjects", remedy)
+            remedy = "To fit a scan of a learned subject: LBSFitter.load(model).fit_scan(points, subject=...)."
+            raise InputError(name, "an argument for fits with a model", "no subject, as a rig alone knows none", remedy)
         if name in known:
             continue
         remedy = did_you_mean(name, known)
         if name in Synthesis.__dataclass_fields__:
-            remedy = f"Pass training={{{name!r}: ...}}, a field of the scans to train on."
-            remedy = f"Of scans that show one side only say partial=True. {remedy}" if name == "one_sided" else remedy
-        raise InputError(name, "an argument that is not known", f"one of {', '.join(known)}", remedy)
+            remedy = f"Pass training={{{name!r}: ...}}: it is a setting of the training scans."
+            remedy = f"For scans that show one side only, pass partial=True. {remedy}" if name == "one_sided" else remedy
+        raise InputError(name, "an unknown argument", f"one of {', '.join(known)}", remedy)
 
 
 def check_parameters(fitter):
@@ -99,7 +99,7 @@ def _check_unit(unit, rig):
         raise InputError("unit", brief(unit), f"{', '.join(map(repr, METRES))} or None", did_you_mean(unit, METRES))
     if rig.metres_per_unit is None:
         got = f"{unit!r} with the rig {rig.name!r}, whose own unit is not known"
-        remedy = "Say the rig's in a card ([rig] unit), before learning where it is a model's, or leave this one out."
+        remedy = "Give the rig's unit in a card ([rig] unit), before learning if it is a model's, or leave this argument out."
         raise InputError("unit", got, "a rig whose unit is known", remedy)
 
 
@@ -132,7 +132,7 @@ class NotLearnedError(InputError, NotFittedError):
 def check_learned(fitter):
     """Raise InputError unless a fitter has learned, with the rig and the kind of variant that it now has."""
     if getattr(fitter, "template_", None) is None:
-        raise NotLearnedError("fitter", "one that has learned nothing", "one that has learned", "Call fit(scans) first.")
+        raise NotLearnedError("fitter", "one that has not learned", "one that has learned", "Call fit(scans) first.")
     learned, (rig, skinning, labels) = fitter._learned_with, learned_with(fitter)
     if rig != learned[0]:
         raise InputError("rig", f"{fitter.rig.name!r}", "the rig that the fitter learned with", "Learn again with this one.")
@@ -194,8 +194,8 @@ def check_scan(rig, variant, points, theta0, labels, point_weights):
     if labels is not None:
         labels = _checked_labels(labels, len(points), rig.parts)
         if as_variant(variant).skinning and not as_variant(variant).labels:
-            expected = f"None: the variant {variant!r} uses labels nowhere"
-            raise InputError("labels", "known ones", expected, "Leave them out, or choose another variant.")
+            expected = f"None: the variant {variant!r} does not use labels"
+            raise InputError("labels", "known labels", expected, "Leave them out, or choose another variant.")
     return points, theta0, labels, point_weights
 
 
@@ -204,7 +204,7 @@ def _checked_labels(labels, n, parts):
     labels = np.asarray(labels)
     if labels.shape != (n,):
         of_parts = labels.shape == (n, len(parts))
-        remedy = "Of probabilities pass the most probable parts: proba.argmax(axis=1)." if of_parts else None
+        remedy = "For probabilities, pass the most probable parts: proba.argmax(axis=1)." if of_parts else None
         raise InputError("labels", f"shape {labels.shape}", f"shape ({n},), one for each point", remedy)
     if labels.dtype.kind not in "iu":
         raise InputError("labels", f"values of type {labels.dtype}", "integers that index rig.parts")
@@ -214,5 +214,5 @@ def _checked_labels(labels, n, parts):
         expected = f"integers from 0 to {len(parts) - 1}, which index rig.parts, or -1 where the part is not known"
         raise InputError("labels", got, expected)
     if (labels < 0).all():
-        raise InputError("labels", "-1 for all points", "the parts of some points at least", "Leave labels out.")
+        raise InputError("labels", "-1 for all points", "the part of at least one point", "Leave labels out.")
     return labels.astype(int)

@@ -32,16 +32,16 @@ def as_scans(scans):
         remedy = "Pass list(scans.values())." if isinstance(scans, Mapping) else "Make a list: a set has no order."
         raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
     if isinstance(scans, (str, bytes, Scan)) or not hasattr(scans, "__iter__") or getattr(scans, "ndim", 1) == 0:
-        remedy = "Put a single scan in a list, too." if isinstance(scans, Scan) else "Make a list of load_scan(path), one each."
+        remedy = "Put a single scan in a list." if isinstance(scans, Scan) else "Pass a list with load_scan(path) for each file."
         raise InputError("scans", f"a {type(scans).__name__}", "a sequence of scans", remedy)
     of_objects = getattr(getattr(scans, "dtype", None), "kind", "") == "O"
     if getattr(scans, "ndim", 1) == 2 and not of_objects:  # a data frame is one, too
         got = f"one array of shape {scans.shape}"
-        raise InputError("scans", got, "a sequence of scans, (n, 3) each", "Put a single scan in a list, too.")
+        raise InputError("scans", got, "a sequence of scans, (n, 3) each", "Put a single scan in a list.")
     scans = list(scans)
     path = next((s for s in scans if isinstance(s, (str, bytes, os.PathLike))), None)
     if path is not None:
-        remedy = "Read it: load_scan(path), or functools.partial(load_scan, path) to have it read when it is its turn."
+        remedy = "Pass load_scan(path), or functools.partial(load_scan, path) to read it only when it is needed."
         raise InputError("scans", f"the path {brief(path)}", "points, Scans, or callables that return one", remedy)
     return scans
 
@@ -140,7 +140,7 @@ def odd_ones(sizes, most):
 
 def mixed_units(got, others=""):
     """The InputError of a collection whose scans are in different units, as ``got`` says, with ``others`` as a first remedy."""
-    remedy = "Convert them, name their subjects (--subjects), learn from each kind by itself, or leave out those that are wrong."
+    remedy = "Convert them, name their subjects (--subjects), learn from each unit separately, or leave out the wrong scans."
     return InputError("scans", f"different units: {got}", "scans of one collection in one unit", others + remedy)
 
 
@@ -153,10 +153,10 @@ def _common_unit(collection):
         at = ", ".join(collection.members[i].name for i in odd[:5]) + ", …" * (len(odd) > 5)
         least, most = (f"{size:.3g}" for size in (extents[odd].min(), extents[odd].max()))
         have = f"scan {at} has an extent" if len(odd) == 1 else f"scans {at} have extents"
-        raise mixed_units(f"{have} of {least if least == most else f'{least} to {most}'}, the others of about {others:.3g}")
+        raise mixed_units(f"{have} of {least if least == most else f'{least} to {most}'}, the others about {others:.3g}")
     for m, size in ((collection.members[i], extents[i]) for i in odd):
-        got = f"an extent of {size:.3g}, the others of about {others:.3g}"
-        remedy = "It is left out: convert it and learn again."
+        got = f"an extent of {size:.3g}, where the other scans have about {others:.3g}"
+        remedy = "The scan is left out: convert it and learn again."
         what = "points" if m.name == f"{m.index}" else m.name  # its number is said with every failure, its file is not
         collection.failures[m.index] = str(InputError(what, got, "scans of one collection in one unit", remedy))
     collection.members = [m for i, m in enumerate(collection.members) if i not in odd]

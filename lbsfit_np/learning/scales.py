@@ -37,19 +37,19 @@ def check_scales(members, scales, *, ends=False):
     if len(odd) > max(1, 0.2 * len(scales)):  # a few may just be wrong
         ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
         at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
-        got = f"of subject {members[0].subject!r}, scans {at} have {ratio:.3g} times the others' scale"
-        raise mixed_units(got, "If they show more than the rig has, such as an arm, cut it off. " if ends else "")
+        got = f"scans {at} of subject {members[0].subject!r} have {ratio:.3g} times the scale of the others"
+        raise mixed_units(got, "If they show more than the rig has, such as an arm, crop them. " if ends else "")
     for i, m in enumerate(members if len(members) > 1 else ()):
         m.ratio = float(scales[i] / np.median(np.delete(scales, [*odd, i])))  # the odd one of three would shift the others'
     if len(members) == 2:
         if not same_size(*scales):
-            doubt = "the first fits of scans {} and {} had the scales {:.3g} and {:.3g}: in two units, or of two people? "
-            doubt += "Convert one, or name two subjects (--subjects), and learn again"
+            doubt = "the first fits of scans {} and {} have the scales {:.3g} and {:.3g}: "
+            doubt += "are they in two units, or of two people? Convert one, or name two subjects (--subjects), and learn again"
             members[0].doubt = members[1].doubt = doubt.format(*(m.name for m in members), *scales)
         return
     others = any(m.role == LEARNED_FROM for i, m in enumerate(members) if i not in odd)
     for i in odd:
-        members[i].doubt = f"{_other_scale(members[i])}: in another unit? Convert it and learn again"
+        members[i].doubt = f"{_other_scale(members[i])}: is it in another unit? Convert it and learn again"
         members[i].apart = others
 
 
@@ -72,12 +72,13 @@ def scale_warnings(members):
         if m.doubt:
             told.append(f"scan {m.name}: {m.doubt}; {m.role}")
         elif not same_size(m.ratio, 1.0):
-            told.append(f"scan {m.name}: {_other_scale(m)}: in another unit, or a wrong fit? Its result will tell; {m.role}")
+            doubt = f"{_other_scale(m)}: is it in another unit, or is the fit wrong? Its result will tell"
+            told.append(f"scan {m.name}: {doubt}; {m.role}")
     return told
 
 
 def _other_scale(member):
-    return f"its first fit had {member.ratio:.3g} times the scale of its subject's others"
+    return f"its first fit has {member.ratio:.3g} times the scale of its subject's other scans"
 
 
 def units_apart(scales):
@@ -97,8 +98,8 @@ def units_apart(scales):
     if units[most] < _ONE_SCALE * units[least]:
         return ""
     ratio = units[most] / units[least]
-    words = f"scans of subject {most!r} have {ratio:.3g} times the scale of those of {least!r}: in another unit? "
-    return words + "Each subject's template is learned in its own; where it is one unit that is known, say so with unit (--unit)"
+    words = f"scans of subject {most!r} have {ratio:.3g} times the scale of those of {least!r}: are they in another unit? "
+    return words + "Each subject's template is learned in its own unit; if all scans are in one known unit, pass unit (--unit)"
 
 
 def size_and_unit(scale, guess, *, grows):

@@ -40,8 +40,8 @@ def check_ids(subjects):
         j, other = first.setdefault(_text(s), (i, s))
         if other != s:
             got = f"{brief(other)} for scan {j} and {brief(s)} for scan {i}"
-            remedy = "Write the id of one person in one way, and give two people names that differ."
-            raise InputError("subjects", got, "ids that differ as text, too: results and files have them so", remedy)
+            remedy = "Write the id of one person in one way, and give different people different ids."
+            raise InputError("subjects", got, "ids that differ as text, too: results and files store them as text", remedy)
 
 
 def known_subjects(learned, subjects, n):
@@ -75,13 +75,13 @@ def known_subject(learned, given, argument="subject", scan=None):
     given = given.item() if isinstance(given, np.generic) else given
     got = brief(given) if scan is None else f"{brief(given)} for scan {scan}"
     if learned is None:
-        raise InputError(argument, got, "no subject, as nothing was learned yet")
+        raise InputError(argument, got, "no subject, as nothing has been learned yet")
     if isinstance(given, (str, int)) and not isinstance(given, bool):
         known = {_text(s): s for s in learned} | {s: s for s in learned}
         found = known.get(given, known.get(_text(given)))
         if found is not None:
             return found
-    others = "Fit scans of others without it." if scan is None else "Give None for scans of others."
+    others = "Fit scans of other people without it." if scan is None else "Pass None for scans of other people."
     remedy = did_you_mean(given, learned) or others
     raise InputError(argument, got, f"a learned subject: {listed(list(map(repr, learned)))}", remedy)
 

@@ -154,5 +154,5 @@ def in_full(proba):
 def finite(loss):
     """The loss, unless it would spoil the means and medians that all scans go by."""
     if not np.isfinite(loss):
-        raise InputError("points", "a fit that is not finite", "points without wild ones")
+        raise InputError("points", "a fit that is not finite", "points without extreme outliers")
     return loss

@@ -71,11 +71,11 @@ def note_on(name, given):
     """What is to be known of a variant without skinning and of the options ``given``, in a line; nothing of others."""
     if as_variant(name).skinning:
         return ""
-    words = [f"in the variant {name} scans have to face the rig's way"]
+    words = [f"in the variant {name}, scans must face the same way as the rig"]
     of_floors = [key for key in given if key in _OF_FLOORS]
     for keys, one, several in (
-        (of_floors, "only tells where a floor may be", "only tell where a floor may be"),
-        (unused(name, given), "means nothing", "mean nothing"),
+        (of_floors, "only says where a floor may be", "only say where a floor may be"),
+        (unused(name, given), "has no effect", "have no effect"),
     ):
         if keys:
             flags = ", ".join(f"--{key.replace('_', '-')}" for key in keys)

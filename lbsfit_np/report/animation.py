@@ -157,7 +157,7 @@ def said_unit(results):
     """
     said = sorted({r.unit for r in results if r.unit})
     if len(said) > 1:
-        remedy = "Write an animation of each unit, or convert the scans and fit again."
+        remedy = "Write one animation for each unit, or convert the scans and fit again."
         raise InputError("results", f"fits of scans in {listed(said)}", "scans in one unit", remedy)
     return said[0] if said else ""
 

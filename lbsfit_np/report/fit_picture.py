@@ -49,7 +49,7 @@ def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
     """
     points = check_points(points)
     if len(points) != len(result.labels):
-        raise InputError("points", f"{len(points)}", f"the {len(result.labels)} that the fit is of")
+        raise InputError("points", f"{len(points)}", f"{len(result.labels)}, as many as the fit has labels")
     turn, colors = root_turn(rig, result.pose), part_colors(len(rig.parts))
     rows = np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(int)
     found = result.vertices @ turn

@@ -105,7 +105,7 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     words = "; ".join(filter(None, (told, left_out)))
     if words and len(kept) < len(rig.parts):
         got = f"{len(kept)} point{'' if len(kept) == 1 else 's'} that may be of the body ({words})"
-        raise InputError("points", got, f"at least {len(rig.parts)} points, one a part")
+        raise InputError("points", got, f"at least {len(rig.parts)} points, one for each part")
     dropped = np.setdiff1d(drawn, body, assume_unique=True)
     others = np.setdiff1d(rows, np.union1d(kept, dropped), assume_unique=True)
     if among is not None:
@@ -123,7 +123,7 @@ def _of_the_body(points, drawn, *, among, **sides):
         return body, left_out, below
     within = body[among[body]]
     share = 1.0 - len(within) / max(len(body), 1)
-    ends = f"taken to go on beyond the rig, {share:.0%} of its points left out"
+    ends = f"the scan seems to go on beyond the rig: {share:.0%} of its points left out"
     return within, "; ".join(filter(None, (ends, left_out))), below
 
 
@@ -179,7 +179,7 @@ def clean_rows(points, rows, *, ups=None, body=None):
         Points without an extent that can be worked with.
     """
     checked_extent(points[rows])
-    looked_at = f" (of {len(rows)} that were looked at)" if len(rows) < len(points) else ""
+    looked_at = f" (of {len(rows)} examined)" if len(rows) < len(points) else ""
     rows, wild = near_rows(points, rows)
     rows, floor, below = off_floor(points, rows, ups=ups, body=body)
     told = (wild, "far from all others"), (floor, "of a floor")

@@ -122,7 +122,7 @@ def _in_known_unit(ratio, rig, mode, unit):
             "unit",
             f"{unit!r}, in which the scan's extent is {size:.3g} times the rig's",
             f"the scan's unit, in which it is {least / _SUBJECTS:g} to {most * _SUBJECTS:g} times the rig's",
-            "Pass the scan's, or None (--unit auto), which finds it.",
+            "Pass the scan's unit, or None (--unit auto) to have it found.",
         )
     same = least <= size <= most
     return ReferenceScale(scale if same else ratio, f"the scan is in {WORDS[unit]}")
@@ -164,7 +164,7 @@ def unit_note(scale, rig, mode, *, guessed=False, unit=None, size=1.0):
 def _size_note(size, mode, guessed, unit):
     words = WORDS[unit]
     if mode == "fixed":
-        return f"the scan is in {words}, and its size fixed at the rig's"
+        return f"the scan is in {words}, and its size is fixed at the rig's"
     if guessed:  # by extents, which a pose changes as much
         return f"the scan is in {words}"
     doubt = "" if 1 / _DOUBTED <= size <= _DOUBTED else f": is the scan in {words}?"
@@ -185,7 +185,7 @@ def _otherwise(scale, rig, name):
     told = [f"in {word} {size:.2f}" for word, size in sizes.items() if 1 / _MAYBE <= size <= _MAYBE]
     if not told:
         return ""
-    return f" ({' or '.join(told)} times as large as the rig: where the unit is known, say so with unit, --unit)"
+    return f" ({' or '.join(told)} times as large as the rig: if the unit is known, pass unit, --unit)"
 
 
 def extent_doubt(points, rig, unit):
@@ -201,7 +201,7 @@ def extent_doubt(points, rig, unit):
     ratio = extent(points) / (extent(rig.vertices) * unit)
     if _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
         return ""
-    return f"its extent is {ratio:.3g} times the rig's in the scans' unit: in another unit? Convert it and learn again"
+    return f"its extent is {ratio:.3g} times the rig's in the scans' unit: is it in another unit? Convert it and learn again"
 
 
 def same_unit(scale):
@@ -261,8 +261,8 @@ def checked_extent(points):
     """
     own = extent(points)
     if own == 0:
-        expected = "points that are spread over a surface"
-        raise InputError("points", "an extent of 0, as of points at one place", expected, "Check that the scan has coordinates.")
+        got, expected = "an extent of 0: all points are at one place", "points that are spread over a surface"
+        raise InputError("points", got, expected, "Check that the scan has coordinates.")
     if not 0 < own**2 < np.inf:
         largest = float(np.abs(points).max())  # as a unit in which the extent can be measured
         got = f"an extent of {largest * extent(points / largest):.3g}"

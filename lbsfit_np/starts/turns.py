@@ -92,7 +92,7 @@ def stands_note(turn, up):
     if along[axis] * up[axis] > 0:
         return ""
     name = _axis_name(along)
-    spared = f"if it does, up={name!r}, --up={name}, spares the search"
+    spared = f"if this is right, up={name!r}, --up={name}, saves the search"
     return f"the scan stands along its {name} axis, which is not the rig's up axis ({spared})"
 
 

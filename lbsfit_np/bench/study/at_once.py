@@ -138,7 +138,7 @@ def made_at_once(batches, rigs, sizes, *, jobs, steps, progress, on_row):
         if not hasattr(error, "__notes__"):
             error.add_note(f"{batch.name}, seed {batch.seed}, {' or '.join(batch.rows)}")
         wrong.append(error)
-        then = "no more is begun, what other processes have begun is finished first"
+        then = "no further rows are started; rows that other processes have begun are finished first"
         warned(f"{error.__notes__[-1]} failed: {in_words(error)}; {then}")
 
     heard = {"share": progress, "row": on_row, "reached": there.add, "warning": warned}
@@ -178,8 +178,8 @@ class _Made:
         batch, gone_on = task
         name, seed = batch.name, batch.seed
         if state_of_the_code() != self.code:  # its rows would be said to be of the code that this process has read
-            got = "files that have changed, or libraries, since this run began"
-            remedy = "Rows that are done are kept; the same command makes the others (without --existing replace)."
+            got = "files or libraries that have changed since this run began"
+            remedy = "Finished rows are kept; run the same command (without --existing replace) to continue."
             raise InputError("lbsfit_np", got, "the same ones in all processes", remedy)
         row = batch.rows[0]
 

@@ -200,10 +200,11 @@ def _begun(before, size, rigs):
             if entry.get("size") != now["size"]:
                 raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", REMEDY)
             if any(entry.get(key) != now[key] for key in ("digest", "poses")):
-                raise InputError("before", f"results of another rig than {name!r} now is", "results of the same rigs", REMEDY)
+                raise InputError("before", f"results of another rig named {name!r}", "results of the same rigs", REMEDY)
             for key, what in (("people", "test people"), ("scans", "scans")):
                 if entry[key] != now[key]:
-                    raise InputError("before", f"results of other {what} than {name!r} now has", "results of the same", REMEDY)
+                    got = f"results of other {what} than {name!r} now has"
+                    raise InputError("before", got, f"results of the same {what}", REMEDY)
     return report
 
 
