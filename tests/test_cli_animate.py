@@ -80,7 +80,7 @@ def test_fits_that_would_lie_are_told_how_to_stand(fitted, made, tmp_path, run):
         assert stands_along(lbs.load_rig(made / "tube.npz"), [leans]) == axis
     assert "fits stand along +z" in run(*lying, "--up=+y")[1]
     assert "stand along" not in run(*lying, fitted[0] / "one.fit.npz")[1]  # one that stands and one that leans
-    with pytest.warns(UserWarning, match=r"stand along \+z: with up='\+z'"):
+    with pytest.warns(UserWarning, match=r"stand along \+z: pass up='\+z'"):
         lbs.save_animation(tmp_path / "c.glb", lbs.load_rig(made / "tube.npz"), replace(fit, pose=pose))
     rig = replace(lbs.load_rig(made / "tube.npz"), up=None, forward=None)
     assert stands_along(rig, [replace(fit, pose=pose)]) is None  # nobody knows how it stands

@@ -92,9 +92,10 @@ def save_animation(
     if influences is not None:
         rig = replace(rig, weights=_strongest(rig.weights, influences))
     if axis := stands_along(rig, results, up):
-        warnings.warn(f"the fits stand along {axis}: with up={axis!r} the animation is upright, unless they lie", stacklevel=2)
+        words = f"the fits stand along {axis}: pass up={axis!r} for an upright animation, unless they lie down"
+        warnings.warn(words, stacklevel=2)
     if odd := [f"results[{k}]" for k in odd_scales(results)]:
-        warnings.warn(f"scales that differ by more than people do: of {listed(odd)}; are the scans in one unit?", stacklevel=2)
+        warnings.warn(f"the scales of {listed(odd)} differ by more than people do; are all scans in one unit?", stacklevel=2)
     metres = unit_of(rig, results)[1] if metres_per_unit is None else float(metres_per_unit)
     exact = offsets == "each" or len(results) == 1
     mean, joints = _mean([r.offsets for r in results]), _mean([r.rest_joints for r in results])
