@@ -60,7 +60,7 @@ def test_scans_in_other_units_are_named(fitted, made, tmp_path, run):
     assert (code, err) == (0, "")
     assert "note: the scales of c.fit.npz differ by more than people do; are all scans in one unit?" in out
     assert "one unit?" not in run("animate", made / "tube.npz", *fits[:2], "-o", tmp_path / "b.glb")[1]
-    with pytest.warns(UserWarning, match=r"of results\[2\]; are the scans in one unit"):
+    with pytest.warns(UserWarning, match=r"of results\[2\] differ by more than people do; are all scans in one unit"):
         lbs.save_animation(tmp_path / "c.glb", lbs.load_rig(made / "tube.npz"), [lbs.FitResult.load(f) for f in fits])
 
 

@@ -203,7 +203,7 @@ def test_fits_say_the_unit_of_an_animation(tube_rig, tube_result, tmp_path):
     with pytest.raises(InputError, match="^results: got a fit with the unit 'ell'"):
         lbs.save_animation(tmp_path / "a.glb", tube_rig, replace(tube_result, unit="ell"))
     assert not (tmp_path / "a.glb").exists()
-    with pytest.warns(UserWarning, match="are the scans in one unit"):  # they are in what is said at last
+    with pytest.warns(UserWarning, match="are all scans in one unit"):  # they are in what is said at last
         lbs.save_animation(tmp_path / "a.glb", tube_rig, [*said, replace(mixed[1], scale=1e3)], metres_per_unit=0.01)
 
 
