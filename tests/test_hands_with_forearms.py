@@ -6,11 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from learning_runs import FEW
 from sklearn.base import clone
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.conditions import CONDITIONS, condition_scan
 from lbsfit_np.learning import first_fits
+from lbsfit_np.learning.loop import LoopSettings
 
 
 @pytest.fixture(scope="module")
@@ -43,6 +45,7 @@ def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fit
 
 def test_hands_with_forearms_are_learned_from(hand, fitter, tmp_path, monkeypatch):
     """Their first fits find what lies beyond, and are not made again after a stop; in millimetres."""
+    monkeypatch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**FEW, **others))
     scans = [_with_an_arm(hand, i) for i in (1, 2)] + [condition_scan(hand, CONDITIONS["0.3"], 4, np.random.default_rng(4))]
     learner = clone(fitter).set_params(rounds=1, held_out=0)
     learner._pretrained = fitter._pretrained
