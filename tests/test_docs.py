@@ -54,13 +54,13 @@ def test_snippets_run(path, demo, monkeypatch):
     """All ```python blocks of a document one after the other, as a reader would; with few training scans, and in a hurry."""
     from lbsfit_np.learning.fitter import LBSFitter
 
-    learning_is_hurried(monkeypatch, "balanced", turns=0)
+    learning_is_hurried(monkeypatch, "balanced")
     monkeypatch.chdir(demo)
     monkeypatch.setenv("LBSFIT_CACHE", str(demo / "cache"))
     pretrain = LBSFitter.pretrain
 
     def quick(self, **options):
-        self.training_scans = min(self.training_scans, 12)
+        self.training_scans = min(self.training_scans, 40)
         return pretrain(self, **options)
 
     monkeypatch.setattr(LBSFitter, "pretrain", quick)
