@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from lbsfit_np.fitting import second_look
+from lbsfit_np.fitting import refit, search, second_look
 from lbsfit_np.fitting.effort import EFFORTS, Effort
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Found
@@ -12,6 +12,7 @@ from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.variants import as_variant
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.gauss_newton import GaussNewton
+from lbsfit_np.optimize.lbfgs import minimise
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.starts.turns import Facing
@@ -37,6 +38,8 @@ def learning_is_hurried(patch, effort="fast", **more):
     """
     patch.setitem(EFFORTS, effort, HURRIED)
     patch.setitem(GaussNewton.__init__.__kwdefaults__, "tolerance", 0.3)
+    for module in (refit, search):
+        patch.setattr(module, "minimise", lambda *given, **more: minimise(*given, **more | {"tolerance": 0.1}))
     for module in (first_fits, second_look):  # such fits are in doubt, which would have each looked at for an arm
         patch.setattr(module, "may_go_on", lambda rig, settings: False)
     quick = FEW | more

@@ -1,15 +1,18 @@
 """Hands with a forearm, which their rig has nothing of, fitted by themselves and learned from."""
 
 import warnings
+from copy import copy
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from learning_runs import FEW
 from sklearn.base import clone
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.conditions import CONDITIONS, condition_scan
 from lbsfit_np.learning import first_fits
+from lbsfit_np.learning.loop import LoopSettings
 
 
 @pytest.fixture(scope="module")
@@ -35,15 +38,14 @@ def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fit
     assert error < 0.015 and result.status == "ok", (error, result.message)
     assert "the scan seems to go on beyond the rig" in result.message
     assert result.labels.shape == (len(scan.points),) and result.confidence[scan.labels < 0].mean() < 0.3
-    fast = clone(fitter).set_params(effort="fast")
-    fast._pretrained = fitter._pretrained
-    alone = fast.fit_scan(scan.points)
+    alone = copy(fitter).set_params(effort="fast").fit_scan(scan.points)
     assert alone.status != "ok" and "the scan seems to go on beyond the rig" not in alone.message
     assert "(--effort balanced) looks further, also for what goes on beyond the rig" in alone.message
 
 
 def test_hands_with_forearms_are_learned_from(hand, fitter, tmp_path, monkeypatch):
     """Their first fits find what lies beyond, and are not made again after a stop; in millimetres."""
+    monkeypatch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**FEW, **others))
     scans = [_with_an_arm(hand, i) for i in (1, 2)] + [condition_scan(hand, CONDITIONS["0.3"], 4, np.random.default_rng(4))]
     learner = clone(fitter).set_params(rounds=1, held_out=0)
     learner._pretrained = fitter._pretrained

@@ -270,8 +270,9 @@ def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, f
     np.testing.assert_array_equal(fitter.template_[0].vertices, templates[2][0][0])  # the last of the round
 
 
-def test_what_is_kept_of_a_scan_grows_by_little_more_than_its_points(tube_rig, unlearned, few_scans):
+def test_what_is_kept_of_a_scan_grows_by_little_more_than_its_points(tube_rig, unlearned, few_scans, monkeypatch):
     """Thousands of bodies fit into memory: probabilities are of half precision, search structures are made when needed."""
+    learning_is_hurried(monkeypatch, FitSettings().effort)
     collection = collected(tube_rig, [s.points for s in few_scans])
     loop_over(tube_rig, collection, "joint", unlearned.segmenter_, unlearned.regressor_).run()
     for m in collection.members:

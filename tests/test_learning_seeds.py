@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
-from learning_runs import learning_is_hurried
+from learning_runs import FEW, learning_is_hurried
 
 from lbsfit_np.learning.checkpoint import steps_in
+from lbsfit_np.learning.loop import LoopSettings
 
 
-def test_results_do_not_depend_on_the_number_of_processes(make_learner, few_scans):
+def test_results_do_not_depend_on_the_number_of_processes(make_learner, few_scans, monkeypatch):
+    monkeypatch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**FEW, **others))
     found = [make_learner(n_jobs=jobs).fit([s.points for s in few_scans[:3]]) for jobs in (1, 2)]
     _assert_alike(*found)
     np.testing.assert_array_equal(found[0].template_[0].vertices, found[1].template_[0].vertices)

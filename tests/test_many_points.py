@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from learning_runs import collected, mean_gap
+from learning_runs import collected, learning_is_hurried, mean_gap
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting import scan_fit
@@ -162,6 +162,7 @@ def test_scans_of_a_collection_have_more_points_in_their_frame(tube_rig):
 
 
 def test_templates_and_last_poses_of_learning_and_after_it_see_more_points(make_learner, few_scans, monkeypatch):
+    learning_is_hurried(monkeypatch)
     seen = {}
 
     def watch(owner, name, what):
@@ -210,6 +211,7 @@ def test_a_template_of_more_points_is_nearer_to_the_true_one(tube_rig):
 @pytest.mark.parametrize("most", [150, 2500])
 def test_variants_without_a_prior_go_on_with_all_points_too(most, make_learner, few_scans, monkeypatch):
     """Else what they lack beside others would be points, not what all poses tell."""
+    learning_is_hurried(monkeypatch)
     drawn = []
     monkeypatch.setattr("lbsfit_np.learning.tasks.drawn", lambda *given: drawn.append(given))
     polished, polish = [], Told.__call__

@@ -23,8 +23,9 @@ from lbsfit_np.segmentation.segmenter import Segmenter
 
 @pytest.fixture
 def command(tube_rig, tmp_path, monkeypatch):
-    """A study of a few small scans of the tube, without rows."""
+    """A study of a few small scans of the tube, one of them held out, without rows."""
     small_is_few_and_fast(monkeypatch)
+    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], test=1, test_subjects=1))
     tube_rig.save(tmp_path / "tube.npz")
     out = ["-o", str(tmp_path / "out")]
     return ["bench", "study", "--rig", str(tmp_path / "tube.npz"), "--seeds", "5", "--no-figures", *out, "--rows"]
@@ -64,6 +65,7 @@ def _found(cell):
 def test_a_row_that_is_stopped_goes_on(command, run_stopped, tube_rig, tmp_path, monkeypatch, capsys):
     """Nothing of it is done twice, its figures are those of a run at one go, and its steps are gone in the end."""
     out, fitted, fit_scan = tmp_path / "out", [], LBSFitter.fit_scan
+    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], test=3, test_subjects=2))
     whole = study({"tube": tube_rig}, rows=("joint",), seeds=[5])["rigs"]["tube"]["seeds"]["5"]
     assert run_stopped([*command, "joint"]) == 130
     assert f"stopped: finished work is kept in {out}; run the same command to continue" in capsys.readouterr().out
