@@ -219,7 +219,9 @@ def test_first_fits_of_a_run_that_was_stopped_are_not_in_the_time_of_the_first_r
     assert told == {"cd": False, "rand": True, "joint": False} and not any(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("how, words", [("error", "points: got nothing"), ("killed", "n_jobs: got a process that ended .killed")])
+@pytest.mark.parametrize(
+    "how, words", [("error", "points: got nothing"), ("killed", "n_jobs: got a worker process that ended .killed")]
+)
 def test_what_goes_wrong_in_a_process_is_said_and_what_is_made_beside_it_is_kept(how, words, rigs, tmp_path, monkeypatch):
     """Nothing is begun after it, as it may go wrong with all."""
     if how == "killed" and not hasattr(signal, "SIGKILL"):
