@@ -246,7 +246,7 @@ def make_settings(settings, others=()):
     for name, value in settings.items():
         if name not in known:
             names = (*others, *known)
-            raise InputError(name, "a setting that is not known", f"one of {', '.join(names)}", did_you_mean(name, names))
+            raise InputError(name, "an unknown setting", f"one of {', '.join(names)}", did_you_mean(name, names))
         kind, least, most = _RANGES.get(name, (Real, 0, _MOST))
         if kind is bool:
             if not isinstance(value, (np.bool_, Integral)) or value not in (0, 1):

@@ -49,7 +49,7 @@ def test_configuration_files(made, tmp_path, run):
         ('effort = "most"', ["effort", "'fast' or 'balanced' or 'thorough'"]),
         ('partial = "yes"', ["partial", "true or false"]),
         ("training = 3", ["training", "a table of numbers"]),
-        ("training = { trun = 1 }", ["got training: trun: a setting that is not known", "Did you mean 'turn'?"]),
+        ("training = { trun = 1 }", ["got training: trun: an unknown setting", "Did you mean 'turn'?"]),
         ("training = { n_points = 0 }", ["got training: n_points: 0", "at least"]),
         ("max-points = 9\nmax_points = 9", ["'max-points' twice"]),
         ("seed = ", ["no", "TOML"]),

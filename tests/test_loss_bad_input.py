@@ -53,7 +53,7 @@ BAD = [
     (lambda: structured_chamfer(_X, _V, _xl, _vl, x_index=PointIndex(_X, _xl[::-1])), ["x_index", "over other labels"]),
     (lambda: chamfer(_X, _V, x_index=_X), ["x_index: got a ndarray", "PointIndex over X"]),
     (lambda: loopback(np.full_like(S.V, np.nan), S.V), ["predicted", "NaN", "finite numbers"]),
-    (lambda: PRESETS["paper"].replace(lam_lab=0.1), ["lam_lab: got a weight that is not known", "Did you mean 'lam_lap'"]),
+    (lambda: PRESETS["paper"].replace(lam_lab=0.1), ["lam_lab: got an unknown weight", "Did you mean 'lam_lap'"]),
     (lambda: loopback(S.V, np.full_like(S.V, np.inf)), ["theta", "infinite", "finite numbers"]),
     (lambda: structured_chamfer(_X, _V, _xl[:-1], _vl), ["x_labels: got shape (36,)", "(37,)"]),
     (lambda: structured_chamfer(_X, _V, _xl, _xl), ["v_labels: got shape (37,)", "(30,)"]),

@@ -189,7 +189,7 @@ def check_training(given):
     for name in given:
         if name not in known:
             expected = f"one of {', '.join(known)}"
-            raise InputError("--training", f"{name}: a setting that is not known", expected, did_you_mean(name, known))
+            raise InputError("--training", f"{name}: an unknown setting", expected, did_you_mean(name, known))
     try:
         training_settings(given)
     except InputError as error:  # in the words of the command line and of TOML

@@ -312,7 +312,7 @@ def check_sources(sources):
     if missing:
         what = "a file that does not exist" if len(missing) == 1 else f"{len(missing)} files that do not exist"
         raise InputError(
-            "SCAN", f"{what}: {listed(missing, 5)}", "scan files that exist", "Check the paths; the rig comes before the scans."
+            "SCAN", f"{what}: {listed(missing, 5)}", "scan files that exist", "Check the paths; give the rig before the scans."
         )
     folders = [s for s in sources if os.path.isdir(s)]
     if folders:

@@ -50,7 +50,7 @@ class LossWeights:
         known = self.__dataclass_fields__
         for name in changes:
             if name not in known:
-                raise InputError(name, "a weight that is not known", f"one of {', '.join(known)}", did_you_mean(name, known))
+                raise InputError(name, "an unknown weight", f"one of {', '.join(known)}", did_you_mean(name, known))
         return replace(self, **changes)
 
 
