@@ -215,10 +215,11 @@ def test_no_paths_of_one_machine(path):
     assert not re.search(r"(/home/|/tmp/|[A-Z]:\\)", path.read_text(encoding="utf-8"))
 
 
-def test_the_studys_page_is_what_its_results_say():
+@pytest.mark.parametrize("folder", ["study", "study/medium-hand"])
+def test_the_studys_page_is_what_its_results_say(folder):
     """Nobody has changed the page by hand, or the command without it."""
     from lbsfit_np.bench.study.page import page
 
-    report = json.loads((ROOT / "docs" / "study" / "results.json").read_text(encoding="utf-8"))
-    assert (ROOT / "docs" / "study" / "README.md").read_text(encoding="utf-8") == page(report, report["captions"])
-    assert all((ROOT / "docs" / "study" / name).is_file() for name in report["captions"])
+    report = json.loads((ROOT / "docs" / folder / "results.json").read_text(encoding="utf-8"))
+    assert (ROOT / "docs" / folder / "README.md").read_text(encoding="utf-8") == page(report, report["captions"])
+    assert all((ROOT / "docs" / folder / name).is_file() for name in report["captions"])
