@@ -173,7 +173,8 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         array = array[~bad]
         dropped = f" after {count} with a coordinate that is NaN or infinite were left out"
     if not len(array):
-        raise InputError(argument, f"0 points{dropped}", expected, "No points are left; check how the scan was made.")
+        remedy = f"{'No points are left; check' if dropped else 'Check'} how the scan was made."
+        raise InputError(argument, f"0 points{dropped}", expected, remedy)
     if len(array) < minimum:
         raise InputError(argument, f"{counted(len(array), 'point')}{dropped}", expected, _DENSER)
     if len(array) > 1 and (array == array[0]).all():

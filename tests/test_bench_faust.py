@@ -103,7 +103,7 @@ def test_the_first_scans_of_each_subject(made):
         ("training/registrations", "training/registrations: no such folder; errors cannot be measured"),
         ("training/registrations/tr_reg_001.ply", "no registrations of 1 scans"),
         ("training/ground_truth_vertices", "ground_truth_vertices: no such folder; all vertices of the scans count"),
-        ("training/ground_truth_vertices/tr_gt_001.txt", "no file for tr_scan_001; all their vertices count"),
+        ("training/ground_truth_vertices/tr_gt_001.txt", "no file for tr_scan_001; all vertices count there"),
         ("test/scans", "test/scans: no such folder; no files for the challenge"),
         ("test/scans/test_scan_020.ply", "1 of 1 inter-subject pairs"),
         ("test/challenge_pairs", "test/challenge_pairs: no such folder"),

@@ -150,7 +150,7 @@ def test_names_are_the_same_however_their_letters_are_put_together(folder, meshe
 def test_without_subjects_all_are_one(folder):
     scans, _, notes = _read(folder, "scan\ns0\ns1\ns2\n")
     assert {s.subject for s in scans} == {"0"}
-    assert notes == ["truth.csv has no column subject: all scans are taken to be of one subject"]
+    assert notes == ["truth.csv has no column subject: all scans are assumed to be of one subject"]
 
 
 @pytest.mark.parametrize(
@@ -159,11 +159,11 @@ def test_without_subjects_all_are_one(folder):
         ("", ["0 lines", "heading"]),
         ("scan,subject\n", ["1 line;"]),
         ("scan,subject\ns0,a\n", ["1 scan", "two scans"]),
-        ("scan,subject,vertx\ns0,a,5\n", ["scan, subject, vertx", "name and vertex"]),
-        ("scan,subject,name\ns0,a,b\n", ["name and vertex; name, x, y and z"]),
+        ("scan,subject,vertx\ns0,a,5\n", ["scan, subject, vertx", "(name, vertex)"]),
+        ("scan,subject,name\ns0,a,b\n", ["(name, vertex), (name, x, y, z)"]),
         ("scan,subject,name,vertex,x,y,z\ns0,a,t,1,1,1,1\n", ["scan, subject, name, vertex"]),
         ("file,subject\ns0,a\n", ["file, subject"]),
-        ("scan,scan\ns0,a\n", ["scan, scan", "different"]),
+        ("scan,scan\ns0,a\n", ["scan, scan", "each column once"]),
         ("scan,subject\ns0,a\ns1\n", ["1 columns in line 3", "2, as in the heading"]),
         ("scan,subject\ns0,a\ns1,\n", ["no subject in line 3"]),
         ("scan,subject\ns0,a\ns0,a\n", ["'s0' again in line 3"]),

@@ -58,9 +58,10 @@ def test_scans_in_other_units_are_named(fitted, made, tmp_path, run):
     fits = [tmp_path / f"{name}.fit.npz" for name in "abc"]
     code, out, err = run("animate", made / "tube.npz", *fits, "-o", tmp_path / "a.glb")
     assert (code, err) == (0, "")
-    assert "note: the scales of c.fit.npz differ by more than people do; are all scans in one unit?" in out
+    assert "note: the scale of c.fit.npz differs from the others' by more than people do; are all scans in one unit?" in out
     assert "one unit?" not in run("animate", made / "tube.npz", *fits[:2], "-o", tmp_path / "b.glb")[1]
-    with pytest.warns(UserWarning, match=r"of results\[2\] differ by more than people do; are all scans in one unit"):
+    words = r"of results\[2\] differs from the others' by more than people do; are all scans in one unit"
+    with pytest.warns(UserWarning, match=words):
         lbs.save_animation(tmp_path / "c.glb", lbs.load_rig(made / "tube.npz"), [lbs.FitResult.load(f) for f in fits])
 
 

@@ -81,7 +81,7 @@ def test_existing_results(fitted, made, tmp_path, run):
     summary = json.loads((tmp_path / "summary.json").read_text())
     assert [(s["status"], s["kept"]) for s in summary["scans"]] == [("ok", True), ("ok", False)]
     assert summary["counts"] == {"ok": 2, "suspect": 0, "failed": 0, "unfitted": 0, "kept": 1}
-    assert f"2 of 2 scans fitted, 1 of the fits kept from earlier runs; results in {tmp_path}\n" in text
+    assert f"2 of 2 scans fitted, 1 of them kept from earlier runs; results in {tmp_path}\n" in text
     assert summary["scans"][0]["terms"] == lbs.FitResult.load(tmp_path / "one.fit.npz").terms
 
     (tmp_path / "one.fit.npz").write_bytes(b"broken")
@@ -156,7 +156,7 @@ def test_one_scan_alone_is_told_as_one(fitted, made, tmp_path, run, monkeypatch)
         (tmp_path / path.name).write_bytes(path.read_bytes())
     arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
     _, text, _ = run(*arguments)
-    assert "kept existing fits of 1 of 1 scan\n" in text and "1 of 1 scan fitted, 1 of the fits kept from earlier runs" in text
+    assert "kept existing fits of 1 of 1 scan\n" in text and "1 of 1 scan fitted, 1 of them kept from earlier runs" in text
     monkeypatch.setattr(fit, "_fit", _interrupted)
     assert f"stopped: 1 of 1 scan is fitted and kept in {tmp_path}; run the same" in run(*arguments)[1]
 
@@ -205,7 +205,7 @@ def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
         doubtful.save(tmp_path / "two.fit.npz")
         found, text, _ = run(*arguments)
         assert found == code
-        assert f"2 of 2 scans fitted (status: 1 ok, 1 {status}), 2 of the fits kept from earlier runs; results in" in text
+        assert f"2 of 2 scans fitted (status: 1 ok, 1 {status}), 2 of them kept from earlier runs; results in" in text
         assert f"two   {status.ljust(len('status'))}  {probability:.2f}" in text and text.rstrip().count("odd") == 1
         summary = json.loads((tmp_path / "summary.json").read_text())
         assert [(s["name"], s["status"], s["kept"]) for s in summary["scans"]] == [("two", status, True), ("one", "ok", True)]
@@ -224,7 +224,7 @@ def test_kept_fits_that_were_made_with_other_options_are_told(fitted, made, tmp_
     replace(two, settings=two.settings | {"random_state": 7}).save(tmp_path / "two.fit.npz")
     more = ("--seed", "3", "--partial", "--up=+z", "--training", "noise=0.01")
     code, text, _ = run(*arguments, *more)
-    assert code == 0 and "2 of 2 scans fitted, 2 of the fits kept from earlier runs" in text
+    assert code == 0 and "2 of 2 scans fitted, 2 of them kept from earlier runs" in text
     words = "no --partial (not --partial), --seed {} (not --seed 3)"
     words += ", no --training (not --training noise=0.01), no --up (not --up +z)"
     notes = [line for line in text.splitlines() if line.startswith("note: 1 kept fit was made with ")]

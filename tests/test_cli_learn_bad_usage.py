@@ -59,7 +59,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "inf", "--sequence"), ["--smooth", "at least 0"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--smooth", "1e-5"), ["--smooth", "without --sequence"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--variant", "best"), ["--variant", "'best'", "pose-only"]),
-        (("tube.npz", "t0.ply", "-o", "m.npz", "--existing", "skip"), ["'skip'", "'replace'). Learning always starts again"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--existing", "skip"), ["'skip'", "'replace'). lbsfit learn never skips"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--jobs", "0"), ["--jobs", "at least 1"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--training", "trun=1"), ["trun", "Did you mean 'turn'?"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--training", f"n_points={10**30}"), ["--training: got n_points: 1", "at most"]),
@@ -69,7 +69,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "bad.toml"), ["bad.toml", "'round'", "Did you mean 'rounds'"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "share.toml"), ["held-out", "from 0 to 0.9"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "word.toml"), ["smooth = 'much'", "a number"]),
-        (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "skip.toml"), ["existing = 'skip'", "Learning always starts again"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "skip.toml"), ["existing = 'skip'", "lbsfit learn never skips"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--config", "half.toml"), ["rounds = 1.5", "a whole number"]),
     ],
 )

@@ -290,10 +290,10 @@ def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, 
     fitter, values = lbs.LBSFitter.load(tmp_path / "m n.npz"), {"results": "new", "samples": None, "subjects": "who.csv"}
     files = outputs.plan(scans, tmp_path / "new", inputs=[], existing="replace")
     values |= {"drop_invalid": False, "pictures": False}
-    rest = "the rest, except scans of 'carl', 'dora', of whom nothing was learned"
+    strangers = ", except scans of 'carl', 'dora', of whom nothing was learned"
     for existing, only, replacing in (("skip", "", ""), ("replace", "only ", ", replacing files of an earlier run")):
         words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)
-        assert f"; to write {only}{rest}{replacing}: lbsfit fit m.npz SCAN... -o new" in words and words.endswith(existing)
+        assert f"; to write {only}the rest{replacing}{strangers}: lbsfit fit m.npz SCAN... -o new" in words and words.endswith(existing)
         make_folder(tmp_path / "new")
         files[0].mesh.write_text("of an earlier run")
     monkeypatch.setattr(stopped_learning, "_SHORT", 10**4)

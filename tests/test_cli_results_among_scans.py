@@ -30,7 +30,7 @@ def test_the_same_pattern_means_the_same_scans_once_there_are_results(folder, ma
     before = {path: path.stat().st_mtime_ns for path in folder.glob("*.fit.npz")}
     arguments = ("fit", made / "tube.npz", *sorted(folder.iterdir()), "-o", folder, *QUICK)
     code, text, err = run(*arguments, "--existing", "skip")
-    assert (code, err) == (0, "") and "2 of 2 scans fitted, 2 of the fits kept from earlier runs" in text
+    assert (code, err) == (0, "") and "2 of 2 scans fitted, 2 of them kept from earlier runs" in text
     told = "skipped 7 of 9 files, which are results that lbsfit has written beside their scans: one.fit.npz, one.labels.ply, "
     told += "one.mesh.ply and 4 more; to fit such a file as a scan, give it without its scan\n"
     assert text.startswith(told)

@@ -84,7 +84,7 @@ def test_starts_are_of_sizes_that_subjects_have(tube_rig, quick_fitter, tube_sca
         (0.57, 1.0, "estimate", "the scan is in centimetres, and the subject is 0.57 times as large as the rig"),
         (2.0, 1.0, "estimate", "the scan is in centimetres, and the subject is 2.00 times as large as the rig"),
         (1.0, 1.2, "estimate", "the scan is in centimetres, and the subject is 1.20 times as large as the rig"),
-        (9.0, 1.0, "estimate", "and the subject is 9.00 times as large as the rig: is the scan in centimetres?"),
+        (9.0, 1.0, "estimate", "and the subject is 9.00 times as large as the rig (is the scan in centimetres?)"),
         (1.0, 1.0, "fixed", "the scan is in centimetres, and its size is fixed at the rig's"),
     ],
 )
@@ -114,7 +114,7 @@ def test_the_message_says_the_size(tube_rig, scale, size, mode, words):
     ],
 )
 def test_without_a_unit_sizes_in_those_that_are_near_are_told(tube_rig, scale, metres, words, sizes):
-    also = f" ({sizes} times as large as the rig: if the unit is known, pass unit, --unit)" if sizes else ""
+    also = f" ({sizes} times as large as the rig: if the unit is known, pass unit or --unit)" if sizes else ""
     assert unit_note(scale, replace(tube_rig, metres_per_unit=metres), "estimate") == f"the scan {words}{also}"
 
 
@@ -262,7 +262,7 @@ def test_a_subject_of_another_size_than_learned_is_asked_about(kit_and_fox, peop
     r = fitter.fit_scan(3 * 0.5 * CM * people_scans[8].points, subject="kit")
     ratio = r.scale / fitter.unit_["kit"]
     assert ratio == pytest.approx(3.0, rel=0.15)
-    asked = f" times as large as the rig, and {ratio:.3g} times as large as learned: is the scan in centimetres?"
+    asked = f" times as large as the rig, and {ratio:.3g} times as large as learned (is the scan in centimetres?)"
     assert (asked in r.message) == (unit == "cm") and ("as large as learned" in r.message) == (unit == "cm")
 
 

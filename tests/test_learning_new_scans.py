@@ -75,7 +75,7 @@ def test_a_scan_is_looked_at_once_however_many_subjects_there_are(tube_rig, peop
     if not somebody_else:
         assert f"on the template of subject {whose!r}" in r.message
         return
-    words = "by itself; proportions of its own explain it much better than {}: is it somebody else?"
+    words = "by itself; proportions of its own explain it much better than {}: is it a scan of somebody else?"
     several = words.format(f"the template of {whose!r}, the nearest one")
     assert r.found is seen and r.message == several  # what was seen is not looked for again
     np.testing.assert_array_equal(given["part"].rows, np.arange(300))
@@ -237,7 +237,8 @@ def test_a_scan_of_somebody_else_than_named_is_told_to_leave_the_name_out(status
         fit = SimpleNamespace(proportions=lambda *of, p=proportions: p, finish=finished, refit=LEFT)
         monkeypatch.setattr(new_scan, "_template_fit", lambda *made_of, fit=fit: fit)
         message = new_scan.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message
-        words = "; without subject (--subject, or its line of --subjects, which may be wrong) the template that fits best is used"
+        words = "; without subject (--subject, or its line of --subjects, which may be wrong), the template that fits best is "
+        words += "used"
         assert (words in message) == (asks and proportions > 0.5)
     assert given == [(), FASTER]
 

@@ -24,11 +24,11 @@ def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_p
     changed[0][upper, 1] += 0.3 * (changed[0][upper, 1] - 0.5 * tube_rig.vertices[:, 1].max())
     scans = lbs.synthesize(tube_rig, 3, templates=[changed], poses="uniform", random_state=8, n_points=400)
     found = [learned_people.fit_scan(s.points) for s in scans]
-    told = r"much better than the template of '(ann|bob)', the nearest one: is it somebody else\?"
+    told = r"much better than the template of '(ann|bob)', the nearest one: is it a scan of somebody else\?"
     assert all(re.search(told, r.message) for r in found)
     assert [r.subject for r in found] == [""] * 3
     named = [learned_people.fit_scan(s.points, subject="ann") for s in scans]
-    assert all("of somebody else than this template?" in r.message and r.status != "ok" for r in named)
+    assert all("explain it much better: is it a scan of somebody else?" in r.message and r.status != "ok" for r in named)
     assert mean_gap(tube_rig, found, scans, "vertices") < 0.8 * mean_gap(tube_rig, named, scans, "vertices")
 
 

@@ -159,7 +159,7 @@ def _truth(training, found):
     given = zip(found.training, vertices, reliable, strict=True)
     unknown = [scan.name for scan, registration, known in given if known is None and registration is not None]
     if unknown:
-        found.notes.append(f"{flags}: no file for {listed(unknown, 5)}; all their vertices count, reliably registered or not")
+        found.notes.append(f"{flags}: no file for {listed(unknown, 5)}; all vertices count there, reliably registered or not")
     return Registrations(vertices, faces, reliable)
 
 

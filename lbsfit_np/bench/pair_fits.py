@@ -323,7 +323,8 @@ class _Record:
         if self.learned_from != now.learned_from:
             theirs, ours = (f"{len(of.learned_from)} scans" if of.learned_from else "nothing" for of in (self, now))
             got = f"{folder}, with fits that learned from {theirs}"
-            raise InputError("-o/--output", got, f"fits that learned from {ours}, the same and unchanged", _REMEDY)
+            same = ", the same and unchanged" if now.learned_from else ""
+            raise InputError("-o/--output", got, f"fits that learned from {ours}{same}", _REMEDY)
 
 
 def _described(rig):

@@ -70,7 +70,7 @@ class VertexOrder:
                 "truth",
                 f"scans of {self.n} and {len(points)} vertices, and a table without truth for them",
                 "scans with the same vertices in the same order, or columns that say which points correspond",
-                "Add the columns name and vertex, or name, x, y and z, or registration.",
+                "Add the columns (name, vertex), (name, x, y, z) or (registration).",
             )
 
     def linked(self, a, b):

@@ -21,7 +21,7 @@ Its columns say what corresponds:
 Rows of different scans with the same name correspond. Scans are file names in DIR, with or without the extension; files that
 FILE does not name are left out. Without the column subject, all scans are of one subject."""
 
-_FORMS = "scan and subject, alone or with: name and vertex; name, x, y and z; or registration"
+_FORMS = "scan and subject, alone or with one of (name, vertex), (name, x, y, z), (registration)"
 
 
 def read_truth(path, folder, *, subject_column="subject", output=None):
@@ -77,7 +77,7 @@ def read_truth(path, folder, *, subject_column="subject", output=None):
     truth = _MAKERS[form](path, scans, entries)
     notes = []
     if not with_subject:
-        notes.append(f"{path.name} has no column {subject_column}: all scans are taken to be of one subject")
+        notes.append(f"{path.name} has no column {subject_column}: all scans are assumed to be of one subject")
     known = set() if output is None else {p.resolve() for p in made_files(Path(output))}
     known |= {_registration(path, row).resolve() for rows in entries for _, row in rows if row.get("registration")}
     others = sum(p not in at and p.resolve() not in known for p in files)
@@ -127,7 +127,7 @@ def _table(path):
 def _form(path, columns, subject_column):
     """"order", "vertex", "xyz" or "registration"."""
     if len(set(columns)) < len(columns) or "scan" not in columns:
-        raise FileError(str(path), f"the columns {listed(columns)}", f"different names: {_FORMS}")
+        raise FileError(str(path), f"the columns {listed(columns)}", f"each column once, and scan among them: {_FORMS}")
     if subject_column not in columns and subject_column != "subject":
         raise FileError(str(path), f"the columns {listed(columns)}", f"a column {subject_column!r}", "See --subject-column.")
     found = set(columns)

@@ -108,7 +108,7 @@ def _run(arguments):
     if axis := stands_along(rig, results, values["up"]):
         say(f"note: the fits stand along {axis}: use --up={axis} for an upright animation, unless they lie down")
     if odd := [os.path.basename(fits[k]) for k in odd_scales(results)]:
-        say(f"note: the scales of {listed(odd)} differ by more than people do; are all scans in one unit?")
+        say(f"note: the scale of {listed(odd)} differs from the others' by more than people do; are all scans in one unit?")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the same, without names
         away = save_animation(

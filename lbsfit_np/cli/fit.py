@@ -380,7 +380,7 @@ def _farewell(counts, n, out, stopped, older):
             rest = f"; {whose} {have} from an earlier run, which --existing skip would keep"
         say(kept + rest)
         return exit_code(stopped)
-    kept = f", {counts['kept']} of the fits kept from earlier runs" if counts["kept"] else ""
+    kept = f", {counts['kept']} of them kept from earlier runs" if counts["kept"] else ""
     say(f"{of_all(done, n)} fitted{doubts_of(counts)}{kept}; results in {out}")
     return 1 if counts["failed"] else 0
 

@@ -61,7 +61,7 @@ OPTIONS = (
         "what to do if the model or results already exist",
         default="error",
         choices=("error", "replace"),
-        refusals={"skip": "Learning always starts again: only lbsfit fit can skip, with an existing model."},
+        refusals={"skip": "lbsfit learn never skips: only lbsfit fit can, with an existing model."},
     ),
 )  # fmt: skip
 

@@ -70,7 +70,7 @@ def results_so_far(fitter, model, files, entries, subjects, values):
     known = [f.source for f in known if f in left or (not anew and f.name not in useless)]
     command = _to_fit(model, values, "replace" if anew else "skip", known)
     only, replacing = ("only ", ", replacing files of an earlier run") if anew else ("", "")
-    return f"{words}; to write {only}the rest{_but_for_strangers(fitter, subjects)}{replacing}: {command}"
+    return f"{words}; to write {only}the rest{replacing}{_but_for_strangers(fitter, subjects)}: {command}"
 
 
 def _strangers(fitter, subjects):

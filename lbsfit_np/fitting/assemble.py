@@ -164,7 +164,7 @@ def assemble(
         if status == "failed":
             reason += f"; {_asked(given, evidence)}"
         if not partial and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
-            words = "if the scan shows one side only, say so with partial (--partial)"
+            words = "if the scan shows one side only, pass partial (--partial)"
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
     std = np.full(len(rig.parents), np.nan) if joint_std is None or not finite else joint_std * frame.unit
     guessed = "" if status == "failed" else _guessed(rig, std / (scale * rig.size))  # it is of a pose that is about right

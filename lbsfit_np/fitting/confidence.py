@@ -354,5 +354,5 @@ _WORDS = {
     "rival": (0.6, "another pose explains the scan nearly as well"),
     "at_limits": (0.25, "{value:.0%} of the angles are at their limits"),
     "sparse": (0.1, "it has few points"),
-    "proportions": (SOMEBODY_ELSE, "other proportions explain it much better: is it of somebody else than this template?"),
+    "proportions": (SOMEBODY_ELSE, "other proportions explain it much better: is it a scan of somebody else?"),
 }

@@ -149,9 +149,8 @@ def _choose_skin(document, graph, wanted, notes):
 def _skin_index(document, wanted, named, choices, skins):
     if wanted is None:
         if len(named) > 1:
-            raise InputError(
-                "skin", f"no choice, but meshes of {document.path} use several", f"one of {choices}", "Choose one with skin=."
-            )
+            got = f"no choice, but meshes of {document.path} use several"
+            raise InputError("skin", got, f"one of {choices}", "Choose one with skin (--skin).")
         return next(iter(named))
     if isinstance(wanted, str):
         matching = [s for s, name in named.items() if name == wanted]

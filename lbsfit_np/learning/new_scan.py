@@ -114,7 +114,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
             subject, best, proportions = _nearest(fitter, _bent(fitter, found, seen, settings), settings)
     if alone is not None and proportions > SOMEBODY_ELSE:
         nearest = f"the template of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned template"
-        message = f"{alone.message}; proportions of its own explain it much better than {nearest}: is it somebody else?"
+        message = f"{alone.message}; proportions of its own explain it much better than {nearest}: is it a scan of somebody else?"
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
     whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
@@ -137,7 +137,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     result = replace(result, subject=str(subject))
     if another and result.status != "ok":
         without = "without subject (--subject, or its line of --subjects, which may be wrong)"
-        return replace(result, message=f"{result.message}; {without} the template that fits best is used")
+        return replace(result, message=f"{result.message}; {without}, the template that fits best is used")
     return _asking(result, subjects)
 
 
@@ -282,7 +282,7 @@ def _doubted(fitter, subject, scale, settings):
     learned = _learned_unit(fitter, subject, settings)
     if not (settings.unit and fitter.learned_unit_) or settings.scale == "fixed" or same_size(scale, learned):
         return ""
-    return f", and {scale / learned:.3g} times as large as learned: is the scan in {WORDS[settings.unit]}?"
+    return f", and {scale / learned:.3g} times as large as learned (is the scan in {WORDS[settings.unit]}?)"
 
 
 def _template_fit(fitter, subject, settings):

@@ -95,7 +95,8 @@ def save_animation(
         words = f"the fits stand along {axis}: pass up={axis!r} for an upright animation, unless they lie down"
         warnings.warn(words, stacklevel=2)
     if odd := [f"results[{k}]" for k in odd_scales(results)]:
-        warnings.warn(f"the scales of {listed(odd)} differ by more than people do; are all scans in one unit?", stacklevel=2)
+        words = f"the scale of {listed(odd)} differs from the others' by more than people do; are all scans in one unit?"
+        warnings.warn(words, stacklevel=2)
     metres = unit_of(rig, results)[1] if metres_per_unit is None else float(metres_per_unit)
     exact = offsets == "each" or len(results) == 1
     mean, joints = _mean([r.offsets for r in results]), _mean([r.rest_joints for r in results])

@@ -224,7 +224,8 @@ def _regressor(report, data, vertices, weights, parents, joints, names, notes):
         made = sparse.csr_array(sparse.vstack([(derived if bad else made)[[j]] for j, bad in enumerate(lacking)], format="csr"))
         if not (np.abs(miss[lacking]) <= 1e-9 * size).all():
             notes.append(
-                f"the file's joint regressor cannot give the position of {_named(names, lacking)}: it is derived from the weights"
+                f"the file's joint regressor cannot give the position of {_named(names, lacking)}: "
+                "one derived from the weights is used there"
             )
     return made
 

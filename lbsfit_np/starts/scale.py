@@ -167,7 +167,7 @@ def _size_note(size, mode, guessed, unit):
         return f"the scan is in {words}, and its size is fixed at the rig's"
     if guessed:  # by extents, which a pose changes as much
         return f"the scan is in {words}"
-    doubt = "" if 1 / _DOUBTED <= size <= _DOUBTED else f": is the scan in {words}?"
+    doubt = "" if 1 / _DOUBTED <= size <= _DOUBTED else f" (is the scan in {words}?)"
     return f"the scan is in {words}, and the subject is {size:.2f} times as large as the rig{doubt}"
 
 
@@ -185,7 +185,7 @@ def _otherwise(scale, rig, name):
     told = [f"in {word} {size:.2f}" for word, size in sizes.items() if 1 / _MAYBE <= size <= _MAYBE]
     if not told:
         return ""
-    return f" ({' or '.join(told)} times as large as the rig: if the unit is known, pass unit, --unit)"
+    return f" ({' or '.join(told)} times as large as the rig: if the unit is known, pass unit or --unit)"
 
 
 def extent_doubt(points, rig, unit):

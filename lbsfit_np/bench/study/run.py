@@ -200,7 +200,8 @@ def _begun(before, size, rigs):
             if entry.get("size") != now["size"]:
                 raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", REMEDY)
             if any(entry.get(key) != now[key] for key in ("digest", "poses")):
-                raise InputError("before", f"results of another rig named {name!r}", "results of the same rigs", REMEDY)
+                got = f"results of another rig named {name!r}, or of one with other natural poses"
+                raise InputError("before", got, "results of the same rigs", REMEDY)
             for key, what in (("people", "test people"), ("scans", "scans")):
                 if entry[key] != now[key]:
                     got = f"results of other {what} than {name!r} now has"
