@@ -293,7 +293,8 @@ def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, 
     strangers = ", except scans of 'carl', 'dora', of whom nothing was learned"
     for existing, only, replacing in (("skip", "", ""), ("replace", "only ", ", replacing files of an earlier run")):
         words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)
-        assert f"; to write {only}the rest{replacing}{strangers}: lbsfit fit m.npz SCAN... -o new" in words and words.endswith(existing)
+        rest = f"; to write {only}the rest{replacing}{strangers}: lbsfit fit m.npz SCAN... -o new"
+        assert rest in words and words.endswith(existing)
         make_folder(tmp_path / "new")
         files[0].mesh.write_text("of an earlier run")
     monkeypatch.setattr(stopped_learning, "_SHORT", 10**4)
