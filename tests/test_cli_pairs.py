@@ -237,7 +237,7 @@ def test_the_truth_must_fit_the_scans(pair_folder, tmp_path, run, tube_rig):
     (scans / "truth.csv").write_text("scan,subject\ns0,a\ns1,b\n")
     (scans / "tube.npz").write_bytes((pair_folder / "tube.npz").read_bytes())
     code, _, err = run(*_command(scans, tmp_path / "out"))
-    assert code == 2 and "242 and 200 vertices" in one_line(err) and "name and vertex" in err and "s1.xyz" in err
+    assert code == 2 and "242 and 200 vertices" in one_line(err) and "(name, vertex)" in err and "s1.xyz" in err
     (scans / "truth.csv").write_text("scan,subject,name,vertex\ns0,a,tip,1\ns1,b,end,1\n")
     code, _, err = run(*_command(scans, tmp_path / "out"))
     assert code == 2 and "no two scans with places in common" in one_line(err)

@@ -88,7 +88,7 @@ def test_bad_scans_are_named_before_any_training(tube_rig, tube_scan, monkeypatc
         ({"max_points": True}, ["max_points: got True"]),
         ({"training_scans": 1.5}, ["training_scans: got 1.5", "positive integer"]),
         ({"training": [1]}, ["training: got list", "dict"]),
-        ({"training": {"wobble": 1.0}}, ["wobble", "not known", "noise"]),
+        ({"training": {"wobble": 1.0}}, ["wobble", "an unknown setting", "noise"]),
         ({"training": {"noise": -1.0}}, ["training: got noise: -1.0"]),
         ({"random_state": -1}, ["random_state: got -1", "non-negative"]),
         ({"random_state": 1.5}, ["random_state: got 1.5"]),

@@ -351,7 +351,7 @@ def test_samples_are_uniform_by_area_and_on_their_triangles(tube_rig):
 @pytest.mark.parametrize(
     "settings, words",
     [
-        ({"n_point": 100}, ["n_point", "not known", "n_points", "hole_radius"]),
+        ({"n_point": 100}, ["n_point", "an unknown setting", "n_points", "hole_radius"]),
         ({"pose": "natural"}, ["pose", "n_scans, poses, templates, random_state, n_points", "Did you mean 'poses'"]),
         ({"n_points": 0}, ["n_points: got 0", "integer of at least 1"]),
         ({"n_points": 10.5}, ["n_points: got 10.5", "integer"]),
