@@ -15,6 +15,8 @@ __all__ = ["Descriptor", "VoxelGrid", "directions", "within_reach"]
 
 # Empty margin around the scan's box, in voxels; probes beyond it are looked up at its border.
 _MARGIN = 6
+# Points whose probes are looked up at a time: (points × probes) arrays of so many stay in a core's cache.
+_BLOCK = 128
 # Points further than this from the median (in half sizes of the rig) are clutter: they must not blow the grid up.
 _REACH = 3.0
 
@@ -63,12 +65,12 @@ class Descriptor:
         x = ((points if rows is None else points[rows]) - grid.centre).astype(np.float32)
         out = np.empty((len(x), self.size), dtype=np.float32)
         probes = directions(self.n_probes, 1) * np.geomspace(self.nearest, self.farthest, self.n_probes)[:, None]
-        probes = probes.astype(np.float32)
-        for start in range(0, len(x), 4096):  # keeps the (points × probes) temporaries small
-            block = slice(start, start + 4096)
-            out[block, : self.n_probes] = grid.distance(x[block, None, :] + probes)
+        probes = probes.T.astype(np.float32)[:, None, :]
+        for start in range(0, len(x), _BLOCK):
+            block = slice(start, start + _BLOCK)
+            out[block, : self.n_probes] = grid.distance(*(x[block].T[:, :, None] + probes))
         basis = directions(self.n_basis, 2) * np.geomspace(0.2, 1.1, self.n_basis)[:, None]
-        out[:, self.n_probes : self.n_probes + self.n_basis] = grid.distance(basis.astype(np.float32))
+        out[:, self.n_probes : self.n_probes + self.n_basis] = grid.distance(*basis.T.astype(np.float32))
         out[:, -9:-6] = x
         out[:, -6:] = 4.0 * grid.covariance[np.triu_indices(3)]
         return out
@@ -112,7 +114,7 @@ class VoxelGrid:
         points = points[within_reach(points)]
         self._voxel = voxel
         self._low = points.min(axis=0) - (_MARGIN + 0.5) * voxel  # half a voxel: on a border, rounding would choose the side
-        self._shape = np.ceil((np.ptp(points, axis=0)) / voxel).astype(int) + 2 * _MARGIN + 2
+        self._shape = tuple((np.ceil(np.ptp(points, axis=0) / voxel).astype(int) + 2 * _MARGIN + 2).tolist())
         cells = np.ravel_multi_index(((points - self._low) / voxel).astype(int).T, self._shape)
         occupied, cells, count = np.unique(cells, return_inverse=True, return_counts=True)
         mean = np.stack([np.bincount(cells, points[:, k]) for k in range(3)], axis=1) / count[:, None]
@@ -121,12 +123,18 @@ class VoxelGrid:
         which = np.full(self._shape, -1, dtype=np.int32)
         which.reshape(-1)[occupied] = np.arange(len(occupied))
         nearest = distance_transform_edt(which < 0, return_distances=False, return_indices=True)
-        self._mean = (mean - self.centre).astype(np.float32)[which[tuple(nearest)].reshape(-1)]
+        which = which[tuple(nearest)].reshape(-1)
+        self._mean = [m.take(which) for m in (mean - self.centre).astype(np.float32).T]
         self._low = (self._low - self.centre).astype(np.float32)
 
-    def distance(self, queries):
-        """Distances of (..., 3) queries, relative to the centre, to the scan."""
-        v = np.clip(((queries - self._low) / self._voxel).astype(np.int32), 0, self._shape.astype(np.int32) - 1)
-        flat = (v[..., 0] * self._shape[1] + v[..., 1]) * self._shape[2] + v[..., 2]
-        away = self._mean[flat] - queries
-        return np.sqrt(np.einsum("...i,...i->...", away, away))
+    def distance(self, x, y, z):
+        """Distances of queries to the scan; their coordinates relative to the centre, float32 arrays of one shape."""
+        # Coordinate by coordinate, which takes a fourth of the time of (..., 3) arrays.
+        flat = 0
+        for q, low, n in zip((x, y, z), self._low, self._shape):
+            flat = flat * n + np.clip(((q - low) / self._voxel).astype(np.int32), 0, n - 1)
+        squares = 0
+        for q, mean in zip((x, y, z), self._mean):
+            away = mean.take(flat) - q
+            squares = squares + away * away
+        return np.sqrt(squares)

@@ -219,7 +219,7 @@ def _tried(limb, angles, grid, few, posed, state):
         part = slice(start, start + _BLOCK)
         place[part] = _posed_limb(posed, state, limb, angles[part])
         V = place[part]
-        at = grid.distance(V - grid.centre.astype(np.float32))
+        at = grid.distance(*np.moveaxis(V - grid.centre.astype(np.float32), -1, 0))
         away[part] = np.minimum(np.maximum(at - _VOXEL / 2, 0.0) ** 2, _REACH**2).sum(axis=1) * limb.area
         nearest = [_squared(V[k : k + _AT_ONCE], few).min(axis=1) for k in range(0, len(V), _AT_ONCE)]
         reach[part] = _less(np.concatenate(nearest), limb.spacing)

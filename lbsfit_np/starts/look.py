@@ -58,7 +58,7 @@ def look(points, turns=None):
     radius = max(float(np.sqrt(np.trace(grid.covariance))), _VOXEL)
     turns = np.eye(3)[None] if turns is None else np.asarray(turns)
     queries = np.einsum("rab,kb->rka", turns, _basis()) * radius
-    vectors = grid.distance(queries.astype(np.float32)) / np.float32(radius)
+    vectors = grid.distance(*np.moveaxis(queries.astype(np.float32), -1, 0)) / np.float32(radius)
     return Look(vectors, radius * size)
 
 
