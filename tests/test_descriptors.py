@@ -2,10 +2,11 @@
 
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 from segmenter_training import describe
 
 import lbsfit_np as lbs
-from lbsfit_np.segmentation.descriptors import Descriptor, within_reach
+from lbsfit_np.segmentation.descriptors import Descriptor, VoxelGrid, within_reach
 
 
 def test_a_row_a_point(tube_rig, tube_scan):
@@ -67,3 +68,15 @@ def test_points_that_are_all_far_from_each_other_take_no_memory():
     points = np.array([[0.0, 0.0, 0.0], [100.0, 100.0, 100.0]])
     np.testing.assert_array_equal(within_reach(points), [True, False])
     assert np.isfinite(Descriptor()(points)).all()
+
+
+def test_probes_are_looked_up_within_a_voxel(tube_rig, tube_scan):
+    """Of queries near the scan and beyond its grid, along each axis, whatever their shape."""
+    scan, rng = tube_scan.points / (tube_rig.size / 2), np.random.default_rng(0)
+    grid = VoxelGrid(scan, 0.05)
+    scan = scan - grid.centre
+    queries = np.concatenate([scan[:100] + rng.normal(0, 0.1, (100, 3)), 3.0 * np.concatenate([np.eye(3), -np.eye(3)])])
+    found = grid.distance(*queries.T.astype(np.float32))
+    np.testing.assert_allclose(found, cKDTree(scan).query(queries)[0], atol=0.05 * 3**0.5)
+    again = grid.distance(*queries[:104].T.astype(np.float32).reshape(3, 8, 13))
+    np.testing.assert_array_equal(again.ravel(), found[:104])
