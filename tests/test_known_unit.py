@@ -266,6 +266,12 @@ def test_a_subject_of_another_size_than_learned_is_asked_about(kit_and_fox, peop
     assert (asked in r.message) == (unit == "cm") and ("as large as learned" in r.message) == (unit == "cm")
 
 
+def test_a_subject_that_is_much_larger_than_the_rig_and_than_learned_is_asked_about_once(kit_and_fox, people_scans):
+    r = kit_and_fox.fit_scan(4 * 1.6 * CM * people_scans[9].points, subject="fox")
+    assert r.scale / CM * kit_and_fox.template_["fox"].size / kit_and_fox.rig.size > 5  # of which the size alone would ask
+    assert r.message.count("is the scan in centimetres?") == 1 and "as large as learned (is" in r.message
+
+
 def test_learned_sizes_are_converted_where_both_units_were_said(kit_and_fox):
     learned = kit_and_fox.unit_["kit"]
     for then, now, factor in (("cm", "mm", 10.0), ("cm", None, 1.0), (None, "mm", 1.0), ("in", "in", 1.0)):

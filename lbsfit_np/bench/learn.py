@@ -27,12 +27,8 @@ from .resume import REMEDY, begun
 from .run import TRAINING_SEED
 from .subjects import people_digest, scans_digest, subject
 
-__all__ = [
-    *("COLLECTIONS", "MEASURES", "VARIANT_ROWS"),
-    *("collection", "learn_bench", "learn_table", "steps_of", "touching_pose"),
-]
+__all__ = ["MEASURES", "VARIANT_ROWS", "collection", "learn_bench", "learn_table", "steps_of", "touching_pose"]
 
-COLLECTIONS = ("hand", "body")
 N_SUBJECTS = 3
 VARIANT_ROWS = ("joint", "pose-only", "rand", "cd", "free-form")
 # The row without learning: what is pretrained, and the rig's own template with proportions of each scan's own.

@@ -24,7 +24,7 @@ __all__ = ["Document", "open_gltf"]
 _COMPONENTS = {
     code: np.dtype(t) for code, t in zip((5120, 5121, 5122, 5123, 5125, 5126), ("i1", "u1", "<i2", "<u2", "<u4", "<f4"))
 }
-# type: (columns, rows) of one element.
+# The columns and rows of one element, by its type.
 _SHAPES = {"SCALAR": (1, 1), "VEC2": (1, 2), "VEC3": (1, 3), "VEC4": (1, 4), "MAT2": (2, 2), "MAT3": (3, 3), "MAT4": (4, 4)}
 # These hide the geometry in a compressed stream that only a decoder can open.
 _COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")

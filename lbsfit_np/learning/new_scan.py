@@ -27,10 +27,10 @@ from ..optimize.frame import Frame
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..optimize.state import SIZED
-from ..rig.units import METRES, WORDS
+from ..rig.units import METRES
 from ..seeds import generator
 from ..starts.clean import taking_part
-from ..starts.scale import same_size, sizes_in, unit_note, unit_scale
+from ..starts.scale import same_size, sizes_in, unit_note, unit_question, unit_scale
 from ..starts.turns import facing_of
 from ..threads import one_thread
 from .free_form import free_form
@@ -119,7 +119,10 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
     scale, size = best.state.scale * best.frame.unit / half, fitter.template_[subject].size / rig.size
-    unit = unit_note(scale, rig, settings.scale, unit=settings.unit, size=size) + _doubted(fitter, subject, scale, settings)
+    unit = unit_note(scale, rig, settings.scale, unit=settings.unit, size=size)
+    doubted = _doubted(fitter, subject, scale, settings)
+    if doubted:  # which asks what the size alone may have asked
+        unit = unit.removesuffix(unit_question(settings.unit)) + doubted
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     place = {"points": points, "rows": part.rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     place |= {"proportions": proportions, "notes": [whose, part.left_out], "found": (unit, stands), "given": given}
@@ -282,7 +285,7 @@ def _doubted(fitter, subject, scale, settings):
     learned = _learned_unit(fitter, subject, settings)
     if not (settings.unit and fitter.learned_unit_) or settings.scale == "fixed" or same_size(scale, learned):
         return ""
-    return f", and {scale / learned:.3g} times as large as learned (is the scan in {WORDS[settings.unit]}?)"
+    return f", and {scale / learned:.3g} times as large as learned{unit_question(settings.unit)}"
 
 
 def _template_fit(fitter, subject, settings):

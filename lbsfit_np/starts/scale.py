@@ -19,6 +19,7 @@ __all__ = [
     "same_unit",
     "sizes_in",
     "unit_note",
+    "unit_question",
     "unit_scale",
 ]
 
@@ -167,8 +168,13 @@ def _size_note(size, mode, guessed, unit):
         return f"the scan is in {words}, and its size is fixed at the rig's"
     if guessed:  # by extents, which a pose changes as much
         return f"the scan is in {words}"
-    doubt = "" if 1 / _DOUBTED <= size <= _DOUBTED else f" (is the scan in {words}?)"
+    doubt = "" if 1 / _DOUBTED <= size <= _DOUBTED else unit_question(unit)
     return f"the scan is in {words}, and the subject is {size:.2f} times as large as the rig{doubt}"
+
+
+def unit_question(unit):
+    """What is asked of a scan whose size does not go with the unit that was said."""
+    return f" (is the scan in {WORDS[unit]}?)"
 
 
 def _otherwise(scale, rig, name):
