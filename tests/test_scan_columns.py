@@ -36,6 +36,32 @@ def test_a_column_that_counts_the_rows_is_no_x(tmp_path):
         np.testing.assert_array_equal(load_scan(path).points, POINTS)
 
 
+NUMBERS = [[1, 2, 3, 4], [0, 1, 2, 3], [1, 3, 4, 9]]
+
+
+@pytest.mark.parametrize(
+    ("head", "column"),
+    [
+        *[(head, column) for head in ('"x" "y" "z"', "x y z", "# x y z") for column in NUMBERS],
+        ('"x" "y" "z"', ['"a"', '"7"', '"b c"', '"1"']),
+    ],
+)
+def test_a_header_without_a_name_for_the_rows_names_the_columns_after_them(tmp_path, head, column):
+    """As R writes data frames."""
+    lines = [" ".join(map(str, (first, *point, 5))) for first, point in zip(column, POINTS)]
+    scan = load_scan(write(tmp_path, "p.txt", "\n".join([f"{head} label", *lines])))
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert scan.labels.tolist() == [5] * 4 and scan.notes[0].startswith("The first column, for which the header has no name")
+
+
+@pytest.mark.parametrize("end", ["7", ""])
+def test_a_header_names_the_first_columns_where_these_do_not_number_the_rows(tmp_path, end):
+    lines = [",".join([*map(str, point), end]) for point in POINTS]
+    scan = load_scan(write(tmp_path, "p.csv", "\n".join(["x,y,z", *lines])))
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert not scan.notes
+
+
 def test_an_array_has_no_header_line_to_name_its_columns(tmp_path):
     np.save(tmp_path / "p.npy", np.column_stack([[0, 1, 3, 4], POINTS]))
     odd, further = load_scan(tmp_path / "p.npy").notes

@@ -25,7 +25,7 @@ from scan_files import (
 )
 
 from lbsfit_np.errors import FileError
-from lbsfit_np.io.scans import load_scan
+from lbsfit_np.io.scans import load_mesh, load_scan
 
 
 @pytest.mark.parametrize("name", ALL)
@@ -85,6 +85,9 @@ def test_npz_keys_and_mesh(tmp_path):
     np.testing.assert_array_equal(scan.labels, LABELS)
     np.testing.assert_array_equal(scan.normals, NORMALS)
     assert on_tetrahedron(load_scan(tmp_path / "a.npz", n_samples=50).points) < 1e-6
+    np.savez(tmp_path / "c.npz", points=POINTS, label=3)  # of the whole object, as sets for classification have it
+    scan = load_scan(tmp_path / "c.npz")
+    assert scan.labels is None and scan.notes == ("'label' is one value for all points: labels left out.",)
     np.savez(tmp_path / "b.npz", x=POINTS[:, 0], y=POINTS[:, 1], z=POINTS[:, 2])
     np.testing.assert_array_equal(load_scan(tmp_path / "b.npz").points, POINTS)
 
@@ -266,6 +269,25 @@ def test_ply_with_mixed_polygons(tmp_path, order):
     path = write(tmp_path, "poly.ply", head.encode() + body)
     np.testing.assert_array_equal(load_scan(path).points, square)
     assert "2 triangles" not in load_scan(path, n_samples=9).notes[-1] and "3 triangles" in load_scan(path, n_samples=9).notes[-1]
+
+
+@pytest.mark.parametrize("order", ["<", ">", None])
+@pytest.mark.parametrize("kind", ["material", "edge"])
+def test_ply_with_other_elements_before_its_faces(tmp_path, order, kind):
+    form = {"<": "binary_little_endian", ">": "binary_big_endian", None: "ascii"}[order]
+    head = f"ply\nformat {form} 1.0\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n"
+    head += f"element {kind} 2\nproperty int a\n" + ("property list uchar int b\n" if kind == "edge" else "")
+    head += "element face 4\nproperty list uchar int vertex_indices\nend_header\n"
+    others = [[3, 2, 1, 2], [0, 1, 2]] if kind == "edge" else [[0], [3]]
+    if order:
+        body = POINTS.astype(f"{order}f8").tobytes()
+        body += b"".join(struct.pack(f"{order}i" + (f"B{o[1]}i" if o[1:] else ""), *o) for o in others)
+        body += b"".join(struct.pack(f"{order}B3i", 3, *f) for f in FACES)
+    else:
+        body = (rows(POINTS) + "".join(" ".join(map(str, o)) + "\n" for o in others) + rows(np.full(4, 3), FACES)).encode()
+    vertices, faces = load_mesh(write(tmp_path, "m.ply", head.encode() + body))
+    np.testing.assert_array_equal(vertices, POINTS)
+    np.testing.assert_array_equal(faces, FACES)
 
 
 LIST_HEAD = "ply\nformat {form} 1.0\nelement vertex 4\nproperty list uchar short seen\nproperty float x\nproperty double y\n"

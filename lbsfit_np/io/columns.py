@@ -52,6 +52,10 @@ def read_table(path):
     decimal_comma = delimiter == ";" and any("," in cell for cell in cells)
     numeric = [_is_number(cell.replace(",", ".") if decimal_comma else cell) or not cell for cell in cells]
     notes = []
+    if names is not None and len(cells) == len(names) + 1 and cells[-1]:
+        if not numeric[0] or (all(numeric[:3]) and _numbers_the_rows(_load(path, skip, delimiter, [0, 1, 2], decimal_comma))):
+            names = ["", *names]
+            notes.append("The first column, for which the header has no name, numbers or names the rows: left out.")
     if names is None:
         usecols = None if all(numeric) else [k for k in range(len(cells)) if numeric[k]]
         if len(cells) < 3 or not all(numeric[:3]):
@@ -117,8 +121,11 @@ def read_npz(path):
         expected = f"one called {', '.join(_NPZ_KEYS['points'][:3])} (or verts, v, positions, pos)"
         raise FileError(str(path), f"arrays called {', '.join(by_name.values()) or '(none)'}", expected)
     cloud.faces, cloud.normals = arrays.get(found["faces"]), arrays.get(found["normals"])
-    if found["labels"] is not None:
-        set_labels(cloud, found["labels"], arrays[found["labels"]])
+    if (name := found["labels"]) is not None:
+        if np.ndim(arrays[name]):
+            set_labels(cloud, name, arrays[name])
+        else:  # as classified objects have
+            cloud.notes.append(f"{name!r} is one value for all points: labels left out.")
     return cloud
 
 
@@ -217,8 +224,7 @@ def _unnamed(table, without_rows, with_names):
 
     Before them may stand the numbers of the rows, as data frames write them. The last two arguments are for notes.
     """
-    counted = table.shape[1] > 3 and len(table) > 3 and np.array_equal(np.diff(table[:, 0]), np.ones(len(table) - 1))
-    if counted and table[0, 0] in (0, 1):
+    if table.shape[1] > 3 and _counts_the_rows(table):
         cloud = _unnamed(table[:, 1:], without_rows, with_names)
         cloud.notes.insert(0, "The first column, which counts the rows, was left out.")
         return cloud
@@ -235,6 +241,15 @@ def _unnamed(table, without_rows, with_names):
         columns = f"{table.shape[1] - used} further columns" if table.shape[1] - used > 1 else "One further column"
         cloud.notes.append(f"{columns} without a name left out: to name the columns, use {with_names}.")
     return cloud
+
+
+def _numbers_the_rows(table):
+    return _counts_the_rows(table) or _looks_like_row_numbers(table)
+
+
+def _counts_the_rows(table):
+    """Whether the first column goes from 0 or 1 in steps of 1."""
+    return len(table) > 3 and table[0, 0] in (0, 1) and np.array_equal(np.diff(table[:, 0]), np.ones(len(table) - 1))
 
 
 def _looks_like_row_numbers(table):

@@ -14,9 +14,10 @@ _POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
 def read_gltf_scan(path):
     """Read the meshes and point primitives of a ``.glb`` or ``.gltf`` file, in the scene's frame: y up, metres.
 
-    Nodes' transforms are applied, and skins in the pose that the nodes stand in. A mesh that the scene shows twice is there
-    twice. Where primitives share their positions, the vertices come once. Lines are left out. Normals and labels (an
-    attribute ``_LABEL``) are kept where all primitives have them.
+    Nodes' transforms are applied, morph targets as the nodes weigh them, and skins in the pose that the nodes stand in. A mesh
+    that the scene shows twice is there twice. Where primitives share their positions, the vertices come once; those that
+    nothing shows are left out, as are lines. Normals and labels (an attribute ``_LABEL``) are kept where all primitives have
+    them.
 
     Parameters
     ----------
@@ -32,9 +33,8 @@ def read_gltf_scan(path):
     for i in _shown(document, nodes):
         node = document.items("nodes")[i]
         if "mesh" in node:
-            mesh = document.integer(node, "mesh", f"node {i}")
             matrices = _skinning(document, nodes, document.integer(node, "skin", f"node {i}")) if "skin" in node else None
-            pieces += _mesh(document, mesh, nodes.worlds[i], matrices, notes)
+            pieces += _mesh(document, i, nodes.worlds[i], matrices, notes)
     if not pieces:
         return CloudData(np.empty((0, 3)), notes=notes)
     notes += [note for p in pieces for note in p.notes]
@@ -74,72 +74,113 @@ def _skinning(document, nodes, skin):
     return worlds @ inverse[: len(joints)]
 
 
-def _mesh(document, mesh, world, matrices, notes):
-    """One piece per set of positions of a mesh."""
-    pieces = {}
-    primitives = document.objects(document.item("meshes", mesh, "a node"), "primitives", f"mesh {mesh}")
-    for k, primitive in enumerate(primitives):
-        where = f"primitive {k} of mesh {mesh}"
+def _mesh(document, i, world, matrices, notes):
+    """The mesh of node i: one piece per set of positions, of the vertices that are shown."""
+    node, where = document.items("nodes")[i], f"node {i}"
+    number = document.integer(node, "mesh", where)
+    mesh, pieces = document.item("meshes", number, where), {}
+    for k, primitive in enumerate(document.objects(mesh, "primitives", f"mesh {number}")):
+        where = f"primitive {k} of mesh {number}"
         mode = document.integer(primitive, "mode", where, _TRIANGLES)
         if mode not in (_POINTS, _TRIANGLES, _STRIP, _FAN):
             notes.append(f"{where} is made of lines: left out.")
             continue
         document.refuse_compressed(primitive, where)
         attributes = document.object(primitive, "attributes", where)
-        key = document.integer(attributes, "POSITION", where)
+        targets = document.objects(primitive, "targets", where)
+        moved = [document.integer(t, "POSITION", f"target {j} of {where}", -1) for j, t in enumerate(targets)]
+        key = document.integer(attributes, "POSITION", where), *moved
         if key not in pieces:
-            pieces[key] = _vertices(document, attributes, key, world, matrices, where)
-        piece = pieces[key]
-        if mode == _POINTS:
-            continue
-        rows = np.arange(len(piece.points))
+            owner, of = (node, f"node {i}") if "weights" in node else (mesh, f"mesh {number}")
+            weights = document.numbers(owner, "weights", len(targets), [0.0] * len(targets), of) if targets else ()
+            pieces[key] = _Piece(document, attributes, list(zip(targets, weights)), world, matrices, where)
+        pieces[key].show(document, primitive, mode, where)
+    return [piece.shown() for piece in pieces.values()]
+
+
+class _Piece:
+    """The vertices of one set of positions, and which of them are shown."""
+
+    def __init__(self, document, attributes, targets, world, matrices, where):
+        points = _morphed(document, attributes, targets, "POSITION", where)
+        linear, shift = _transforms(document, attributes, len(points), world, matrices, where)
+        self.cloud = CloudData(np.einsum("iab,ib->ia", linear, points) + shift, np.empty((0, 3), dtype=int))
+        self._seen = np.zeros(len(points), dtype=bool)
+        self._cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
+        self._side = np.sign(np.einsum("ib,ib->i", linear[:, 0], self._cofactors[:, 0]))  # -1 where a transform mirrors
+        if "NORMAL" in attributes:
+            normals = _morphed(document, attributes, targets, "NORMAL", where)
+            if len(normals) == len(points):
+                self.cloud.normals = self._turned(normals)
+        label = next((name for name in attributes if name.startswith("_") and column_role(name.strip("_")) == 6), None)
+        if label is not None:
+            labels = document.accessor(document.integer(attributes, label, where), where, ("SCALAR",))
+            if len(labels) == len(points):
+                set_labels(self.cloud, label, labels)
+
+    def show(self, document, primitive, mode, where):
+        """Take in what a primitive shows."""
+        n = len(self._seen)
+        rows = np.arange(n)
         if "indices" in primitive:
             rows = document.accessor(document.integer(primitive, "indices", where), where, ("SCALAR",))
-            if len(rows) and rows.max() >= len(piece.points):
-                raise document.error(f"index {rows.max()} in {where}", f"indices below its {len(piece.points)} vertices")
-        piece.faces = np.concatenate([piece.faces, _triangles(rows, mode)])
-    return list(pieces.values())
+            if len(rows) and rows.max() >= n:
+                raise document.error(f"index {rows.max()} in {where}", f"indices below its {n} vertices")
+        self._seen[rows] = True
+        if mode != _POINTS:
+            faces = _triangles(rows, mode)
+            mirrored = self._side[faces].sum() < 0  # corners then go round the other way (3.7.4)
+            self.cloud.faces = np.concatenate([self.cloud.faces, faces[:, ::-1] if mirrored else faces])
+
+    def shown(self):
+        """The CloudData of the vertices that are shown, in their order."""
+        seen, cloud = self._seen, self.cloud
+        if not seen.all():
+            number = np.cumsum(seen) - 1
+            cloud.points, cloud.faces = cloud.points[seen], number[cloud.faces]
+            cloud.normals = None if cloud.normals is None else cloud.normals[seen]
+            cloud.labels = None if cloud.labels is None else cloud.labels[seen]
+        return cloud
+
+    def _turned(self, normals):
+        """Normals go with the matrix of cofactors, which flattening does not upset, and mirroring turns over."""
+        normals = np.einsum("iab,ib->ia", self._cofactors, normals) * np.where(self._side < 0, -1.0, 1.0)[:, None]
+        length = np.linalg.norm(normals, axis=1, keepdims=True)
+        return normals / np.where(length > 0, length, 1.0)
 
 
-def _vertices(document, attributes, position, world, matrices, where):
-    points = document.accessor(position, where, ("VEC3",)).astype(float)
-    n = len(points)
-    linear, shift = np.broadcast_to(world[:3, :3], (n, 3, 3)), world[:3, 3]
-    if matrices is not None and "JOINTS_0" in attributes:  # a skinned mesh stands where its joints are, not where its node is
-        blended, total = np.zeros((n, 3, 4)), np.zeros(n)
-        level = 0
-        while f"JOINTS_{level}" in attributes and f"WEIGHTS_{level}" in attributes:
-            joints = document.accessor(document.integer(attributes, f"JOINTS_{level}", where), where, ("VEC4",)).astype(int)
-            weights = document.accessor(document.integer(attributes, f"WEIGHTS_{level}", where), where, ("VEC4",))
-            if joints.shape != (n, 4) or weights.shape != (n, 4) or (n and joints.max() >= len(matrices)):
-                raise document.error(f"joints or weights of {where} that do not fit", f"{n} rows of joints below {len(matrices)}")
-            for c in range(4):
-                blended += weights[:, c, None, None] * matrices[joints[:, c], :3]
-                total += weights[:, c]
-            level += 1
-        bare = total <= 0
-        blended[~bare] /= total[~bare, None, None]
-        blended[bare] = world[:3]
-        linear, shift = blended[:, :, :3], blended[:, :, 3]
-    piece = CloudData(np.einsum("iab,ib->ia", linear, points) + shift, np.empty((0, 3), dtype=int))
-    if "NORMAL" in attributes:
-        normals = document.accessor(document.integer(attributes, "NORMAL", where), where, ("VEC3",)).astype(float)
-        if len(normals) == n:
-            piece.normals = _turned(normals, linear)
-    label = next((name for name in attributes if name.startswith("_") and column_role(name.strip("_")) == 6), None)
-    if label is not None:
-        labels = document.accessor(document.integer(attributes, label, where), where, ("SCALAR",))
-        if len(labels) == n:
-            set_labels(piece, label, labels)
-    return piece
+def _morphed(document, attributes, targets, name, where):
+    """An attribute with what its morph targets add: pairs of a target and its weight."""
+    values = document.accessor(document.integer(attributes, name, where), where, ("VEC3",)).astype(float)
+    for k, (target, weight) in enumerate(targets):
+        if weight and name in target:
+            added = document.accessor(document.integer(target, name, f"target {k} of {where}"), where, ("VEC3",))
+            if len(added) != len(values):
+                raise document.error(f"{len(added)} vertices in target {k} of {where}", f"{len(values)}, as it has itself")
+            values = values + weight * added
+    return values
 
 
-def _turned(normals, linear):
-    """Normals go with the matrix of cofactors, which a mirroring or flattening transform does not upset."""
-    cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
-    normals = np.einsum("iab,ib->ia", cofactors, normals)
-    length = np.linalg.norm(normals, axis=1, keepdims=True)
-    return normals / np.where(length > 0, length, 1.0)
+def _transforms(document, attributes, n, world, matrices, where):
+    """(n, 3, 3) and (n, 3) or (3,): what turns, and shifts, each vertex into the scene."""
+    if matrices is None or "JOINTS_0" not in attributes:
+        return np.broadcast_to(world[:3, :3], (n, 3, 3)), world[:3, 3]
+    # A skinned mesh stands where its joints are, not where its node is.
+    blended, total = np.zeros((n, 3, 4)), np.zeros(n)
+    level = 0
+    while f"JOINTS_{level}" in attributes and f"WEIGHTS_{level}" in attributes:
+        joints = document.accessor(document.integer(attributes, f"JOINTS_{level}", where), where, ("VEC4",)).astype(int)
+        weights = document.accessor(document.integer(attributes, f"WEIGHTS_{level}", where), where, ("VEC4",))
+        if joints.shape != (n, 4) or weights.shape != (n, 4) or (n and joints.max() >= len(matrices)):
+            raise document.error(f"joints or weights of {where} that do not fit", f"{n} rows of joints below {len(matrices)}")
+        for c in range(4):
+            blended += weights[:, c, None, None] * matrices[joints[:, c], :3]
+            total += weights[:, c]
+        level += 1
+    bare = total <= 0
+    blended[~bare] /= total[~bare, None, None]
+    blended[bare] = world[:3]
+    return blended[:, :, :3], blended[:, :, 3]
 
 
 def _triangles(rows, mode):

@@ -45,10 +45,8 @@ def read_ply(path):
             raise FileError(str(path), "a PLY file without an element 'vertex'", "a PLY file with vertices")
         if order is None:
             file = io.TextIOWrapper(file, "latin-1")
-        cloud, faces = None, None
+        cloud, faces, missing = None, None, {"vertex", "face"} & set(elements)
         for name, (count, properties) in elements.items():
-            if cloud is not None and (name != "face" or faces is not None):
-                continue  # edges, materials and the like stand last: nothing here looks at them
             wanted = _vertex_columns(properties) if name == "vertex" else _face_columns(properties) if name == "face" else []
             if order is None:
                 columns = _read_ascii(file, path, name, count, properties, wanted)
@@ -58,8 +56,9 @@ def read_ply(path):
                 cloud = cloud_from_columns(path, "vertex properties", _scalar_names(properties), columns.__getitem__)
             elif name == "face" and wanted:
                 faces = fans(*columns[wanted[0]])
-            if "face" not in elements and cloud is not None:
-                break
+            missing.discard(name)
+            if not missing:
+                break  # edges, materials and the like, if they stand last: nothing here looks at them
     if faces is not None:
         cloud.faces = faces
     return cloud
