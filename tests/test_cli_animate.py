@@ -116,6 +116,7 @@ def test_fits_that_may_be_wrong_are_named(fitted, made, tmp_path, run):
         (("none.fit.npz", "-o", "a.glb"), ("none.fit.npz", "no such file")),
         (("OTHER", "-o", "a.glb"), ("other.fit.npz", "a fit of another rig", "'tube'")),
         (("NAN", "-o", "a.glb"), ("nan.fit.npz", "not finite")),
+        (("CM", "MM", "-o", "a.glb"), ("FIT: got fits of scans in cm (cm.fit.npz), mm (mm.fit.npz)",)),
         (("FIT", "-o", "a.glb", "--fps", "0"), ("--fps", "a positive number")),
         (("FIT", "-o", "a.glb", "--influences", "0"), ("--influences", "at least 1")),
         (("FIT", "-o", "no/a.glb"), ("no/a.glb", "Create it first")),
@@ -127,8 +128,10 @@ def test_what_cannot_be_written_is_one_line(arguments, words, fitted, made, tmp_
     fit = lbs.FitResult.load(fitted[0] / "one.fit.npz")
     replace(fit, rig_digest="other").save("other.fit.npz")
     replace(fit, offsets=fit.offsets * np.nan).save("nan.fit.npz")
+    for unit in ("cm", "mm"):
+        replace(fit, unit=unit).save(f"{unit}.fit.npz")
     shutil.copy(fitted[0] / "one.fit.npz", "one.fit.npz")
-    files = {"FIT": "one.fit.npz", "OTHER": "other.fit.npz", "NAN": "nan.fit.npz"}
+    files = {"FIT": "one.fit.npz", "OTHER": "other.fit.npz", "NAN": "nan.fit.npz", "CM": "cm.fit.npz", "MM": "mm.fit.npz"}
     files |= {"SCAN": made / "one.ply", "RIG": made / "tube.npz"}
     code, _, err = run("animate", made / "tube.npz", *(files.get(a, a) for a in arguments))
     line = one_line(err)

@@ -182,6 +182,16 @@ def test_a_summary_alone_is_in_nobodys_way(fitted, made, tmp_path, run):
     assert code == 2 and "scan.ply" in one_line(err) and "skip" not in err and "--existing replace" in err
 
 
+@pytest.mark.parametrize("content", ['{"my": "data"}', "[1]", '{"versions": {"numpy": "2"}}', "no JSON"])
+@pytest.mark.parametrize("existing", ["error", "skip"])
+def test_a_summary_of_another_program_is_not_written_over(content, existing, made, tmp_path, run):
+    (tmp_path / "summary.json").write_text(content)
+    code, _, err = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, *QUICK, "--existing", existing)
+    assert code == 2 and "-o: got" in one_line(err) and "with a summary.json that lbsfit did not write" in err
+    assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
+    assert (tmp_path / "summary.json").read_text() == content
+
+
 def test_what_cannot_be_fitted_now_has_no_fit_of_an_earlier_run(fitted, made, tmp_path, run):
     """--existing skip would take that for its fit."""
     scan, out = tmp_path / "one.ply", tmp_path / "out"

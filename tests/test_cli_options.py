@@ -115,6 +115,7 @@ def test_what_is_on_or_off_in_training_may_be_said_so(word, value, tmp_path):
         (("fit", "tube.npz", "one.ply", "-o", "one.ply"), ["one.ply", "a folder to write to"]),
         (("fit", "tube.npz", ".", "-o", "out"), ["a folder", "Name the files in it"]),
         (("fit", "tube.npz", "one.ply", "-o", ""), ["-o/--output", "an empty text", "OUT (folder to write to"]),
+        (("fit", "", "one.ply", "-o", "out"), ["RIG: got an empty text"]),
         (("demo", "-o", ""), ["-o/--output", "an empty text"]),
         (("rig", "card", "tube.npz", "-o", ""), ["-o/--output", "an empty text"]),
         (("bench", "roundtrip", "-o", ""), ["-o/--output", "an empty text"]),

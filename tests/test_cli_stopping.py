@@ -171,3 +171,24 @@ def test_a_picture_of_an_earlier_fit_is_not_listed_at_ctrl_c(pictures, made, tmp
         assert run(*command, "--existing", "replace", *["--pictures"] * pictures)[0] == 130
     (entry,) = json.loads((out / "summary.json").read_text())["scans"]
     assert set(entry["files"]) == {"fit", "mesh", "labels"} and not (out / "one.png").exists()
+
+
+@pytest.mark.skipif(os.name != "posix", reason="SIGTERM is a POSIX signal")
+@pytest.mark.parametrize(
+    ("command", "runs"),
+    [
+        (("starts", "hand"), "lbsfit_np.bench.starts.starts_bench"),
+        (("roundtrip", "hand"), "lbsfit_np.bench.roundtrip.roundtrip"),
+        (("hand", "--data", "DATA"), "lbsfit_np.bench.run.run_bench"),
+    ],
+)
+def test_sigterm_stops_benchmarks_as_ctrl_c_does(command, runs, tmp_path, run, monkeypatch, request):
+    if "DATA" in command:
+        command = [str(request.getfixturevalue("shared_rigs")) if word == "DATA" else word for word in command]
+    monkeypatch.setattr(runs, lambda *_, **__: os.kill(os.getpid(), signal.SIGTERM))
+    before = signal.signal(signal.SIGTERM, lambda *_: pytest.fail("SIGTERM went past the run"))
+    try:
+        code, _, err = run("bench", *command, "-o", tmp_path / "out")
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert code == 143 and err == "lbsfit: stopped\n"

@@ -198,7 +198,8 @@ def test_fits_say_the_unit_of_an_animation(tube_rig, tube_result, tmp_path):
     assert odd_scales(said) == []  # young and old
     assert odd_scales([said[0], replace(said[1], unit="")]) == [1]
     mixed = [said[0], replace(tube_result, unit="mm")]
-    with pytest.raises(InputError, match="^results: got fits of scans in cm, mm; expected scans in one unit"):
+    words = r"^results: got fits of scans in cm \(results\[0\]\), mm \(results\[1\]\); expected scans in one unit"
+    with pytest.raises(InputError, match=words):
         lbs.save_animation(tmp_path / "a.glb", tube_rig, mixed)
     with pytest.raises(InputError, match="^results: got a fit with the unit 'ell'"):
         lbs.save_animation(tmp_path / "a.glb", tube_rig, replace(tube_result, unit="ell"))

@@ -10,7 +10,7 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from scipy import sparse
-from small_rigs import make_tube_data
+from small_rigs import make_tube_data, with_joint
 
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.io import npz_rig
@@ -19,6 +19,7 @@ from lbsfit_np.io.npz_rig import read_body_npz, read_rig_npz, save_rig
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.card import Card
+from lbsfit_np.rig.card_text import card_text
 from lbsfit_np.rig.shapes import ShapeSpace
 
 
@@ -110,6 +111,31 @@ def test_joint_that_a_card_has_freed_stays_free(tmp_path):
     rig = build_rig(data, Card(limits=(("arm", (-1, 0, 0), (1, 0, 0)),)))
     rig.save(tmp_path / "rig.npz")
     assert_same(rig, load_rig(tmp_path / "rig.npz"))
+
+
+def test_limits_by_name_free_joints_that_the_file_locks(tmp_path):
+    """As the note of such joints, which the file keeps, and the text of cards say."""
+    data = with_joint(with_joint(make_tube_data(), "world", 0), "tip", 3)
+    data = replace(data, parents=np.array([4, 0, 1, 1, -1, 3]))
+    rig = build_rig(data, Card(lock=("long",)))
+    assert rig.locked.tolist() == [True, False, True, False, False, True]
+    rig.save(tmp_path / "rig.npz")
+    small = (-0.1,) * 3, (0.1,) * 3
+
+    def locked(*limits, lock=()):
+        made = load_rig(tmp_path / "rig.npz", card=Card(limits=tuple((name, *small) for name in limits), lock=lock))
+        return [name for name, on in zip(made.joint_names, made.locked) if on], made
+
+    assert locked()[0] == locked("*")[0] == ["root", "long", "tip"]
+    names, freed = locked("root", "long")
+    assert names == ["tip"] and np.array_equal(freed.upper[[0, 2]], np.full((2, 3), 0.1)) and freed.moving[[0, 2]].all()
+    assert locked("root", "long", lock=("long",))[0] == ["long", "tip"]
+    names, rig = locked("tip")  # which moves no vertex
+    assert names == ["root", "long", "tip"] and any("they move no vertex: tip" in note for note in rig.notes)
+    (tmp_path / "card.toml").write_text(card_text(freed))
+    again = load_rig(tmp_path / "rig.npz", card=tmp_path / "card.toml")
+    np.testing.assert_array_equal(again.locked, freed.locked)
+    np.testing.assert_allclose(again.upper, freed.upper)
 
 
 def test_saved_rig_takes_a_card(tmp_path, tube_rig):

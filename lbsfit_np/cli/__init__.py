@@ -89,6 +89,7 @@ def _parser():
 def _as_written(error, flags):
     """The message, after its notes; where it names a parameter that an option gives, the option."""
     name, message = getattr(error, "argument", None), str(error)
+    flags = {"path_or_name": "RIG"} | flags
     # A file's name, and scans themselves, are no options, whatever they are called.
     if name in flags and not isinstance(error, FileError) and name != "scans":
         message = message.replace(f"{name}:", f"{flags[name]}:", 1)

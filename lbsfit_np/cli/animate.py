@@ -75,7 +75,7 @@ def add_parser(commands):
     parser.add_argument("rig", metavar="RIG", help=rigs)
     parser.add_argument("fits", metavar="FIT", nargs="+", help="results of lbsfit fit or learn: NAME.fit.npz")
     add_options(parser, _OPTIONS)
-    parser.set_defaults(run=_run)
+    parser.set_defaults(run=_run, flags=parser.get_default("flags") | {"results": "FIT"})
 
 
 def _run(arguments):
@@ -98,6 +98,7 @@ def _run(arguments):
     for fit in fits:
         results.append(FitResult.load(fit))
         check_fit(rig, results[-1], fit)
+    said = said_unit(results, [os.path.basename(fit) for fit in fits]) if values["unit"] == "auto" else None
     if note := order_note(fits):
         say(f"note: {note}")
     _say_doubtful(fits, results)
@@ -124,7 +125,7 @@ def _run(arguments):
     if values["unit"] == "auto":
         name = unit_of(rig, results)[0]
         known = f"the scans seem to be in {name}" if name else "the scans' unit is not known, and is assumed to be metres"
-        known = f"the scans are in {name}, as specified when they were fitted" if said_unit(results) else known
+        known = f"the scans are in {name}, as specified when they were fitted" if said else known
         say(f"{known} (use --unit to change this)")
     say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, fits, away, values)}")
     return 0

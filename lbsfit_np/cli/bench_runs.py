@@ -34,21 +34,25 @@ def run_starts(rigs, values):
         progress.close()
         progress.line(f"{name}, {row}, {fit}: {100 * figures['success']:.1f} %, in {figures['wall_seconds']:.0f} s")
 
+    def on_scan(name, row, fit, done, total):
+        progress.one_fit(f"{name}, {row}, {fit}", values["seed"], done, total)
+
     try:
-        report = starts_bench(
-            rigs or RIGS,
-            rows=values["rows"].split(","),
-            fits=values["fits"].split(","),
-            n_scans=values["scans"],
-            seed=values["seed"],
-            effort=values["effort"],
-            training_scans=values["training_scans"],
-            jobs=values["jobs"],
-            before=read_results(results) if resumed else None,
-            progress=progress.training,
-            on_scan=lambda name, row, fit, done, total: progress.one_fit(f"{name}, {row}, {fit}", values["seed"], done, total),
-            on_row=on_row,
-        )
+        with terminable():
+            report = starts_bench(
+                rigs or RIGS,
+                rows=values["rows"].split(","),
+                fits=values["fits"].split(","),
+                n_scans=values["scans"],
+                seed=values["seed"],
+                effort=values["effort"],
+                training_scans=values["training_scans"],
+                jobs=values["jobs"],
+                before=read_results(results) if resumed else None,
+                progress=progress.training,
+                on_scan=on_scan,
+                on_row=on_row,
+            )
     finally:
         progress.close()
     if results is not None:
@@ -133,16 +137,17 @@ def run_roundtrip(rigs, values):
             write_json(results, report)
 
     try:
-        report = roundtrip(
-            rigs or RIGS,
-            n_scans=values["scans"],
-            seeds=numbers(values["seeds"]),
-            training_scans=values["training_scans"],
-            jobs=values["jobs"],
-            progress=progress.training,
-            on_scan=progress.one_fit,
-            on_rig=on_rig,
-        )
+        with terminable():
+            report = roundtrip(
+                rigs or RIGS,
+                n_scans=values["scans"],
+                seeds=numbers(values["seeds"]),
+                training_scans=values["training_scans"],
+                jobs=values["jobs"],
+                progress=progress.training,
+                on_scan=progress.one_fit,
+                on_rig=on_rig,
+            )
     finally:
         progress.close()
     say(roundtrip_table(report, markdown=values["markdown"]))
@@ -171,18 +176,19 @@ def run_data(name, values):
         progress.row(report, row, seed)
 
     try:
-        report, fits = run_bench(
-            bench,
-            values["data"],
-            seeds=seeds,
-            n_scans=values["scans"],
-            training_scans=values["training_scans"],
-            jobs=values["jobs"],
-            rows=values["rows"].split(","),
-            training_progress=progress.training,
-            on_scan=progress.one_scan,
-            on_row=on_row,
-        )
+        with terminable():
+            report, fits = run_bench(
+                bench,
+                values["data"],
+                seeds=seeds,
+                n_scans=values["scans"],
+                training_scans=values["training_scans"],
+                jobs=values["jobs"],
+                rows=values["rows"].split(","),
+                training_progress=progress.training,
+                on_scan=progress.one_scan,
+                on_row=on_row,
+            )
     finally:
         progress.close()
     if pictures:

@@ -8,9 +8,10 @@ from pathlib import Path
 from ..errors import InputError
 from ..io.write import make_folder, remove_empty
 from .fit import OPTIONS, fit_files
-from .outputs import SUMMARY, check_outputs, remove
+from .outputs import check_outputs, remove
 from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import say
+from .summary import SUMMARY
 
 __all__ = ["add_parser"]
 

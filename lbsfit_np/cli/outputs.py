@@ -9,9 +9,9 @@ from ..errors import FileError, InputError, in_words, listed
 from ..interrupts import held
 from ..io.columns import ODD_X
 from .progress import say
+from .summary import SUMMARY, is_of_others
 
 __all__ = [
-    "SUMMARY",
     "ScanFiles",
     "Writer",
     "check_file",
@@ -31,7 +31,6 @@ __all__ = [
     "without_results",
 ]
 
-SUMMARY = "summary.json"
 # What follows the name of a scan in its files.
 _ENDINGS = {"fit": ".fit.npz", "mesh": ".mesh.ply", "labels": ".labels.ply", "picture": ".png"}
 
@@ -113,9 +112,12 @@ def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, may_s
         paths = {what: out / f"{name}{ending}" for what, ending in _ENDINGS.items() if pictures or what != "picture"}
         files.append(ScanFiles(source, name, **paths))
     _check_clashes(files, out, argument)
-    # The summary is of each run alone: one that is there is no fit that could be lost.
+    # A summary of ours is of each run alone: one that is there is no fit that could be lost.
     paths = [path for f in files for path in f.paths.values()] + [out / SUMMARY]
     check_outputs(paths, out, inputs=[*sources, *inputs], existing="replace", argument=argument)
+    if existing != "replace" and is_of_others(out / SUMMARY):
+        got, remedy = f"{out}, with a {SUMMARY} that lbsfit did not write", f"Move it away, choose another folder, or {_REPLACE}."
+        raise InputError(argument, got, "a folder without such a file", remedy)
     if existing == "skip":
         _check_strays(files, out)
     elif existing == "error":

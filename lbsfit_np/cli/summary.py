@@ -1,12 +1,15 @@
 """``summary.json``: what a run did with each scan, with which settings and versions."""
 
+import json
+import os
 import platform
 import time
 
-from .outputs import SUMMARY
 from .progress import say
 
-__all__ = ["counts_of", "doubts_of", "say_doubtful", "write_summary", "written_of"]
+__all__ = ["SUMMARY", "counts_of", "doubts_of", "is_of_others", "say_doubtful", "write_summary", "written_of"]
+
+SUMMARY = "summary.json"
 
 
 def counts_of(entries):
@@ -56,6 +59,18 @@ def say_doubtful(entries):
     widths = [max(len(row[k]) for row in rows) for k in range(3)]
     for row in rows:
         say("  ".join([*(cell.ljust(width) for cell, width in zip(row, widths)), row[3]]))
+
+
+def is_of_others(path):
+    """Whether there is a file in the summary's place that this package has not written."""
+    if not os.path.isfile(path):
+        return False
+    try:
+        with open(path, encoding="utf-8") as file:
+            found = json.load(file)
+    except (OSError, ValueError, RecursionError):  # one that cannot be read is not for writing over
+        return True
+    return not (isinstance(found, dict) and isinstance(found.get("versions"), dict) and "lbsfit_np" in found["versions"])
 
 
 def write_summary(out, rig_path, rig, files, entries, values, *, started, stopped, **more):

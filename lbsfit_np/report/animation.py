@@ -149,19 +149,23 @@ def stands_along(rig, results, up=None):
     return axis if along @ AXES[axis] > _ALONG and axis != (up or rig.up or "+y") else None
 
 
-def said_unit(results):
+def said_unit(results, names=None):
     """Return the unit that fits say their scans are in; it holds for all if some say it, and is empty if none does.
+
+    ``names``, in the error, are those of the fits; ``results[k]`` by default.
 
     Raises
     ------
     InputError
         The fits say several units.
     """
-    said = sorted({r.unit for r in results if r.unit})
+    names = [f"results[{k}]" for k in range(len(results))] if names is None else names
+    said = {r.unit: name for r, name in zip(reversed(results), reversed(names), strict=True) if r.unit}  # the first of each
     if len(said) > 1:
         remedy = "Write one animation for each unit, or convert the scans and fit again."
-        raise InputError("results", f"fits of scans in {listed(said)}", "scans in one unit", remedy)
-    return said[0] if said else ""
+        of_each = listed([f"{unit} ({said[unit]})" for unit in sorted(said)])
+        raise InputError("results", f"fits of scans in {of_each}", "scans in one unit", remedy)
+    return next(iter(said), "")
 
 
 def odd_scales(results):

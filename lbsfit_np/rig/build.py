@@ -236,7 +236,9 @@ def _states(report, data, weights, parents, root, names, card, notes):
     ours = data.merged is not None or data.locked is not None
     before = np.zeros(J, dtype=bool) if data.merged is None else _mask(report, "merged", data.merged, J)
     locked = np.zeros(J, dtype=bool) if data.locked is None else _mask(report, "locked", data.locked, J)
-    locked_before, merged = locked.copy(), before.copy()
+    spoken_for = np.isin(names, [pattern for pattern, *_ in card.limits])  # by name: a glob means no joint in particular
+    locked_before, merged, freed = locked.copy(), before.copy(), locked & spoken_for
+    locked &= ~freed
     for pattern in card.merge:
         merged[matching(pattern, names, f"{card.where}, [merge] into_parent")] = True
     for pattern in card.lock:
@@ -252,10 +254,10 @@ def _states(report, data, weights, parents, root, names, card, notes):
     for word, now in (("merged into their parents", merged & ~before), ("locked", locked & ~locked_before)):
         if now.any():
             notes.append(f"{np.count_nonzero(now)} joints {word}: {_named(names, now)}")
-    if not ours:
-        spoken_for = np.isin(names, [pattern for pattern, *_ in card.limits])  # by name: a glob means no joint in particular
+    free = ~merged & ~locked & (freed | (not ours))  # our own format has said of the others
+    if free.any():
         idle, rootlike = _powerless(weights, parents, root)
-        idle, rootlike = idle & ~merged & ~locked, rootlike & ~merged & ~locked & ~spoken_for
+        idle, rootlike = idle & free, rootlike & free & ~spoken_for
         if idle.any():
             notes.append(f"{np.count_nonzero(idle)} joints locked because they move no vertex: {_named(names, idle)}")
         if rootlike.any():

@@ -1,0 +1,94 @@
+"""What a glTF scene shows of its meshes as a scan: which vertices, which morph, and which way they look."""
+
+import numpy as np
+import pytest
+from gltf_files import GltfWriter, save
+
+from lbsfit_np.errors import FileError
+from lbsfit_np.io.scans import load_mesh, load_scan
+
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [1, 0, 5], [0, 1, 5]])
+UPWARDS = np.tile([0.0, 0.0, 1.0], (6, 1))
+LABELS = np.arange(6)
+
+
+def scene(nodes, *meshes):
+    """A writer with the six corners, their normals and labels, and meshes: lists of (mode, rows or None, further fields)."""
+    writer = GltfWriter()
+    position, normal = writer.accessor(CORNERS), writer.accessor(UPWARDS)
+    label = writer.accessor(LABELS, "u1")
+    for primitives in meshes:
+        written = []
+        for mode, rows, fields in primitives:
+            primitive = {"attributes": {"POSITION": position, "NORMAL": normal, "_LABEL": label}, "mode": mode} | fields
+            if rows is not None:
+                primitive["indices"] = writer.accessor(np.array(rows), "u2")
+            written.append(primitive)
+        writer.add("meshes", primitives=written)
+    for node in nodes:
+        writer.add("nodes", **node)
+    writer.add("scenes", nodes=list(range(len(nodes))))
+    return writer
+
+
+def test_vertices_that_no_primitive_of_a_mesh_uses_are_not_shown(tmp_path):
+    nodes = [{"mesh": 0}, {"mesh": 1, "translation": [100, 0, 0]}]
+    path = save(scene(nodes, [(4, [0, 1, 2], {})], [(4, [3, 5, 4], {})]), tmp_path)
+    scan = load_scan(path)
+    np.testing.assert_allclose(scan.points, np.vstack([CORNERS[:3], CORNERS[3:] + [100, 0, 0]]))
+    np.testing.assert_array_equal(scan.labels, LABELS)
+    assert len(scan.normals) == 6
+    vertices, faces = load_mesh(path)
+    np.testing.assert_allclose(vertices[faces[1]], CORNERS[[3, 5, 4]] + [100, 0, 0])
+
+
+@pytest.mark.parametrize(("rows", "shown"), [([4, 1], [1, 4]), (None, range(6))])
+def test_points_are_those_that_are_listed(tmp_path, rows, shown):
+    scan = load_scan(save(scene([{"mesh": 0}], [(0, rows, {})]), tmp_path))
+    np.testing.assert_allclose(scan.points, CORNERS[list(shown)])
+    np.testing.assert_array_equal(scan.labels, LABELS[list(shown)])
+
+
+def test_primitives_of_one_set_of_positions_show_what_they_have_together(tmp_path):
+    scan = load_scan(save(scene([{"mesh": 0}], [(4, [0, 1, 2], {}), (0, [5], {})]), tmp_path))
+    np.testing.assert_allclose(scan.points, CORNERS[[0, 1, 2, 5]])
+
+
+@pytest.mark.parametrize("owner", ["node", "mesh", "both"])
+def test_a_mesh_is_morphed_as_its_weights_say(tmp_path, owner):
+    writer = scene([{"mesh": 0}], [(4, range(6), {})])
+    up, sideways = np.zeros((6, 3)), np.zeros((6, 3))
+    up[0, 1], sideways[5, 0] = 2.0, 3.0
+    targets = [{"POSITION": writer.accessor(up)}, {"POSITION": writer.accessor(sideways), "NORMAL": writer.accessor(up)}]
+    writer.json["meshes"][0]["primitives"][0]["targets"] = targets
+    assert np.array_equal(load_scan(save(writer, tmp_path)).points, CORNERS)  # without weights they count for nothing
+    weights = [0.5, 1.0]
+    if owner in ("mesh", "both"):
+        writer.json["meshes"][0]["weights"] = weights if owner == "mesh" else [9.0, 9.0]
+    if owner in ("node", "both"):
+        writer.json["nodes"][0]["weights"] = weights
+    scan = load_scan(save(writer, tmp_path))
+    np.testing.assert_allclose(scan.points, CORNERS + 0.5 * up + sideways)
+    np.testing.assert_allclose(scan.normals[0], np.array([0, 2, 1]) / np.sqrt(5))
+    writer.json["nodes"][0]["weights"] = [1.0]
+    with pytest.raises(FileError, match=r"weights of node 0 is \[1.0\]; expected 2 finite numbers"):
+        load_scan(save(writer, tmp_path))
+
+
+@pytest.mark.parametrize("scale", [[-1, 1, 1], [1, 1, -1], [-1, -2, -1], [2, 1, 1]])
+def test_mirrored_meshes_look_outwards(tmp_path, scale):
+    """Normals and the order of corners go along, as of a solid that a node mirrors."""
+    solid = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    faces = np.array([[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]])
+    normals = solid - solid.mean(axis=0)
+    writer = GltfWriter()
+    attributes = {"POSITION": writer.accessor(solid), "NORMAL": writer.accessor(normals)}
+    writer.add("meshes", primitives=[{"attributes": attributes, "indices": writer.accessor(faces.ravel(), "u2")}])
+    writer.add("nodes", mesh=0, scale=scale)
+    path = save(writer, tmp_path)
+    scan, (vertices, shown) = load_scan(path), load_mesh(path)
+    away = scan.points - scan.points.mean(axis=0)
+    assert (np.einsum("ia,ia->i", scan.normals, away) > 0).all()
+    p = vertices[shown]
+    out = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    assert (np.einsum("ia,ia->i", out, p.mean(axis=1) - vertices.mean(axis=0)) > 0).all()
