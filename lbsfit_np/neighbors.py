@@ -27,7 +27,7 @@ class PointIndex:
         self.points = points
         self.labels = labels
         if labels is not None:
-            self._centre = points.mean(axis=0)
+            self._centre = points.mean(axis=0, dtype=float)
             radius = np.abs(points - self._centre).max() if len(points) else 1.0
             self._gap = _APART * max(float(radius), 1e-100)  # points at one place: apart still, once squared
             self._present = np.bincount(labels) > 0
@@ -66,6 +66,6 @@ class PointIndex:
     def _apart(self, points, labels):
         if labels is None:
             return points
-        shifted = points - self._centre
+        shifted = np.asarray(points, dtype=float) - self._centre  # in single precision the gaps would leave no digits
         shifted[:, 0] += labels * self._gap
         return shifted

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["cross_matrix", "left_jacobian", "matrix_from_rotvec", "rotvec_from_matrix"]
+__all__ = ["cross_matrix", "left_jacobian", "matrix_from_rotvec", "nearest_rotvec", "rotvec_from_matrix"]
 
 # Below this squared angle the Taylor series is exact to the last bit of a double, and the closed form is not.
 _SERIES = 1e-4
@@ -74,3 +74,24 @@ def rotvec_from_matrix(R):
 
     R = np.asarray(R, dtype=float)
     return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1])
+
+
+def nearest_rotvec(omega, other):
+    """The rotation vectors of the same rotations, whole turns more or fewer, that lie nearest to others.
+
+    Parameters
+    ----------
+    omega, other : (..., 3) arrays
+        Radians. 0 has no axis to turn about and stays.
+
+    Returns
+    -------
+    (..., 3) array
+        ω (1 + 2πk/‖ω‖) with whole k; ω itself where that is the nearest.
+    """
+    omega = np.asarray(omega, dtype=float)
+    angle = np.linalg.norm(omega, axis=-1, keepdims=True)
+    safe = np.where(angle > 0, angle, 1.0)
+    along = np.sum(omega * other, axis=-1, keepdims=True) / safe
+    turns = np.where(angle > 0, np.rint((along - angle) / (2 * np.pi)), 0.0)
+    return omega * (1.0 + 2 * np.pi * turns / safe)

@@ -8,7 +8,7 @@ import numpy as np
 from .errors import InputError, as_array, brief, check_array, did_you_mean
 from .rig.chains import chains
 from .rig.frames import up_axis
-from .rotations import matrix_from_rotvec, rotvec_from_matrix
+from .rotations import matrix_from_rotvec, nearest_rotvec, rotvec_from_matrix
 from .seeds import generator
 from .sensor import clutter, floor, sample_seen_surface, sample_surface
 from .skinning import skin
@@ -270,9 +270,9 @@ def uniform_poses(rig, n, rng):
 def natural_poses(rig, n, random_state=None):
     """Draw poses near those of the rig's library.
 
-    Each is a pose of the library, in half of the cases blended with a second one: (1 − t) θ + t θ' with t ~ Unif(0, 1). Gaussian
-    noise of 0.05 rad is added about every axis that moves, and the angles are cut to the limits. The root has the library's
-    angles, turned further by angles that are uniform within the root's limits.
+    Each is a pose of the library, in half of the cases blended with a second one: (1 − t) θ + t θ' with t ~ Unif(0, 1); of the
+    root's θ', which whole turns do not change, the row nearest to θ. Gaussian noise of 0.05 rad is added about every axis that
+    moves, and the angles are cut to the limits. The root is turned further by angles that are uniform within its limits.
 
     Parameters
     ----------
@@ -299,7 +299,9 @@ def natural_poses(rig, n, random_state=None):
     first = rng.integers(k, size=n)
     second = (first + rng.integers(1, k, size=n)) % k if k > 1 else first
     t = (rng.random(n) * (rng.random(n) < 0.5))[:, None, None]
-    poses = (1 - t) * library[first] + t * library[second]
+    others = library[second]
+    others[:, root] = nearest_rotvec(others[:, root], library[first, root])  # rows of one turn may be whole turns apart
+    poses = (1 - t) * library[first] + t * others
     blended_root = poses[:, root].copy()
     poses += _POSE_NOISE * rng.standard_normal(poses.shape)
     poses = np.clip(poses, rig.lower, rig.upper)  # axes that do not move have no room for the noise

@@ -135,3 +135,15 @@ def test_the_digest_of_poses_knows_their_order():
     turned = replace(rig, poses={name: rig.poses[name] for name in names[::-1]})
     assert turned.digest == rig.digest and turned.poses_digest != rig.poses_digest
     assert replace(rig, poses=dict(rig.poses)).poses_digest == rig.poses_digest
+
+
+def test_blends_of_roots_that_are_a_whole_turn_apart_stay_between_them():
+    """As those of scans whose y points down: r and r − 2π r/|r| are one rotation."""
+    poses = {"a": np.zeros((4, 3)), "b": np.zeros((4, 3))}
+    poses["a"][0, 1], poses["b"][0, 1] = 3.1, -3.1
+    data = make_tube_data()
+    rig = build_rig(replace(data, poses=poses))
+    rig = replace(rig, lower=np.where(np.arange(4)[:, None] == rig.root, 0.0, rig.lower))
+    rig = replace(rig, upper=np.where(np.arange(4)[:, None] == rig.root, 0.0, rig.upper))
+    turned = natural_poses(rig, 300, random_state=0)[:, rig.root]
+    assert (np.linalg.norm(turned, axis=1) > 3.09).all()

@@ -42,6 +42,13 @@ def test_all_points(seed, moving):
     np.testing.assert_array_equal(index, cdist(queries, points).argmin(axis=1))
 
 
+@pytest.mark.parametrize("most", [4, 60000])
+def test_points_in_single_precision_are_searched_in_double(most):
+    points, labels, queries, asked = _sets(3)
+    points, labels, asked = points.astype(np.float32), labels * (most // 4), asked * (most // 4)
+    _check(points, labels, queries, asked)
+
+
 @pytest.mark.parametrize("moving", [False, True])
 @pytest.mark.parametrize("seed", range(5))
 def test_within_parts(seed, moving):

@@ -8,6 +8,7 @@ from lbsfit_np.rotations import (
     cross_matrix,
     left_jacobian,
     matrix_from_rotvec,
+    nearest_rotvec,
     rotvec_from_matrix,
 )
 
@@ -76,3 +77,15 @@ def test_there_and_back(angle):
     omega = _vectors(angle)
     np.testing.assert_allclose(rotvec_from_matrix(matrix_from_rotvec(omega)), omega, atol=1e-8 if angle > 3.1 else 1e-14)
     assert rotvec_from_matrix(matrix_from_rotvec(omega.reshape(2, -1, 3))).shape == (2, len(omega) // 2, 3)
+
+
+def test_the_nearest_of_the_vectors_of_a_rotation():
+    rng = np.random.default_rng(5)
+    omega, other = 4 * rng.standard_normal((200, 3)), 7 * rng.standard_normal((200, 3))
+    nearest = nearest_rotvec(omega, other)
+    np.testing.assert_allclose(matrix_from_rotvec(nearest), matrix_from_rotvec(omega), atol=1e-13)
+    angle = np.linalg.norm(omega, axis=1, keepdims=True)
+    ways = np.stack([omega * (1 + 2 * np.pi * k / angle) for k in range(-6, 7)])
+    best = np.linalg.norm(ways - other, axis=2).min(axis=0)
+    np.testing.assert_allclose(np.linalg.norm(nearest - other, axis=1), best, rtol=1e-12)
+    assert np.array_equal(nearest_rotvec(omega, omega), omega) and not nearest_rotvec(np.zeros(3), other[0]).any()

@@ -26,6 +26,8 @@ from lbsfit_np.segmentation.segmenter import Segmenter
         (np.eye(3), {"scale": 0.0}, "scale: got 0.0; expected a positive number, from 1e-100 to 1e100"),
         (np.eye(3), {"scale": -1}, "scale"),
         (np.eye(3), {"scale": np.nan}, "scale"),
+        (np.eye(3), {"scale": np.float32(0)}, "scale"),
+        (np.eye(3), {"rows": [[1], [1, 2]]}, "rows: got rows of different lengths"),
         (np.eye(3), {"scale": "2"}, "scale"),
         (np.eye(3), {"rows": [3]}, "rows: got numbers from 3 to 3; expected rows of the 3 points"),
         (np.eye(3), {"rows": [0.5]}, "rows: got float64"),
@@ -48,6 +50,14 @@ def test_predicting_leaves_the_points_alone(small_segmenter, tube_scan):
     kept = tube_scan.points.copy()
     small_segmenter.predict_proba(tube_scan.points)
     np.testing.assert_array_equal(tube_scan.points, kept)
+
+
+@pytest.mark.filterwarnings("error")
+def test_points_at_the_edge_of_what_numbers_can_say(small_segmenter, tube_scan):
+    far = tube_scan.points * 1e303
+    np.testing.assert_allclose(small_segmenter.predict_proba(far).sum(axis=1), 1.0, atol=1e-5)
+    expected = small_segmenter.predict_proba(tube_scan.points)
+    np.testing.assert_array_equal(small_segmenter.predict_proba(tube_scan.points, scale=np.float32(1)), expected)
 
 
 def test_the_scans_scale_is_taken_out(small_segmenter, tube_scan):

@@ -198,6 +198,17 @@ def test_training_that_cannot_be(values):
     assert error.value.argument == next(iter(values))
 
 
+def test_fewer_points_than_chunks_are_learned(tube_rig, tube_scan):
+    one = train_segmenter(tube_rig, scans_of(tube_rig, 1), 1, training=Training(points_per_scan=3, second=0.0), random_state=0)
+    assert np.isfinite(one.predict_proba(tube_scan.points)).all()
+
+
+def test_scans_without_a_label_are_refused(tube_rig):
+    scan = Scans([(p, np.full_like(y, -1), k) for p, y, k in scans_of(tube_rig, 2).scans])
+    with pytest.raises(InputError, match="^scan: got scans without a point that has a label"):
+        train_segmenter(tube_rig, scan, 2, training=Training(points_per_scan=20), random_state=0)
+
+
 def test_what_training_cannot_begin_with(tube_rig, small_segmenter):
     for n in (0, -1, 2.0, True):
         with pytest.raises(InputError, match="n_scans: got .*; expected a whole number of at least 1"):

@@ -68,6 +68,7 @@ def check_weights(argument, value, n):
     if value is None:
         return None
     check_unmasked(argument, value)
+    check_real(argument, value, f"numbers of shape ({n},)")
     try:
         a = np.asarray(value, dtype=float)
     except (TypeError, ValueError):
@@ -96,6 +97,14 @@ def check_index(argument, index, points, labels=None):
 
 
 def check_number(argument, value):
-    """Raise unless ``value`` is a finite number of at least 0."""
-    if not isinstance(value, Real) or not 0 <= value <= sys.float_info.max:
+    """A finite number of at least 0 as a float, whatever its type: sums with single precision would be of that, too."""
+    if not isinstance(value, Real) or not 0 <= (number := _as_float(value)) <= sys.float_info.max:
         raise InputError(argument, brief(value), "a finite number of at least 0")
+    return number
+
+
+def _as_float(value):
+    try:
+        return float(value)
+    except OverflowError:  # a whole number beyond double precision
+        return np.inf

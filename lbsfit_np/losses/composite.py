@@ -43,7 +43,7 @@ def composite_structured_chamfer(X, Vd, V, x_labels, v_labels, *, lam=0.5, x_wei
 
 
 def _composite(loss, X, Vd, V, lam, labels, **options):
-    check_number("lam", lam)
+    lam = check_number("lam", lam)
     value, grad_Vd = loss(X, Vd, *labels, **options)
     if Vd is V:  # no offsets: one search serves both
         return (1 + lam) * value, grad_Vd, lam * grad_Vd

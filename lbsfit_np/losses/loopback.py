@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..errors import InputError, check_unmasked, not_finite
+from ..errors import InputError, check_real, check_unmasked, not_finite
 
 __all__ = ["loopback"]
 
@@ -31,10 +31,15 @@ def loopback(predicted, theta):
     """
     check_unmasked("predicted", predicted)
     check_unmasked("theta", theta)
+    expected = "numbers of shape (J, 3) or (B, J, 3)"
+    check_real("predicted", predicted, expected)
+    check_real("theta", theta, expected)
     try:
         predicted, theta = np.asarray(predicted, dtype=float), np.asarray(theta, dtype=float)
     except (TypeError, ValueError):
         raise InputError("predicted and theta", "something other than numbers", "arrays of shape (J, 3) or (B, J, 3)") from None
+    except OverflowError:
+        raise InputError("predicted and theta", "whole numbers beyond double precision", expected) from None
     if predicted.ndim not in (2, 3) or predicted.shape[-1] != 3 or not predicted.size:
         raise InputError("predicted", f"shape {predicted.shape}", "shape (J, 3) or (B, J, 3)")
     if theta.shape != predicted.shape:

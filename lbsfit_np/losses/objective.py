@@ -41,7 +41,10 @@ class LossWeights:
 
     def __post_init__(self):
         for name in ("chamfer", "lam", "lam_s", "lam_lap"):
-            check_number(name, getattr(self, name))
+            object.__setattr__(self, name, check_number(name, getattr(self, name)))
+        if not isinstance(self.squared, (bool, np.bool_)):
+            raise InputError("squared", repr(self.squared), "True or False")
+        object.__setattr__(self, "squared", bool(self.squared))
         if self.laplacian not in ("posed", "offsets"):
             raise InputError("laplacian", repr(self.laplacian), "'posed' or 'offsets'")
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ..rotations import matrix_from_rotvec, rotvec_from_matrix
+from ..rotations import matrix_from_rotvec, nearest_rotvec, rotvec_from_matrix
 
 __all__ = ["Frame", "nearest_root", "root_turn", "turned_root"]
 
@@ -51,10 +51,6 @@ def turned_root(rig, theta, turn):
 
 def nearest_root(theta, other, root):
     """(J, 3) Θ of the same pose, the root's turn (it may have whole turns more or fewer) as near as can be to another pose's."""
-    angle = np.linalg.norm(theta[root])
-    if not angle:
-        return theta
-    ways = [theta[root] * (1.0 + 2 * np.pi * k / angle) for k in (0, -1, 1, -2, 2)]
-    theta = theta.copy()
-    theta[root] = min(ways, key=lambda way: np.linalg.norm(way - other[root]))
+    theta = np.array(theta, dtype=float)
+    theta[root] = nearest_rotvec(theta[root], other[root])
     return theta

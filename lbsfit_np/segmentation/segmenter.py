@@ -6,7 +6,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from ..errors import FileError, InputError, brief
+from ..errors import FileError, InputError, as_array, brief
 from ..losses.checks import check_set
 from ..rotations import matrix_from_rotvec
 from ..seeds import generator
@@ -23,6 +23,8 @@ _FORMAT = 3
 _AXES = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 # By how much, radians, and how far the root has to turn either way in training for that; less where it turns less.
 _TURN, _ROOT = 0.25, 0.6
+# Coordinates of which differences are finite.
+_FINITE = 1e300
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -94,14 +96,17 @@ class Segmenter:
             Points, a scale or rows that cannot be used.
         """
         points = check_set("points", getattr(points, "points", points), most=1e305)  # with room for what is computed of them
-        if isinstance(scale, bool) or not isinstance(scale, Real) or not 1e-100 <= scale <= 1e100:
+        if isinstance(scale, bool) or not isinstance(scale, Real) or not 1e-100 <= float(scale) <= 1e100:
             raise InputError("scale", brief(scale), "a positive number, from 1e-100 to 1e100")
         rows = np.arange(len(points)) if rows is None else _checked_rows(rows, len(points))
         if isinstance(views, bool) or views not in (1, len(_AXES)):
             raise InputError("views", brief(views), f"{len(_AXES)}, or 1")
         with np.errstate(over="ignore"):
-            points = points / (scale * self.half)
+            points = points / (float(scale) * self.half)
         middle = np.median(points, axis=0)
+        if np.abs(middle).max() > LARGEST:  # what is subtracted below would be lost
+            points = np.clip(points, -_FINITE, _FINITE)
+            points, middle = points - np.median(points, axis=0), np.zeros(3)
         points = np.clip(points, middle - LARGEST, middle + LARGEST)  # further away is all the same
         if views == 1 or not self.turn:
             return self._proba(points, rows)
@@ -316,7 +321,7 @@ def _in_context(points, rows, descriptor, first):
 
 
 def _checked_rows(rows, n):
-    rows = np.asarray(rows)
+    rows = as_array("rows", rows, "whole numbers of shape (k,), k ≥ 1")
     if rows.ndim != 1 or not rows.size or rows.dtype.kind not in "iu":
         raise InputError("rows", f"{rows.dtype} values of shape {rows.shape}", "whole numbers of shape (k,), k ≥ 1")
     if not (rows.min() >= 0 and rows.max() < n):

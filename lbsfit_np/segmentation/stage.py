@@ -181,6 +181,8 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     """
     from sklearn.neural_network import MLPClassifier
 
+    if not len(y):
+        raise InputError("scan", "scans without a point that has a label", "labels from 0 to the number of parts")
     mean, deviation = _moments(X)
     classes = np.unique(y)
     if start is not None and not (start.classifier is not None and np.isin(classes, start.classifier.classes_).all()):
@@ -211,9 +213,10 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     rng = generator(random_state, name, "order")
     averaged, count = None, 0
     for epoch in range(training.epochs):
-        for k, rows in enumerate(np.array_split(rng.permutation(len(X)), _CHUNKS)):
+        chunks = np.array_split(rng.permutation(len(X)), min(_CHUNKS, len(X)))
+        for k, rows in enumerate(chunks):
             _fit_chunk(classifier, standardised(rows), y[rows], classes)
-            progress((epoch + (k + 1) / _CHUNKS) / training.epochs)
+            progress((epoch + (k + 1) / len(chunks)) / training.epochs)
             if epoch >= min(training.average_from, training.epochs - 1):
                 count += 1
                 now = classifier.coefs_ + classifier.intercepts_
