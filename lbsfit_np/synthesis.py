@@ -371,13 +371,13 @@ def synthesize_one(rig, pose, template, settings, rng):
     changed = _with_rest(rig, U, J)
     posed = skin(changed, pose, scale=scale)
     vertices, joints = posed.vertices, posed.joints
-    up, n = up_axis(rig), _n_before_holes(settings)
+    up, n, surface = up_axis(rig), _n_before_holes(settings), rig.without_loose(vertices)
     if settings.one_sided:
-        points, triangle, bary = sample_seen_surface(vertices, rig.faces, n, rng, up=up, density=settings.density)
+        points, triangle, bary = sample_seen_surface(surface, rig.faces, n, rng, up=up, density=settings.density)
         if not len(points):
             raise InputError("one_sided", "True for a rig without a visible surface", "triangles that have an area")
     else:
-        points, triangle, bary = sample_surface(vertices, rig.faces, n, rng, density=settings.density)
+        points, triangle, bary = sample_surface(surface, rig.faces, n, rng, density=settings.density)
     labels = rig.vertex_labels[rig.faces[triangle, bary.argmax(axis=1)]]
     keep = _outside_holes(points, half * scale, settings, rng)
     keep = keep[: settings.n_points]
@@ -388,7 +388,7 @@ def synthesize_one(rig, pose, template, settings, rng):
     if settings.clutter:
         others = clutter(points, settings.clutter, rng)
     if settings.floor:
-        others = np.concatenate([others, floor(points, settings.floor, (vertices @ up).min(), up, noise, rng)])
+        others = np.concatenate([others, floor(points, settings.floor, (surface @ up).min(), up, noise, rng)])
     nowhere = np.full(len(others), -1)
     points, labels, triangle = (np.concatenate(a) for a in ([points, others], [labels, nowhere], [triangle, nowhere]))
     bary = np.concatenate([bary, np.zeros((len(others), 3))])

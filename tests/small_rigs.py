@@ -7,6 +7,7 @@ from scipy import sparse
 
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.data import RigData
+from lbsfit_np.rig.regressor import regressor_from_weights
 
 NAMES = ("root", "elbow", "long", "short")
 
@@ -63,6 +64,22 @@ def with_joint(data, name="tip", parent=2, **changes):
         lower=np.vstack([data.lower, np.full((1, 3), -1.0)]),
         upper=np.vstack([data.upper, np.full((1, 3), 1.0)]),
         **changes,
+    )
+
+
+def with_loose_vertices(data, places):
+    """The data with more vertices, before the others, that belong to no face and move with the last joint."""
+    n, J = len(places), len(data.joints)
+    last = sparse.csr_array((np.ones(n), (np.arange(n), np.full(n, J - 1))), shape=(n, J))
+    regressor = data.regressor
+    if regressor is None:
+        regressor = regressor_from_weights(data.vertices, sparse.csr_array(data.weights), data.parents, data.joints)
+    return replace(
+        data,
+        vertices=np.vstack([places, data.vertices]),
+        faces=data.faces + n,
+        weights=sparse.csr_array(sparse.vstack([last, data.weights])),
+        regressor=sparse.csr_array(sparse.hstack([sparse.csr_array((J, n)), regressor])),
     )
 
 

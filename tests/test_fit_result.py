@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 from fit_checks import assert_same
-from small_rigs import make_tube_data
+from small_rigs import make_tube_data, with_loose_vertices
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError, InputError
@@ -133,6 +133,20 @@ def test_results_are_for_the_rigs_original_vertices(tube_scan):
     np.testing.assert_allclose(split.joints, whole.joints, atol=1e-12)
     place = split.pose, split.translation, split.scale, split.offsets
     np.testing.assert_array_equal(rig.pose(*place, joints=split.rest_joints), split.vertices)
+
+
+def test_vertices_of_no_face_change_no_fit(tube_scan):
+    """They are nothing that a scan shows, wherever they lie: known labels lead through all terms of the objective."""
+    places = np.array([[0.0, 9, 0], [0.05, 0.1, 0], [-3, 0, 0]])
+    rig = build_rig(with_loose_vertices(make_tube_data(), places))
+    assert len(rig.vertices) == 245 and len(rig.welded.vertices) == 242
+    found, whole = (
+        lbs.LBSFitter(r, random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels) for r in (rig, rig.welded)
+    )
+    np.testing.assert_array_equal(found.pose, whole.pose)
+    np.testing.assert_array_equal(found.vertices[3:], whole.vertices)
+    np.testing.assert_array_equal(found.offsets[:3], whole.offsets[rig.weld[:3]])  # of the nearest vertices
+    assert found.terms == whole.terms and (found.status, found.probability) == (whole.status, whole.probability)
 
 
 def test_results_keep_joints_that_do_not_move(tube_rig, tube_scan):

@@ -3,9 +3,11 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy import sparse
-from small_rigs import make_tube_data, with_joint
+from small_rigs import make_tube_data, with_joint, with_loose_vertices
 
+from lbsfit_np import synthesize
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.describe import describe
 
@@ -82,6 +84,34 @@ def test_seams_are_welded_for_the_geometry_only(tube_rig):
     np.testing.assert_allclose(rig.welded.regressor @ rig.welded.vertices, rig.joints, atol=1e-12)
     assert any("245 vertices lie at 242 distinct" in note for note in rig.notes)
     assert not any("open" in note for note in rig.notes)
+
+
+def test_vertices_of_no_face_are_no_part_of_the_surface(tube_rig):
+    data = make_tube_data()
+    near = data.vertices[[7, 100]] + [0.001, 0, 0]
+    rig = build_rig(with_loose_vertices(seamed(data, [5]), [near[0], [9.0, 9, 9], near[1]]))
+    assert rig.loose.tolist() == [True] * 3 + [False] * 243 and rig.size == tube_rig.size
+    np.testing.assert_array_equal(rig.welded.vertices, tube_rig.vertices)
+    np.testing.assert_array_equal(rig.welded.faces, tube_rig.faces)
+    np.testing.assert_array_equal(rig.welded.weights.toarray(), tube_rig.weights.toarray())
+    assert rig.weld[[0, 2]].tolist() == [7, 100] and rig.weld[3:].tolist() == [*range(242), 5]
+    assert rig.welded_from.tolist() == list(range(3, 245))
+    assert {"243 vertices lie at 242 distinct points: duplicates at seams are welded for the geometry"} < set(rig.notes)
+    assert "3 vertices belong to no face" in rig.notes and "vertices  246 (242 distinct, 3 loose)" in describe(rig)
+    moved = rig.welded.vertices + np.arange(242)[:, None] * [0.0, 0.001, 0]
+    unwelded = rig.unwelded(moved)
+    np.testing.assert_array_equal(unwelded[3:245], moved)
+    np.testing.assert_allclose(unwelded[:3] - rig.vertices[:3], (moved - rig.welded.vertices)[rig.weld[:3]], atol=1e-12)
+    np.testing.assert_array_equal(rig.unwelded(rig.welded.vertices), rig.vertices)
+
+
+@pytest.mark.parametrize("how", [{"floor": 0.3}, {"one_sided": True, "density": 0.5}])
+def test_vertices_of_no_face_are_in_no_scan(tube_rig, how):
+    rig = build_rig(with_loose_vertices(make_tube_data(), [[0.0, -50, 0], [1000, 0, 0]]))
+    for a, b in zip(synthesize(rig, 2, random_state=3, **how), synthesize(tube_rig, 2, random_state=3, **how), strict=True):
+        np.testing.assert_allclose(a.points, b.points, atol=1e-12)
+        np.testing.assert_array_equal(a.labels, b.labels)
+        np.testing.assert_allclose(a.vertices[2:], b.vertices, atol=1e-12)
 
 
 def test_sheets_that_touch_but_move_apart_are_not_welded():

@@ -40,6 +40,10 @@ BAD = {
     "all vertices at one point": (broken(vertices=lambda v: v * 0 + 1), "all at one point"),
     "no faces": (broken(faces=np.zeros((0, 3), dtype=int)), "no faces.*triangle"),
     "degenerate faces only": (broken(faces=np.array([[1, 1, 2], [3, 4, 3]])), "2 faces, each with two corners at one point"),
+    "faces without an area": (
+        broken(vertices=lambda v: np.where(np.arange(3) < 1, v, 0.0)),
+        r"480 faces, none of which has an area; expected a surface",
+    ),
     "quads": (broken(faces=np.zeros((4, 4), dtype=int)), r"faces.*\(4, 4\)"),
     "faces of floats": (broken(faces=np.zeros((4, 3))), "faces.*float64.*integers"),
     "faces out of range": (broken(faces=put((2, 1), 242)), r"1 faces out of range.*face 2.*0 to 241"),

@@ -266,7 +266,7 @@ class Loop:
         found = self.collection.work_of_subjects(work, tasks, jobs=self.jobs, done=self._done(stage, span), kept=kept)
         self.coefficients = {s: c for s, (_, _, c) in found.items()}
         self._follow()
-        return {s: (np.ascontiguousarray(U[self.rig.weld]), J) for s, (U, J, _) in found.items()}
+        return {s: (np.ascontiguousarray(self.rig.unwelded(U)), J) for s, (U, J, _) in found.items()}
 
     @staticmethod
     def _for_template(member, n):
@@ -278,7 +278,7 @@ class Loop:
         v, rig = self.variant, self.rig.welded
         learning = self.collection.with_role(LEARNED_FROM)
         poses = np.array([m.state.theta for m in learning]) if v.inferred_poses and k else np.empty((0, *rig.lower.shape))
-        rows = np.unique(self.rig.weld, return_index=True)[1]
+        rows = self.rig.welded_from
         taught_by = {m.subject for m in learning}  # of others all scans are held out, and their templates with them
         made = tuple((U[rows], J) for s, (U, J) in templates.items() if s in taught_by) if v.deformed and k else ()
         return Mixture(rig, self.synthesis, poses, made, self.seed, k)

@@ -14,8 +14,9 @@ def mesh_notes(rig):
     """Seam duplicates, open or non-manifold edges, several components, unused vertices, degenerate or turned faces."""
     notes = []
     m, n = len(rig.vertices), len(rig.welded.vertices)
-    if n < m:
-        notes.append(f"{m} vertices lie at {n} distinct points: duplicates at seams are welded for the geometry")
+    shown = m - np.count_nonzero(rig.loose)
+    if n < shown:
+        notes.append(f"{shown} vertices lie at {n} distinct points: duplicates at seams are welded for the geometry")
     faces = rig.welded.faces
     lost = len(rig.faces) - len(faces)
     if lost:

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from ..errors import InputError, listed
+from ..triangles import face_areas
 from .anomalies import mesh_notes, size_notes, skin_notes
 from .card import Card, matching, read_card
 from .checks import (
@@ -30,6 +31,9 @@ from .rig import Rig
 from .shapes import check_shapes
 
 __all__ = ["build_rig"]
+
+# Of a face that has an area, in squares of the size.
+_NO_AREA = 1e-14
 
 
 def build_rig(data, card=None, *, normalize_weights=False, parts=None):
@@ -115,6 +119,8 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     )
     if not len(rig.welded.faces):
         report.fail("faces", f"{len(faces)} faces, each with two corners at one point", "at least one proper triangle")
+    if not (face_areas(rig.welded.vertices / rig.size, rig.welded.faces) > _NO_AREA).any():
+        report.fail("faces", f"{len(faces)} faces, none of which has an area", "a surface")
     for partition in partition_names(partitions):
         _ = rig.with_parts(partition).parts  # raises where a vertex has no part, and says what is missing
     notes += mesh_notes(rig) + skin_notes(rig) + size_notes(rig)

@@ -39,8 +39,9 @@ def describe(rig, *, degrees=False):
 
 
 def _facts(rig):
-    m, n = len(rig.vertices), len(rig.welded.vertices)
-    yield "vertices", f"{m}" + (f" ({n} distinct)" if n != m else "")
+    m, n, loose = len(rig.vertices), len(rig.welded.vertices), np.count_nonzero(rig.loose)
+    besides = ", ".join([f"{n} distinct"] * int(n != m - loose) + [f"{loose} loose"] * bool(loose))
+    yield "vertices", f"{m}" + (f" ({besides})" if besides else "")
     yield "faces", f"{len(rig.faces)}"
     influences = np.diff(rig.weights.indptr)
     more = np.count_nonzero(influences > 4)  # of which some programs show four

@@ -73,9 +73,10 @@ def proportions(rig):
         weight[:, bone[j]] += column
     axes = []  # (joint, direction, kind)
     for j in np.flatnonzero(rig.moving):
-        if weight[:, j].max() < 1e-3:
+        shown = np.where(rig.loose, 0.0, weight[:, j])
+        if shown.max() < 1e-3:
             continue
-        axes += [(j, e, kind) for e, kind in _axes(rig, j, bone, weight[:, j])]
+        axes += [(j, e, kind) for e, kind in _axes(rig, j, bone, shown)]
     k = len(axes)
     stretch = np.zeros((J, 3, 3, k))
     for q, (j, directions, _) in enumerate(axes):

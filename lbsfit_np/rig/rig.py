@@ -14,7 +14,7 @@ from .locked import locked
 from .partition import check_partition, parts_of_joints, vertex_parts
 from .proportions import proportions
 from .shapes import ShapeSpace
-from .weld import weld_map
+from .weld import proper, weld_of
 
 __all__ = ["Rig"]
 
@@ -142,9 +142,7 @@ class Rig:
     @property
     def sides(self):
         """(3,): sides of the box of :attr:`size`. Vertices that are loose or only in degenerate faces do not count."""
-        proper = _proper(self.weld[self.faces])
-        used = np.unique(self.faces[proper]) if proper.any() else slice(None)
-        return np.ptp(self.vertices[used], axis=0)
+        return np.ptp(self.vertices[~self.loose], axis=0)
 
     @cached_property
     def weights_transposed(self):
@@ -176,14 +174,43 @@ class Rig:
         return vertex_parts(self)
 
     @cached_property
+    def _weld(self):
+        return weld_of(self.vertices, self.weights, self.faces)
+
+    @property
     def weld(self):
-        """(m,) int: the row of ``welded`` that each vertex becomes when duplicates at seams are joined."""
-        return weld_map(self.vertices, self.weights)
+        """(m,) int: the row of ``welded`` that each vertex is, duplicates at seams being joined; of a loose one, the nearest."""
+        return self._weld.rows
+
+    @property
+    def loose(self):
+        """(m,) bool: vertices of no face, or only of faces with two corners at one point; no scan shows them."""
+        return self._weld.loose
+
+    @property
+    def welded_from(self):
+        """(n,) int: the first of this rig's vertices that each of ``welded`` is."""
+        return self._weld.first
 
     @cached_property
     def welded(self):
-        """The same rig with duplicate vertices joined, or this rig itself if it has none; the fit works on the welded rig."""
+        """The rig's surface, on which the fit works: duplicate vertices joined, loose ones left out; itself if there are none."""
         return weld_rig(self)
+
+    def unwelded(self, U):
+        """(m, 3): vertices of ``welded`` on another template as this rig's own; loose ones move as the nearest ones do."""
+        loose, own = self.loose, U[self.weld]
+        own[loose] += self.vertices[loose] - self.welded.vertices[self.weld[loose]]
+        return own
+
+    def without_loose(self, vertices):
+        """(m, 3) vertices of a pose with loose ones moved to the nearest others: no box is wider for what no scan shows."""
+        loose = self.loose
+        if not loose.any():
+            return vertices
+        vertices = vertices.copy()
+        vertices[loose] = vertices[self.welded_from[self.weld[loose]]]
+        return vertices
 
     @cached_property
     def proportions(self):
@@ -390,30 +417,22 @@ def _bytes(a):
     return np.ascontiguousarray(np.round(a, 12) + 0.0 if a.dtype.kind == "f" else a.astype(np.int64)).tobytes()
 
 
-def _proper(faces):
-    """(F,) bool: the faces with three corners that differ."""
-    return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
-
-
 def weld_rig(rig):
-    """A rig on the distinct vertices of ``rig``: faces renumbered, degenerate ones dropped, weights averaged."""
-    weld = rig.weld
-    n = int(weld.max()) + 1
-    faces = weld[rig.faces]
-    proper = _proper(faces)
-    if n == len(weld):
-        return rig if proper.all() else replace(rig, faces=faces[proper])
-    m = len(weld)
-    member = sparse.csr_array((np.ones(m), (weld, np.arange(m))), shape=(n, m))
-    counts = np.bincount(weld, minlength=n)
-    mean = sparse.diags_array(1.0 / counts) @ member
-    first = np.full(n, m)
-    np.minimum.at(first, weld, np.arange(m))
+    """A rig on the distinct vertices of the surface of ``rig``: faces renumbered, degenerate ones dropped, weights averaged."""
+    weld, m, n = rig._weld, len(rig.vertices), len(rig.welded_from)
+    faces = weld.rows[rig.faces]
+    sound = proper(faces)
+    if n == m:
+        return rig if sound.all() else replace(rig, faces=faces[sound])
+    member = sparse.csr_array((np.ones(m), (weld.rows, np.arange(m))), shape=(n, m))
+    shown = np.flatnonzero(~weld.loose)
+    counts = np.bincount(weld.rows[shown], minlength=n)
+    mean = sparse.diags_array(1.0 / counts) @ member[:, shown]
     return replace(
         rig,
-        vertices=rig.vertices[first],
-        faces=faces[proper],
-        weights=sparse.csr_array(mean @ rig.weights),
+        vertices=rig.vertices[weld.first],
+        faces=faces[sound],
+        weights=sparse.csr_array(mean @ rig.weights[shown]),
         regressor=sparse.csr_array(rig.regressor @ sparse.csr_array(member.T)),
-        shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, first]),
+        shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, weld.first]),
     )

@@ -1,8 +1,10 @@
 """Welding: which vertices are one point of the surface, split only for texture coordinates or normals."""
 
+from dataclasses import dataclass
+
 import numpy as np
 
-__all__ = ["weld_map"]
+__all__ = ["Weld", "proper", "weld_of"]
 
 # Seam copies are written from one float32 position; anything further apart than this share of the size is another point.
 _POSITION = 1e-6
@@ -10,18 +12,34 @@ _POSITION = 1e-6
 _WEIGHT = 0.02
 
 
-def weld_map(vertices, weights):
-    """Distinct vertices, numbered in order of first appearance.
+@dataclass(frozen=True)
+class Weld:
+    """The distinct vertices of a surface, and which of them each vertex is.
+
+    Attributes
+    ----------
+    rows : (m,) int array
+        The distinct vertex that each vertex is, or lies nearest to if it is loose; numbered in order of first appearance.
+    first : (n,) int array
+        The first of the vertices that each distinct one is.
+    loose : (m,) bool array
+        Vertices of no face, or only of faces with two corners at one point: nothing of the surface, which no scan shows.
+    """
+
+    rows: np.ndarray
+    first: np.ndarray
+    loose: np.ndarray
+
+
+def weld_of(vertices, weights, faces):
+    """The Weld of a mesh.
 
     Parameters
     ----------
     vertices : (m, 3) array
     weights : (m, J) sparse array
-
-    Returns
-    -------
-    (m,) int array
-        The distinct vertex that each vertex is.
+    faces : (F, 3) int array
+        Where none of them is proper, no vertex is loose.
     """
     size = max(float(np.ptp(vertices, axis=0).max()), np.finfo(float).tiny)
     from scipy.sparse import coo_array
@@ -35,9 +53,22 @@ def weld_map(vertices, weights):
     m = len(vertices)
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(m, m))
     _, group = connected_components(graph, directed=False)
-    _, first, inverse = np.unique(group, return_index=True, return_inverse=True)
+    corners = group[faces]
+    corners = corners[proper(corners)]
+    loose = ~np.isin(group, corners) if len(corners) else np.zeros(m, dtype=bool)
+    kept = np.flatnonzero(~loose)
+    _, first, inverse = np.unique(group[kept], return_index=True, return_inverse=True)
     rank = np.empty(len(first), dtype=int)
     rank[np.argsort(first, kind="stable")] = np.arange(len(first))
-    weld = rank[inverse]
-    weld.flags.writeable = False
-    return weld
+    rows, first = np.empty(m, dtype=int), kept[np.sort(first)]
+    rows[kept] = rank[inverse]
+    if len(kept) < m:  # they move with what is nearest
+        rows[loose] = cKDTree(vertices[first]).query(vertices[loose])[1]
+    for a in (rows, first, loose):
+        a.flags.writeable = False
+    return Weld(rows, first, loose)
+
+
+def proper(faces):
+    """(F,) bool: the faces with three corners that differ."""
+    return (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
