@@ -144,6 +144,8 @@ def test_what_is_broken_is_named(own, tmp_path, body):
     with pytest.raises(FileError, match="with neither training nor test"):
         read_faust(own / "training")
     lists = own / "test" / "challenge_pairs" / "inter_challenge.txt"
+    lists.write_bytes(b"\xef\xbb\xbf000_020\n019_001\n000_020\n020_000\n")  # one that stands there twice has one file
+    assert read_faust(own).challenges["inter"] == [(0, 3), (2, 1), (3, 0)]
     lists.write_text("000_020\n\n1-2\n")
     with pytest.raises(FileError, match="'1-2' in line 3"):
         read_faust(own)

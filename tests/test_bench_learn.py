@@ -37,7 +37,7 @@ def test_touching_poses_bring_two_fingertips_together(shared_rigs):
 
 def _nothing_learned(fitter, *a, **k):
     fitter.results_ = fitter.template_ = fitter.segmenter_ = None
-    fitter.history_ = []
+    fitter.history_, fitter.failures_ = [], {}
 
 
 def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
@@ -56,7 +56,7 @@ def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
     assert report["rows"]["free-form"]["3"]["rounds"] == 0
     # The same once more has nothing to do, and more does the rest.
     monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"unfitted": 7})
-    monkeypatch.setattr("lbsfit_np.bench.learn._one_by_one", lambda *a: None)
+    monkeypatch.setattr("lbsfit_np.bench.learn._one_by_one", lambda *a: [])
     monkeypatch.setattr("lbsfit_np.learning.fitter.LBSFitter.fit", _nothing_learned)
     again = learn_bench("hand", shared_rigs, before=report, **options)
     assert again["rows"] == report["rows"] and len(rows) == 3
@@ -141,6 +141,16 @@ def test_label_errors_are_compared_after_as_many_rounds():
     ]
 
 
+def test_rows_without_all_scans_or_of_other_code_are_told():
+    report = _rows(joint={100: 0.03, 101: 0.03}, cd={100: 0.03, 101: 0.03})
+    assert "could not be fitted" not in learn_table(report) and "several states" not in learn_table(report)
+    report["rows"]["cd"]["101"] |= {"unfitted": 4, "commit": "0123456789abcdef"}
+    lines = learn_table(report).splitlines()
+    assert "cd: 4 of 12 scans could not be fitted, and count in no measure of fits." in lines
+    states = "unknown: one by one 100, one by one 101, joint 100, joint 101, cd 100; 0123456789ab: cd 101."
+    assert lines[-1] == f"Rows are of several states of the code, by commit: {states}"
+
+
 def test_where_nothing_could_be_fitted_there_is_no_error(shared_rigs):
     rig, scans, subjects, _ = collection("hand", shared_rigs, 3, seed=3)
     templates = {k: SimpleNamespace(vertices=s.template) for k, s in enumerate(scans)}
@@ -154,7 +164,7 @@ def test_where_nothing_could_be_fitted_there_is_no_error(shared_rigs):
 def quick(monkeypatch):
     """Learning that takes no time: a fitter that has fitted nothing."""
     monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda self, **o: vars(self).update(segmenter_=None, _pretrained=None))
-    learned = {"history_": [], "results_": [], "template_": {}, "segmenter_": None}
+    learned = {"history_": [], "results_": [], "template_": {}, "segmenter_": None, "failures_": {}}
     monkeypatch.setattr("lbsfit_np.LBSFitter.fit", lambda self, *a, **o: vars(self).update(learned))
     monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"joint_error": 0.1})
     monkeypatch.setattr("lbsfit_np.bench.learn._wrong", lambda *a: 0.2)
@@ -212,6 +222,19 @@ def test_the_command_keeps_each_row_and_goes_on(shared_rigs, quick, monkeypatch,
     assert set(seen[0]["one by one"]) == {"3", "4"} and set(seen[0]["cd"]) == {"3"} == set(rows()["cd"])
 
 
+def test_the_command_names_scans_that_could_not_be_fitted(shared_rigs, quick, monkeypatch, tmp_path, capsys):
+    measured = {"joint_error": 0.1, "vertex_error": 0.2, "joint_error_median": 0.1, "template_gap": 0.05, "unfitted": 1}
+    failed = [SimpleNamespace(result=None, error="no points"), SimpleNamespace(result=1, error=None)]
+    monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: measured)
+    monkeypatch.setattr("lbsfit_np.learning.batch.fit_scans", lambda *a, **o: failed)
+    learned = {"history_": [], "results_": [], "template_": {}, "segmenter_": None, "failures_": {2: "too few"}}
+    monkeypatch.setattr("lbsfit_np.LBSFitter.fit", lambda self, *a, **o: vars(self).update(learned))
+    command = ["bench", "learn", "hand", "--data", str(shared_rigs), "-o", str(tmp_path), "--scans", "3"]
+    assert run([*command, "--seeds", "3", "--variants", "cd"]) == 1
+    told = capsys.readouterr().out
+    assert "failed: seed 3, one by one, scan 0: no points\n" in told and "failed: seed 3, cd, scan 2: too few\n" in told
+
+
 def test_steps_of_a_seed_are_kept_until_it_is_done(shared_rigs, quick, monkeypatch, tmp_path, capsys):
     measured = {"joint_error": 0.1, "vertex_error": 0.2, "joint_error_median": 0.1, "template_gap": 0.05}
     monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: measured)
@@ -258,7 +281,8 @@ def test_label_errors_are_noted_after_each_round(shared_rigs, quick, monkeypatch
     def fit(self, scans, subjects, on_round, **options):
         for k, segmenter in ((1, None if self.variant == "cd" else "s"), (2, None if self.variant == "cd" else "s")):
             on_round(k, segmenter)
-        vars(self).update({"history_": [{}, {}, {}], "results_": [], "template_": {}, "segmenter_": None})
+        learned = {"history_": [{}, {}, {}], "results_": [], "template_": {}, "segmenter_": None, "failures_": {}}
+        vars(self).update(learned)
 
     monkeypatch.setattr("lbsfit_np.LBSFitter.fit", fit)
     rows = learn_bench("hand", shared_rigs, n_scans=3, seeds=(3,), variants=("joint", "cd"))["rows"]

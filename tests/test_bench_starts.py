@@ -371,6 +371,8 @@ def test_the_table_in_both_forms(known):
     for text in (plain, markdown):
         assert "4 scans a row, seed 3, effort balanced" in text and "60 synthetic scans" in text
         assert "goal 0.97" in text and "goal 80 %" in text and "area under the ROC curve" in text
+    failed = sum(f["failed"] for e in report["rigs"].values() for r in e["rows"].values() for f in r["fits"].values())
+    assert failed and f"Without scans that could not be fitted: {failed} in all rows" in plain
     report["confidence"] = None
     assert "ROC" not in starts_table(report)
 

@@ -75,6 +75,14 @@ def test_the_arm_lies_beyond_a_fit_that_is_right_and_the_hand_does_not(hand, sca
         assert away.max() < 0.1 * hand.size  # what is left is at the wrist
 
 
+def test_wild_points_do_not_upset_what_lies_beyond(hand, scans):
+    scan, found = scans[0], true_fit(hand, scans[0])
+    past = beyond(scan.points, hand, found)
+    with np.errstate(over="ignore"):
+        again = beyond(np.vstack([scan.points, [[1e200, 0, 0], [-1e200, 1e180, 0]]]), hand, found)
+    np.testing.assert_array_equal(again[:-2], past)
+
+
 def test_a_point_that_a_finger_does_not_explain_does_not_lie_beyond(hand, scans):
     scan = scans[0]
     tip = scan.joints[hand.joint_names.index("index3")]

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fit_checks import assert_same, mean_error
+from small_rigs import make_tube_rig
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.refit import Refit
@@ -63,6 +64,29 @@ def test_a_rig_may_lie_anywhere(tube_rig, tube_scan, given):
     np.testing.assert_allclose(there.joints, here.joints, atol=0.003 * tube_rig.size)
     np.testing.assert_allclose(there.joint_std, here.joint_std, rtol=0.15)
     assert mean_error(tube_rig, there.joints, 1.4 * tube_scan.joints) < 0.1
+
+
+@pytest.mark.parametrize("given", [("labels",), ("labels", "theta0")])
+def test_what_speaks_for_a_fit_is_the_same_in_any_unit(fitter, tube_scan, given):
+    """Also where the scan's extent passes for that of the rig's unit, though it is not in it."""
+    rng = np.random.default_rng(0)
+    known = {"labels": tube_scan.labels, "theta0": tube_scan.pose}
+    points = tube_scan.points + 0.006 * rng.standard_normal(tube_scan.points.shape)
+    one, *others = (fitter.fit_scan(factor * points, **{name: known[name] for name in given}) for factor in (1.0, 0.45, 1.7))
+    for factor, r in zip((0.45, 1.7), others):
+        assert r.scale == pytest.approx(factor * one.scale, rel=0.01) and r.status == one.status == "ok"
+        for name in ("distance", "unexplained", "unreached"):
+            assert r.evidence[name] == pytest.approx(one.evidence[name], rel=0.1, abs=0.003), name
+        np.testing.assert_allclose(r.confidence, one.confidence, atol=0.2)
+        np.testing.assert_allclose(r.joint_std, factor * one.joint_std, rtol=0.1)
+
+
+def test_a_fit_on_next_to_nothing_is_not_believed():
+    """A rig that only turns as a whole has three angles to be found, too."""
+    rig = replace(make_tube_rig(), locked=np.arange(4) > 0)
+    points = rig.vertices[[0, 100, 200]] + [0.1, 0.2, 0.3]
+    r = lbs.LBSFitter(rig, random_state=0, max_points=100).fit_scan(points, labels=rig.vertex_labels[[0, 100, 200]])
+    assert r.status != "ok" and r.evidence["sparse"] == 1.0
 
 
 def test_given_labels_are_kept(fitter, tube_scan):

@@ -24,7 +24,7 @@ def hand():
 
 
 def _places(model, most):
-    return Pulling(model, np.arange(len(model.rig.vertices)), most)
+    return Pulling(model, most)
 
 
 def test_vertices_have_the_normals_of_the_whole_mesh(hand):

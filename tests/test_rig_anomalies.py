@@ -1,15 +1,18 @@
 """Flaws of a rig's mesh and weights: what is noted, and seams that are welded."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from scipy import sparse
 from small_rigs import make_tube_data, with_joint, with_loose_vertices
 
-from lbsfit_np import synthesize
+from lbsfit_np import load_rig, synthesize
 from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rig.data import RigData
 from lbsfit_np.rig.describe import describe
+from lbsfit_np.starts.beyond import end_of
+from lbsfit_np.starts.scale import extent_doubt, reference_scale
 
 # ---- notes ----
 
@@ -103,6 +106,43 @@ def test_vertices_of_no_face_are_no_part_of_the_surface(tube_rig):
     np.testing.assert_array_equal(unwelded[3:245], moved)
     np.testing.assert_allclose(unwelded[:3] - rig.vertices[:3], (moved - rig.welded.vertices)[rig.weld[:3]], atol=1e-12)
     np.testing.assert_array_equal(rig.unwelded(rig.welded.vertices), rig.vertices)
+
+
+def test_a_joint_that_leads_vertices_of_no_face_alone_has_no_part():
+    """Parts of the surface are numbered alike, with these vertices and without."""
+    data = make_tube_data()
+    order = [0, 1, 3, 2]  # "short" stands before "long"
+    data = replace(
+        data,
+        joint_names=[data.joint_names[j] for j in order],
+        joints=data.joints[order],
+        frames=data.frames[order],
+        weights=sparse.csr_array(data.weights)[:, order],
+        lower=data.lower[order],
+        upper=data.upper[order],
+    )
+    weights = data.weights.toarray()
+    weights[:, 1] += weights[:, 2]
+    weights[:, 2] = 0.0  # nothing of the surface is left to "short"
+    loose = np.eye(4)[[2, 2]]
+    data = replace(data, vertices=np.vstack([data.vertices, data.vertices[:2]]), weights=np.vstack([weights, loose]))
+    rig = build_rig(replace(data, partitions={}))
+    assert rig.parts == rig.welded.parts == ("root", "elbow", "long")
+    np.testing.assert_array_equal(rig.vertex_labels[:242], rig.welded.vertex_labels)
+
+
+def test_vertices_of_no_face_are_no_measure_of_scans_and_no_end(tube_rig):
+    places = [0.0, 7, 0] + np.random.default_rng(0).normal(size=(20, 3))
+    rig = build_rig(with_loose_vertices(make_tube_data(), places))
+    assert reference_scale(tube_rig.vertices, rig, "fixed").scale == 1.0
+    small = 0.3 * tube_rig.vertices
+    assert reference_scale(small, rig, "estimate") == reference_scale(small, tube_rig, "estimate")
+    assert extent_doubt(tube_rig.vertices, rig, 1.0) == ""
+    hand = load_rig("hand-coarse")
+    guide = RigData(**{f.name: getattr(hand, f.name) for f in fields(RigData) if hasattr(hand, f.name)})
+    guide = replace(guide, parents=np.array(hand.parents), shapes=None, parts=None)
+    end, own = end_of(build_rig(with_loose_vertices(guide, hand.joints[:1] + [0.0, 0, 9 * hand.size]))), end_of(hand)
+    assert end.reach == pytest.approx(own.reach) and end.length == pytest.approx(own.length)
 
 
 @pytest.mark.parametrize("how", [{"floor": 0.3}, {"one_sided": True, "density": 0.5}])

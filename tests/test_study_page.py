@@ -68,6 +68,31 @@ def _columns(report, row, title="Registrations"):
     return list(zip(heads[1:], entries, strict=True))
 
 
+def test_columns_are_explained_at_the_first_table_that_has_them():
+    learned = {"accuracy": [0.8, 0.9], "kept_accuracy": 0.9, "kept_accuracy_scans": [0.9], "history": _history(1, 1)}
+    learned |= {"gap": {"subjects": GAP}}
+    first, second = _report("body", oracle_fit={}), _report("hand", joint=learned, rand=learned, cd={})
+    both = first | {"rigs": first["rigs"] | second["rigs"]}
+    text = page(both, {})
+    assert "### Labels" not in text[: text.index("## Hand")]
+    for words in ("The share of the test scans' points", "**before** is ‖U − U^gt‖", "≈ stands between rows", "**Recon**: √L_c"):
+        assert page(second, {}).count(words) == text.count(words) == 1
+
+
+def test_an_order_says_which_rows_lack_scans():
+    report = _report(joint={}, rand=[{"unfitted": 2}, {"unfitted": 1}], cd={})
+    assert " Without scans that could not be fitted: rand 2." in page(report, {})
+    assert "Without scans" not in page(_report(joint={}, rand={}, cd={}), {})
+
+
+def test_where_the_structured_distance_does_not_fall_all_the_way_the_page_says_so():
+    path = {"chain": "c", "from": "a", "to": "b", "rise": 1.5, "chamfer": [1.0, 1.5, 0.1], "structured_rise": 1.0}
+    for curve, words in (([1.0, 0.5, 0.1], "L_s falls."), ([1.0, 0.3, 0.9], "L_s never rises above 1.00 times its own.")):
+        report = _report(joint={})
+        report["rigs"]["hand"]["local_optimum"] = path | {"structured": curve}
+        assert f"before it falls; {words}" in page(report, {})
+
+
 def _goals(report):
     """{what: (found, goal, reached)}."""
     return {what: tuple(rest) for what, *rest in _table(report, "Goals")[2:]}

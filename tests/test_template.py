@@ -30,7 +30,7 @@ def one_thread():
 
 @pytest.mark.parametrize("faces", [[], [[242, 243, 244]]])
 def test_vertices_that_no_surface_hangs_on_are_left_where_they_are(tube_rig, faces):
-    """One without a face, or those of a triangle without area: nothing says how they move, and they spoil no others."""
+    """Those without a face, which are left out, or of triangles without area, of which nothing says how they move."""
     data = make_tube_data()
     along = data.vertices[:1] + np.outer([0.1, 0.2, 0.3], [0.0, 1.0, 0.0])
     more = replace(
@@ -42,7 +42,7 @@ def test_vertices_that_no_surface_hangs_on_are_left_where_they_are(tube_rig, fac
     case = Case(build_rig(more), (np.vstack([tube_rig.vertices, along]), tube_rig.joints), n=3)
     U, _, c = case.found()
     own = case.model.rig.vertices + (case.model.basis @ c).reshape(-1, 3)
-    assert np.isfinite(U).all()
+    assert np.isfinite(U).all() and len(U) == 242 + 3 * len(faces)
     np.testing.assert_allclose(U[242:] / case.half, own[242:], atol=1e-9)
     assert np.abs(U[:242] / case.half - own[:242]).max() > 1e-6
 

@@ -212,14 +212,14 @@ def _challenge_file(where, kind):
 
 def _pairs(path):
     pairs = []
-    for k, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+    for k, line in enumerate(path.read_text(encoding="utf-8-sig", errors="replace").splitlines(), 1):
         if not line.strip():
             continue
         match = _PAIR.fullmatch(line)
         if match is None:
             raise FileError(str(path), f"{brief(line)} in line {k}", "pairs of scan numbers, such as 012_023")
         pairs.append((int(match[1]), int(match[2])))
-    return pairs
+    return list(dict.fromkeys(pairs))  # each once: it has one file
 
 
 def faust_bench(fitter, found, folder, *, on_figures=None, reporter=None, **options):

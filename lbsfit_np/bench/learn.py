@@ -1,7 +1,7 @@
 """Learning from a collection: the loop and its ablations on subjects with known truth, against scans fitted one by one.
 
-Three changed shapes of a rig, the same number of scans of each, and as many again that nobody learns from, on which the
-segmenter's labels are judged.
+Three changed shapes of a rig, the same number of scans of each, and a third as many more of the same people, which nobody
+learns from, and on which the segmenter's labels are judged.
 """
 
 import hashlib
@@ -232,9 +232,10 @@ def learn_bench(
         singles = report["rows"].setdefault(_ONE_BY_ONE, {})
         if str(seed) not in singles:
             started = time.perf_counter()
-            results = _one_by_one(fitter, points, jobs, None if progress is None else partial(progress, _ONE_BY_ONE, seed))
+            outcomes = _one_by_one(fitter, points, jobs, None if progress is None else partial(progress, _ONE_BY_ONE, seed))
             entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "commit": environment()["commit"]}
-            entry |= _measured(rig, results, dict.fromkeys(subjects, rig), scans, subjects, unit)
+            entry |= _measured(rig, [o.result for o in outcomes], dict.fromkeys(subjects, rig), scans, subjects, unit)
+            entry["failures"] = {str(i): str(o.error) for i, o in enumerate(outcomes) if o.result is None}
             singles[str(seed)] = entry | {"label_error": _wrong(first, others)}
             if on_row is not None:
                 on_row(report, _ONE_BY_ONE, seed)
@@ -250,6 +251,7 @@ def learn_bench(
                 seconds = None if gone_on else time.perf_counter() - started
                 entry = {"seconds": seconds, "jobs": jobs, "commit": environment()["commit"]}
                 entry |= _measured(rig, one.results_, one.template_, scans, subjects, unit)
+                entry["failures"] = {str(i): why for i, why in one.failures_.items()}
                 entry |= {"rounds": max(0, len(one.history_) - 1), "history": one.history_, "label_error_of_rounds": wrong}
                 if one.segmenter_ is not None:
                     entry["label_error"] = _wrong(one.segmenter_, others)
@@ -287,12 +289,12 @@ def _forget(steps, seed):
 
 
 def _one_by_one(fitter, points, jobs, progress):
-    """The results of scans that are fitted by themselves; None where one cannot be."""
+    """The outcomes of scans that are fitted by themselves."""
     from ..learning.batch import fit_scans
 
     done = count(1)
     tell = None if progress is None else lambda outcome: progress("fits", next(done) / len(points))
-    return [outcome.result for outcome in fit_scans(fitter, points, n_jobs=jobs, on_result=tell)]
+    return fit_scans(fitter, points, n_jobs=jobs, on_result=tell)
 
 
 def _poses_digest(name, data):
@@ -367,7 +369,7 @@ def learn_table(report, *, markdown=False):
     unit = "cm" if report["unit"] == "cm" else "half sizes of the rig"
     legend = (
         f"Mean over seeds ({len(seeds)}), {n} scans of {people} subjects each. Lengths in {unit}; label errors\n"
-        f"of the segmenter alone on {n // 3} scans that were not learned from. For each seed, the seconds of the first fits are\n"
+        f"of the segmenter alone on {n // 3} other scans of these subjects. For each seed, the seconds of the first fits are\n"
         "counted for the first variant with labels that a run fits; the others reuse these fits."
     )
     for seed in every:
@@ -376,7 +378,22 @@ def learn_table(report, *, markdown=False):
             legend += f"\nSeed {seed} is left out: it has no {', no '.join(lacking)}."
     for without, heads in few.items():
         legend += f"\n{', '.join(heads)}: {without}, for which a row has no value."
-    return f"{layout(lines, markdown=markdown)}\n\n{legend}{_of_rounds(rows, seeds)}"
+    for row, of in rows.items():
+        if lost := sum(of[seed].get("unfitted", 0) for seed in seeds):
+            legend += f"\n{row}: {lost} of {n * len(seeds)} scans could not be fitted, and count in no measure of fits."
+    return f"{layout(lines, markdown=markdown)}\n\n{legend}{_of_rounds(rows, seeds)}{_of_states(rows)}"
+
+
+def _of_states(rows):
+    """The states of the code, by commit, where rows are of several: they are not to be compared as if they were of one."""
+    states = {}
+    for row, of in rows.items():
+        for seed, entry in of.items():
+            states.setdefault(entry.get("commit"), []).append(f"{row} {seed}")
+    if len(states) < 2:
+        return ""
+    listed = "; ".join(f"{'unknown' if commit is None else commit[:12]}: {', '.join(made)}" for commit, made in states.items())
+    return f"\nRows are of several states of the code, by commit: {listed}."
 
 
 def _of_rounds(rows, seeds):

@@ -327,6 +327,8 @@ def _legend(report):
         "Reached: share of the scans whose mean joint error is at most 1.5 % (* 3 %) of the rig's size. Median and 95th",
         "percentile: of these errors, in % of the size. Further columns: the same share for other ways of fitting.",
     ]
+    if failed := sum(f["failed"] for e in report["rigs"].values() for r in e["rows"].values() for f in r["fits"].values()):
+        lines.append(f"Without scans that could not be fitted: {failed} in all rows; they count as not reached.")
     known = report["confidence"] or {"auc": None}
     if known["auc"] is not None:
         lines += [

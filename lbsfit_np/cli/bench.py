@@ -84,9 +84,8 @@ _EPILOG = """\
 example:
   lbsfit bench {example}
 
-Exit code: 0 {done}, 2 usage or {unusable}, 130 stopped by Ctrl-C, 143 by SIGTERM.
+Exit code: 0 all fitted, 1 some scans failed (named with reasons), 2 usage or {unusable}, 130 stopped by Ctrl-C, 143 by SIGTERM.
 """
-_SOME_FAIL = "all fitted, 1 some scans failed (named with reasons)"
 
 
 def add_parser(commands):
@@ -151,7 +150,7 @@ def _add_learn(benches):
         "learn",
         help="the loop over a collection of scans, and its ablations",
         description=_LEARN,
-        epilog=_epilog("learn hand --data rigs -o bench-learn --jobs 2", done="all done", unusable="unreadable data"),
+        epilog=_epilog("learn hand --data rigs -o bench-learn --jobs 2", unusable="unreadable data"),
         formatter_class=formatter,
     )
     bench.add_argument("collection", choices=("hand", "body"), help="which rig in DIR")
@@ -253,8 +252,8 @@ def _seeds_option(whose, default):
     return Option("seeds", f"comma-separated seeds of {whose}; training has its own", _seeds, default, metavar="N,N")
 
 
-def _epilog(example, *, done=_SOME_FAIL, unusable="an unusable rig"):
-    return _EPILOG.format(example=example, done=done, unusable=unusable)
+def _epilog(example, *, unusable="an unusable rig"):
+    return _EPILOG.format(example=example, unusable=unusable)
 
 
 def _add_options(bench, options, run):

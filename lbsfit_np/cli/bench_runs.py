@@ -120,7 +120,12 @@ def run_learn(name, values):
     write_json(results, report)
     say("")
     say(learn_table(report, markdown=values["markdown"]))
-    return 0
+    return failures_code(
+        (f"seed {seed}, {row}, scan {scan}", why)
+        for row, of in report["rows"].items()
+        for seed, entry in of.items()
+        for scan, why in entry.get("failures", {}).items()
+    )
 
 
 def run_roundtrip(rigs, values):

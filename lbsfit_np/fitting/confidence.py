@@ -112,9 +112,9 @@ def evidence_of(
         beyond 2.5 times their median, which is taken for noise up to 0.015; "unreached": the same over the surface's from the
         points; "part_unexplained" and "part_unreached": the largest of each over single parts; "disagreement": 1 − mean
         probability that the segmenter gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals';
-        "at_limits": share of the angles that are at a limit; "sparse": angles ÷ points; "proportions" as given. All in [0, 1];
-        what is not known is 0. Points at one place are one. Points far from all others, and unexplained ones far from all others
-        of these, count for nothing.
+        "at_limits": share of the angles that are at a limit; "sparse": angles, three at least, ÷ points; "proportions" as given.
+        All in [0, 1]; what is not known is 0. Points at one place are one. Points far from all others, and unexplained ones far
+        from all others of these, count for nothing.
     worst : dict of str to int
         The parts of "part_unexplained" and "part_unreached"; −1 where nothing is.
     """
@@ -123,10 +123,8 @@ def evidence_of(
     X, w, proba = merged(X, w, proba)
     on = PointIndex(vertices).nearest(X)
     away = ((X - vertices[on]) ** 2).sum(axis=1)
-    surface = Surface(rig.vertices, rig.faces)
-    with_face = np.flatnonzero(np.isin(on, surface.rows))
-    there = surface.closest(X[with_face], on[with_face], vertices)
-    away[with_face] = np.minimum(away[with_face], ((X[with_face] - there.points) ** 2).sum(axis=1))
+    there = Surface(rig.vertices, rig.faces).closest(X, on, vertices)
+    away = np.minimum(away, ((X - there.points) ** 2).sum(axis=1))
     index = PointIndex(X)
     to_X = index.nearest(vertices)
     # Between points there is nothing to reach.
@@ -154,7 +152,8 @@ def evidence_of(
         "disagreement": 0.0 if proba is None else _disagreement(w, proba, parts),
         "rival": float(min(1.0, value / min(rivals))) if len(rivals) and value is not None and min(rivals) > 0 else 0.0,
         "at_limits": 0.0 if theta is None else _at_limits(rig, theta),
-        "sparse": float(min(1.0, _bending(rig).sum() * (w**2).sum())),  # 1 ÷ Σw² points that weigh the same are as good
+        # 1 ÷ Σw² points that weigh the same are as good. The root's three angles are to be found by all means.
+        "sparse": float(min(1.0, max(_bending(rig).sum(), 3) * (w**2).sum())),
         "proportions": float(np.clip(proportions, 0.0, 1.0)),
     }
     return out, {"part_unexplained": of_points[1], "part_unreached": of_surface[1]}
@@ -192,7 +191,7 @@ def shown_problem(model, problem, state, partial):
     if partial:
         normals = vertex_normals(V, model.rig.faces)
         v_kept &= shown(V, normals, problem.X, normals[on], to_X)
-    if (x_kept.all() and v_kept.all()) or v_kept.mean() < _LEAST_SEEN:
+    if (x_kept.all() and v_kept.all()) or model.areas[v_kept].sum() < _LEAST_SEEN:
         return problem
     a = problem.x_weights if problem.x_weights is not None else np.full(len(problem.X), 1.0 / len(problem.X))
     return Problem(problem.X, a * x_kept / (a * x_kept).sum(), v_kept.astype(float))

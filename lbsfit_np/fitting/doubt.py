@@ -48,8 +48,8 @@ class Doubt:
         """
         w = np.ones(len(problem.X)) if problem.x_weights is None else problem.x_weights
         X, w, _ = merged(problem.X[w > 0] / state.scale, w[w > 0], None)
-        V, rows = self.model.deformed(state).vertices / state.scale, self._surface.rows
-        nearest = rows[PointIndex(V[rows]).nearest(X)]
+        V = self.model.deformed(state).vertices / state.scale
+        nearest = PointIndex(V).nearest(X)
         away = ((X - self._surface.closest(X, nearest, V).points) ** 2).sum(axis=1)
         w, bone, J = without(w, lonely_odd(X, away)), self._bone[nearest], len(self.model.rig.parents)
         judged = np.bincount(bone[w > 0], minlength=J) >= _FEWEST

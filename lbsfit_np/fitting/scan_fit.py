@@ -257,7 +257,10 @@ class ScanFit:
         if theta0 is not None and labels is None:  # what the segmenter says may lead away from a start that is right
             known = Runner(problem, self._refit.in_place(problem, theta))
             others = [end.state for end in [known, *self._refit.race([known])]]
-        return frame, problem, proba, search.pose(others), search.evaluations
+        # What is known of fits, and the weights of losses, are of half sizes: in the scan's own unit, not in that of a guess.
+        state = search.pose(others)
+        q = state.scale
+        return replace(frame, unit=frame.unit * q), problem.in_unit(q), proba, state.in_unit(q), search.evaluations
 
 
 def all_points(points, part, point_weights, frame, problem):

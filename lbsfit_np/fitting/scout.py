@@ -194,11 +194,10 @@ class Scout:
         if q == 1.0:
             return runners
         for r in runners:
-            frame = replace(r.name, unit=r.name.unit * q)
             if id(r.problem) not in problems:
-                problems[id(r.problem)] = Problem(r.problem.X / q, r.problem.x_weights, r.problem.v_weights)
-            state = r.state.replace(scale=r.state.scale / q, translation=r.state.translation / q)
-            out.append(Runner(problems[id(r.problem)], state, frame, r.value / q**2))
+                problems[id(r.problem)] = r.problem.in_unit(q)
+            frame = replace(r.name, unit=r.name.unit * q)
+            out.append(Runner(problems[id(r.problem)], r.state.in_unit(q), frame, r.value / q**2))
         return out
 
     def _distinct(self, runners):

@@ -128,7 +128,7 @@ def _heights(model, U, J, problems, states, settings):
     K = cotangent_matrix(U, rig.faces)
     prior = sparse.csc_array(settings.smooth * (K.T @ K) + settings.small * sparse.diags_array(model.areas))
     h = np.zeros(m)
-    on = np.flatnonzero(model.areas > _NO_AREA)  # others, of no face or of one without area, stay where they are
+    on = np.flatnonzero(model.areas > _NO_AREA)  # others, of faces without area, stay where they are
     for _ in range(settings.rounds):
         H, g = sparse.csr_array((m, m)), np.zeros(m)
         for problem, state in zip(problems, states):
@@ -156,7 +156,7 @@ def _rows(model, U, J, h, normals, problem, state, surface, reach):
         joint_offsets=J - rig.joints,
     )
     V, X = posed.vertices, problem.X
-    on = surface.closest(X, surface.rows[cKDTree(V[surface.rows]).query(X)[1]], V)
+    on = surface.closest(X, cKDTree(V).query(X)[1], V)
     r = np.einsum("na,na->n", X - on.points, on.normals)
     e2 = np.einsum("na,na->n", X - on.points, X - on.points)
     a = np.full(len(X), 1.0 / len(X)) if problem.x_weights is None else problem.x_weights

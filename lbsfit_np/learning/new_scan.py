@@ -258,7 +258,9 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
         left = refit.left(problem, state)
         if best is None or left < least:
             best, least = Found(frame, problem, state, proba, value, (), refit.free), left
-    return best
+    q = best.state.scale  # evidence is of half sizes: in the scan's own unit, not in that of a guess
+    frame, value = replace(best.frame, unit=best.frame.unit * q), best.value / q**2
+    return replace(best, frame=frame, problem=best.problem.in_unit(q), state=best.state.in_unit(q), value=value)
 
 
 def _unit(fitter, subject, seen, settings):

@@ -69,7 +69,7 @@ class GaussNewton:
         self.partial, self._parts = partial, model.labels if parts is None else parts
         rig = model.rig
         self._surface = Surface(rig.vertices, rig.faces, self._parts)
-        self._pulling = Pulling(model, self._surface.rows, vertices)  # what has no face has no side to pull on
+        self._pulling = Pulling(model, vertices)
 
     def pose(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12, prior=None):
         """The pose of one scan, its template as it is.
@@ -226,12 +226,11 @@ class GaussNewton:
         """(nearest vertex of the points that have one, which points these are)."""
         from ..neighbors import PointIndex
 
-        s = self._surface.rows
         if labels is None:
-            return s[PointIndex(V[s], moving=True).nearest(X)], slice(None)
-        nearest = PointIndex(V[s], self._parts[s], moving=True).nearest(X, labels)
+            return PointIndex(V, moving=True).nearest(X), slice(None)
+        nearest = PointIndex(V, self._parts, moving=True).nearest(X, labels)
         known = np.flatnonzero(nearest >= 0)
-        return s[nearest[known]], known
+        return nearest[known], known
 
     def _step(self, states, made, used, weights, layout, shared, damping, stretch):
         """All states after one step, ``stretch`` times as long as the damped equations say.

@@ -56,6 +56,10 @@ class Problem:
         a = None if self.x_weights is None else self.x_weights[rows] / self.x_weights[rows].sum()
         return Problem(self.X[rows], a)
 
+    def in_unit(self, q):
+        """The problem in a frame of q times the unit."""
+        return self if q == 1.0 else Problem(self.X / q, self.x_weights, self.v_weights)
+
     @cached_property
     def x_index(self):
         """The search structure over the points, without labels."""

@@ -22,8 +22,6 @@ class Pulling:
     Parameters
     ----------
     model : Model
-    rows : (k,) int array
-        Vertices that have a face.
     most : int
         Places at most.
 
@@ -35,14 +33,14 @@ class Pulling:
         Shares of the surface that the places stand for; they sum to 1.
     """
 
-    def __init__(self, model, rows, most):
+    def __init__(self, model, most):
         vertices, faces = model.rig.vertices, model.rig.faces
-        if len(rows) < most:
+        if len(vertices) < most:
             face, self.barycentric, areas = _on_faces(vertices, faces, most)
             self.corners = self._faces = faces[face]
             self._at = eye_array(len(face), format="csr")
         else:
-            rows = rows[farthest_points(vertices[rows], most)] if len(rows) > most else rows
+            rows = farthest_points(vertices, most) if len(vertices) > most else np.arange(most)
             self.corners, self.barycentric, areas = rows[:, None], np.ones((len(rows), 1)), model.areas[rows]
             pulls = np.zeros(len(vertices), dtype=bool)
             pulls[rows] = True

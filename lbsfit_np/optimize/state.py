@@ -30,6 +30,10 @@ class State:
         """The same state but for some fields."""
         return replace(self, **changes)
 
+    def in_unit(self, q):
+        """The same state in a frame of q times the unit, that of its problem's ``in_unit``."""
+        return replace(self, scale=self.scale / q, translation=self.translation / q)
+
 
 class Layout:
     """Which blocks of a State are free, and where they stand in the vector x.

@@ -47,16 +47,10 @@ class Surface:
     faces : (F, 3) int array
     labels : (m,) int array, optional
         Parts of the vertices.
-
-    Attributes
-    ----------
-    rows : (k,) int array
-        Vertices that have a face.
     """
 
     def __init__(self, vertices, faces, labels=None):
         self.faces, self._around = faces, faces_around(faces, len(vertices))
-        self.rows = np.flatnonzero(self._around[:, 0] >= 0)
         self._face, self._barycentric = _on_long_faces(vertices, faces)
         if len(self._face):
             self._beside = _faces_beside(faces)
@@ -70,7 +64,7 @@ class Surface:
         ----------
         X : (n, 3) array
         nearest : (n,) int array
-            Of ``rows``, the nearest; with labels, the nearest of the query's part.
+            The nearest vertex; with labels, the nearest of the query's part. It has to have a face.
         V : (m, 3) array
             The vertices as posed.
         labels : (n,) int array, optional

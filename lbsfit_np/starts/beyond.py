@@ -25,6 +25,8 @@ _LONG, _SHORTEST = 1.25, 0.35
 # Which points that no surface explains go on from the end: so far from the mesh, in half sizes of the rig, and nearest to what
 # lies within this share of the mesh's length from its end; and all points that are as far beyond its end in its direction.
 _AWAY, _AT_THE_END = 0.1, 0.15
+# Points further from the mesh than this, half sizes, are as far away as that.
+_FAR = 1e3
 
 
 @dataclass(frozen=True)
@@ -59,8 +61,8 @@ def end_of(rig, vertices=None, joints=None):
     -------
     End or None
     """
-    vertices = rig.vertices if vertices is None else vertices
-    root = (rig.joints if joints is None else joints)[rig.root]
+    vertices = (rig.vertices if vertices is None else vertices)[rig.welded_from]
+    root, rig = (rig.joints if joints is None else joints)[rig.root], rig.welded
     area = face_areas(vertices, rig.faces)
     away = root - area @ vertices[rig.faces].mean(axis=1) / area.sum()
     if not np.linalg.norm(away) > 0:
@@ -166,12 +168,13 @@ def beyond(points, rig, result):
     if end is None or not np.isfinite(result.vertices).all():
         return np.zeros(len(points), dtype=bool)
     half = rig.size / 2 * result.scale
-    direction = root_turn(rig, result.pose) @ end.direction
+    direction, shown = root_turn(rig, result.pose) @ end.direction, rig.welded_from
     past = (points - result.joints[rig.root]) @ direction > end.reach * result.scale + _AWAY * half
-    X, V = points / half, result.vertices / half
-    surface = Surface(rig.vertices / (rig.size / 2), rig.faces)
-    nearest = surface.rows[PointIndex(V[surface.rows]).nearest(X)]
-    at_the_end = _at(end, (template - result.rest_joints[rig.root]) @ end.direction)
+    V = result.vertices[shown] / half
+    X = np.clip(points / half, V.min(axis=0) - _FAR, V.max(axis=0) + _FAR)  # squared distances of wild points have to be finite
+    surface = Surface(rig.welded.vertices / (rig.size / 2), rig.welded.faces)
+    nearest = PointIndex(V).nearest(X)
+    at_the_end = _at(end, (template[shown] - result.rest_joints[rig.root]) @ end.direction)
     odd = np.flatnonzero(~past & at_the_end[nearest] & (np.linalg.norm(X - V[nearest], axis=1) > _AWAY))
     on = surface.closest(X[odd], nearest[odd], V).points
     past[odd] = np.linalg.norm(X[odd] - on, axis=1) > _AWAY

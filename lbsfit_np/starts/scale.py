@@ -86,7 +86,7 @@ def reference_scale(points, rig, mode, unit=None):
         As :func:`checked_extent`; a scan that is not in the rig's unit and shall be; one that is in another unit than said, as no
         subject is of such a size.
     """
-    ratio = checked_extent(points) / extent(rig.vertices)
+    ratio = checked_extent(points) / extent(rig.vertices[~rig.loose])
     if unit is not None:
         return _in_known_unit(ratio, rig, mode, unit)
     if mode == "fixed":
@@ -204,7 +204,7 @@ def extent_doubt(points, rig, unit):
     unit : float
         Scan units in a rig unit.
     """
-    ratio = extent(points) / (extent(rig.vertices) * unit)
+    ratio = extent(points) / (extent(rig.vertices[~rig.loose]) * unit)
     if _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
         return ""
     return f"its extent is {ratio:.3g} times the rig's in the scans' unit: is it in another unit? Convert it and learn again"
@@ -250,7 +250,7 @@ def near_rows(points, rows):
         away = np.linalg.norm(x - np.median(x, axis=0), axis=1)
         kept = away <= _REACH * extent(x)
     if len(x) > _NEIGHBOURS:
-        x = (x[kept] - np.median(x, axis=0)) / extent(x[kept])
+        x = (x[kept] - np.median(x, axis=0)) / checked_extent(x[kept])
         apart = cKDTree(x).query(x, k=min(_NEIGHBOURS, len(x)))[0][:, -1]
         apart_at_all = apart[apart > 1e-9]  # some scans have many points several times
         kept[kept] = apart <= _LONELY * (np.median(apart_at_all) if len(apart_at_all) else 1.0)

@@ -90,11 +90,6 @@ class StudySet:
     train_subjects: list
     test_subjects: list
 
-    @property
-    def half(self):
-        """Half the rig's size: the study's unit of length, in which the template fills [−1, 1]³."""
-        return self.rig.size / 2
-
 
 @dataclass(frozen=True)
 class Scans(Sequence):

@@ -127,9 +127,9 @@ def page(report, captions):
     -------
     str
     """
-    parts = [_INTRODUCTION, _sizes(report), _rows(report)]
+    parts, explained = [_INTRODUCTION, _sizes(report), _rows(report)], set()
     for name in report["rigs"]:
-        parts += [f"## {name.capitalize()}", *_of_rig(report, name)]
+        parts += [f"## {name.capitalize()}", *_of_rig(report, name, explained)]
     parts.append(_protocol(report))
     if captions:
         parts.append("## Figures")
@@ -148,11 +148,10 @@ def console_table(report, *, markdown=False):
     return "\n\n".join(filter(None, parts))
 
 
-def _of_rig(report, name):
-    """The section of a rig: tables, those of the first rig with what their columns are, and what was to be reached."""
+def _of_rig(report, name, explained):
+    """The section of a rig: tables, the first of each kind with what its columns are, and what was to be reached."""
     from .measures import POINTS
 
-    first = name == next(iter(report["rigs"]))
     correspondences = _CORRESPONDENCES.format(points=POINTS, pairs=max(e["size"]["pairs"] for e in report["rigs"].values()))
     for title, made, words in (
         ("Registrations", tables.registrations(report, name, markdown=True), _REGISTRATIONS),
@@ -165,8 +164,9 @@ def _of_rig(report, name):
     ):
         if made:
             yield f"### {title}"
-            yield words if first else ""
+            yield "" if title in explained else words
             yield made
+            explained.add(title)
 
 
 def _place(file):

@@ -145,10 +145,10 @@ def more(report, name):
             lines.append(f"- On the training scans, {row}: {found}.")
     path = report["rigs"][name].get("local_optimum")
     if path:
-        low = max(np.divide(path["structured"], path["structured"][0]))
+        falls = (np.diff(path["structured"]) <= 0).all()
         swing = f"- Where the chain {path['chain']} swings from the place of {path['from']} to beside {path['to']}"
-        falls = "L_s falls" if low <= 1.0 else f"L_s never rises above {low:.2f} times its own"
-        lines.append(f"{swing}, L_c rises to {path['rise']:.2f} times its value at the start before it falls; {falls}.")
+        other = "falls" if falls else f"never rises above {path['structured_rise']:.2f} times its own"
+        lines.append(f"{swing}, L_c rises to {path['rise']:.2f} times its value at the start before it falls; L_s {other}.")
     else:
         lines.append("- No chain lies between two others that it could be mistaken for, so no local optimum is drawn.")
     both = [(key, what, compared(report, name, ("joint", "oracle-fit"), key)) for key, what in _MEASURES]
@@ -196,7 +196,9 @@ def _order(report, name, key, what, style):
         verdict += f" by the means, {middle} by the medians" if middle != verdict else ""
     scans = report["rigs"][name]["size"]["test"] * len(next(iter(rows.values())))
     few = f", of {scans} scans, which are few" if scans < _TELLING else ""
-    return f"- {what}: {words}. {' before '.join(wanted).capitalize()}: {verdict}{few}."
+    lacking = [f"{row} {lost}" for row, found in rows.items() if (lost := sum(c.get("unfitted", 0) for c in found))]
+    without = f" Without scans that could not be fitted: {', '.join(lacking)}." if lacking else ""
+    return f"- {what}: {words}. {' before '.join(wanted).capitalize()}: {verdict}{few}.{without}"
 
 
 def _verdict(values):
