@@ -8,7 +8,9 @@ from fit_checks import assert_same
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning import pretraining
 from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.checkpoint import digest_of
 from lbsfit_np.learning.pretraining import pretrained_from
 from lbsfit_np.losses import PRESETS
 from lbsfit_np.segmentation import cache
@@ -76,6 +78,29 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
     assert "training_scans=7" in repr(fitter)
     with pytest.raises(ValueError, match="speed"):
         fitter.set_params(speed=2)
+
+
+def test_a_first_training_alone_is_no_learning(tube_fitter, learned_people):
+    from sklearn.exceptions import NotFittedError
+    from sklearn.utils.validation import check_is_fitted
+
+    check_is_fitted(learned_people)
+    for fitter in (tube_fitter, lbs.LBSFitter(tube_fitter.rig)):
+        with pytest.raises(NotFittedError):
+            check_is_fitted(fitter)
+
+
+def test_numbers_of_numpy_are_those_of_python(tube_rig, monkeypatch):
+    """What was trained, and steps that were kept, are found again."""
+    keys = []
+    monkeypatch.setattr(pretraining, "cached", lambda kind, key, train, load: keys.append((kind, digest_of(key), repr(key))))
+    for n in (40, np.int64(40)):
+        made_of = tube_rig, Synthesis(), n
+        options = {"random_state": 0, "cache": True, "progress": None}
+        pretraining.pretrain_segmenter(*made_of, n_jobs=1, **options)
+        pretraining.pretrain_library(*made_of, jobs=1, **options)
+    assert keys[:2] == keys[2:]
+    assert digest_of([3, 0.5]) == digest_of((np.int64(3), np.float64(0.5))) != digest_of((3, 0.6))
 
 
 def test_the_constructor_only_stores(tube_scan):

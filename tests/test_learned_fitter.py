@@ -16,7 +16,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.learning import new_scan
 from lbsfit_np.learning.archive import learned_digests, model_digest
-from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.batch import _without_results, fit_scans
 from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.losses.objective import LossWeights
 
@@ -127,6 +127,47 @@ def test_subjects_that_are_gone_are_forgotten(own, clouds, prepared):
     own.template_["b"] = replace(own.template_["b"])
     own.fit_scan(clouds[0])
     assert {key[0] for key in own._prepared} - {None} == {"b"} and any(rig is own.template_["b"] for rig in prepared)
+
+
+def _as_many(fitter, n):
+    """The fitter with the templates of its two subjects as those of n."""
+    ids = [f"s{k}" for k in range(n)]
+    fitter.template_ = {s: replace(fitter.template_["ab"[k % 2]]) for k, s in enumerate(ids)}
+    fitter.unit_ = dict.fromkeys(ids, 1.0)
+    return ids
+
+
+def test_templates_of_few_subjects_at_a_time_are_kept_ready(own):
+    settings = new_scan.fit_settings(own)
+    ids = _as_many(own, new_scan._READY + 3)
+    for s in [*ids[:-1], ids[3], ids[-1]]:
+        kept = new_scan._template_fit(own, s, settings)
+        assert new_scan._template_fit(own, s, settings) is kept
+    assert {key[0] for key in own._prepared} == {*ids[4:], ids[3]}  # those asked for last
+
+
+def test_of_many_subjects_few_are_fitted_in_full_where_the_pose_is_known(own, clouds, plain, monkeypatch):
+    asked, given = [], new_scan._given
+    monkeypatch.setattr(new_scan, "_given", lambda fitter, s, *place: asked.append(s) or given(fitter, s, *place))
+    ids = _as_many(own, 7)
+    found = own.fit_scan(clouds[0], theta0=plain.pose)
+    first, *others = asked
+    assert first == ids[0] and 1 <= len(others) <= new_scan._SEVERAL
+    alone = {s: given(own, s, *_place(own, clouds[0], plain.pose)) for s in ids[:2]}
+    best = min(alone, key=lambda s: alone[s].value * alone[s].frame.unit ** 2)
+    assert found.subject == "" or ids.index(found.subject) % 2 == ids.index(best)
+
+
+def _place(fitter, points, theta0):
+    """What a scan with a known pose is fitted by, without its subject."""
+    settings = new_scan.fit_settings(fitter)
+    return points, None, settings, 1.0, theta0, None
+
+
+def test_processes_are_sent_no_results(own, learned):
+    sent = _without_results(own)
+    assert not hasattr(sent, "results_") and len(own.results_) == len(learned.results_) == 6
+    assert set(vars(own)) - set(vars(sent)) - set(PREPARED) == {"results_"}
 
 
 @pytest.mark.parametrize("variant, nearest", [("cd", False), ("joint", True)])
@@ -313,6 +354,8 @@ def test_the_digest_survives_saving(learned, tmp_path):
     learned.save(tmp_path / "m.npz")
     loaded = lbs.LBSFitter.load(tmp_path / "m.npz")
     assert model_digest(loaded) == model_digest(learned) and learned_digests(loaded) == learned_digests(learned)
+    typed = copy.copy(learned).set_params(variant=np.str_(learned.variant), joints=np.str_("follow"))
+    assert model_digest(typed) == model_digest(learned)
 
 
 def _moved(fitter):

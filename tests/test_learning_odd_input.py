@@ -1,11 +1,15 @@
 """Learning with what people hand in by mistake: wild points, too few scans, lists that are none, absurd settings."""
 
 import copy
+import signal
 import types
 import warnings
+from enum import Enum, IntEnum
 
 import numpy as np
 import pytest
+from learning_runs import learning_is_hurried
+from segmenter_training import scans_of
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -13,7 +17,10 @@ from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.learning.reading import read_collection
+from lbsfit_np.learning.subjects import as_subjects, check_ids, known_subject
 from lbsfit_np.learning.training import training_settings
+from lbsfit_np.segmentation.segmenter import train_segmenter
+from lbsfit_np.segmentation.stage import Training
 from lbsfit_np.synthesis import Synthesis
 
 # Without a segmenter, learning takes a second or two.
@@ -153,6 +160,42 @@ def test_a_callable_that_raises_costs_its_scan_alone(learned, clouds):
     assert np.isnan(vertices[1]).all() and np.isfinite(vertices[[0, 2]]).all()
     with pytest.raises(InputError, match="scans: got none"):
         learned.score([])
+
+
+def test_an_interrupt_that_a_reader_makes_an_error_of_ends_learning(tube_rig, clouds):
+    def interrupted():
+        try:
+            signal.raise_signal(signal.SIGINT)
+        except BaseException:  # noqa: BLE001 (as a careless reader does)
+            raise TypeError("of a library") from None
+
+    options = {"max_points": 200, "held_out": 0.0, "scale": "fixed", "random_state": 0}
+    with pytest.raises(KeyboardInterrupt):
+        read_collection(tube_rig, [clouds[0], interrupted, *clouds[1:]], None, **options)
+
+
+def test_learning_goes_on_with_the_layers_of_a_given_segmenter(tube_rig, clouds, monkeypatch):
+    learning_is_hurried(monkeypatch)
+    training = Training(points_per_scan=60, hidden=(16,))
+    given = train_segmenter(tube_rig, scans_of(tube_rig, 4), 4, training=training, random_state=0)
+    fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": "joint", "held_out": 0.0}).pretrain(segmenter=given).fit(clouds)
+    assert fitter.segmenter_ is not given and [stage.hidden for stage in fitter.segmenter_.stages] == [(16,), (16,)]
+
+
+class Who(str, Enum):  # noqa: UP042 (whose text is "Who.ANNA")
+    ANNA = "anna"
+
+
+class Number(IntEnum):
+    TWO = 2
+
+
+def test_ids_that_are_members_of_an_enum_are_what_these_stand_for():
+    found = as_subjects([Who.ANNA, Number.TWO, np.str_("x"), np.int8(3)], 4)
+    assert found == ["anna", 2, "x", 3] and [type(s) for s in found] == [str, int, str, int]
+    assert known_subject({"anna": None, 2: None}, Who.ANNA) == "anna" and type(known_subject({2: None}, Number.TWO)) is int
+    with pytest.raises(InputError, match="got 'anna' for scan 0 and 'anna '|ids that"):
+        check_ids(as_subjects([Who.ANNA, "anna "], 2))
 
 
 def test_what_is_called_late_is_looked_at_before_any_work(learned, clouds):

@@ -102,7 +102,8 @@ def model_digest(fitter, subject=None):
     h = hashlib.sha256()
     templates = fitter.template_ if subject is None else {subject: fitter.template_[subject]}
     subjects = [(s, float(fitter.unit_[s])) for s in templates]
-    made_of = fitter.rig.digest, fitter.variant, fitter.joints, subjects, subject is not None, fitter.learned_unit_
+    words = str(fitter.variant), str(fitter.joints)  # plain, whatever type of text they are
+    made_of = fitter.rig.digest, *words, subjects, subject is not None, fitter.learned_unit_
     h.update(repr(made_of).encode())
     for name, array in sorted(_arrays(fitter, templates.values()).items()):
         h.update(f"{name} {array.dtype.str} {array.shape}".encode() + np.ascontiguousarray(array).tobytes())

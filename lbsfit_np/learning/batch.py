@@ -4,6 +4,7 @@ import pickle
 import time
 import traceback
 from collections import deque
+from copy import copy
 from dataclasses import dataclass
 from functools import partial
 
@@ -110,8 +111,15 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
         for i in todo:
             report(_fit_one(fitter, finish, i, read.pop(i, scans[i]), subjects[i]))
     else:
-        _fit_by_workers(_Work(fitter, finish), scans, subjects, deque(todo), int(n_jobs), report)
+        _fit_by_workers(_Work(_without_results(fitter), finish), scans, subjects, deque(todo), int(n_jobs), report)
     return [outcomes[i] for i in range(len(scans))]
+
+
+def _without_results(fitter):
+    """A copy of a fitter without what it has made of a collection, of which fits of other scans need nothing."""
+    fitter = copy(fitter)
+    vars(fitter).pop("results_", None)
+    return fitter
 
 
 def _check_sent(argument, value):

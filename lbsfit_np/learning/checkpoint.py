@@ -208,6 +208,7 @@ def digest_of(*parts):
 
 
 def _add(h, value):
+    value = value.item() if isinstance(value, np.generic) else value  # the same number, the same digest
     if isinstance(value, np.ndarray):
         h.update(f"array {value.dtype.str} {value.shape}".encode() + np.ascontiguousarray(value).tobytes())
     elif isinstance(value, Mapping):

@@ -22,7 +22,7 @@ HELD_OUT = "held out of learning"
 APART = "not learned from"
 
 
-@dataclass
+@dataclass(eq=False)
 class Member:
     """One scan of the collection and what is known of it so far.
 
@@ -257,7 +257,9 @@ class Collection:
         Exception
             The first one's own, where no task could be done.
         """
-        found = self._tried(work, tasks, kept, jobs, done)
+        rank = {s: k for k, s in enumerate(self.subjects)}  # by subject: each process keeps few templates ready
+        order = sorted(range(len(tasks)), key=lambda k: rank[self.members[k].subject])
+        found = self._tried(work, tasks, kept, jobs, done, order)
         for m, (_, error) in zip(self.members, found, strict=True):
             if error is not None:
                 self.failures[m.index] = in_words(error)
@@ -282,9 +284,15 @@ class Collection:
         self.members = [m for m in self.members if found[m.subject][1] is None]
         return {s: answer for s, (answer, error) in found.items() if error is None}
 
-    def _tried(self, work, tasks, kept, jobs, done):
-        """(answer, None) or (None, error) of each task; the first error itself where no task could be done."""
-        found = each_kept(_Tried(work), tasks, kept, jobs=jobs, done=done, keep=lambda tried: tried[1] is None)
+    def _tried(self, work, tasks, kept, jobs, done, order=None):
+        """(answer, None) or (None, error) of each task; the first error itself where no task could be done.
+
+        ``order``: which task comes when; by default one after the other.
+        """
+        order = range(len(tasks)) if order is None else order
+        tasks, kept = ([of[k] for k in order] if of else of for of in (tasks, kept))
+        made = each_kept(_Tried(work), tasks, kept, jobs=jobs, done=done, keep=lambda tried: tried[1] is None)
+        found = [answer for _, answer in sorted(zip(order, made, strict=True), key=lambda one: one[0])]
         errors = [error for _, error in found if error is not None]
         if errors and len(errors) == len(found):
             self._of_all = errors[0]

@@ -1,7 +1,7 @@
 """From what the loop has left to results: the scans of the collection on their subjects' templates."""
 
 from dataclasses import dataclass, replace
-from functools import cache, cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -9,13 +9,12 @@ from ..fitting.confidence import SOMEBODY_ELSE
 from ..fitting.drawn import prior_of
 from ..fitting.scan_fit import further_words
 from ..fitting.template_fit import TemplateFit
-from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
 from ..starts.scale import same_size, unit_note
 from .checkpoint import NO_CHECKPOINT
 from .collection import with_doubt
-from .tasks import in_full
+from .tasks import READY, Models, in_full
 
 __all__ = ["results_of"]
 
@@ -31,8 +30,7 @@ def results_of(rig, templates, joints, collection, settings, facing, prior, *, j
     list of FitResult or None
         One for each scan given.
     """
-    half = rig.size / 2
-    models = {s: Model(t, joints, half=half, shared=True) for s, t in templates.items()}
+    models = Models(templates, joints, rig.size / 2, shared=True)
     doubted, share = {m.subject for m in collection.members if m.own is not None}, 0.0
     sizes = [None] * len(collection.members)
     if doubted:
@@ -85,12 +83,12 @@ class _Size:
 @dataclass(frozen=True)
 class _OnTemplates:
     rig: object
-    models: dict
+    models: Models
     settings: object
 
     @cached_property
     def _fit(self):
-        return cache(lambda subject: TemplateFit(self.rig, self.models[subject], self.settings))  # once in each process
+        return lru_cache(READY)(lambda subject: TemplateFit(self.rig, self.models[subject], self.settings))
 
 
 @dataclass(frozen=True)

@@ -281,17 +281,13 @@ class LBSFitter(BaseEstimator):
             self.segmenter_, self.regressor_, self.pose_prior_ = learned.segmenter, learned.library, learned.pose_prior
             self.template_, self.unit_, self.history_ = templates, learned.units, learned.history
             self._learned_with, self.learned_unit_ = learned_with(self), fit_settings(self).unit
-            self.results_ = [None] * collection.n
-            self._set_aside(collection)
+            self.results_, self.failures_, self.roles_ = [None] * collection.n, dict(collection.failures), collection.roles
 
     def _finished(self, collection, results):
         self.results_ = as_learned(self, collection, results)
-        self._set_aside(collection)
+        self.failures_, self.roles_ = dict(collection.failures), collection.roles
         collection.warn(stacklevel=3, results=results)
         return self
-
-    def _set_aside(self, collection):
-        self.failures_, self.roles_ = dict(collection.failures), collection.roles
 
     def transform(self, scans, subjects=None):
         """Fit scans with what was learned, and return their registered vertices.
@@ -440,6 +436,9 @@ class LBSFitter(BaseEstimator):
         if kept is None or kept[0] is not self.rig or kept[1] != self.joints:
             self._ready = kept = self.rig, self.joints, Model(self.rig, self.joints)
         return kept[2]
+
+    def __sklearn_is_fitted__(self):  # not by the first training alone, which leaves attributes, too
+        return getattr(self, "template_", None) is not None
 
     def _check(self):
         check_parameters(self)

@@ -36,7 +36,7 @@ from .first_fits import FirstFit
 from .mixture import Mixture
 from .pose_prior import looked_at, pose_prior
 from .scales import check_scales, scale_warnings, size_and_unit, units_apart, use_unit
-from .tasks import Drawn, Held, Labels, Pose, Template, Told
+from .tasks import Drawn, Held, Labels, Models, Pose, Template, Told
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
@@ -313,7 +313,7 @@ class Loop:
             self.rig.welded,
             mixture,
             self.settings.round_scans,
-            training=self.settings.training,
+            training=self.settings.training.going_on(self.segmenter),
             random_state=self.seed,
             n_jobs=self.jobs,
             progress=lambda p: self.progress("segmenter", p),
@@ -353,7 +353,7 @@ class Loop:
             return [self._kept.slot(f"round-{k}-{step}", (m.index, *made_of)) for m in self.collection.members]
 
         tasks = [(m.subject, m.dense_X, m.state, m.index in asked) for m in self.collection.members]
-        told = self._work(Told(models, partial), tasks, stage, slots("told"), (start, middle))
+        told, tasks = self._work(Told(models, partial), tasks, stage, slots("told"), (start, middle)), None  # all points of all
         known = [(state.theta, C) for state, _, C in told if C is not None]
         self.pose_prior = pose_prior(*zip(*known), Layout(self.rig, ("pose",), 0).turning, self.rig.root) if known else None
         tasks = [(m.subject, m.X, m.dense_X, *found[:2]) for m, found in zip(self.collection.members, told, strict=True)]
@@ -414,7 +414,7 @@ class Loop:
         return lambda share: self.progress(stage, (1 - share) * start + share * end)  # exact at both ends, as others go on there
 
     def _models(self, templates):
-        return {s: Model(self.rig.with_template(*t), self.joints, half=self.model.half) for s, t in templates.items()}
+        return Models({s: self.rig.with_template(*t) for s, t in templates.items()}, self.joints, self.model.half)
 
     def _beside(self, member):
         """Poses of the scans before and after, in a sequence."""

@@ -42,6 +42,8 @@ __all__ = ["fit_new", "scan_fit"]
 # Of several learned templates those are gone on with that leave at most so many times as much unexplained as the best after a few
 # steps, and so many at most: of people who are alike it matters little whose is taken.
 _CLOSE, _SEVERAL = 1.3, 3
+# Subjects whose templates a fitter keeps ready, of a body some 30 MB each.
+_READY = 32
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):
@@ -93,7 +95,12 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, part.rows, frame, started, part.left_out)
     seen, known, given = None, None if labels is None else labels[part.rows], given_names(theta0, labels)
     if given:
-        found = [(s, _given(fitter, s, x, a, settings, guess, theta0, known)) for s in subjects]
+        place = x, a, settings, guess, theta0, known
+        if len(subjects) > _SEVERAL:  # one shows where the scan is, and that the templates that suit it
+            few = [b.subject for b in _suiting(fitter, subjects, _given(fitter, subjects[0], *place), settings)]
+        else:
+            few = subjects
+        found = [(s, _given(fitter, s, *place)) for s in few]
     elif len(subjects) == 1:
         found = [(s, _scouted(fitter, s, x, a, settings, once=once)) for s in subjects]
     else:  # one look for all, on the rig's own template with proportions
@@ -206,8 +213,13 @@ class _Begun:
 
 def _on_templates(fitter, subjects, seen, settings):
     """What a look at a scan has found, gone on from on the templates that suit it: (subject, Found) of each, without bends."""
+    return [(b.subject, _gone_on(b, seen)) for b in _suiting(fitter, subjects, seen, settings)]
+
+
+def _suiting(fitter, subjects, seen, settings):
+    """Of the templates those that suit a scan, as _Begun, by a few steps from where it was seen: the best, and few near to it."""
     begun = sorted((_begun(fitter, s, seen, settings) for s in subjects), key=lambda b: b.left)
-    return [(b.subject, _gone_on(b, seen)) for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
+    return [b for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
 
 
 def _begun(fitter, subject, seen, settings):
@@ -325,11 +337,14 @@ def _facing_words(fitter):
 def _kept(fitter, key, made_of, make):
     """``make()``, kept on the fitter while all that it is made of stays the same; ``key`` begins with the subject, or None."""
     kept = fitter.__dict__.setdefault("_prepared", {})
-    found = kept.get(key)
+    found = kept.pop(key, None)
     if found is None or not all(map(_alike, found[0], made_of)):
-        for other in [k for k in kept if k[0] is not None and k[0] not in getattr(fitter, "template_", ())]:
-            del kept[other]
-        kept[key] = found = made_of, make()
+        found = made_of, make()
+    kept[key] = found  # what was asked for last stands last
+    subjects = list(dict.fromkeys(s for s, *_ in kept if s is not None))
+    gone = {s for s in subjects if s not in getattr(fitter, "template_", ())} | set(subjects[:-_READY])
+    for other in [k for k in kept if k[0] in gone and k != key]:
+        del kept[other]
     return found[1]
 
 

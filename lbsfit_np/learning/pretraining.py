@@ -38,7 +38,7 @@ def pretrain_segmenter(rig, synthesis, n_scans, *, random_state, n_jobs, cache, 
     -------
     Segmenter
     """
-    rig, seed = rig.welded, random_state
+    rig, seed, n_scans = rig.welded, random_state, int(n_scans)
 
     def train():
         scans = TrainingScans(rig, synthesis, seed)
@@ -64,7 +64,7 @@ def pretrain_library(rig, synthesis, n_scans, *, random_state, jobs, cache, prog
     PoseLibrary
     """
     rig, seed = rig.welded, random_state
-    synthesis, n = replace(synthesis, n_points=_LIBRARY_POINTS), max(1, n_scans // 2)
+    synthesis, n = replace(synthesis, n_points=_LIBRARY_POINTS), max(1, int(n_scans) // 2)
 
     def train():
         return build_library(StartScans(rig, synthesis, seed), n, random_state=seed, jobs=jobs, progress=progress)

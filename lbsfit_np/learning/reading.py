@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import InputError, brief, in_words
+from ..interrupts import passing_interrupts
 from ..optimize.frame import Frame
 from ..scan import Scan, check_points
 from ..seeds import generator
@@ -88,9 +89,10 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
 
     for i, (source, subject) in enumerate(zip(scans, subjects)):
         try:
-            scan = source() if callable(source) else source
-            points = check_points(scan, minimum=len(rig.parts))
-            part = looked_at(i, points, ups)
+            with passing_interrupts():  # also where a reader takes them for an error of its own
+                scan = source() if callable(source) else source
+                points = check_points(scan, minimum=len(rig.parts))
+                part = looked_at(i, points, ups)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             collection.failures[i] = in_words(error)
             continue

@@ -18,7 +18,7 @@ def as_subjects(subjects, n):
     some = hasattr(subjects, "__len__") and hasattr(subjects, "__iter__") and getattr(subjects, "ndim", 1)
     if isinstance(subjects, (str, bytes)) or not some:
         raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
-    subjects = [s.item() if isinstance(s, np.generic) else s for s in subjects]
+    subjects = list(map(_plain, subjects))
     if len(subjects) != n:
         raise InputError("subjects", f"{len(subjects)} id{'' if len(subjects) == 1 else 's'}", f"{n}, one for each scan")
     return subjects
@@ -72,7 +72,7 @@ def known_subject(learned, given, argument="subject", scan=None):
     InputError
         Nobody of that id.
     """
-    given = given.item() if isinstance(given, np.generic) else given
+    given = _plain(given)
     got = brief(given) if scan is None else f"{brief(given)} for scan {scan}"
     if learned is None:
         raise InputError(argument, got, "no subject, as nothing has been learned yet")
@@ -84,6 +84,14 @@ def known_subject(learned, given, argument="subject", scan=None):
     others = "Fit scans of other people without it." if scan is None else "Pass None for scans of other people."
     remedy = did_you_mean(given, learned) or others
     raise InputError(argument, got, f"a learned subject: {listed(list(map(repr, learned)))}", remedy)
+
+
+def _plain(subject):
+    """An id of a type of its own, such as NumPy's or a member of an Enum that is text, as plain text or a plain number."""
+    subject = subject.item() if isinstance(subject, np.generic) else subject
+    if isinstance(subject, str):
+        return str.__str__(subject)
+    return int(subject) if isinstance(subject, int) and not isinstance(subject, bool) else subject
 
 
 def _text(subject):

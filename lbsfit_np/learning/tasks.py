@@ -1,7 +1,7 @@
 """What rounds do for one scan, or one subject, here or in another process."""
 
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -14,7 +14,30 @@ from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..starts.limbs import LimbPoses
 
-__all__ = ["Drawn", "Held", "Labels", "Pose", "Template", "Told", "finite", "in_full", "short"]
+__all__ = ["Drawn", "Held", "Labels", "Models", "Pose", "READY", "Template", "Told", "finite", "in_full", "short"]
+
+# Subjects whose templates a process keeps ready, of a body some 30 MB each: scans come by subject.
+READY = 4
+
+
+@dataclass(frozen=True)
+class Models:
+    """Subject → the Model of its template, made where it is asked for: templates alone are sent to other processes.
+
+    Attributes
+    ----------
+    templates : dict of id to Rig
+    joints, half, shared
+        As of ``Model``.
+    """
+
+    templates: dict
+    joints: str
+    half: float
+    shared: bool = False
+
+    def __getitem__(self, subject):
+        return Model(self.templates[subject], self.joints, half=self.half, shared=self.shared)
 
 
 @dataclass(frozen=True)
@@ -53,7 +76,7 @@ class Pose:
 
     Attributes
     ----------
-    models : dict of id to Model
+    models : Models
     settings : FitSettings
     library : PoseLibrary
     neighbours : int
@@ -62,7 +85,7 @@ class Pose:
         Whether limbs are tried in other poses.
     """
 
-    models: dict
+    models: Models
     settings: object
     library: object
     neighbours: int
@@ -70,7 +93,7 @@ class Pose:
 
     @cached_property
     def _of(self):
-        return cache(self._made)  # once in each process
+        return lru_cache(READY)(self._made)
 
     def _made(self, subject):
         model, limbs, effort = self.models[subject], None, EFFORTS[self.settings.effort]
@@ -91,12 +114,12 @@ class Pose:
 
 @dataclass(frozen=True)
 class _LastSteps:
-    models: dict
+    models: Models
     partial: bool
 
     @cached_property
     def _refit(self):
-        return cache(lambda subject: Refit(self.models[subject], partial=self.partial))  # prepared once in each process
+        return lru_cache(READY)(lambda subject: Refit(self.models[subject], partial=self.partial))
 
 
 @dataclass(frozen=True)

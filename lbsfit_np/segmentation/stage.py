@@ -1,7 +1,7 @@
 """Stage: one standardised scikit-learn classifier, kept as arrays so that saving it needs no pickle."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 
 import numpy as np
@@ -51,6 +51,11 @@ class Training:
             value = getattr(self, name)
             if not isinstance(value, Real) or isinstance(value, bool) or not least <= value <= most:
                 raise InputError(name, brief(value), f"a number from {least:g} to {most:g}")
+
+    def going_on(self, start):
+        """The same with the layers of a segmenter that training goes on from; itself without one."""
+        hidden = start and next(filter(None, (stage.hidden for stage in start.stages)), None)
+        return replace(self, hidden=hidden) if hidden else self
 
 
 def _is_whole(value, least):
