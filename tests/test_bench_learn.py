@@ -149,6 +149,8 @@ def test_rows_without_all_scans_or_of_other_code_are_told():
     assert "cd: 4 of 12 scans could not be fitted, and count in no measure of fits." in lines
     states = "unknown: one by one 100, one by one 101, joint 100, joint 101, cd 100; 0123456789ab: cd 101."
     assert lines[-1] == f"Rows are of several states of the code, by commit: {states}"
+    report["rows"]["joint"]["100"]["commit"] = "0123456789abcdef+changes"
+    assert "0123456789ab+changes: joint 100; 0123456789ab: cd 101." in learn_table(report)
 
 
 def test_where_nothing_could_be_fitted_there_is_no_error(shared_rigs):

@@ -121,7 +121,7 @@ def test_on_long_triangles_the_closest_point_is_found_as_well(labelled):
     on_skin, triangle, _ = sample_surface(V, faces, 200, rng)
     X = on_skin + 0.01 * rng.standard_normal((200, 3))
     x_labels = labels[faces[triangle]].max(axis=1)  # triangles between the parts are of the second
-    allowed = [np.flatnonzero(labels == p) if labelled else surface.rows for p in x_labels]
+    allowed = [np.flatnonzero(labels == p) if labelled else np.arange(len(rest)) for p in x_labels]
     nearest = np.array([rows[((V[rows] - x) ** 2).sum(axis=1).argmin()] for x, rows in zip(X, allowed)])
     found = np.linalg.norm(X - surface.closest(X, nearest, V, x_labels if labelled else None).points, axis=1)
     expected = np.array([_brute(x, V[faces]) for x in X])

@@ -70,6 +70,9 @@ def test_a_mesh_is_morphed_as_its_weights_say(tmp_path, owner):
     scan = load_scan(save(writer, tmp_path))
     np.testing.assert_allclose(scan.points, CORNERS + 0.5 * up + sideways)
     np.testing.assert_allclose(scan.normals[0], np.array([0, 2, 1]) / np.sqrt(5))
+    for none in ([], [0.0], [0, 0, 0]):
+        writer.json["nodes"][0]["weights"] = none
+        assert np.array_equal(load_scan(save(writer, tmp_path)).points, CORNERS)
     writer.json["nodes"][0]["weights"] = [1.0]
     with pytest.raises(FileError, match=r"weights of node 0 is \[1.0\]; expected 2 finite numbers"):
         load_scan(save(writer, tmp_path))

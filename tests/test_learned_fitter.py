@@ -146,6 +146,16 @@ def test_templates_of_few_subjects_at_a_time_are_kept_ready(own):
     assert {key[0] for key in own._prepared} == {*ids[4:], ids[3]}  # those asked for last
 
 
+def test_templates_that_are_ready_are_looked_at_first(own, clouds, prepared):
+    """So that of many subjects no more than need be are made ready anew for a scan of nobody named."""
+    _as_many(own, new_scan._READY + 2)
+    found = own.fit_scan(clouds[0])
+    count = len(prepared)
+    again = own.fit_scan(clouds[0])
+    assert len(prepared) - count <= 3 * 2 + new_scan._SEVERAL
+    np.testing.assert_array_equal(found.vertices, again.vertices)
+
+
 def test_of_many_subjects_few_are_fitted_in_full_where_the_pose_is_known(own, clouds, plain, monkeypatch):
     asked, given = [], new_scan._given
     monkeypatch.setattr(new_scan, "_given", lambda fitter, s, *place: asked.append(s) or given(fitter, s, *place))

@@ -263,12 +263,16 @@ def test_failures_are_warned_of_once():
 
 
 def test_members_answers_stand_in_the_order_of_the_members():
+    asked = []
+
     def inverse(x):
+        asked.append(x)
         return 1 / x
 
-    members = [types.SimpleNamespace(index=i) for i in (3, 5, 6)]
+    members = [types.SimpleNamespace(index=i, subject=s) for i, s in ((3, "b"), (5, "a"), (6, "b"))]
     collection = Collection(7, list(members))
     assert collection.work(inverse, [1, 0, 4], jobs=1, done=None) == [1, 0.25]
+    assert asked == [1, 4, 0]  # subject by subject
     assert collection.members == [members[0], members[2]]
     assert collection.failures == {5: "ZeroDivisionError: division by zero"}
 

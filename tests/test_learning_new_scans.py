@@ -101,7 +101,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     fitter.segmenter_, fitter.regressor_, fitter.pose_prior_ = None, object(), None
     seen, told, alone = found_at_the_truth(tube_rig, scan), {}, {"status": "ok"}
 
-    def gone_on(begun, seen):
+    def gone_on(fitter, begun, seen, settings):
         left, unit = {"ann": ann, "bob": bob}[begun.subject]
         state = seen.state.replace(scale=left)
         return replace(seen, value=2 * left, state=state, frame=replace(seen.frame, unit=unit * tube_rig.size / 2))
@@ -156,7 +156,7 @@ def test_bends_are_tried_on_templates_unless_all_are_of_other_people_and_the_fit
     by_itself = SimpleNamespace(scout=lambda x, a, *, once: seen, fit=lambda *a, **k: _Alone("by itself", seen, status=status))
     monkeypatch.setattr(new_scan, "scan_fit", lambda *made_of: by_itself)
     monkeypatch.setattr(new_scan, "_begun", lambda fitter, s, *known: SimpleNamespace(subject=s, left=1.0))
-    monkeypatch.setattr(new_scan, "_gone_on", lambda begun, seen: seen)
+    monkeypatch.setattr(new_scan, "_gone_on", lambda fitter, begun, seen, settings: seen)
     monkeypatch.setattr(new_scan, "looked_at_again", lambda taking_part, fit, *a, **k: fit(taking_part(None, None), False))
     monkeypatch.setattr(new_scan, "_template_fit", Fit)
     found = new_scan.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None).message
@@ -175,7 +175,7 @@ def test_bends_are_tried_on_templates_unless_all_are_of_other_people_and_the_fit
 )
 def test_templates_that_suit_a_scan_badly_after_a_few_steps_are_not_gone_on_with(left, gone_on_with, monkeypatch):
     monkeypatch.setattr(new_scan, "_begun", lambda fitter, subject, *known: SimpleNamespace(subject=subject, left=left[subject]))
-    monkeypatch.setattr(new_scan, "_gone_on", lambda begun, seen: begun.left)
+    monkeypatch.setattr(new_scan, "_gone_on", lambda fitter, begun, seen, settings: begun.left)
     assert new_scan._on_templates(None, list(left), None, None) == [(s, left[s]) for s in gone_on_with]
 
 
@@ -288,7 +288,9 @@ def test_of_views_from_several_sides_the_one_that_leaves_least_is_taken(tube_rig
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
     fitter = lbs.LBSFitter(tube_rig, random_state=0)
     fitter.template_, fitter.unit_, fitter.segmenter_ = people, dict.fromkeys(people, 1.0), None
-    seen, ends = found_at_the_truth(tube_rig, scan), iter([("first", 0.1), ("second", 0.3), ("third", 0.2)])
+    seen = found_at_the_truth(tube_rig, scan)
+    first, second, third = (seen.state.replace(scale=scale) for scale in (1.0, 2.0, 0.5))
+    ends = iter([(first, 0.1), (second, 0.3), (third, 0.2)])
 
     class Fake:
         free = ("pose", "translation")
@@ -297,13 +299,17 @@ def test_of_views_from_several_sides_the_one_that_leaves_least_is_taken(tube_rig
             return (*next(ends), 0)
 
         def left(self, problem, state):
-            return {"first": 0.5, "second": 0.1, "third": 0.4}[state]
+            return {1.0: 0.5, 2.0: 0.1, 0.5: 0.4}[state.scale]
 
     monkeypatch.setattr(new_scan, "_template_fit", lambda *known: SimpleNamespace(refit=Fake()))
     views = [(seen.frame, seen.problem, None, None)] * 3
     monkeypatch.setattr(new_scan, "given_views", lambda *known: views)
     best = new_scan._given(fitter, "ann", scan.points, None, FitSettings(), 1.0, None, scan.labels)
-    assert (best.state, best.value, best.free) == ("second", 0.3, Fake.free)
+    assert best.value == pytest.approx(0.3 / 4) and best.free == Fake.free
+    # In the unit in which the scale is 1, as all that is known of fits is of half sizes.
+    assert best.state.scale == 1.0 and best.frame.unit == 2 * seen.frame.unit
+    np.testing.assert_allclose(best.state.translation, second.translation / 2)
+    np.testing.assert_allclose(best.problem.X, seen.problem.X / 2)
 
 
 @pytest.mark.parametrize("factor, known", [(1.3, True), (1 / 1.3, True), (1.4, False), (1 / 1.4, False), (50.0, False)])

@@ -5,6 +5,7 @@ import zlib
 
 import numpy as np
 import pytest
+from small_rigs import make_tube_data, with_loose_vertices
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -20,6 +21,7 @@ from lbsfit_np.report.render import (
     render_points,
     write_png,
 )
+from lbsfit_np.rig.build import build_rig
 
 RED, GREEN, BLUE = (230, 20, 20), (20, 200, 20), (20, 20, 230)
 SQUARE = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0.0]])
@@ -251,6 +253,9 @@ def test_fits_are_drawn_as_the_rig_stands(tube_rig, tube_scan, tube_result):
     assert shown.shape[2] == 3 and (np.abs(shown.astype(int) - again).max(axis=2) > 8).mean() < 0.01
     wide = fit_picture(tube_rig, tube_scan.points, tube_result, truth=tube_scan.vertices, size=(60, 80))
     assert wide.shape[1] > 1.4 * shown.shape[1]
+    rig = build_rig(with_loose_vertices(make_tube_data(), [[0.0, 20, 0]]))  # of no face, and so nothing to be seen
+    loose = replace(tube_result, vertices=np.vstack([[[0.0, 20, 0]], tube_result.vertices]))
+    np.testing.assert_array_equal(fit_picture(rig, tube_scan.points, loose, size=(60, 80)), shown)
 
 
 def test_points_off_the_mesh_are_in_the_picture(tube_rig, tube_scan, tube_result):

@@ -1,5 +1,6 @@
 """Flaws of a rig's mesh and weights: what is noted, and seams that are welded."""
 
+import pickle
 from dataclasses import fields, replace
 
 import numpy as np
@@ -11,6 +12,7 @@ from lbsfit_np import load_rig, synthesize
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.data import RigData
 from lbsfit_np.rig.describe import describe
+from lbsfit_np.rig.regressor import regressor_from_weights
 from lbsfit_np.starts.beyond import end_of
 from lbsfit_np.starts.scale import extent_doubt, reference_scale
 
@@ -102,10 +104,39 @@ def test_vertices_of_no_face_are_no_part_of_the_surface(tube_rig):
     assert {"243 vertices lie at 242 distinct points: duplicates at seams are welded for the geometry"} < set(rig.notes)
     assert "3 vertices belong to no face" in rig.notes and "vertices  246 (242 distinct, 3 loose)" in describe(rig)
     moved = rig.welded.vertices + np.arange(242)[:, None] * [0.0, 0.001, 0]
+    again = pickle.loads(pickle.dumps(rig))
+    assert not any(a.flags.writeable for a in (again.weld, again.welded_from, again.loose))
     unwelded = rig.unwelded(moved)
     np.testing.assert_array_equal(unwelded[3:245], moved)
     np.testing.assert_allclose(unwelded[:3] - rig.vertices[:3], (moved - rig.welded.vertices)[rig.weld[:3]], atol=1e-12)
     np.testing.assert_array_equal(rig.unwelded(rig.welded.vertices), rig.vertices)
+
+
+@pytest.mark.parametrize("own", [False, True])
+def test_joints_do_not_follow_vertices_of_no_face(own):
+    """Whatever these are bound to, as guides are to the root; nor where the file's own regressor says so."""
+    data = make_tube_data()
+    places = np.array([[0.0, -1, 0], [5, 9, 0], [-5, 9, 0]])
+    weights = sparse.vstack([data.weights, sparse.csr_array(np.eye(4)[[0, 0, 0]])]).tocsr()
+    more = replace(data, vertices=np.vstack([data.vertices, places]), weights=weights, regressor=None)
+    if own:
+        more = replace(more, regressor=regressor_from_weights(more.vertices, weights, data.parents, data.joints))
+    rig = build_rig(more)
+    assert own == bool(abs(rig.regressor[:, 242:]).sum() > 0)
+    np.testing.assert_allclose(rig.regressor @ rig.vertices, rig.joints, atol=1e-12)
+    np.testing.assert_allclose(rig.welded.regressor @ rig.welded.vertices, rig.joints, atol=1e-12)
+
+
+def test_vertices_of_no_face_free_no_joint():
+    """A joint that turns all of the surface is locked, whatever else hangs on the root; so is one that moves nothing of it."""
+    data = with_joint(with_joint(make_tube_data(), "world", 0), "guide", 0)
+    data = replace(data, parents=np.array([4, 0, 1, 1, -1, 0]))
+    loose = sparse.csr_array(np.eye(6)[[4, 5]])
+    vertices, weights = np.vstack([data.vertices, [[0, 5, 0], [0, 6, 0]]]), sparse.vstack([data.weights, loose]).tocsr()
+    more = replace(data, vertices=vertices, weights=weights)
+    rig = build_rig(more)
+    assert rig.locked.tolist() == build_rig(data).locked.tolist() == [True, False, False, False, False, True]
+    assert any("carry no weight: world, guide" in note for note in rig.notes)
 
 
 def test_a_joint_that_leads_vertices_of_no_face_alone_has_no_part():

@@ -129,6 +129,7 @@ def test_limits_by_name_free_joints_that_the_file_locks(tmp_path):
     assert locked()[0] == locked("*")[0] == ["root", "long", "tip"]
     names, freed = locked("root", "long")
     assert names == ["tip"] and np.array_equal(freed.upper[[0, 2]], np.full((2, 3), 0.1)) and freed.moving[[0, 2]].all()
+    assert any("2 joints that the file locks are free, as limits name them: root, long" in note for note in freed.notes)
     assert locked("root", "long", lock=("long",))[0] == ["long", "tip"]
     names, rig = locked("tip")  # which moves no vertex
     assert names == ["root", "long", "tip"] and any("they move no vertex: tip" in note for note in rig.notes)

@@ -27,6 +27,7 @@ from lbsfit_np.segmentation.segmenter import Segmenter
         (np.eye(3), {"scale": -1}, "scale"),
         (np.eye(3), {"scale": np.nan}, "scale"),
         (np.eye(3), {"scale": np.float32(0)}, "scale"),
+        (np.eye(3), {"scale": 10**400}, "scale"),
         (np.eye(3), {"rows": [[1], [1, 2]]}, "rows: got rows of different lengths"),
         (np.eye(3), {"scale": "2"}, "scale"),
         (np.eye(3), {"rows": [3]}, "rows: got numbers from 3 to 3; expected rows of the 3 points"),

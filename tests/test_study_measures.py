@@ -159,7 +159,7 @@ def test_the_truth_has_no_errors(coarse_hand, tiny_study):
 def test_errors_are_in_half_sizes_and_of_the_right_pairs(coarse_hand, tiny_study):
     truth = Truth(tiny_study.rig, tiny_study.test, 6, 0)
     assert sorted(map(tuple, truth.pairs)) == [(0, 1), (0, 2), (1, 0), (1, 2), (2, 0), (2, 1)]
-    shift = np.array([0.0, 0.0, 0.1 * tiny_study.half])
+    shift = np.array([0.0, 0.0, 0.1 * (tiny_study.rig.size / 2)])
     vertices = np.array([s.vertices + (i == 2) * shift for i, s in enumerate(tiny_study.test)])
     joints = np.array([s.joints + (i == 2) * shift for i, s in enumerate(tiny_study.test)])
     found = measured(truth, Registrations(vertices, joints))

@@ -176,7 +176,7 @@ def test_gaps_of_templates_are_in_the_rigs_unit_and_of_the_right_people(tube_rig
     assert found.failures == {1: "points: got some; expected others."} and list(found.test.fitted) == [True, False, True, True]
     for what, (templates, whose) in people.items():
         gap, true = found.gap[what], [templates[k][0] for k in whose]
-        far = [np.linalg.norm(U - tube_rig.vertices, axis=1).mean() / given.half for U in true]
+        far = [np.linalg.norm(U - tube_rig.vertices, axis=1).mean() / (given.rig.size / 2) for U in true]
         assert gap["before"] == pytest.approx(np.mean(far)) and gap["before"] > 0.01
         assert gap["after"] == pytest.approx(0, abs=1e-12) == gap["after, up to a shift"]
 
@@ -243,8 +243,8 @@ def test_the_oracle_fit_comes_nearest_to_the_truth(tiny_study):
     scan = tiny_study.test[0]
     result = OracleFit(tiny_study.rig)(scan)
     off = np.linalg.norm(result.joints - scan.joints, axis=1)[tiny_study.rig.moving].mean()
-    assert off < 0.03 * tiny_study.half
-    assert np.linalg.norm(result.vertices - scan.vertices, axis=1).mean() < 0.03 * tiny_study.half
+    assert off < 0.03 * (tiny_study.rig.size / 2)
+    assert np.linalg.norm(result.vertices - scan.vertices, axis=1).mean() < 0.03 * (tiny_study.rig.size / 2)
 
 
 def test_the_oracle_knows_where_each_point_was_taken_from(tiny_study, monkeypatch):
@@ -274,7 +274,8 @@ def test_the_objective_of_the_oracle_has_the_gradient_that_it_says(tiny_study):
 
     model, scan, rng = Model(tiny_study.rig), tiny_study.test[1], np.random.default_rng(0)
     places = surface_places(scan.points, scan.vertices, tiny_study.rig.faces)
-    known = oracle._Known(model, scan.points / tiny_study.half, *places, oracle.OracleFit(tiny_study.rig).settings.weights)
+    half, weights = tiny_study.rig.size / 2, oracle.OracleFit(tiny_study.rig).settings.weights
+    known = oracle._Known(model, scan.points / half, *places, weights)
     state = model.rest().replace(coefficients=0.05 * rng.standard_normal(model.n_coefficients))
     state = state.replace(residual=0.01 * rng.standard_normal(model.rig.vertices.shape))
     state = state.replace(theta=state.theta + 0.1 * rng.standard_normal(state.theta.shape), scale=1.1)

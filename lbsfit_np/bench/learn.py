@@ -389,10 +389,11 @@ def _of_states(rows):
     states = {}
     for row, of in rows.items():
         for seed, entry in of.items():
-            states.setdefault(entry.get("commit"), []).append(f"{row} {seed}")
+            commit, *changes = (entry.get("commit") or "unknown").partition("+")
+            states.setdefault("".join((commit[:12], *changes)), []).append(f"{row} {seed}")
     if len(states) < 2:
         return ""
-    listed = "; ".join(f"{'unknown' if commit is None else commit[:12]}: {', '.join(made)}" for commit, made in states.items())
+    listed = "; ".join(f"{commit}: {', '.join(made)}" for commit, made in states.items())
     return f"\nRows are of several states of the code, by commit: {listed}."
 
 

@@ -92,7 +92,10 @@ def _mesh(document, i, world, matrices, notes):
         key = document.integer(attributes, "POSITION", where), *moved
         if key not in pieces:
             owner, of = (node, f"node {i}") if "weights" in node else (mesh, f"mesh {number}")
-            weights = document.numbers(owner, "weights", len(targets), [0.0] * len(targets), of) if targets else ()
+            given = owner.get("weights", [])
+            if isinstance(given, list) and not any(given):  # however many there are, they change nothing
+                targets = []
+            weights = document.numbers(owner, "weights", len(targets), None, of) if targets else ()
             pieces[key] = _Piece(document, attributes, list(zip(targets, weights)), world, matrices, where)
         pieces[key].show(document, primitive, mode, where)
     return [piece.shown() for piece in pieces.values()]

@@ -196,7 +196,8 @@ class _Begun:
     subject : hashable
     frame, problem
         In the subject's unit, if its size allows that.
-    refit : Refit
+    in_unit : bool
+        Whether it does.
     state : State
         Where the steps began, which is where the search on the template begins, too: it looks far first.
     left : float
@@ -206,19 +207,22 @@ class _Begun:
     subject: object
     frame: object
     problem: object
-    refit: object
+    in_unit: bool
     state: object
     left: float
 
 
 def _on_templates(fitter, subjects, seen, settings):
     """What a look at a scan has found, gone on from on the templates that suit it: (subject, Found) of each, without bends."""
-    return [(b.subject, _gone_on(b, seen)) for b in _suiting(fitter, subjects, seen, settings)]
+    return [(b.subject, _gone_on(fitter, b, seen, settings)) for b in _suiting(fitter, subjects, seen, settings)]
 
 
 def _suiting(fitter, subjects, seen, settings):
     """Of the templates those that suit a scan, as _Begun, by a few steps from where it was seen: the best, and few near to it."""
-    begun = sorted((_begun(fitter, s, seen, settings) for s in subjects), key=lambda b: b.left)
+    ready = getattr(fitter, "_prepared", ())
+    first = sorted(subjects, key=lambda s: (s, "fit") not in ready)  # before others take their places
+    begun = {s: _begun(fitter, s, seen, settings) for s in first}
+    begun = sorted((begun[s] for s in subjects), key=lambda b: b.left)
     return [b for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
 
 
@@ -233,12 +237,14 @@ def _begun(fitter, subject, seen, settings):
         refit = refit.freeing(SIZED)
     state = refit.in_place(problem, seen.state.theta)
     (runner,) = refit.last_steps([Runner(problem, state)])
-    return _Begun(subject, frame, problem, refit, state, runner.value * frame.unit**2)
+    return _Begun(subject, frame, problem, learned is not None, state, runner.value * frame.unit**2)
 
 
-def _gone_on(begun, seen):
-    state, value, _ = begun.refit(begun.problem, [begun.state], proba=seen.proba, bend=False)
-    return Found(begun.frame, begun.problem, state, seen.proba, value, _rivals(value, seen), begun.refit.free)
+def _gone_on(fitter, begun, seen, settings):
+    refit = _template_fit(fitter, begun.subject, settings).refit
+    refit = refit if begun.in_unit else refit.freeing(SIZED)
+    state, value, _ = refit(begun.problem, [begun.state], proba=seen.proba, bend=False)
+    return Found(begun.frame, begun.problem, state, seen.proba, value, _rivals(value, seen), refit.free)
 
 
 def _bent(fitter, found, seen, settings):
@@ -341,8 +347,8 @@ def _kept(fitter, key, made_of, make):
     if found is None or not all(map(_alike, found[0], made_of)):
         found = made_of, make()
     kept[key] = found  # what was asked for last stands last
-    subjects = list(dict.fromkeys(s for s, *_ in kept if s is not None))
-    gone = {s for s in subjects if s not in getattr(fitter, "template_", ())} | set(subjects[:-_READY])
+    subjects = list(dict.fromkeys(s for s, *_ in reversed(kept) if s is not None))
+    gone = {s for s in subjects if s not in getattr(fitter, "template_", ())} | set(subjects[_READY:])
     for other in [k for k in kept if k[0] in gone and k != key]:
         del kept[other]
     return found[1]

@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import InputError, as_array, brief, check_real, check_unmasked, not_finite
 from ..neighbors import PointIndex
 
-__all__ = ["check_index", "check_labels", "check_number", "check_same_length", "check_set", "check_weights"]
+__all__ = ["as_float", "check_index", "check_labels", "check_number", "check_same_length", "check_set", "check_weights"]
 
 # Searching within parts takes memory, and loses digits, in proportion to the largest label.
 _MOST_PARTS = 2**16
@@ -98,12 +98,13 @@ def check_index(argument, index, points, labels=None):
 
 def check_number(argument, value):
     """A finite number of at least 0 as a float, whatever its type: sums with single precision would be of that, too."""
-    if not isinstance(value, Real) or not 0 <= (number := _as_float(value)) <= sys.float_info.max:
+    if not isinstance(value, Real) or not 0 <= (number := as_float(value)) <= sys.float_info.max:
         raise InputError(argument, brief(value), "a finite number of at least 0")
     return number
 
 
-def _as_float(value):
+def as_float(value):
+    """A real number in double precision."""
     try:
         return float(value)
     except OverflowError:  # a whole number beyond double precision

@@ -52,10 +52,11 @@ def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
         raise InputError("points", f"{len(points)}", f"{len(result.labels)}, as many as the fit has labels")
     turn, colors = root_turn(rig, result.pose), part_colors(len(rig.parts))
     rows = np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(int)
-    found = result.vertices @ turn
+    found = rig.without_loose(result.vertices) @ turn
     shown = np.where(result.confidence[rows, None] < _OFF, np.array(_OFF_COLOR, colors.dtype), colors[result.labels[rows]])
     items = [Points(points[rows] @ turn, shown)]
     if truth is not None:
+        truth = rig.without_loose(truth)
         items.append(Mesh(truth @ turn, rig.faces))
     items.append(Mesh(found, rig.faces, colors[rig.vertex_labels]))
     # What of the scan lies off the mesh is to be seen, too, but for single wild points and all of a wide floor.

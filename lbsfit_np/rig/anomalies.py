@@ -62,11 +62,11 @@ def size_notes(rig):
 def skin_notes(rig):
     """Joints without weight, joints and parts that lead no vertex."""
     notes = []
-    carried = np.asarray(rig.weights.sum(axis=0)).ravel()
+    carried = np.asarray(rig.weights[~rig.loose].sum(axis=0)).ravel()
     idle = [name for name, w, merged in zip(rig.joint_names, carried, rig.merged) if w == 0 and not merged]
     if idle:
         notes.append(f"{len(idle)} joints carry no weight: {listed(idle)}")
-    leads = np.unique(leading_joint(rig))
+    leads = np.unique(leading_joint(rig)[~rig.loose])
     blind = [rig.joint_names[j] for j in np.flatnonzero(rig.moving) if j not in leads and carried[j] > 0]
     if blind:
         notes.append(

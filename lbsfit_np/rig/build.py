@@ -57,7 +57,8 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
         ``rig.notes`` lists anomalies and what was done about them. Missing limits are derived; see
         :func:`.limits.derived_limits`. Joints that move no vertex (neither they nor their descendants have weight) are locked.
         So are joints that only repeat the root's turn (they and their descendants have all the weight), unless a card gives
-        these joints limits by name. In the package's own files nothing is locked automatically.
+        these joints limits by name. In the package's own files nothing is locked automatically; limits by name free what they
+        lock, unless it moves no vertex.
 
     Raises
     ------
@@ -80,9 +81,10 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     parents = _hierarchy(parents, names, card)
     root = check_tree(report, parents, names, explained=bool(card.root or card.chains or card.parents))
     frames, turned = _frames(frames, joints, parents, names, card, up, forward)
-    regressor = _regressor(report, data, vertices, weights, parents, joints, names, notes)
+    surface = np.unique(faces)  # what else there is of vertices says nothing of joints
+    regressor = _regressor(report, data, vertices, weights, surface, parents, joints, names, notes)
 
-    state = _states(report, data, weights, parents, root, names, card, notes)
+    state = _states(report, data, weights[surface], parents, root, names, card, notes)
     if state.merged_now.any():
         weights = _merged_weights(weights, parents, state.merged)
     lower, upper = _limits(report, data, root, names, frames, turned, state, card, notes)
@@ -208,10 +210,10 @@ def _frames(frames, joints, parents, names, card, up, forward):
     return new, (np.swapaxes(new, 1, 2) @ old if changed.any() else None)
 
 
-def _regressor(report, data, vertices, weights, parents, joints, names, notes):
-    """The file's regressor put right to R U = J, else one from the weights."""
+def _regressor(report, data, vertices, weights, surface, parents, joints, names, notes):
+    """The file's regressor put right to R U = J, else one from the weights of the surface's vertices."""
     if data.regressor is None:
-        return regressor_from_weights(vertices, weights, parents, joints)
+        return _derived_regressor(vertices, weights, surface, parents, joints)
     given = report.matrix("regressor", data.regressor, (len(joints), len(vertices)))
     if data.merged is not None:
         return given  # our own format: as good as it gets, to the last bit
@@ -226,7 +228,7 @@ def _regressor(report, data, vertices, weights, parents, joints, names, notes):
     made = exact_regressor(given, vertices, joints)
     lacking = np.linalg.norm(made @ vertices - joints, axis=1) > 1e-9 * size
     if lacking.any():  # no entries, or entries that cannot reach the joint
-        derived = regressor_from_weights(vertices, weights, parents, joints)
+        derived = _derived_regressor(vertices, weights, surface, parents, joints)
         made = sparse.csr_array(sparse.vstack([(derived if bad else made)[[j]] for j, bad in enumerate(lacking)], format="csr"))
         if not (np.abs(miss[lacking]) <= 1e-9 * size).all():
             notes.append(
@@ -234,6 +236,14 @@ def _regressor(report, data, vertices, weights, parents, joints, names, notes):
                 "one derived from the weights is used there"
             )
     return made
+
+
+def _derived_regressor(vertices, weights, surface, parents, joints):
+    made = regressor_from_weights(vertices[surface], weights[surface], parents, joints)
+    if len(surface) == len(vertices):
+        return made
+    columns = surface[made.indices].astype(made.indices.dtype)
+    return sparse.csr_array((made.data, columns, made.indptr), shape=(len(joints), len(vertices)))
 
 
 def _states(report, data, weights, parents, root, names, card, notes):
@@ -261,6 +271,8 @@ def _states(report, data, weights, parents, root, names, card, notes):
         if now.any():
             notes.append(f"{np.count_nonzero(now)} joints {word}: {_named(names, now)}")
     free = ~merged & ~locked & (freed | (not ours))  # our own format has said of the others
+    if (now := freed & free).any():
+        notes.append(f"{np.count_nonzero(now)} joints that the file locks are free, as limits name them: {_named(names, now)}")
     if free.any():
         idle, rootlike = _powerless(weights, parents, root)
         idle, rootlike = idle & free, rootlike & free & ~spoken_for

@@ -13,6 +13,7 @@ from ..errors import InputError, brief, check_array
 from .locked import locked
 from .partition import check_partition, parts_of_joints, vertex_parts
 from .proportions import proportions
+from .regressor import exact_regressor
 from .shapes import ShapeSpace
 from .weld import proper, weld_of
 
@@ -428,11 +429,12 @@ def weld_rig(rig):
     shown = np.flatnonzero(~weld.loose)
     counts = np.bincount(weld.rows[shown], minlength=n)
     mean = sparse.diags_array(1.0 / counts) @ member[:, shown]
+    regressor = sparse.csr_array(rig.regressor @ sparse.csr_array(member.T))
     return replace(
         rig,
         vertices=rig.vertices[weld.first],
         faces=faces[sound],
         weights=sparse.csr_array(mean @ rig.weights[shown]),
-        regressor=sparse.csr_array(rig.regressor @ sparse.csr_array(member.T)),
+        regressor=exact_regressor(regressor, rig.vertices[weld.first], rig.joints) if weld.loose.any() else regressor,
         shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, weld.first]),
     )

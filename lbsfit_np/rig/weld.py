@@ -4,6 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .locked import locked
+
 __all__ = ["Weld", "proper", "weld_of"]
 
 # Seam copies are written from one float32 position; anything further apart than this share of the size is another point.
@@ -29,6 +31,9 @@ class Weld:
     rows: np.ndarray
     first: np.ndarray
     loose: np.ndarray
+
+    def __setstate__(self, state):  # NumPy's pickles forget that arrays were locked
+        self.__dict__.update({name: locked(value, copy=False) for name, value in state.items()})
 
 
 def weld_of(vertices, weights, faces):
@@ -64,9 +69,7 @@ def weld_of(vertices, weights, faces):
     rows[kept] = rank[inverse]
     if len(kept) < m:  # they move with what is nearest
         rows[loose] = cKDTree(vertices[first]).query(vertices[loose])[1]
-    for a in (rows, first, loose):
-        a.flags.writeable = False
-    return Weld(rows, first, loose)
+    return Weld(*(locked(a, copy=False) for a in (rows, first, loose)))
 
 
 def proper(faces):

@@ -7,7 +7,7 @@ from numbers import Integral, Real
 import numpy as np
 
 from ..errors import FileError, InputError, as_array, brief
-from ..losses.checks import check_set
+from ..losses.checks import as_float, check_set
 from ..rotations import matrix_from_rotvec
 from ..seeds import generator
 from ..threads import one_thread
@@ -96,7 +96,7 @@ class Segmenter:
             Points, a scale or rows that cannot be used.
         """
         points = check_set("points", getattr(points, "points", points), most=1e305)  # with room for what is computed of them
-        if isinstance(scale, bool) or not isinstance(scale, Real) or not 1e-100 <= float(scale) <= 1e100:
+        if isinstance(scale, bool) or not isinstance(scale, Real) or not 1e-100 <= as_float(scale) <= 1e100:
             raise InputError("scale", brief(scale), "a positive number, from 1e-100 to 1e100")
         rows = np.arange(len(points)) if rows is None else _checked_rows(rows, len(points))
         if isinstance(views, bool) or views not in (1, len(_AXES)):
