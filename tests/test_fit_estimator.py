@@ -80,16 +80,6 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
         fitter.set_params(speed=2)
 
 
-def test_a_first_training_alone_is_no_learning(tube_fitter, learned_people):
-    from sklearn.exceptions import NotFittedError
-    from sklearn.utils.validation import check_is_fitted
-
-    check_is_fitted(learned_people)
-    for fitter in (tube_fitter, lbs.LBSFitter(tube_fitter.rig)):
-        with pytest.raises(NotFittedError):
-            check_is_fitted(fitter)
-
-
 def test_numbers_of_numpy_are_those_of_python(tube_rig, monkeypatch):
     """What was trained, and steps that were kept, are found again."""
     keys = []

@@ -10,6 +10,8 @@ import numpy as np
 import pytest
 from learning_runs import learning_is_hurried
 from sklearn.base import clone
+from sklearn.exceptions import NotFittedError
+from sklearn.utils.validation import check_is_fitted
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -63,6 +65,13 @@ def prepared(monkeypatch):
 
     monkeypatch.setattr(Refit, "__init__", counting)
     return made
+
+
+def test_a_first_training_alone_is_no_learning(learned, tube_fitter):
+    check_is_fitted(learned)
+    for fitter in (tube_fitter, lbs.LBSFitter(tube_fitter.rig)):
+        with pytest.raises(NotFittedError):
+            check_is_fitted(fitter)
 
 
 # ---- made ready once ----
