@@ -10,15 +10,13 @@ import numpy as np
 import pytest
 from learning_runs import learning_is_hurried
 from sklearn.base import clone
-from sklearn.exceptions import NotFittedError
-from sklearn.utils.validation import check_is_fitted
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.learning import new_scan
 from lbsfit_np.learning.archive import learned_digests, model_digest
-from lbsfit_np.learning.batch import _without_results, fit_scans
+from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.losses.objective import LossWeights
 
@@ -65,13 +63,6 @@ def prepared(monkeypatch):
 
     monkeypatch.setattr(Refit, "__init__", counting)
     return made
-
-
-def test_a_first_training_alone_is_no_learning(learned, tube_fitter):
-    check_is_fitted(learned)
-    for fitter in (tube_fitter, lbs.LBSFitter(tube_fitter.rig)):
-        with pytest.raises(NotFittedError):
-            check_is_fitted(fitter)
 
 
 # ---- made ready once ----
@@ -181,12 +172,6 @@ def _place(fitter, points, theta0):
     """What a scan with a known pose is fitted by, without its subject."""
     settings = new_scan.fit_settings(fitter)
     return points, None, settings, 1.0, theta0, None
-
-
-def test_processes_are_sent_no_results(own, learned):
-    sent = _without_results(own)
-    assert not hasattr(sent, "results_") and len(own.results_) == len(learned.results_) == 6
-    assert set(vars(own)) - set(vars(sent)) - set(PREPARED) == {"results_"}
 
 
 @pytest.mark.parametrize("variant, nearest", [("cd", False), ("joint", True)])

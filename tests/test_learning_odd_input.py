@@ -10,11 +10,13 @@ import numpy as np
 import pytest
 from learning_runs import learning_is_hurried
 from segmenter_training import scans_of
+from sklearn.exceptions import NotFittedError
+from sklearn.utils.validation import check_is_fitted
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.labels import labels_from_mesh
-from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.batch import _without_results, fit_scans
 from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.subjects import as_subjects, check_ids, known_subject
@@ -103,6 +105,19 @@ def test_scans_that_are_no_sequence(given, words, tube_rig, learned):
     for call in (lbs.LBSFitter(tube_rig, **QUICK).fit, learned.transform, learned.score):
         with pytest.raises(InputError, match=f"scans: got {words}; expected a sequence of scans"):
             call(given)
+
+
+def test_a_first_training_alone_is_no_learning(learned, tube_fitter):
+    check_is_fitted(learned)
+    for fitter in (tube_fitter, lbs.LBSFitter(tube_fitter.rig)):
+        with pytest.raises(NotFittedError):
+            check_is_fitted(fitter)
+
+
+def test_processes_are_sent_no_results(learned, clouds):
+    sent = _without_results(learned)
+    assert not hasattr(sent, "results_") and len(learned.results_) == len(clouds)
+    assert set(vars(learned)) - set(vars(sent)) - {"_ready", "_prepared"} == {"results_"}
 
 
 def test_a_single_scan_wants_a_list(learned, clouds):
