@@ -12,6 +12,7 @@ from scipy import sparse
 from lbsfit_np.rig.data import RigData
 from lbsfit_np.rig.shapes import ShapeSpace
 
+from .body_poses import pose_library
 from .body_shape import BOX, surface
 from .body_skeleton import HEIGHT, JOINT_NAMES, PARENTS, Figure, limits, skeleton, smpl_rest
 from .checks import bending_volume, volume
@@ -100,10 +101,6 @@ def body_data(name="body"):
 
 
 def _poses():
-    try:
-        from .body_poses import pose_library
-    except ModuleNotFoundError:
-        return {}
     return dict(zip(*pose_library(list(JOINT_NAMES))))
 
 

@@ -295,3 +295,11 @@ def test_own_cards_read(path):
 
 def test_there_are_cards_for_all_shared_rigs():
     assert {path.stem for path in CARDS} >= {"webxr_left", "mpfb2_cmu_mb", "mpfb2_mixamo", "mpfb2_default", "fox"}
+
+
+def test_names_that_utf_8_cannot_hold_are_not_blamed_on_the_path(tmp_path):
+    data = make_tube_data()
+    data = replace(data, joint_names=["root", "elbow", "\ud800", "short"], partitions={})
+    with pytest.raises(FileError, match=r"in which a name has what UTF-8 cannot hold; .* Rename the joint or part"):
+        write_card(build_rig(data), tmp_path / "c.toml")
+    assert not list(tmp_path.iterdir())

@@ -8,7 +8,9 @@ from small_rigs import make_tube_data
 
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.card import Card
-from lbsfit_np.rig.clips import poses_of_clips
+from lbsfit_np.rig.card_text import card_text
+from lbsfit_np.rig.clips import poses_of_clips, under_other_parents
+from lbsfit_np.rotations import matrix_from_rotvec
 
 
 @pytest.fixture
@@ -58,8 +60,8 @@ def test_a_rig_with_animations_has_them(swing):
     assert set(build_rig(replace(data, poses=own)).poses) == {"own"}  # the file's own are better
 
 
-def test_they_follow_the_axes_and_not_another_hierarchy(swing):
-    """With other frames the same turns about the new axes; on other parents they mean nothing."""
+def test_they_follow_the_axes_and_the_hierarchy(swing):
+    """With other frames the same turns about the new axes; on other parents they are relative to these."""
     data = replace(make_tube_data(), animated=swing)
     rig, turned = build_rig(data), build_rig(data, Card(frames=(("*", "bone"),)))
     assert rig.poses and list(rig.poses) == list(turned.poses) and not np.allclose(rig.frames, turned.frames)
@@ -67,4 +69,41 @@ def test_they_follow_the_axes_and_not_another_hierarchy(swing):
         np.testing.assert_allclose(turned.pose(turned.poses[name]), rig.pose(pose), atol=1e-12)
     names = rig.joint_names
     other = build_rig(data, Card(parents=((names[3], names[0]),)))
-    assert other.poses == {} and not any("animations" in note and "natural" in note for note in other.notes)
+    assert list(other.poses) == list(rig.poses)
+    for name, pose in rig.poses.items():  # all turn as far as before, in all
+        np.testing.assert_allclose(_turns(other, other.poses[name]), _turns(rig, pose), atol=1e-12)
+    assert other.poses[max(other.poses)][3].any() and not rig.poses[max(rig.poses)][3].any()
+
+
+def _turns(rig, theta):
+    """(J, 3, 3): by how much each joint is turned in all."""
+    local = rig.frames @ matrix_from_rotvec(theta) @ np.swapaxes(rig.frames, 1, 2)
+    turned = local.copy()
+    for rows, parents in rig.levels:
+        turned[rows] = turned[parents] @ local[rows]
+    return turned
+
+
+def test_limits_are_about_the_parents_that_a_card_gives(swing):
+    """A joint that only goes along in the animation gets no share of its new parent's turns."""
+    data = replace(make_tube_data(), animated=swing, parents=np.array([-1, -1, -1, -1]), lower=None, upper=None)
+    names = data.joint_names
+    chain = ((names[0], names[1], names[2]), (names[1], names[3]))
+    data.animated[:, 0] = 0.0
+    data.animated[:, 2] = data.animated[:, 3] = data.animated[:, 1]  # siblings that turn alike, as of a stiff arm
+    rig = build_rig(data, Card(root=names[0], chains=chain))
+    assert rig.upper[1, 0] > 1.0 and np.abs(rig.upper[2:]).max() == np.abs(rig.lower[2:]).max() == 0.8
+    assert any("from the animations with a margin for 1;" in note for note in rig.notes)
+    round_about = np.array([1, 0, 1, 1])
+    assert under_other_parents(swing, data.frames, round_about, rig.parents) is None
+    # The card that is offered where there is no hierarchy yet has what its own guess would give.
+    lines = card_text(replace(data, joint_names=["root", "arm1", "arm2", "arm3"], partitions={})).splitlines()
+    limits = {name: next(line for line in lines if line.startswith(f'# "{name}" = ')) for name in ("arm1", "arm2", "arm3")}
+    assert [name for name, line in limits.items() if line.endswith("[[-0.8, -0.8, -0.8], [0.8, 0.8, 0.8]]")] == ["arm2", "arm3"]
+
+
+def test_where_poses_are_the_files_own_another_hierarchy_leaves_none(swing):
+    data = replace(make_tube_data(), animated=swing, poses={"own": np.full((4, 3), 0.1)})
+    names = build_rig(data).joint_names
+    other = build_rig(data, Card(parents=((names[3], names[0]),)))
+    assert other.poses == {} and any("natural poses" in note and "left out" in note for note in other.notes)

@@ -85,6 +85,10 @@ def test_limits_from_animations():
     animated[:, 1] = [0.4, 0.0, 0.0]  # turned, but the same in all frames
     assert not derived_limits(0, 3, animated)[2][1]
     np.testing.assert_array_equal(derived_limits(0, 3, animated)[1][1], 0.8)
+    animated[:, 1] = [1.4, -2.0, 0.0]  # held so, as a grip: the file's own poses are possible
+    lower, upper, seen = derived_limits(0, 3, animated)
+    assert not seen[1]
+    np.testing.assert_allclose([lower[1], upper[1]], [[-0.8, -2.1, -0.8], [1.5, 0.8, 0.8]])
 
 
 def test_rest_pose_stays_inside_limits_from_animations():

@@ -271,3 +271,17 @@ def test_array_file_under_the_name_of_npz(tmp_path):
         np.save(f, np.zeros(3))
     with pytest.raises(FileError, match="a single array"):
         read_smpl(path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("v_template", sparse.csr_matrix((1, 2**45))),
+        ("weights", sparse.coo_matrix((2**27, 1))),
+        ("v_template", sparse.csc_matrix((2**40, 3))),
+        ("J_regressor", sparse.csr_matrix((24, 2**40))),
+    ],
+)
+def test_shapes_are_looked_at_before_arrays_are_written_out(tmp_path, key, value):
+    with pytest.raises(FileError, match=rf"{key} of shape \({value.shape[0]}, {value.shape[1]}\)"):
+        read_smpl(save(tmp_path, model() | {key: value}, ".pkl"))

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_rigs import make_tube_data
 
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.io.scans import load_scan
@@ -17,6 +18,7 @@ from lbsfit_np.io.write import (
     write_npz,
     write_points_ply,
 )
+from lbsfit_np.rig.card import write_card
 
 RNG = np.random.default_rng(0)
 POINTS = RNG.normal(size=(40, 3)) * 1e3 / 3
@@ -38,6 +40,22 @@ def test_a_file_appears_only_when_its_block_ends(tmp_path):
         temporary.write_text("new")
         assert path.read_text() == "old"
     assert path.read_text() == "new" and names(tmp_path) == ["a.fit.npz"]
+
+
+@pytest.mark.skipif(os.name != "posix", reason="links and pipes are POSIX files")
+@pytest.mark.parametrize("write", [write_json, lambda path, _: write_card(make_tube_data(), path)])
+def test_links_stay_and_devices_are_no_files_to_write(tmp_path, write):
+    (tmp_path / "far").mkdir()
+    (tmp_path / "far" / "b.json").write_text("old")
+    for link, target in (("a.json", "b.json"), ("new.json", "c.json")):  # the second leads to nothing yet
+        (tmp_path / link).symlink_to(Path("far") / target)
+        write(tmp_path / link, {"x": 1})
+        assert (tmp_path / link).is_symlink() and (tmp_path / "far" / target).read_text() not in ("", "old")
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(FileError, match="pipe: got a device or the like"):
+        write(tmp_path / "pipe", {"x": 1})
+    assert names(tmp_path) == ["a.json", "far", "new.json", "pipe"] and names(tmp_path / "far") == ["b.json", "c.json"]
+    assert not (tmp_path / "pipe").is_file()
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, FileError])

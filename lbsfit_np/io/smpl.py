@@ -1,5 +1,6 @@
 """SMPL-family models (SMPL, SMPL-H, SMPL-X, MANO): the mean shape as a rig, from .npz or .pkl, without chumpy."""
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +28,8 @@ _NAMES = {
     52: ("SMPL-H", [*_BODY, *_HANDS]),
     55: ("SMPL-X", [*_BODY, "jaw", "left_eye", "right_eye", *_HANDS]),
 }
+# Entries of an array that a model may have.
+_MOST = 2**31
 _ROOT = 2**32 - 1  # −1 as the unsigned integers that the files use
 _WANTED = "v_template (m, 3), f (F, 3), weights (m, J), kintree_table (2, J), J_regressor (J, m) or J (J, 3)"
 _USED = {"v_template", "f", "faces", "weights", "kintree_table", "J_regressor", "J"}
@@ -152,14 +155,14 @@ class _Model:
         """A csr_array, from a dense or a sparse one."""
         value = self._value(key)
         if sparse.issparse(value):
-            value = sparse.csr_array(value, dtype=float)
             self._fits(key, value.shape, shape)
-            return value
+            return sparse.csr_array(value, dtype=float)
         return sparse.csr_array(self.floats(key, shape))
 
     def _numbers(self, key, shape, kinds):
         value = self._value(key)
         if sparse.issparse(value):
+            self._fits(key, value.shape, shape)  # before it is written out
             value = value.toarray()
         a = np.asarray(value) if isinstance(value, (np.ndarray, list, tuple, int, float)) else None
         if a is None or a.dtype.kind not in kinds:
@@ -181,6 +184,8 @@ class _Model:
         if len(got) != len(shape) or any(n is not None and n != g for n, g in zip(shape, got)):
             wanted = ", ".join("any" if n is None else str(n) for n in shape)
             raise self.wrong(f"{key} of shape {tuple(got)}", f"shape ({wanted})")
+        if math.prod(got) > _MOST:
+            raise self.wrong(f"{key} of shape {tuple(got)}", "a model that fits into memory")
         if 0 in got:
             raise self.wrong(f"{key} of shape {tuple(got)}", "at least one row and column")
 

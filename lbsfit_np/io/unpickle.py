@@ -9,6 +9,7 @@ file is read, the notes are checked and turned into plain arrays. Any other name
 import codecs
 import pickle
 import re
+import reprlib
 from dataclasses import dataclass
 
 import numpy as np
@@ -359,5 +360,5 @@ def _chumpy(kind, state):
 
 
 def _short(value):
-    text = str(value)
+    text = str(value) if isinstance(value, (str, Exception)) else reprlib.repr(value)
     return text if len(text) <= 80 else text[:77] + "…"

@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import secrets
+import stat
 import zipfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -48,13 +49,16 @@ def atomic_path(path):
         raise FileError(str(path), "a folder", "the name of a file to write")
     if not os.path.isdir(final.parent):
         raise FileError(str(path), f"a folder that does not exist ({final.parent})", "an existing folder", "Create it first.")
-    temporary = final.with_name(f".{_start(final.stem)}.{secrets.token_hex(6)}.tmp{_start(final.suffix)}")
     try:
-        os.lstat(final)
+        final = Path(os.path.realpath(final))  # a link stays, and what it leads to is written
+        device = not stat.S_ISREG(os.lstat(final).st_mode)
     except FileNotFoundError:
-        pass
+        device = False
     except (OSError, ValueError) as error:  # a name that is too long, or with NUL in it: known before anything is computed
         raise _cannot_write(path, error) from error
+    if device:  # which the last step would put a file in the place of
+        raise FileError(str(path), "a device or the like", "the name of a file to write")
+    temporary = final.with_name(f".{_start(final.stem)}.{secrets.token_hex(6)}.tmp{_start(final.suffix)}")
     try:
         # Created in here, as a process may be told to end as soon as the file is there. mkstemp would make it private (0600);
         # this way the umask decides, as for any file that a user writes.

@@ -1,7 +1,7 @@
 """From a file's content to a rig: the card applied, everything checked once, what is missing derived, oddities noted."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,7 +22,7 @@ from .checks import (
     check_tree,
     check_weights,
 )
-from .clips import poses_of_clips
+from .clips import poses_of_clips, under_other_parents
 from .frames import bone_frames, child_directions
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, derived_limits
 from .partition import check_partition, partition_names
@@ -80,6 +80,9 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
 
     parents = _hierarchy(parents, names, card)
     root = check_tree(report, parents, names, explained=bool(card.root or card.chains or card.parents))
+    if data.animated is not None and not np.array_equal(parents, data.parents):
+        animated = report.array("animated", data.animated, (None, len(names), 3))
+        data = replace(data, animated=under_other_parents(animated, frames, np.asarray(data.parents), parents))
     frames, turned = _frames(frames, joints, parents, names, card, up, forward)
     surface = np.unique(faces)  # what else there is of vertices says nothing of joints
     regressor = _regressor(report, data, vertices, weights, surface, parents, joints, names, notes)
@@ -379,14 +382,15 @@ def _library(report, data, names, parents, root, turned, state, notes):
     Both say how joints turn relative to their parents: where a card gives other parents they mean nothing any more.
     """
     poses, still = check_poses(report, data.poses, names), state.merged | state.locked
-    if not poses and data.animated is not None and np.array_equal(parents, data.parents):
+    own = bool(poses)
+    if not own and data.animated is not None:
         poses = poses_of_clips(report.array("animated", data.animated, (None, len(names), 3)), root, still)
         if poses:
             notes.append(f"the file has no natural poses: {len(poses)} were taken from its animations")
     rest = None if data.smpl_rest is None else check_rotations(report, "smpl_rest", data.smpl_rest, names)
-    if (poses or rest is not None) and not np.array_equal(parents, data.parents):
+    if (own or rest is not None) and not np.array_equal(parents, data.parents):
         notes.append("the file's natural poses and its relation to SMPL are left out, because the card changes the hierarchy")
-        return {}, None
+        poses, rest = {} if own else poses, None
     for name, theta in poses.items():
         if turned is not None:
             theta = np.einsum("jab,jb->ja", turned, theta)

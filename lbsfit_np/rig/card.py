@@ -133,12 +133,21 @@ def write_card(rig, path):
     text = card_text(rig)
     if not path.name or os.path.isdir(path):
         raise FileError(str(path), "a folder", "the name of a card to write")
-    scratch = path.with_name(f".{secrets.token_hex(6)}.tmp")
     try:
-        scratch.write_text(text, encoding="utf-8")
-        os.replace(scratch, path)
+        content = text.encode("utf-8")
+    except UnicodeEncodeError as e:
+        got = f"{brief(text[max(e.start - 20, 0) : e.end + 20])} to write, in which a name has what UTF-8 cannot hold"
+        raise FileError(str(path), got, "names of Unicode characters", "Rename the joint or part in the rig's file.") from None
+    if os.path.exists(path) and not os.path.isfile(path):
+        raise FileError(str(path), "a device or the like", "the name of a card to write")
+    scratch = None
+    try:
+        final = Path(os.path.realpath(path))  # a link stays, and what it leads to is written
+        scratch = final.with_name(f".{secrets.token_hex(6)}.tmp")
+        scratch.write_bytes(content)
+        os.replace(scratch, final)
     except (OSError, ValueError) as e:
-        if os.path.lexists(scratch):
+        if scratch is not None and os.path.lexists(scratch):
             scratch.unlink()
         why = getattr(e, "strerror", None) or e
         raise FileError(str(path), f"a path that cannot be written to ({why})", "a path in an existing folder") from None

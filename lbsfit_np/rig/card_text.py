@@ -1,9 +1,11 @@
 """The text of a rig card to edit: a rig's present settings in TOML, and comments that say what could be changed."""
 
 import re
+from itertools import chain, pairwise
 
 import numpy as np
 
+from .clips import under_other_parents
 from .data import RigData
 from .limits import all_derived, derived_limits
 from .units import METRES
@@ -138,12 +140,16 @@ def _limits_table(rig, names, parents, still):
         "# several joints; later lines override earlier ones. The root's are used for sampling only: a fit leaves it free.",
     ]
     if lower is None:
-        root = int(np.flatnonzero(parents < 0)[0]) if (parents < 0).any() else 0
+        root, animated = int(np.flatnonzero(parents < 0)[0]) if (parents < 0).any() else 0, rig.animated
         if (parents < 0).sum() > 1:
-            root = names.index(
-                guessed_chains([names[j] for j in np.flatnonzero(parents < 0)], np.asarray(rig.joints)[parents < 0])[0]
-            )
-        lower, upper = derived_limits(root, len(names), rig.animated)[:2]
+            tops = np.flatnonzero(parents < 0)
+            first, chains = guessed_chains([names[j] for j in tops], np.asarray(rig.joints)[tops])
+            root, guessed = names.index(first), np.array(parents)
+            for one, other in chain.from_iterable(map(pairwise, chains)):
+                guessed[names.index(other)] = names.index(one)
+            if animated is not None:
+                animated = under_other_parents(np.asarray(animated, dtype=float), np.asarray(rig.frames), parents, guessed)
+        lower, upper = derived_limits(root, len(names), animated)[:2]
     if derived:  # as lines of the card they would pass for what somebody has thought about
         lower, upper = np.round(lower, 3), np.round(upper, 3)
         lines += [

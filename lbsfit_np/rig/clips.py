@@ -1,8 +1,10 @@
-"""Natural poses for rigs whose files have none: frames of their animations that differ."""
+"""What a file's animations tell of a rig: natural poses, and turns about other parents than the file's."""
 
 import numpy as np
 
-__all__ = ["poses_of_clips"]
+from ..rotations import matrix_from_rotvec, rotvec_from_matrix
+
+__all__ = ["poses_of_clips", "under_other_parents"]
 
 # Frames of which no joint is turned against the other's by more than this, radians, are one pose; the rest pose is one, too. So
 # many are taken at most.
@@ -41,3 +43,36 @@ def poses_of_clips(animated, root, still):
         between = Rotation.from_rotvec(np.tile(frames[chosen[-1]], (len(frames), 1))).inv() * turns
         away = np.minimum(away, between.magnitude().reshape(frames.shape[:2]).max(axis=1))
     return {f"animation {n + 1}": frames[k] for n, k in enumerate(sorted(chosen))}
+
+
+def under_other_parents(animated, frames, before, after):
+    """The same motion by turns relative to other parents.
+
+    Parameters
+    ----------
+    animated : (k, J, 3) array
+        Rotation vectors in the rest frames, relative to the parents ``before``.
+    frames : (J, 3, 3) array
+        Rest frames.
+    before, after : (J,) int arrays
+        Parents, −1 where there is none.
+
+    Returns
+    -------
+    (k, J, 3) array or None
+        None where ``before`` goes round in a circle.
+    """
+    local = frames @ matrix_from_rotvec(animated) @ np.swapaxes(frames, 1, 2)
+    turned, known = local.copy(), before < 0  # by how much in all
+    while not known.all():
+        now = np.flatnonzero(~known & known[before])
+        if not len(now):
+            return None
+        turned[:, now] = turned[:, before[now]] @ local[:, now]
+        known[now] = True
+    rows = np.flatnonzero(after != before)
+    above = np.where(after[rows, None, None] >= 0, turned[:, after[rows]], np.eye(3))
+    own = np.swapaxes(above, 2, 3) @ turned[:, rows]
+    animated = np.array(animated, dtype=float)
+    animated[:, rows] = rotvec_from_matrix(np.swapaxes(frames[rows], 1, 2) @ own @ frames[rows])
+    return animated

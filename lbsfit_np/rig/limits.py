@@ -42,7 +42,8 @@ def derived_limits(root, n_joints, animated=None):
     -------
     lower, upper : (J, 3) arrays
         Over the frames, smallest and largest angle about each axis, widened by 25 % of the range and at least 0.1 rad on
-        each side, made to contain 0 (the rest pose), clipped to ±π. Joints that no frame turns: ±0.8 rad.
+        each side, made to contain 0 (the rest pose), clipped to ±π. Joints that do not move: ±0.8 rad, and as far beyond as all
+        frames have them.
     from_animation : (J,) bool array
         The joints whose limits come from the animations.
     """
@@ -55,6 +56,9 @@ def derived_limits(root, n_joints, animated=None):
         margin = np.maximum(_MARGIN * (high - low), _LEAST_MARGIN)
         lower[seen] = np.clip(np.minimum(low - margin, 0.0), -np.pi, np.pi)[seen]
         upper[seen] = np.clip(np.maximum(high + margin, 0.0), -np.pi, np.pi)[seen]
+        held = ~seen  # in one pose, which is possible as well, however far it is turned
+        lower[held] = np.clip(np.minimum(lower, low - margin), -np.pi, np.pi)[held]
+        upper[held] = np.clip(np.maximum(upper, high + margin), -np.pi, np.pi)[held]
     seen[root] = False
     lower[root], upper[root] = -DEFAULT_ROOT_LIMIT, DEFAULT_ROOT_LIMIT
     return lower, upper, seen
