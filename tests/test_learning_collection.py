@@ -40,7 +40,7 @@ BAD_COLLECTIONS = [
     (lambda c: (c[:4], ["b", 1, 2, "1"]), ["subjects: got 1 for scan 1 and '1' for scan 3", "differ as text", "in one way"]),
     (lambda c: (c[:4], [10**5000] * 4), ["subjects: got a number of several thousand digits for scan 0", "64 bits"]),
     (lambda c: (c[:4], [1, 1, -(2**63), 1]), ["subjects: got -9223372036854775808 for scan 2", "64 bits"]),
-    (lambda c: ([*c[:4], 1000 * c[4]], None), ["scans: got different units: scan 4 has", "in one unit", "Convert"]),
+    (lambda c: ([*c[:4], 1000 * c[4]], None), ["scans: got different units: scan 4 has", "in one unit", "Convert them, learn"]),
     (lambda c: ([0.001 * c[0], *c[1:4], 100 * c[4]], None), ["scans 0, 4 have extents of 0.000658 to 76.9, the others"]),
     (lambda c: ([NAN, *c[:8], 1000 * c[8]], None), ["different units: scan 9 has"]),  # of nine that can be used
     (lambda c: ([*c[:3], *(10 * x for x in c[3:6])], None), ["different units: scans 3, 4, 5 have"]),

@@ -63,6 +63,15 @@ def test_merging_moves_weights_up_and_keeps_the_rest_shape(tube_rig):
     np.testing.assert_allclose(rig.pose(theta), tube_rig.pose(theta), atol=1e-12)
 
 
+@pytest.mark.parametrize(("most", "asked"), [(0.014, True), (0.1, False)])
+def test_limits_that_hardly_let_anything_turn_are_asked_about(most, asked):
+    """As of a card in radians that says degrees."""
+    rig = build_rig(make_tube_data(), Card(limits=(("*", (-most,) * 3, (most,) * 3),)))
+    assert any("are these radians, with unit = \"deg\"?" in note for note in rig.notes) == asked
+    one = build_rig(make_tube_data(), Card(limits=(("long", (-most,) * 3, (most,) * 3),)))
+    assert not any("are these radians" in note for note in one.notes)
+
+
 def test_locked_joints_keep_their_skin_and_never_turn():
     rig = build_rig(make_tube_data(), Card(lock=("sh?rt",)))
     np.testing.assert_array_equal(rig.locked, [False, False, False, True])

@@ -54,6 +54,12 @@ def test_a_header_without_a_name_for_the_rows_names_the_columns_after_them(tmp_p
     assert scan.labels.tolist() == [5] * 4 and scan.notes[0].startswith("The first column, for which the header has no name")
 
 
+def test_text_in_utf_16_is_named(tmp_path):
+    (tmp_path / "p.csv").write_bytes("x,y,z\n0,1,2\n".encode("utf-16"))
+    with pytest.raises(FileError, match="got text in UTF-16; expected text in UTF-8 .* Save it as CSV in UTF-8"):
+        load_scan(tmp_path / "p.csv")
+
+
 @pytest.mark.parametrize("end", ["7", ""])
 def test_a_header_names_the_first_columns_where_these_do_not_number_the_rows(tmp_path, end):
     lines = [",".join([*map(str, point), end]) for point in POINTS]

@@ -127,6 +127,20 @@ def test_a_cache_that_cannot_be_written_to_is_no_error(empty_cache, small_segmen
         assert cached("key", Trainer(small_segmenter)) is small_segmenter
 
 
+def test_a_folder_that_cannot_be_is_told_before_the_training(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path / "file"))
+    monkeypatch.setattr(cache, "_WARNED_OF", set())
+    with pytest.warns(UserWarning, match="cannot be kept in .*file"), pytest.raises(KeyboardInterrupt):
+        cache.cached("segmenter", "of no use", _stopped, Segmenter.load)
+
+
+def _stopped():
+    """A training that one stops, who has been told by now."""
+    assert cache.could_not_keep()
+    raise KeyboardInterrupt
+
+
 def test_pretraining_uses_the_cache_when_asked(empty_cache, tube_rig, tube_scan):
     def fitter(**changes):
         return lbs.LBSFitter(tube_rig, **{"training_scans": 2, "training": {"n_points": 200}, "random_state": 0, **changes})

@@ -352,6 +352,6 @@ _WORDS = {
     "disagreement": (0.35, "labels and mesh disagree on {value:.0%} of the points"),
     "rival": (0.6, "another pose explains the scan nearly as well"),
     "at_limits": (0.25, "{value:.0%} of the angles are at their limits"),
-    "sparse": (0.1, "it has few points"),
+    "sparse": (0.1, "it has few points (of a mesh, --samples takes more)"),
     "proportions": (SOMEBODY_ELSE, "other proportions explain it much better: is it a scan of somebody else?"),
 }

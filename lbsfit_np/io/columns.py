@@ -133,7 +133,10 @@ def _read_head(path):
     """Lines to skip, column names or None, the cells of the first row (None: there is none), and the delimiter."""
     names, seen_comment = None, None
     with open(path, "rb") as file:
-        if b"\0" in file.read(4096):
+        start = file.read(4096)
+        if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+            raise FileError(str(path), "text in UTF-16", "text in UTF-8 with one point per line", "Save it as CSV in UTF-8.")
+        if b"\0" in start:
             raise FileError(str(path), "binary content", "a text file with one point per line", "Check the extension.")
         file.seek(0)
         for skip in range(_HEAD_LINES):
@@ -239,7 +242,8 @@ def _unnamed(table, without_rows, with_names):
             cloud.normals, used = table[:, 3:6], 6
     if table.shape[1] > used:
         columns = f"{table.shape[1] - used} further columns" if table.shape[1] - used > 1 else "One further column"
-        cloud.notes.append(f"{columns} without a name left out: to name the columns, use {with_names}.")
+        taken = "1 to 3 are x, y, z" if used == 3 else "1 to 6 are x, y, z and the normal"
+        cloud.notes.append(f"{columns} without a name left out (columns {taken}): to name the columns, use {with_names}.")
     return cloud
 
 

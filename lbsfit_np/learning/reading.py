@@ -140,10 +140,14 @@ def odd_ones(sizes, most):
     return np.flatnonzero(np.abs(np.log(sizes / typical)) > np.log(most))
 
 
-def mixed_units(got, others=""):
-    """The InputError of a collection whose scans are in different units, as ``got`` says, with ``others`` as a first remedy."""
-    remedy = "Convert them, name their subjects (--subjects), learn from each unit separately, or leave out the wrong scans."
-    return InputError("scans", f"different units: {got}", "scans of one collection in one unit", others + remedy)
+def mixed_units(got, others="", *, of_one=False):
+    """The InputError of a collection whose scans are in different units, as ``got`` says, with ``others`` as a first remedy.
+
+    ``of_one``: the scans are taken to be of one subject, which may be wrong.
+    """
+    subjects = "name their subjects (--subjects), " if of_one else ""
+    remedy = f"{others}Convert them, {subjects}learn from each unit separately, or leave out the wrong scans."
+    return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
 
 
 def _common_unit(collection):

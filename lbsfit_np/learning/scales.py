@@ -38,7 +38,7 @@ def check_scales(members, scales, *, ends=False):
         ratio = scales[odd[0]] / np.median(np.delete(scales, odd))
         at = ", ".join(members[i].name for i in odd[:5]) + (", …" if len(odd) > 5 else "")
         got = f"scans {at} of subject {members[0].subject!r} have {ratio:.3g} times the scale of the others"
-        raise mixed_units(got, "If they show more than the rig has, such as an arm, crop them. " if ends else "")
+        raise mixed_units(got, "If they show more than the rig has, such as an arm, crop them. " if ends else "", of_one=True)
     for i, m in enumerate(members if len(members) > 1 else ()):
         m.ratio = float(scales[i] / np.median(np.delete(scales, [*odd, i])))  # the odd one of three would shift the others'
     if len(members) == 2:

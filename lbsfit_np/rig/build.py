@@ -32,6 +32,8 @@ from .shapes import check_shapes
 
 __all__ = ["build_rig"]
 
+# Limits of so many joints that are all below this, radians, may have been written in radians and read as degrees.
+_SEVERAL, _TINY = 3, np.radians(5.0)
 # Of a face that has an area, in squares of the size.
 _NO_AREA = 1e-14
 
@@ -348,6 +350,10 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
             notes.append(f"{card.where}, [limits]: limits of {pattern!r} have no effect, because that joint is locked or merged")
         lower[rows], upper[rows] = low, high
         of_card[rows] = True
+    given = of_card & moving
+    if np.count_nonzero(given) >= _SEVERAL and max(np.abs(lower[given]).max(), np.abs(upper[given]).max()) < _TINY:
+        most = np.degrees(max(np.abs(lower[given]).max(), np.abs(upper[given]).max()))
+        notes.append(f"{card.where}, [limits]: no joint turns by more than {most:.2g}°: are these radians, with unit = \"deg\"?")
     derived &= ~of_card
     if of_card.any():  # a saved rig may say so of what the card now gives
         stale = [note for note in notes if note.startswith(NO_LIMITS)]

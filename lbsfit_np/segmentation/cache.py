@@ -1,9 +1,11 @@
 """What is trained for a rig, kept between runs: in memory and in the user's cache folder, under a key of all it depends on."""
 
+import errno
 import hashlib
 import os
 import tempfile
 import warnings
+from contextlib import contextmanager
 from pathlib import Path
 
 from .. import __version__
@@ -70,18 +72,29 @@ def cached(kind, key, train, load):
     try:
         trained = load(path)
     except FileError:
+        with _warning_of(path.parent):  # before the training: who is told can stop it
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if not os.access(path.parent, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES)) from None
         trained = train()
-        try:
+        with _warning_of(path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
             trained.save(path)
-        except (OSError, FileError) as error:
-            why = error.got if isinstance(error, FileError) else error.strerror or in_words(error)
-            if path.parent not in _WARNED_OF:
-                words = f"training results cannot be kept in {path.parent} ({why}), so the next run trains again"
-                warnings.warn(f"{words}; set LBSFIT_CACHE to another folder", stacklevel=2)
-            _WARNED_OF.add(path.parent)
     _MEMORY[name] = trained
     return trained
+
+
+@contextmanager
+def _warning_of(folder):
+    """Warn, once, that nothing can be kept in a folder, where what is done in here says so."""
+    try:
+        yield
+    except (OSError, FileError) as error:
+        why = error.got if isinstance(error, FileError) else error.strerror or in_words(error)
+        if folder not in _WARNED_OF:
+            words = f"training results cannot be kept in {folder} ({why}), so the next run trains again"
+            warnings.warn(f"{words}; set LBSFIT_CACHE to another folder", stacklevel=4)
+        _WARNED_OF.add(folder)
 
 
 def _recipe():
