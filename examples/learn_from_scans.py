@@ -19,7 +19,7 @@ def main():
     scans = [t.points for t in truth]
 
     # By default there are many more training scans and up to four rounds; fits are then better, and take minutes.
-    fitter = lbs.LBSFitter(rig, training_scans=200, rounds=1, effort="fast", random_state=0)
+    fitter = lbs.LBSFitter(rig, training_scans=150, rounds=1, effort="fast", random_state=0)
     fitter.pretrain()
     alone = [fitter.fit_scan(points) for points in scans]
     fitter.fit(scans, subjects)
@@ -42,7 +42,7 @@ def main():
 def scan_of(rig, person, seed):
     """A scan of a person in a natural pose, with its truth."""
     template = [(person.vertices, person.joints)]
-    return lbs.synthesize(rig, 1, templates=template, poses="natural", random_state=seed, n_points=1000, scale=0.0)[0]
+    return lbs.synthesize(rig, 1, templates=template, poses="natural", random_state=seed, n_points=600, scale=0.0)[0]
 
 
 def error(results, truth):
