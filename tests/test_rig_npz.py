@@ -133,6 +133,7 @@ def test_limits_by_name_free_joints_that_the_file_locks(tmp_path):
     assert locked("root", "long", lock=("long",))[0] == ["long", "tip"]
     names, rig = locked("tip")  # which moves no vertex
     assert names == ["root", "long", "tip"] and any("they move no vertex: tip" in note for note in rig.notes)
+    assert not any("are free, as limits name them" in note for note in rig.notes)
     (tmp_path / "card.toml").write_text(card_text(freed))
     again = load_rig(tmp_path / "rig.npz", card=tmp_path / "card.toml")
     np.testing.assert_array_equal(again.locked, freed.locked)

@@ -51,8 +51,14 @@ def test_links_stay_and_devices_are_no_files_to_write(tmp_path, write):
         (tmp_path / link).symlink_to(Path("far") / target)
         write(tmp_path / link, {"x": 1})
         assert (tmp_path / link).is_symlink() and (tmp_path / "far" / target).read_text() not in ("", "old")
+    (tmp_path / "a.npz").symlink_to(Path("far") / "c.json")
+    with atomic_path(tmp_path / "a.npz") as temporary:  # with the ending that was asked for, where the link leads to
+        assert temporary.suffix == ".npz" and temporary.parent == (tmp_path / "far").resolve()
+        temporary.write_text("npz")
+    assert (tmp_path / "far" / "c.json").read_text() == "npz"
+    (tmp_path / "a.npz").unlink()
     os.mkfifo(tmp_path / "pipe")
-    with pytest.raises(FileError, match="pipe: got a device or the like"):
+    with pytest.raises(FileError, match="pipe: got a device"):
         write(tmp_path / "pipe", {"x": 1})
     assert names(tmp_path) == ["a.json", "far", "new.json", "pipe"] and names(tmp_path / "far") == ["b.json", "c.json"]
     assert not (tmp_path / "pipe").is_file()

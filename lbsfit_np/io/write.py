@@ -42,7 +42,7 @@ def atomic_path(path):
         ``path`` is no path.
     """
     try:
-        final = Path(path)
+        given = final = Path(path)
     except TypeError:
         raise InputError("path", type(path).__name__, "the name of a file to write") from None
     if not final.name or os.path.isdir(final):
@@ -57,8 +57,8 @@ def atomic_path(path):
     except (OSError, ValueError) as error:  # a name that is too long, or with NUL in it: known before anything is computed
         raise _cannot_write(path, error) from error
     if device:  # which the last step would put a file in the place of
-        raise FileError(str(path), "a device or the like", "the name of a file to write")
-    temporary = final.with_name(f".{_start(final.stem)}.{secrets.token_hex(6)}.tmp{_start(final.suffix)}")
+        raise FileError(str(path), "a device, or a link in a circle", "the name of a file to write")
+    temporary = final.with_name(f".{_start(given.stem)}.{secrets.token_hex(6)}.tmp{_start(given.suffix)}")  # the ending asked for
     try:
         # Created in here, as a process may be told to end as soon as the file is there. mkstemp would make it private (0600);
         # this way the umask decides, as for any file that a user writes.

@@ -29,6 +29,7 @@ from .partition import check_partition, partition_names
 from .regressor import exact_regressor, regressor_from_weights
 from .rig import Rig
 from .shapes import check_shapes
+from .weld import proper
 
 __all__ = ["build_rig"]
 
@@ -57,10 +58,10 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     -------
     Rig
         ``rig.notes`` lists anomalies and what was done about them. Missing limits are derived; see
-        :func:`.limits.derived_limits`. Joints that move no vertex (neither they nor their descendants have weight) are locked.
-        So are joints that only repeat the root's turn (they and their descendants have all the weight), unless a card gives
-        these joints limits by name. In the package's own files nothing is locked automatically; limits by name free what they
-        lock, unless it moves no vertex.
+        :func:`.limits.derived_limits`. Joints that move no vertex of a face (neither they nor their descendants have weight
+        there) are locked. So are joints that only repeat the root's turn (they and their descendants have all the weight),
+        unless a card gives these joints limits by name. In the package's own files nothing is locked automatically; limits by
+        name free what they lock, unless it moves no vertex.
 
     Raises
     ------
@@ -86,7 +87,8 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
         animated = report.array("animated", data.animated, (None, len(names), 3))
         data = replace(data, animated=under_other_parents(animated, frames, np.asarray(data.parents), parents))
     frames, turned = _frames(frames, joints, parents, names, card, up, forward)
-    surface = np.unique(faces)  # what else there is of vertices says nothing of joints
+    sound = proper(faces)  # what else there is of vertices says nothing of joints
+    surface = np.unique(faces[sound] if sound.any() else faces)
     regressor = _regressor(report, data, vertices, weights, surface, parents, joints, names, notes)
 
     state = _states(report, data, weights[surface], parents, root, names, card, notes)
@@ -276,8 +278,6 @@ def _states(report, data, weights, parents, root, names, card, notes):
         if now.any():
             notes.append(f"{np.count_nonzero(now)} joints {word}: {_named(names, now)}")
     free = ~merged & ~locked & (freed | (not ours))  # our own format has said of the others
-    if (now := freed & free).any():
-        notes.append(f"{np.count_nonzero(now)} joints that the file locks are free, as limits name them: {_named(names, now)}")
     if free.any():
         idle, rootlike = _powerless(weights, parents, root)
         idle, rootlike = idle & free, rootlike & free & ~spoken_for
@@ -289,6 +289,8 @@ def _states(report, data, weights, parents, root, names, card, notes):
                 f"{_named(names, rootlike)} (to free them, give them limits by name in a card)"
             )
         locked |= idle | rootlike
+    if (now := freed & ~merged & ~locked).any():
+        notes.append(f"{np.count_nonzero(now)} joints that the file locks are free, as limits name them: {_named(names, now)}")
     return _States(merged, merged & ~before, locked)
 
 
@@ -350,10 +352,11 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
             notes.append(f"{card.where}, [limits]: limits of {pattern!r} have no effect, because that joint is locked or merged")
         lower[rows], upper[rows] = low, high
         of_card[rows] = True
-    given = of_card & moving
-    if np.count_nonzero(given) >= _SEVERAL and max(np.abs(lower[given]).max(), np.abs(upper[given]).max()) < _TINY:
-        most = np.degrees(max(np.abs(lower[given]).max(), np.abs(upper[given]).max()))
-        notes.append(f"{card.where}, [limits]: no joint turns by more than {most:.2g}°: are these radians, with unit = \"deg\"?")
+    given = of_card & moving & (np.arange(J) != root)
+    most = max(np.abs(lower[given]).max(initial=0.0), np.abs(upper[given]).max(initial=0.0))
+    if np.count_nonzero(given) >= _SEVERAL and 0 < most < _TINY:
+        words = f"none of the joints below the root that it names turns by more than {np.degrees(most):.2g}°"
+        notes.append(f"{card.where}, [limits]: {words}: are these radians, with unit = \"deg\"?")
     derived &= ~of_card
     if of_card.any():  # a saved rig may say so of what the card now gives
         stale = [note for note in notes if note.startswith(NO_LIMITS)]
@@ -371,6 +374,8 @@ def _limits(report, data, root, names, frames, turned, state, card, notes):
         plain[root] = False
         if plain.any():
             about = f"±{DEFAULT_LIMIT} rad about each axis ({np.degrees(DEFAULT_LIMIT):.0f}°)"
+            beyond = max(-lower[plain].min(), upper[plain].max()) > DEFAULT_LIMIT
+            about += ", or as far as the animations hold them," if beyond else ""
             ways.append(f"{about} for {np.count_nonzero(plain)} ({_named(names, plain, 4)})")
         if derived[root]:
             ways.append(f"±{DEFAULT_ROOT_LIMIT} rad for sampling the root ({np.degrees(DEFAULT_ROOT_LIMIT):.0f}°)")
@@ -385,7 +390,7 @@ def _library(report, data, names, parents, root, turned, state, notes):
     """The natural poses about the rig's axes, the file's or else its animations', without turns of joints that do not turn;
     and ``smpl_rest``.
 
-    Both say how joints turn relative to their parents: where a card gives other parents they mean nothing any more.
+    The file's own say how joints turn relative to their parents: where a card gives others they mean nothing any more.
     """
     poses, still = check_poses(report, data.poses, names), state.merged | state.locked
     own = bool(poses)
@@ -395,7 +400,8 @@ def _library(report, data, names, parents, root, turned, state, notes):
             notes.append(f"the file has no natural poses: {len(poses)} were taken from its animations")
     rest = None if data.smpl_rest is None else check_rotations(report, "smpl_rest", data.smpl_rest, names)
     if (own or rest is not None) and not np.array_equal(parents, data.parents):
-        notes.append("the file's natural poses and its relation to SMPL are left out, because the card changes the hierarchy")
+        what = " and ".join(["natural poses"] * own + ["relation to SMPL"] * (rest is not None))
+        notes.append(f"the file's {what} {'are' if own else 'is'} left out, because the card changes the hierarchy")
         poses, rest = {} if own else poses, None
     for name, theta in poses.items():
         if turned is not None:

@@ -139,7 +139,7 @@ def write_card(rig, path):
         got = f"{brief(text[max(e.start - 20, 0) : e.end + 20])} to write, in which a name has what UTF-8 cannot hold"
         raise FileError(str(path), got, "names of Unicode characters", "Rename the joint or part in the rig's file.") from None
     if os.path.exists(path) and not os.path.isfile(path):
-        raise FileError(str(path), "a device or the like", "the name of a card to write")
+        raise FileError(str(path), "a device", "the name of a card to write")
     scratch = None
     try:
         final = Path(os.path.realpath(path))  # a link stays, and what it leads to is written

@@ -72,10 +72,11 @@ def cached(kind, key, train, load):
     try:
         trained = load(path)
     except FileError:
-        with _warning_of(path.parent):  # before the training: who is told can stop it
-            path.parent.mkdir(parents=True, exist_ok=True)
-            if not os.access(path.parent, os.W_OK):
-                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES)) from None
+        with _warning_of(path.parent):  # before the training, as far as it can be known: who is told can stop it
+            there = next((folder for folder in (path.parent, *path.parent.parents) if os.path.lexists(folder)), Path())
+            why = None if os.access(there, os.W_OK) else errno.EACCES
+            if why := why if os.path.isdir(there) else errno.EEXIST:
+                raise OSError(why, os.strerror(why)) from None
         trained = train()
         with _warning_of(path.parent):
             path.parent.mkdir(parents=True, exist_ok=True)
