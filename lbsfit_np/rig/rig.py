@@ -297,8 +297,6 @@ class Rig:
         joints : (J, 3) array, optional
             Joint positions of U^d; by default the regressor's, J + R (U^d − U).
         """
-        from .regressor import exact_regressor
-
         vertices = check_array("vertices", vertices, self.vertices.shape)
         moved = self.joints + self.regressor @ (vertices - self.vertices)
         joints = moved if joints is None else check_array("joints", joints, self.joints.shape)
