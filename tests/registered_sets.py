@@ -40,6 +40,8 @@ def result_of(rig, vertices, n, status="ok", scale=1.0, recon=0.01):
         joint_std=np.full(J, np.nan),
         labels=np.zeros(n, dtype=int),
         confidence=np.ones(n),
+        left_out=np.zeros(n, dtype=bool),
+        took_part=np.ones(n, dtype=bool),
         terms={"recon": recon},
         converged=True,
         status=status,

@@ -20,10 +20,11 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rotations import matrix_from_rotvec, rotvec_from_matrix
+from lbsfit_np.starts.clean import TakingPart
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
-_HARDLY = "almost no points show where these joints are (see joint_std): "
+_HARDLY = "the scan hardly tells where these joints are (see joint_std): "
 TURNS = {
     "none": np.eye(3),
     "about the up axis": matrix_from_rotvec(np.array([0.0, 2.4, 0.0])),
@@ -62,7 +63,7 @@ def _assembled(rig, model, turn, *, changed, seed=0, sigma=0.025, **options):
         problem,
         Outcome(state, 0.0, True, "", 1),
         points=frame.outside(X),
-        rows=np.arange(len(X)),
+        part=_all_of(X),
         frame=frame,
         sigma=sigma,
         evaluations=1,
@@ -154,7 +155,7 @@ def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
     V = model.pose(state)[0].vertices
     X = V[V[:, 2] > np.median(V[:, 2])] + [0.0, 0.15, 0.0]
     problem, frame = Problem(X), Frame(np.zeros(3), 1.0, np.eye(3))
-    more = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "rows": np.arange(len(X)), "points": X}
+    more = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "part": _all_of(X), "points": X}
     weights, outcome = PRESETS["default"], Outcome(state, 0.0, True, "", 1)
     r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, partial=partial, **more)
     assert r.status != "ok" and ("one side only" in r.message) != partial
@@ -162,14 +163,18 @@ def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
     r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, partial=partial, **more)
     assert r.status == "ok" and r.message.startswith("much of the surface has no points near it: if the scan") != partial
     if not partial:
-        more |= {"points": V, "rows": np.arange(len(V))}
+        more |= {"points": V, "part": _all_of(V)}
         assert assemble(rig, model, Problem(V), replace(outcome, state=state), frame=frame, weights=weights, **more).message == ""
+
+
+def _all_of(points):
+    return TakingPart.only(np.arange(len(points)), len(points))
 
 
 def _at_rest(model, X, *, state=None, x_weights=None, proba=None, **options):
     """The result of points in the normalised frame, which is the scan's."""
     state, problem = state or model.rest(), Problem(X, x_weights)
-    given = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "rows": np.arange(len(X)), "points": X}
+    given = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "part": _all_of(X), "points": X}
     given |= {"frame": Frame(np.zeros(3), 1.0), "weights": PRESETS["default"]}
     return assemble(model.source, model, problem, Outcome(state, 0.0, True, "", 1), proba=proba, **(given | options))
 
@@ -180,7 +185,7 @@ def test_labels_of_what_lies_beyond_the_rig_have_no_confidence(rigs, labels):
     X = model.rig.vertices
     among = np.arange(len(X)) % 3 > 0
     known = {"labels": np.zeros(len(X), dtype=int)} if labels else {}
-    whole, r = _at_rest(model, X, **known), _at_rest(model, X, among=among, **known)
+    whole, r = _at_rest(model, X, **known), _at_rest(model, X, part=replace(_all_of(X), among=among), **known)
     assert (whole.confidence > 0).all() and not r.confidence[~among].any()
     np.testing.assert_array_equal(r.confidence[among], whole.confidence[among])
     np.testing.assert_array_equal(r.labels, whole.labels)
@@ -330,7 +335,7 @@ def test_a_turn_that_was_found_is_in_the_root_alone(rigs):
     state = model.rest()
     X = model.pose(state)[0].vertices
     problem, frame = Problem(X), Frame(np.zeros(3), 1.0, turn)
-    more = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "rows": np.arange(len(X)), "points": frame.outside(X)}
+    more = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "part": _all_of(X), "points": frame.outside(X)}
     weights = PRESETS["default"]
     r = assemble(rig, model, problem, Outcome(state, 0.0, True, "", 1), frame=frame, weights=weights, **more)
     F = rig.frames[rig.root]

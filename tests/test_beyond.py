@@ -255,7 +255,7 @@ def test_after_learning_the_hand_is_found_as_well(hand, long_scan, monkeypatch):
     fitter = lbs.LBSFitter(hand, random_state=0, max_points=10_000)
     fitter.regressor_ = "a library"
     result = new_scan.fit_new(fitter, long_scan.points, ("ann",), None, None, None)
-    assert result.probability == 0.9 and all(fits.once) and "the scan seems to go on beyond the rig" in seen[-1].left_out
+    assert result.probability == 0.9 and all(fits.once) and "the scan seems to go on beyond the rig" in seen[-1].note
 
 
 # ---- what takes part ----
@@ -272,6 +272,6 @@ def test_what_takes_part_is_told_of_the_body_alone(hand, long_scan):
     among[n : n + n // 2] = False  # of the floor, as much as lies beyond
     part = taking_part(points, hand, most=1500, rng=rng, scale="estimate", ups=[np.array([0.0, 1.0, 0.0])], among=among)
     share = (long_scan.labels < 0).mean()
-    assert f"beyond the rig: {share:.0%}"[:-2] in part.left_out and "500 identical points" in part.left_out
-    assert "of a floor" in part.left_out and len(part.rows) > 1200
+    assert f"beyond the rig: {share:.0%}"[:-2] in part.note and "500 identical points" in part.note
+    assert "of a floor" in part.note and len(part.rows) > 1200
     assert among[part.every].all() and (part.every < n).all()

@@ -65,7 +65,7 @@ def _first_fit(hand, fits, *, sure, **settings):
     def taking(points, point_weights, seed, *, ups, among):
         assert ups is UPS
         rows = np.flatnonzero(among)
-        return TakingPart(rows, rows[:0], "", 1.0, None, among)
+        return TakingPart(rows, rows[:0], "", 1.0, None, np.where(among, 1, -2).astype(np.int8), among)
 
     object.__setattr__(work, "_fit", SimpleNamespace(scout=scout, fit=fit, taking_part=taking))
     return work, scout
@@ -77,7 +77,7 @@ UPS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 def _member(scan):
     rows = np.arange(len(scan.points))
-    return Member(0, scan.points, TakingPart(rows, rows[:0], "", 1.0, 1), None, "ann", ups=UPS)
+    return Member(0, scan.points, replace(TakingPart.only(rows, len(rows)), below=1), None, "ann", ups=UPS)
 
 
 @pytest.mark.parametrize("settings, sure", [({}, True), ({"effort": "fast"}, False)])
@@ -151,7 +151,7 @@ def test_after_its_first_fit_a_member_is_what_lies_within_the_rig(tube_rig, few_
     loop = loop_over(tube_rig, collection, "cd", None)
     assert collection.members[0].unit > 2
     among = np.arange(len(scans[0])) % 2 == 0
-    part = TakingPart(np.flatnonzero(among), np.arange(0), "", 1.0, None, among)
+    part = TakingPart(np.flatnonzero(among), np.arange(0), "", 1.0, None, np.where(among, 1, -2).astype(np.int8), among)
     frame, state = Frame(np.zeros(3), loop.model.half), loop.model.rest().replace(scale=1.1)
     monkeypatch.setattr(loop, "_work", lambda *given: [(frame, state, 0.01, None, part)] * 3)
     loop._first_fits()

@@ -1,5 +1,6 @@
 """The result of a fit: its fields, the rig's own vertices, and the file that it is kept in."""
 
+import copy
 import json
 import zipfile
 from dataclasses import fields, replace
@@ -31,6 +32,8 @@ def test_fields_and_shapes(tube_rig, tube_result, tube_scan):
         "joint_std": (J,),
         "labels": (n,),
         "confidence": (n,),
+        "left_out": (n,),
+        "took_part": (n,),
     }
     for name, shape in shapes.items():
         array = getattr(tube_result, name)
@@ -119,6 +122,23 @@ def _split(data):
     return replace(
         data, vertices=data.vertices[rows], weights=data.weights[rows], faces=np.arange(len(rows)).reshape(-1, 3), regressor=None
     )
+
+
+def test_a_result_says_which_points_it_is_of(tube_rig, tube_fitter, tube_scan):
+    """Of a floor, of weight 0, and more than take part: terms are those of what took part alone."""
+    rng = np.random.default_rng(0)
+    low = tube_scan.points.min(axis=0)[1]
+    floor = np.column_stack([rng.uniform(-2, 2, 800), low + 0.005 * rng.standard_normal(800), rng.uniform(-2, 2, 800)])
+    points, n = np.vstack([tube_scan.points, floor]), len(tube_scan.points)
+    weights = np.ones(len(points))
+    weights[:50] = 0.0
+    r = copy.copy(tube_fitter).set_params(max_points=300).fit_scan(points, point_weights=weights)
+    assert "of a floor" in r.message and r.took_part.sum() <= 300 < (~r.left_out).sum()
+    assert r.left_out[:50].all() and r.left_out[50:n].mean() < 0.1 and r.left_out[n:].mean() > 0.9
+    assert not (r.left_out & r.took_part).any()
+    unit = r.scale * tube_rig.size / 2
+    X, V = points[r.took_part] / unit, r.vertices / unit
+    assert r.terms["recon"] == pytest.approx(np.sqrt(chamfer(X, V)[0]), rel=1e-9)
 
 
 def test_results_are_for_the_rigs_original_vertices(tube_scan):

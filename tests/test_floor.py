@@ -239,7 +239,7 @@ def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, o
 
 def _part(points, rig, most=100_000, seed=0, **options):
     part = taking_part(points, rig, most=most, rng=np.random.default_rng(seed), scale="estimate", **options)
-    return part.rows, part.left_out
+    return part.rows, part.note
 
 
 @pytest.mark.parametrize("where", ["zeros", "first point"])
@@ -333,10 +333,10 @@ def test_a_floor_below_another_axis_may_be_a_side_of_the_body(given, ends, tries
     result, fits = fitted(points, ends, **{name: known[name] for name in given})
     assert len(fits) == tries and result.message == f"fit {kept}{said}" and result.probability == ends[kept - 1][1]
     assert (result.seconds, result.evaluations) == ((2.0, 30) if tries == 2 else (1.0, 10))
-    assert "of a floor" in fits[0].left_out and fits[0].floor_elsewhere
-    assert tries == 1 or fits[1].left_out == ""
+    assert "of a floor" in fits[0].note and fits[0].floor_elsewhere
+    assert tries == 1 or fits[1].note == ""
     result, fits = fitted(_before_a_wall(tube_rig, axis=1)[0], ends)
-    assert len(fits) == 1 and "of a floor" in fits[0].left_out and not fits[0].floor_elsewhere and result.message == "fit 1"
+    assert len(fits) == 1 and "of a floor" in fits[0].note and not fits[0].floor_elsewhere and result.message == "fit 1"
 
 
 @pytest.mark.parametrize("random_state", [5, None, "a generator"])
@@ -367,7 +367,7 @@ def test_a_wall_that_cannot_take_part_does_not_take_the_fit_away(tube_rig, fitte
     """With it the scan is in no unit of the rig's."""
     points, _ = _before_a_wall(tube_rig, width=6.0)
     result, fits = fitted(points, [("suspect", 0.4)], scale="fixed")
-    assert len(fits) == 1 and result.message == "fit 1" and "of a floor" in fits[0].left_out
+    assert len(fits) == 1 and result.message == "fit 1" and "of a floor" in fits[0].note
 
 
 def test_points_with_a_known_part_are_of_no_floor(tube_rig, fitted):

@@ -268,7 +268,7 @@ def test_a_floor_below_another_axis_is_one_where_half_of_the_scans_have_it(walls
         members = collected(tube_rig, clouds, held_out=0.0, ups=ups).members
         for m, points in zip(members, clouds, strict=True):
             floor = len(points) > 400 and not stays
-            assert ("of a floor" in m.part.left_out) == floor
+            assert ("of a floor" in m.part.note) == floor
             assert len(m.part.rows) == pytest.approx(400 if floor else len(points), abs=15)
             np.testing.assert_allclose(m.frame.centre, m.x.mean(axis=0))
 
@@ -281,7 +281,7 @@ def test_floors_are_counted_among_the_scans_that_can_be_used(tube_rig):
     broken = [np.full((5, 3), np.nan)] * 3
     scans = [np.vstack([clouds[0], wall]), clouds[1], *broken]
     found = collected(tube_rig, scans, held_out=0.0, ups=facing_of(tube_rig, "upright").floors)
-    assert len(found.failures) == 3 and "of a floor" in found.members[0].part.left_out
+    assert len(found.failures) == 3 and "of a floor" in found.members[0].part.note
 
 
 def test_floors_below_several_axes_are_counted_by_axis(tube_rig):
@@ -296,7 +296,7 @@ def test_floors_below_several_axes_are_counted_by_axis(tube_rig):
                 wall[:, axis] = scan.points[:, axis].min() - 0.02 * size
             clouds.append(np.vstack([scan.points, wall[: 0 if axis is None else None]]))
         members = collected(tube_rig, clouds, held_out=0.0, ups=facing_of(tube_rig, "upright").floors).members
-        assert sum("of a floor" in m.part.left_out for m in members) == left_out
+        assert sum("of a floor" in m.part.note for m in members) == left_out
 
 
 def test_a_wall_that_cannot_take_part_stays_a_floor(tube_rig):
@@ -306,7 +306,7 @@ def test_a_wall_that_cannot_take_part_stays_a_floor(tube_rig):
     wall[:, 2] = clouds[0][:, 2].min() - 0.02
     clouds[0] = np.vstack([clouds[0], wall])
     found = collected(tube_rig, clouds, held_out=0.0, scale="fixed", ups=facing_of(tube_rig, "upright").floors)
-    assert not found.failures and len(found.members) == 4 and "of a floor" in found.members[0].part.left_out
+    assert not found.failures and len(found.members) == 4 and "of a floor" in found.members[0].part.note
 
 
 def _taught(n):

@@ -46,8 +46,11 @@ def test_no_more_points_come_of_a_floor_or_from_elsewhere(tube_rig):
     points, weights = np.vstack([scan.points, floor, wild]), np.ones(6040)
     weights[:1000] = 0.0
     part = _part(points, tube_rig, ups=np.array([[0.0, 1.0, 0.0]]), point_weights=weights)
-    assert "of a floor" in part.left_out and len(part.more) > MOST
+    assert "of a floor" in part.note and len(part.more) > MOST
     assert np.mean(part.more >= 3000) < 0.02 and part.more.max() < 6000 and part.every.min() >= 1000
+    left_out = part.left_out(points)
+    assert left_out[:1000].all() and left_out[6000:].all() and not left_out[part.every].any()
+    assert left_out[1000:3000].mean() < 0.1 and left_out[3000:6000].mean() > 0.98
 
 
 def test_more_points_tell_the_pose_better(tube_rig, tube_fitter, monkeypatch):

@@ -265,6 +265,22 @@ def test_card_of_loose_joints_guesses_a_hierarchy(tmp_path):
     np.testing.assert_array_equal(build_rig(data, tmp_path / "c.toml").parents, [-1, 0, 1, 0])
 
 
+def test_the_partition_that_a_card_suggests_gives_every_vertex_a_part(tmp_path):
+    """As soon as its # are removed, wherever the root stands among the joints."""
+    data = make_tube_data()
+    data.partitions = {}
+    last, rows = len(data.parents) - 1, np.arange(len(data.parents))[::-1]  # of a joint, where it was
+    turned = replace(
+        data, joint_names=[data.joint_names[j] for j in rows], parents=np.where(data.parents < 0, -1, last - data.parents)[rows],
+        joints=data.joints[rows], frames=data.frames[rows], weights=data.weights[:, rows], regressor=None,
+        lower=data.lower[rows], upper=data.upper[rows],
+    )  # fmt: skip
+    for known in (turned, replace(turned, parents=np.full(last + 1, -1))):
+        text = card_text(known).replace("# [parts.NAME] ", "[parts.NAME] ").replace("# body", "body")
+        (tmp_path / "c.toml").write_text(text)
+        assert build_rig(known, tmp_path / "c.toml").with_parts("NAME").parts == ("body",)
+
+
 def test_guess_without_a_telling_name_starts_in_the_middle():
     names = ["LegLeft1", "LegLeft2", "Body", "ArmLeft1"]
     root, chains = guessed_chains(names, [[0, -1, 0], [0, -2, 0], [0, -0.4, 0], [0, 2, 0]])

@@ -14,6 +14,7 @@ from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
+from ..starts.clean import TakingPart
 from ..starts.scale import reference_scale
 from ..threads import one_thread
 
@@ -80,7 +81,7 @@ class PlainChamfer:
             problem,
             last,
             points=points,
-            rows=rows,
+            part=TakingPart.only(rows, len(points)),
             frame=frame,
             sigma=_SIGMA,
             weights=weights,

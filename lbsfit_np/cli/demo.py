@@ -16,7 +16,7 @@ from .summary import SUMMARY
 __all__ = ["add_parser"]
 
 _OPTIONS = (
-    Option("output", "folder to write to; created if needed", metavar="OUT", flag="-o"),
+    Option("output", "folder to write to (required); created if needed", metavar="OUT", flag="-o"),
     Option("rig", "a bundled rig or a rig file", default="hand", metavar="RIG"),
     Option("seed", "seed of the scan and of the fit", natural, 0, metavar="N"),
     Option("points", "points of the scan", positive, 2500, metavar="N"),
@@ -26,8 +26,8 @@ _OPTIONS = (
 
 _DESCRIPTION = """\
 Make a scan of a bundled rig, with noise, holes and uneven density, in a shape and pose that the fit does not know; fit it as
-`lbsfit fit` does; print the errors against the truth; and draw a picture. This takes about three minutes on one core, mostly
-to train the segmenter, which is kept for the next time.
+`lbsfit fit` does; print the errors against the truth; and draw a picture. This takes two to three minutes, mostly to
+train the segmenter on two cores if there are as many; what it trains is kept for the next time.
 """
 
 _EPILOG = """\

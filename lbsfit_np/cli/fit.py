@@ -23,7 +23,7 @@ __all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "check_training", "fit_files"
 RIG_OPTIONS = (
     Option(
         "card",
-        'the rig card; by default RIG\'s name with .card.toml, if that exists; "none" for no card',
+        'the rig card; by default NAME.card.toml beside a rig file NAME.glb, if it exists; "none" for no card',
         metavar="FILE",
         is_path=True,
     ),
@@ -34,7 +34,7 @@ RIG_OPTIONS = (
 )
 
 OPTIONS = (
-    Option("output", "folder to write to; created if needed", metavar="OUT", flag="-o", is_path=True),
+    Option("output", "folder to write to (required); created if needed", metavar="OUT", flag="-o", is_path=True),
     *RIG_OPTIONS,
     Option("subject", "with a model: whose template to use; by default the one that explains the scan best", metavar="ID"),
     Option(
@@ -77,8 +77,7 @@ OPTIONS = (
     Option("segmenter", "a segmenter saved by Segmenter.save, instead of one trained here", metavar="FILE", is_path=True),
     Option(
         "training-scans",
-        "synthetic scans for the segmenter, also in each round of learning; the library of starts gets half as many, in rounds "
-        "three eighths",
+        "synthetic scans to train the segmenter on; the library of starts gets half as many",
         positive,
         4000,
         metavar="N",
@@ -103,11 +102,13 @@ Fit a rig, or a model written by `lbsfit learn`, to scans. For each scan NAME.EX
 
   NAME.fit.npz     joint angles, translation, scale, offsets, registered vertices, joints, labels (FitResult.load reads it)
   NAME.mesh.ply    the registered mesh: the rig's vertices and faces in the scan's frame and unit
-  NAME.labels.ply  every point of the scan with its part, the confidence, and a colour for the part
+  NAME.labels.ply  every point of the scan (with --samples, of the sample) with its part, the confidence, and a colour
   NAME.png         with --pictures: the scan, coloured by its parts, beside the registered mesh, from two sides
 
 and OUT/summary.json says how each of this run's scans went. Files appear only once they are complete. Inputs are never
-overwritten. After Ctrl-C, run the same command with --existing skip to do the rest.
+overwritten. Each scan gets a line with its status, probability and recon, the distance between scan and mesh in half sizes of
+the rig (the root of the Chamfer distance). Judge fits by status and probability: recon is larger for sparse scans and coarse
+meshes, however right the fit is. After Ctrl-C, run the same command with --existing skip to do the rest.
 
 A model keeps its rig, its segmenter and how these were made, so options about the rig (--card, --shape, --skin,
 --normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale, --unit,
@@ -120,7 +121,7 @@ examples:
   lbsfit fit hand scan.ply -o fits
   lbsfit fit body.glb scans/*.ply -o fits --card body.toml --jobs 4 --existing skip
   lbsfit fit body.glb scans/*.ply --config fit.toml
-  lbsfit fit fox.glb kits/*.ply -o fits --unit cm
+  lbsfit fit fox.glb kits/*.ply -o fits --unit cm --card fox.toml   # the card says what unit the rig is in
   lbsfit learn hand scans/*.ply -o model.npz && lbsfit fit model.npz new.ply -o fits
   lbsfit fit model.npz new/*.ply -o fits --subjects who.csv
 

@@ -38,7 +38,8 @@ _NAMED = 5
 _OTHER_ENDINGS = (".pkl", ".json", ".toml", ".h5", ".bvh", ".fbx")
 
 OPTIONS = (
-    Option("output", "the model to write, NAME.npz; its folder is created if needed", metavar="MODEL", flag="-o", is_path=True),
+    Option("output", "the model to write (required), NAME.npz; its folder is created if needed", metavar="MODEL", flag="-o",
+           is_path=True),
     Option("results", "folder to write the scans' fits to as well, as lbsfit fit does", metavar="OUT", is_path=True),
     Option("pictures", "with --results, also draw each fit as NAME.png", bool, False),
     Option("subjects", "a file that says who was scanned; one subject by default", metavar="FILE", is_path=True),
@@ -94,7 +95,8 @@ examples:
 
 A scan that cannot be used is named with the reason and left out. The model appears once it is complete or, after Ctrl-C, with
 what the rounds so far have learned. Inputs are never overwritten. Until the model is complete, finished steps are kept in
-MODEL.npz.unfinished: after a stop or a crash the same command continues from there, even with more scans added at its end.
+MODEL.npz.unfinished: the same command continues from there, even with more scans added at its end; the last line says where it
+needs --existing replace, as a model is there already.
 The segmenter's first training is kept in $LBSFIT_CACHE, or else in the user's cache folder. The last lines give the unit of
 the scans, how many fits are ok, suspect or failed, and a table of those that are not ok (see lbsfit fit --help).
 Exit code: 0 learned, and all scans could be used, even if some were held out or not learned from, 1 some could not be used or

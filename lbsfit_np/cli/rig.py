@@ -12,7 +12,7 @@ __all__ = ["add_parser"]
 
 _FROM_FILE = tuple(o for o in RIG_OPTIONS if o.name in ("shape", "skin"))
 _CARD_OPTIONS = (
-    Option("output", "the card to write", metavar="CARD", flag="-o"),
+    Option("output", "the card to write (required)", metavar="CARD", flag="-o"),
     *_FROM_FILE,
     Option("existing", "what to do if CARD already exists", default="error", choices=("error", "replace")),
 )

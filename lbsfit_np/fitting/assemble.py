@@ -27,13 +27,13 @@ def assemble(
     last,
     *,
     points,
-    rows,
+    part,
     frame,
     sigma,
     weights,
     evaluations,
-    notes,
     started,
+    notes=(),
     x_labels=None,
     proba=None,
     labels=None,
@@ -47,7 +47,6 @@ def assemble(
     found=(),
     further=(),
     given=(),
-    among=None,
 ):
     """The fit in the scan's frame and on the rig's original vertices, with a label for every point.
 
@@ -62,8 +61,8 @@ def assemble(
         Of the last stage.
     points : (n, 3) array
         All of the scan.
-    rows : (k,) int array
-        Those of the problem.
+    part : TakingPart
+        What of the scan was looked at; its rows are those of the problem.
     frame : Frame
         Of the problem.
     sigma : float
@@ -71,10 +70,10 @@ def assemble(
     weights : LossWeights
         Of the full objective, for its terms.
     evaluations : int
-    notes : sequence of str
-        Added to the message; an empty one is none.
     started : float
         ``time.perf_counter()`` at the start.
+    notes : sequence of str
+        Added to the message, before what the part has left out; an empty one is none.
     x_labels : (k,) int array, optional
         Parts of the problem's points that the structured term goes by; without them it is left out.
     proba : (k, n_parts) array, optional
@@ -98,8 +97,6 @@ def assemble(
         What a fit in doubt says would look further.
     given : sequence of {"theta0", "labels"}
         What the caller knew of the pose, which one that has failed asks about.
-    among : (n,) bool array, optional
-        Which points may be of the body, where others lie beyond the end of the rig: labels of those have no confidence.
     judged : bool, default True
         False where the vertices say nothing of the pose: then there is no evidence, the probability is 0, and what is finite is
         "ok".
@@ -127,7 +124,7 @@ def assemble(
     if not finite and labels is None:
         labels, confidence = np.zeros(len(points), dtype=int), np.zeros(len(points))
     elif labels is None:
-        known = {} if proba is None else {"proba": proba, "proba_points": points[rows]}
+        known = {} if proba is None else {"proba": proba, "proba_points": points[part.rows]}
         labels, confidence = labels_from_mesh(
             points, frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit, **known
         )
@@ -137,8 +134,10 @@ def assemble(
         if unknown.any() and finite:
             own = labels_from_mesh(points[unknown], frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit)
             labels[unknown], confidence[unknown] = own
-    if among is not None:
-        confidence = np.where(among, confidence, 0.0)
+    if part.among is not None:  # labels of what lies beyond the end of the rig say nothing
+        confidence = np.where(part.among, confidence, 0.0)
+    took_part = np.zeros(len(points), dtype=bool)
+    took_part[part.rows] = True
     evidence, probability, status, reason = {}, 0.0, "failed", "the fit is not finite; check the scan for extreme outliers"
     if finite and not judged:
         status, reason = "ok", ""
@@ -183,10 +182,12 @@ def assemble(
         joint_std=std,
         labels=labels,
         confidence=confidence,
+        left_out=part.left_out(points),
+        took_part=took_part,
         terms=terms,
         converged=last.converged,
         status=status,
-        message="; ".join(filter(None, [reason, guessed, *notes, *found])),
+        message="; ".join(filter(None, [reason, guessed, *notes, part.note, *found])),
         probability=probability,
         evidence=evidence,
         evaluations=evaluations,
@@ -222,7 +223,7 @@ def _guessed(rig, std):
         return ""
     names = [rig.joint_names[j] for j in rows[np.argsort(-std[rows], kind="stable")]]
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
-    return f"almost no points show where these joints are (see joint_std): {', '.join(names[:_MOST_NAMED])}{more}"
+    return f"the scan hardly tells where these joints are (see joint_std): {', '.join(names[:_MOST_NAMED])}{more}"
 
 
 def _asked(given, evidence):

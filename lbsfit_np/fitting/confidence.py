@@ -2,7 +2,7 @@
 
 The final loss tells right fits from wrong ones, but only against what the scan could have given at best. So the evidence is a
 handful of shares, each near 0 for a right fit, whatever the rig, the unit and the number of points; a logistic regression on
-their logarithms, calibrated on scans with known truth (``lbsfit bench starts``), makes one probability of them.
+their logarithms, calibrated on scans with known truth (``bench.calibrate``), makes one probability of them.
 """
 
 import numpy as np

@@ -10,9 +10,10 @@ from ..rig.units import METRES
 
 __all__ = ["FitResult"]
 
-_FORMAT = 7
+_FORMAT = 8
 _SHORT = 80  # letters of the message in repr
 _ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "joint_std", "labels", "confidence")
+_ARRAYS += ("left_out", "took_part")
 _SCALARS = ("scale", "converged", "status", "message", "evaluations", "probability", "seconds")
 _SCALARS += ("rig_digest", "model_digest", "subject", "unit")
 
@@ -47,15 +48,21 @@ class FitResult:
         Part of every scan point, as an index into ``parts``.
     confidence : (n,) array
         Confidence of each label, in [0, 1].
+    left_out : (n,) bool array
+        Which points are of nothing that the rig models, such as floors and clutter, or have no weight: the fit did not look at
+        them.
+    took_part : (n,) bool array
+        Which points the objective, and so ``terms``, is of: all that are not left out, or some of them where there are very many
+        (``max_points``).
     terms : dict of str to float
         Loss terms of this result, in units of ``scale`` · half, where half is half the rig's size: "chamfer" L_{c²,λ},
         "structured" L_{s²,λ} and "laplacian" L_lap (each before its weight), "total" the weighted sum, "recon" √L_c(X, V^d).
     converged : bool
-        Whether the last stage ended at its tolerance rather than at its iteration limit.
+        Whether the full stage ended at its tolerance rather than at its iteration limit.
     status : {"ok", "suspect", "failed"}
         Whether the fit seems right, judged by ``probability``; also ``failed`` where the fit is not finite.
     message : str
-        The status in words: what speaks against the fit, the unit, what was left out.
+        What speaks against the fit, if anything does; what was left out; the unit.
     probability : float
         Probability that the mean joint error is below 1.5 % of the rig's size, calibrated on the bundled rigs
         (``fitting.confidence``).
@@ -90,6 +97,8 @@ class FitResult:
     joint_std: np.ndarray
     labels: np.ndarray
     confidence: np.ndarray
+    left_out: np.ndarray
+    took_part: np.ndarray
     terms: dict
     converged: bool
     status: str
@@ -114,9 +123,10 @@ class FitResult:
         """Write as NPZ, atomically; the name must end in ``.npz``.
 
         Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``rest_joints``, ``vertices``, ``joints``,
-        ``joint_std``, ``labels``, ``confidence``); ``scale``, ``converged``, ``status``, ``message``, ``probability``,
-        ``evaluations``, ``seconds``, ``rig_digest``, ``model_digest``, ``subject``, ``unit`` as 0-d arrays; ``parts`` as text;
-        ``terms``, ``evidence`` and ``settings`` as JSON text; ``lbsfit_np_result``, the format's number.
+        ``joint_std``, ``labels``, ``confidence``, ``left_out``, ``took_part``); ``scale``, ``converged``, ``status``,
+        ``message``, ``probability``, ``evaluations``, ``seconds``, ``rig_digest``, ``model_digest``, ``subject``,
+        ``unit`` as 0-d arrays; ``parts`` as text; ``terms``, ``evidence`` and ``settings`` as JSON text;
+        ``lbsfit_np_result``, the format's number.
         """
         from ..io.write import check_npz_name, write_npz
 
@@ -177,9 +187,12 @@ def _check(fields, terms, evidence, settings):
         "joint_std": (J,),
         "labels": (n,),
         "confidence": (n,),
+        "left_out": (n,),
+        "took_part": (n,),
     }
+    kinds = {"labels": "iu", "left_out": "b", "took_part": "b"}
     for name, shape in shapes.items():
-        if fields[name].shape != shape or fields[name].dtype.kind not in ("iu" if name == "labels" else "f"):
+        if fields[name].shape != shape or fields[name].dtype.kind not in kinds.get(name, "f"):
             raise ValueError(f"{name} of type {fields[name].dtype} and shape {fields[name].shape}")
     kinds = {"scale": float, "converged": bool, "status": str, "message": str, "evaluations": int}
     kinds |= {"probability": float, "seconds": float, "rig_digest": str, "model_digest": str, "subject": str, "unit": str}

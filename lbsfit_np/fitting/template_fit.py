@@ -63,7 +63,7 @@ class TemplateFit:
         state,
         *,
         points,
-        rows,
+        part,
         frame,
         free=("pose", "translation"),
         proba=None,
@@ -77,7 +77,6 @@ class TemplateFit:
         found=(),
         further=(),
         given=(),
-        among=None,
         started=None,
     ):
         """The full objective from a pose that was found, and the result.
@@ -89,8 +88,8 @@ class TemplateFit:
             Of this template.
         points : (n, 3) array
             All points.
-        rows : (k,) int array
-            Those of the problem.
+        part : TakingPart
+            What of the scan is looked at; its rows are those of the problem.
         frame : Frame
             Of the problem.
         free : tuple of {"pose", "translation", "scale"}
@@ -101,8 +100,8 @@ class TemplateFit:
         prior : ((J, 3) array, float or (t, t) array), optional
             As in ``GaussNewton.pose``.
         dense : (every (d,) int array, Problem), optional
-            All points that the last steps look at, in the same frame; those of ``rows`` by default.
-        value, rivals, proportions, notes, found, further, given, among
+            All points that the last steps look at, in the same frame; those of ``part.rows`` by default.
+        value, rivals, proportions, notes, found, further, given
             As for :func:`~lbsfit_np.fitting.assemble.assemble`.
         started : float, optional
 
@@ -116,7 +115,7 @@ class TemplateFit:
         search = Search(model, with_partner, proba, labels_known is not None, settings)
         search.full(state, free=("pose", "translation", "residual"))
         # The residual takes what the template lacks; the pose is better known by distances to the surface.
-        every, last = (rows, problem) if dense is None else dense
+        every, last = (part.rows, problem) if dense is None else dense
         known = None if labels_known is None or labels_known[every].min() < 0 else labels_known[every]
         pose = self.refit.polish(last, search.outcome.state, labels=known, prior=prior)
         outcome = replace(search.outcome, state=pose)
@@ -126,7 +125,7 @@ class TemplateFit:
             problem,
             outcome,
             points=points,
-            rows=rows,
+            part=part,
             frame=frame,
             sigma=settings.refinements[-1],
             weights=settings.weights,
@@ -139,7 +138,6 @@ class TemplateFit:
             found=found,
             further=further,
             given=given,
-            among=among,
             started=started,
             value=value,
             rivals=rivals,

@@ -116,12 +116,12 @@ class _Finish(_OnTemplates):
         free = SIZED if size is not None and m.state is size.own else IN_UNIT
         size = fit.model.source.size / self.rig.size
         unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale, unit=self.settings.unit, size=size)
-        place = {"points": m.points, "rows": m.part.rows, "frame": m.frame, "free": free, "among": m.part.among}
+        place = {"points": m.points, "part": m.part, "frame": m.frame, "free": free}
         problem = m.problem
         proportions = fit.proportions(problem, m.state)
         further = () if proportions > SOMEBODY_ELSE else self.further  # it is not more effort that would help
         place |= {"proportions": proportions, "further": further}
-        place |= {"notes": [m.role, m.part.left_out], "found": (unit,)}
+        place |= {"notes": [m.role], "found": (unit,)}
         place["dense"] = m.part.every, Problem(m.dense_X) if len(m.part.more) else problem
         place["prior"] = prior_of(self.prior, m.noise, fit.refit.turning, m.prior)
         result = fit.finish(problem, m.state, proba=in_full(m.proba), **place)

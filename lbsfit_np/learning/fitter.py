@@ -71,7 +71,7 @@ class LBSFitter(BaseEstimator):
         With ``sequence``: weight of ‖Θ − Θ⁰‖², where Θ⁰ is the mean of a scan's own and its neighbours' angles, against the
         mean squared distance to the surface in squared half sizes of the rig; 1e-5 is a little, 1e-3 much.
     training : dict, optional
-        ``synthesis.Synthesis`` fields for training scans, e.g. ``{"turn": 3.14, "scale": 0.2}``; ``scale`` is 0.05 unless given.
+        ``synthesis.Synthesis`` fields for training scans, e.g. ``{"noise": 0.01}``; ``scale`` is 0.05 unless given.
     n_jobs : int, optional
         Number of processes for training and for all methods that take several scans; results do not depend on it.
     random_state : int, Generator or None

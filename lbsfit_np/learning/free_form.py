@@ -44,12 +44,11 @@ class _FreeForm:
     settings: object
 
     def __call__(self, m):
-        place = m.points, m.part.rows, m.frame
-        result = free_form(self.model, self.settings, m.problem, *place, time.perf_counter(), m.part.left_out)
+        result = free_form(self.model, self.settings, m.problem, m.points, m.part, m.frame, time.perf_counter())
         return with_doubt(m, result)
 
 
-def free_form(model, settings, problem, points, rows, frame, started, left_out=""):
+def free_form(model, settings, problem, points, part, frame, started):
     """One scan fitted without skinning: place and scale of the model's template, then its vertices; a FitResult."""
     weights = LossWeights(chamfer=1.0, lam=0.0, lam_s=0.0, lam_lap=settings.weights.lam_lap)
     weights = weights.replace(laplacian=settings.weights.laplacian, squared=settings.weights.squared)
@@ -77,12 +76,12 @@ def free_form(model, settings, problem, points, rows, frame, started, left_out="
         problem,
         outcome,
         points=points,
-        rows=rows,
+        part=part,
         frame=frame,
         sigma=settings.refinements[-1],
         weights=weights,
         evaluations=place_only.evaluations + outcome.evaluations,
-        notes=["free-form, no skinning: joints stay at rest", left_out],
+        notes=["free-form, no skinning: joints stay at rest"],
         found=(unit,),
         started=started,
         judged=False,

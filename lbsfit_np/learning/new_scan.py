@@ -92,7 +92,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
         unit = guess if subjects is None else _unit(fitter, subjects[0], guess, settings) or guess
         frame = Frame(x.mean(axis=0), unit * half)
-        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, part.rows, frame, started, part.left_out)
+        return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, part, frame, started)
     seen, known, given = None, None if labels is None else labels[part.rows], given_names(theta0, labels)
     if given:
         place = x, a, settings, guess, theta0, known
@@ -131,9 +131,9 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if doubted:  # which asks what the size alone may have asked
         unit = unit.removesuffix(unit_question(settings.unit)) + doubted
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
-    place = {"points": points, "rows": part.rows, "frame": best.frame, "value": best.value, "rivals": best.rivals}
-    place |= {"proportions": proportions, "notes": [whose, part.left_out], "found": (unit, stands), "given": given}
-    place |= {"free": best.free, "among": part.among}
+    place = {"points": points, "part": part, "frame": best.frame, "value": best.value, "rivals": best.rivals}
+    place |= {"proportions": proportions, "notes": [whose], "found": (unit, stands), "given": given}
+    place["free"] = best.free
     another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
     if not given and not another:
         place["further"] = further_words(rig, settings, _facing(fitter))

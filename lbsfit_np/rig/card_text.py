@@ -46,7 +46,10 @@ def card_text(rig):
         "",
     ]
     lines += _limits_table(rig, names, parents, merged | locked)
-    lines += _parts_tables(rig, names)
+    roots = np.flatnonzero(parents < 0)
+    joints = np.asarray(rig.joints)[roots]
+    root = names[roots[0]] if len(roots) == 1 else guessed_chains([names[j] for j in roots], joints)[0]
+    lines += _parts_tables(rig, root)
     return "\n".join(lines) + "\n"
 
 
@@ -164,10 +167,10 @@ def _limits_table(rig, names, parents, still):
     return [*lines, ""]
 
 
-def _parts_tables(rig, names):
+def _parts_tables(rig, root):
     lines = [
         "# [parts.NAME]     # a partition: part = joints. Joints that are not named belong to the part above them.",
-        f"# body = [{_quote(names[0])}]",
+        f"# body = [{_quote(root)}]",
         "",
     ]
     for name, parts in rig.partitions.items():

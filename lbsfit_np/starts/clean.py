@@ -29,27 +29,45 @@ class TakingPart:
         Points that take part.
     more : int array
         Further ones of the body, which the last steps look at as well; none where all take part.
-    left_out : str
+    note : str
         Which do not, in words.
     scale : float
         How many of the scan's units a rig unit seems to have.
     below : int or None
         Which of the directions that may be up a floor lies below that is left out.
+    known : (n,) int8 array
+        Of each point of the scan: 1 of the body, 0 looked at and left out, −1 not looked at, −2 never to take part.
     among : (n,) bool array or None
         Which points of the scan may take part, where others lie beyond the end of the rig; None where all may.
     """
 
     rows: np.ndarray
     more: np.ndarray
-    left_out: str
+    note: str
     scale: float
     below: int | None
+    known: np.ndarray
     among: np.ndarray | None = None
 
     @property
     def every(self):
         """Rows of the points that the last steps look at, in order."""
         return np.union1d(self.rows, self.more)
+
+    @classmethod
+    def only(cls, rows, n):
+        """These rows of n points, and nothing left out."""
+        return cls(rows, rows[:0], "", 1.0, None, np.ones(n, np.int8))
+
+    def left_out(self, points):
+        """(n,) bool: which points of the scan, all of which are given, are none of the body, or shall not take part.
+
+        Few of a large scan's points are looked at: the others are judged by these.
+        """
+        others = np.flatnonzero(self.known == -1)
+        out = self.known != 1
+        out[others] = ~_of_the_same(points, self.rows, np.flatnonzero(self.known == 0), others)
+        return out
 
     @property
     def floor_elsewhere(self):
@@ -95,14 +113,14 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     rows, same = _in_places_of_their_own(points, rows)
     drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
     sides = {"ups": ups, "body": None if labels is None else labels >= 0, "among": among}
-    body, left_out, below = _of_the_body(points, drawn, **sides)
+    body, note, below = _of_the_body(points, drawn, **sides)
     if len(drawn) < len(rows) and len(body) < _ENOUGH * most:
         enough = min(len(rows), int(most * most / max(len(body), most // 10)))
         drawn = np.sort(rng.choice(rows, enough, replace=False))
-        body, left_out, below = _of_the_body(points, drawn, **sides)
+        body, note, below = _of_the_body(points, drawn, **sides)
     kept = body if len(body) <= most else np.sort(rng.choice(body, most, replace=False))
     told = f"{same} identical points left out" if same else ""
-    words = "; ".join(filter(None, (told, left_out)))
+    words = "; ".join(filter(None, (told, note)))
     if words and len(kept) < len(rig.parts):
         got = f"{len(kept)} point{'' if len(kept) == 1 else 's'} that may be of the body ({words})"
         raise InputError("points", got, f"at least {len(rig.parts)} points, one for each part")
@@ -110,38 +128,47 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     others = np.setdiff1d(rows, np.union1d(kept, dropped), assume_unique=True)
     if among is not None:
         others = others[among[others]]
+    known = np.full(len(points), -2, np.int8)
+    known[others], known[dropped], known[body] = -1, 0, 1
     if labels is not None and labels[kept].min() >= 0:  # where steps go by labels, they go by all
         others = others[labels[others] >= 0]
     more = _alike(points, kept, dropped, others, (_LAST - 1) * most, rng)
-    return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale, unit).scale, below, among)
+    return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale, unit).scale, below, known, among)
 
 
 def _of_the_body(points, drawn, *, among, **sides):
     """:func:`clean_rows`, without what lies beyond the end of the rig, which is told as well."""
-    body, left_out, below = clean_rows(points, drawn, **sides)
+    body, note, below = clean_rows(points, drawn, **sides)
     if among is None:
-        return body, left_out, below
+        return body, note, below
     within = body[among[body]]
     share = 1.0 - len(within) / max(len(body), 1)
     ends = f"the scan seems to go on beyond the rig: {share:.0%} of its points left out"
-    return within, "; ".join(filter(None, (ends, left_out))), below
+    return within, "; ".join(filter(None, (ends, note))), below
 
 
 def _alike(points, kept, dropped, others, most, rng):
-    """Some of the other rows, at most so many: those as near to a row that was kept as these are to each other.
+    """Some of the other rows, at most so many, that are of the same as those that were kept."""
+    if not len(others) or len(kept) < 2:
+        return others[:0]
+    others = others if len(others) <= most else np.sort(rng.choice(others, most, replace=False))
+    return others[_of_the_same(points, kept, dropped, others)]
+
+
+def _of_the_same(points, kept, dropped, others):
+    """Of other rows, (len(others),) bool, which are as near to a row that was kept as these are to each other.
 
     What lies nearer to one that was dropped, or is far from all, may be of what that is of.
     """
     from scipy.spatial import cKDTree
 
     if not len(others) or len(kept) < 2:
-        return others[:0]
-    others = others if len(others) <= most else np.sort(rng.choice(others, most, replace=False))
+        return np.zeros(len(others), dtype=bool)
     tree = cKDTree(points[kept])
     apart = tree.query(points[kept], k=2)[0][:, 1].max()
     away = tree.query(points[others])[0]
     beside = cKDTree(points[dropped]).query(points[others])[0] if len(dropped) else np.inf
-    return others[(away <= apart) & (away < beside)]
+    return (away <= apart) & (away < beside)
 
 
 def _in_places_of_their_own(points, rows):

@@ -123,7 +123,7 @@ def _in_known_unit(ratio, rig, mode, unit):
             "unit",
             f"{unit!r}, in which the scan's extent is {size:.3g} times the rig's",
             f"the scan's unit, in which it is {least / _SUBJECTS:g} to {most * _SUBJECTS:g} times the rig's",
-            "Pass the scan's unit, or None (--unit auto) to have it found.",
+            "Pass the scan's unit, or None (--unit auto) to have it found; or correct the rig's unit in a card.",
         )
     same = least <= size <= most
     return ReferenceScale(scale if same else ratio, f"the scan is in {WORDS[unit]}")

@@ -22,6 +22,7 @@ from ...optimize.lbfgs import minimise
 from ...optimize.model import Model
 from ...optimize.problem import Evaluation, Problem
 from ...skinning import skin_adjoint
+from ...starts.clean import TakingPart
 from ...threads import one_thread
 
 __all__ = ["OracleFit"]
@@ -73,7 +74,7 @@ class OracleFit:
             problem,
             last,
             points=points,
-            rows=np.arange(len(points)),
+            part=TakingPart.only(np.arange(len(points)), len(points)),
             frame=frame,
             sigma=self.settings.refinements[-1],
             weights=self.settings.weights.replace(lam_s=0.0),
