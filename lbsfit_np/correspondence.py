@@ -3,6 +3,7 @@
 import numpy as np
 
 from .errors import InputError, as_array, check_array, check_unmasked
+from .losses.checks import check_set
 from .neighbors import PointIndex
 from .optimize.surface import closest_on_mesh, faces_around
 
@@ -12,6 +13,9 @@ __all__ = ["at_places", "surface_places", "transfer"]
 _CHUNK, _PAIRS = 20_000, 200_000
 # Triangles of one kind that a point is compared with at first; four times as many where these may not be all that matter.
 _FIRST = 4
+# Points are taken to be no farther from a mesh than so many times its size, and from the origin than so far: squares of more
+# leave double precision, or are of no use.
+_FARTHEST, _WILD = 1e6, 1e150
 
 
 def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
@@ -46,12 +50,18 @@ def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
     a = _checked_points("registration_a", registration_a)
     b = check_array("registration_b", registration_b, a.shape)
     faces = _checked_faces(faces, len(a))
+    for name, placed in (("registration_a", a), ("registration_b", b)):
+        check_set(name, placed)
     snap_to = None if snap_to is None else _checked_points("snap_to", snap_to)
     if snap_to is not None and not len(snap_to):
         raise InputError("snap_to", "an empty array", "points of scan B, shape (k, 3)", "Leave it out to skip snapping.")
-    corners, barycentric = surface_places(points, a, faces)
+    low, high = a.min(axis=0), a.max(axis=0)
+    far = _FARTHEST * max((high - low).max(), np.finfo(float).tiny)
+    corners, barycentric = surface_places(np.clip(points, low - far, high + far), a, faces)
     found = at_places(corners, barycentric, b)
-    return found if snap_to is None else snap_to[PointIndex(snap_to).nearest(found)]
+    if snap_to is None:
+        return found
+    return snap_to[PointIndex(np.clip(snap_to, -_WILD, _WILD)).nearest(found)]
 
 
 def surface_places(points, vertices, faces):

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from .errors import InputError
+
 __all__ = ["PointIndex"]
 
 # Parts are set apart along x by this many diameters, so that one tree serves all parts and never mixes them.
@@ -16,14 +18,28 @@ class PointIndex:
     points : (n, 3) array
         The points to search in.
     labels : (n,) int array, optional
-        Parts. When given, a query of part p finds the nearest point of part p only.
+        Parts, from 0. When given, a query of part p finds the nearest point of part p only.
     moving : bool, default False
         True for a set that is rebuilt at every evaluation: the tree is then built faster and searched a little more slowly.
+
+    Raises
+    ------
+    InputError
+        Labels that are no whole numbers from 0.
     """
 
     def __init__(self, points, labels=None, *, moving=False):
         from scipy.spatial import cKDTree
 
+        points = np.asarray(points)
+        if labels is not None:
+            labels = np.asarray(labels)
+            if labels.shape != points.shape[:1] or labels.dtype.kind not in "iu":
+                got = f"{labels.dtype} values of shape {labels.shape}"
+                raise InputError("labels", got, f"whole numbers of shape ({len(points)},), one for each point")
+            if len(labels) and labels.min() < 0:
+                remedy = "Give points whose part is not known a part that no vertex has, such as len(rig.parts)."
+                raise InputError("labels", f"{labels.min()} at index {labels.argmin()}", "whole numbers of at least 0", remedy)
         self.points = points
         self.labels = labels
         if labels is not None:

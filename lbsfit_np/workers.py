@@ -1,5 +1,6 @@
 """The same work on many tasks, in this process or in others, with the same answers."""
 
+import os
 import pickle
 import traceback
 from collections import deque
@@ -12,7 +13,13 @@ from .interrupts import passing_interrupts
 from .processes import Note, Unsent, Workers
 from .threads import one_thread
 
-__all__ = ["as_they_may", "beside", "each"]
+__all__ = ["as_they_may", "beside", "each", "processors"]
+
+
+def processors():
+    """How many processors this process may use, which on shared machines are fewer than there are."""
+    allotted = getattr(os, "sched_getaffinity", None)
+    return len(allotted(0)) if allotted else os.cpu_count() or 1
 
 
 def each(work, tasks, *, jobs=1, done=None, answered=None):

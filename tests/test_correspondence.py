@@ -137,6 +137,17 @@ def test_one_point_and_none(tube_rig, poses):
     assert lbs.transfer(np.empty((0, 3)), *poses, tube_rig.faces).shape == (0, 3)
 
 
+def test_wild_points_spoil_no_others(tube_rig, poses):
+    """Such as programs write for no depth: fits leave them out, and whoever carries a whole scan has them among the others."""
+    most = np.finfo(float).max
+    for far in (1e7, 1e160, most):
+        wild = np.array([[far, 0.0, 0.0], [-far, far, far]])
+        found = lbs.transfer(np.vstack([poses[0], wild]), *poses, tube_rig.faces, snap_to=np.vstack([poses[1], wild]))
+        np.testing.assert_allclose(found[:-2], poses[1], atol=1e-9)
+        assert np.isfinite(found).all()
+    assert lbs.transfer(poses[0], *poses, tube_rig.faces, snap_to=np.full((1, 3), most)).max() == most
+
+
 @pytest.mark.parametrize(
     "change, words",
     [
@@ -145,6 +156,7 @@ def test_one_point_and_none(tube_rig, poses):
         ({"points": [[0, 0, 0], [1]]}, ["points", "different lengths"]),
         ({"points": np.ma.masked_less(np.eye(3), 0.5)}, ["points: got a masked array with 3 of 3 rows masked"]),
         ({"registration_a": np.zeros(3)}, ["registration_a", "(3,)"]),
+        ({"registration_a": np.full((242, 3), 1e200)}, ["registration_a: got coordinates of up to 1e+200"]),
         ({"registration_b": np.zeros((5, 3))}, ["registration_b: got shape (5, 3)"]),
         ({"faces": np.zeros((0, 3), int)}, ["faces", "at least one triangle", "rig.faces"]),
         ({"faces": np.zeros((2, 3))}, ["faces", "float64", "whole numbers"]),

@@ -31,6 +31,7 @@ BAD_FITS = [
     ({"points": lambda p: _with(p, 3, np.inf)}, ["points: got 1 of 1000", "index 3"]),
     ({"points": lambda p: 1e200 * p}, ["points", "extent"]),
     ({"labels": np.zeros(5, int)}, ["labels: got shape (5,)", "(1000,)"]),
+    ({"labels": [[1], [1, 2]]}, ["labels: got rows of different lengths", "(1000,), one for each point"]),
     ({"labels": np.zeros(1000)}, ["labels", "float64", "integers that index rig.parts"]),
     ({"labels": np.full(1000, 4)}, ["labels: got 4 at index 0", "0 to 3"]),
     ({"labels": np.r_[0, 0, -2, np.zeros(997, int)]}, ["labels: got -2 at index 2", "-1 where the part is not known"]),

@@ -10,6 +10,7 @@ from fit_checks import assert_same, mean_error
 from small_rigs import make_tube_rig
 
 import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.search import Search
@@ -34,6 +35,20 @@ def test_without_labels_a_known_start_is_put_where_the_scan_is(tube_rig, tube_sc
     np.testing.assert_array_equal(start.theta, theta)
     centre = np.average(X, axis=0, weights=weights)
     np.testing.assert_allclose(model.areas @ model.deformed(start).vertices, centre, atol=1e-12)
+
+
+@pytest.mark.parametrize("unit", [None, "m"])
+def test_in_a_fixed_scale_labels_may_be_of_a_part(tube_rig, tube_scan, unit):
+    """Whose extent says nothing of the unit; without labels it is refused, with words for this case."""
+    fitter = lbs.LBSFitter(tube_rig, scale="fixed", unit=unit, orientation="aligned", random_state=0)
+    of, scale = tube_scan.labels == 3, 1.0 if unit is None else tube_rig.metres_per_unit
+    points, labels = scale * tube_scan.points[of], tube_scan.labels[of]
+    r = fitter.fit_scan(points, labels=labels)
+    assert r.scale == scale and r.left_out.mean() < 0.1
+    away = np.linalg.norm(points[:, None] - r.vertices[tube_rig.vertex_labels == 3], axis=2).min(axis=1)
+    assert away.mean() < 0.1 * scale * tube_rig.size
+    with pytest.raises(InputError, match="If it shows a part of the body alone, give its labels"):
+        fitter.fit_scan(points)
 
 
 def test_a_start_outside_the_limits_is_moved_inside(shared_rigs, tube_rig, fitter, tube_scan):

@@ -223,10 +223,10 @@ def test_a_learned_fit_in_doubt_tells_what_would_look_further(effort, tube_rig, 
     m.state = Model(tube_rig).rest()
     settings = FitSettings(effort=effort, full_iterations=1)
     given = tube_rig, {0: tube_rig}, "follow", collection, settings, Facing(), None
-    (r,) = finish.results_of(*given, jobs=1, progress=lambda *told: None)
+    (r,) = finish.results_of(*given, other_limbs=True, jobs=1, progress=lambda *told: None)
     assert ("effort 'balanced' (--effort balanced) looks further" in r.message) == (effort == "fast")
     monkeypatch.setattr("lbsfit_np.fitting.template_fit.TemplateFit.proportions", lambda *given: 1.0)  # somebody else
-    (r,) = finish.results_of(*given, jobs=1, progress=lambda *told: None)
+    (r,) = finish.results_of(*given, other_limbs=True, jobs=1, progress=lambda *told: None)
     assert "looks further" not in r.message
 
 

@@ -306,7 +306,7 @@ def test_all_scans_of_a_subject_in_doubt_are_measured_on_its_template(jobs, tube
     monkeypatch.setattr(finish, "_others", lambda members, sizes: measured.extend(sizes) or others(members, sizes))
     told, settings = [], FitSettings(full_iterations=1)
     given = tube_rig, {"a": tube_rig, "b": tube_rig}, "follow", collection, settings, Facing(), None
-    results = finish.results_of(*given, jobs=jobs, progress=lambda stage, share: told.append((stage, share)))
+    results = finish.results_of(*given, other_limbs=True, jobs=jobs, progress=lambda stage, share: told.append((stage, share)))
     assert [size is not None for size in measured] == [True, True, True, False]
     assert all(results) and {stage for stage, _ in told} == {"results"}
     shares = [share for _, share in told]
@@ -327,7 +327,7 @@ def test_a_result_hangs_on_the_scales_of_its_subjects_others(tube_rig, few_scans
     for others, anew in (([1.0, 1.0, 1.0], [0, 1, 2]), ([1.0, 1.0, 1.0], []), ([1.0, 1.4, 1.0], [1])):
         made.clear()
         monkeypatch.setattr(finish, "_others", lambda members, sizes, others=others: others)
-        finish.results_of(*given, **options)
+        finish.results_of(*given, other_limbs=True, **options)
         assert made == anew
 
 

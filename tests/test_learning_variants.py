@@ -6,7 +6,7 @@ from learning_runs import SMALL, collected, loop_over, mean_gap
 
 from lbsfit_np import LBSFitter
 from lbsfit_np.errors import InputError
-from lbsfit_np.learning import pretraining
+from lbsfit_np.learning import finish, pretraining
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.variants import VARIANTS, as_variant
 from lbsfit_np.losses.objective import PRESETS
@@ -110,6 +110,20 @@ def test_without_the_library_limbs_are_not_tried_in_its_poses(make_learner, few_
     fitter.segmenter_, fitter.regressor_ = None, fitter._pretrained[1]
     fitter.fit_scan(few_scans[0].points)
     fitter.fit([s.points for s in few_scans[:3]]).fit_scan(few_scans[3].points)
+
+
+@pytest.mark.parametrize("variant", ["cd", "joint"])
+def test_results_try_limbs_where_the_rounds_do(variant, make_learner, few_scans, monkeypatch):
+    """Points are taken for those of a limb, of which Chamfer alone knows nothing."""
+    tried, made = [], finish.TemplateFit
+
+    def watched(*given, other_limbs=True):
+        tried.append(other_limbs)
+        return made(*given, other_limbs=other_limbs)
+
+    monkeypatch.setattr(finish, "TemplateFit", watched)
+    make_learner(variant=variant).fit([s.points for s in few_scans[:3]])
+    assert set(tried) == {variant == "joint"}
 
 
 def test_variants_train_on_what_they_say(tube_rig, make_learner, few_scans):

@@ -12,7 +12,10 @@ import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.tasks import Labels
 from lbsfit_np.rig.build import build_rig
+from lbsfit_np.segmentation import segmenter
+from lbsfit_np.segmentation.context import CONTEXT_POINTS
 from lbsfit_np.segmentation.segmenter import Segmenter
+from lbsfit_np.segmentation.stage import Stage
 
 
 @pytest.mark.parametrize(
@@ -89,6 +92,23 @@ def test_points_far_away_do_not_change_the_labels_of_the_others(small_segmenter,
         found = small_segmenter.predict_proba(np.insert(tube_scan.points, at, places, axis=0), views=views)
         np.testing.assert_allclose(np.delete(found, [at, at + 1], axis=0), alone, atol=1e-5)
         np.testing.assert_allclose(found.sum(axis=1), 1.0, atol=1e-6)
+
+
+@pytest.mark.parametrize("views", [1, 4])
+def test_many_points_are_labelled_in_pieces(small_segmenter, tube_scan, monkeypatch, views):
+    """Of a scan of millions, what describes them all at once would fill memory; each piece has the context of the whole scan."""
+    whole, seen, most = small_segmenter.predict_proba(tube_scan.points, views=views), [], 150
+    predict = Stage.predict_proba
+
+    def watched(self, x):
+        seen.append(len(x))
+        return predict(self, x)
+
+    monkeypatch.setattr(Stage, "predict_proba", watched)
+    monkeypatch.setattr(segmenter, "_BLOCK", most)
+    pieces = small_segmenter.predict_proba(tube_scan.points, views=views)
+    np.testing.assert_allclose(pieces, whole, atol=1e-5)
+    assert max(seen) <= most + CONTEXT_POINTS and len(seen) == 2 * views * -(-len(tube_scan.points) // most)
 
 
 def test_a_scan_far_from_the_origin_has_the_same_labels(small_segmenter, tube_scan):

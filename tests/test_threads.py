@@ -1,5 +1,6 @@
 """Work that is done in one process has linear algebra on one thread, as in many processes; afterwards all is as before."""
 
+import threading
 from types import SimpleNamespace
 
 import numpy as np
@@ -84,6 +85,29 @@ def test_work_is_done_on_one_thread(what, monkeypatch):
     with pytest.raises(_Seen) as seen:
         WORK[what](monkeypatch)
     assert seen.value.args == ({1},)
+
+
+def test_beside_each_other_the_last_to_leave_lifts_the_limit():
+    """Threads of one process share its limit, in whatever order they come and go."""
+    both_in, first_out, seen = threading.Barrier(2), threading.Event(), {}
+
+    def first():
+        with one_thread():
+            both_in.wait(10)
+        first_out.set()
+
+    def second():
+        with one_thread():
+            both_in.wait(10)
+            first_out.wait(10)
+            seen["inside"] = _blas()
+
+    threads = [threading.Thread(target=work) for work in (first, second)]
+    for t in threads:
+        t.start()
+    for t in threads:
+        t.join(20)
+    assert seen == {"inside": {1}} and _blas() == {2}
 
 
 def test_within_each_other_the_outer_one_holds():

@@ -1,9 +1,10 @@
 """Where figures come from: versions, the machine, and the commit of the code."""
 
-import os
 import platform
 import subprocess
 from pathlib import Path
+
+from ..workers import processors
 
 __all__ = ["environment", "installed"]
 
@@ -13,14 +14,13 @@ def environment():
     from .. import __version__
 
     libraries = ("numpy", "scipy", "scikit-learn")
-    affinity = getattr(os, "sched_getaffinity", None)
     return {
         "lbsfit_np": __version__,
         **{name: installed(name) for name in libraries},
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
-        "cpus": len(affinity(0)) if affinity else os.cpu_count(),
+        "cpus": processors(),
         "commit": _commit(),
     }
 

@@ -1,6 +1,5 @@
 """``lbsfit demo``: a scan with known truth, fitted as a user would fit it, and compared with that truth."""
 
-import os
 import shlex
 import time
 from pathlib import Path
@@ -67,6 +66,7 @@ def _run(arguments):
     from ..io.write import write_npz, write_points_ply
     from ..report.fit_picture import fit_picture
     from ..report.render import write_png
+    from ..workers import processors
 
     started = time.perf_counter()
     values = settings(arguments, _OPTIONS)
@@ -82,7 +82,7 @@ def _run(arguments):
     }
     chosen = {option.key: option.default for option in OPTIONS} | {
         "output": str(out), "card": "none", "seed": values["seed"], "training_scans": values["training_scans"],
-        "jobs": min(2, os.cpu_count() or 1),
+        "jobs": min(2, processors()),
     }  # fmt: skip
     fits = [out / f"scan.{ending}" for ending in ("fit.npz", "mesh.ply", "labels.ply")]
     check_outputs([*paths.values(), *fits, out / SUMMARY], out, inputs=[values["rig"]], existing=values["existing"])

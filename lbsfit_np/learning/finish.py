@@ -22,8 +22,12 @@ __all__ = ["results_of"]
 _SIZES = 0.2
 
 
-def results_of(rig, templates, joints, collection, settings, facing, prior, *, jobs, progress, checkpoint=NO_CHECKPOINT):
+def results_of(
+    rig, templates, joints, collection, settings, facing, prior, *, other_limbs, jobs, progress, checkpoint=NO_CHECKPOINT
+):
     """The results of the scans that the loop has left poses of; those that the checkpoint has are not made again.
+
+    ``other_limbs`` as for ``Refit``.
 
     Returns
     -------
@@ -35,7 +39,7 @@ def results_of(rig, templates, joints, collection, settings, facing, prior, *, j
     sizes = [None] * len(collection.members)
     if doubted:
         share = _SIZES
-        work = _Sizes(rig, models, settings, doubted)
+        work = _Sizes(rig, models, settings, other_limbs, doubted)
         done = {"jobs": jobs, "done": lambda p: progress("results", share * p)}
         sizes = collection.work(work, collection.members, **done, taught=True)
     tasks = list(zip(collection.members, sizes, _others(collection.members, sizes), strict=True))
@@ -44,7 +48,7 @@ def results_of(rig, templates, joints, collection, settings, facing, prior, *, j
     for m, size, others in tasks:
         on = templates[m.subject]
         kept.append(checkpoint.slot("result", (m, size, others, on.vertices, on.joints, further, prior)))
-    work = _Finish(rig, models, settings, further, prior)
+    work = _Finish(rig, models, settings, other_limbs, further, prior)
     done = {"jobs": jobs, "done": lambda p: progress("results", share + (1 - share) * p)}
     return collection.in_order(collection.work(work, tasks, **done, kept=kept, taught=True))
 
@@ -85,10 +89,14 @@ class _OnTemplates:
     rig: object
     models: Models
     settings: object
+    other_limbs: bool
 
     @cached_property
     def _fit(self):
-        return lru_cache(READY)(lambda subject: TemplateFit(self.rig, self.models[subject], self.settings))
+        return lru_cache(READY)(self._made)
+
+    def _made(self, subject):
+        return TemplateFit(self.rig, self.models[subject], self.settings, other_limbs=self.other_limbs)
 
 
 @dataclass(frozen=True)

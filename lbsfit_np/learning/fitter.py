@@ -264,7 +264,8 @@ class LBSFitter(BaseEstimator):
         )
         self._take(loop.run(), collection)
         made_of = self.rig, self.template_, self.joints, collection, settings, facing, self.pose_prior_
-        results = results_of(*made_of, jobs=jobs, progress=progress, checkpoint=checkpoint)
+        how = {"other_limbs": variant.library, "jobs": jobs, "progress": progress, "checkpoint": checkpoint}
+        results = results_of(*made_of, **how)
         return self._finished(collection, results)
 
     def _made_of(self, seed, segmenter=None, library=None):

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from sklearn.exceptions import NotFittedError
 
-from ..errors import InputError, brief, check_array, check_unmasked, counted, did_you_mean
+from ..errors import InputError, as_array, brief, check_array, check_unmasked, counted, did_you_mean
 from ..fitting.effort import EFFORTS
 from ..fitting.scan_fit import FitSettings
 from ..losses.objective import as_weights
@@ -201,7 +201,7 @@ def check_scan(rig, variant, points, theta0, labels, point_weights):
 
 def _checked_labels(labels, n, parts):
     check_unmasked("labels", labels)
-    labels = np.asarray(labels)
+    labels = as_array("labels", labels, f"whole numbers of shape ({n},), one for each point")
     if labels.shape != (n,):
         of_parts = labels.shape == (n, len(parts))
         remedy = "For probabilities, pass the most probable parts: proba.argmax(axis=1)." if of_parts else None

@@ -43,11 +43,14 @@ def composite_structured_chamfer(X, Vd, V, x_labels, v_labels, *, lam=0.5, x_wei
 
 
 def _composite(loss, X, Vd, V, lam, labels, **options):
-    lam = check_number("lam", lam)
+    lam, one = check_number("lam", lam), Vd is V
+    Vd = check_set("Vd", Vd)  # the loss would call it V
+    if not one:
+        V = check_set("V", V)
+        check_same_length("V", V, "Vd", Vd)
     value, grad_Vd = loss(X, Vd, *labels, **options)
-    if Vd is V:  # no offsets: one search serves both
+    if one:  # no offsets: one search serves both
         return (1 + lam) * value, grad_Vd, lam * grad_Vd
-    check_same_length("V", check_set("V", V), "Vd", grad_Vd)
     if lam == 0:  # searching costs the same whatever λ
         return value, grad_Vd, np.zeros_like(grad_Vd)
     second, grad_V = loss(X, V, *labels, **options)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, as_array
+from ..errors import InputError, as_array, check_unmasked
 from ..triangles import face_areas
 from .checks import check_set
 
@@ -91,6 +91,7 @@ def laplacian_offsets(offsets, K, *, squared=False):
 
 
 def _faces(faces, m):
+    check_unmasked("faces", faces)
     faces = as_array("faces", faces, "integers of shape (F, 3)")
     if faces.ndim != 2 or faces.shape[1] != 3 or (faces.dtype.kind not in "iu" and faces.size):
         raise InputError("faces", f"{faces.dtype} values of shape {faces.shape}", "integers of shape (F, 3)")

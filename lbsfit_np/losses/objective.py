@@ -5,11 +5,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError, did_you_mean
-from .checks import check_number, check_same_length, check_set
+from .checks import check_index, check_labels, check_number, check_same_length, check_set
 from .composite import composite_chamfer, composite_structured_chamfer
 from .laplacian import laplacian_offsets, laplacian_posed
 
 __all__ = ["BOTH", "PLAIN", "PRESETS", "STRUCTURED", "LossWeights", "objective"]
+
+# Of weights.
+_LARGEST = 1e100
 
 
 @dataclass(frozen=True)
@@ -41,7 +44,10 @@ class LossWeights:
 
     def __post_init__(self):
         for name in ("chamfer", "lam", "lam_s", "lam_lap"):
-            object.__setattr__(self, name, check_number(name, getattr(self, name)))
+            value = check_number(name, getattr(self, name))
+            if value > _LARGEST:  # sums of weighted terms, and their gradients, would not be finite
+                raise InputError(name, f"{value:.3g}", f"at most {_LARGEST:.0e}")
+            object.__setattr__(self, name, value)
         if not isinstance(self.squared, (bool, np.bool_)):
             raise InputError("squared", repr(self.squared), "True or False")
         object.__setattr__(self, "squared", bool(self.squared))
@@ -148,6 +154,9 @@ def objective(
         grad_Vd += weights.chamfer * g_d
         grad_V += weights.chamfer * g
     if weights.lam_s and x_labels is not None:
+        if x_part_index is not None:  # the loss would call it x_index
+            X, x_labels = check_set("X", X), check_labels("x_labels", x_labels, len(X))
+            check_index("x_part_index", x_part_index, X, x_labels)
         terms["structured"], g_d, g = composite_structured_chamfer(
             X, Vd, V, x_labels, v_labels, lam=weights.lam, **sides, x_index=x_part_index
         )

@@ -47,7 +47,11 @@ class Descriptor:
         """Number of values that describe a point."""
         return self.n_probes + self.n_basis + 9
 
-    def __call__(self, points, rows=None):
+    def grid(self, points):
+        """The VoxelGrid of a scan that its points are described by."""
+        return VoxelGrid(points, self.voxel)
+
+    def __call__(self, points, rows=None, grid=None):
         """Describe points of a scan.
 
         Parameters
@@ -56,12 +60,14 @@ class Descriptor:
             The scan, in half sizes of the rig, any origin.
         rows : (k,) int array, optional
             Which points to describe; all by default.
+        grid : VoxelGrid, optional
+            Of all points, where it is there already.
 
         Returns
         -------
         (k, size) float32 array
         """
-        grid = VoxelGrid(points, self.voxel)
+        grid = self.grid(points) if grid is None else grid
         x = ((points if rows is None else points[rows]) - grid.centre).astype(np.float32)
         out = np.empty((len(x), self.size), dtype=np.float32)
         probes = directions(self.n_probes, 1) * np.geomspace(self.nearest, self.farthest, self.n_probes)[:, None]

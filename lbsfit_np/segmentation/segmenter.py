@@ -11,7 +11,7 @@ from ..losses.checks import as_float, check_set
 from ..rotations import matrix_from_rotvec
 from ..seeds import generator
 from ..threads import one_thread
-from ..workers import each
+from ..workers import each, processors
 from .context import CONTEXT_POINTS, context, context_size
 from .descriptors import Descriptor, within_reach
 from .stage import LARGEST, Stage, Training, in_half_precision, train_stage
@@ -23,6 +23,8 @@ _FORMAT = 3
 _AXES = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 # By how much, radians, and how far the root has to turn either way in training for that; less where it turns less.
 _TURN, _ROOT = 0.25, 0.6
+# Points that are described at a time, of 6 KB each; those of a fit are not as many.
+_BLOCK = 8192
 # Coordinates of which differences are finite.
 _FINITE = 1e300
 
@@ -114,9 +116,9 @@ class Segmenter:
 
     def _proba(self, points, rows):
         """Probabilities of one view, in half sizes of the rig."""
-        if len(self.stages) == 1:
-            return self.stages[0].predict_proba(self.descriptor(points, rows))
-        return self.stages[1].predict_proba(_in_context(points, rows, self.descriptor, self.stages[0]))
+        *first, last = self.stages
+        described = _described(points, rows, self.descriptor, *first)
+        return np.concatenate([last.predict_proba(x) for x in described])
 
     def predict(self, points, *, scale=1.0, rows=None, views=4):
         """(k,) int: the most probable part of each point; arguments as in :meth:`predict_proba`."""
@@ -271,10 +273,7 @@ class _Describe:
             rng = generator(self.random_state, "segmenter points", i)
             of_the_body = np.flatnonzero(labels >= 0)  # clutter and floor are there to be seen, not to be learned
             rows = of_the_body[rng.choice(len(of_the_body), min(self.points_per_scan, len(of_the_body)), replace=False)]
-            if self.first is None:
-                X.append(self.descriptor(points, rows))
-            else:
-                X.append(_in_context(points, rows, self.descriptor, self.first))
+            X.extend(_described(points, rows, self.descriptor, *([] if self.first is None else [self.first])))
             y.append(labels[rows])
         return in_half_precision(np.concatenate(X)), np.concatenate(y)
 
@@ -294,7 +293,6 @@ def _describe_all(describe, start, stop, jobs, progress):
 def jobs_of(n_jobs, random_state):
     """The number of processes to use."""
     import multiprocessing
-    import os
 
     if n_jobs is None:
         return 1
@@ -305,19 +303,26 @@ def jobs_of(n_jobs, random_state):
         return 1  # copies of it in several processes would draw the same numbers for different scans
     if multiprocessing.current_process().daemon:
         return 1  # such a process may not start others
-    return int(n_jobs) if n_jobs > 0 else os.cpu_count() or 1
+    return int(n_jobs) if n_jobs > 0 else processors()
 
 
-def _in_context(points, rows, descriptor, first):
-    """Descriptors of some points, with the context that the first stage gives them."""
+def _described(points, rows, descriptor, first=None):
+    """Descriptors of some points of a scan, with the context that a first stage gives them; block by block, to bound memory."""
+    grid, seen = descriptor.grid(points), None
+    blocks = [rows[start : start + _BLOCK] for start in range(0, len(rows), _BLOCK)]
+    if first is None:
+        yield from (descriptor(points, block, grid) for block in blocks)
+        return
     # Evenly spread rows of a scan in its own order: no randomness where one scan has to be labelled.
     # One that is far away would shift the centre of all.
     near = np.flatnonzero(within_reach(points))
     around = near[np.linspace(0, len(near) - 1, min(CONTEXT_POINTS, len(near))).astype(int)]
-    own = descriptor(points, np.concatenate([rows, around]))
-    proba = first.predict_proba(own)
-    k = len(rows)
-    return np.hstack([own[:k], context(points[rows], proba[:k], points[around], proba[k:])])
+    for block in blocks:
+        k = len(block)
+        own = descriptor(points, block if seen is not None else np.concatenate([block, around]), grid)
+        proba = first.predict_proba(own)
+        seen = proba[k:] if seen is None else seen
+        yield np.hstack([own[:k], context(points[block], proba[:k], points[around], seen)])
 
 
 def _checked_rows(rows, n):

@@ -133,7 +133,8 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     if labels is not None and labels[kept].min() >= 0:  # where steps go by labels, they go by all
         others = others[labels[others] >= 0]
     more = _alike(points, kept, dropped, others, (_LAST - 1) * most, rng)
-    return TakingPart(kept, more, words, reference_scale(points[kept], rig, scale, unit).scale, below, known, among)
+    unit = reference_scale(points[kept], rig, scale, unit, whole=labels is None).scale
+    return TakingPart(kept, more, words, unit, below, known, among)
 
 
 def _of_the_body(points, drawn, *, among, **sides):

@@ -228,9 +228,9 @@ def _tried(limb, angles, grid, few, posed, state):
 
 def _spacing(vertices, some):
     """The largest distance of a vertex from the nearest of some."""
-    away = np.full(len(vertices), np.inf)
-    for v in some:
-        np.minimum(away, ((vertices - v) ** 2).sum(axis=1), out=away)
+    away, (x, y, z) = np.full(len(vertices), np.inf), np.ascontiguousarray(vertices.T)
+    for a, b, c in some:  # coordinate by coordinate, which takes a tenth of the time of rows
+        np.minimum(away, (x - a) ** 2 + (y - b) ** 2 + (z - c) ** 2, out=away)
     return float(np.sqrt(away.max()))
 
 

@@ -30,6 +30,8 @@ _NEIGHBOURS, _LONELY = 6, 5.0
 
 # A pose can fold a body to a fraction of its rest extent but hardly stretch it: a ratio in this range is one unit for both.
 _SAME_UNIT = 0.4, 1.8
+# What else helps where scales are fixed and a scan is smaller than that.
+_PART = " If it shows a part of the body alone, give its labels (in Python)."
 # People of one unit differ by less than this factor.
 _PEOPLE = 1.6
 # Scans of one person, as fits find it, by less than this.
@@ -60,7 +62,7 @@ def sizes_in(rig, unit):
     return {} if unit is None else {"unit": unit_scale(rig, unit), "within": _SUBJECTS}
 
 
-def reference_scale(points, rig, mode, unit=None):
+def reference_scale(points, rig, mode, unit=None, *, whole=True):
     """Scan units in a rig unit.
 
     Parameters
@@ -72,6 +74,8 @@ def reference_scale(points, rig, mode, unit=None):
         ``fixed``: scan and rig are in one unit, 1; a scan whose extent cannot be the rig's is an error.
     unit : {"m", "cm", "mm", "in", "ft"}, optional
         The scan's, where it is known; the rig's is then known, too.
+    whole : bool, default True
+        False where the scan may be known to show a part of the body: in a fixed scale it may then be as small as it is.
 
     Returns
     -------
@@ -88,15 +92,12 @@ def reference_scale(points, rig, mode, unit=None):
     """
     ratio = checked_extent(points) / extent(rig.vertices[~rig.loose])
     if unit is not None:
-        return _in_known_unit(ratio, rig, mode, unit)
+        return _in_known_unit(ratio, rig, mode, unit, whole)
     if mode == "fixed":
-        if not _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
-            raise InputError(
-                "scale",
-                f"'fixed' for a scan whose extent is {ratio:.3g} times the rig's",
-                "a scan in the rig's unit",
-                "Convert the scan, or pass scale='estimate' (--scale estimate), which finds the unit.",
-            )
+        if not _SAME_UNIT[0] * whole <= ratio <= _SAME_UNIT[1]:
+            got = f"'fixed' for a scan whose extent is {ratio:.3g} times the rig's"
+            remedy = "Convert the scan, or pass scale='estimate' (--scale estimate), which finds the unit."
+            raise InputError("scale", got, "a scan in the rig's unit", remedy + (_PART if ratio < 1 else ""))
         return ReferenceScale(1.0, "scale fixed at 1")
     if _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
         return ReferenceScale(1.0, "scan and rig are in one unit")
@@ -110,14 +111,14 @@ def reference_scale(points, rig, mode, unit=None):
     return ReferenceScale(ratio, _guess(ratio))
 
 
-def _in_known_unit(ratio, rig, mode, unit):
+def _in_known_unit(ratio, rig, mode, unit, whole):
     scale, (least, most) = unit_scale(rig, unit), _SAME_UNIT
     size = ratio / scale
     if mode == "fixed":
-        if not least <= size <= most:
+        if not least * whole <= size <= most:
             got = f"'fixed' for a scan in {unit!r} whose extent is {size:.3g} times the rig's"
             remedy = "Check unit (--unit), or pass scale='estimate' (--scale estimate), which finds the size."
-            raise InputError("scale", got, "a scan of the rig's size", remedy)
+            raise InputError("scale", got, "a scan of the rig's size", remedy + (_PART if size < 1 else ""))
     elif not least / _SUBJECTS <= size <= most * _SUBJECTS:
         raise InputError(
             "unit",
@@ -125,7 +126,7 @@ def _in_known_unit(ratio, rig, mode, unit):
             f"the scan's unit, in which it is {least / _SUBJECTS:g} to {most * _SUBJECTS:g} times the rig's",
             "Pass the scan's unit, or None (--unit auto) to have it found; or correct the rig's unit in a card.",
         )
-    same = least <= size <= most
+    same = mode == "fixed" or least <= size <= most
     return ReferenceScale(scale if same else ratio, f"the scan is in {WORDS[unit]}")
 
 
