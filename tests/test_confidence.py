@@ -74,6 +74,14 @@ def test_points_that_are_not_on_the_rig_are_not_explained(model, right):
     assert probability_of(NOTHING | {"distance": 0.55}) > 0.9 and probability_of(NOTHING | {"distance": 0.65}) == 0.25
 
 
+def test_of_a_part_alone_the_whole_is_not_known():
+    """Noise, too, makes guesses of many joints, and an arm less is no doubt of the others."""
+    perfect = dict.fromkeys(NOTHING, 0.0)
+    for guesses, missing, believed in ((0.5, 0.95, False), (0.5, 0.1, True), (0.3, 0.95, True), (0.0, 0.0, True)):
+        p = probability_of(perfect | {"part_unreached": missing}, guesses)
+        assert (p > 0.5) == believed and (p == 0.25) == (not believed)
+
+
 def test_points_count_as_much_as_they_weigh(model, right):
     state, X, labels = right
     proba = np.eye(len(model.source.parts))[labels]

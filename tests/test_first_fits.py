@@ -12,6 +12,7 @@ import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.learning import finish
 from lbsfit_np.learning.checkpoint import digest_of
 from lbsfit_np.learning.collection import Member
 from lbsfit_np.learning.first_fits import FirstFit
@@ -46,7 +47,7 @@ class _Scout:
     def __call__(self, points, *, once=False):
         self.of.append((len(points), once))
         problem = SimpleNamespace(evaluate=lambda *given: SimpleNamespace(value=0.5))
-        return SimpleNamespace(frame=None, state=self.of[-1], proba=None, problem=problem)
+        return SimpleNamespace(frame=None, state=self.of[-1], proba=None, problem=problem, value=0.5, rivals=(1.0, 1.5))
 
     def is_sure(self, found):
         return self.sure
@@ -80,11 +81,26 @@ def _member(scan):
     return Member(0, scan.points, replace(TakingPart.only(rows, len(rows)), below=1), None, "ann", ups=UPS)
 
 
+@pytest.mark.parametrize("turn, rival", [(0.0, 1 / 1.25), (0.02, 1 / 1.25), (1.0, 0.0)])
+def test_results_know_the_rivals_of_first_fits(turn, rival, tube_rig, tube_scan):
+    """As long as the pose is still the one that they were rivals of: rounds do not look for them again."""
+    collection = collected(tube_rig, [tube_scan.points], held_out=0)
+    (m,) = collection.members
+    m.use_frame(1.0, tube_rig.size / 2)
+    m.state = Model(tube_rig).rest().replace(theta=tube_scan.pose)
+    first = tube_scan.pose.copy()
+    first[1, 0] += turn
+    m.first = first, (1.5, 1.25)
+    given = tube_rig, {0: tube_rig}, "follow", collection, FitSettings(full_iterations=1), Facing(), None
+    (r,) = finish.results_of(*given, other_limbs=True, jobs=1, progress=lambda *told: None)
+    assert r.evidence["rival"] == pytest.approx(rival)
+
+
 @pytest.mark.parametrize("settings, sure", [({}, True), ({"effort": "fast"}, False)])
 def test_a_first_fit_that_is_sure_or_fast_is_not_looked_at_again(hand, short_scan, settings, sure):
     fits, n = MadeFits(hand, short_scan), len(short_scan.points)
     work, scout = _first_fit(hand, fits, sure=sure, **settings)
-    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, None)
+    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, (2.0, 3.0), None)
     assert scout.of == [(n, False)] and not fits.of
 
 
@@ -94,7 +110,7 @@ def test_a_first_fit_in_doubt_is_of_what_lies_within_the_rig(hand, which, reques
     scan = request.getfixturevalue(which)
     n, arm, fits = len(scan.points), scan.labels < 0, MadeFits(hand, scan, all=("true", 0.2), hand=("true", 0.9))
     work, scout = _first_fit(hand, fits, sure=False)
-    _, state, _, _, part = work(work.task(_member(scan)))
+    _, state, _, _, _, part = work(work.task(_member(scan)))
     assert part.among[~arm].all() and part.among[arm].mean() < 0.25 and state == (len(part.rows), True)
     # The scout's word on the whole is taken for the fit of the whole.
     assert scout.of == [(n, which == "long_scan"), (part.among.sum(), True)]
@@ -106,7 +122,7 @@ def test_a_part_that_is_none_too_sure_is_not_learned_from(hand, short_scan):
     n, fits = len(short_scan.points), MadeFits(hand, short_scan, all=("true", 0.2), hand=("true", 0.3))
     fits.ends |= {"hand_end": ("turned", 0.1), "arm_end": ("turned", 0.1)}
     work, scout = _first_fit(hand, fits, sure=False)
-    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, None)
+    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, (2.0, 3.0), None)
     assert "hand" in fits.of and scout.of.count((n, False)) == 1
 
 
@@ -127,7 +143,7 @@ def test_of_a_long_scan_with_nothing_beyond_the_closer_look_is_taken(hand, long_
     fits = _FitsOfALook(hand, long_scan, all=("turned", 0.2), hand=("turned", 0.3), **ends)
     fits.closely = closely
     work, scout = _first_fit(hand, fits, sure=False)
-    assert work(work.task(_member(long_scan))) == (None, (n, False), 0.5, None, None)
+    assert work(work.task(_member(long_scan))) == (None, (n, False), 0.5, None, (2.0, 3.0), None)
     assert [once for m, once in scout.of if m == n] == [True, False]
 
 
@@ -153,7 +169,7 @@ def test_after_its_first_fit_a_member_is_what_lies_within_the_rig(tube_rig, few_
     among = np.arange(len(scans[0])) % 2 == 0
     part = TakingPart(np.flatnonzero(among), np.arange(0), "", 1.0, None, np.where(among, 1, -2).astype(np.int8), among)
     frame, state = Frame(np.zeros(3), loop.model.half), loop.model.rest().replace(scale=1.1)
-    monkeypatch.setattr(loop, "_work", lambda *given: [(frame, state, 0.01, None, part)] * 3)
+    monkeypatch.setattr(loop, "_work", lambda *given: [(frame, state, 0.01, None, (), part)] * 3)
     loop._first_fits()
     assert loop.collection.unit_by_extents == 1.0
     for m, x in zip(collection.members, scans, strict=True):

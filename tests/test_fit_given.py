@@ -37,6 +37,17 @@ def test_without_labels_a_known_start_is_put_where_the_scan_is(tube_rig, tube_sc
     np.testing.assert_allclose(model.areas @ model.deformed(start).vertices, centre, atol=1e-12)
 
 
+def test_with_labels_a_part_of_the_body_is_no_fit_of_all_of_it():
+    """Labels leave nothing that speaks against a pose but what the scan lacks: of a palm alone, all fingers are guesses."""
+    rig = lbs.load_rig("hand-coarse")
+    (scan,) = lbs.synthesize(rig, 1, poses="natural", random_state=7)
+    fitter = lbs.LBSFitter(rig, effort="fast", orientation="aligned", random_state=0)
+    of = scan.labels == 0
+    assert fitter.fit_scan(scan.points, labels=scan.labels).status == "ok"
+    palm = fitter.fit_scan(scan.points[of], labels=scan.labels[of])
+    assert palm.status != "ok" and "has no points" in palm.message
+
+
 @pytest.mark.parametrize("unit", [None, "m"])
 def test_in_a_fixed_scale_labels_may_be_of_a_part(tube_rig, tube_scan, unit):
     """Whose extent says nothing of the unit; without labels it is refused, with words for this case."""

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from posed_samples import joint_error, near, sampled, state_within
 
+from lbsfit_np.optimize import gauss_newton
 from lbsfit_np.optimize.gauss_newton import GaussNewton
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.state import Layout
@@ -85,6 +86,28 @@ def test_eliminated_unknowns_are_those_of_the_whole_system(shifting, subject, mo
             own = slice(k * n, (k + 1) * n)
             dx = np.linalg.solve(H[own, own], stretch * g[own] - H[own, 3 * n :] @ dc)
             np.testing.assert_allclose(layout.pack(after), np.clip(layout.pack(before) + dx, *layout.bounds()), atol=1e-8)
+
+
+def test_of_many_scans_no_more_is_held_than_their_equations(shifting, subject, monkeypatch):
+    """With the same template to the last bit; what equations are made of is let go of as soon as they are there."""
+    c, truths, problems, _ = subject
+    steps = GaussNewton(shifting, reach=0.05, tangential=0.02)
+    starts = [near(shifting, t, seed, angle=0.1).replace(coefficients=np.zeros_like(c)) for seed, t in enumerate(truths)]
+    expected, values = steps.shared(problems, starts, iterations=6)
+    made, make = [], gauss_newton._Normal.__init__
+
+    def watched(self, *given):
+        assert all(m._made_of is None for m in made)
+        make(self, *given)
+        made.append(self)
+
+    monkeypatch.setattr(gauss_newton, "_MANY", 2)
+    monkeypatch.setattr(gauss_newton._Normal, "__init__", watched)
+    found, found_values = steps.shared(problems, starts, iterations=6)
+    np.testing.assert_array_equal(found_values, values)
+    for a, b in zip(found, expected):
+        np.testing.assert_array_equal(a.theta, b.theta)
+        np.testing.assert_array_equal(a.coefficients, b.coefficients)
 
 
 def test_a_scan_of_weight_0_stays_and_does_not_count(shifting, subject):

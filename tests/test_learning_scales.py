@@ -164,7 +164,7 @@ def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_s
     loop = loop_over(tube_rig, collection, "cd", None)
     rest = loop.model.rest()
     frames = [replace(m.frame, unit=loop.model.half) for m in collection.members]
-    found = [(frame, rest.replace(scale=k), 0.01, None, None) for frame, k in zip(frames, scales)]
+    found = [(frame, rest.replace(scale=k), 0.01, None, (), None) for frame, k in zip(frames, scales)]
     monkeypatch.setattr(loop, "_work", lambda *given: found)
     with pytest.warns(UserWarning, match="scan 2: .*; not learned from"):
         loop._first_fits()
@@ -285,7 +285,7 @@ def test_a_doubt_that_has_come_to_nothing_is_not_said_of_a_fit_that_is_ok(status
 
     fit = SimpleNamespace(proportions=lambda *given: 0.0, finish=finished, refit=SimpleNamespace(turning=None))
     fit.model = SimpleNamespace(source=tube_rig)
-    work = finish._Finish(tube_rig, {}, SimpleNamespace(scale="estimate", unit=None), (), None)
+    work = finish._Finish(tube_rig, {}, SimpleNamespace(scale="estimate", unit=None), True, (), None)
     work.__dict__["_fit"] = lambda subject: fit
     assert work((m, finish._Size(1.0, m.state, own), 1.0)).message == ("odd; done" if said else "done")
     # A scale of its own was looked for where it has one.

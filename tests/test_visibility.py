@@ -6,7 +6,11 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.refit import plain_chamfer
+from lbsfit_np.losses.objective import PLAIN
+from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
+from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.surface import vertex_normals
 from lbsfit_np.optimize.visibility import camera_direction, shown
 from lbsfit_np.sensor import View, sample_surface
@@ -34,6 +38,25 @@ def test_faces_that_are_turned_inwards_are_turned_out(tube_rig):
     inside_out = replace(tube_rig, faces=tube_rig.faces[:, ::-1], vertices=tube_rig.vertices + 9.0, joints=tube_rig.joints + 9.0)
     np.testing.assert_array_equal(Model(inside_out).rig.faces, Model(tube_rig).rig.faces)
     np.testing.assert_array_equal(Model(tube_rig).rig.faces, tube_rig.welded.faces)
+
+
+def test_of_one_side_the_chamfer_distance_is_over_what_that_shows():
+    """Else it is mostly how far the hidden side is from the points: of right poses much in one view and little in another."""
+    rig = lbs.load_rig("hand-coarse")
+    model, half, middle = Model(rig), rig.size / 2, rig.joint_names.index("middle1")
+    found = []
+    for s in lbs.synthesize(rig, 12, poses="natural", random_state=5, one_sided=True, templates=[(rig.vertices, rig.joints)]):
+        frame = Frame(s.points.mean(axis=0), half * s.scale)
+        problem, place = Problem(frame.inside(s.points)), (s.translation - frame.centre) / frame.unit
+        wrong = s.pose.copy()
+        wrong[middle, 0] = rig.lower[middle, 0] if s.pose[middle, 0] > 0.7 else rig.upper[middle, 0]
+        right, wrong = (model.rest().replace(theta=theta, translation=place) for theta in (s.pose, wrong))
+        both = (right, True), (wrong, True), (right, False)
+        found.append([plain_chamfer(model, problem, state, partial=partial) for state, partial in both])
+        assert found[-1][2] == problem.evaluate(model.coarse, right, PLAIN).value
+    right, wrong, of_all = np.array(found).T
+    assert right.max() < 1.6 * np.median(right) and np.median(wrong) > 3.0 * np.median(right)
+    assert of_all.max() > 3.0 * np.median(of_all)
 
 
 @pytest.mark.parametrize("which", ["hand-coarse", "body-coarse"])

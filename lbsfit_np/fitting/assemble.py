@@ -138,6 +138,8 @@ def assemble(
         confidence = np.where(part.among, confidence, 0.0)
     took_part = np.zeros(len(points), dtype=bool)
     took_part[part.rows] = True
+    std = np.full(len(rig.parents), np.nan) if joint_std is None or not finite else joint_std * frame.unit
+    guesses = _guesses(rig, std / (scale * rig.size))
     evidence, probability, status, reason = {}, 0.0, "failed", "the fit is not finite; check the scan for extreme outliers"
     if finite and not judged:
         status, reason = "ok", ""
@@ -156,7 +158,7 @@ def assemble(
             x_weights=problem.x_weights,
             proportions=proportions,
         )
-        probability = probability_of(evidence)
+        probability = probability_of(evidence, len(guesses) / max(np.count_nonzero(rig.moving), 1))
         status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})
         if status != "ok":
             reason = "; ".join([reason, *further])
@@ -165,8 +167,7 @@ def assemble(
         if not partial and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
             words = "if the scan shows one side only, pass partial (--partial)"
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
-    std = np.full(len(rig.parents), np.nan) if joint_std is None or not finite else joint_std * frame.unit
-    guessed = "" if status == "failed" else _guessed(rig, std / (scale * rig.size))  # it is of a pose that is about right
+    guessed = "" if status == "failed" else _guessed(guesses)  # it is of a pose that is about right
     if not finite:
         found = ()
     elif status == "failed" and any(found):
@@ -212,16 +213,20 @@ def _terms(model, problem, state, weights, x_labels, pivot, turn):
     return L.terms | {"total": L.value, "recon": float(np.sqrt(chamfer(X, Vd, x_weights=problem.x_weights)[0]))}
 
 
-def _guessed(rig, std):
-    """Which joints are guesses, in words, by how precisely they are told in shares of the rig's size; the worst first.
+def _guesses(rig, std):
+    """Names of the joints that are guesses, by how precisely they are told in shares of the rig's size; the worst first.
 
     Joints without skin are left out, such as a root on the ground between the feet: no point could ever tell where they are.
     """
     skinned = rig.weights.sum(axis=0) > 0
     rows = np.flatnonzero(rig.moving & skinned & (std > GUESS))
-    if not len(rows):
+    return [rig.joint_names[j] for j in rows[np.argsort(-std[rows], kind="stable")]]
+
+
+def _guessed(names):
+    """Which joints are guesses, in words."""
+    if not names:
         return ""
-    names = [rig.joint_names[j] for j in rows[np.argsort(-std[rows], kind="stable")]]
     more = f" and {len(names) - _MOST_NAMED} more" if len(names) > _MOST_NAMED else ""
     return f"the scan hardly tells where these joints are (see joint_std): {', '.join(names[:_MOST_NAMED])}{more}"
 

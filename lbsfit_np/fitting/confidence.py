@@ -14,6 +14,7 @@ from ..optimize.visibility import shown
 
 __all__ = [
     "EVIDENCE",
+    "LEAST_SEEN",
     "MISFIT",
     "REGRESSED",
     "SOMEBODY_ELSE",
@@ -55,7 +56,7 @@ _ODD, _LONELY_ODD, _POINTS_PER_K, _MOST_K = 0.05, 2.8, 400, 6
 # Points and surface with no partner nearer than this, in half sizes, have none.
 _PARTNER = 0.08
 # A one-sided view that would leave less of the surface than this share is no view of this pose.
-_LEAST_SEEN = 0.2
+LEAST_SEEN = 0.2
 # Parts with less than this share of the surface are too small to be judged by themselves.
 _PART = 0.01
 # Evidence below this is as good as none.
@@ -191,7 +192,7 @@ def shown_problem(model, problem, state, partial):
     if partial:
         normals = vertex_normals(V, model.rig.faces)
         v_kept &= shown(V, normals, problem.X, normals[on], to_X)
-    if (x_kept.all() and v_kept.all()) or model.areas[v_kept].sum() < _LEAST_SEEN:
+    if (x_kept.all() and v_kept.all()) or model.areas[v_kept].sum() < LEAST_SEEN:
         return problem
     a = problem.x_weights if problem.x_weights is not None else np.full(len(problem.X), 1.0 / len(problem.X))
     return Problem(problem.X, a * x_kept / (a * x_kept).sum(), v_kept.astype(float))
@@ -278,15 +279,23 @@ _WEIGHTS = (0.0, -2.63, -1.31, -1.77, -0.56, -1.04, -0.41, -0.62, -1.89)
 _NOT_THE_RIG, _MOST_THEN = 0.6, 0.25
 # Nor one of fewer points than two for each angle, of "sparse": these can all lie on the mesh of a wrong pose.
 _TOO_FEW = 0.5
+# Nor one of a scan that lacks so much of the body that these are guesses, where it is not noise that makes them so: known labels
+# leave nothing else that speaks against it.
+_MOST_GUESSES, _MISSING = 0.4, 0.9
 # Below the first a fit has failed, below the second it is suspect.
 _FAILED, _SUSPECT = 0.05, 0.5
 
 
-def probability_of(evidence):
-    """The probability that the mean joint error is below 1.5 % of the rig's size."""
+def probability_of(evidence, guesses=0.0):
+    """The probability that the mean joint error is below 1.5 % of the rig's size.
+
+    ``guesses`` is the share of the joints whose places the scan hardly tells.
+    """
     p = float(1.0 / (1.0 + np.exp(-(_INTERCEPT + np.dot(_WEIGHTS, logarithms(evidence))))))
     most = {"distance": _NOT_THE_RIG, "proportions": SOMEBODY_ELSE, "sparse": _TOO_FEW}
-    return min(p, _MOST_THEN) if any(evidence[name] > value for name, value in most.items()) else p
+    doubted = any(evidence[name] > value for name, value in most.items())
+    doubted |= guesses > _MOST_GUESSES and evidence["part_unreached"] > _MISSING
+    return min(p, _MOST_THEN) if doubted else p
 
 
 def logarithms(evidence):

@@ -10,19 +10,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..losses.objective import BOTH, PLAIN, STRUCTURED
+from ..neighbors import PointIndex
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..optimize.precision import joint_std, told_angles
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, Layout, State
+from ..optimize.surface import vertex_normals
+from ..optimize.visibility import shown
 from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
 from .bends import Bends
+from .confidence import LEAST_SEEN
 from .effort import Effort
 from .labels import parts_of, refined_labels
 
-__all__ = ["LimbSearch", "Refit", "Runner", "distinct"]
+__all__ = ["LimbSearch", "Refit", "Runner", "distinct", "plain_chamfer"]
 
 # σ of the refined labels that lead a start from part centroids, in half sizes.
 _SIGMAS = (0.15, 0.07)
@@ -300,12 +304,27 @@ class Refit:
         return Runner(runner.problem, state, runner.name, value)
 
     def chamfer(self, problem, state):
-        """L_c(X, V), squared half sizes."""
-        return problem.evaluate(self.model.coarse, state, PLAIN).value
+        """L_c(X, V), squared half sizes, see :func:`plain_chamfer`."""
+        return plain_chamfer(self.model, problem, state, partial=self.partial)
 
     def _mine(self, state):
         """A state of another model as one of this: its template is this model's."""
         return state.replace(coefficients=np.zeros(self.model.n_coefficients), residual=None)
+
+
+def plain_chamfer(model, problem, state, *, partial):
+    """L_c(X, V), squared half sizes; of a scan that shows one side only, with the mean over the vertices that this shows.
+
+    How far those on the hidden side are from its points, which is most of L_c, says nothing of the pose.
+    """
+    if not partial:
+        return problem.evaluate(model.coarse, state, PLAIN).value
+    V = model.deformed(state).vertices
+    normals, to_X = vertex_normals(V, model.rig.faces), problem.x_index.nearest(V)
+    seen = shown(V, normals, problem.X, normals[PointIndex(V).nearest(problem.X)], to_X)
+    if model.areas[seen].sum() < LEAST_SEEN:
+        return problem.evaluate(model.coarse, state, PLAIN).value
+    return Problem(problem.X, problem.x_weights, seen.astype(float)).evaluate(model, state, PLAIN).value
 
 
 def distinct(runners, joints, alike):

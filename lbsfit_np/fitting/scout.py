@@ -26,13 +26,13 @@ from .effort import EFFORTS
 from .proportioned import Proportioned, step_options
 from .refit import LimbSearch, Refit, Runner, distinct
 
-__all__ = ["Found", "Scout"]
+__all__ = ["ALIKE", "Found", "Scout"]
 
 
 # Labels are read of so many points, under turns that are further apart than this, radians.
 _LABELLED, _ELSEWHERE = 900, 0.8
 # Poses whose joints are nearer than this on average, in half sizes, are one.
-_ALIKE = 0.03
+ALIKE = 0.03
 # Without proportions, the right pose may leave this many times as much unexplained as a wrong one.
 _RIVAL = 2.0
 # A pose that is right with less than this probability is worth a second look.
@@ -201,7 +201,7 @@ class Scout:
         return out
 
     def _distinct(self, runners):
-        return distinct(runners, self._joints, lambda r: _ALIKE * r.name.unit)
+        return distinct(runners, self._joints, lambda r: ALIKE * r.name.unit)
 
     def _facings(self, runners):
         """Frames under which labels are read: the best runner's, its half turns, and those of others that face elsewhere."""

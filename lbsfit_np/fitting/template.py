@@ -80,7 +80,7 @@ def shared_template(model, problems, states, losses, *, proba=None, dense=None, 
     losses : (k,) array
         How well each scan is explained; those far from the median are left out.
     proba : list of (n, n_parts) arrays, optional
-        The segmenter's probabilities; without them no labels are used.
+        The segmenter's probabilities, also in half precision; without them no labels are used.
     dense : list of Problem, optional
         The same scans with more of their points, for all steps without labels.
     prior : PosePrior, optional
@@ -104,7 +104,7 @@ def shared_template(model, problems, states, losses, *, proba=None, dense=None, 
     if proba is not None:
         for sigma in settings.sigmas:
             labels = [
-                refined_labels(p.X, proba[i], model.deformed(s).vertices, model.labels, sigma, doubt=0.8)
+                refined_labels(p.X, np.asarray(proba[i], float), model.deformed(s).vertices, model.labels, sigma, doubt=0.8)
                 for i, p, s in zip(keep, problems, states)
             ]
             states, _ = steps.shared(problems, states, labels=labels, iterations=settings.labelled_steps)

@@ -63,6 +63,8 @@ class Member:
         Neither learned from nor asked when to stop: it is in another unit than its subject's others, or its first fit is wrong.
     ratio : float
         The scale of its first fit to that of its subject's others, odd ones left out; 1 where it is alone, or scales are fixed.
+    first : ((J, 3) array or None, tuple of float)
+        The angles that its first fit found, and what rivals of that left unexplained, in what it left itself.
     own : (float, (J, 3) array, (k, n_parts) array or None) or None
         Where its unit is in doubt, the unit, angles and probabilities of the parts that its first fit found.
     """
@@ -85,6 +87,7 @@ class Member:
     doubt: str = ""
     apart: bool = False
     ratio: float = 1.0
+    first: tuple = (None, ())
     own: tuple = None
 
     @property

@@ -8,6 +8,7 @@ import numpy as np
 from ..fitting.confidence import SOMEBODY_ELSE
 from ..fitting.drawn import prior_of
 from ..fitting.scan_fit import further_words
+from ..fitting.scout import ALIKE
 from ..fitting.template_fit import TemplateFit
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
@@ -128,7 +129,7 @@ class _Finish(_OnTemplates):
         problem = m.problem
         proportions = fit.proportions(problem, m.state)
         further = () if proportions > SOMEBODY_ELSE else self.further  # it is not more effort that would help
-        place |= {"proportions": proportions, "further": further}
+        place |= {"proportions": proportions, "further": further, "value": 1.0, "rivals": _rivals(m, fit.model)}
         place |= {"notes": [m.role], "found": (unit,)}
         place["dense"] = m.part.every, Problem(m.dense_X) if len(m.part.more) else problem
         place["prior"] = prior_of(self.prior, m.noise, fit.refit.turning, m.prior)
@@ -136,6 +137,18 @@ class _Finish(_OnTemplates):
         if m.own is None and result.status == "ok":  # then only first fits were wrong
             m = replace(m, doubt="")
         return with_doubt(m, replace(result, subject=str(m.subject)))
+
+
+def _rivals(m, model):
+    """What rivals of its first fit leave of a scan, in what its pose leaves, as far as that is still the first fit's.
+
+    Rounds do not look for such poses again, seen from behind for one. A template helps them as much as it helps the pose.
+    """
+    theta, rivals = m.first
+    if not rivals:
+        return ()
+    now, then = (model.deformed(state).joints for state in (m.state, m.state.replace(theta=theta)))
+    return rivals if np.linalg.norm(now - then, axis=1).mean() <= ALIKE * m.state.scale else ()
 
 
 def _size(m, fit):

@@ -3,10 +3,12 @@
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
+import numpy as np
+
+from ..fitting.refit import plain_chamfer
 from ..fitting.result import FitResult
 from ..fitting.scan_fit import ScanFit
 from ..fitting.second_look import is_long, looked_at_again, may_go_on
-from ..losses.objective import PLAIN
 from ..optimize.model import Model
 from .tasks import finite, short
 
@@ -15,10 +17,11 @@ __all__ = ["FirstFit"]
 
 @dataclass(frozen=True)
 class FirstFit:
-    """A task → (Frame, State, L_c, probabilities or None, TakingPart or None), on the rig's own template with proportions.
+    """A task → (Frame, State, L_c, probabilities or None, rivals, TakingPart or None), on the rig's template with proportions.
 
-    The last is None, or what takes part without the points that are found to go on beyond the rig, as in fits of single scans
-    (``fitting.second_look``); the others are of that then.
+    ``rivals`` are what other poses leave unexplained, in what this one leaves. The last is None, or what takes part without the
+    points that are found to go on beyond the rig, as in fits of single scans (``fitting.second_look``); the others are of that
+    then.
     """
 
     model: Model
@@ -48,8 +51,9 @@ class FirstFit:
         return self._answer(found) if scout.is_sure(found) else self._looked_at_again(points, part, ups, found, long)
 
     def _answer(self, found, part=None):
-        loss = found.problem.evaluate(self.model.coarse, found.state, PLAIN).value
-        return found.frame, found.state, finite(loss), short(found.proba), part
+        loss = plain_chamfer(self.model, found.problem, found.state, partial=self.settings.partial)
+        rivals = tuple(value / max(found.value, np.finfo(float).tiny) for value in found.rivals)
+        return found.frame, found.state, finite(loss), short(found.proba), rivals, part
 
     def _looked_at_again(self, points, part, ups, found, long):
         """The answer for what lies within the rig, where a likelier fit that is "ok" finds something beyond; else for all.

@@ -219,11 +219,11 @@ class Loop:
         tasks = [work.task(m) for m in self.collection.members]
         answers = self._work(work, tasks, "first fits", [self._first_kept.slot(FIRST_FIT, task) for task in tasks])
         scales = {}
-        for m, (frame, state, loss, proba, part) in zip(self.collection.members, answers, strict=True):
+        for m, (frame, state, loss, proba, rivals, part) in zip(self.collection.members, answers, strict=True):
             if part is not None:
                 m.take(part)
             m.use_frame(frame.unit / half, half, frame.turn)
-            m.proba, m.loss = proba, loss
+            m.proba, m.loss, m.first = proba, loss, (state.theta, rivals)
             scales.setdefault(m.subject, []).append(state.scale * m.unit)
             m.state = state
         if unit is None:

@@ -56,7 +56,7 @@ class Template:
         problems, known = [Problem(X) for X in points], {"settings": TemplateSettings(partial=self.partial), "prior": self.prior}
         known["dense"] = [p if more is X else Problem(more) for p, X, more in zip(problems, points, dense)]
         if proba is not None:
-            known["proba"] = [in_full(p) for p in proba]
+            known["proba"] = proba
         return shared_template(self.model, problems, states, losses, **known)
 
 

@@ -38,6 +38,9 @@ _SLOW, _FURTHER, _FURTHEST = 0.3, 1.5, 3.0
 # No angle turns further in one step, radians: residuals know nothing of what lies behind the next turn. No translation is further
 # either, in half sizes, and no scale changes by a larger power of e.
 _LONGEST_TURN = 0.3
+# Of more scans at once, equations are made as soon as residuals are, though a step may not be taken: what they are made of, of a
+# body 1.4 MB and five times as much as they are, would fill memory.
+_MANY = 64
 
 
 class GaussNewton:
@@ -162,11 +165,15 @@ class GaussNewton:
         used = np.flatnonzero(weights > 0)
 
         def measure(states):
-            made = [self._normal_equations(problems[i], states[i], labels[i], layout, shared) for i in used]
-            for i, m in zip(used, made):
+            made = []
+            for i in used:
+                m = self._normal_equations(problems[i], states[i], labels[i], layout, shared)
                 if priors[i] is not None:
                     theta, held_by = priors[i]
                     m.hold((states[i].theta - theta)[layout.turning], as_weights(held_by, layout.turning))
+                if len(used) > _MANY:
+                    m.settle()
+                made.append(m)
             c = states[0].coefficients
             total = float(weights[used] @ [m.value for m in made]) + (self.ridge * float(c @ c) if shared else 0.0)
             return made, total
@@ -321,6 +328,10 @@ class _Normal:
         self._held.append((weights, weights @ away))
         self.value += float(away @ weights @ away)
 
+    def settle(self):
+        """Make the equations now, and let go of what they are made of."""
+        return self._equations
+
     @property
     def H(self):
         """(p, p)."""
@@ -333,7 +344,7 @@ class _Normal:
 
     @cached_property
     def _equations(self):
-        motion, residuals = self._made_of
+        (motion, residuals), self._made_of = self._made_of, None
         H, g = motion().normal_equations(*residuals)
         for weights, pull in self._held:
             n = len(pull)
