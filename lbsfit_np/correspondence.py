@@ -3,7 +3,6 @@
 import numpy as np
 
 from .errors import InputError, as_array, check_array, check_unmasked
-from .losses.checks import check_set
 from .neighbors import PointIndex
 from .optimize.surface import closest_on_mesh, faces_around
 
@@ -46,6 +45,8 @@ def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
         Points that are not finite numbers of shape (n, 3), registrations of different lengths, faces that do not index them, or
         no faces.
     """
+    from .losses.checks import check_set  # with all losses come libraries that commands shall not wait for
+
     points = _checked_points("points", points)
     a = _checked_points("registration_a", registration_a)
     b = check_array("registration_b", registration_b, a.shape)

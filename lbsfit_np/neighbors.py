@@ -38,7 +38,7 @@ class PointIndex:
                 got = f"{labels.dtype} values of shape {labels.shape}"
                 raise InputError("labels", got, f"whole numbers of shape ({len(points)},), one for each point")
             if len(labels) and labels.min() < 0:
-                remedy = "Give points whose part is not known a part that no vertex has, such as len(rig.parts)."
+                remedy = "Give points without a part one that the other side never has, such as len(rig.parts)."
                 raise InputError("labels", f"{labels.min()} at index {labels.argmin()}", "whole numbers of at least 0", remedy)
         self.points = points
         self.labels = labels

@@ -245,6 +245,15 @@ def test_a_fit_that_has_failed_asks_about_what_was_given(given, asks, rigs, monk
     assert r.message.startswith(f"a reason; is it the right rig{asks}")
 
 
+@pytest.mark.parametrize("limit", [True, False])
+def test_a_fit_that_has_failed_at_its_limits_asks_about_these(limit, rigs, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("failed", "a reason"))
+    model = Model(rigs["hand"])
+    state = model.rest().replace(theta=model.rig.upper.copy() if limit else np.zeros_like(model.rig.upper))
+    r = _at_rest(model, model.pose(state)[0].vertices, state=state)
+    assert ("is it the right rig, do its limits let joints turn as they do in the scan" in r.message) == limit
+
+
 def test_joints_without_skin_are_not_named_as_guesses(rigs):
     """No scan could tell where they are, such as a root on the ground between the feet."""
     rig, skinned = rigs["hand"], np.arange(16) != 5

@@ -331,7 +331,7 @@ def test_all_of_it_with_fits_of_its_own(own, tmp_path, run):
     for gone in ("training/scans/tr_scan_002.ply", "training/scans/tr_scan_011.ply", "test/scans/test_scan_019.ply"):
         (own / gone).unlink()  # fits are slow, and two scans of a person are as many as pairs need
     (own / "test" / "challenge_pairs" / "intra_challenge.txt").write_text("000_001\n")
-    quick = ("--training-scans", 120, "--rounds", 1, "--max-points", 500, "--effort", "fast")
+    quick = ("--training-scans", 240, "--rounds", 1, "--max-points", 1000, "--effort", "fast")
     out = tmp_path / "out"
     command = ("bench", "faust", own, "-o", out, "--rig", "body-coarse", "--pictures", 1, *quick)
     code, said, err = run(*command)

@@ -10,7 +10,7 @@ import pytest
 from cli_runs import help_alone
 
 from lbsfit_np.cli import learn, progress
-from lbsfit_np.cli.progress import LearningProgress, Progress, of_all, span
+from lbsfit_np.cli.progress import LearningProgress, Progress, in_digits, of_all, span
 from lbsfit_np.errors import counted
 from lbsfit_np.io.columns import ODD_X
 
@@ -254,3 +254,11 @@ def test_help(run):
 def test_help_is_quick():
     done = help_alone("learn")
     assert done.stdout.splitlines()[-1] == "[]", done.stdout + done.stderr
+
+
+@pytest.mark.parametrize(
+    "probability, text", [(0.93, "0.93"), (0.05, "0.05"), (0.0469, "0.047"), (0.4999, "0.4999"), (0.0, "0.00"), (0.5, "0.50")]
+)
+def test_a_probability_is_on_its_side_of_the_bounds(probability, text):
+    """A fit that has failed, below 0.05, is not said to be right with a probability of 0.05."""
+    assert in_digits(probability) == text

@@ -58,7 +58,7 @@ def test_in_a_fixed_scale_labels_may_be_of_a_part(tube_rig, tube_scan, unit):
     assert r.scale == scale and r.left_out.mean() < 0.1
     away = np.linalg.norm(points[:, None] - r.vertices[tube_rig.vertex_labels == 3], axis=2).min(axis=1)
     assert away.mean() < 0.1 * scale * tube_rig.size
-    with pytest.raises(InputError, match="If it shows a part of the body alone, give its labels"):
+    with pytest.raises(InputError, match="If it shows a part of the body alone, give fit_scan its labels"):
         fitter.fit_scan(points)
 
 

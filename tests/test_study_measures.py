@@ -10,6 +10,7 @@ from lbsfit_np.bench.study.data import SCAN, Size, part_groups
 from lbsfit_np.bench.study.measures import POINTS, Registrations, Truth, measured, template_gap, true_places
 from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import study
+from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.synthesis import SyntheticScan, synthesize
 
@@ -110,6 +111,22 @@ def test_a_scan_that_was_not_fitted_counts_in_no_truth(tube_rig, posed):
     V[1] = np.nan
     found = measured(truth, Registrations(V, np.array([s.joints for s in posed])))
     assert (found["recon_truth"], found["pose_truth"], found["unfitted"]) == (2.5, 6.0, 1)
+
+
+def test_registrations_are_of_all_scans_in_their_order(tube_rig, posed):
+    """One left out would have all after it compared with other scans; NaN says which could not be fitted."""
+    truth = Truth(tube_rig, posed, 6, 0)
+    V, joints = [s.vertices for s in posed], [s.joints for s in posed]
+    for given, words in (
+        (Registrations(V[1:], joints[1:]), r"registrations.vertices: got those of 2 scans; expected those of 3, one for each"),
+        (Registrations(V, joints[1:]), "registrations.joints: got those of 2 scans"),
+        (Registrations([V[0], V[1][1:], V[2]], joints), r"registrations.vertices: got an array of shape \(241, 3\) for scan 1"),
+        (Registrations(V, [*joints[:2], None]), r"registrations.joints: got an array of shape \(\) for scan 2"),
+    ):
+        with pytest.raises(InputError, match=words):
+            measured(truth, given)
+    for lost in ((V[:2] + [np.full_like(V[2], np.nan)], joints), (V, joints[:2] + [np.full_like(joints[2], np.nan)])):
+        assert measured(truth, Registrations(*lost))["unfitted"] == 1
 
 
 def test_the_poses_truth_has_the_regressors_joints(tube_rig):

@@ -99,15 +99,14 @@ def test_beside_each_other_the_last_to_leave_lifts_the_limit():
     def second():
         with one_thread():
             both_in.wait(10)
-            first_out.wait(10)
-            seen["inside"] = _blas()
+            seen["first out"], seen["inside"] = first_out.wait(10), _blas()
 
     threads = [threading.Thread(target=work) for work in (first, second)]
     for t in threads:
         t.start()
     for t in threads:
         t.join(20)
-    assert seen == {"inside": {1}} and _blas() == {2}
+    assert seen == {"first out": True, "inside": {1}} and _blas() == {2}
 
 
 def test_within_each_other_the_outer_one_holds():

@@ -24,7 +24,7 @@ _OPTIONS = (
 )
 
 _DESCRIPTION = """\
-Make a scan of a bundled rig, with noise, holes and uneven density, in a shape and pose that the fit does not know; fit it as
+Make a scan of a rig, with noise, holes and uneven density, in a shape and pose that the fit does not know; fit it as
 `lbsfit fit` does; print the errors against the truth; and draw a picture. This takes two to three minutes, mostly to
 train the segmenter on two cores if there are as many; what it trains is kept for the next time.
 """

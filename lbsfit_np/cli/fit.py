@@ -106,9 +106,9 @@ Fit a rig, or a model written by `lbsfit learn`, to scans. For each scan NAME.EX
   NAME.png         with --pictures: the scan, coloured by its parts, beside the registered mesh, from two sides
 
 and OUT/summary.json says how each of this run's scans went. Files appear only once they are complete. Inputs are never
-overwritten. Each scan gets a line with its status, probability and recon, the distance between scan and mesh in half sizes of
-the rig (the root of the Chamfer distance). Judge fits by status and probability: recon is larger for sparse scans and coarse
-meshes, however right the fit is. After Ctrl-C, run the same command with --existing skip to do the rest.
+overwritten. Judge fits by their status and probability, not by recon, the distance between scan and mesh in half sizes of the
+rig (the root of the Chamfer distance): that is larger for sparse scans and coarse meshes, however right the fit is. After
+Ctrl-C, run the same command with --existing skip to do the rest.
 
 A model keeps its rig, its segmenter and how these were made, so options about the rig (--card, --shape, --skin,
 --normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale, --unit,

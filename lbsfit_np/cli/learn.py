@@ -29,7 +29,7 @@ __all__ = ["OPTIONS", "add_parser", "learn_files"]
 # Options that mean the same here as in lbsfit fit.
 _SHARED = (
     *("scale", "unit", "orientation", "up", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
-    *("training-scans", "training", "seed", "jobs"),
+    *("training", "seed", "jobs"),
 )
 
 # Scans that the last line names, at most.
@@ -57,6 +57,14 @@ OPTIONS = (
            metavar="W"),
     *RIG_OPTIONS,
     *(next(o for o in FIT_OPTIONS if o.name == name) for name in _SHARED),
+    Option(
+        "training-scans",
+        "synthetic scans to train the segmenter on, at first and in each round; the library of starts gets half as many, in "
+        "rounds three eighths",
+        positive,
+        4000,
+        metavar="N",
+    ),
     Option(
         "existing",
         "what to do if the model or results already exist",
@@ -95,8 +103,8 @@ examples:
 
 A scan that cannot be used is named with the reason and left out. The model appears once it is complete or, after Ctrl-C, with
 what the rounds so far have learned. Inputs are never overwritten. Until the model is complete, finished steps are kept in
-MODEL.npz.unfinished: the same command continues from there, even with more scans added at its end; the last line says where it
-needs --existing replace, as a model is there already.
+MODEL.npz.unfinished: after a stop or a crash the same command continues from there, even with more scans added at its end (with
+--existing replace where there is a model already; after Ctrl-C the last line has the command).
 The segmenter's first training is kept in $LBSFIT_CACHE, or else in the user's cache folder. The last lines give the unit of
 the scans, how many fits are ok, suspect or failed, and a table of those that are not ok (see lbsfit fit --help).
 Exit code: 0 learned, and all scans could be used, even if some were held out or not learned from, 1 some could not be used or

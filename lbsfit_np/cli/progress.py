@@ -8,7 +8,7 @@ import time
 from ..errors import counted
 from ..io.columns import ODD_X
 
-__all__ = ["SILENCE", "LearningProgress", "Progress", "bar", "of_all", "percentage_bar", "say", "span"]
+__all__ = ["SILENCE", "LearningProgress", "Progress", "bar", "in_digits", "of_all", "percentage_bar", "say", "span"]
 
 # What the stages of LBSFitter.fit do, in words; others are called by their names.
 _STAGES = {
@@ -30,12 +30,22 @@ def say(text):
     print(text, flush=True)
 
 
+def in_digits(probability):
+    """A probability in two digits, or in as many as show on which side of a status' bound it is."""
+    from ..fitting.confidence import FAILED, SUSPECT
+
+    digits = 2
+    while any((probability < bound) != (round(probability, digits) < bound) for bound in (FAILED, SUSPECT)):
+        digits += 1
+    return f"{probability:.{digits}f}"
+
+
 def _of_doubt(entry):
     """The first reason why a fit that is there is in doubt, as the table at the end has all; why there is none, in full."""
     if "files" not in entry:
         return entry["message"]
     first, *more = entry["message"].split("; ")
-    return f"{first}{'; …' if more else ''} (right with probability {entry['probability']:.2f})"
+    return f"{first}{'; …' if more else ''} (right with probability {in_digits(entry['probability'])})"
 
 
 def _unsaid(notes, said):
@@ -94,7 +104,7 @@ class Progress:
         else:
             how = f"fitted in {entry['seconds']:.1f} s, recon {entry['terms']['recon']:.4f}"
             if entry.get("evidence"):
-                how += f", right with probability {entry['probability']:.2f}"
+                how += f", right with probability {in_digits(entry['probability'])}"
             text = f"{entry['name']}: {how}, {entry['message']}"
             where = sys.stdout
         if not self.terminal:

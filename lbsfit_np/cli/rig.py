@@ -1,4 +1,4 @@
-"""``lbsfit rig``: look at a rig, write a card for it, list the rigs that come with the package."""
+"""``lbsfit rig``: look at a rig, draw its joints' angles, write a card for it, list the rigs that come with the package."""
 
 from pathlib import Path
 
@@ -16,6 +16,13 @@ _CARD_OPTIONS = (
     *_FROM_FILE,
     Option("existing", "what to do if CARD already exists", default="error", choices=("error", "replace")),
 )
+_TURN_OPTIONS = (
+    Option("output", "the picture to write (required), NAME.png", metavar="PNG", flag="-o"),
+    Option("view", "from where: the sides are the subject's own", default="oblique",
+           choices=("front", "back", "left", "right", "top", "bottom", "oblique")),
+    *RIG_OPTIONS,
+    Option("existing", "what to do if PNG already exists", default="error", choices=("error", "replace")),
+)  # fmt: skip
 _SHOW_OPTIONS = (*RIG_OPTIONS, Option("degrees", "show limits in degrees instead of radians", bool, False))
 
 _CARD_EPILOG = """\
@@ -53,6 +60,19 @@ def add_parser(commands):
     card.add_argument("file", metavar="FILE", help="a rig file, or a bundled rig")
     add_options(card, _CARD_OPTIONS)
     card.set_defaults(run=_card)
+
+    turn = actions.add_parser(
+        "turn",
+        help="draw what the angles of a joint do",
+        description="Draw the rig with one joint at its lower limit, at rest, and at its upper limit, in a line for each of the\n"
+        "joint's axes x, y and z. What moves with the joint is orange. An axis that does not turn has the rest pose alone.",
+        epilog="example:\n  lbsfit rig turn hand index1 -o index1.png\n",
+        formatter_class=formatter,
+    )
+    turn.add_argument("file", metavar="FILE", help=rigs)
+    turn.add_argument("joint", metavar="JOINT", help="the joint's name (see: lbsfit rig show FILE)")
+    add_options(turn, _TURN_OPTIONS)
+    turn.set_defaults(run=_turn)
 
     bundled = actions.add_parser(
         "list",
@@ -94,6 +114,28 @@ def _card(arguments):
     several = sum(parent < 0 for parent in found.parents) > 1
     edit = "check its [hierarchy], which is a guess" if several else "edit it"
     print(f"{path} written; {edit}; " + (f"it is used automatically with {rig}" if by_itself else f"pass it with --card {path}"))
+    return 0
+
+
+def _turn(arguments):
+    import numpy as np
+
+    from ..report.render import write_png
+    from ..report.turn_picture import turn_picture
+
+    values = settings(arguments, _TURN_OPTIONS)
+    path = values["output"]
+    if path is None:
+        raise InputError("-o/--output", "nothing", "the picture to write", "Add -o NAME.png.")
+    if Path(path).suffix.lower() != ".png":
+        raise InputError("-o/--output", path, "a name that ends in .png", f"Call it {Path(path).with_suffix('.png')}.")
+    check_file(path, inputs=[(arguments.file, "the rig itself")], existing=values["existing"])
+    rig = load_rig_with(arguments.file, values, quiet=True)
+    write_png(path, turn_picture(rig, arguments.joint, view=values["view"]))
+    j = rig.joint_names.index(arguments.joint)
+    for axis, lower, upper in zip("xyz", np.degrees(rig.lower[j]), np.degrees(rig.upper[j])):
+        print(f"{axis}: " + (f"{lower:.0f} to {upper:.0f} degrees" if upper > lower else "does not turn"))
+    print(f"{path} written: lines x, y, z; from left to right the lower limit, the rest pose, the upper limit")
     return 0
 
 

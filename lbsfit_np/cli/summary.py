@@ -5,7 +5,7 @@ import os
 import platform
 import time
 
-from .progress import say
+from .progress import in_digits, say
 
 __all__ = ["SUMMARY", "counts_of", "doubts_of", "is_of_others", "say_doubtful", "write_summary", "written_of"]
 
@@ -53,7 +53,7 @@ def say_doubtful(entries):
         return
     rows = [("scan", "status", "probability", "why")]
     for e in doubtful:
-        probability = f"{e['probability']:.2f}" if "probability" in e else "–"
+        probability = in_digits(e["probability"]) if "probability" in e else "–"
         first, *others = e["message"].split("; ") if "probability" in e else [e["message"]]  # errors are one line
         rows += [(e["name"], e["status"], probability, first), *(("", "", "", why) for why in others)]
     widths = [max(len(row[k]) for row in rows) for k in range(3)]

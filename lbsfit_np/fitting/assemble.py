@@ -7,7 +7,7 @@ import numpy as np
 from ..losses.chamfer import chamfer
 from ..losses.objective import objective
 from ..optimize.frame import turned_root
-from .confidence import MISFIT, evidence_of, probability_of, verdict_of
+from .confidence import AT_LIMITS, MISFIT, evidence_of, lacks_most, probability_of, verdict_of
 from .labels import labels_from_mesh
 from .result import FitResult
 
@@ -158,10 +158,12 @@ def assemble(
             x_weights=problem.x_weights,
             proportions=proportions,
         )
-        probability = probability_of(evidence, len(guesses) / max(np.count_nonzero(rig.moving), 1))
+        guessed_share = len(guesses) / max(np.count_nonzero(_told_by_skin(rig)), 1)
+        probability = probability_of(evidence, guessed_share)
         status, reason = verdict_of(evidence, probability, {name: rig.parts[p] for name, p in worst.items() if p >= 0})
         if status != "ok":
-            reason = "; ".join([reason, *further])
+            helps = () if lacks_most(evidence, guessed_share) else further
+            reason = "; ".join([reason, *helps])
         if status == "failed":
             reason += f"; {_asked(given, evidence)}"
         if not partial and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
@@ -218,9 +220,13 @@ def _guesses(rig, std):
 
     Joints without skin are left out, such as a root on the ground between the feet: no point could ever tell where they are.
     """
-    skinned = rig.weights.sum(axis=0) > 0
-    rows = np.flatnonzero(rig.moving & skinned & (std > GUESS))
+    rows = np.flatnonzero(_told_by_skin(rig) & (std > GUESS))
     return [rig.joint_names[j] for j in rows[np.argsort(-std[rows], kind="stable")]]
+
+
+def _told_by_skin(rig):
+    """(J,) bool: joints that turn and have skin."""
+    return rig.moving & (rig.weights.sum(axis=0) > 0)
 
 
 def _guessed(names):
@@ -234,6 +240,8 @@ def _guessed(names):
 def _asked(given, evidence):
     """What may be wrong of a fit that has failed, as a question."""
     asked = ["is it the right rig"]
+    if evidence["at_limits"] > AT_LIMITS:
+        asked.append("do its limits let joints turn as they do in the scan")
     if evidence["part_unexplained"] > MISFIT:  # these points may be of another thing
         asked.append("does the scan show only the body, floors, walls and single points")
     if given:

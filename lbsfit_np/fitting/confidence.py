@@ -13,12 +13,16 @@ from ..optimize.surface import Surface, vertex_normals
 from ..optimize.visibility import shown
 
 __all__ = [
+    "AT_LIMITS",
     "EVIDENCE",
+    "FAILED",
     "LEAST_SEEN",
     "MISFIT",
     "REGRESSED",
     "SOMEBODY_ELSE",
+    "SUSPECT",
     "evidence_of",
+    "lacks_most",
     "logarithms",
     "lonely_odd",
     "merged",
@@ -283,19 +287,25 @@ _TOO_FEW = 0.5
 # leave nothing else that speaks against it.
 _MOST_GUESSES, _MISSING = 0.4, 0.9
 # Below the first a fit has failed, below the second it is suspect.
-_FAILED, _SUSPECT = 0.05, 0.5
+FAILED = 0.05
+SUSPECT = 0.5
 
 
 def probability_of(evidence, guesses=0.0):
     """The probability that the mean joint error is below 1.5 % of the rig's size.
 
-    ``guesses`` is the share of the joints whose places the scan hardly tells.
+    Calibrated on scans of the whole subject, over all joints that turn. ``guesses`` is the share of these whose places a scan
+    hardly tells.
     """
     p = float(1.0 / (1.0 + np.exp(-(_INTERCEPT + np.dot(_WEIGHTS, logarithms(evidence))))))
     most = {"distance": _NOT_THE_RIG, "proportions": SOMEBODY_ELSE, "sparse": _TOO_FEW}
     doubted = any(evidence[name] > value for name, value in most.items())
-    doubted |= guesses > _MOST_GUESSES and evidence["part_unreached"] > _MISSING
-    return min(p, _MOST_THEN) if doubted else p
+    return min(p, _MOST_THEN) if doubted or lacks_most(evidence, guesses) else p
+
+
+def lacks_most(evidence, guesses):
+    """Whether a scan lacks so much of the body that nothing can be said of it; ``guesses`` as in :func:`probability_of`."""
+    return guesses > _MOST_GUESSES and evidence["part_unreached"] > _MISSING
 
 
 def logarithms(evidence):
@@ -320,7 +330,7 @@ def verdict_of(evidence, probability, worst=None):
     reason : str
         What speaks against the fit, in words; empty for "ok".
     """
-    if probability >= _SUSPECT:
+    if probability >= SUSPECT:
         return "ok", ""
     told = [
         words.format(value=evidence[name], part=(worst or {}).get(name, ""))
@@ -328,7 +338,7 @@ def verdict_of(evidence, probability, worst=None):
         if evidence[name] > least
     ]
     reason = "; ".join(told) or _together(evidence, worst or {})
-    return "failed" if probability < _FAILED else "suspect", reason
+    return "failed" if probability < FAILED else "suspect", reason
 
 
 def _together(evidence, worst):
@@ -351,6 +361,8 @@ _ALSO = {
     "at_limits": "angles at their limits ({value:.0%})",
     "sparse": "few points",
 }
+# From this share of the angles on limits may be too narrow, or of the wrong sign.
+AT_LIMITS = 0.25
 # From where on a piece of evidence is worth a word, and the word.
 _WORDS = {
     "distance": (_NOT_THE_RIG, "points lie far from the mesh"),
@@ -360,7 +372,7 @@ _WORDS = {
     "part_unreached": (0.4, "part {part} has no points"),
     "disagreement": (0.35, "labels and mesh disagree on {value:.0%} of the points"),
     "rival": (0.6, "another pose explains the scan nearly as well"),
-    "at_limits": (0.25, "{value:.0%} of the angles are at their limits"),
+    "at_limits": (AT_LIMITS, "{value:.0%} of the angles are at their limits"),
     "sparse": (0.1, "it has few points (of a mesh, --samples takes more)"),
     "proportions": (SOMEBODY_ELSE, "other proportions explain it much better: is it a scan of somebody else?"),
 }

@@ -135,7 +135,7 @@ class Refit:
         -------
         state : State
         value : float
-            L_c(X, V), plain Chamfer distance, squared half sizes.
+            L_c(X, V), squared half sizes, see :func:`plain_chamfer`.
         which : int
             Row of the start that won, or led to what won: states, then poses, then the one from parts.
         """
@@ -234,7 +234,7 @@ class Refit:
         return self._last.pose(problem, state, free=self.free, **options)
 
     def left(self, problem, state):
-        """What a pose leaves unexplained, E of ``optimize.gauss_newton``: of one side, of what that shows, as L_c does not."""
+        """What a pose leaves unexplained, E of ``optimize.gauss_newton``; of one side, of what that shows."""
         return self.to_the_end(problem, state, iterations=0)[1]
 
     def joint_std(self, problem, state, proba=None):
@@ -321,9 +321,10 @@ def plain_chamfer(model, problem, state, *, partial):
         return problem.evaluate(model.coarse, state, PLAIN).value
     V = model.deformed(state).vertices
     normals, to_X = vertex_normals(V, model.rig.faces), problem.x_index.nearest(V)
-    seen = shown(V, normals, problem.X, normals[PointIndex(V).nearest(problem.X)], to_X)
-    if model.areas[seen].sum() < LEAST_SEEN:
-        return problem.evaluate(model.coarse, state, PLAIN).value
+    on = PointIndex(V).nearest(problem.X)
+    seen = shown(V, normals, problem.X, normals[on], to_X)
+    if model.areas[seen].sum() < LEAST_SEEN:  # no view of this pose: then the points alone say how far off it is
+        seen[on] = True
     return Problem(problem.X, problem.x_weights, seen.astype(float)).evaluate(model, state, PLAIN).value
 
 

@@ -166,6 +166,7 @@ class Scout:
         known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
         known |= {"partial": self.settings.partial, "areas": model.areas, "x_weights": found.problem.x_weights}
         V = model.deformed(state).vertices
+        # Without what the scan tells of single joints: a second look finds no points that it lacks.
         return probability_of(evidence_of(model.rig, V, model.labels, found.problem.X, **known)[0])
 
     def _runners(self, points, x_weights):

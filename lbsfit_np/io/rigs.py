@@ -71,7 +71,18 @@ def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weight
         if os.path.isfile(beside):
             card = beside
             data.notes.append(f"the card {beside.name} beside the file was used")
+        elif other := _of_another_case(beside):
+            data.notes.append(f"{other} beside the file was not used: a card of this rig is called {beside.name}")
     return build_rig(data, card, normalize_weights=normalize_weights, parts=parts)
+
+
+def _of_another_case(path):
+    """The name of a file in the same folder that differs from a path's in capitals alone; None where there is none."""
+    try:
+        names = os.listdir(path.parent)
+    except OSError:
+        return None
+    return next((name for name in sorted(names) if name.casefold() == path.name.casefold()), None)
 
 
 def read_rig_data(path_or_name, *, shape=None, skin=None):

@@ -1,5 +1,6 @@
 """A new scan with what was learned: on the learned template that suits it, or on the rig's own where it is somebody else's."""
 
+import threading
 import time
 from dataclasses import dataclass, replace
 
@@ -44,6 +45,8 @@ __all__ = ["fit_new", "scan_fit"]
 _CLOSE, _SEVERAL = 1.3, 3
 # Subjects whose templates a fitter keeps ready, of a body some 30 MB each.
 _READY = 32
+# A fitter may be asked by several threads.
+_lock = threading.RLock()
 
 
 def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=True):
@@ -342,16 +345,17 @@ def _facing_words(fitter):
 
 def _kept(fitter, key, made_of, make):
     """``make()``, kept on the fitter while all that it is made of stays the same; ``key`` begins with the subject, or None."""
-    kept = fitter.__dict__.setdefault("_prepared", {})
-    found = kept.pop(key, None)
-    if found is None or not all(map(_alike, found[0], made_of)):
-        found = made_of, make()
-    kept[key] = found  # what was asked for last stands last
-    subjects = list(dict.fromkeys(s for s, *_ in reversed(kept) if s is not None))
-    gone = {s for s in subjects if s not in getattr(fitter, "template_", ())} | set(subjects[_READY:])
-    for other in [k for k in kept if k[0] in gone and k != key]:
-        del kept[other]
-    return found[1]
+    with _lock:
+        kept = fitter.__dict__.setdefault("_prepared", {})
+        found = kept.pop(key, None)
+        if found is None or not all(map(_alike, found[0], made_of)):
+            found = made_of, make()
+        kept[key] = found  # what was asked for last stands last
+        subjects = list(dict.fromkeys(s for s, *_ in reversed(kept) if s is not None))
+        gone = {s for s in subjects if s not in getattr(fitter, "template_", ())} | set(subjects[_READY:])
+        for other in [k for k in kept if k[0] in gone and k != key]:
+            del kept[other]
+        return found[1]
 
 
 def _alike(a, b):

@@ -56,7 +56,8 @@ def check_labels(argument, value, n):
         raise InputError(argument, f"values of type {a.dtype}", "integers")
     if a.dtype.kind == "i" and a.min() < 0:
         got = f"{a.min()} at index {a.argmin()}"
-        raise InputError(argument, got, "integers of at least 0", "Leave points without a part out.")
+        remedy = "Give points without a part one that the other side never has, such as len(rig.parts)."
+        raise InputError(argument, got, "integers of at least 0", remedy)
     if a.max() >= _MOST_PARTS:
         got = f"{a.max()} at index {a.argmax()}"
         raise InputError(argument, got, f"integers below {_MOST_PARTS}", "Number the parts from 0.")

@@ -159,7 +159,7 @@ def _limits_table(rig, names, parents, still):
             "# The file has none. These, derived from its animations or defaults, are used until you give others: to do so,",
             "# correct a line and remove its #.",
         ]
-    lines.append('unit = "rad"')
+    lines.append('unit = "rad"      # of all lines of this table, also of those whose # you remove; or "deg"')
     for j, name in enumerate(names):
         if not still[j]:
             text = f"{_quote(_pattern(name))} = [{_numbers(lower[j])}, {_numbers(upper[j])}]"

@@ -309,7 +309,7 @@ def jobs_of(n_jobs, random_state):
 def _described(points, rows, descriptor, first=None):
     """Descriptors of some points of a scan, with the context that a first stage gives them; block by block, to bound memory."""
     grid, seen = descriptor.grid(points), None
-    blocks = [rows[start : start + _BLOCK] for start in range(0, len(rows), _BLOCK)]
+    blocks = [rows[start : start + _BLOCK] for start in range(0, max(len(rows), 1), _BLOCK)]
     if first is None:
         yield from (descriptor(points, block, grid) for block in blocks)
         return

@@ -15,6 +15,8 @@ __all__ = ["TakingPart", "clean_rows", "taking_part"]
 _LEAST, _SHARE, _TIMES = 20, 0.005, 20
 # Where fewer of the points that were drawn are of the body than this share of those wanted, more are drawn.
 _ENOUGH = 0.8
+# Points that are judged by others, at a time.
+_AT_ONCE = 200_000
 # The last steps look at so many times as many points, where there are as many.
 _LAST = 4
 
@@ -64,9 +66,11 @@ class TakingPart:
 
         Few of a large scan's points are looked at: the others are judged by these.
         """
-        others = np.flatnonzero(self.known == -1)
         out = self.known != 1
-        out[others] = ~_of_the_same(points, self.rows, np.flatnonzero(self.known == 0), others)
+        others, dropped = np.flatnonzero(self.known == -1), np.flatnonzero(self.known == 0)
+        for start in range(0, len(others), _AT_ONCE):
+            piece = others[start : start + _AT_ONCE]
+            out[piece] = ~_of_the_same(points, self.rows, dropped, piece)
         return out
 
     @property
@@ -167,9 +171,13 @@ def _of_the_same(points, kept, dropped, others):
         return np.zeros(len(others), dtype=bool)
     tree = cKDTree(points[kept])
     apart = tree.query(points[kept], k=2)[0][:, 1].max()
-    away = tree.query(points[others])[0]
-    beside = cKDTree(points[dropped]).query(points[others])[0] if len(dropped) else np.inf
-    return (away <= apart) & (away < beside)
+    within = np.nextafter(apart, np.inf)  # what is further away is not looked for
+    away = tree.query(points[others], distance_upper_bound=within)[0]
+    near = away <= apart
+    if len(dropped) and near.any():
+        beside = cKDTree(points[dropped]).query(points[others[near]], distance_upper_bound=within)[0]
+        near[near] = away[near] < beside
+    return near
 
 
 def _in_places_of_their_own(points, rows):

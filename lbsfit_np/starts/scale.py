@@ -31,7 +31,7 @@ _NEIGHBOURS, _LONELY = 6, 5.0
 # A pose can fold a body to a fraction of its rest extent but hardly stretch it: a ratio in this range is one unit for both.
 _SAME_UNIT = 0.4, 1.8
 # What else helps where scales are fixed and a scan is smaller than that.
-_PART = " If it shows a part of the body alone, give its labels (in Python)."
+_PART = " If it shows a part of the body alone, give fit_scan its labels."
 # People of one unit differ by less than this factor.
 _PEOPLE = 1.6
 # Scans of one person, as fits find it, by less than this.
@@ -82,7 +82,7 @@ def reference_scale(points, rig, mode, unit=None, *, whole=True):
     ReferenceScale
         ``estimate``: 1 where the extents allow it; else from metres, centimetres, millimetres or inches to the rig's unit, where
         that is known and the extents allow one of these; else the ratio of the extents. In a known unit: that one where the
-        extents allow it; else, of a subject of another size, the ratio of the extents.
+        extents allow it or the scale is fixed; else, of a subject of another size, the ratio of the extents.
 
     Raises
     ------

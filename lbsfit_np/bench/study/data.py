@@ -71,7 +71,7 @@ NATURAL = {"hand": 0.5, "body": 20 / 23, "other": 0.5}
 _OF_BODIES = {"small": {"test": 4, "pairs": 12}, "medium": {}, "paper": {"train": 23000, "test": 2300}}
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class StudySet:
     """What a study learns from and is tested on.
 
@@ -90,8 +90,11 @@ class StudySet:
     train_subjects: list
     test_subjects: list
 
+    def __repr__(self):
+        return f"<StudySet of {self.rig.name!r}: {len(self.train)} scans to learn from, {len(self.test)} to be tested on>"
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, repr=False)
 class Scans(Sequence):
     """Scans as a sequence of SyntheticScan, each made anew when it is asked for: 23,000 bodies with their truth fill no memory.
 
@@ -115,6 +118,9 @@ class Scans(Sequence):
 
     def __len__(self):
         return len(self.subjects)
+
+    def __repr__(self):
+        return f"<Scans: {len(self)} of {len(self.templates)} people, {self.purpose}, seed {self.seed}>"
 
     def __getitem__(self, i):
         """Scan i, the same each time; a list of them for a slice."""

@@ -16,6 +16,7 @@ from ...optimize.model import Model
 from ...optimize.problem import Problem
 from ...seeds import integer_seed
 from ...skinning import skin
+from ...starts.clean import TakingPart
 from ...starts.look import look
 from ...threads import one_thread
 
@@ -68,10 +69,10 @@ def best_free_form(rig, points, starts, others=()):
 
 def _fitted(rig, points, start):
     model = Model(rig.with_template(start), half=rig.size / 2)
-    frame, rows = Frame(points.mean(axis=0), model.half), np.arange(len(points))
+    frame, part = Frame(points.mean(axis=0), model.half), TakingPart.only(np.arange(len(points)), len(points))
     with one_thread():
         problem = Problem(frame.inside(points))
-        result = free_form(model, FitSettings(weights=LOOSE), problem, points, rows, frame, time.perf_counter())
+        result = free_form(model, FitSettings(weights=LOOSE), problem, points, part, frame, time.perf_counter())
     return FreeForm(result.vertices, rig.regressor @ result.vertices, result.terms["recon"])
 
 

@@ -6,6 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from ...correspondence import surface_places
+from ...errors import InputError
 from ...optimize.surface import closest_on_mesh, faces_around
 from ...seeds import generator
 from ..measure import joint_error, recon, vertex_error
@@ -26,6 +27,7 @@ class Registrations:
     vertices : list of (m, 3) arrays
         In the scans' frame; NaN for a scan that could not be fitted.
     joints : list of (J, 3) arrays
+        NaN there, too.
     """
 
     vertices: list
@@ -34,7 +36,18 @@ class Registrations:
     @property
     def fitted(self):
         """(N,) bool."""
-        return np.array([np.isfinite(V).all() for V in self.vertices])
+        return np.array([bool(np.isfinite(V).all() and np.isfinite(J).all()) for V, J in zip(self.vertices, self.joints)])
+
+    def check(self, rig, n):
+        """Raise InputError unless there is one of each for each of n scans, of the rig's shape."""
+        for what, arrays, shape in (("vertices", self.vertices, rig.vertices.shape), ("joints", self.joints, rig.joints.shape)):
+            if len(arrays) != n:
+                got, remedy = f"those of {len(arrays)} scans", "Give arrays of NaN for a scan that could not be fitted."
+                raise InputError(f"registrations.{what}", got, f"those of {n}, one for each scan, in their order", remedy)
+            odd = next((i for i, a in enumerate(arrays) if np.shape(a) != shape), None)
+            if odd is not None:
+                got = f"an array of shape {np.shape(arrays[odd])} for scan {odd}"
+                raise InputError(f"registrations.{what}", got, f"shape {shape}, as {rig.name!r} has")
 
 
 class Truth:
@@ -103,8 +116,15 @@ def measured(truth, registrations):
         Lengths in half sizes of the rig. "recon" √L_c beside "recon_truth", that of the true mesh on the same scans; "pose"
         beside "pose_truth", that of the true template and angles with the joint regressor's joints; "vertices"; "corre" and
         "corre_snapped", each with "mean", "p50", "p90" and "p95" over all points of all pairs; "unfitted", the scans that all
-        these leave out. "of_scans" has "recon", "pose" and "vertices" of each, None of these.
+        these leave out, and the only figure where it is all of them. "of_scans" has "recon", "pose" and "vertices" of each,
+        None of these.
+
+    Raises
+    ------
+    InputError
+        Registrations of more or fewer scans, or of another mesh.
     """
+    registrations.check(truth.rig, len(truth.scans))
     rig, half, fitted = truth.rig, truth.half, np.flatnonzero(registrations.fitted)
     out = {"unfitted": len(truth.scans) - len(fitted)}
     if not len(fitted):
