@@ -249,7 +249,7 @@ def test_a_fit_that_has_failed_asks_about_what_was_given(given, asks, rigs, monk
 def test_a_fit_that_has_failed_at_its_limits_asks_about_these(limit, rigs, monkeypatch):
     monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("failed", "a reason"))
     model = Model(rigs["hand"])
-    state = model.rest().replace(theta=model.rig.upper.copy() if limit else np.zeros_like(model.rig.upper))
+    state = model.rest().replace(theta=model.rig.upper.copy() if limit else (model.rig.lower + model.rig.upper) / 2)
     r = _at_rest(model, model.pose(state)[0].vertices, state=state)
     assert ("is it the right rig, do its limits let joints turn as they do in the scan" in r.message) == limit
 
