@@ -262,3 +262,14 @@ def test_describe_shows_tree_limits_states_and_notes():
     assert "move no vertex: tip" in text
     assert "-11..+80" in describe(rig, degrees=True)
     assert "No anomalies." in describe(build_rig(make_tube_data()))
+
+
+def test_describe_tells_how_a_rig_stands():
+    """A hand that hangs from its wrist by one whose fingers point up."""
+    data = make_tube_data()
+    low, high = data.vertices[:, 1].min(), data.vertices[:, 1].max()
+    below = (data.joints[0, 1] - low) / (high - low)
+    for up, above in (("+y", 1 - below), ("-y", below)):
+        text = describe(build_rig(replace(data, up=up)))
+        assert f"stands    {above:.0%} of its height above the root joint, {1 - above:.0%} below" in text
+    assert "stands" not in describe(build_rig(replace(data, up=None, forward=None)))

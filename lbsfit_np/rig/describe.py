@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..errors import listed
+from .frames import up_axis
 from .units import METRES
 
 __all__ = ["describe"]
@@ -57,6 +58,10 @@ def _facts(rig):
     yield "unit", words
     yield "size", f"{sides}" + (f" {name}" if name else "" if unit is None else " units")
     yield "axes", f"up {rig.up or 'unknown'}, forward {rig.forward or 'unknown'}"
+    if rig.up:  # which tells a hand that hangs from one whose fingers point up
+        height = rig.vertices[~rig.loose] @ up_axis(rig)
+        above = (height.max() - rig.joints[rig.root] @ up_axis(rig)) / max(np.ptp(height), np.finfo(float).tiny)
+        yield "stands", f"{np.clip(above, 0, 1):.0%} of its height above the root joint, {np.clip(1 - above, 0, 1):.0%} below"
     if rig.poses:
         yield "poses", f"{len(rig.poses)} natural: {listed(list(rig.poses), 6)}"
     if rig.shapes is not None:
