@@ -103,6 +103,10 @@ def test_fits_that_may_be_wrong_are_named(fitted, made, tmp_path, run):
     assert "note: 1 fit has status suspect: a9.fit.npz" in out and "note: 1 fit has status failed: a11.fit.npz" in out
     assert "note: a9.fit.npz is given after a10.fit.npz: these files are not in order of their numbers" in out
     assert "several subjects (no learned subject, 'tom')" in out
+    (tmp_path / "again").mkdir()
+    (tmp_path / "again" / "a9.fit.npz").write_bytes(fits[1].read_bytes())
+    out = run("animate", made / "tube.npz", fits[1], tmp_path / "again" / "a9.fit.npz", "-o", tmp_path / "b.glb")[1]
+    assert f"note: 2 fits have status suspect: {fits[1]}, {tmp_path / 'again' / 'a9.fit.npz'}" in out  # of one name
 
 
 @pytest.mark.parametrize(

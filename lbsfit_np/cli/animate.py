@@ -98,17 +98,18 @@ def _run(arguments):
     for fit in fits:
         results.append(FitResult.load(fit))
         check_fit(rig, results[-1], fit)
-    said = said_unit(results, [os.path.basename(fit) for fit in fits]) if values["unit"] == "auto" else None
+    names = _names(fits)
+    said = said_unit(results, names) if values["unit"] == "auto" else None
     if note := order_note(fits):
         say(f"note: {note}")
-    _say_doubtful(fits, results)
+    _say_doubtful(names, results)
     people = sorted({result.subject for result in results})
     if len(people) > 1 and values["offsets"] == "mean":
-        names = listed([repr(name) if name else "no learned subject" for name in people])
-        say(f"note: the fits are of several subjects ({names}): all frames use the mean of their templates")
+        who = listed([repr(name) if name else "no learned subject" for name in people])
+        say(f"note: the fits are of several subjects ({who}): all frames use the mean of their templates")
     if axis := stands_along(rig, results, values["up"]):
         say(f"note: the fits stand along {axis}: use --up={axis} for an upright animation, unless they lie down")
-    if odd := [os.path.basename(fits[k]) for k in odd_scales(results)]:
+    if odd := [names[k] for k in odd_scales(results)]:
         say(f"note: the scale of {listed(odd)} differs from the others' by more than people do; are all scans in one unit?")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of the same, without names
@@ -127,19 +128,25 @@ def _run(arguments):
         known = f"the scans seem to be in {name}" if name else "the scans' unit is not known, and is assumed to be metres"
         known = f"the scans are in {name}, as specified when they were fitted" if said else known
         say(f"{known} (use --unit to change this)")
-    say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, fits, away, values)}")
+    say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, names, away, values)}")
     return 0
 
 
-def _say_doubtful(fits, results):
+def _names(fits):
+    """What files of fits are called in notes: by their names alone where these tell them apart."""
+    names = [os.path.basename(fit) for fit in fits]
+    return names if len(set(names)) == len(names) else list(map(str, fits))
+
+
+def _say_doubtful(names, results):
     """Name the fits whose poses may well be wrong: frames of them jump."""
     for status in ("failed", "suspect"):
-        names = [os.path.basename(fit) for fit, result in zip(fits, results, strict=True) if result.status == status]
-        if names:
-            say(f"note: {counted(len(names), 'fit')} {'has' if len(names) == 1 else 'have'} status {status}: {listed(names)}")
+        of = [name for name, result in zip(names, results, strict=True) if result.status == status]
+        if of:
+            say(f"note: {counted(len(of), 'fit')} {'has' if len(of) == 1 else 'have'} status {status}: {listed(of)}")
 
 
-def _distance(rig, results, fits, away, values):
+def _distance(rig, results, names, away, values):
     """In words, how far the frames are from the registered meshes, where they are not the same."""
     shares = [100 * one / (rig.size * result.scale) for one, result in zip(away, results, strict=True)]
     worst = max(range(len(shares)), key=shares.__getitem__)
@@ -149,5 +156,5 @@ def _distance(rig, results, fits, away, values):
     hint = "; with --offsets each they would be the same" if mean else ""
     return (
         f", whose vertices are {sum(shares) / len(shares):.2g} % of the rig's size away from the registered meshes on average, "
-        f"at most {shares[worst]:.2g} % ({os.path.basename(fits[worst])}){hint}"
+        f"at most {shares[worst]:.2g} % ({names[worst]}){hint}"
     )
