@@ -4,6 +4,7 @@ import os
 import time
 import warnings
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,9 +30,11 @@ __all__ = ["OPTIONS", "add_parser", "learn_files"]
 # Options that mean the same here as in lbsfit fit.
 _SHARED = (
     *("scale", "unit", "orientation", "up", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
-    *("training", "seed", "jobs"),
+    *("training-scans", "training", "seed", "jobs"),
 )
 
+_TRAINING_SCANS = "synthetic scans to train the segmenter on, at first and in each round; the library of starts gets half as many, "
+_TRAINING_SCANS += "in rounds three eighths"
 # Scans that the last line names, at most.
 _NAMED = 5
 # Endings of files, beside those of scans and rigs, that a model may be called by mistake; others are dots within a name.
@@ -56,15 +59,7 @@ OPTIONS = (
     Option("smooth", "with --sequence, how strongly angles follow their neighbours': 1e-5 a little, 1e-3 a lot", amount, 0,
            metavar="W"),
     *RIG_OPTIONS,
-    *(next(o for o in FIT_OPTIONS if o.name == name) for name in _SHARED),
-    Option(
-        "training-scans",
-        "synthetic scans to train the segmenter on, at first and in each round; the library of starts gets half as many, in "
-        "rounds three eighths",
-        positive,
-        4000,
-        metavar="N",
-    ),
+    *(replace(o, help=_TRAINING_SCANS) if o.name == "training-scans" else o for o in FIT_OPTIONS if o.name in _SHARED),
     Option(
         "existing",
         "what to do if the model or results already exist",
