@@ -33,8 +33,8 @@ _SHARED = (
     *("training-scans", "training", "seed", "jobs"),
 )
 
-_TRAINING_SCANS = "synthetic scans to train the segmenter on, at first and in each round; the library of starts gets half as many, "
-_TRAINING_SCANS += "in rounds three eighths"
+_TRAINING_SCANS = "synthetic scans to train the segmenter on, at first and in each round; the library of starts gets half as "
+_TRAINING_SCANS += "many, in rounds three eighths"
 # Scans that the last line names, at most.
 _NAMED = 5
 # Endings of files, beside those of scans and rigs, that a model may be called by mistake; others are dots within a name.
