@@ -254,6 +254,18 @@ def test_a_fit_that_has_failed_at_its_limits_asks_about_these(limit, rigs, monke
     assert ("is it the right rig, do its limits let joints turn as they do in the scan" in r.message) == limit
 
 
+@pytest.mark.parametrize("std, said", [(0.2, False), (0.01, True)])
+def test_nothing_looks_further_where_a_scan_lacks_most_of_the_body(std, said, rigs, monkeypatch):
+    """Of the palm alone: no more starts would find the fingers. Joints without skin are none that it could tell."""
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *evidence: ("suspect", "odd"))
+    rig = rigs["hand"]
+    model, J = Model(rig), len(rig.parents)
+    palm = model.pose(model.rest())[0].vertices[model.labels == 0]
+    joint_std = np.where(np.arange(J) < J // 2, std, 0.0)
+    r = _at_rest(model, palm, joint_std=joint_std, further=("effort looks further",))
+    assert r.evidence["part_unreached"] > 0.9 and ("effort looks further" in r.message) == said
+
+
 def test_joints_without_skin_are_not_named_as_guesses(rigs):
     """No scan could tell where they are, such as a root on the ground between the feet."""
     rig, skinned = rigs["hand"], np.arange(16) != 5

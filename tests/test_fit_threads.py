@@ -2,7 +2,10 @@
 
 import copy
 import sys
+import threading
+import time
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
@@ -32,19 +35,22 @@ def test_fits_in_threads_are_those_of_one_after_the_other(tube_rig, quick_fitter
 
 def test_what_a_fitter_keeps_ready_is_made_once_for_all_threads():
     """And is put in order by one at a time."""
+    made, at_once = [], threading.Barrier(8)
 
     class Fitter:
         template_ = dict.fromkeys(range(60))
 
-    fitter, made = Fitter(), []
+    def ask(fitter, k, wait=False):
+        def make():
+            time.sleep(1e-3)  # others come meanwhile
+            made.append(k)
+            return f"of {k}"
 
-    def ask(k):
-        subject = k % 60
-        return _kept(fitter, (subject, "fit"), (float(subject),), lambda: made.append(subject) or f"of {subject}")
+        if wait:
+            at_once.wait(10)
+        return _kept(fitter, (k, "fit"), (float(k),), make)
 
     with ThreadPoolExecutor(8) as pool:
-        assert list(pool.map(ask, range(3000))) == [f"of {k % 60}" for k in range(3000)]
-    made.clear()
-    with ThreadPoolExecutor(8) as pool:
-        list(pool.map(ask, [7] * 200))
-    assert made in ([], [7])
+        assert list(pool.map(partial(ask, Fitter(), wait=True), [7] * 8)) == ["of 7"] * 8
+        assert made == [7]
+        assert list(pool.map(partial(ask, Fitter()), [*range(60)] * 5)) == [f"of {k}" for k in range(60)] * 5

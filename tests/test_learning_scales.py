@@ -196,8 +196,6 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, un
     as_it_is, asked = m.X, []
 
     class Fake:
-        partial = False
-
         def __init__(self, free, *answer):
             self.free, self.answer = free, answer
 

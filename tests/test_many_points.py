@@ -15,6 +15,7 @@ from lbsfit_np.learning.tasks import Drawn, Pose, Template, Told
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import Layout
+from lbsfit_np.starts import clean
 from lbsfit_np.starts.clean import taking_part
 
 MOST = 400
@@ -51,6 +52,23 @@ def test_no_more_points_come_of_a_floor_or_from_elsewhere(tube_rig):
     left_out = part.left_out(points)
     assert left_out[:1000].all() and left_out[6000:].all() and not left_out[part.every].any()
     assert left_out[1000:3000].mean() < 0.1 and left_out[3000:6000].mean() > 0.98
+
+
+def test_points_that_were_not_looked_at_are_judged_by_those_that_were(tube_rig, monkeypatch):
+    """In pieces, so that millions of them fill no memory; no further than points that are kept are from each other."""
+    rng = np.random.default_rng(4)
+    (scan,) = lbs.synthesize(tube_rig, random_state=1, n_points=3000)
+    points = np.vstack([scan.points, scan.points[:500] + 0.2 * rng.standard_normal((500, 3))])
+    part = _part(points, tube_rig)
+    kept, dropped, asked = part.rows, np.flatnonzero(part.known == 0), np.flatnonzero(part.known == -1)
+    apart = np.sort(np.linalg.norm(points[kept][:, None] - points[kept], axis=2), axis=1)[:, 1].max()
+    away, beside = (np.linalg.norm(points[asked][:, None] - points[rows], axis=2).min(axis=1) for rows in (kept, dropped))
+    expected = part.known != 1
+    expected[asked] = (away > apart) | (away >= beside)
+    assert len(dropped) > 10 and 0.02 < expected[asked].mean() < 0.5
+    for at_once in (200_000, 100):
+        monkeypatch.setattr(clean, "_AT_ONCE", at_once)
+        np.testing.assert_array_equal(part.left_out(points), expected)
 
 
 def test_more_points_tell_the_pose_better(tube_rig, tube_fitter, monkeypatch):

@@ -52,6 +52,20 @@ def test_a_limit_of_zero_is_the_rest_pose(hand):
     np.testing.assert_array_equal(low, rest)
 
 
+def test_other_axes_are_held_where_limits_hold_them(hand):
+    """A finger that cannot be straight is not drawn straight at its limits."""
+    j = hand.joint_names.index("index1")
+    lower, upper = hand.lower.copy(), hand.upper.copy()
+    lower[j, 0] = upper[j, 0] = 0.8
+    held = _cells(turn_picture(replace(hand, lower=lower, upper=upper), "index1", size=SIZE))
+    theta = np.zeros_like(lower)
+    theta[j] = 0.8, lower[j, 1], 0.0
+    bent = hand.pose(theta)
+    seen = np.linalg.norm(hand.pose(np.zeros_like(theta)) - bent, axis=1).max()
+    assert seen > 0.1 * hand.size and (held[1][0] != held[1][1]).mean() > 0.02
+    assert (held[0][0] == 255).all()
+
+
 def test_joints_that_are_not_there_or_do_not_turn_are_named(hand):
     with pytest.raises(InputError, match="joint: got 'indx1'; expected one of the 16 joints of 'hand-coarse'.*'index1'"):
         turn_picture(hand, "indx1")
@@ -67,10 +81,22 @@ def test_the_command_writes_it_and_says_what_is_where(hand, tmp_path, run):
     code, out, _ = run("rig", "turn", "hand-coarse", "index1", "-o", path, "--view", "front")
     assert code == 0 and path.read_bytes().startswith(b"\x89PNG")
     assert out.splitlines()[:3] == ["x: -30 to 90 degrees", "y: -21 to 15 degrees", "z: does not turn"]
-    assert "from left to right the lower limit, the rest pose, the upper limit" in out
+    assert "rows x, y, z; from left to right the lower limit, the rest pose, the upper limit" in out
     before = path.read_bytes()
-    for more, words in (((), "exists already"), (("-o", tmp_path / "index1.jpg"), "a name that ends in .png")):
-        code, _, err = run("rig", "turn", "hand-coarse", "index1", "-o", path, *more)
-        assert code == 2 and words in err and path.read_bytes() == before
+    card = tmp_path / "card.png"
+    card.write_text("")
+    for name, more, words in (
+        (path, (), "exists already"),
+        (tmp_path / "index1.jpg", (), f"a name that ends in .png. Call it {tmp_path}/index1.jpg.png"),
+        (".", (), "a folder"),
+        (card, ("--card", card, "--existing", "replace"), "which is the card"),
+    ):
+        code, _, err = run("rig", "turn", "hand-coarse", "index1", "-o", name, *more)
+        assert code == 2 and words in err and path.read_bytes() == before and card.read_text() == ""
+    card.write_text('[limits]\nunit = "deg"\nindex1 = [[30, -20, 0], [30, 20, 0]]\n')
+    out = run("rig", "turn", "hand-coarse", "index1", "-o", path, "--card", card, "--existing", "replace")[1]
+    assert "x: held at 30 degrees" in out and "the rest pose is outside these limits" in out
+    out = run("rig", "turn", "hand-coarse", "wrist", "-o", path, "--existing", "replace")[1]
+    assert "fits turn it freely" in out and "outside" not in out
     code, _, err = run("rig", "turn", "hand-coarse", "index1")
     assert code == 2 and "-o NAME.png" in err

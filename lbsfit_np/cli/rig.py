@@ -64,8 +64,9 @@ def add_parser(commands):
     turn = actions.add_parser(
         "turn",
         help="draw what the angles of a joint do",
-        description="Draw the rig with one joint at its lower limit, at rest, and at its upper limit, in a line for each of the\n"
-        "joint's axes x, y and z. What moves with the joint is orange. An axis that does not turn has the rest pose alone.",
+        description="Draw the rig with one joint at its lower limit, at rest, and at its upper limit, in a row of pictures for\n"
+        "each of the joint's axes x, y and z. What moves with the joint is orange. An axis that does not turn has the rest\n"
+        "pose alone.",
         epilog="example:\n  lbsfit rig turn hand index1 -o index1.png\n",
         formatter_class=formatter,
     )
@@ -127,15 +128,21 @@ def _turn(arguments):
     path = values["output"]
     if path is None:
         raise InputError("-o/--output", "nothing", "the picture to write", "Add -o NAME.png.")
-    if Path(path).suffix.lower() != ".png":
-        raise InputError("-o/--output", path, "a name that ends in .png", f"Call it {Path(path).with_suffix('.png')}.")
-    check_file(path, inputs=[(arguments.file, "the rig itself")], existing=values["existing"])
+    inputs = [(arguments.file, "the rig itself")] + [(values["card"], "the card")] * (values["card"] not in (None, "none"))
+    check_file(path, inputs=inputs, existing=values["existing"])
+    if not path.lower().endswith(".png"):
+        raise InputError("-o/--output", path, "a name that ends in .png", f"Call it {path}.png.")
     rig = load_rig_with(arguments.file, values, quiet=True)
     write_png(path, turn_picture(rig, arguments.joint, view=values["view"]))
     j = rig.joint_names.index(arguments.joint)
     for axis, lower, upper in zip("xyz", np.degrees(rig.lower[j]), np.degrees(rig.upper[j])):
-        print(f"{axis}: " + (f"{lower:.0f} to {upper:.0f} degrees" if upper > lower else "does not turn"))
-    print(f"{path} written: lines x, y, z; from left to right the lower limit, the rest pose, the upper limit")
+        held = f"held at {lower:.0f} degrees" if lower else "does not turn"
+        print(f"{axis}: " + (f"{lower:.0f} to {upper:.0f} degrees" if upper > lower else held))
+    if j == rig.root:
+        print("note: these limits of the root are for sampled poses; fits turn it freely")
+    elif (rig.lower[j] > 0).any() or (rig.upper[j] < 0).any():
+        print("note: the rest pose is outside these limits")
+    print(f"{path} written: rows x, y, z; from left to right the lower limit, the rest pose, the upper limit")
     return 0
 
 

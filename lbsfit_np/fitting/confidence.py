@@ -294,8 +294,8 @@ SUSPECT = 0.5
 def probability_of(evidence, guesses=0.0):
     """The probability that the mean joint error is below 1.5 % of the rig's size.
 
-    Calibrated on scans of the whole subject, over all joints that turn. ``guesses`` is the share of these whose places a scan
-    hardly tells.
+    Calibrated over all joints that turn, in views of one side over those that the view shows. ``guesses`` is the share of the
+    joints whose places a scan hardly tells.
     """
     p = float(1.0 / (1.0 + np.exp(-(_INTERCEPT + np.dot(_WEIGHTS, logarithms(evidence))))))
     most = {"distance": _NOT_THE_RIG, "proportions": SOMEBODY_ELSE, "sparse": _TOO_FEW}

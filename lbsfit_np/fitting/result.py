@@ -64,7 +64,7 @@ class FitResult:
     message : str
         What speaks against the fit, if anything does; what was left out; the unit.
     probability : float
-        Probability that the mean joint error is below 1.5 % of the rig's size, calibrated on scans of all of the bundled rigs
+        Probability that the mean joint error is below 1.5 % of the rig's size, calibrated on scans of the bundled rigs
         (``fitting.confidence``). Where a scan lacks a part, it says nothing of the joints that are guesses, see ``joint_std``.
     evidence : dict of str to float
         What the probability rests on: each value is in [0, 1], and near 0 where nothing is wrong. See docs/fitting.md.

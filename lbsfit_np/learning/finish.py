@@ -158,8 +158,6 @@ def _size(m, fit):
         own = _as_first_fitted(m, fit)
         state, value, _ = fit.refit(problem, [m.state], proba=in_full(m.proba))
         free, free_value, _ = anew(own.problem, poses=[m.own[1]], proba=in_full(own.proba))
-        if fit.refit.partial:  # L_c is then over what each pose shows
-            value, free_value = fit.refit.left(problem, state), anew.left(own.problem, free)
         if free_value * own.frame.unit**2 < value * m.frame.unit**2:  # values go by the square of the frame's unit
             return _Size(free.scale * own.unit, state, free)
     return _Size(anew.polish(problem, state).scale * m.unit, state)

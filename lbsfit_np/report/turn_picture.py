@@ -28,8 +28,9 @@ def turn_picture(rig, joint, *, view="oblique", size=(320, 360)):
     Returns
     -------
     (h, w, 3) uint8 array
-        A line for each axis of the joint, x, y and z: at its lower limit, at rest, at its upper limit. What moves with the joint
-        is orange, as far as its weights say. An axis about which the joint does not turn has the rest pose alone.
+        A row of pictures for each axis of the joint, x, y and z: at its lower limit, at rest, at its upper limit; about its other
+        axes it is at rest, or at the limit that is nearest to that. What moves with the joint is orange, as far as its weights
+        say. An axis about which the joint does not turn has the rest pose alone.
 
     Raises
     ------
@@ -49,6 +50,7 @@ def turn_picture(rig, joint, *, view="oblique", size=(320, 360)):
     for axis in np.flatnonzero(upper > lower):
         for side, limit in enumerate((lower, upper)):
             theta = rest.copy()
+            theta[j] = np.clip(0.0, lower, upper)
             theta[j, axis] = limit[axis]
             poses[axis, side] = rig.without_loose(rig.pose(theta))
     home = rig.without_loose(rig.vertices)
