@@ -2,6 +2,7 @@
 
 Takes about three minutes the first time, for training the segmenter, and seconds after that.
 docs/pictures/fit.png: a scan of the bundled hand, coloured by the parts found; the registered mesh; the true mesh.
+docs/pictures/turn.png: what the angles of a finger's first joint do.
 """
 
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 import lbsfit_np as lbs
 from lbsfit_np.report.colors import part_colors
 from lbsfit_np.report.render import Mesh, Points, montage, render, write_png
+from lbsfit_np.report.turn_picture import turn_picture
 
 HERE = Path(__file__).resolve().parent
 POSE = "horns"
@@ -18,6 +20,7 @@ POSE = "horns"
 
 def main():
     rig = lbs.load_rig("hand")
+    write_png(HERE / "pictures" / "turn.png", turn_picture(rig, "index1", size=(200, 225)))
     scan = scan_of_pose(rig, POSE)
     result = lbs.fit_scan(rig, scan.points, random_state=0)
     write_png(HERE / "pictures" / "fit.png", fit_picture(rig, scan, result))
