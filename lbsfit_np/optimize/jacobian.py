@@ -17,7 +17,7 @@ import numpy as np
 
 from ..rotations import left_jacobian
 
-__all__ = ["VertexMotion", "joint_motion", "vertex_motion"]
+__all__ = ["VertexMotion", "joint_motion", "subtrees", "vertex_motion"]
 
 _I = np.eye(3)
 # (a, b, c): coordinate a of a cross product x × y is x_b y_c − x_c y_b.
@@ -170,7 +170,7 @@ def _turns(posed, w, u, turning):
     joint, axis = np.nonzero(turning)
     turned, of = np.unique(joint, return_inverse=True)
     shift = posed.unscaled_joints - (A @ posed.rest_joints[:, :, None])[:, :, 0]
-    below = _subtrees(rig.parents)[turned]
+    below = subtrees(rig.parents)[turned]
     hanging, at = w @ below.T, posed.unscaled_joints[turned]
     arms = np.empty((len(u), 3, len(turned)))
     for a in range(3):
@@ -200,7 +200,7 @@ def _family(model, posed, rows):
     return posed.scale * (turn @ basis + (rig.weights[rows] @ carried).reshape(-1, 3, k))
 
 
-def _subtrees(parents):
+def subtrees(parents):
     """(J, J): 1 where joint k is joint j or hangs below it."""
     below = np.eye(len(parents))
     for k in range(len(parents)):

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..errors import InputError, did_you_mean
+from ..optimize.jacobian import subtrees
 from .fit_picture import axes_of
 from .render import Mesh, montage, render
 
@@ -54,7 +55,7 @@ def turn_picture(rig, joint, *, view="oblique", size=(320, 360)):
             theta[j, axis] = limit[axis]
             poses[axis, side] = rig.without_loose(rig.pose(theta))
     home = rig.without_loose(rig.vertices)
-    along = np.asarray(rig.weights[:, _hanging_on(rig, j)].sum(axis=1)).reshape(-1, 1)
+    along = (rig.weights @ subtrees(rig.parents)[j])[:, None]
     colors = (_STAYS + along * (_MOVES - _STAYS)).astype(np.uint8)
     known = axes_of(rig) | {"frame": np.vstack([home, *poses.values()]), "view": view, "size": size}
 
@@ -68,14 +69,3 @@ def turn_picture(rig, joint, *, view="oblique", size=(320, 360)):
         for a in range(3)
     ]
     return montage(rows)
-
-
-def _hanging_on(rig, j):
-    """Rows of a joint and of all below it."""
-    below = []
-    for k in range(len(rig.parents)):
-        at = k
-        while at >= 0 and at != j:
-            at = rig.parents[at]
-        below += [k] if at == j else []
-    return below
