@@ -1,6 +1,6 @@
 """Draws the documents' pictures: python docs/make_pictures.py, in the checkout, with the package installed.
 
-Takes about three minutes the first time, for training the segmenter, and seconds after that.
+Takes 20 seconds the first time, for a library of starting poses, and seconds after that.
 docs/pictures/fit.png: a scan of the bundled hand, coloured by the parts found; the registered mesh; the true mesh.
 docs/pictures/turn.png: what the angles of a finger's first joint do.
 """

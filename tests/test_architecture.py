@@ -18,6 +18,7 @@ NAMES = [str(p.relative_to(PACKAGE)) for p in MODULES]
 # The rooms from left to right: each may import what stands to its left.
 ROOMS = (
     "errors",
+    "bundled",
     "seeds",
     "threads",
     "interrupts",
@@ -42,7 +43,7 @@ ROOMS = (
 )
 # The rooms at the edge, and what each may import besides itself.
 EDGE = {
-    "io": {"errors", "seeds", "rotations", "triangles", "rig", "scan"},
+    "io": {"errors", "bundled", "seeds", "rotations", "triangles", "rig", "scan"},
     "report": {*ROOMS, "io"},
     "bench": {*ROOMS, "io", "report"},
     "cli": {*ROOMS, "io", "report", "bench"},

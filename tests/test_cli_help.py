@@ -61,7 +61,7 @@ def test_training_says_a_line_a_minute(capsys):
         now[0] += 0.6 * SILENCE
     progress.close()
     first, *lines = capsys.readouterr().out.splitlines()
-    assert first == "training the segmenter on synthetic scans of the rig (once per rig and settings)"
+    assert first == "training on synthetic scans of the rig (once per rig and settings)"
     assert lines == [f"{first}: 25%, about 4 min left in this step"]  # 72 s for a quarter
 
 
@@ -99,7 +99,7 @@ def test_a_bar_on_a_terminal(capsys):
     progress.scan({"name": "two", "status": "failed", "message": "no points"})
     progress.close()
     out, err = capsys.readouterr()
-    assert out == "" and "training the segmenter" in err
+    assert out == "" and "training on synthetic scans" in err
     assert "2/2" in err and "two: failed: no points" in err and "one: fitted" not in err
 
 

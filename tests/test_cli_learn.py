@@ -51,7 +51,8 @@ def test_what_it_says_meanwhile(learned_hands):
     assert re.search(said + r"took \d+ s", text)
     line = r"round 1 of at most 1: recon 0\.\d+ on the scans .* held out; \d scans? got a better pose from a new start; "
     assert re.search(line + r"took \d+ s\n", text)
-    for stage in ("training the segmenter", "fitting each scan by itself", "round 1 of at most 1: poses of scans", "results"):
+    stages = "training on synthetic scans", "fitting each scan by itself", "training the segmenter on scans like these"
+    for stage in (*stages, "round 1 of at most 1: poses of scans", "results"):
         assert stage in text
     assert "learned from 6 of 8 scans of 2 subjects (1 held out; 1 could not be used) in 1 round; wrote " in text
     assert "7 of 8 results in" in text

@@ -114,7 +114,7 @@ def test_stopped_before_anything_was_trained_nothing_is_said_to_be_kept(variant,
     def interrupted(*given, **options):
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("lbsfit_np.learning.fitter.pretrain_library", interrupted)
+    monkeypatch.setattr("lbsfit_np.learning.pretraining.pretrain_library", interrupted)
     monkeypatch.setattr("lbsfit_np.learning.fitter.fit_free_form", interrupted)
     (tmp_path / "mine").mkdir()
     outputs = ("-o", tmp_path / "new" / "deep" / "m.npz", "--results", tmp_path / "mine")

@@ -319,7 +319,7 @@ def test_subjects_on_the_command_line_win(in_file, table, given, tube_model, tub
 
 @pytest.mark.parametrize("variant", ["cd", "free-form"])
 def test_models_without_labels_want_no_segmenter(variant, tubes, tmp_path, run, monkeypatch):
-    monkeypatch.setattr("lbsfit_np.learning.fitter.pretrain_segmenter", None)
+    monkeypatch.setattr("lbsfit_np.learning.pretraining.pretrain_segmenter", None)
     scans = sorted(tubes.glob("*.ply"))
     options = ("--variant", variant, "--max-points", 300, "--seed", 6)
     code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *options, *QUICK_LEARNING)

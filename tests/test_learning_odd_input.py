@@ -272,8 +272,8 @@ def test_training_that_cannot_be_computed_is_named_before_any_work(training, wor
     def never(*a, **k):
         pytest.fail("worked first")
 
-    for name in ("read_collection", "pretrain_library", "pretrain_segmenter"):
-        monkeypatch.setattr(f"lbsfit_np.learning.fitter.{name}", never)
+    for name in ("fitter.read_collection", "pretraining.pretrain_library", "pretraining.pretrain_segmenter"):
+        monkeypatch.setattr(f"lbsfit_np.learning.{name}", never)
     fitter = lbs.LBSFitter(tube_rig, **QUICK | {"training": training})
     calls = (fitter.pretrain, lambda: fitter.fit(clouds), lambda: fitter.fit_scan(clouds[0]), lambda: fit_scans(fitter, clouds))
     for call in calls:

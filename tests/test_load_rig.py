@@ -26,7 +26,7 @@ def two_bundled(tmp_path, monkeypatch, tube_rig):
     folder.mkdir()
     for name in ("tube", "other"):
         tube_rig.save(folder / f"{name}.npz")
-    monkeypatch.setattr(rigs, "_bundled", lambda: {p.stem: p for p in folder.glob("*.npz")})
+    monkeypatch.setattr(rigs, "bundled_files", lambda pattern: {p.stem: p for p in folder.glob(pattern)})
 
 
 def test_bundled_rigs_by_name(two_bundled, tube_rig):

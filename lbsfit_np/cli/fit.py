@@ -346,8 +346,6 @@ def _fit(fitter, todo, subjects, values, on_result, progress):
     from ..learning.batch import fit_scans
 
     segmenter = getattr(fitter, "segmenter_", None)
-    if segmenter is not None:
-        progress.pretraining = "library"
 
     def pretrain(fitter):
         fitter.pretrain(segmenter=segmenter, cache=True, progress=progress.training)

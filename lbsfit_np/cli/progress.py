@@ -12,8 +12,7 @@ __all__ = ["SILENCE", "LearningProgress", "Progress", "bar", "in_digits", "of_al
 
 # What the stages of LBSFitter.fit do, in words; others are called by their names.
 _STAGES = {
-    "pretraining": "training the segmenter on synthetic scans of the rig (once per rig and settings)",
-    "library": "building the library of starting poses (once per rig and settings)",
+    "pretraining": "training on synthetic scans of the rig (once per rig and settings)",
     "first fits": "fitting each scan by itself",
     "templates": "fitting the subjects' templates",
     "segmenter": "training the segmenter on scans like these",
@@ -75,14 +74,13 @@ class Progress:
 
     def __init__(self, total, terminal=None, clock=time.monotonic):
         self.total, self.done = total, 0
-        self.pretraining = "pretraining"  # or "library", where the segmenter is there
         self.terminal = sys.stderr.isatty() if terminal is None else terminal
         self._bar, self._said = None, set()
         self._stages = LearningProgress(0, self.terminal, clock)
 
     def training(self, share):
-        """The segmenter is trained to this share, in [0, 1]; shown as ``lbsfit learn`` shows it."""
-        self._stages(self.pretraining, share)
+        """Pretraining is done to this share, in [0, 1]; shown as ``lbsfit learn`` shows it."""
+        self._stages("pretraining", share)
         if share >= 1 and self.terminal:
             self._stages.close()
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from ..bundled import bundled_files
 from ..errors import FileError, InputError
 from ..rig.build import build_rig
 from ..rig.card import nearest
@@ -136,7 +137,7 @@ def rig_for_card(path_or_name, *, shape=None, skin=None):
 
 def bundled_rigs():
     """Return the names of the rigs that come with the package, for ``load_rig``, as a sorted list of str."""
-    files = _bundled()
+    files = bundled_files("*.npz")
     return sorted([*files, *(name for name, original in _MIRRORED.items() if original in files)])
 
 
@@ -147,7 +148,7 @@ def about_bundled(name):
 
 
 def _is_mirrored(name):
-    return isinstance(name, str) and name in _MIRRORED and _MIRRORED[name] in _bundled() and not Path(name).is_file()
+    return isinstance(name, str) and name in _MIRRORED and _MIRRORED[name] in bundled_files("*.npz") and not Path(name).is_file()
 
 
 def _found(path_or_name):
@@ -157,7 +158,7 @@ def _found(path_or_name):
     if not str(path_or_name):
         raise InputError("path_or_name", "an empty text", "the path of a rig file, or the name of a bundled rig")
     path = Path(path_or_name)
-    bundled = _bundled()
+    bundled = bundled_files("*.npz")
     if str(path_or_name) in bundled and not os.path.isfile(path):
         return bundled[str(path_or_name)]
     if os.path.isdir(path):
@@ -170,20 +171,6 @@ def _found(path_or_name):
             str(path_or_name), "no such file", expected, None if remedy and remedy.startswith("There are") else remedy
         )
     return path
-
-
-def _bundled():
-    """Name → path of the package's own rigs; in a checkout they lie in rigs/ beside the package."""
-    folders = []
-    try:
-        folders.append(Path(str(importlib.resources.files("lbsfit_np.rigs"))))
-    except (ModuleNotFoundError, TypeError):
-        pass
-    folders.append(Path(__file__).resolve().parents[2] / "rigs")
-    for folder in folders:
-        if folder.is_dir() and (found := {p.stem: p for p in folder.glob("*.npz")}):
-            return found
-    return {}
 
 
 def _npz_reader(path):

@@ -20,7 +20,7 @@ from .loop import Loop, LoopSettings
 from .made_with import as_fitted, as_learned
 from .new_scan import fit_new, scan_fit
 from .parameters import check_callables, check_learned, check_parameters, check_scan, check_segmenter, fit_settings, learned_with
-from .pretraining import LIBRARY_TIME, is_stale, pretrain_library, pretrain_segmenter, pretrained_from, still_given
+from .pretraining import is_stale, pretrained, pretrained_from, still_given
 from .reading import as_scans, read_collection
 from .subjects import known_subject
 from .training import training_settings
@@ -154,6 +154,8 @@ class LBSFitter(BaseEstimator):
         ----------
         segmenter : Segmenter, optional
             Used as s: only f and the library are then trained. Variants without labels have no s; they neither train nor use one.
+            With the bundled rigs "hand", "hand-left" and "body" comes an s of the default settings and seed 0, which is not
+            trained again.
         cache : bool, default False
             Whether to look in the cache for what was trained, and to add to it.
         progress : callable, optional
@@ -168,19 +170,12 @@ class LBSFitter(BaseEstimator):
         progress = progress or (lambda share: None)
         labels = as_variant(self.variant).labels
         check_segmenter(segmenter, self.rig)
-        given, segmenter = segmenter, segmenter if labels else None
-        train = labels and segmenter is None
-        share = LIBRARY_TIME if train else 1.0
         made_of = self.rig, self._synthesis(), self.training_scans
-        options = {"random_state": self._seed(), "cache": cache and self._repeatable()}
-        library = pretrain_library(*made_of, progress=lambda p: progress(share * p), jobs=jobs_of(self.n_jobs, None), **options)
-        if train:
-            options |= {"n_jobs": self.n_jobs, "progress": lambda p: progress(share + (1 - share) * p)}
-            segmenter = pretrain_segmenter(*made_of, **options)
-        self._pretrained = segmenter, library
+        options = {"random_state": self._seed(), "n_jobs": self.n_jobs, "cache": cache and self._repeatable()}
+        self._pretrained = pretrained(*made_of, segmenter=segmenter, labels=labels, progress=progress, **options)
         if getattr(self, "template_", None) is None:  # else what was learned stays together until more is
-            self.segmenter_, self.regressor_ = segmenter, library
-        self._pretrained_of, self._given = pretrained_from(self), given
+            self.segmenter_, self.regressor_ = self._pretrained
+        self._pretrained_of, self._given = pretrained_from(self), segmenter
         return self
 
     def fit(self, scans, subjects=None, *, cache=False, checkpoint=None, progress=None, on_round=None):

@@ -2,20 +2,60 @@
 
 from dataclasses import replace
 
-from ..segmentation.cache import cached
+from ..bundled import bundled_files
+from ..segmentation.cache import cached, shipped_name
 from ..segmentation.descriptors import Descriptor
-from ..segmentation.segmenter import Segmenter, train_segmenter
+from ..segmentation.segmenter import Segmenter, jobs_of, train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import PoseLibrary, build_library
 from ..synthesis import StartScans, TrainingScans
 
-__all__ = ["LIBRARY_TIME", "is_stale", "pretrain_library", "pretrain_segmenter", "pretrained_from", "still_given"]
+__all__ = [
+    "is_stale",
+    "pretrain_library",
+    "pretrain_segmenter",
+    "pretrained",
+    "pretrained_from",
+    "shipped_name_of",
+    "still_given",
+]
 
 # Share of the time of pretraining that the library takes, for the progress bar.
-LIBRARY_TIME = 0.1
+_LIBRARY_TIME = 0.1
 
 # Enough for a look.
 _LIBRARY_POINTS = 1000
+
+
+def pretrained(rig, synthesis, n_scans, *, segmenter, labels, random_state, n_jobs, cache, progress):
+    """The segmenter s, and f with the library of starts.
+
+    s is not trained where one is given or comes with the package.
+
+    Parameters
+    ----------
+    rig, synthesis, n_scans, random_state, n_jobs, cache, progress
+        As in :func:`pretrain_segmenter`.
+    segmenter : Segmenter or None
+        The one that is given.
+    labels : bool
+        Whether there is to be an s at all.
+
+    Returns
+    -------
+    segmenter : Segmenter or None
+    library : PoseLibrary
+    """
+    made_of, options = (rig, synthesis, n_scans), {"random_state": random_state, "cache": cache}
+    if labels and segmenter is None:
+        segmenter = _shipped_segmenter(*made_of, random_state=random_state)
+    train = labels and segmenter is None
+    share = _LIBRARY_TIME if train else 1.0
+    library = pretrain_library(*made_of, jobs=jobs_of(n_jobs, None), progress=lambda p: progress(share * p), **options)
+    if train:
+        options |= {"n_jobs": n_jobs, "progress": lambda p: progress(share + (1 - share) * p)}
+        segmenter = pretrain_segmenter(*made_of, **options)
+    return segmenter if labels else None, library
 
 
 def pretrain_segmenter(rig, synthesis, n_scans, *, random_state, n_jobs, cache, progress):
@@ -44,8 +84,22 @@ def pretrain_segmenter(rig, synthesis, n_scans, *, random_state, n_jobs, cache, 
         scans = TrainingScans(rig, synthesis, seed)
         return train_segmenter(rig, scans, n_scans, random_state=seed, n_jobs=n_jobs, progress=progress)
 
-    key = rig.digest, synthesis, n_scans, Descriptor(), Training(), int(seed), *_seen_from(rig, synthesis)
-    return cached("segmenter", key, train, Segmenter.load) if cache else train()
+    return cached("segmenter", _segmenter_key(rig, synthesis, n_scans, seed), train, Segmenter.load) if cache else train()
+
+
+def _shipped_segmenter(rig, synthesis, n_scans, *, random_state):
+    """What :func:`pretrain_segmenter` would train, where that comes with the package; else None."""
+    path = bundled_files("trained/*.npz").get(shipped_name_of(rig, synthesis, n_scans, random_state=random_state))
+    return None if path is None else Segmenter.load(path)
+
+
+def shipped_name_of(rig, synthesis, n_scans, *, random_state):
+    """As a segmenter's file in rigs/trained/ is called, without its ending; ``python -m rigs.train`` writes these files."""
+    return shipped_name("segmenter", _segmenter_key(rig.welded, synthesis, int(n_scans), random_state))
+
+
+def _segmenter_key(rig, synthesis, n_scans, seed):
+    return rig.digest, synthesis, n_scans, Descriptor(), Training(), int(seed), *_seen_from(rig, synthesis)
 
 
 def pretrain_library(rig, synthesis, n_scans, *, random_state, jobs, cache, progress):

@@ -16,7 +16,7 @@ __all__ = ["card_text", "guessed_chains"]
 def card_text(rig):
     """The card of a Rig or a RigData.
 
-    Where the file has several roots, [hierarchy] holds a guess from names and positions, for the user to check.
+    Where the file has several roots or none, [hierarchy] holds a guess from names and positions, for the user to check.
 
     Returns
     -------
@@ -27,7 +27,11 @@ def card_text(rig):
     parents = np.asarray(rig.parents)
     lines = [f"# Rig card of {_one_line(rig.name)}: {len(names)} joints, {len(rig.vertices)} vertices.", ""]
     lines += _rig_table(rig)
-    lines += _hierarchy_table(rig, names, parents)
+    tops = _tops(parents)
+    root, guess = names[tops[0]], None
+    if len(tops) > 1:
+        root, guess = guessed_chains([names[j] for j in tops], np.asarray(rig.joints)[tops])
+    lines += _hierarchy_table(rig, names, parents, root, guess)
     merged = _mask(rig, "merged")
     locked = _mask(rig, "locked")
     lines += [
@@ -45,10 +49,7 @@ def card_text(rig):
         '# "*" = "bone"     # axes of the angles: y along the bone, x across (bending), z forward; "rig": the rig\'s own axes',
         "",
     ]
-    lines += _limits_table(rig, names, parents, merged | locked)
-    roots = np.flatnonzero(parents < 0)
-    joints = np.asarray(rig.joints)[roots]
-    root = names[roots[0]] if len(roots) == 1 else guessed_chains([names[j] for j in roots], joints)[0]
+    lines += _limits_table(rig, names, parents, root, guess, merged | locked)
     lines += _parts_tables(rig, root)
     return "\n".join(lines) + "\n"
 
@@ -82,6 +83,12 @@ def guessed_chains(names, joints):
     return root, list(groups.values())
 
 
+def _tops(parents):
+    """Rows of the joints without a parent; of all joints where each has one, so that they go round in circles."""
+    tops = np.flatnonzero(parents < 0)
+    return tops if len(tops) else np.arange(len(parents))
+
+
 def _rig_table(rig):
     unit = rig.metres_per_unit
     named = next((f'"{name}"' for name, metres in METRES.items() if unit == metres), repr(unit))
@@ -101,24 +108,21 @@ def _rig_table(rig):
     ]
 
 
-def _hierarchy_table(rig, names, parents):
-    roots = np.flatnonzero(parents < 0)
+def _hierarchy_table(rig, names, parents, root, guess):
     lines = [
         "[hierarchy]",
         '# chains: each joint is a child of the one before it. parents = { "child" = "parent" } does the same for single joints.',
     ]
-    if len(roots) == 1 and isinstance(rig, RigData):
-        return [*lines, "# The hierarchy comes from the file; lines here override it.", f"root = {_quote(names[roots[0]])}", ""]
-    if len(roots) == 1:  # of a built rig nobody knows whether the file or a card said it: say it all
-        lines += [f"root = {_quote(names[roots[0]])}", "chains = ["]
-        return [*lines, *(f"    {_list(names[j] for j in chain)}," for chain in _chains(parents, roots[0])), "]", ""]
-    lines.append(
-        f"# The file has {len(roots)} joints without a parent. What follows is a GUESS from names and positions: check it."
-    )
-    root, chains = guessed_chains([names[j] for j in roots], np.asarray(rig.joints)[roots])
-    lines += [f"root = {_quote(root)}", "chains = ["]
-    lines += [f"    {_list(chain)}," for chain in chains]
-    return [*lines, "]", ""]
+    if guess is None and isinstance(rig, RigData):
+        return [*lines, "# The hierarchy comes from the file; lines here override it.", f"root = {_quote(root)}", ""]
+    if guess is None:  # of a built rig nobody knows whether the file or a card said it: say it all
+        chains = [[names[j] for j in row] for row in _chains(parents, names.index(root))]
+    else:
+        chains, orphans = guess, np.count_nonzero(parents < 0) or "no"
+        lines.append(
+            f"# The file has {orphans} joints without a parent. What follows is a GUESS from names and positions: check it."
+        )
+    return [*lines, f"root = {_quote(root)}", "chains = [", *(f"    {_list(names)}," for names in chains), "]", ""]
 
 
 def _chains(parents, root):
@@ -135,7 +139,7 @@ def _chains(parents, root):
     return chains
 
 
-def _limits_table(rig, names, parents, still):
+def _limits_table(rig, names, parents, root, guess, still):
     lower, upper, derived = rig.lower, rig.upper, rig.lower is None or all_derived(rig.notes)
     lines = [
         "[limits]",
@@ -143,16 +147,13 @@ def _limits_table(rig, names, parents, still):
         "# several joints; later lines override earlier ones. The root's are used for sampling only: a fit leaves it free.",
     ]
     if lower is None:
-        root, animated = int(np.flatnonzero(parents < 0)[0]) if (parents < 0).any() else 0, rig.animated
-        if (parents < 0).sum() > 1:
-            tops = np.flatnonzero(parents < 0)
-            first, chains = guessed_chains([names[j] for j in tops], np.asarray(rig.joints)[tops])
-            root, guessed = names.index(first), np.array(parents)
-            for one, other in chain.from_iterable(map(pairwise, chains)):
+        animated = rig.animated
+        if guess is not None and animated is not None:
+            guessed = np.array(parents)
+            for one, other in chain.from_iterable(map(pairwise, guess)):
                 guessed[names.index(other)] = names.index(one)
-            if animated is not None:
-                animated = under_other_parents(np.asarray(animated, dtype=float), np.asarray(rig.frames), parents, guessed)
-        lower, upper = derived_limits(root, len(names), animated)[:2]
+            animated = under_other_parents(np.asarray(animated, dtype=float), np.asarray(rig.frames), parents, guessed)
+        lower, upper = derived_limits(names.index(root), len(names), animated)[:2]
     if derived:  # as lines of the card they would pass for what somebody has thought about
         lower, upper = np.round(lower, 3), np.round(upper, 3)
         lines += [

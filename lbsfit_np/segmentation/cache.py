@@ -12,11 +12,11 @@ from .. import __version__
 from ..errors import FileError, in_words
 from . import context
 
-__all__ = ["RECIPE", "cache_folder", "cached", "could_not_keep"]
+__all__ = ["RECIPE", "cache_folder", "cached", "could_not_keep", "shipped_name"]
 
 # To be raised by one with every change of segmentation/, starts/look.py, starts/library.py, synthesis.py, sensor.py,
 # rig/proportions.py, or Rig.size after which the same settings and seed train another segmenter or another library: what an
-# earlier state of the code has cached is then never taken for this one's.
+# earlier state of the code has cached, or what comes with the package, is then never taken for this one's.
 RECIPE = 3
 
 _MEMORY, _WARNED_OF = {}, set()
@@ -47,6 +47,14 @@ def could_not_keep():
     return cache_folder() in _WARNED_OF
 
 
+def shipped_name(kind, key):
+    """As the file is called, without its ending, that holds what ``key`` stands for, where that comes with the package.
+
+    Versions are no part of it: it has been trained with those of the day, and is the same for everybody.
+    """
+    return _name(kind, key, *_recipe())
+
+
 def cached(kind, key, train, load):
     """What ``key`` stands for, trained by ``train()`` when neither memory nor the folder has it.
 
@@ -65,7 +73,7 @@ def cached(kind, key, train, load):
     -----
     A folder that cannot be written to is no error, but warned of: what was trained then lasts as long as the process.
     """
-    name = kind + "-" + hashlib.sha256(repr((key, *_recipe())).encode()).hexdigest()[:32]
+    name = _name(kind, key, *_versions(), *_recipe())
     if name in _MEMORY:
         return _MEMORY[name]
     path = cache_folder() / f"{name}.npz"
@@ -98,8 +106,16 @@ def _warning_of(folder):
         _WARNED_OF.add(folder)
 
 
-def _recipe():
-    """What it depends on besides the key."""
+def _name(kind, *of):
+    return f"{kind}-{hashlib.sha256(repr(of).encode()).hexdigest()[:32]}"
+
+
+def _versions():
     import sklearn
 
-    return RECIPE, __version__, sklearn.__version__, context.CONTEXT_POINTS, context.NEAR, context.WIDE
+    return __version__, sklearn.__version__
+
+
+def _recipe():
+    """What it depends on besides the key and the versions."""
+    return RECIPE, context.CONTEXT_POINTS, context.NEAR, context.WIDE
