@@ -34,6 +34,26 @@ def test_open_mesh_pieces_and_unused_vertices_are_noted():
     assert "1 vertices belong to no face" in notes
 
 
+@pytest.mark.parametrize("far", [100.0 * np.eye(3), np.eye(3)[[1, 2, 0]], None])
+def test_joints_away_from_the_mesh_are_noted(far):
+    """As of a file whose joints are in another unit, or stand up another way, than its vertices."""
+    data = make_tube_data()
+    joints = data.joints if far is None else data.joints @ far
+    notes = [note for note in build_rig(replace(data, joints=joints, regressor=None)).notes if "outside the mesh" in note]
+    assert len(notes) == (far is not None)
+    if far is not None:
+        assert "are joints in another unit than vertices, or is another of their axes up?" in notes[0] and "root" in notes[0]
+
+
+def test_the_angle_of_a_joint_that_is_held_is_shown():
+    data = make_tube_data()
+    lower = data.lower.copy()
+    lower[1] = data.upper[1] = [0.2, 0.0, 0.0]
+    lines = describe(build_rig(replace(data, lower=lower))).splitlines()
+    (line,) = [line for line in lines if "elbow" in line and "still" in line]
+    assert "+0.20..+0.20" in line
+
+
 def test_turned_faces_are_noted():
     data = make_tube_data()
     assert any("inside out" in note for note in build_rig(replace(data, faces=data.faces[:, ::-1])).notes)

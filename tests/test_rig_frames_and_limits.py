@@ -61,6 +61,21 @@ def test_changed_frames_carry_animations_over_and_drop_the_files_limits():
     assert any("1 of 4 moving joints" in note for note in limited.notes)
 
 
+def test_another_parent_makes_other_limits():
+    """Those of the file are relative to the file's parent; where it names none, they are for whichever the card gives."""
+    data = make_tube_data()
+    j = data.joint_names.index("short")
+    assert data.parents[j] > 0
+    rig = build_rig(data, Card(parents=(("short", "root"),)))
+    np.testing.assert_array_equal(rig.upper[j], 0.8)
+    np.testing.assert_array_equal(np.delete(rig.upper, j, axis=0), np.delete(data.upper, j, axis=0))
+    assert any("limits for 1 of 4 moving joints" in note and "short" in note for note in rig.notes)
+    names = data.joint_names
+    card = Card(parents=tuple((names[k], names[p]) for k, p in enumerate(data.parents) if p >= 0))
+    rig = build_rig(replace(data, parents=np.full(4, -1)), card)
+    np.testing.assert_array_equal(rig.upper, data.upper)
+
+
 # ---- limits that are missing ----
 
 

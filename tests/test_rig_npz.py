@@ -314,7 +314,7 @@ def test_body_shapes_by_name_number_and_default(tmp_path):
     assert slim.vertices.dtype == float
 
 
-@pytest.mark.parametrize("shape", ["tal", 2, -1, 1.5j, "7"])
+@pytest.mark.parametrize("shape", ["tal", 2, -1, 1.5j, "7", 0.9, True])
 def test_unknown_shape_lists_the_names(tmp_path, shape):
     with pytest.raises(InputError, match=r"shape.*'slim', 'tall'.*0 to 1"):
         load_rig(body(tmp_path), shape=shape)

@@ -186,3 +186,114 @@ def test_points_beside_what_a_rig_has_are_a_scan(tmp_path):
     np.savez(tmp_path / "rig.npz", **of_rig, vertices=points)
     with pytest.raises(FileError, match="a rig, or a learned model"):
         load_scan(tmp_path / "rig.npz")
+
+
+@pytest.mark.parametrize(
+    ("text", "points"),
+    [
+        ("x\ty\tz\tintensity\n1\t2\t3\t9\n\t2\t3\t9\n4\t5\t6\t7\n", [[1, 2, 3], [np.nan, 2, 3], [4, 5, 6]]),
+        ("x y z label conf\n1\t2\t3\t4\t\n1\t2\t4\t6\t5\n", [[1, 2, 3], [1, 2, 4]]),
+        ("1,5\t2,5\t3,5\n1\t2\t3\n", [[1.5, 2.5, 3.5], [1, 2, 3]]),
+        ("\tx\ty\tz\n0\t1.5\t2\t3\n1\t4\t5\t6\n", [[1.5, 2, 3], [4, 5, 6]]),
+        ("\t0\t1\t2\n0\t1.5\t2\t3\n1\t4\t5\t6\n", [[1.5, 2, 3], [4, 5, 6]]),
+        ("0\t1\t2\n1.5\t2\t3\n4\t5\t6\n", [[1.5, 2, 3], [4, 5, 6]]),
+        ("0;1;2\n1.5;2;3\n4;5;6\n", [[1.5, 2, 3], [4, 5, 6]]),
+        ("1\t\t2\t3\n4\t5\t\t6\n", [[1, 2, 3], [4, 5, 6]]),  # put in line by hand
+        ("\t1\t2\t3\n\t4\t5\t6\n", [[1, 2, 3], [4, 5, 6]]),
+        ("1 2\t3\n4 5\t6\n", [[1, 2, 3], [4, 5, 6]]),
+        ("1\t2\t3\t\n4\t5\t6\t\n", [[1, 2, 3], [4, 5, 6]]),
+    ],
+)
+def test_tabs(tmp_path, text, points):
+    points = np.array(points)
+    kept = points[np.isfinite(points).all(axis=1)]
+    for name in ("p.csv", "p.txt"):
+        np.testing.assert_array_equal(load_scan(write(tmp_path, name, text), drop_invalid=True).points, kept)
+
+
+def test_a_missing_cell_between_tabs_does_not_move_the_labels(tmp_path):
+    scan = load_scan(write(tmp_path, "p.txt", "x\ty\tz\tlabel\tconf\n1\t2\t3\t4\t5\n1\t2\t4\t\t5\n"))
+    assert scan.labels is None and "'label' are not whole numbers" in scan.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("x,y,z\n1,5,2,5,3,5\n2,5,2,5,3,5\n", "expected rows of 3 columns, as many as have names. .* with decimal commas"),
+        ("x,y,z,r\n1,2,3,4\n2,5,2,5,3,5\n", "6 cells in row 2, counting rows from 1.* here 4"),
+        ("x,y,z,name\n1,2,3,a\n1,2,3,a,b\n", "5 cells in row 2"),
+        ("x y z r\n1 2 3 4\n# 1\n\n1 2 3 4 5 # here\n", "5 cells in row 2"),
+        ("1,2,3\n1,2,4\n1,2\n1,2,7\n", "changed from 3 to 2 in row 3, counting"),
+        ("x,y,z,r\n1,2,3,4\n1,2\n", "in row 2 with 2 columns, counting"),
+        ("x,y,z\n1,2,3\n1;2;4\n", "changed from 3 to 1 in row 2, counting"),
+        ("x y z\n1 2 3\n1;2 3 4\n", "'1;2' to float64 in row 2, column 1, counting"),
+    ],
+)
+def test_rows_of_other_lengths_are_named(tmp_path, text, words):
+    with pytest.raises(FileError, match=words):
+        load_scan(write(tmp_path, "p.csv", text))
+
+
+@pytest.mark.parametrize("cells", ["1,2,3,", "1,2,3,,", '"1","2","3"', '1,2,3,"a, b"', "1,2,3,# 4, 5, 6"])
+def test_what_a_row_may_end_with(tmp_path, cells):
+    scan = load_scan(write(tmp_path, "p.csv", f"x,y,z,name\n4,5,6,a\n{cells}\n"))
+    np.testing.assert_array_equal(scan.points, [[4, 5, 6], [1, 2, 3]])
+
+
+@pytest.mark.parametrize(
+    ("comment", "columns", "x"),
+    [
+        ("format: x y z", 6, 0),
+        ("fields: x y z", 4, 0),
+        ("fields: id x y z", 4, 1),
+        ("frame 0 1 2", 6, 0),
+        ("x y z", 6, 0),
+        ("id x y z", 4, 1),
+        ("id x y z", 6, 0),
+        ("x y z nx ny nz", 9, 0),
+    ],
+)
+def test_a_comment_names_the_columns_where_its_words_can_be_these(tmp_path, comment, columns, x):
+    table = np.random.default_rng(0).integers(1, 999, (5, columns)) / 8
+    scan = load_scan(write(tmp_path, "p.txt", f"# {comment}\n" + rows(table)))
+    np.testing.assert_array_equal(scan.points, table[:, x : x + 3])
+    assert (scan.normals is not None) == ("nx" in comment)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'name,x,y,z,q\n"Smith, J",1,2,3,9\n"Doe, K",4,5,6,8\n',
+        'x,name,y,z\n1,"Smith, J",2,3\n4,"Doe",5,6\n',
+        'name x y z\n"a b" 1 2 3\nc 4 5 6',
+    ],
+)
+def test_cells_in_quotes_are_one(tmp_path, text):
+    np.testing.assert_array_equal(load_scan(write(tmp_path, "p.csv", text)).points, [[1, 2, 3], [4, 5, 6]])
+
+
+@pytest.mark.parametrize(
+    ("names", "x"), [("px py x y z", 2), ("id 0 1 x y z", 3), ("px py pz x y z", 3), ("px py pz y", 0), ("x y z px py pz", 0)]
+)
+def test_axes_are_of_one_style(tmp_path, names, x):
+    table = np.arange(12.0).reshape(2, 6)[:, : len(names.split())] ** 2
+    scan = load_scan(write(tmp_path, "p.csv", names.replace(" ", ",") + "\n" + rows(table, sep=",")))
+    np.testing.assert_array_equal(scan.points, table[:, x : x + 3])
+    head = "".join(f"property float {a}\n" for a in names.split())
+    ply = f"ply\nformat ascii 1.0\nelement vertex 2\n{head}end_header\n" + rows(table)
+    np.testing.assert_array_equal(load_scan(write(tmp_path, "p.ply", ply)).points, table[:, x : x + 3])
+
+
+def test_digits_that_were_taken_for_names_are_told_of(tmp_path):
+    scan = load_scan(write(tmp_path, "p.csv", "0,1,2\n3,4,5\n6,7,8\n"))
+    assert scan.notes == ("The first line, 0, 1, 2, was read as names of columns.",)
+
+
+def test_labels_in_an_npz_are_those_that_fit(tmp_path):
+    np.savez(tmp_path / "a.npz", points=POINTS, **{"class": np.array([3])}, labels=LABELS)
+    scan = load_scan(tmp_path / "a.npz")
+    np.testing.assert_array_equal(scan.labels, LABELS)
+    for one in (np.array(3), np.array([3])):
+        np.savez(tmp_path / "b.npz", points=POINTS, **{"class": one})
+        scan = load_scan(tmp_path / "b.npz")
+        assert scan.labels is None and scan.notes == ("'class' is one value for all points: labels left out.",)

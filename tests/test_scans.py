@@ -210,6 +210,27 @@ def test_off_in_its_many_spellings(tmp_path, head):
     assert "2 triangles" in load_scan(tmp_path / "m.off", n_samples=9).notes[-1]
 
 
+@pytest.mark.parametrize(
+    ("word", "columns", "known"),
+    [
+        ("CSTOFF", "pc", False),
+        ("off", "p", False),
+        ("NCOFF", "pcn", True),  # as MeshLab writes it
+        ("CNOFF", "pnc", True),
+        ("STCNOFF", "pncs", True),
+        ("NCOFF", "pc", False),
+    ],
+)
+def test_off_with_colours_and_normals(tmp_path, word, columns, known):
+    of = {"p": POINTS, "n": NORMALS, "c": np.full((4, 4), 200), "s": np.full((4, 2), 0.5)}
+    text = f"{word}\n4 1 0\n" + rows(*[of[c] for c in columns]) + "3 0 1 2\n"
+    scan = load_scan(write(tmp_path, "m.off", text))
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert (scan.normals is not None) == known
+    if known:
+        np.testing.assert_array_equal(scan.normals, NORMALS)
+
+
 MARK = b"\xef\xbb\xbf"
 
 

@@ -22,8 +22,8 @@ class CloudData:
 
 
 _AXIS = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}
-_POSITION = re.compile(r"(?:(?:p|pos|position|point|points|coord|vertex)[ _.:-]?)?([xyz012])")
-_NORMAL = re.compile(r"(?:n|normal|normals)[ _.:-]?([xyz012])")
+_POSITION = re.compile(r"((?:(?:p|pos|position|point|points|coord|vertex)[ _.:-]?)?)([xyz012])")
+_NORMAL = re.compile(r"((?:n|normal|normals)[ _.:-]?)([xyz012])")
 _LABEL = re.compile(r"(?:vertex|point|part|scalar)?[ _]?(?:labels?|parts?|part[ _]id|segment(?:ation)?|class(?:ification)?)")
 
 
@@ -32,21 +32,34 @@ def column_role(name):
 
     Case, quotes and units in brackets do not matter: ``X [m]``, ``"x"``, ``Points:0``, ``normal_x``, ``scalar_Label``.
     """
+    return _role_and_style(name)[0]
+
+
+def _role_and_style(name):
+    """The role of a column, and how its axis is called: x, y and z in one style belong together."""
     name = re.sub(r"[\[(].*?[\])]", "", name).strip("\"' \t#/").lower()
-    if found := _POSITION.fullmatch(name):
-        return _AXIS[found[1]]
-    if found := _NORMAL.fullmatch(name):
-        return 3 + _AXIS[found[1]]
-    return 6 if _LABEL.fullmatch(name) else None
+    for kind, first in ((_POSITION, 0), (_NORMAL, 3)):
+        if found := kind.fullmatch(name):
+            return first + _AXIS[found[2]], (found[1], found[2].isdigit())
+    return (6 if _LABEL.fullmatch(name) else None), None
 
 
 def columns_by_role(names):
-    """Role, as :func:`column_role` gives it, → index of the first column that has it."""
-    found = {}
+    """Role, as :func:`column_role` gives it, → index of its column.
+
+    Of several columns with a role the first; but three axes in one style go before others: of px, py, x, y, z (pixels and a
+    point) the last three, and plain x, y, z before all.
+    """
+    found, styles = {}, {}
     for k, name in enumerate(names):
-        role = column_role(name)
+        role, style = _role_and_style(name)
         if role is not None:
             found.setdefault(role, k)
+            styles.setdefault((role // 3, style), {}).setdefault(role, k)
+    for kind in (0, 1):
+        whole = [(style, axes) for (of, style), axes in styles.items() if of == kind and len(axes) == 3]
+        if whole:
+            found |= min(whole, key=lambda of: of[0] != ("", False))[1]
     return found
 
 

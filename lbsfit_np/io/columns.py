@@ -1,6 +1,7 @@
 """Scans as tables: CSV, XYZ and TXT files, with or without a header, and the arrays of NPY and NPZ files."""
 
 import codecs
+import csv
 import re
 import warnings
 
@@ -30,7 +31,8 @@ def read_table(path):
 
     Columns are found by the names in a header line; without one, the first three are x, y, z, and the next three are the
     normal if they have unit length; a column before them that counts the rows is left out. An empty cell of a row is NaN.
-    Lines that start with # are comments, but for a last one that names the columns.
+    Lines that start with # are comments, but for a last one that names the columns. Tabs side by side in a first row without a
+    header are blanks.
 
     Parameters
     ----------
@@ -43,13 +45,14 @@ def read_table(path):
     Raises
     ------
     FileError
-        Binary content, no rows, a header without x, y, z, rows that are not numbers or of different lengths.
+        Binary content, no rows, a header without x, y, z or of fewer columns than the rows have, but for one, rows that are not
+        numbers or of different lengths.
     """
     skip, names, cells, delimiter = _read_head(path)
     if cells is None:
         below = "" if names is None else f" below the first line, {_row(names)!r}, which was read as a header"
         raise FileError(str(path), f"no line of numbers{below}", "one point per line")
-    decimal_comma = delimiter == ";" and any("," in cell for cell in cells)
+    decimal_comma = delimiter in (";", "\t") and any("," in cell for cell in cells)
     numeric = [_is_number(cell.replace(",", ".") if decimal_comma else cell) or not cell for cell in cells]
     notes = []
     if names is not None and len(cells) == len(names) + 1 and cells[-1]:
@@ -57,14 +60,20 @@ def read_table(path):
             names = ["", *names]
             notes.append("The first column, for which the header has no name, numbers or names the rows: left out.")
     if names is None:
-        usecols = None if all(numeric) else [k for k in range(len(cells)) if numeric[k]]
+        filled = [k for k in range(len(cells)) if numeric[k] and any(cells[k:])]  # no column follows what a line may end with
+        usecols = None if len(filled) == len(cells) else filled
         if len(cells) < 3 or not all(numeric[:3]):
             raise FileError(str(path), f"the first row {_row(cells)!r}", "numbers x, y, z in the first three columns")
     else:
         roles = [column_role(name) for name in names]
+        got = f"a first line {_row(names)!r} above the row {_row(cells)!r}"
         if not {0, 1, 2} <= set(roles) or len(cells) < len(names):
-            got = f"a first line {_row(names)!r} above the row {_row(cells)!r}"
             raise FileError(str(path), got, "columns named x, y and z, or rows of numbers without a header")
+        if any(cells[len(names) + 1 :]):
+            remedy = "Name all columns; with decimal commas, separate them by semicolons or tabs."
+            raise FileError(str(path), got, f"rows of {len(names)} columns, as many as have names", remedy)
+        if (digits := [name for name in names if name.isdigit()]) and {"0", "1", "2"} <= set(digits):
+            notes.append(f"The first line, {_row(names)}, was read as names of columns.")
         usecols = [k for k, role in enumerate(roles) if role is not None and numeric[k]]
         notes += [
             f"Column {names[k].strip()!r} does not hold numbers: left out."
@@ -73,11 +82,15 @@ def read_table(path):
         ]
         if not {0, 1, 2} <= {roles[k] for k in usecols}:
             raise FileError(str(path), f"text in the columns x, y, z: {_row(cells)!r}", "numbers")
+        usecols = None if len(usecols) == len(cells) else usecols
     table = _load(path, skip, delimiter, usecols, decimal_comma)
+    if usecols is not None:
+        _check_lengths(path, skip, delimiter, max(len(cells), len(names or ())))
     if names is None:
         cloud = _unnamed(table, *_IN_TABLES)
     else:
-        cloud = cloud_from_columns(path, "columns", [names[k] for k in usecols], lambda k: table[:, k])
+        of = names if usecols is None else [names[k] for k in usecols]
+        cloud = cloud_from_columns(path, "columns", of, lambda k: table[:, k])
     cloud.notes[:0] = notes
     return cloud
 
@@ -110,9 +123,9 @@ def read_npz(path):
     if of_rig and not {"points", "xyz"} & set(by_name):
         raise FileError(str(path), "a rig, or a learned model", "a scan", "Give the rig before the scans.")
     found = {what: next((by_name[k] for k in keys if k in by_name), None) for what, keys in _NPZ_KEYS.items()}
-    found["labels"] = next((key for name, key in by_name.items() if column_role(name) == 6), None)
+    labels = [key for name, key in by_name.items() if column_role(name) == 6]
     axes = [by_name.get(axis) for axis in "xyz"]
-    arrays = npz.read_npz(path, [key for key in [*found.values(), *axes] if key is not None])
+    arrays = npz.read_npz(path, [key for key in [*found.values(), *axes, *labels] if key is not None])
     if all(axes):
         cloud = cloud_from_columns(path, "arrays", axes, lambda k: arrays[axes[k]].reshape(-1))
     elif found["points"] is not None:
@@ -121,11 +134,12 @@ def read_npz(path):
         expected = f"one called {', '.join(_NPZ_KEYS['points'][:3])} (or verts, v, positions, pos)"
         raise FileError(str(path), f"arrays called {', '.join(by_name.values()) or '(none)'}", expected)
     cloud.faces, cloud.normals = arrays.get(found["faces"]), arrays.get(found["normals"])
-    if (name := found["labels"]) is not None:
-        if np.ndim(arrays[name]):
-            set_labels(cloud, name, arrays[name])
-        else:  # as classified objects have
-            cloud.notes.append(f"{name!r} is one value for all points: labels left out.")
+    n = np.shape(cloud.points)[:1] or (0,)
+    labels.sort(key=lambda name: np.shape(arrays[name]) not in (n, (*n, 1)))  # the first that has one for each point
+    if labels and np.size(arrays[labels[0]]) == 1 != n[0]:  # as classified objects have
+        cloud.notes.append(f"{labels[0]!r} is one value for all points: labels left out.")
+    elif labels:
+        set_labels(cloud, labels[0], arrays[labels[0]])
     return cloud
 
 
@@ -149,29 +163,58 @@ def _read_head(path):
             if line.lstrip().startswith(("#", "//")):
                 seen_comment = line.lstrip().lstrip("#/")
                 continue
-            delimiter = next((d for d in (";", ",") if d in line), None)
+            delimiter = _delimiter(line, names)
             cells = _cells(line, delimiter)
             if names is None and _is_header(cells, delimiter):
                 names = cells
                 continue
             if names is None and seen_comment is not None:
-                commented = _cells(seen_comment, next((d for d in (";", ",") if d in seen_comment), None))
-                if {0, 1, 2} <= {column_role(name) for name in commented} and len(commented) <= len(cells):
-                    names = commented
+                names = _named_in(seen_comment, len(cells))
             return skip, names, cells, delimiter
     raise FileError(str(path), f"no row of numbers in the first {_HEAD_LINES} lines", "one point per line")
 
 
+def _delimiter(line, names):
+    """What separates the cells of a line, None for blanks; ``names``: those above it, if there are any."""
+    if ";" in line:
+        return ";"
+    if "\t" in line:  # before commas, which may be decimal ones
+        cells = _cells(line, "\t")
+        if any(len(cell.split()) > 1 and all(map(_is_number, cell.split())) for cell in cells):
+            return None
+        aligned = "" in _cells(line.strip(), "\t") or (line.startswith("\t") and not _is_header(cells, "\t"))
+        return None if names is None and aligned else "\t"
+    return "," if "," in line else None
+
+
+def _named_in(comment, n):
+    """Names of n columns, in a comment above the first row; None where it does not name x, y, z of these."""
+    names = _cells(comment, next((d for d in (";", "\t", ",") if d in comment), None))
+    while names and names[0].endswith(":"):  # "columns: x y z"
+        names = names[1:]
+    roles = [None if name.isdigit() else column_role(name) for name in names]
+    if not {0, 1, 2} <= set(roles) or len(names) > n or (len(names) < n - 1 and roles[:3] != [0, 1, 2]):
+        return None
+    return names if len(names) >= n - 1 else names + [""] * (n - len(names))
+
+
 def _cells(line, delimiter):
-    return [cell.strip().strip('"').strip() for cell in line.split(delimiter)]
+    if delimiter is None:
+        found = re.findall(r'"[^"]*"|\S+', line)
+    else:
+        try:
+            found = next(csv.reader([line], delimiter=delimiter, skipinitialspace=delimiter != "\t"), [])
+        except csv.Error:  # a cell of a hundred thousand characters
+            found = line.split(delimiter)
+    return [cell.strip().strip('"').strip() for cell in found]
 
 
 def _is_header(cells, delimiter):
     """Whether a line names the columns. "0,1,2", which a data frame without names writes above its rows, does."""
     filled = [cell for cell in cells if cell]
-    if delimiter == "," and len(filled) > 2 and filled == [str(k) for k in range(len(filled))]:
+    if delimiter is not None and len(filled) > 2 and filled == [str(k) for k in range(len(filled))]:
         return True
-    if delimiter == ";":
+    if delimiter in (";", "\t"):
         cells = [cell.replace(",", ".") for cell in cells]
     return any(cell and not _is_number(cell) for cell in cells) and not all(map(_is_number, cells[:3]))
 
@@ -203,15 +246,31 @@ def _load(path, skip, delimiter, usecols, decimal_comma):
                 if delimiter is None:
                     raise
                 # Slower: an empty cell is a missing value, and becomes NaN; a decimal comma may come after a first row without.
-                point = "," if delimiter == ";" else "."
+                point = "." if delimiter == "," else ","
                 options |= {"converters": lambda c: float(c.replace(point, ".")) if c.strip() else np.nan}
                 return np.loadtxt(path if plain else _lines(path, decimal_comma), **options)
     except (ValueError, IndexError) as error:
-        what = re.sub(r"at row (\d+)", lambda m: f"in row {int(m[1]) + 1}", str(error).split(";")[0]).rstrip(".")
+        what, first = str(error).split("; use ")[0].rstrip("."), str(error).startswith("could not convert")  # this counts from 0
+        what = re.sub(r"at row (\d+)", lambda m: f"in row {int(m[1]) + first}", what)
         expected = "one point per line, the same number of columns in each"
         raise FileError(
             str(path), f"rows that cannot be read ({what}, counting rows from 1 below any header)", expected
         ) from None
+
+
+def _check_lengths(path, skip, delimiter, n):
+    """Raise where a row has more than the n cells of the first: NumPy does not count those that it does not load."""
+    with open(path, encoding="latin-1") as file:
+        for _ in range(skip):
+            next(file, None)
+        row = 0
+        for line in file:
+            line = line.split("#", 1)[0].rstrip("\r\n \t" + (delimiter or ""))
+            row += bool(line.strip())
+            at_most = len(line.split()) if delimiter is None else line.count(delimiter) + 1
+            if at_most > n and (found := len(_cells(line, delimiter))) > n:
+                got = f"rows that cannot be read ({found} cells in row {row}, counting rows from 1 below any header)"
+                raise FileError(str(path), got, f"one point per line, the same number of columns in each, here {n}")
 
 
 # What notes on columns without names advise: on row numbers, and on further columns.

@@ -46,6 +46,7 @@ The bodies' format: verts (shapes, m, 3), shape_names, faces (F, 3), weights (m,
 
 import json
 import math
+import operator
 from pathlib import Path
 
 import numpy as np
@@ -276,8 +277,8 @@ def _shape_row(file, shape, n):
         shape_as_number = int(shape) if shape.isdecimal() else -1  # from a command line everything is text
     else:
         try:
-            shape_as_number = int(shape)
-        except (TypeError, ValueError):
+            shape_as_number = -1 if isinstance(shape, bool) else operator.index(shape)
+        except TypeError:
             shape_as_number = -1
     if not 0 <= shape_as_number < n:
         known = ", ".join(map(repr, names)) if names else "none by name"

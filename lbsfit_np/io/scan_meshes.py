@@ -18,6 +18,7 @@ from .cloud import CloudData, fans
 
 __all__ = ["read_obj", "read_off", "read_stl"]
 
+_UNIT = 0.02  # how far from 1 the length of a row may be that is a normal
 _TRUNCATED = "The file is truncated or damaged, or its extension is wrong."
 # The mark that some programs write before UTF-8, as Latin-1 has it.
 _BOM = "\xef\xbb\xbf"
@@ -105,8 +106,8 @@ def read_off(path):
     """Read an ASCII OFF file (also COFF, NOFF and the like), its polygons as fans of triangles; colours are not looked at."""
     with open(path, "rb") as file:
         head = file.read(512)
-    magic = re.match(rb"(?:\xef\xbb\xbf)?(?:\s|#[^\n]*\n)*(ST)?(C)?(N)?(4)?(n)?OFF(?![a-zA-Z])", head)
-    if magic is None or magic[4] or magic[5] or b"BINARY" in head or b"\0" in head:
+    magic = re.match(rb"(?:\xef\xbb\xbf)?(?:\s|#[^\n]*\n)*((?:ST|C|N)*)(4)?(n)?(?:OFF|off)(?![a-zA-Z])", head)
+    if magic is None or magic[2] or magic[3] or b"BINARY" in head or b"\0" in head:
         got = "content that does not start with 'OFF'" if magic is None else "a binary or higher-dimensional OFF file"
         raise FileError(
             str(path), got, "an ASCII OFF file of three dimensions", "Check the extension, or convert the file to PLY."
@@ -123,7 +124,8 @@ def read_off(path):
             raise FileError(
                 str(path), f"the line {counts[:60]!r}", "the numbers of vertices, faces and edges", _TRUNCATED
             ) from None
-        table = _loaded(path, islice(lines, min(n, sys.maxsize)), "x y z", range(6 if magic[3] else 3)) if n else np.empty((0, 3))
+        columns = None if magic[1].count(b"N") and magic[1].count(b"C") else range(6 if b"N" in magic[1] else 3)
+        table = _loaded(path, islice(lines, min(n, sys.maxsize)), "x y z", columns) if n else np.empty((0, 3))
         faces = list(islice(lines, min(f, sys.maxsize)))
     if len(table) < n or len(faces) < f:
         got = (
@@ -144,12 +146,22 @@ def read_off(path):
             raise FileError(str(path), f"face {row}: {line[:60]!r}", "a count and as many vertex numbers", _TRUNCATED) from None
         lengths.append(size)
     cloud = CloudData(table[:, :3], fans(np.array(lengths, dtype=int), np.array(corners, dtype=int)))
-    cloud.normals = table[:, 3:] if magic[3] else None
+    if b"N" in magic[1]:
+        cloud.normals = table[:, 3:] if b"C" not in magic[1] else _normals_beside_colors(table)
     return cloud
 
 
+def _normals_beside_colors(table):
+    """The columns of unit length: normals stand before the colours by the format's definition, after them as MeshLab writes."""
+    for first in (3, 6, 7):
+        normals = table[:, first : first + 3]
+        if normals.shape[1] == 3 and len(normals) and (abs(np.linalg.norm(normals, axis=1) - 1) < _UNIT).all():
+            return normals
+    return None
+
+
 def _loaded(path, lines, form, columns=(1, 2, 3)):
-    """(n, columns) float: those words of each line, by default the three after a keyword."""
+    """(n, columns) float: those words of each line, by default the three after a keyword; None for all."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy warns where there is no line at all

@@ -3,11 +3,14 @@
 import numpy as np
 from scipy import sparse
 
-from ..errors import listed
+from ..errors import counted, listed
 from ..triangles import inside_out
 from .partition import leading_joint
 
 __all__ = ["mesh_notes", "size_notes", "skin_notes"]
+
+# Joints of a skin are within it, or a little outside where it is hollow; beyond this share of the rig's size something is wrong.
+_FAR = 0.25
 
 
 def mesh_notes(rig):
@@ -49,7 +52,23 @@ def mesh_notes(rig):
 
 
 def size_notes(rig):
-    """A size in metres that no scanned thing has: most likely the unit is another one."""
+    """Joints far from the mesh, and a size in metres that no scanned thing has: most likely a unit is another one."""
+    return _far_joints(rig) + _odd_size(rig)
+
+
+def _far_joints(rig):
+    shown = rig.vertices[~rig.loose]
+    away = np.maximum(shown.min(axis=0) - rig.joints, rig.joints - shown.max(axis=0)).max(axis=1)
+    carried = np.asarray(rig.weights[~rig.loose].sum(axis=0)).ravel()
+    far = np.flatnonzero((away > _FAR * rig.size) & (carried > 0))
+    if not len(far):
+        return []
+    what = f"{counted(len(far), 'joint')} with weight outside the mesh, by up to {away[far].max() / rig.size:.2g} times its size"
+    names = listed([rig.joint_names[j] for j in far])
+    return [f"{what}: {names}; are joints in another unit than vertices, or is another of their axes up?"]
+
+
+def _odd_size(rig):
     if rig.metres_per_unit is None:
         return []
     metres = rig.size * rig.metres_per_unit

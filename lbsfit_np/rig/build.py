@@ -94,7 +94,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     state = _states(report, data, weights[surface], parents, root, names, card, notes)
     if state.merged_now.any():
         weights = _merged_weights(weights, parents, state.merged)
-    lower, upper = _limits(report, data, root, names, frames, turned, state, card, notes)
+    lower, upper = _limits(report, data, parents, root, names, turned, state, card, notes)
     poses, smpl_rest = _library(report, data, names, parents, root, turned, state, notes)
     shapes = check_shapes(report, data.shapes, len(vertices), len(names))
 
@@ -329,21 +329,22 @@ def _merged_weights(weights, parents, merged):
     return moved
 
 
-def _limits(report, data, root, names, frames, turned, state, card, notes):
+def _limits(report, data, parents, root, names, turned, state, card, notes):
     """Limits of all joints: the file's, else derived; then the card's; 0 for joints that do not turn."""
     J = len(names)
     moving = ~(state.merged | state.locked)
     animated = None if data.animated is None else report.array("animated", data.animated, (None, J, 3))
-    changed = np.zeros(J, dtype=bool)
+    before = np.asarray(data.parents)
+    changed = (parents != before) & (before >= 0)
     if turned is not None:
-        changed = np.abs(turned - np.eye(3)).max(axis=(1, 2)) > 1e-9
+        changed |= np.abs(turned - np.eye(3)).max(axis=(1, 2)) > 1e-9
         if animated is not None:
             animated = np.einsum("jab,kjb->kja", turned, animated)  # the same turns, about the new axes
     lower, upper, from_animation = derived_limits(root, J, animated)
     derived = np.ones(J, dtype=bool)
     if data.lower is not None or data.upper is not None:
         low, high = check_limits(report, data.lower, data.upper, names)
-        derived = changed & moving  # a box about other axes says nothing about these
+        derived = changed & moving  # a box about other axes, or relative to another parent, says nothing about these
         lower[~derived], upper[~derived] = low[~derived], high[~derived]
     of_card = np.zeros(J, dtype=bool)
     for pattern, low, high in card.limits:

@@ -31,6 +31,7 @@ Every table is optional; names may be globs (``*``, ``?``, ``[ab]``) wherever a 
     thumb = ["thumb-*"]
 """
 
+import json
 import math
 import os
 import secrets
@@ -265,13 +266,14 @@ class _Parser:
 
     def pairs(self, value, where):
         if not isinstance(value, dict) or not all(isinstance(v, str) for v in value.values()):
-            self.fail(f"{where} = {brief(value)}", 'a table of child = parent, such as { "thumb-base" = "wrist" }')
+            remedy = next(filter(None, map(_unquoted, value, value.values())), None) if isinstance(value, dict) else None
+            self.fail(f"{where} = {brief(value)}", 'a table of child = parent, such as { "thumb-base" = "wrist" }', remedy)
         return tuple(value.items())
 
     def frames(self, value):
         for name, kind in value.items():
-            if kind not in _FRAME_KINDS:
-                self.fail(f"[frames] {name!r} = {brief(kind)}", " or ".join(map(repr, _FRAME_KINDS)))
+            if not isinstance(kind, str) or kind not in _FRAME_KINDS:
+                self.fail(f"[frames] {name!r} = {brief(kind)}", " or ".join(map(repr, _FRAME_KINDS)), _unquoted(name, kind))
         return tuple(value.items())
 
     def limits(self, value):
@@ -286,7 +288,7 @@ class _Parser:
             where = f"[limits] {name!r} = {brief(pair)}"
             ok = isinstance(pair, list) and len(pair) == 2 and all(isinstance(t, list) and len(t) == 3 for t in pair)
             if not ok or not all(_is_finite(a) for t in pair for a in t):
-                self.fail(where, "[[lower x, y, z], [upper x, y, z]], six finite numbers")
+                self.fail(where, "[[lower x, y, z], [upper x, y, z]], six finite numbers", _unquoted(name, pair))
             lower, upper = np.array(pair, dtype=float)
             for axis, low, high in zip("xyz", lower, upper):
                 if low > high:
@@ -295,7 +297,8 @@ class _Parser:
                     )
             lower, upper = lower * factor, upper * factor
             if max(np.abs(lower).max(), np.abs(upper).max()) > 2 * math.pi:
-                self.fail(where, "angles of at most one turn", 'Write unit = "deg" in [limits] if these are degrees.')
+                degrees = 'Write unit = "deg" in [limits] if these are degrees.' if unit == "rad" else None
+                self.fail(where, f"angles of at most one turn{'' if degrees else ', 360'}", degrees)
             out.append((name, tuple(lower.tolist()), tuple(upper.tolist())))
         return tuple(out)
 
@@ -306,8 +309,18 @@ class _Parser:
                 self.fail("[parts.joints]", 'another name: "joints" always means one part per moving joint')
             if not isinstance(parts, dict) or not parts:
                 self.fail(f"[parts] {name} = {brief(parts)}", f'a table [parts.{name}] with lines such as thumb = ["thumb-*"]')
+            for part, members in parts.items():
+                if remedy := _unquoted(part, members):
+                    self.fail(f"[parts.{name}] {part} = {brief(members)}", "a list of joint names or globs", remedy)
             out[name] = {part: self.names(members, f"[parts.{name}] {part}") for part, members in parts.items()}
         return out
+
+
+def _unquoted(name, value):
+    """What to do where a name was taken for a table because it holds a dot; None where it was not."""
+    if not isinstance(value, dict) or not value:
+        return None
+    return f"A dot splits a name without quotes: write {json.dumps(f'{name}.{next(iter(value))}', ensure_ascii=False)}."
 
 
 def _is_finite(value):

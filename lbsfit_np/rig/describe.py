@@ -96,7 +96,7 @@ def _joint_rows(rig, degrees):
             state,
             part,
             share,
-            _limits(rig, j, degrees) if state in ("root", "moves") else "",
+            _limits(rig, j, degrees) if state in ("root", "moves") or rig.lower[j].any() else "",
         )
         waiting += [(child, depth + 1) for child in np.flatnonzero(rig.parents == j)[::-1]]
 
