@@ -15,8 +15,8 @@ def main():
     rig = lbs.load_rig("hand")
     scan = lbs.synthesize(rig, n_scans=1, random_state=7, n_points=1500)[0]
 
-    # With 200 training scans this takes seconds; the default is many more, which gives better labels.
-    fitter = lbs.LBSFitter(rig, training_scans=200, random_state=0)
+    # The bundled hand comes with a segmenter; for a rig of your own, pretrain(cache=True) keeps what it trains.
+    fitter = lbs.LBSFitter(rig, random_state=0)
     fitter.pretrain()
     result = fitter.fit_scan(scan.points)
 

@@ -14,13 +14,11 @@ def bundled_files(pattern):
     pattern : str
         Of the path within that folder, such as ``*.npz``.
     """
-    folders = []
-    try:
-        folders.append(Path(str(importlib.resources.files("lbsfit_np.rigs"))))
-    except (ModuleNotFoundError, TypeError):
-        pass
-    folders.append(Path(__file__).resolve().parents[1] / "rigs")
-    for folder in folders:
-        if folder.is_dir() and (found := {p.stem: p for p in folder.glob(pattern)}):
-            return found
-    return {}
+    beside = Path(__file__).resolve().parents[1]
+    folder = beside / "rigs"
+    if not (beside / "setup.cfg").is_file():  # installed; of two checkouts, each has its own
+        try:
+            folder = Path(str(importlib.resources.files("lbsfit_np.rigs")))
+        except (ModuleNotFoundError, TypeError):
+            pass
+    return {p.stem: p for p in folder.glob(pattern)}

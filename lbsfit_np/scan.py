@@ -9,7 +9,10 @@ import numpy as np
 from .errors import InputError, as_array, brief, check_unmasked, counted
 from .seeds import generator
 
-__all__ = ["Scan", "check_points", "count_distinct"]
+__all__ = ["Scan", "check_points", "count_distinct", "some_rows"]
+
+# Points that are looked at for an order, how many rows apart, and how much nearer they are then: squared distances.
+_LOOKED_AT, _LAGS, _IN_ORDER = 4000, range(1, 9), 0.7
 
 _DENSER = "A denser scan is needed."
 # Points at a time where distinct ones are counted: nearly always the first ones are enough.
@@ -185,6 +188,35 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         got = f"{len(array)} points, of which {distinct} are distinct{dropped}"
         raise InputError(argument, got, f"at least {minimum} distinct points", _DENSER)
     return array
+
+
+def some_rows(points, most):
+    """Rows of at most ``most`` of the points, in their order; the same whenever they are asked for, without a seed.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    most : int
+
+    Returns
+    -------
+    (k,) int array
+        Evenly spread. Of points that stand in an order they are drawn: where those of several cameras stand in turn, evenly
+        spread rows could all be of one.
+    """
+    n = len(points)
+    if n <= most:
+        return np.arange(n)
+    if _in_an_order(points[:_LOOKED_AT]):
+        return np.sort(np.random.default_rng(0).choice(n, most, replace=False))
+    return np.linspace(0, n - 1, most).astype(int)
+
+
+def _in_an_order(points):
+    """Whether points some rows apart are nearer to each other than any two, of which the mean squared distance is 2 σ²."""
+    points = points - points.mean(axis=0)
+    of_any = 2 * np.vdot(points, points)
+    return any(((np.roll(points, lag, axis=0) - points) ** 2).sum() < _IN_ORDER * of_any for lag in _LAGS)
 
 
 def count_distinct(points, enough):

@@ -5,7 +5,7 @@ from functools import cached_property
 import numpy as np
 
 from .raster import Buffer, splat_triangles
-from .triangles import area_vectors, inside_out
+from .triangles import area_vectors, binary_extent, inside_out
 
 __all__ = ["View", "clutter", "floor", "sample_seen_surface", "sample_surface"]
 
@@ -184,6 +184,7 @@ def _random_side(up, rng):
 
 def _densities(vertices, faces, density, rng):
     """Of each triangle, how many of the points it is to get, in shares of any sum."""
+    vertices = vertices / binary_extent(vertices)
     p, normal = vertices[faces], area_vectors(vertices, faces)
     weight = np.linalg.norm(normal, axis=1)
     if density:

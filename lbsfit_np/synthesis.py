@@ -14,10 +14,8 @@ from .sensor import clutter, floor, sample_seen_surface, sample_surface
 from .skinning import skin
 
 __all__ = [
-    "StartScans",
     "Synthesis",
     "SyntheticScan",
-    "TrainingScans",
     "natural_poses",
     "sample_surface",
     "synthesize",
@@ -156,7 +154,8 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
     templates : sequence of (vertices (m, 3), joints (J, 3)), optional
         Changed templates to take in turn; by default, random proportions (``shape``).
     random_state : int, Generator or None
-        With an int, scan i is the same whatever ``n_scans`` is.
+        With an int, scan i is the same whatever ``n_scans`` is. Half of the training scans of a fitter with the same seed are
+        in the poses of "uniform": judge a segmenter on scans of another seed.
     **settings
         Fields of :class:`Synthesis`.
 
@@ -210,34 +209,6 @@ def synthesize_nth(rig, i, settings, *, poses=None, templates=None, random_state
     return synthesize_one(rig, pose, template, settings, rng)
 
 
-@dataclass(frozen=True)
-class TrainingScans:
-    """i → (points, labels, 1.0): the i-th scan for training s, the same in any process."""
-
-    rig: object
-    settings: Synthesis
-    random_state: int | None
-
-    def __call__(self, i):
-        scan = synthesize_nth(self.rig, i, self.settings, poses=training_poses, random_state=self.random_state)
-        return scan.points, scan.labels, 1.0
-
-
-@dataclass(frozen=True)
-class StartScans:
-    """i → the i-th SyntheticScan for the library of starts, facing the rig's way; half have natural poses, if the rig has any."""
-
-    rig: object
-    settings: Synthesis
-    random_state: int | None
-
-    def __call__(self, i):
-        rng = generator(self.random_state, "start", i)
-        poses = natural_poses if i % 2 and self.rig.poses else training_poses
-        template = with_random_proportions(self.rig, self.settings.shape, rng)
-        return synthesize_one(self.rig, poses(self.rig, 1, rng)[0], template, self.settings, rng)
-
-
 def make_settings(settings, others=()):
     """A Synthesis from keyword settings, with an error that lists the known ones, and what else there is to give."""
     if isinstance(settings, Synthesis):
@@ -256,6 +227,8 @@ def make_settings(settings, others=()):
             what = "an integer" if kind is Integral else "a number"
             remedy = "It is in half sizes of the rig." if name in _LENGTHS else None
             raise InputError(name, brief(value), f"{what} of at least {least} and at most {most}", remedy)
+        else:  # equal settings have one text: keys of caches are made of it
+            settings = settings | {name: int(value) if kind is Integral else float(value)}
     made = Synthesis(**settings)
     if made.least_holes > made.holes:
         raise InputError("least_holes", str(made.least_holes), f"at most {made.holes}, the value of holes", "Set holes, too.")

@@ -2,7 +2,15 @@
 
 import numpy as np
 
-__all__ = ["area_vectors", "areas_around", "face_areas", "inside_out"]
+__all__ = ["area_vectors", "areas_around", "binary_extent", "face_areas", "inside_out"]
+
+
+def binary_extent(vertices):
+    """A power of 2 near the extent of vertices: divided by it, none of their products is beyond double precision, and no digit
+    changes.
+    """
+    extent = float(np.ptp(vertices, axis=0).max(initial=0.0)) if len(vertices) else 0.0
+    return 2.0 ** np.round(np.log2(extent)) if extent > 0 else 1.0
 
 
 def area_vectors(vertices, faces):
@@ -13,7 +21,8 @@ def area_vectors(vertices, faces):
 
 def face_areas(vertices, faces):
     """(F,): the area of each face."""
-    return np.linalg.norm(area_vectors(vertices, faces), axis=1)
+    unit = binary_extent(vertices)
+    return np.linalg.norm(area_vectors(vertices / unit, faces), axis=1) * unit**2
 
 
 def areas_around(vertices, faces):

@@ -55,14 +55,16 @@ def test_rig_card(made, tmp_path, run):
     assert code == 2 and "a folder" in one_line(err)
 
 
-def test_a_card_of_several_roots_is_to_be_checked(made, tmp_path, run):
+@pytest.mark.parametrize("parents", [[-1, -1, -1, -1], [3, 0, 1, 2], [-1, 2, 1, 0]])
+def test_a_card_of_joints_that_are_no_tree_is_to_be_checked(parents, made, tmp_path, run):
     with np.load(made / "tube.npz") as z:
-        np.savez(tmp_path / "loose.npz", **{key: z[key] for key in z.files} | {"parents": np.full(4, -1)})
+        np.savez(tmp_path / "loose.npz", **{key: z[key] for key in z.files} | {"parents": np.array(parents)})
     code, _, err = run("rig", "show", tmp_path / "loose.npz")
     words = "check its [hierarchy], which is a guess"
     assert code == 2 and f"-o CARD, {words}, and pass it with --card" in one_line(err)
     code, text, _ = run("rig", "card", tmp_path / "loose.npz", "-o", tmp_path / "c.toml")
     assert (code, text) == (0, f"{tmp_path / 'c.toml'} written; {words}; pass it with --card {tmp_path / 'c.toml'}\n")
+    assert run("rig", "show", tmp_path / "loose.npz", "--card", tmp_path / "c.toml")[0] == 0
 
 
 def test_rig_list(run):

@@ -8,12 +8,13 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError
+from lbsfit_np.learning.training import StartScans
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.segmentation import cache
 from lbsfit_np.starts.library import PoseLibrary, build_library
 from lbsfit_np.starts.look import LOOK_SIZE, look
 from lbsfit_np.starts.turns import facing_of
-from lbsfit_np.synthesis import StartScans, Synthesis
+from lbsfit_np.synthesis import Synthesis
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 

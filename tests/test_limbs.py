@@ -127,6 +127,18 @@ def test_a_right_fit_gets_no_proposals(hand, body, name):
     assert case.limbs.proposals(problem, state, 2) == []
 
 
+@pytest.mark.parametrize("weight", [0.0, 1e-6])
+def test_points_that_hardly_count_ask_for_no_limb(hand, weight):
+    """As of another hand beside it."""
+    state, problem = hand.seen(hand.rig.poses["point"])
+    other = hand.seen(hand.rig.poses["fist"])[1].X + [0.6, 0.0, 0.0]
+    weights = np.repeat([1.0, weight], [len(problem.X), len(other)])
+    both = Problem(np.vstack([problem.X, other]), weights / weights.sum())
+    assert hand.limbs.proposals(both, state, 2) == []
+    heavy = Problem(both.X, np.full(len(both.X), 1.0 / len(both.X)))
+    assert hand.limbs.proposals(heavy, state, 2)
+
+
 @pytest.mark.parametrize("name", ["flat", "fist", "peace"])
 def test_a_right_fit_of_other_proportions_gets_no_proposals(hand, name):
     state, problem = hand.seen(hand.rig.poses[name], coefficients=np.full(hand.model.n_coefficients, -0.2))
@@ -187,7 +199,7 @@ def test_looked_at_closer_a_limb_finds_a_pose_that_no_library_has(body, seed):
 
 def test_only_limbs_that_end_somewhere_are_looked_at_closer(body, monkeypatch):
     seen = []
-    monkeypatch.setattr(body.limbs, "_nearer", lambda limb, tried, rest, try_out: seen.append(limb) or tried)
+    monkeypatch.setattr(body.limbs, "_nearer", lambda limb, tried, *given: seen.append(limb) or tried)
     state, problem = body.seen(np.zeros_like(body.rig.lower))
     body.limbs.proposals(problem, state, 1)
     assert not seen

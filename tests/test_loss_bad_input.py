@@ -69,6 +69,7 @@ BAD = [
     (lambda: LossWeights(lam=1e308), ["lam: got 1e+308", "at most 1e+100"]),
     (lambda: loopback(np.full_like(S.V, np.nan), S.V), ["predicted", "NaN", "finite numbers"]),
     (lambda: PRESETS["paper"].replace(lam_lab=0.1), ["lam_lab: got an unknown weight", "Did you mean 'lam_lap'"]),
+    (lambda: loopback(np.full_like(S.V, 1e200), S.V), ["predicted: got angles of up to 1e+200", "angles below 1e+150"]),
     (lambda: loopback(S.V, np.full_like(S.V, np.inf)), ["theta", "infinite", "finite numbers"]),
     (lambda: structured_chamfer(_X, _V, _xl[:-1], _vl), ["x_labels: got shape (36,)", "(37,)"]),
     (lambda: structured_chamfer(_X, _V, _xl, _xl), ["v_labels: got shape (37,)", "(30,)"]),

@@ -16,9 +16,9 @@ from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.io import npz_rig
 from lbsfit_np.io.npz import npz_keys, read_npz
 from lbsfit_np.io.npz_rig import read_body_npz, read_rig_npz, save_rig
-from lbsfit_np.io.rigs import load_rig
+from lbsfit_np.io.rigs import load_rig, rig_for_card
 from lbsfit_np.rig.build import build_rig
-from lbsfit_np.rig.card import Card
+from lbsfit_np.rig.card import Card, read_card, write_card
 from lbsfit_np.rig.card_text import card_text
 from lbsfit_np.rig.shapes import ShapeSpace
 
@@ -363,3 +363,16 @@ def test_reading_own_format_checks_nothing_twice(tmp_path, tube_rig):
     tube_rig.save(tmp_path / "rig.npz")
     data = read_rig_npz(tmp_path / "rig.npz")
     assert data.parts == "joints" and data.path == tmp_path / "rig.npz"
+
+
+@pytest.mark.parametrize("of_file", [[-1, -1, -1, -1], [-1, 0, 1, -1], [3, 0, 1, 1]])
+def test_a_written_card_gives_axes_along_the_bones_that_a_body_file_does_not_say(tmp_path, of_file):
+    parents, names = make_tube_data().parents, make_tube_data().joint_names
+    whole = load_rig(body(tmp_path, tails=None))
+    path = body(tmp_path, tails=None, parents=np.array(of_file))
+    write_card(rig_for_card(path), tmp_path / "c.toml")
+    pairs = tuple((names[k], names[p]) for k, p in enumerate(parents) if p >= 0)  # the guess, put right
+    card = replace(read_card(tmp_path / "c.toml"), root=names[0], chains=(), parents=pairs)
+    rig = load_rig(path, card=card)
+    np.testing.assert_array_equal(rig.parents, whole.parents)
+    np.testing.assert_allclose(rig.frames, whole.frames, atol=1e-9)

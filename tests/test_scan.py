@@ -9,7 +9,7 @@ import pytest
 from scan_files import LABELS, NORMALS, POINTS
 
 from lbsfit_np.errors import InputError
-from lbsfit_np.scan import Scan, check_points, count_distinct
+from lbsfit_np.scan import Scan, check_points, count_distinct, some_rows
 
 
 def test_check_points_takes_scans_lists_and_integers():
@@ -203,3 +203,28 @@ def test_thinned_is_a_sorted_subset_by_seed():
     np.testing.assert_array_equal(scan.thinned(2000), np.arange(1000))
     often = np.bincount(np.concatenate([scan.thinned(100, s) for s in range(200)]), minlength=1000)
     assert often.min() > 2 and often.max() < 45  # 20 ± 4.2 each
+
+
+def test_some_rows_are_spread_evenly_and_all_where_there_are_few():
+    points = np.random.default_rng(0).normal(size=(1000, 3))
+    np.testing.assert_array_equal(some_rows(points, 1000), np.arange(1000))
+    np.testing.assert_array_equal(some_rows(points, 1), [0])
+    np.testing.assert_array_equal(some_rows(points, 250), np.linspace(0, 999, 250).astype(int))
+
+
+@pytest.mark.parametrize("cameras", [1, 2, 3, 5])
+def test_of_points_that_stand_in_an_order_rows_are_drawn(cameras):
+    """Evenly spread, they would be of one camera alone."""
+    points = np.random.default_rng(0).normal(size=(1200, 3))
+    points = points[np.argsort(points[:, 1])]  # each camera sees a stretch of it, from below to above
+    of = np.arange(1200).reshape(cameras, -1).T.ravel()
+    rows = some_rows(points[of], 1200 // cameras if cameras > 1 else 400)
+    assert len(np.unique(rows)) == len(rows) and (np.diff(rows) > 0).all()
+    np.testing.assert_array_equal(rows, some_rows(points[of], len(rows)))
+    seen = np.bincount(of[rows] * cameras // 1200, minlength=cameras)
+    assert seen.min() > 0.7 * len(rows) / cameras
+
+
+@pytest.mark.parametrize("points", [np.zeros((50, 3)), np.full((50, 3), 1e150)])
+def test_some_rows_of_points_at_one_place(points):
+    assert len(some_rows(points, 20)) == 20

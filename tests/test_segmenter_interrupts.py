@@ -91,7 +91,8 @@ def test_a_training_from_a_start_is_interrupted_too(tube_rig, small_segmenter, m
 _SCRIPT = """
 import lbsfit_np as lbs
 from lbsfit_np.segmentation.segmenter import train_segmenter
-from lbsfit_np.synthesis import Synthesis, TrainingScans
+from lbsfit_np.learning.training import TrainingScans
+from lbsfit_np.synthesis import Synthesis
 
 if __name__ == "__main__":
     rig = lbs.load_rig("hand")

@@ -8,10 +8,11 @@ from segmenter_training import ONE, Scans, in_parts, scans_of, train_small
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.training import TrainingScans
 from lbsfit_np.segmentation.descriptors import Descriptor
 from lbsfit_np.segmentation.segmenter import train_segmenter
 from lbsfit_np.segmentation.stage import Training, in_half_precision, train_stage
-from lbsfit_np.synthesis import Synthesis, TrainingScans
+from lbsfit_np.synthesis import Synthesis
 
 
 def test_it_learns_the_parts(tube_fitter, tube_rig):

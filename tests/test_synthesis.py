@@ -5,11 +5,11 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.training import TrainingScans
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.skinning import skin
 from lbsfit_np.synthesis import (
     Synthesis,
-    TrainingScans,
     make_settings,
     sample_surface,
     synthesize_nth,

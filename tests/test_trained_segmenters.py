@@ -7,8 +7,8 @@ from rebuilt_rigs import rig_module
 import lbsfit_np as lbs
 from lbsfit_np.bundled import bundled_files
 from lbsfit_np.learning import pretraining
+from lbsfit_np.learning.training import TrainingScans
 from lbsfit_np.rig.card import Card
-from lbsfit_np.synthesis import TrainingScans
 
 train = rig_module("train")
 ASKED_FOR = train.asked_for()
@@ -65,6 +65,27 @@ def test_one_that_is_given_comes_first(nothing_is_trained):
     hand = lbs.load_rig("hand")
     own = lbs.LBSFitter(hand, partial=True, random_state=0).pretrain().segmenter_
     assert lbs.LBSFitter(hand, random_state=0).pretrain(segmenter=own).segmenter_ is own
+
+
+@pytest.mark.parametrize("broken", [b"", b"version https://git-lfs.github.com/spec/v1\n"])
+def test_one_that_is_broken_is_trained_again_with_a_warning(broken, nothing_is_trained, tmp_path, monkeypatch):
+    def broken_files(pattern):
+        paths = {stem: tmp_path / path.name for stem, path in bundled_files(pattern).items()}
+        for path in paths.values():
+            path.write_bytes(broken)
+        return paths
+
+    fitter = lbs.LBSFitter(lbs.load_rig("hand"), random_state=0)
+    monkeypatch.setattr(pretraining, "bundled_files", broken_files)
+    with pytest.warns(UserWarning, match="segmenter-.*npz: .*; install the package again"):
+        fitter.pretrain()
+    assert len(nothing_is_trained) == 1
+
+
+@pytest.mark.parametrize("training", [{"turn": 0}, {"noise": np.float64(0.004)}, {"holes": np.int64(2)}, {"one_sided": 0}])
+def test_equal_settings_are_the_default_ones(training, nothing_is_trained):
+    lbs.LBSFitter(lbs.load_rig("hand"), training=training, random_state=np.int64(0)).pretrain()
+    assert nothing_is_trained == []
 
 
 @pytest.mark.parametrize("made_of", ASKED_FOR.values(), ids=WHO)

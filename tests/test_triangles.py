@@ -1,8 +1,11 @@
 """Areas, normals and which way a mesh looks."""
 
 import numpy as np
+import pytest
 
+from lbsfit_np.losses import cotangent_matrix
 from lbsfit_np.sensor import View
+from lbsfit_np.synthesis import synthesize
 from lbsfit_np.triangles import area_vectors, areas_around, face_areas, inside_out
 
 # A tetrahedron of a corner of the unit cube, and a point that no face has.
@@ -49,3 +52,18 @@ def test_small_triangles_face_the_camera_and_those_without_area_nobody():
     view = View(np.concatenate([vertices, bottom]), np.concatenate([both, [[0, 1, 0]]]), np.array([0.0, 0.0, 1.0]))
     np.testing.assert_allclose(view.facing[: len(faces)], 1.0)
     assert not view.facing[len(faces) :].any()
+
+
+@pytest.mark.parametrize("size", [1e-140, 1e-79, 1e79, 1e140])
+def test_areas_and_cotangents_of_meshes_of_any_size(tube_rig, size):
+    V, F = tube_rig.vertices, tube_rig.faces
+    np.testing.assert_allclose(face_areas(V * size, F) / size / size, face_areas(V, F), rtol=1e-12)
+    np.testing.assert_allclose(cotangent_matrix(V * size, F).toarray(), cotangent_matrix(V, F).toarray(), rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("size", [1e-79, 1e79])
+def test_points_are_sampled_on_meshes_of_any_size(tube_rig, size):
+    (scan,) = synthesize(tube_rig, 1, random_state=0, noise=0.0)
+    (of_another,) = synthesize(tube_rig.scaled(size), 1, random_state=0, noise=0.0)
+    np.testing.assert_array_equal(of_another.triangle, scan.triangle)
+    np.testing.assert_allclose(of_another.points / size, scan.points, rtol=1e-9, atol=1e-12)

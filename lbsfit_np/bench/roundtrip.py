@@ -41,7 +41,7 @@ def roundtrip_scans(rig, n=40, *, seed):
 
 
 def roundtrip(names=RIGS, *, n_scans=40, seeds=(100,), training_scans=4000, jobs=1, progress=None, on_scan=None, on_rig=None):
-    """Fit every rig's scans with a segmenter that is trained as users train it, and compare with the truth.
+    """Fit every rig's scans with the segmenter that pretraining gives, and compare with the truth.
 
     Parameters
     ----------

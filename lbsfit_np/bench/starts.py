@@ -1,7 +1,7 @@
 """Starts: the share of scans that are fitted rightly under many conditions, and whether the fits know when they are not.
 
-Each row of the table is one of ``conditions.CONDITIONS``, fitted as users fit it: with a segmenter that the fitter has trained
-itself, and no hints but the orientation and the kind of scan that the condition is about.
+Each row of the table is one of ``conditions.CONDITIONS``, fitted as users fit it: with the segmenter that pretraining gives,
+and no hints but the orientation and the kind of scan that the condition is about.
 """
 
 import time

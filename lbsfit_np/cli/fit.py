@@ -74,7 +74,7 @@ OPTIONS = (
     Option("drop-invalid", "leave out points that are NaN or infinite instead of refusing the scan", bool, False),
     Option("max-points", "points of a scan that take part in the optimisation; all are labelled", positive, 2500, metavar="N"),
     Option("pictures", "also draw each fit as NAME.png", bool, False),
-    Option("segmenter", "a segmenter saved by Segmenter.save, instead of one trained here", metavar="FILE", is_path=True),
+    Option("segmenter", "a segmenter saved by Segmenter.save, instead of the rig's own", metavar="FILE", is_path=True),
     Option(
         "training-scans",
         "synthetic scans to train the segmenter on; the library of starts gets half as many",
@@ -92,7 +92,7 @@ OPTIONS = (
         check=lambda given: check_training(given),
         refusals={"one_sided": "For scans that show one side only, set partial = true."},
     ),
-    Option("seed", "seed of everything random", natural, 0, metavar="N", parameter="random_state"),
+    Option("seed", "seed of everything random, training included", natural, 0, metavar="N", parameter="random_state"),
     Option("jobs", "worker processes; the results do not depend on how many", positive, 1, metavar="N", parameter="n_jobs"),
     Option("existing", "what to do if results already exist", default="error", choices=("error", "skip", "replace")),
 )
@@ -133,7 +133,8 @@ examples:
       orientation = "any"
       training = { noise = 0.01, scale = 0.2 }
 
-The segmenter and the library of starts trained for a rig are kept in $LBSFIT_CACHE, or else in the user's cache folder.
+The segmenter and the library of starts trained for a rig are kept in $LBSFIT_CACHE, or else in the user's cache folder; hand,
+hand-left and body bring a segmenter for the default training and seed 0.
 Each fit has a status: ok; suspect, if something speaks against it; or failed, if it is almost certainly wrong (its files are
 still written). The summary and the table at the end put failed and suspect fits first, with what speaks against them. Fits
 kept by --existing skip have the status in their files, and "kept": true in the summary.

@@ -100,7 +100,7 @@ A scan that cannot be used is named with the reason and left out. The model appe
 what the rounds so far have learned. Inputs are never overwritten. Until the model is complete, finished steps are kept in
 MODEL.npz.unfinished: after a stop or a crash the same command continues from there, even with more scans added at its end (with
 --existing replace where there is a model already; after Ctrl-C the last line has the command).
-The segmenter's first training is kept in $LBSFIT_CACHE, or else in the user's cache folder. The last lines give the unit of
+What is trained for the rig at first is kept in $LBSFIT_CACHE, or else in the user's cache folder. The last lines give the unit of
 the scans, how many fits are ok, suspect or failed, and a table of those that are not ok (see lbsfit fit --help).
 Exit code: 0 learned, and all scans could be used, even if some were held out or not learned from, 1 some could not be used or
 their fits failed, 2 usage, unreadable rig, or no model could be learned, 130 stopped by Ctrl-C, 143 by SIGTERM.

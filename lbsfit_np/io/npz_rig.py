@@ -55,7 +55,7 @@ from scipy import sparse
 from ..errors import FileError, InputError
 from ..rig.card import nearest
 from ..rig.data import RigData
-from ..rig.frames import bone_frames, child_directions
+from ..rig.frames import frames_along
 from ..rig.shapes import ShapeSpace, from_counts, to_counts
 from .npz import read_npz
 from .write import check_npz_name, write_npz
@@ -250,7 +250,8 @@ def read_body_npz(path, *, shape=None):
             f"'weights' of shape {weights.shape}",
             f"shape {(verts.shape[1], J)}, for {verts.shape[1]} vertices and {J} joints",
         )
-    parents, joints = file["parents"], file["joints"][row]
+    parents, joints = file["parents"], file["joints"][row].astype(float)
+    bones = _body_bones(file, joints, row)
     return RigData(
         name=Path(path).stem,
         vertices=verts[row],
@@ -259,7 +260,8 @@ def read_body_npz(path, *, shape=None):
         joint_names=names,
         parents=parents,
         joints=joints,
-        frames=_body_frames(file, joints, parents, row),
+        frames=_body_frames(bones, joints, parents),
+        bones=bones,
         metres_per_unit=1.0,
         up="+y",
         forward="+z",
@@ -289,21 +291,20 @@ def _shape_row(file, shape, n):
     return shape_as_number
 
 
-def _body_frames(file, joints, parents, row):
-    joints, parents = np.asarray(joints, dtype=float), np.asarray(parents)
+def _body_bones(file, joints, row):
+    """(J, 3) from each joint to where its bone ends, 0 where the file does not say."""
+    if "tails" not in file or not np.isfinite(joints).all():
+        return np.zeros(joints.shape)
+    if not np.isfinite(file["tails"][row]).all():
+        raise FileError(file.path, "'tails' with values that are NaN or infinite", "finite numbers")
+    return file["tails"][row].astype(float) - joints
+
+
+def _body_frames(bones, joints, parents):
     ok = np.isfinite(joints).all() and parents.shape == (len(joints),) and parents.dtype.kind in "iu"
     if not ok or (parents >= len(joints)).any() or (parents < -1).any() or _has_cycle(parents):
         return np.tile(np.eye(3), (len(joints), 1, 1))  # build_rig says what is wrong with them
-    directions = child_directions(joints, parents)
-    if "tails" in file:
-        if not np.isfinite(file["tails"][row]).all():
-            raise FileError(file.path, "'tails' with values that are NaN or infinite", "finite numbers")
-        bones = file["tails"][row].astype(float) - joints
-        long_enough = np.linalg.norm(bones, axis=1) > 1e-6 * max(float(np.ptp(joints, axis=0).max()), 1e-30)
-        directions = np.where(long_enough[:, None], bones, directions)
-    frames = bone_frames(directions, "+y", "+z")
-    frames[parents < 0] = np.eye(3)  # so that the body turns about the up axis and leans to the front or the side
-    return frames
+    return frames_along(bones, joints, parents, "+y", "+z")
 
 
 def _has_cycle(parents):

@@ -1,7 +1,6 @@
 """``load_rig``: a rig from any file that the package reads, or one of the rigs that come with it."""
 
 import importlib
-import importlib.resources
 import os
 from pathlib import Path
 
@@ -11,6 +10,7 @@ from ..bundled import bundled_files
 from ..errors import FileError, InputError
 from ..rig.build import build_rig
 from ..rig.card import nearest
+from ..rig.card_text import loose_joints
 from ..rig.mirror import mirrored
 from .scans import SCAN_EXTENSIONS
 
@@ -127,11 +127,14 @@ def rig_for_card(path_or_name, *, shape=None, skin=None):
     Returns
     -------
     Rig or RigData
-        RigData where the file has several root joints, of which only a card can make one tree.
+        RigData where the file's joints are not one tree, which only a card can make of them.
     """
     data = read_rig_data(path_or_name, shape=shape, skin=skin)
-    if np.count_nonzero(np.asarray(data.parents) < 0) > 1:
-        return data
+    try:
+        if len(loose_joints(np.asarray(data.parents))) > 1:
+            return data
+    except (IndexError, TypeError):  # build_rig says what is wrong with them
+        pass
     return build_rig(data, normalize_weights=True)
 
 

@@ -24,6 +24,7 @@ from ..optimize.frame import nearest_root, turned_root
 from ..optimize.model import Model
 from ..optimize.state import Layout
 from ..processes import kept_processes
+from ..scan import some_rows
 from ..segmentation.segmenter import Segmenter, train_segmenter
 from ..segmentation.stage import Training
 from ..starts.beyond import end_of
@@ -255,7 +256,7 @@ class Loop:
             tasks.append(
                 (
                     [m.X for m in learning],
-                    [self._for_template(m, len(learning)) for m in learning],
+                    [m.dense_X[some_rows(m.dense_X, max(len(m.X), _OF_A_TEMPLATE // len(learning)))] for m in learning],
                     [m.state.replace(coefficients=c, residual=None) for m in learning],
                     np.array([m.loss for m in learning]),
                     [m.proba for m in learning] if self.variant.labels else None,
@@ -267,12 +268,6 @@ class Loop:
         self.coefficients = {s: c for s, (_, _, c) in found.items()}
         self._follow()
         return {s: (np.ascontiguousarray(self.rig.unwelded(U)), J) for s, (U, J, _) in found.items()}
-
-    @staticmethod
-    def _for_template(member, n):
-        """Points of a scan that its subject's template is found from, with n scans of it."""
-        most, dense = max(len(member.X), _OF_A_TEMPLATE // n), member.dense_X
-        return dense if len(dense) <= most else dense[np.linspace(0, len(dense) - 1, most).astype(int)]
 
     def _mixture(self, k, templates):
         v, rig = self.variant, self.rig.welded

@@ -7,7 +7,7 @@ __all__ = ["fit_scan"]
 
 
 def fit_scan(rig, points, *, theta0=None, labels=None, point_weights=None, random_state=0, **parameters):
-    """Fit one scan in one call, with a segmenter that is trained once and kept in the user's cache folder.
+    """Fit one scan in one call; what is trained for the rig is trained once, and kept in the user's cache folder.
 
     Parameters
     ----------

@@ -1,14 +1,16 @@
 """Step 1 of Algorithm 1, before any scan is seen: s, and f with the library of starts, trained on synthetic scans of a rig."""
 
+import warnings
 from dataclasses import replace
 
 from ..bundled import bundled_files
+from ..errors import FileError
 from ..segmentation.cache import cached, shipped_name
 from ..segmentation.descriptors import Descriptor
 from ..segmentation.segmenter import Segmenter, jobs_of, train_segmenter
 from ..segmentation.stage import Training
 from ..starts.library import PoseLibrary, build_library
-from ..synthesis import StartScans, TrainingScans
+from .training import StartScans, TrainingScans
 
 __all__ = [
     "is_stale",
@@ -90,7 +92,11 @@ def pretrain_segmenter(rig, synthesis, n_scans, *, random_state, n_jobs, cache, 
 def _shipped_segmenter(rig, synthesis, n_scans, *, random_state):
     """What :func:`pretrain_segmenter` would train, where that comes with the package; else None."""
     path = bundled_files("trained/*.npz").get(shipped_name_of(rig, synthesis, n_scans, random_state=random_state))
-    return None if path is None else Segmenter.load(path)
+    try:
+        return None if path is None else Segmenter.load(path)
+    except FileError as error:
+        warnings.warn(f"{path}: {error.got}; install the package again. Until then a segmenter is trained.", stacklevel=4)
+        return None
 
 
 def shipped_name_of(rig, synthesis, n_scans, *, random_state):

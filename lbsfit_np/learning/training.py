@@ -1,11 +1,20 @@
-"""How the synthetic scans for training are made: the parameter ``training`` of a fitter as settings, within what memory holds."""
+"""The synthetic scans of pretraining, and how they are made: the parameter ``training`` of a fitter as settings."""
 
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 
 from ..errors import InputError
-from ..synthesis import Synthesis, make_settings
+from ..seeds import generator
+from ..synthesis import (
+    Synthesis,
+    make_settings,
+    natural_poses,
+    synthesize_nth,
+    synthesize_one,
+    training_poses,
+    with_random_proportions,
+)
 
-__all__ = ["training_settings"]
+__all__ = ["StartScans", "TrainingScans", "training_settings"]
 
 # Beside Synthesis' own defaults: the reference scale is a guess, and people are not of the rig's size.
 _DEFAULTS = {"scale": 0.05}
@@ -34,3 +43,31 @@ def training_settings(training, **defaults):
         return make_settings(given)
     except InputError as error:
         raise InputError("training", f"{error.argument}: {error.got}", error.expected, error.remedy) from None
+
+
+@dataclass(frozen=True)
+class TrainingScans:
+    """i → (points, labels, 1.0): the i-th scan for training s, the same in any process."""
+
+    rig: object
+    settings: Synthesis
+    random_state: int | None
+
+    def __call__(self, i):
+        scan = synthesize_nth(self.rig, i, self.settings, poses=training_poses, random_state=self.random_state)
+        return scan.points, scan.labels, 1.0
+
+
+@dataclass(frozen=True)
+class StartScans:
+    """i → the i-th SyntheticScan for the library of starts, facing the rig's way; half have natural poses, if the rig has any."""
+
+    rig: object
+    settings: Synthesis
+    random_state: int | None
+
+    def __call__(self, i):
+        rng = generator(self.random_state, "start", i)
+        poses = natural_poses if i % 2 and self.rig.poses else training_poses
+        template = with_random_proportions(self.rig, self.settings.shape, rng)
+        return synthesize_one(self.rig, poses(self.rig, 1, rng)[0], template, self.settings, rng)

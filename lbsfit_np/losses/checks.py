@@ -8,15 +8,24 @@ import numpy as np
 from ..errors import InputError, as_array, brief, check_real, check_unmasked, not_finite
 from ..neighbors import PointIndex
 
-__all__ = ["as_float", "check_index", "check_labels", "check_number", "check_same_length", "check_set", "check_weights"]
+__all__ = [
+    "LARGEST",
+    "as_float",
+    "check_index",
+    "check_labels",
+    "check_number",
+    "check_same_length",
+    "check_set",
+    "check_weights",
+]
 
 # Searching within parts takes memory, and loses digits, in proportion to the largest label.
 _MOST_PARTS = 2**16
 # Sums of many squares of coordinates have to stay within double precision.
-_LARGEST = 1e150
+LARGEST = 1e150
 
 
-def check_set(argument, value, most=_LARGEST):
+def check_set(argument, value, most=LARGEST):
     """A point set as a finite, non-empty (k, 3) float array, all below ``most``; the input itself where it is one."""
     check_unmasked(argument, value)
     check_real(argument, value, "numbers of shape (k, 3)")

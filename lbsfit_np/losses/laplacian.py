@@ -4,7 +4,7 @@ import numpy as np
 from scipy import sparse
 
 from ..errors import InputError, as_array, check_unmasked
-from ..triangles import face_areas
+from ..triangles import binary_extent, face_areas
 from .checks import check_set
 
 __all__ = ["cotangent_matrix", "laplacian_offsets", "laplacian_posed"]
@@ -32,7 +32,7 @@ def cotangent_matrix(vertices, faces):
         Wrong shapes, numbers that are not finite, faces out of range.
     """
     vertices, faces = check_set("vertices", vertices), _faces(faces, len(vertices))
-    m = len(vertices)
+    m, vertices = len(vertices), vertices / binary_extent(vertices)
     rows, cols, vals = [], [], []
     p = vertices[faces]
     area = face_areas(vertices, faces)

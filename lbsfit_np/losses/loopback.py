@@ -3,6 +3,7 @@
 import numpy as np
 
 from ..errors import InputError, check_real, check_unmasked, not_finite
+from .checks import LARGEST
 
 __all__ = ["loopback"]
 
@@ -47,6 +48,8 @@ def loopback(predicted, theta):
     for name, value in (("predicted", predicted), ("theta", theta)):
         if not np.isfinite(value).all():
             raise InputError(name, not_finite(int((~np.isfinite(value)).sum()), "value"), "finite numbers")
+        if np.abs(value).max() >= LARGEST:
+            raise InputError(name, f"angles of up to {np.abs(value).max():.3g}", f"angles below {LARGEST:.0e}")
     away = predicted - theta
     batch = len(away) if away.ndim == 3 else 1
     return float(np.vdot(away, away)) / batch, (2.0 / batch) * away

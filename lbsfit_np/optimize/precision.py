@@ -78,7 +78,8 @@ def _covariance(steps, problem, state, free, independent, proba=None):
     n = len(problem.X) if a is None else 1.0 / float(((a / a.sum()) ** 2).sum())
     width = np.minimum(rig.upper - rig.lower, _ALL_ROUND)
     width[rig.root] = _ALL_ROUND
-    spread = {"pose": width[layout.turning] / np.sqrt(12), "translation": np.full(3, _ANYWHERE), "scale": np.full(1, _ANY_SCALE)}
+    spread = {"pose": width[layout.turning] / np.sqrt(12), "translation": np.full(3, _ANYWHERE * state.scale)}
+    spread["scale"] = np.full(1, _ANY_SCALE * state.scale)
     D = np.concatenate([spread[block] for block in layout.blocks]) ** -2.0
     noise = max(left, _LEAST_NOISE**2) / min(n, independent)
     return np.linalg.inv(H / noise + np.diag(D)), noise, layout

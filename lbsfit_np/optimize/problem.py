@@ -11,6 +11,7 @@ import numpy as np
 
 from ..losses.objective import objective
 from ..neighbors import PointIndex
+from ..scan import some_rows
 from ..skinning import skin_adjoint
 
 __all__ = ["Evaluation", "Problem"]
@@ -37,6 +38,7 @@ class Problem:
     X : (n, 3) array
         Scan points, normalised.
     x_weights : (n,) array, optional
+        Shares: they sum to 1. By default all points have the same.
     v_weights : (m,) array, optional
         Weights of the vertices of the whole model, not of a coarse one: 0 where the scan does not show the surface.
     """
@@ -48,11 +50,10 @@ class Problem:
         self._part_index = None, None
 
     def thinned(self, most):
-        """The problem on at most so many points, evenly taken: scans have no order that this could follow."""
-        n = len(self.X)
-        if n <= most:
+        """The problem on at most so many of its points, the same ones for the same n."""
+        if len(self.X) <= most:
             return self
-        rows = np.linspace(0, n - 1, most).astype(int)
+        rows = some_rows(self.X, most)
         a = None if self.x_weights is None else self.x_weights[rows] / self.x_weights[rows].sum()
         return Problem(self.X[rows], a)
 

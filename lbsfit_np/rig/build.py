@@ -23,7 +23,7 @@ from .checks import (
     check_weights,
 )
 from .clips import poses_of_clips, under_other_parents
-from .frames import bone_frames, child_directions
+from .frames import bone_frames, child_directions, frames_along
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, derived_limits
 from .partition import check_partition, partition_names
 from .regressor import exact_regressor, regressor_from_weights
@@ -86,6 +86,8 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     if data.animated is not None and not np.array_equal(parents, data.parents):
         animated = report.array("animated", data.animated, (None, len(names), 3))
         data = replace(data, animated=under_other_parents(animated, frames, np.asarray(data.parents), parents))
+    if data.bones is not None and not np.array_equal(parents, data.parents):
+        frames = frames_along(data.bones, joints, parents, data.up, data.forward)
     frames, turned = _frames(frames, joints, parents, names, card, up, forward)
     sound = proper(faces)  # what else there is of vertices says nothing of joints
     surface = np.unique(faces[sound] if sound.any() else faces)

@@ -1,5 +1,6 @@
 """The text of a rig card to edit: a rig's present settings in TOML, and comments that say what could be changed."""
 
+import math
 import re
 from itertools import chain, pairwise
 
@@ -10,13 +11,14 @@ from .data import RigData
 from .limits import all_derived, derived_limits
 from .units import METRES
 
-__all__ = ["card_text", "guessed_chains"]
+__all__ = ["card_text", "guessed_chains", "loose_joints"]
 
 
 def card_text(rig):
     """The card of a Rig or a RigData.
 
-    Where the file has several roots or none, [hierarchy] holds a guess from names and positions, for the user to check.
+    Where joints are not one tree, of several roots or going round in circles, [hierarchy] holds a guess from names and
+    positions, for the user to check.
 
     Returns
     -------
@@ -27,11 +29,11 @@ def card_text(rig):
     parents = np.asarray(rig.parents)
     lines = [f"# Rig card of {_one_line(rig.name)}: {len(names)} joints, {len(rig.vertices)} vertices.", ""]
     lines += _rig_table(rig)
-    tops = _tops(parents)
-    root, guess = names[tops[0]], None
-    if len(tops) > 1:
-        root, guess = guessed_chains([names[j] for j in tops], np.asarray(rig.joints)[tops])
-    lines += _hierarchy_table(rig, names, parents, root, guess)
+    loose = loose_joints(parents)
+    root, guess = names[loose[0]], None
+    if len(loose) > 1:
+        root, guess = guessed_chains([names[j] for j in loose], np.asarray(rig.joints)[loose])
+    lines += _hierarchy_table(rig, names, parents, loose, root, guess)
     merged = _mask(rig, "merged")
     locked = _mask(rig, "locked")
     lines += [
@@ -83,15 +85,17 @@ def guessed_chains(names, joints):
     return root, list(groups.values())
 
 
-def _tops(parents):
-    """Rows of the joints without a parent; of all joints where each has one, so that they go round in circles."""
-    tops = np.flatnonzero(parents < 0)
-    return tops if len(tops) else np.arange(len(parents))
+def loose_joints(parents):
+    """Rows of the joints without a parent, and of those that go round in circles or hang on these: one, of a tree."""
+    at = np.arange(len(parents))
+    for _ in range(len(parents)):
+        at = np.where(at >= 0, parents[at], -1)
+    return np.flatnonzero((parents < 0) | (at >= 0))
 
 
 def _rig_table(rig):
     unit = rig.metres_per_unit
-    named = next((f'"{name}"' for name, metres in METRES.items() if unit == metres), repr(unit))
+    named = next((f'"{name}"' for name, metres in METRES.items() if unit and math.isclose(unit, metres)), repr(unit))
     granularity = getattr(rig, "granularity", None) or getattr(rig, "parts", None)
     use = granularity if isinstance(granularity, str) else None
     return [
@@ -108,7 +112,7 @@ def _rig_table(rig):
     ]
 
 
-def _hierarchy_table(rig, names, parents, root, guess):
+def _hierarchy_table(rig, names, parents, loose, root, guess):
     lines = [
         "[hierarchy]",
         '# chains: each joint is a child of the one before it. parents = { "child" = "parent" } does the same for single joints.',
@@ -118,10 +122,9 @@ def _hierarchy_table(rig, names, parents, root, guess):
     if guess is None:  # of a built rig nobody knows whether the file or a card said it: say it all
         chains = [[names[j] for j in row] for row in _chains(parents, names.index(root))]
     else:
-        chains, orphans = guess, np.count_nonzero(parents < 0) or "no"
-        lines.append(
-            f"# The file has {orphans} joints without a parent. What follows is a GUESS from names and positions: check it."
-        )
+        chains, what = guess, "" if (parents[loose] < 0).all() else ", or going round in circles"
+        what = f"# The file has {len(loose)} joints without a parent{what}."
+        lines.append(f"{what} What follows is a GUESS from names and positions: check it.")
     return [*lines, f"root = {_quote(root)}", "chains = [", *(f"    {_list(names)}," for names in chains), "]", ""]
 
 

@@ -205,6 +205,9 @@ def check_tree(report, parents, names, explained):
 
     ``explained``: whether a card's [hierarchy] has been applied, which changes what the user can do about it.
     """
+    rig = "RIG" if report.path is None else shlex.quote(str(report.path))
+    with_card = f"Write a card with: lbsfit rig card {rig} -o CARD, check its [hierarchy], which is a guess, "
+    with_card += "and pass it with --card (card=...)."
     for start in range(len(parents)):
         path, j = [], start
         while j >= 0 and j not in path:
@@ -213,16 +216,10 @@ def check_tree(report, parents, names, explained):
         if j >= 0:
             loop = [names[k] for k in path[path.index(j) :]] + [names[j]]
             got = f"a cycle in the hierarchy: {' → '.join(loop)} (each is a child of the next)"
-            report.fail("parents", got, "a tree of joints")
+            report.fail("parents", got, "a tree of joints", "Mend the card's [hierarchy]." if explained else with_card)
     roots = [names[j] for j in np.flatnonzero(parents < 0)]
     if len(roots) > 1:
-        rig = "RIG" if report.path is None else shlex.quote(str(report.path))
-        remedy = (
-            "Give their parents in the card's [hierarchy], in chains or parents."
-            if explained
-            else f"Write a card with: lbsfit rig card {rig} -o CARD, check its [hierarchy], which is a guess, "
-            "and pass it with --card (card=...)."
-        )
+        remedy = "Give their parents in the card's [hierarchy], in chains or parents." if explained else with_card
         report.fail("parents", f"{len(roots)} root joints: {listed(roots)}", "one root, with all other joints below it", remedy)
     return int(np.flatnonzero(parents < 0)[0])
 

@@ -28,6 +28,7 @@ class RigData:
     parents: np.ndarray  # (J,) int, -1 for a root; several roots are possible here
     joints: np.ndarray  # (J, 3) joint positions in the rest pose
     frames: np.ndarray  # (J, 3, 3) rest frames: columns are the joint's own axes in the rig's frame, orthonormal
+    bones: np.ndarray | None = None  # (J, 3) along the bones, 0 to go by children, where frames follow them
     regressor: sparse.csr_array | None = None  # (J, m) joint regressor, where the file has one
     lower: np.ndarray | None = None  # (J, 3) joint-angle limits, radians, where the file has them
     upper: np.ndarray | None = None

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["AXES", "bone_frames", "child_directions", "up_axis"]
+__all__ = ["AXES", "bone_frames", "child_directions", "frames_along", "up_axis"]
 
 # The names that files, cards and rigs use for directions.
 AXES = {
@@ -49,6 +49,28 @@ def bone_frames(directions, up, forward):
     z = reference - np.einsum("ja,ja->j", reference, y)[:, None] * y
     z /= np.linalg.norm(z, axis=1, keepdims=True)
     return np.stack([np.cross(y, z), y, z], axis=2)
+
+
+def frames_along(bones, joints, parents, up, forward):
+    """Frames of a skeleton along its bones, those of roots the rig's: the whole turns about the up axis and leans to its sides.
+
+    Parameters
+    ----------
+    bones : (J, 3) array
+        Along the bones, of any length; 0 to go by the children.
+    joints : (J, 3) array
+    parents : (J,) int array
+    up, forward : str
+
+    Returns
+    -------
+    (J, 3, 3) array
+        As of :func:`bone_frames`.
+    """
+    long_enough = np.linalg.norm(bones, axis=1) > 1e-6 * max(float(np.ptp(joints, axis=0).max()), 1e-30)
+    frames = bone_frames(np.where(long_enough[:, None], bones, child_directions(joints, parents)), up, forward)
+    frames[parents < 0] = np.eye(3)
+    return frames
 
 
 def child_directions(joints, parents):

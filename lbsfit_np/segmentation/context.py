@@ -47,9 +47,9 @@ def context(x, proba, around, around_proba):
     weight = around_proba / np.maximum(mass, 1e-3)
     centroids = weight.T @ around
     spreads = np.sqrt(np.maximum(weight.T @ around**2 - centroids**2, 0.0)).sum(axis=1)
-    nearest = cKDTree(around).query(x, k=min(WIDE, c))[1].reshape(k, -1)
+    nearest = cKDTree(around).query(x, k=min(WIDE, c))[1].reshape(k, min(WIDE, c))
     near = around_proba[nearest[:, :NEAR]].mean(axis=1)
     wide = around_proba[nearest].mean(axis=1)
-    relative = (x[:, None, :] - centroids).reshape(k, -1)
+    relative = (x[:, None, :] - centroids).reshape(k, centroids.size)
     whole = np.concatenate([centroids.ravel(), mass / c, spreads])
     return np.hstack([proba, near, wide, relative, np.broadcast_to(whole, (k, len(whole)))]).astype(np.float32)

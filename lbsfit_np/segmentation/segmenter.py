@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import FileError, InputError, as_array, brief
 from ..losses.checks import as_float, check_set
 from ..rotations import matrix_from_rotvec
+from ..scan import some_rows
 from ..seeds import generator
 from ..threads import one_thread
 from ..workers import each, processors
@@ -313,10 +314,8 @@ def _described(points, rows, descriptor, first=None):
     if first is None:
         yield from (descriptor(points, block, grid) for block in blocks)
         return
-    # Evenly spread rows of a scan in its own order: no randomness where one scan has to be labelled.
-    # One that is far away would shift the centre of all.
-    near = np.flatnonzero(within_reach(points))
-    around = near[np.linspace(0, len(near) - 1, min(CONTEXT_POINTS, len(near))).astype(int)]
+    near = np.flatnonzero(within_reach(points))  # one that is far away would shift the centre of all
+    around = near[some_rows(points[near], CONTEXT_POINTS)]
     for block in blocks:
         k = len(block)
         own = descriptor(points, block if seen is not None else np.concatenate([block, around]), grid)

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from ..scan import some_rows
+
 __all__ = ["off_floor"]
 
 # Planes tried; how thick a floor is, and from how far below it on few points may be, as shares of the scan's extent.
@@ -64,7 +66,7 @@ def _floor(x, up):
     length = np.linalg.norm(normal, axis=1)
     kept = length > 1e-4
     normal, a = normal[kept] / length[kept, None], a[kept]
-    few = x[np.linspace(0, len(x) - 1, min(len(x), 1000)).astype(int)]
+    few = x[some_rows(x, 1000)]
     height = few @ normal.T - np.einsum("ka,ka->k", normal, a)
     turn = np.where(height.mean(axis=0) < 0, -1.0, 1.0)  # the body is above; most points may be of the floor
     normal, height = normal * turn[:, None], height * turn

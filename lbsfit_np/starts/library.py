@@ -131,7 +131,7 @@ class PoseLibrary:
         return out
 
     def nearest(self, points, k):
-        """(k, J, 3): the poses whose scans look most like ``points`` (n, 3), which face the rig's way."""
+        """(at most k, J, 3): the poses whose scans look most like ``points`` (n, 3), which face the rig's way."""
         return np.array([start.theta for start in self.starts(points, np.eye(3)[None], k)])
 
     def regress(self, points):

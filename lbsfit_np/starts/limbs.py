@@ -21,12 +21,15 @@ import numpy as np
 from ..optimize.model import farthest_points
 from ..rig.chains import chains, vertex_bones
 from ..rotations import matrix_from_rotvec
+from ..scan import some_rows
 from ..segmentation.descriptors import VoxelGrid
 
 __all__ = ["LimbPoses"]
 
 # Vertices and points that are looked at; s and the edge of a voxel in half sizes of the rig.
 _LIMB_VERTICES, _ALL_VERTICES, _POINTS, _REACH, _VOXEL = 32, 900, 250, 0.2, 0.04
+# Points that count for less than this share of the mean are not looked at.
+_HARDLY = 0.01
 # Poses that are tried for each limb, in blocks, to bound memory, a few of which fit a cache; of two limbs each with each of the
 # best few.
 _POSES, _BLOCK, _AT_ONCE, _BEST = 800, 200, 8, 40
@@ -115,8 +118,16 @@ class LimbPoses:
             The most promising first; empty where no limb would be better off.
         """
         posed = self.model.deformed(state)
-        X = problem.X
-        few = X[np.linspace(0, len(X) - 1, min(len(X), _POINTS)).astype(int)].astype(np.float32)
+        X, weights = problem.X, problem.x_weights
+        if weights is not None:  # points that hardly count shall not draw limbs to them
+            heavy = weights >= _HARDLY * weights.mean()
+            X, weights = X[heavy], weights[heavy]
+        rows = some_rows(X, _POINTS)
+        few = X[rows].astype(np.float32)
+
+        def mean(of):
+            return np.average(of, axis=-1, weights=None if weights is None else weights[rows])
+
         grid = VoxelGrid(X, _VOXEL)
         away = _squared(posed.vertices[self._all].astype(np.float32)[None], few)[0]  # (all, x)
 
@@ -128,8 +139,8 @@ class LimbPoses:
         for limb, t in zip(self._limbs, tried):
             rest = self._rest(away, ~limb.skin)
             if closer and limb.ends:
-                t = self._nearer(limb, t, rest, try_out)
-            cost = t.away + np.minimum(t.reach, rest).mean(axis=1)
+                t = self._nearer(limb, t, rest, mean, try_out)
+            cost = t.away + mean(np.minimum(t.reach, rest))
             order = np.argsort(cost, kind="stable")
             changes = [(cost[k] - cost[0], cost[k], ((limb, t, k),)) for k in order[:_BEST]]
             found += self._unlike(state, changes, cost[0], n, _BETTER)
@@ -137,9 +148,9 @@ class LimbPoses:
             if (a.hangs & b.hangs).any():
                 continue  # one hangs on the other
             rest = self._rest(away, ~(a.skin | b.skin))
-            best_s, best_t = (np.argsort(x.away + np.minimum(x.reach, rest).mean(axis=1))[:_BEST] for x in (s, t))
+            best_s, best_t = (np.argsort(x.away + mean(np.minimum(x.reach, rest)))[:_BEST] for x in (s, t))
             best_s, best_t = np.union1d(best_s, 0), np.union1d(best_t, 0)
-            both = np.minimum(np.minimum(s.reach[best_s][:, None], t.reach[best_t][None]), rest).mean(axis=2)
+            both = mean(np.minimum(np.minimum(s.reach[best_s][:, None], t.reach[best_t][None]), rest))
             cost = both + s.away[best_s][:, None] + t.away[best_t][None]
             now = cost[0, 0]
             if now < _FINE:
@@ -153,7 +164,7 @@ class LimbPoses:
             ]
             if a.hangs.sum() == b.hangs.sum():  # first each in the other's pose, which the library need not have
                 i, j = try_out(a, self._within(a, state.theta[b.hangs])), try_out(b, self._within(b, state.theta[a.hangs]))
-                swapped = np.minimum(np.minimum(i.reach[1], j.reach[1]), rest).mean() + i.away[1] + j.away[1]
+                swapped = mean(np.minimum(np.minimum(i.reach[1], j.reach[1]), rest)) + i.away[1] + j.away[1]
                 if swapped <= now:
                     changes.insert(0, (swapped - now, swapped, ((a, i, 1), (b, j, 1))))
             found += self._unlike(state, changes, now, n, _BETTER_PAIR)
@@ -163,12 +174,12 @@ class LimbPoses:
         """(1, j, 3): angles (j, 3) within a limb's limits."""
         return np.clip(angles, self.model.rig.lower[limb.hangs], self.model.rig.upper[limb.hangs])[None]
 
-    def _nearer(self, limb, tried, rest, try_out):
+    def _nearer(self, limb, tried, rest, mean, try_out):
         """Poses of a limb that come of the best ones tried: parts of two of them, and small random changes, ever smaller."""
         rig, rng = self.model.rig, np.random.default_rng(0)  # the same for each scan: fits hang on the scan alone
         lower, upper = rig.lower[limb.hangs], rig.upper[limb.hangs]
         for sigma in _SIGMAS:
-            best = self._apart(tried, tried.away + np.minimum(tried.reach, rest).mean(axis=1))
+            best = self._apart(tried, tried.away + mean(np.minimum(tried.reach, rest)))
             parents = tried.angles[best]
             one, other = parents[rng.integers(len(best), size=(2, _CHILDREN))]
             cut = rng.integers(1, lower.shape[0] + 1, size=_CHILDREN)[:, None, None]

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..neighbors import PointIndex
 from ..optimize.surface import vertex_normals
+from ..scan import some_rows
 
 __all__ = ["placed"]
 
@@ -43,7 +44,7 @@ def placed(model, problem, theta, scale=1.0, *, partial=False):
         shares = model.areas[:, None] * np.maximum(vertex_normals(V, model.rig.faces) @ _SIDES.T, 0.0)
         shares /= np.maximum(shares.sum(axis=0), np.finfo(float).tiny)
         sides = np.vstack([seen, shares.T @ V])
-        rows = np.linspace(0, len(X) - 1, min(len(X), _POINTS)).astype(int)
+        rows = some_rows(X, _POINTS)
         on_side = (X[rows] - centre + sides[:, None]).reshape(-1, 3)
         away = np.linalg.norm(on_side - V[PointIndex(V).nearest(on_side)], axis=1).reshape(len(sides), -1)
         weights = None if a is None else a[rows] + np.finfo(float).tiny
