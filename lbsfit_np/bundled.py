@@ -1,6 +1,5 @@
 """Where the files lie that come with the package: its rigs, and the segmenters that were trained for them."""
 
-import importlib.resources
 from pathlib import Path
 
 __all__ = ["bundled_files"]
@@ -14,11 +13,7 @@ def bundled_files(pattern):
     pattern : str
         Of the path within that folder, such as ``*.npz``.
     """
-    beside = Path(__file__).resolve().parents[1]
-    folder = beside / "rigs"
-    if not (beside / "setup.cfg").is_file():  # installed; of two checkouts, each has its own
-        try:
-            folder = Path(str(importlib.resources.files("lbsfit_np.rigs")))
-        except (ModuleNotFoundError, TypeError):
-            pass
+    package = Path(__file__).resolve().parent
+    installed = package / "rigs"
+    folder = installed if installed.is_dir() else package.parent / "rigs"
     return {p.stem: p for p in folder.glob(pattern)}

@@ -207,16 +207,20 @@ def some_rows(points, most):
     n = len(points)
     if n <= most:
         return np.arange(n)
-    if _in_an_order(points[:_LOOKED_AT]):
+    if _in_an_order(points):
         return np.sort(np.random.default_rng(0).choice(n, most, replace=False))
     return np.linspace(0, n - 1, most).astype(int)
 
 
 def _in_an_order(points):
     """Whether points some rows apart are nearer to each other than any two, of which the mean squared distance is 2 σ²."""
-    points = points - points.mean(axis=0)
-    of_any = 2 * np.vdot(points, points)
-    return any(((np.roll(points, lag, axis=0) - points) ** 2).sum() < _IN_ORDER * of_any for lag in _LAGS)
+    n = len(points) - max(_LAGS)
+    if n < 1:
+        return False
+    at = np.linspace(0, n - 1, min(n, _LOOKED_AT)).astype(int)  # of a stretch alone, all would be near each other
+    some = points[at]
+    of_any = 2 * ((some - some.mean(axis=0)) ** 2).sum()
+    return any(((points[at + lag] - some) ** 2).sum() < _IN_ORDER * of_any for lag in _LAGS)
 
 
 def count_distinct(points, enough):

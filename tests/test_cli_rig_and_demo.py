@@ -67,6 +67,13 @@ def test_a_card_of_joints_that_are_no_tree_is_to_be_checked(parents, made, tmp_p
     assert run("rig", "show", tmp_path / "loose.npz", "--card", tmp_path / "c.toml")[0] == 0
 
 
+def test_a_card_of_parents_of_a_wrong_shape_is_an_error(made, tmp_path, run):
+    with np.load(made / "tube.npz") as z:
+        np.savez(tmp_path / "odd.npz", **{key: z[key] for key in z.files} | {"parents": z["parents"][:, None]})
+    code, _, err = run("rig", "card", tmp_path / "odd.npz", "-o", tmp_path / "c.toml")
+    assert code == 2 and "parents: shape (4, 1); expected shape (4,)" in one_line(err)
+
+
 def test_rig_list(run):
     code, text, _ = run("rig", "list")
     assert code == 0

@@ -120,6 +120,7 @@ BAD = {
     "infinite limits": ("[limits]\na = [[0, 0, 0], [inf, 1, 1]]", "six finite numbers"),
     "limits reversed": ("[limits]\na = [[0, 2, 0], [1, 1, 1]]", r"\[limits\] 'a'.*reversed about y"),
     "limits of a name with a dot": ("[limits]\nBip.L = [[0, 0, 0], [1, 1, 1]]", 'six finite.* quotes: write "Bip.L"'),
+    "limits of a name with two dots": ("[limits]\nBip.L.001 = [[0, 0, 0], [1, 1, 1]]", 'quotes: write "Bip.L.001"'),
     "frames of a name with a dot": ("[frames]\nBip.L = 'bone'", 'quotes: write "Bip.L"'),
     "parents of a name with a dot": ("[hierarchy]\nparents = { a = 'b', Bip.L = 'Bip' }", 'quotes: write "Bip.L"'),
     "parts of a name with a dot": ("[parts.p]\nArm.L = ['x']", 'quotes: write "Arm.L"'),

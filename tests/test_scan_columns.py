@@ -202,6 +202,14 @@ def test_points_beside_what_a_rig_has_are_a_scan(tmp_path):
         ("\t1\t2\t3\n\t4\t5\t6\n", [[1, 2, 3], [4, 5, 6]]),
         ("1 2\t3\n4 5\t6\n", [[1, 2, 3], [4, 5, 6]]),
         ("1\t2\t3\t\n4\t5\t6\t\n", [[1, 2, 3], [4, 5, 6]]),
+        ("1.0,\t2.0,\t3.0\n4.0,\t5.0,\t6.0\n", [[1, 2, 3], [4, 5, 6]]),
+        ("x,\ty,\tz\n1.0,\t2.0,\t3.0\n4.0,\t5.0,\t6.0\n", [[1, 2, 3], [4, 5, 6]]),
+        ("x,y,z,\tlabel\n1.0,2.0,3.0,\t1\n4.0,5.0,6.0,\t1\n", [[1, 2, 3], [4, 5, 6]]),
+        ("1.0,2.0,3.0\t\n4.0,5.0,6.0\t\n", [[1, 2, 3], [4, 5, 6]]),
+        ("x y z\tlabel\n1 2 3\t4\n4 5 6\t4\n", [[1, 2, 3], [4, 5, 6]]),
+        ("x\t\ty\t\tz\n1\t\t2\t\t3\n4\t\t5\t\t6\n", [[1, 2, 3], [4, 5, 6]]),
+        ("x y z\n1\t\t2\t3\n4\t\t5\t6\n", [[1, 2, 3], [4, 5, 6]]),
+        ("x\ty\tz\t\n1\t2\t3\n4\t5\t6\n", [[1, 2, 3], [4, 5, 6]]),
     ],
 )
 def test_tabs(tmp_path, text, points):
@@ -225,7 +233,7 @@ def test_a_missing_cell_between_tabs_does_not_move_the_labels(tmp_path):
         ("x y z r\n1 2 3 4\n# 1\n\n1 2 3 4 5 # here\n", "5 cells in row 2"),
         ("1,2,3\n1,2,4\n1,2\n1,2,7\n", "changed from 3 to 2 in row 3, counting"),
         ("x,y,z,r\n1,2,3,4\n1,2\n", "in row 2 with 2 columns, counting"),
-        ("x,y,z\n1,2,3\n1;2;4\n", "changed from 3 to 1 in row 2, counting"),
+        ("x,y,z\n1,2,3\n1;2;4\n", "string '1;2;4' to float64 in row 2, column 1, counting"),
         ("x y z\n1 2 3\n1;2 3 4\n", "'1;2' to float64 in row 2, column 1, counting"),
     ],
 )
@@ -236,8 +244,15 @@ def test_rows_of_other_lengths_are_named(tmp_path, text, words):
 
 @pytest.mark.parametrize("cells", ["1,2,3,", "1,2,3,,", '"1","2","3"', '1,2,3,"a, b"', "1,2,3,# 4, 5, 6"])
 def test_what_a_row_may_end_with(tmp_path, cells):
-    scan = load_scan(write(tmp_path, "p.csv", f"x,y,z,name\n4,5,6,a\n{cells}\n"))
-    np.testing.assert_array_equal(scan.points, [[4, 5, 6], [1, 2, 3]])
+    for text in (f"x,y,z,name\n4,5,6,a\n{cells}\n", *([] if "a" in cells else [f"x,y,z\n4,5,6\n{cells}\n"])):
+        np.testing.assert_array_equal(load_scan(write(tmp_path, "p.csv", text)).points, [[4, 5, 6], [1, 2, 3]])
+
+
+@pytest.mark.parametrize("row", ["4 5 6 Рука", "4 5 6 à", "4 5 6 b # one two"])
+def test_words_of_any_script_and_comments_are_no_further_cells(tmp_path, row):
+    for lines in (["1 2 3 a", row], [row, "1 2 3 a"]):
+        scan = load_scan(write(tmp_path, "p.txt", "\n".join(["x y z name", *lines])))
+        assert sorted(scan.points[:, 0]) == [1, 4]
 
 
 @pytest.mark.parametrize(
@@ -258,6 +273,8 @@ def test_a_comment_names_the_columns_where_its_words_can_be_these(tmp_path, comm
     scan = load_scan(write(tmp_path, "p.txt", f"# {comment}\n" + rows(table)))
     np.testing.assert_array_equal(scan.points, table[:, x : x + 3])
     assert (scan.normals is not None) == ("nx" in comment)
+    unclear = comment == "id x y z" and columns == 6
+    assert any("'id, x, y, z' are not names of the 6 columns" in note for note in scan.notes) == unclear
 
 
 @pytest.mark.parametrize(
@@ -290,9 +307,13 @@ def test_digits_that_were_taken_for_names_are_told_of(tmp_path):
 
 
 def test_labels_in_an_npz_are_those_that_fit(tmp_path):
-    np.savez(tmp_path / "a.npz", points=POINTS, **{"class": np.array([3])}, labels=LABELS)
-    scan = load_scan(tmp_path / "a.npz")
-    np.testing.assert_array_equal(scan.labels, LABELS)
+    objects = np.array([{}] * 4, dtype=object)
+    for other in (np.array([3]), np.array(["a", "b", "c", "d"]), np.full(4, 0.5), objects):
+        np.savez(tmp_path / "a.npz", points=POINTS, **{"class": other}, labels=LABELS)
+        np.testing.assert_array_equal(load_scan(tmp_path / "a.npz").labels, LABELS)
+    np.savez(tmp_path / "a.npz", points=POINTS, labels=objects)
+    with pytest.raises(FileError, match="Python objects in 'labels'"):
+        load_scan(tmp_path / "a.npz")
     for one in (np.array(3), np.array([3])):
         np.savez(tmp_path / "b.npz", points=POINTS, **{"class": one})
         scan = load_scan(tmp_path / "b.npz")

@@ -97,11 +97,9 @@ def _show(arguments):
 
 
 def _card(arguments):
-    import numpy as np
-
     from ..io.rigs import CARD_SUFFIX, rig_for_card
     from ..rig.card import write_card
-    from ..rig.card_text import loose_joints
+    from ..rig.data import RigData
 
     values = settings(arguments, _CARD_OPTIONS)
     path = values["output"]
@@ -115,8 +113,7 @@ def _card(arguments):
     by_itself = rig.is_file() and same_file(path, beside)
     if rig.is_file() and not by_itself and beside.is_file():
         print(f"note: the card describes {rig.name} without {beside.name}, which was not read")
-    guessed = len(loose_joints(np.asarray(found.parents))) > 1
-    edit = "check its [hierarchy], which is a guess" if guessed else "edit it"
+    edit = "check its [hierarchy], which is a guess" if isinstance(found, RigData) else "edit it"
     print(f"{path} written; {edit}; " + (f"it is used automatically with {rig}" if by_itself else f"pass it with --card {path}"))
     return 0
 

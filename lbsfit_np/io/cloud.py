@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import FileError, listed
 
-__all__ = ["CloudData", "cloud_from_columns", "column_role", "columns_by_role", "fans", "set_labels"]
+__all__ = ["CloudData", "cloud_from_columns", "column_role", "columns_by_role", "fans", "set_labels", "whole_numbers"]
 
 
 @dataclass
@@ -103,12 +103,12 @@ def cloud_from_columns(path, what, names, column):
 
 def set_labels(cloud, name, values):
     """Give a cloud its labels, or a note that says why not."""
-    cloud.labels = _whole_numbers(values)
+    cloud.labels = whole_numbers(values)
     if cloud.labels is None:
         cloud.notes.append(f"The values of {name!r} are not whole numbers of at most 64 bits: labels left out.")
 
 
-def _whole_numbers(values):
+def whole_numbers(values):
     """The values as integers, or None where that would change them."""
     values = np.asarray(values)
     if values.dtype.kind == "f":

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..errors import FileError
 from . import npz
-from .cloud import CloudData, cloud_from_columns, column_role, set_labels
+from .cloud import CloudData, cloud_from_columns, column_role, set_labels, whole_numbers
 
 __all__ = ["ODD_X", "read_npy", "read_npz", "read_table"]
 
@@ -31,8 +31,8 @@ def read_table(path):
 
     Columns are found by the names in a header line; without one, the first three are x, y, z, and the next three are the
     normal if they have unit length; a column before them that counts the rows is left out. An empty cell of a row is NaN.
-    Lines that start with # are comments, but for a last one that names the columns. Tabs side by side in a first row without a
-    header are blanks.
+    Lines that start with # are comments, but for a last one that names the columns. Tabs side by side are blanks where a first
+    row has no header, or as many numbers as its header has names.
 
     Parameters
     ----------
@@ -48,13 +48,12 @@ def read_table(path):
         Binary content, no rows, a header without x, y, z or of fewer columns than the rows have, but for one, rows that are not
         numbers or of different lengths.
     """
-    skip, names, cells, delimiter = _read_head(path)
+    skip, names, cells, delimiter, notes = _read_head(path)
     if cells is None:
         below = "" if names is None else f" below the first line, {_row(names)!r}, which was read as a header"
         raise FileError(str(path), f"no line of numbers{below}", "one point per line")
     decimal_comma = delimiter in (";", "\t") and any("," in cell for cell in cells)
     numeric = [_is_number(cell.replace(",", ".") if decimal_comma else cell) or not cell for cell in cells]
-    notes = []
     if names is not None and len(cells) == len(names) + 1 and cells[-1]:
         if not numeric[0] or (all(numeric[:3]) and _numbers_the_rows(_load(path, skip, delimiter, [0, 1, 2], decimal_comma))):
             names = ["", *names]
@@ -82,15 +81,13 @@ def read_table(path):
         ]
         if not {0, 1, 2} <= {roles[k] for k in usecols}:
             raise FileError(str(path), f"text in the columns x, y, z: {_row(cells)!r}", "numbers")
-        usecols = None if len(usecols) == len(cells) else usecols
     table = _load(path, skip, delimiter, usecols, decimal_comma)
     if usecols is not None:
         _check_lengths(path, skip, delimiter, max(len(cells), len(names or ())))
     if names is None:
         cloud = _unnamed(table, *_IN_TABLES)
     else:
-        of = names if usecols is None else [names[k] for k in usecols]
-        cloud = cloud_from_columns(path, "columns", of, lambda k: table[:, k])
+        cloud = cloud_from_columns(path, "columns", [names[k] for k in usecols], lambda k: table[:, k])
     cloud.notes[:0] = notes
     return cloud
 
@@ -125,7 +122,7 @@ def read_npz(path):
     found = {what: next((by_name[k] for k in keys if k in by_name), None) for what, keys in _NPZ_KEYS.items()}
     labels = [key for name, key in by_name.items() if column_role(name) == 6]
     axes = [by_name.get(axis) for axis in "xyz"]
-    arrays = npz.read_npz(path, [key for key in [*found.values(), *axes, *labels] if key is not None])
+    arrays = npz.read_npz(path, [key for key in [*found.values(), *axes] if key is not None])
     if all(axes):
         cloud = cloud_from_columns(path, "arrays", axes, lambda k: arrays[axes[k]].reshape(-1))
     elif found["points"] is not None:
@@ -134,18 +131,32 @@ def read_npz(path):
         expected = f"one called {', '.join(_NPZ_KEYS['points'][:3])} (or verts, v, positions, pos)"
         raise FileError(str(path), f"arrays called {', '.join(by_name.values()) or '(none)'}", expected)
     cloud.faces, cloud.normals = arrays.get(found["faces"]), arrays.get(found["normals"])
-    n = np.shape(cloud.points)[:1] or (0,)
-    labels.sort(key=lambda name: np.shape(arrays[name]) not in (n, (*n, 1)))  # the first that has one for each point
-    if labels and np.size(arrays[labels[0]]) == 1 != n[0]:  # as classified objects have
-        cloud.notes.append(f"{labels[0]!r} is one value for all points: labels left out.")
-    elif labels:
-        set_labels(cloud, labels[0], arrays[labels[0]])
+    _take_labels(cloud, path, labels)
     return cloud
 
 
+def _take_labels(cloud, path, keys):
+    """Of the arrays that are called like labels the first that has a whole number for each point, else the first."""
+    n, found = np.shape(cloud.points)[:1] or (0,), {}
+    for key in keys:
+        try:
+            found |= npz.read_npz(path, [key])
+        except FileError:  # of Python objects, say, where another may do
+            if keys == [key]:
+                raise
+    if not found:
+        return
+    fits = {key: np.shape(a) in (n, (*n, 1)) and whole_numbers(a) is not None for key, a in found.items()}
+    key = max(found, key=lambda key: (fits[key], np.shape(found[key]) in (n, (*n, 1))))
+    if np.size(found[key]) == 1 != n[0]:  # as classified objects have
+        cloud.notes.append(f"{key!r} is one value for all points: labels left out.")
+    else:
+        set_labels(cloud, key, found[key])
+
+
 def _read_head(path):
-    """Lines to skip, column names or None, the cells of the first row (None: there is none), and the delimiter."""
-    names, seen_comment = None, None
+    """Lines to skip, column names or None, the cells of the first row (None: there is none), the delimiter, and notes."""
+    names, seen_comment, notes = None, None, []
     with open(path, "rb") as file:
         start = file.read(4096)
         if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -157,7 +168,7 @@ def _read_head(path):
             raw = file.readline(100_000)
             line = raw.decode("utf-8-sig" if skip == 0 else "utf-8", "replace").strip("\r\n")
             if not raw:
-                return skip, names, None, None
+                return skip, names, None, None, notes
             if not line.strip():
                 continue
             if line.lstrip().startswith(("#", "//")):
@@ -166,11 +177,14 @@ def _read_head(path):
             delimiter = _delimiter(line, names)
             cells = _cells(line, delimiter)
             if names is None and _is_header(cells, delimiter):
-                names = cells
+                names, header, of_header = _without_empty_ends(cells), line, delimiter
                 continue
+            cells = _cells(line.split("#", 1)[0], delimiter)
             if names is None and seen_comment is not None:
-                names = _named_in(seen_comment, len(cells))
-            return skip, names, cells, delimiter
+                names = _named_in(seen_comment, len(cells), notes)
+            elif names is not None and of_header == "\t" and delimiter is None:  # "x y z<tab>label"
+                names = _cells(header, None)
+            return skip, names, cells, delimiter, notes
     raise FileError(str(path), f"no row of numbers in the first {_HEAD_LINES} lines", "one point per line")
 
 
@@ -178,22 +192,40 @@ def _delimiter(line, names):
     """What separates the cells of a line, None for blanks; ``names``: those above it, if there are any."""
     if ";" in line:
         return ";"
-    if "\t" in line:  # before commas, which may be decimal ones
-        cells = _cells(line, "\t")
-        if any(len(cell.split()) > 1 and all(map(_is_number, cell.split())) for cell in cells):
-            return None
+    cells = _cells(line, "\t")
+    if "," in line and (len(cells) < 3 or any(cell.endswith(",") for cell in cells)):
+        return ","
+    if "\t" not in line.rstrip():
+        return None
+    if any(len(cell.split()) > 1 and all(map(_is_number, cell.split())) for cell in cells):
+        return None
+    if names is None:
         aligned = "" in _cells(line.strip(), "\t") or (line.startswith("\t") and not _is_header(cells, "\t"))
-        return None if names is None and aligned else "\t"
-    return "," if "," in line else None
+    else:
+        aligned = len(cells) != len(names) == sum(map(bool, cells))
+    return None if aligned else "\t"
 
 
-def _named_in(comment, n):
-    """Names of n columns, in a comment above the first row; None where it does not name x, y, z of these."""
+def _without_empty_ends(cells):
+    while cells and not cells[-1]:
+        cells = cells[:-1]
+    return cells
+
+
+def _named_in(comment, n, notes):
+    """Names of n columns, in a comment above the first row; None where it does not name x, y, z of these.
+
+    A note is added where they are named, but which of the columns they are is not clear.
+    """
     names = _cells(comment, next((d for d in (";", "\t", ",") if d in comment), None))
     while names and names[0].endswith(":"):  # "columns: x y z"
         names = names[1:]
     roles = [None if name.isdigit() else column_role(name) for name in names]
-    if not {0, 1, 2} <= set(roles) or len(names) > n or (len(names) < n - 1 and roles[:3] != [0, 1, 2]):
+    if not {0, 1, 2} <= set(roles):
+        return None
+    if len(names) > n or (len(names) < n - 1 and roles[:3] != [0, 1, 2]):
+        got = f"{_row(names)!r} are not names of the {n} columns"
+        notes.append(f"The words of the comment above the first row, {got}: columns 1 to 3 were read as x, y, z.")
         return None
     return names if len(names) >= n - 1 else names + [""] * (n - len(names))
 
@@ -260,7 +292,7 @@ def _load(path, skip, delimiter, usecols, decimal_comma):
 
 def _check_lengths(path, skip, delimiter, n):
     """Raise where a row has more than the n cells of the first: NumPy does not count those that it does not load."""
-    with open(path, encoding="latin-1") as file:
+    with open(path, encoding="utf-8", errors="replace") as file:
         for _ in range(skip):
             next(file, None)
         row = 0

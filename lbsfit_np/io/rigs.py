@@ -130,11 +130,10 @@ def rig_for_card(path_or_name, *, shape=None, skin=None):
         RigData where the file's joints are not one tree, which only a card can make of them.
     """
     data = read_rig_data(path_or_name, shape=shape, skin=skin)
-    try:
-        if len(loose_joints(np.asarray(data.parents))) > 1:
-            return data
-    except (IndexError, TypeError):  # build_rig says what is wrong with them
-        pass
+    parents, n = np.asarray(data.parents), len(data.joint_names)
+    known = parents.shape == (n,) and parents.dtype.kind in "iu" and (parents < n).all()  # else build_rig says what is wrong
+    if known and len(loose_joints(parents)) > 1:
+        return data
     return build_rig(data, normalize_weights=True)
 
 

@@ -320,7 +320,10 @@ def _unquoted(name, value):
     """What to do where a name was taken for a table because it holds a dot; None where it was not."""
     if not isinstance(value, dict) or not value:
         return None
-    return f"A dot splits a name without quotes: write {json.dumps(f'{name}.{next(iter(value))}', ensure_ascii=False)}."
+    while isinstance(value, dict) and value:
+        key, value = next(iter(value.items()))
+        name += f".{key}"
+    return f"A dot splits a name without quotes: write {json.dumps(name, ensure_ascii=False)}."
 
 
 def _is_finite(value):
