@@ -215,7 +215,7 @@ def test_no_paths_of_one_machine(path):
     assert not re.search(r"(/home/|/tmp/|[A-Z]:\\)", path.read_text(encoding="utf-8"))
 
 
-@pytest.mark.parametrize("folder", ["study", "study/medium-hand"])
+@pytest.mark.parametrize("folder", ["study", "study/medium-hand", "study/medium-body"])
 def test_the_studys_page_is_what_its_results_say(folder):
     """Nobody has changed the page by hand, or the command without it."""
     from lbsfit_np.bench.study.page import page
