@@ -135,6 +135,16 @@ def test_a_scale_that_is_looked_for_makes_what_is_far_from_the_middle_less_certa
     assert (free >= fixed).all() and free[3] > 1.01 * fixed[3]
 
 
+@pytest.mark.parametrize("scale", [0.25, 1.0, 4.0])
+def test_before_the_scan_is_looked_at_the_scale_is_known_to_a_share_of_itself(tube, steps, scale):
+    """Whatever the unit of the frame; a scan of one point hardly adds to it."""
+    state = tube.rest().replace(scale=scale)
+    free = ("pose", "translation", "scale")
+    C, _, layout = precision._covariance(steps, Problem(np.zeros((1, 3))), state, free, precision._INDEPENDENT)
+    assert layout.blocks[-1] == "scale"
+    assert 0.1 * scale < np.sqrt(C[-1, -1]) < 1.001 * precision._ANY_SCALE * scale
+
+
 def test_a_fit_says_how_precisely_joints_are_told(tube_rig, tube_fitter, quick_fitter):
     """In the scan's unit; less so where the scan ends far below them."""
     (scan,) = lbs.synthesize(tube_rig, random_state=31, n_points=1500, holes=0)

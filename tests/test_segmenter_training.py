@@ -9,6 +9,7 @@ from segmenter_training import ONE, Scans, in_parts, scans_of, train_small
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.training import TrainingScans
+from lbsfit_np.segmentation.context import context
 from lbsfit_np.segmentation.descriptors import Descriptor
 from lbsfit_np.segmentation.segmenter import train_segmenter
 from lbsfit_np.segmentation.stage import Training, in_half_precision, train_stage
@@ -221,3 +222,11 @@ def test_what_training_cannot_begin_with(tube_rig, small_segmenter):
     ):
         with pytest.raises(InputError, match=f"start: got .*{words}"):
             train_segmenter(rig, pytest.fail, 4, start=small_segmenter, **options)
+
+
+def test_the_context_of_no_points_is_none():
+    """As of a scan in which no point has a part."""
+    around = np.random.default_rng(0).normal(size=(40, 3))
+    none = context(np.zeros((0, 3)), np.zeros((0, 4)), around, np.full((40, 4), 0.25))
+    one = context(around[:1], np.full((1, 4), 0.25), around, np.full((40, 4), 0.25))
+    assert none.shape == (0, one.shape[1])
