@@ -9,6 +9,8 @@ __all__ = [
     "InputError",
     "LbsfitError",
     "MissingExtraError",
+    "ONE_AT_A_TIME",
+    "as_floats",
     "brief",
     "check_array",
     "check_unmasked",
@@ -18,6 +20,10 @@ __all__ = [
     "listed",
     "not_finite",
 ]
+
+
+# What to do with a batch where one is asked for.
+ONE_AT_A_TIME = "Pass one at a time: loop over the first axis."
 
 
 class LbsfitError(Exception):
@@ -84,19 +90,27 @@ class MissingExtraError(LbsfitError, ImportError):
 
 def check_array(argument, value, shape, what=""):
     """``value`` as a finite float array of a given shape, or an InputError that names ``argument``; ``what`` its rows are."""
-    check_unmasked(argument, value)
-    check_real(argument, value, f"an array of numbers of shape {shape}")
-    try:
-        a = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(argument, type(value).__name__, f"an array of numbers of shape {shape}") from None
-    except OverflowError:
-        raise InputError(argument, "whole numbers beyond double precision", f"an array of numbers of shape {shape}") from None
+    a = as_floats(argument, value, f"an array of numbers of shape {shape}")
     if a.shape != tuple(shape):
-        raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}{what and f', {what}'}")
+        remedy = ONE_AT_A_TIME if a.shape[1:] == tuple(shape) else None
+        raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}{what and f', {what}'}", remedy)
     if not np.isfinite(a).all():
         raise InputError(argument, not_finite(int((~np.isfinite(a)).sum())), "finite numbers")
     return a
+
+
+def as_floats(argument, value, expected):
+    """``value`` as an array of double precision, the input itself where it is one, or an InputError where it holds no numbers."""
+    check_unmasked(argument, value)
+    check_real(argument, value, expected)
+    try:
+        return np.asarray(value, dtype=float)
+    except OverflowError:
+        raise InputError(argument, "whole numbers beyond double precision", expected) from None
+    except (TypeError, ValueError, RuntimeError) as error:
+        # What has an array to give, such as a tensor on a graphics card, says itself how to come by it.
+        remedy = str(error) if hasattr(value, "__array__") and not isinstance(value, np.ndarray) else None
+        raise InputError(argument, type(value).__name__, expected, remedy) from None
 
 
 def as_array(argument, value, expected):

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from .errors import InputError, as_floats
 from .rotations import left_jacobian, matrix_from_rotvec
 
 __all__ = ["JOINT_MODES", "Posed", "skin", "skin_adjoint"]
@@ -120,7 +121,7 @@ def skin_adjoint(posed, grad_vertices, grad_joints=None):
     posed : Posed
         What :func:`skin` returned.
     grad_vertices : (m, 3) array
-        ∂loss/∂vertices.
+        ∂loss/∂vertices; it may be a list, or a tensor.
     grad_joints : (J, 3) array, optional
         ∂loss/∂(posed joints), where the loss looks at joints too.
 
@@ -131,6 +132,8 @@ def skin_adjoint(posed, grad_vertices, grad_joints=None):
     """
     rig, A, R, rest, rest_joints = posed.rig, posed.A, posed.R, posed.rest, posed.rest_joints
     J, m = len(A), len(rest)
+    grad_vertices = _of_shape("grad_vertices", grad_vertices, (m, 3))
+    grad_joints = None if grad_joints is None else _of_shape("grad_joints", grad_joints, (J, 3))
     g_scale = float(np.vdot(grad_vertices, posed.unscaled))
     g_translation = grad_vertices.sum(axis=0)
     g = posed.scale * grad_vertices
@@ -169,3 +172,10 @@ def skin_adjoint(posed, grad_vertices, grad_joints=None):
     g_offsets = g_rest + rig.regressor_transposed @ g_rest_joints if posed.follow else g_rest
     return SkinGradient(g_theta, g_translation, g_scale, g_rest, g_rest_joints, g_offsets)
 
+
+def _of_shape(argument, value, shape):
+    """Numbers that need not be finite: a search may try what overflows."""
+    a = as_floats(argument, value, f"numbers of shape {shape}")
+    if a.shape != shape:
+        raise InputError(argument, f"shape {a.shape}", f"shape {shape}")
+    return a

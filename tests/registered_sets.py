@@ -42,6 +42,7 @@ def result_of(rig, vertices, n, status="ok", scale=1.0, recon=0.01):
         confidence=np.ones(n),
         left_out=np.zeros(n, dtype=bool),
         took_part=np.ones(n, dtype=bool),
+        term_labels=np.zeros(n, dtype=int),
         terms={"recon": recon},
         converged=True,
         status=status,

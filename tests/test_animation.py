@@ -37,7 +37,7 @@ def a_fit(rig, seed, *, amount=0.02, rest_joints=None, subject=""):
         pose=pose, translation=translation, scale=scale, offsets=offsets, rest_joints=joints,
         vertices=rig.pose(*posed, joints=joints), joints=rig.pose_joints(*posed, joints=joints), joint_std=np.zeros(J),
         labels=np.zeros(5, int), confidence=np.ones(5), left_out=np.zeros(5, bool), took_part=np.ones(5, bool),
-        terms={}, converged=True, status="ok", message="", probability=1.0, evidence={},
+        term_labels=np.zeros(5, int), terms={}, converged=True, status="ok", message="", probability=1.0, evidence={},
         evaluations=1, seconds=0.0, parts=rig.parts, rig_digest=rig.digest, subject=subject,
     )  # fmt: skip
 

@@ -6,14 +6,18 @@ import inspect
 import json
 import re
 from argparse import Namespace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from docs_tables import ROOT, codes, document, listed_keys, table_rows
 from learning_runs import learning_is_hurried
+from scipy import sparse
+from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
+from lbsfit_np.rig.build import build_rig
 
 if not (ROOT / "README.md").is_file():
     pytest.skip("the documents lie in the checkout, not in the wheel", allow_module_level=True)
@@ -67,6 +71,26 @@ def test_snippets_run(path, demo, monkeypatch):
     names = {}
     for k, snippet in enumerate(_blocks(path, "python")):
         exec(compile(snippet, f"{path.name}, snippet {k}", "exec"), names)
+
+
+def test_skinning_is_shown_for_joints_in_any_order(monkeypatch):
+    """Files may have children before their parents, as the bundled rigs do not."""
+    data = make_tube_data()
+    order = np.array([2, 3, 1, 0])  # the root last
+    where = np.argsort(order)
+    rows = {name: getattr(data, name)[order] for name in ("joints", "frames", "lower", "upper")}
+    parents = np.append(where, -1)[data.parents[order]]
+    names = [data.joint_names[j] for j in order]
+    weights = sparse.csr_array(data.weights.toarray()[:, order])
+    rig = build_rig(replace(data, joint_names=names, parents=parents, weights=weights, **rows))
+    assert rig.root == 3
+    monkeypatch.setattr(lbs, "load_rig", lambda name: rig)
+    known = {}
+    (local,) = (block for block in _blocks(ROOT / "docs" / "conventions.md", "python") if "world[j]" in block)
+    exec(_blocks(ROOT / "docs" / "comparing.md", "python")[0], known)
+    known["theta"] = np.zeros_like(rig.lower)
+    exec(local, known)
+    assert all(np.allclose(world.as_matrix(), frame) for world, frame in zip(known["world"], rig.frames, strict=True))
 
 
 def test_cards_load(tmp_path):

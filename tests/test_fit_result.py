@@ -34,6 +34,7 @@ def test_fields_and_shapes(tube_rig, tube_result, tube_scan):
         "confidence": (n,),
         "left_out": (n,),
         "took_part": (n,),
+        "term_labels": (n,),
     }
     for name, shape in shapes.items():
         array = getattr(tube_result, name)

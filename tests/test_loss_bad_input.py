@@ -23,6 +23,18 @@ from lbsfit_np.neighbors import PointIndex
 _X, _V, _xl, _vl = S.X, S.V, S.x_labels, S.v_labels
 _nan = np.where(np.arange(len(_X))[:, None] == 3, np.nan, _X)
 _masked = {name: np.ma.masked_less(np.arange(37) + 0 * a, 2) for name, a in (("int", _xl), ("float", 1.0))}
+
+
+class OnACard:
+    """As a tensor that is not in the machine's memory."""
+
+    def __init__(self, error=TypeError):
+        self.error = error
+
+    def __array__(self, dtype=None, copy=None):
+        raise self.error("can't convert cuda:0. Use Tensor.cpu() to copy the tensor to host memory first.")
+
+
 BAD = [
     (lambda: chamfer(_X.T, _V), ["X: got shape (3, 37)", "(k, 3)"]),
     (lambda: chamfer(_X, _V[:, :2]), ["V: got shape (30, 2)", "(k, 3)"]),
@@ -93,7 +105,11 @@ BAD = [
     (lambda: cotangent_matrix(_V[:, :2], np.array([[0, 1, 2]])), ["vertices: got shape (30, 2)"]),
     (lambda: loopback(np.zeros((4, 3)), np.zeros((5, 3))), ["theta: got shape (5, 3)", "(4, 3)"]),
     (lambda: loopback(np.zeros((2, 4, 3)), np.zeros((4, 3))), ["theta: got shape (4, 3)", "(2, 4, 3)"]),
-    (lambda: loopback(np.zeros(12), np.zeros(12)), ["predicted: got shape (12,)", "(J, 3)"]),
+    (lambda: loopback(np.zeros(12), np.zeros(12)), ["predicted: got shape (12,)", "(J, 3)", "Reshape to (B, J, 3)"]),
+    (lambda: loopback(np.zeros((2, 12)), np.zeros((2, 12))), ["predicted: got shape (2, 12)", "Reshape to (B, J, 3)"]),
+    (lambda: chamfer(_X[None], _V), ["X: got shape (1,", "Pass one at a time: loop over the first axis."]),
+    (lambda: chamfer(OnACard(), _V), ["X: got OnACard; expected numbers", "Use Tensor.cpu() to copy the tensor"]),
+    (lambda: chamfer(_X, OnACard(RuntimeError)), ["V: got OnACard; expected numbers", "Use Tensor.cpu() to copy the tensor"]),
     (lambda: loopback(np.zeros((0, 4, 3)), np.zeros((0, 4, 3))), ["predicted: got shape (0, 4, 3)"]),
     (lambda: objective(_X, _V, _V, weights="best"), ["weights: got 'best'", "'paper'", "'default'"]),
     (lambda: objective(_X, _V, _V, weights={"lam": 1}), ["weights: got {'lam': 1}", "LossWeights"]),

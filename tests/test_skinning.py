@@ -275,6 +275,9 @@ def test_gradient_without_a_look_at_the_joints(tube_rig):
     posed = skin(tube_rig, x)
     g = np.random.default_rng(1).standard_normal(tube_rig.vertices.shape)
     alone, with_zeros = skin_adjoint(posed, g), skin_adjoint(posed, g, np.zeros_like(tube_rig.joints))
+    np.testing.assert_array_equal(skin_adjoint(posed, g.tolist()).theta, alone.theta)
+    with pytest.raises(InputError, match=r"grad_vertices: got shape \(1, 242, 3\); expected shape \(242, 3\)"):
+        skin_adjoint(posed, g[None])
     for name in ("theta", "translation", "scale", "vertices", "rest_joints", "offsets"):
         np.testing.assert_array_equal(getattr(alone, name), getattr(with_zeros, name))
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from lbsfit_np.bench.measure import joint_error, label_accuracy, vertex_error
 from lbsfit_np.bench.study import data
 from lbsfit_np.bench.study.data import SCAN, Size, part_groups
 from lbsfit_np.bench.study.measures import POINTS, Registrations, Truth, measured, template_gap, true_places
@@ -15,6 +16,16 @@ from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.synthesis import SyntheticScan, synthesize
 
 # ---- measures ----
+
+
+class Tensor:
+    """An array of another library, which NumPy can read."""
+
+    def __init__(self, array):
+        self.array = array
+
+    def __array__(self, dtype=None, copy=None):
+        return np.asarray(self.array, dtype=dtype)
 
 
 def _scan(rig, theta, template=None, points=None):
@@ -121,12 +132,45 @@ def test_registrations_are_of_all_scans_in_their_order(tube_rig, posed):
         (Registrations(V[1:], joints[1:]), r"registrations.vertices: got those of 2 scans; expected those of 3, one for each"),
         (Registrations(V, joints[1:]), "registrations.joints: got those of 2 scans"),
         (Registrations([V[0], V[1][1:], V[2]], joints), r"registrations.vertices: got an array of shape \(241, 3\) for scan 1"),
-        (Registrations(V, [*joints[:2], None]), r"registrations.joints: got an array of shape \(\) for scan 2"),
+        (Registrations(V, [*joints[:2], None]), r"registrations.joints: got an array of shape \(\) for scan 2.* arrays of NaN"),
+        ((V, joints), "registrations: got a tuple; expected Registrations"),
     ):
         with pytest.raises(InputError, match=words):
             measured(truth, given)
     for lost in ((V[:2] + [np.full_like(V[2], np.nan)], joints), (V, joints[:2] + [np.full_like(joints[2], np.nan)])):
         assert measured(truth, Registrations(*lost))["unfitted"] == 1
+
+
+def test_registrations_may_be_what_numpy_makes_arrays_of(tube_rig, posed):
+    """Lists, tensors, or what gives one after the other."""
+    truth = Truth(tube_rig, posed, 6, 0)
+    V, joints = [s.vertices + 0.01 for s in posed], [s.joints for s in posed]
+    known = measured(truth, Registrations(V, joints))
+    for way in (lambda a: a.tolist(), Tensor):
+        assert measured(truth, Registrations(map(way, V), tuple(map(way, joints)))) == known
+    gap = template_gap(tube_rig, [V[0]], [posed[0].template])
+    assert template_gap(tube_rig, [V[0].tolist()], [posed[0].template.tolist()]) == gap
+    assert joint_error(joints[0].tolist(), Tensor(joints[1]), tube_rig.moving) == joint_error(*joints[:2], tube_rig.moving)
+    with pytest.raises(InputError, match="registrations.joints: got None; expected a sequence of arrays"):
+        Registrations(V, None)
+
+
+def test_measures_stretch_nothing(tube_rig, posed):
+    """One row would be compared with each of the true ones, scores with labels."""
+    s = posed[0]
+    with pytest.raises(InputError, match=r"vertices: got shape \(1, 3\); expected shape \(242, 3\)"):
+        vertex_error(s.vertices[:1], s.vertices)
+    with pytest.raises(InputError, match=r"joints: got shape \(3, 3\); expected shape \(4, 3\)"):
+        joint_error(s.joints[:3], s.joints, tube_rig.moving)
+    for labels, words in ((s.labels[:1], r"labels: got shape \(1,\)"), (np.eye(4)[s.labels], r"scores.argmax\(axis=1\)")):
+        with pytest.raises(InputError, match=words):
+            label_accuracy(labels, s.labels)
+    assert label_accuracy(s.labels.tolist(), s.labels) == 1.0
+
+
+def test_scans_are_of_the_truths_rig(coarse_hand, posed):
+    with pytest.raises(InputError, match="scans: got scan 0 of a rig with 242 vertices; expected scans of the rig 'hand-coarse'"):
+        Truth(coarse_hand, posed, 6, 0)
 
 
 def test_the_poses_truth_has_the_regressors_joints(tube_rig):

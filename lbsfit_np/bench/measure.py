@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from ..errors import InputError, as_array
 from ..losses.chamfer import chamfer
 from ..threads import one_thread
 
@@ -22,17 +23,31 @@ def joint_error(joints, true_joints, moving):
     -------
     float
     """
+    joints, true_joints = _alike("joints", joints, true_joints)
     return float(np.linalg.norm(joints - true_joints, axis=1)[moving].mean())
 
 
 def vertex_error(vertices, true_vertices):
     """Mean distance between registered vertices and the true ones, (m, 3) each."""
+    vertices, true_vertices = _alike("vertices", vertices, true_vertices)
     return float(np.linalg.norm(vertices - true_vertices, axis=1).mean())
 
 
 def label_accuracy(labels, true_labels):
     """Share of the points, in [0, 1], whose label is the true one; (n,) each."""
-    return float((np.asarray(labels) == true_labels).mean())
+    labels, true_labels = as_array("labels", labels, "integers"), np.asarray(true_labels)
+    if labels.shape != true_labels.shape or labels.ndim != 1 or not labels.size:
+        remedy = "Take the largest of each row of scores: scores.argmax(axis=1)." if labels.ndim == 2 else None
+        raise InputError("labels", f"shape {labels.shape}", f"shape {true_labels.shape}, one for each point", remedy)
+    return float((labels == true_labels).mean())
+
+
+def _alike(argument, found, true):
+    """Both as arrays of one shape (k, 3): another would be stretched to it without a word."""
+    found, true = as_array(argument, found, "numbers of shape (k, 3)"), np.asarray(true)
+    if found.shape != true.shape or found.ndim != 2 or found.shape[1] != 3:
+        raise InputError(argument, f"shape {found.shape}", f"shape {true.shape}, as the true ones have")
+    return found, true
 
 
 @one_thread()  # sums of many terms by several threads are others in the last bit

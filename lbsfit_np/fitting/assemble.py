@@ -138,6 +138,9 @@ def assemble(
         confidence = np.where(part.among, confidence, 0.0)
     took_part = np.zeros(len(points), dtype=bool)
     took_part[part.rows] = True
+    term_labels = np.full(len(points), len(rig.parts))
+    if x_labels is not None:
+        term_labels[part.rows] = x_labels
     std = np.full(len(rig.parents), np.nan) if joint_std is None or not finite else joint_std * frame.unit
     guesses = _guesses(rig, std / (scale * rig.size))
     evidence, probability, status, reason = {}, 0.0, "failed", "the fit is not finite; check the scan for extreme outliers"
@@ -187,6 +190,7 @@ def assemble(
         confidence=confidence,
         left_out=part.left_out(points),
         took_part=took_part,
+        term_labels=term_labels,
         terms=terms,
         converged=last.converged,
         status=status,

@@ -10,10 +10,10 @@ from ..rig.units import METRES
 
 __all__ = ["FitResult"]
 
-_FORMAT = 8
+_FORMAT = 9
 _SHORT = 80  # letters of the message in repr
 _ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "joint_std", "labels", "confidence")
-_ARRAYS += ("left_out", "took_part")
+_ARRAYS += ("left_out", "took_part", "term_labels")
 _SCALARS = ("scale", "converged", "status", "message", "evaluations", "probability", "seconds")
 _SCALARS += ("rig_digest", "model_digest", "subject", "unit")
 
@@ -54,6 +54,9 @@ class FitResult:
     took_part : (n,) bool array
         Which points the objective, and so ``terms``, is of: all that are not left out, or some of them where there are very many
         (``max_points``).
+    term_labels : (n,) int array
+        The parts that "structured" of ``terms`` goes by: ``labels`` as they were before the last steps, and ``len(parts)``, which
+        no vertex has, for points whose part was in doubt then or that did not take part.
     terms : dict of str to float
         Loss terms of this result, in units of ``scale`` · half, where half is half the rig's size: "chamfer" L_{c²,λ},
         "structured" L_{s²,λ} and "laplacian" L_lap (each before its weight), "total" the weighted sum, "recon" √L_c(X, V^d).
@@ -99,6 +102,7 @@ class FitResult:
     confidence: np.ndarray
     left_out: np.ndarray
     took_part: np.ndarray
+    term_labels: np.ndarray
     terms: dict
     converged: bool
     status: str
@@ -123,9 +127,9 @@ class FitResult:
         """Write as NPZ, atomically; the name must end in ``.npz``.
 
         Keys: the arrays by their names (``pose``, ``translation``, ``offsets``, ``rest_joints``, ``vertices``, ``joints``,
-        ``joint_std``, ``labels``, ``confidence``, ``left_out``, ``took_part``); ``scale``, ``converged``, ``status``,
-        ``message``, ``probability``, ``evaluations``, ``seconds``, ``rig_digest``, ``model_digest``, ``subject``,
-        ``unit`` as 0-d arrays; ``parts`` as text; ``terms``, ``evidence`` and ``settings`` as JSON text;
+        ``joint_std``, ``labels``, ``confidence``, ``left_out``, ``took_part``, ``term_labels``); ``scale``, ``converged``,
+        ``status``, ``message``, ``probability``, ``evaluations``, ``seconds``, ``rig_digest``, ``model_digest``,
+        ``subject``, ``unit`` as 0-d arrays; ``parts`` as text; ``terms``, ``evidence`` and ``settings`` as JSON text;
         ``lbsfit_np_result``, the format's number.
         """
         from ..io.write import check_npz_name, write_npz
@@ -189,8 +193,9 @@ def _check(fields, terms, evidence, settings):
         "confidence": (n,),
         "left_out": (n,),
         "took_part": (n,),
+        "term_labels": (n,),
     }
-    kinds = {"labels": "iu", "left_out": "b", "took_part": "b"}
+    kinds = {"labels": "iu", "left_out": "b", "took_part": "b", "term_labels": "iu"}
     for name, shape in shapes.items():
         if fields[name].shape != shape or fields[name].dtype.kind not in kinds.get(name, "f"):
             raise ValueError(f"{name} of type {fields[name].dtype} and shape {fields[name].shape}")

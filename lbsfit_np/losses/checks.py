@@ -5,7 +5,7 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import InputError, as_array, brief, check_real, check_unmasked, not_finite
+from ..errors import ONE_AT_A_TIME, InputError, as_array, as_floats, brief, check_unmasked, not_finite
 from ..neighbors import PointIndex
 
 __all__ = [
@@ -27,16 +27,10 @@ LARGEST = 1e150
 
 def check_set(argument, value, most=LARGEST):
     """A point set as a finite, non-empty (k, 3) float array, all below ``most``; the input itself where it is one."""
-    check_unmasked(argument, value)
-    check_real(argument, value, "numbers of shape (k, 3)")
-    try:
-        a = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(argument, type(value).__name__, "numbers of shape (k, 3)") from None
-    except OverflowError:
-        raise InputError(argument, "whole numbers beyond double precision", "numbers of shape (k, 3)") from None
+    a = as_floats(argument, value, "numbers of shape (k, 3)")
     if a.ndim != 2 or a.shape[1] != 3:
-        raise InputError(argument, f"shape {a.shape}", "shape (k, 3), one point per row")
+        remedy = ONE_AT_A_TIME if a.ndim == 3 and a.shape[2] == 3 else None
+        raise InputError(argument, f"shape {a.shape}", "shape (k, 3), one point per row", remedy)
     if not len(a):
         raise InputError(argument, "an empty set", "at least one point")
     largest = np.abs(a).max()
@@ -77,14 +71,7 @@ def check_weights(argument, value, n):
     """Non-negative weights of n points with a positive sum, as a float array; None stays None."""
     if value is None:
         return None
-    check_unmasked(argument, value)
-    check_real(argument, value, f"numbers of shape ({n},)")
-    try:
-        a = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError(argument, type(value).__name__, f"numbers of shape ({n},)") from None
-    except OverflowError:
-        raise InputError(argument, "whole numbers beyond double precision", f"numbers of shape ({n},)") from None
+    a = as_floats(argument, value, f"numbers of shape ({n},)")
     if a.shape != (n,):
         raise InputError(argument, f"shape {a.shape}", f"shape ({n},), one weight per point")
     if not (a.min() >= 0 and 0 < a.sum() < np.inf):  # not: NaN fails every comparison

@@ -111,5 +111,5 @@ def _norm(argument, Y, K, squared):
         raise InputError("K", f"a matrix whose product with {argument} is not finite", "finite numbers")
     if squared:
         return square, 2.0 * np.asarray(K.T @ KY)
-    norm = np.sqrt(square)
+    norm = float(np.sqrt(square))
     return norm, np.asarray(K.T @ KY) / norm if norm > 0 else np.zeros_like(Y)

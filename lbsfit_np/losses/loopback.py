@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..errors import InputError, check_real, check_unmasked, not_finite
+from ..errors import InputError, as_floats, not_finite
 from .checks import LARGEST
 
 __all__ = ["loopback"]
@@ -30,19 +30,12 @@ def loopback(predicted, theta):
     InputError
         Wrong or different shapes, an empty batch, masked entries, numbers that are not finite.
     """
-    check_unmasked("predicted", predicted)
-    check_unmasked("theta", theta)
     expected = "numbers of shape (J, 3) or (B, J, 3)"
-    check_real("predicted", predicted, expected)
-    check_real("theta", theta, expected)
-    try:
-        predicted, theta = np.asarray(predicted, dtype=float), np.asarray(theta, dtype=float)
-    except (TypeError, ValueError):
-        raise InputError("predicted and theta", "something other than numbers", "arrays of shape (J, 3) or (B, J, 3)") from None
-    except OverflowError:
-        raise InputError("predicted and theta", "whole numbers beyond double precision", expected) from None
+    predicted, theta = as_floats("predicted", predicted, expected), as_floats("theta", theta, expected)
     if predicted.ndim not in (2, 3) or predicted.shape[-1] != 3 or not predicted.size:
-        raise InputError("predicted", f"shape {predicted.shape}", "shape (J, 3) or (B, J, 3)")
+        flat = predicted.ndim in (1, 2) and predicted.size and predicted.shape[-1] % 3 == 0
+        remedy = "Reshape to (B, J, 3), or one pose to (J, 3)." if flat else None
+        raise InputError("predicted", f"shape {predicted.shape}", "shape (J, 3) or (B, J, 3)", remedy)
     if theta.shape != predicted.shape:
         raise InputError("theta", f"shape {theta.shape}", f"shape {predicted.shape}, as predicted has")
     for name, value in (("predicted", predicted), ("theta", theta)):

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ...errors import InputError
+from ...errors import InputError, brief
 from ...rig.chains import chains
 from ...seeds import generator
 from ...synthesis import Synthesis, natural_poses, synthesize_one, uniform_poses
@@ -139,7 +139,8 @@ def study_set(rig, size, seed, *, times=1):
     Parameters
     ----------
     rig : Rig
-    size : Size
+    size : Size or str
+        The latter a name that :func:`sized` knows.
     seed : int
     times : int, default 1
         Multiplies the number of training scans, and of the people in them; the first ones stay the same.
@@ -148,6 +149,7 @@ def study_set(rig, size, seed, *, times=1):
     -------
     StudySet
     """
+    size = size if isinstance(size, Size) else sized(rig, size)
     library = {purpose: replace(rig, poses=poses) for purpose, poses in _divided(rig).items()}
     out = {}
     for purpose, n, people in (
@@ -171,8 +173,8 @@ def sized(rig, size):
     InputError
         A name that is not known.
     """
-    if size not in SIZES:
-        raise InputError("size", repr(size), f"one of {', '.join(SIZES)}")
+    if not isinstance(size, str) or size not in SIZES:
+        raise InputError("size", brief(size), f"one of {', '.join(SIZES)}")
     return replace(SIZES[size], **_OF_BODIES[size]) if kind_of(rig) == "body" else SIZES[size]
 
 

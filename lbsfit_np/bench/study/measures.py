@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from ...correspondence import surface_places
-from ...errors import InputError
+from ...errors import InputError, as_array, brief
 from ...optimize.surface import closest_on_mesh, faces_around
 from ...seeds import generator
 from ..measure import joint_error, recon, vertex_error
@@ -24,14 +24,24 @@ class Registrations:
 
     Attributes
     ----------
-    vertices : list of (m, 3) arrays
+    vertices : sequence of (m, 3) arrays
         In the scans' frame; NaN for a scan that could not be fitted.
-    joints : list of (J, 3) arrays
+    joints : sequence of (J, 3) arrays
         NaN there, too.
     """
 
     vertices: list
     joints: list
+
+    def __post_init__(self):
+        """Have lists of arrays, whatever came: lists, tensors, one array for all."""
+        for name in ("vertices", "joints"):
+            what, value = f"registrations.{name}", getattr(self, name)
+            try:
+                rows = list(value)
+            except TypeError:
+                raise InputError(what, brief(value), "a sequence of arrays, one for each scan") from None
+            object.__setattr__(self, name, [as_array(what, row, "an array of numbers for each scan") for row in rows])
 
     @property
     def fitted(self):
@@ -41,13 +51,14 @@ class Registrations:
     def check(self, rig, n):
         """Raise InputError unless there is one of each for each of n scans, of the rig's shape."""
         for what, arrays, shape in (("vertices", self.vertices, rig.vertices.shape), ("joints", self.joints, rig.joints.shape)):
+            remedy = "Give arrays of NaN for a scan that could not be fitted."
             if len(arrays) != n:
-                got, remedy = f"those of {len(arrays)} scans", "Give arrays of NaN for a scan that could not be fitted."
+                got = f"those of {len(arrays)} scans"
                 raise InputError(f"registrations.{what}", got, f"those of {n}, one for each scan, in their order", remedy)
             odd = next((i for i, a in enumerate(arrays) if np.shape(a) != shape), None)
             if odd is not None:
                 got = f"an array of shape {np.shape(arrays[odd])} for scan {odd}"
-                raise InputError(f"registrations.{what}", got, f"shape {shape}, as {rig.name!r} has")
+                raise InputError(f"registrations.{what}", got, f"shape {shape}, as {rig.name!r} has", remedy)
 
 
 class Truth:
@@ -70,6 +81,9 @@ class Truth:
         self.points, self.places, paired = {}, {}, set(self.pairs.ravel().tolist())
         rng = generator(seed, "study", "points")
         for i, s in enumerate(scans):
+            if s.vertices.shape != rig.vertices.shape:
+                got = f"scan {i} of a rig with {len(s.vertices)} vertices"
+                raise InputError("scans", got, f"scans of the rig {rig.name!r}, which has {len(rig.vertices)}")
             self.recon[i] = recon(s.points, s.vertices) / self.half
             self.pose[i] = _regressed(rig, s) / self.half
             chosen = rng.choice(len(s.points), min(POINTS, len(s.points)), replace=False)
@@ -124,6 +138,9 @@ def measured(truth, registrations):
     InputError
         Registrations of more or fewer scans, or of another mesh.
     """
+    if not isinstance(registrations, Registrations):
+        expected = "Registrations(vertices, joints), a sequence of arrays each"
+        raise InputError("registrations", f"a {type(registrations).__name__}", expected)
     registrations.check(truth.rig, len(truth.scans))
     rig, half, fitted = truth.rig, truth.half, np.flatnonzero(registrations.fitted)
     out = {"unfitted": len(truth.scans) - len(fitted)}
@@ -219,6 +236,7 @@ def _spread(errors):
 
 
 def _centred(vertices):
+    vertices = np.asarray(vertices)
     return vertices - vertices.mean(axis=0)
 
 
