@@ -14,8 +14,10 @@ from registered_sets import fits_are_given, learning_is_given, what_fits_are_tol
 import lbsfit_np as lbs
 from lbsfit_np.bench.faust import PAPER, faust_table, read_faust
 from lbsfit_np.bench.pairs import KINDS, choose_pairs, measure_pairs
+from lbsfit_np.correspondence import at_places, surface_places
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_mesh_ply, write_points_ply
+from lbsfit_np.neighbors import PointIndex
 from lbsfit_np.synthesis import sample_surface
 
 pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
@@ -132,6 +134,27 @@ def test_without_training_scans_nothing_is_learned(own):
     assert found.training == [] and found.truth is None and len(found.test) == 4 and "only the challenge's" in found.notes[0]
 
 
+def test_a_registration_alone_is_no_truth(own):
+    for path in (own / "training" / "registrations").glob("*.ply"):
+        if path.stem != "tr_reg_000":
+            path.unlink()
+    found = read_faust(own)
+    assert found.truth is None and "a registration of one scan alone; errors are of pairs" in found.notes[0] and found.challenges
+
+
+def test_a_list_without_pairs_is_no_challenge(own):
+    """Its archive would be empty, and complete."""
+    (own / "test" / "challenge_pairs" / "intra_challenge.txt").write_text("\n")
+    with pytest.raises(FileError, match="intra_challenge.txt: got no pairs; expected pairs of scan numbers.* Remove the file"):
+        read_faust(own)
+
+
+def test_a_folder_without_lists_hides_no_other(own):
+    (own / "test" / "challenge_pairs").rename(own / "challenge_pairs")
+    (own / "test" / "challenge_pairs").mkdir()
+    assert set(read_faust(own).challenges) == {"intra", "inter"}
+
+
 def test_the_lists_may_stand_beside_training_and_test(own):
     (own / "test" / "challenge_pairs").rename(own / "challenge_pairs")
     (own / "challenge_pairs" / "intra_challenge.txt").rename(own / "challenge_pairs" / "FAUST_challenge_intra.txt")
@@ -179,7 +202,12 @@ def test_exact_fits_have_no_error_and_write_what_the_challenge_asks_for(made, tr
     assert report["benchmark"] == "faust" and report["unit"] == "m" and len(report["scans"]) == 9
     for kind, pairs in (("intra", 8), ("inter", 12)):
         assert report["figures"][kind]["pairs"] == pairs and report["figures"][kind]["before"]["p95"] < 1e-9
-    assert {e["points"] for e in report["pairs"]} == {900 - UNRELIABLE}
+    faces, scans = lbs.load_rig("body-coarse").faces, made / "MPI-FAUST" / "training" / "scans"
+    points = {name: lbs.load_scan(scans / f"{name}.ply").points for name in truth if name.startswith("tr")}
+    for e in report["pairs"]:  # those that are reliable, and lie where the other's are, too
+        places = at_places(*surface_places(points[e["a"]][UNRELIABLE:], truth[e["a"]], faces), truth[e["b"]])
+        reliable = PointIndex(points[e["b"]]).nearest(places) >= UNRELIABLE
+        assert e["points"] == reliable.sum() and 870 < e["points"] <= 900 - UNRELIABLE
     for name, inter, intra in PAPER:
         row = next(line for line in out.splitlines() if line.startswith(name))
         assert f"{inter:g}" in row and f"{'–' if intra is None else intra}" in row

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from registered_sets import WHO, fits_in, result_of
+from scipy.spatial.transform import Rotation
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.pair_fits import Fits
@@ -212,3 +213,25 @@ def test_the_gallery_shows_the_labels_found(tube_rig, pair_meshes, monkeypatch):
     np.testing.assert_array_equal(mesh.vertices, pair_meshes[1])
     np.testing.assert_array_equal(mesh.colors, colors[tube_rig.vertex_labels])
     assert len(drawn) == 6 and np.array_equal(plain.vertices, pair_meshes[1])
+    np.testing.assert_array_equal(plain.colors, (205, 205, 210))
+
+
+def test_the_gallery_shows_fits_as_other_pictures_do(tube_rig, pair_meshes, monkeypatch):
+    """Turned back, and no point far away makes a speck of all else."""
+    drawn = []
+
+    def render(*items, frame, **options):
+        drawn.append((items, frame))
+        return np.zeros((4, 4, 3), dtype=np.uint8)
+
+    monkeypatch.setattr("lbsfit_np.bench.pair_pictures.render", render)
+    turn = Rotation.from_rotvec([0, np.pi / 2, 0]).as_matrix()
+    fit = result_of(tube_rig, pair_meshes[1] @ turn.T, 243)
+    fit.pose[tube_rig.root] = [0, np.pi / 2, 0]
+    confidence = np.append(np.ones(242), 0.0)
+    points = np.vstack([pair_meshes[1] @ turn.T, [[900.0, 0, 0]]])
+    gallery(tube_rig, [(points, replace(fit, confidence=confidence))])
+    ((cloud,), frame), ((mesh,), _) = drawn[:2]
+    np.testing.assert_allclose(mesh.vertices, pair_meshes[1], atol=1e-12)
+    np.testing.assert_allclose(cloud.points[:242], pair_meshes[1], atol=1e-12)
+    assert cloud.colors[242].tolist() == [205, 205, 205] and np.abs(frame).max() < 3 * tube_rig.size

@@ -7,6 +7,7 @@ from registered_sets import posed_meshes, write_meshes
 from lbsfit_np.bench.truth import Landmarks, Registrations, VertexOrder
 from lbsfit_np.bench.truth_file import read_truth
 from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.neighbors import PointIndex
 
 
 @pytest.fixture(scope="module")
@@ -34,7 +35,7 @@ def test_scans_and_subjects_alone_mean_the_vertex_order(folder, meshes):
     assert truth == VertexOrder(meshes.shape[1])
     assert notes == [f"1 of 3 scan files in {folder} are not in truth.csv and are left out"]
     asked = _asked(truth, 0, meshes[0], 20)
-    rows, true = truth.true(asked, 1, meshes[2])
+    rows, true = truth.true(asked, 1, PointIndex(meshes[2]))
     assert len(rows) == 20 == len(set(asked.keys.tolist()))
     np.testing.assert_array_equal(asked.points, meshes[0][asked.keys])
     np.testing.assert_array_equal(true, meshes[2][asked.keys])
@@ -47,7 +48,7 @@ def test_places_by_vertices(folder, meshes):
     _, truth, _ = _read(folder, text)
     assert isinstance(truth, Landmarks) and truth.places == ({"tip": 5, "end": 7}, {"end": 9, "other": 1}, {"none": 0})
     assert truth.linked(0, 1) and not truth.linked(0, 2)
-    rows, true = truth.true(_asked(truth, 0, meshes[0]), 1, meshes[1])
+    rows, true = truth.true(_asked(truth, 0, meshes[0]), 1, PointIndex(meshes[1]))
     np.testing.assert_array_equal(rows, [1])
     np.testing.assert_array_equal(true, meshes[1][[9]])
     np.testing.assert_array_equal(_asked(truth, 0, meshes[0]).points, meshes[0][[5, 7]])
@@ -61,7 +62,7 @@ def test_places_by_coordinates_and_another_column_of_subjects(folder, meshes):
     text = "scan,person,name,x,y,z,remark\ns0,ann,tip,1,2,3,good\ns1,bob,tip,4,5,6e-1,\n"
     scans, truth, _ = _read(folder, text, subject_column="Person")
     assert [s.subject for s in scans] == ["ann", "bob"]
-    _, true = truth.true(_asked(truth, 0, meshes[0]), 1, meshes[1])
+    _, true = truth.true(_asked(truth, 0, meshes[0]), 1, PointIndex(meshes[1]))
     np.testing.assert_array_equal(true, [[4, 5, 0.6]])
 
 
@@ -71,7 +72,7 @@ def test_registrations(folder, tube_rig, meshes):
     _, truth, _ = _read(folder, "scan,subject,registration\ns0,a,reg/r0.ply\ns1,a,reg/r1.ply\n")
     assert isinstance(truth, Registrations)
     middle = meshes[:2, tube_rig.faces[:6]].mean(axis=2) + 0.01
-    _, true = truth.true(_asked(truth, 0, middle[0]), 1, meshes[1])
+    _, true = truth.true(_asked(truth, 0, middle[0]), 1, PointIndex(meshes[1]))
     np.testing.assert_allclose(true, middle[1], atol=1e-9)
 
 
@@ -89,6 +90,12 @@ def test_only_reliable_points_are_asked_for(tube_rig, meshes):
     truth = Registrations((meshes[0], meshes[1], None), tube_rig.faces, (flags, flags, None))
     np.testing.assert_array_equal(_asked(truth, 0, meshes[0]).points, meshes[0][[3, 9]])
     assert truth.linked(0, 1) and not truth.linked(0, 2)
+    on_b = np.ones(242, dtype=bool)
+    on_b[9] = False
+    one_way = Registrations(truth.vertices, tube_rig.faces, (flags, on_b, None))
+    rows, true = one_way.true(_asked(one_way, 0, meshes[0]), 1, PointIndex(meshes[1]))
+    np.testing.assert_array_equal(rows, [0])  # of 3 and 9: the other's registration is not to be relied on at 9
+    np.testing.assert_allclose(true, meshes[1][[3]], atol=1e-12)
     with pytest.raises(InputError, match="242 flags"):
         truth.check(0, meshes[0][:7])
     with pytest.raises(InputError, match="no reliable point"):
@@ -129,6 +136,18 @@ def test_places_near_each_other_are_right_where_they_lie_on_the_scan(tube_rig, m
 
 def test_a_scan_without_a_registration_is_taken(tube_rig, meshes):
     Registrations((None, meshes[1]), tube_rig.faces).check(0, meshes[0])
+
+
+def test_names_and_scans_that_are_in_no_pair_are_named(folder):
+    """A name that is misspelt once would be measured nowhere, without a word."""
+    rows = [("s0", "a", "nose", 1), ("s1", "a", "nose", 1), ("s0", "a", "chin", 2), ("s1", "a", "chim", 2), ("s2", "b", "toe", 3)]
+    _, truth, notes = _read(folder, "\n".join(["scan,subject,name,vertex", *(",".join(map(str, row)) for row in rows)]))
+    assert truth.alone() == {"chin": 0, "chim": 1, "toe": 2}
+    assert notes == [
+        "3 names are of one scan each, which no pair has: 'chin' (s0; did you mean 'chim'?), 'chim' (s1; did you mean 'chin'?), "
+        "'toe' (s2)",
+        "1 of 3 scans is in no pair: s2",
+    ]
 
 
 def test_files_in_subfolders_and_the_table_among_them(folder, meshes, tube_rig):

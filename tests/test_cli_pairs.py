@@ -51,13 +51,14 @@ def test_a_run_that_learns_and_what_the_next_one_keeps(pair_folder, tmp_path, ru
 
 def test_fits_one_by_one(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(pair_meshes)})
-    code, out, err = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--unit", "mm", "--pictures", 1))
-    assert (code, err) == (0, "") and "fitted one by one" in out and "(mm)" in out
+    code, out, err = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--unit", "ft", "--pictures", 1))
+    assert (code, err) == (0, "") and "fitted one by one" in out and "(ft)" in out
     assert "measuring errors: 12 pairs\n" in out and "gallery.png, from top to bottom: s0\n" in out
     report = json.loads((tmp_path / "out" / "results.json").read_text())
-    assert report["figures"]["inter"]["before"]["mean"] < 1e-9 and report["cm_per_unit"] == 0.1
+    assert report["figures"]["inter"]["before"]["mean"] < 1e-9 and report["cm_per_unit"] == pytest.approx(30.48)
     assert not (tmp_path / "out" / "model.npz").exists() and "rounds" not in report["settings"]
-    assert report["gallery"] == ["s0"]
+    assert report["gallery"] == ["s0"] and report["folder"] == str(pair_folder) and report["rig"]["file"].endswith("tube.npz")
+    assert report["truth_file"]["path"].endswith("truth.csv") and len(report["truth_file"]["sha256"]) == 64
     code, out, err = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--seed", 1))
     assert code == 2 and "fits made with seed 0; expected seed 1" in one_line(err)
     other = shutil.copytree(pair_folder, tmp_path / "other")
@@ -89,6 +90,36 @@ def test_the_options_reach_what_they_are_for(pair_folder, pair_scans, tmp_path, 
     assert run(*_command(pair_folder, out, *options, "--samples", 50))[0] == 0 and asked == []
     assert run(*_command(pair_folder, out, *options, "--samples", 50, "--existing", "replace"))[0] == 0
     assert asked == ["s0", "s1", "s2", "s3"]
+
+
+def test_fits_are_told_the_unit(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
+    """And are not taken for others', as lengths and scales are judged by it."""
+    fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(pair_meshes)})
+    told = what_fits_are_told(monkeypatch)
+    command = _command(pair_folder, tmp_path / "out", "--no-learn", "--unit")
+    assert run(*command, "ft")[0] == 0 and {fitter.unit for _, fitter in told.values()} == {"ft"}
+    code, _, err = run(*command, "mm")
+    assert code == 2 and "with fits made with unit ft" in one_line(err)
+    code, _, err = run(*command, "mm", "--existing", "replace")
+    assert code == 1 and "unit: got 'mm', in which the scan's extent" in err
+
+
+def test_a_run_that_begins_anew_keeps_no_fits_of_others(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
+    fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(pair_meshes)})
+    assert run(*_command(pair_folder, tmp_path / "out", "--no-learn"))[0] == 0
+    table = tmp_path / "two.csv"
+    table.write_text("scan,subject\ns0,ann\ns1,ann\n")
+    command = _command(pair_folder, tmp_path / "out", "--no-learn", "--existing", "replace")
+    assert run(*(table if word == pair_folder / "truth.csv" else word for word in command))[0] == 0
+    assert sorted(path.name for path in (tmp_path / "out" / "fits").iterdir()) == ["s0.npz", "s1.npz"]
+
+
+def test_a_run_that_is_refused_leaves_no_folder(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
+    monkeypatch.setattr(lbs.LBSFitter, "pretrain", lambda self, **options: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        run(*_command(pair_folder, tmp_path / "out" / "deep", "--no-learn"))
+    left = sorted(path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*"))
+    assert left == ["out", "out/deep", "out/deep/fits.json"]
 
 
 def test_a_picture_that_cannot_be_drawn_loses_no_figure(pair_folder, tmp_path, run, pair_meshes, monkeypatch):

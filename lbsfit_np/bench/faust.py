@@ -146,6 +146,9 @@ def _truth(training, found):
         what = "no registrations" if where.is_dir() else "no such folder"
         found.notes.append(f"{where}: {what}; errors cannot be measured")
         return None
+    if sum(path is not None for path in there) < 2:
+        found.notes.append(f"{where}: a registration of one scan alone; errors are of pairs, and cannot be measured")
+        return None
     missing = sum(path is None for path in there)
     if missing:
         found.notes.append(f"{where}: no registrations of {missing} scans, whose errors are not measured")
@@ -198,7 +201,9 @@ def _read_test(root, found, most):
 
 
 def _challenge_folder(root):
-    return next((p for p in (root / "test" / "challenge_pairs", root / "challenge_pairs") if p.is_dir()), None)
+    """The first that has a list, else the first that is there."""
+    there = [p for p in (root / "test" / "challenge_pairs", root / "challenge_pairs") if p.is_dir()]
+    return next((p for p in there if any(_challenge_file(p, kind) for kind in KINDS)), there[0] if there else None)
 
 
 def _no_lists(where):
@@ -219,6 +224,8 @@ def _pairs(path):
         if match is None:
             raise FileError(str(path), f"{brief(line)} in line {k}", "pairs of scan numbers, such as 012_023")
         pairs.append((int(match[1]), int(match[2])))
+    if not pairs:
+        raise FileError(str(path), "no pairs", "pairs of scan numbers, such as 012_023", "Remove the file to do without it.")
     return list(dict.fromkeys(pairs))  # each once: it has one file
 
 

@@ -130,7 +130,7 @@ def fit_scans_of(
         before.check(record, folder)
     fits = Fits(folder)
     if existing == "replace":
-        for path in (*fit_files(folder, [s.name for s in scans]), *made_of_fits):
+        for path in (*made_files(folder), *fit_files(folder, [s.name for s in scans]), *made_of_fits):  # of other scans, too
             path.unlink(missing_ok=True)
         remove_checkpoint(checkpoint_in(folder))
     (folder / _FITS).mkdir(exist_ok=True)

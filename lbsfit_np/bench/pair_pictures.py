@@ -1,10 +1,9 @@
 """A gallery of fits from the worst to the best: the scan by its labels, the registered mesh, both together; two sides."""
 
-import numpy as np
+from dataclasses import replace
 
-from ..report.colors import part_colors
-from ..report.fit_picture import axes_of
-from ..report.render import Mesh, Points, montage, render
+from ..report.fit_picture import drawn_fit
+from ..report.render import montage, render
 from .pictures import evenly
 
 __all__ = ["gallery", "gallery_of"]
@@ -22,6 +21,8 @@ def gallery_of(fits, k):
 def gallery(rig, shown, *, size=(260, 340)):
     """One row a fit: scan coloured by the labels found, registered mesh, the scan over the mesh; from the front, then from aside.
 
+    All as in ``report.fit_picture``: turned back as the rig stands, and grey where points are off the mesh.
+
     Parameters
     ----------
     rig : Rig
@@ -34,11 +35,9 @@ def gallery(rig, shown, *, size=(260, 340)):
     -------
     (h, w, 3) uint8 array
     """
-    colors = part_colors(len(rig.parts))
     lines = []
     for points, result in shown:
-        cloud, mesh = Points(points, colors[result.labels]), Mesh(result.vertices, rig.faces, colors[rig.vertex_labels])
-        pictures = ((cloud,), (mesh,), (cloud, Mesh(result.vertices, rig.faces, _GREY)))
-        axes = axes_of(rig) | {"frame": np.concatenate([points, result.vertices])}
+        cloud, mesh, axes = drawn_fit(rig, points, result)
+        pictures = ((cloud,), (mesh,), (cloud, replace(mesh, colors=_GREY)))
         lines.append([render(*items, view=view, size=size, **axes) for view in _VIEWS for items in pictures])
     return montage(lines)

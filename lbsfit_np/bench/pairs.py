@@ -162,15 +162,14 @@ def measure_pairs(scans, truth, fits, faces, pairs, *, points=5000, seed=0, on_p
         on_pair(0, len(todo))
     registered = {i: fits.load(scans[i].name).vertices for i in sorted({i for p in todo for i in p})}
     asked = {a: _Places.of(scans[a], a, truth, registered[a], faces, points, seed) for a in sorted({a for a, _ in todo})}
-    entries, errors, target = [], {kind: {"before": [], "after": []} for kind in KINDS}, (None, None, None)
+    entries, errors, target = [], {kind: {"before": [], "after": []} for kind in KINDS}, (None, None)
     for done, (a, b) in enumerate(todo, 1):
         if target[0] != b:
-            on_b = _points(scans[b])
-            target = b, on_b, PointIndex(on_b)
-        _, on_b, index = target
+            target = b, PointIndex(_points(scans[b]))
+        on_b = target[1]
         rows, true = truth.true(asked[a].asked, b, on_b)
         found = asked[a].on(registered[b], rows)
-        away = {"before": _distances(found, true), "after": _distances(on_b[index.nearest(found)], true)}
+        away = {"before": _distances(found, true), "after": _distances(on_b.points[on_b.nearest(found)], true)}
         kind = known[a, b]
         entry = {"a": scans[a].name, "b": scans[b].name, "kind": kind, "points": len(rows)}
         entries.append(entry | {when: summary(values) for when, values in away.items()})

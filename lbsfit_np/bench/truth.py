@@ -82,9 +82,9 @@ class VertexOrder:
         rows = _some_rows(np.arange(self.n), most, rng)
         return Asked(points[rows], rows)
 
-    def true(self, asked, b, points):
-        """Which of the places are known on scan b, with these points, and where they are: rows (k,), (k, 3)."""
-        return np.arange(len(asked.points)), points[asked.keys]
+    def true(self, asked, b, on_b):
+        """Which of the places are known on scan b, a PointIndex over its points, and where they are: rows (k,), (k, 3)."""
+        return np.arange(len(asked.points)), on_b.points[asked.keys]
 
 
 @dataclass(frozen=True)
@@ -134,10 +134,18 @@ class Landmarks:
         names = [names[k] for k in _some_rows(np.arange(len(names)), most, rng)]
         return Asked(self._at(i, names, points), names)
 
-    def true(self, asked, b, points):
+    def true(self, asked, b, on_b):
         """Which of the places are known on scan b, and where they are."""
         rows = [k for k, name in enumerate(asked.keys) if name in self.places[b]]
-        return np.array(rows, dtype=int), self._at(b, [asked.keys[k] for k in rows], points)
+        return np.array(rows, dtype=int), self._at(b, [asked.keys[k] for k in rows], on_b.points)
+
+    def alone(self):
+        """Names that one scan alone has, which no pair has therefore: name → that scan."""
+        whose = {}
+        for i, places in enumerate(self.places):
+            for name in places:
+                whose.setdefault(name, []).append(i)
+        return {name: scans[0] for name, scans in whose.items() if len(scans) == 1}
 
     def _at(self, i, names, points):
         places = [self.places[i][name] for name in names]
@@ -186,10 +194,11 @@ class Registrations:
         rows = _some_rows(np.arange(len(points)) if known is None else np.flatnonzero(known), most, rng)
         return Asked(points[rows], surface_places(points[rows], self.vertices[i], self.faces))
 
-    def true(self, asked, b, points):
-        """Which of the places are known on scan b, and where they are."""
-        corners, barycentric = asked.keys
-        return np.arange(len(corners)), at_places(corners, barycentric, self.vertices[b])
+    def true(self, asked, b, on_b):
+        """Which of the places are known on scan b, and where they are: where its registration, too, can be relied on."""
+        places, known = at_places(*asked.keys, self.vertices[b]), self._reliable(b)
+        rows = np.arange(len(places)) if known is None else np.flatnonzero(known[on_b.nearest(places)])
+        return rows, places[rows]
 
     def _reliable(self, i):
         return self.reliable[i] if self.reliable else None

@@ -75,7 +75,7 @@ def read_truth(path, folder, *, subject_column="subject", output=None):
         entries[i].append((line, row))
     _check_scans(path, scans)
     truth = _MAKERS[form](path, scans, entries)
-    notes = []
+    notes = _in_no_pair(scans, truth)
     if not with_subject:
         notes.append(f"{path.name} has no column {subject_column}: all scans are assumed to be of one subject")
     known = set() if output is None else {p.resolve() for p in made_files(Path(output))}
@@ -215,6 +215,25 @@ def _order(path, scans, entries):
         except LbsfitError:
             continue  # it is reported with the other scans that cannot be read
     raise FileError(str(path), f"{len(scans)} scans, none of which can be read", "scans that can be read")
+
+
+def _in_no_pair(scans, truth):
+    """Notes on what is in the table for nothing, as by a slip of the pen."""
+    alone, notes = truth.alone() if isinstance(truth, Landmarks) else {}, []
+    if alone:
+        names = {name for places in truth.places for name in places}
+        said = [f"{brief(name)} ({_and_like(scans[i].name, name, names - {name})})" for name, i in alone.items()]
+        have = "name is of one scan alone" if len(alone) == 1 else "names are of one scan each"
+        notes.append(f"{len(alone)} {have}, which no pair has: {listed(said, 5)}")
+    lone = [a.name for i, a in enumerate(scans) if not any(truth.linked(i, k) for k in range(len(scans)) if k != i)]
+    if 0 < len(lone) < len(scans):
+        notes.append(f"{len(lone)} of {len(scans)} scans {'is' if len(lone) == 1 else 'are'} in no pair: {listed(lone, 5)}")
+    return notes
+
+
+def _and_like(scan, name, others):
+    like = did_you_mean(name, sorted(others))
+    return f"{scan}; {like[0].lower()}{like[1:]}" if like else scan
 
 
 def _landmarks(read):

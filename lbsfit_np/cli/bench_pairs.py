@@ -1,5 +1,7 @@
 """``lbsfit bench pairs``: correspondence between scans of one's own whose truth is known."""
 
+import hashlib
+
 from ..bench.truth_file import TRUTH_FILES
 from ..errors import InputError
 from ..rig.units import METRES
@@ -12,7 +14,12 @@ __all__ = ["add_parser"]
 _OWN = (
     Option("truth", "the table of scans, subjects and what corresponds", metavar="FILE"),
     Option("subject-column", "the column of FILE that says who was scanned", default="subject", metavar="NAME"),
-    Option("unit", "the scans' unit; auto: what the scale of the fits says", default="auto", choices=("auto", *METRES)),
+    Option(
+        "unit",
+        "the scans' unit, which fits are told, too, if the rig's own is known; auto: what the scale of the fits says",
+        default="auto",
+        choices=("auto", *METRES),
+    ),
 )
 
 _DESCRIPTION = f"""\
@@ -28,9 +35,11 @@ examples:
   lbsfit bench pairs animals --truth animals/truth.csv --rig horse.glb -o bench-animals --jobs 2
   lbsfit bench pairs scans --truth landmarks.csv --no-learn --subject-column person -o bench-scans
 
-OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan, and, after
-learning, model.npz, which lbsfit fit takes. Run the same command again to do what is missing; what an interrupted loop has done
-is in model.npz.unfinished. Each scan is fitted as its subject's: the subject column is part of what learning is told.
+OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan with fits.json,
+which says what they were made of, and, after learning, model.npz, which lbsfit fit takes. First a segmenter is trained for the rig,
+once, unless it comes with one: two to three minutes, less with fewer --training-scans. Run the same command again to do what is
+missing; what an interrupted loop has done is in model.npz.unfinished. Each scan is fitted as its subject's: the subject column is
+part of what learning is told.
 """
 
 
@@ -61,10 +70,14 @@ def _run(folder, values):
     for note in notes:
         say(f"note: {note}")
 
+    with open(values["truth"], "rb") as file:
+        digest = hashlib.file_digest(file, "sha256").hexdigest()
+
     def work(progress):
         options = pair_runs.bench_keywords(values, out) | {"unit": values["unit"], "reporter": progress}
         report, fits = pairs_bench(fitter, scans, truth, out, **options)
-        report["notes"] = notes
+        report |= {"notes": notes, "folder": str(folder), "subject_column": column}
+        report["truth_file"] = {"path": str(values["truth"]), "sha256": digest}
         return pair_runs.finished(out, report, pairs_table(report, markdown=values["markdown"]), fitter.rig, scans, fits, values)
 
     return pair_runs.run_stoppable(work, values, out)

@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from ..errors import InputError, LbsfitError, counted
-from ..io.write import make_folder
+from ..io.write import make_folder, without_empty
 from .bench_runs import RESULTS, failures_code
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, load_rig_with
@@ -66,7 +66,8 @@ def add_command(benches, name, run, own, *, help, description, epilog, argument,
         values = settings(arguments, options)
         if values["output"] is None:
             raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT.")
-        return run(arguments.what, values)
+        with without_empty(Path(values["output"]) / "fits"):  # nothing of a run that was refused
+            return run(arguments.what, values)
 
     bench.set_defaults(run=checked)
 
@@ -94,12 +95,14 @@ _MEASURING = (
 
 
 def fitter_of(values):
-    """The fitter, by the values of the options."""
+    """The fitter, by the values of the options; told the scans' unit where that is given and the rig's own is known."""
     from ..learning.fitter import LBSFitter
 
     rig = load_rig_with(values["rig"], values)
     names = [name.replace("-", "_") for name in (*_OF_FITS, *_OF_LEARNING) if name != "seed"]
-    return LBSFitter(rig, **{name: values[name] for name in names}, n_jobs=values["jobs"], random_state=values["seed"])
+    given = {name: values[name] for name in names} | {"n_jobs": values["jobs"], "random_state": values["seed"]}
+    told = values.get("unit", "auto") != "auto" and rig.metres_per_unit is not None
+    return LBSFitter(rig, **given, unit=values["unit"] if told else None)
 
 
 def bench_keywords(values, out, more=()):
@@ -120,7 +123,8 @@ def bench_keywords(values, out, more=()):
 def _fit_settings(values):
     """What fits depend on, beside rig and scans."""
     names = [name.replace("-", "_") for name in (*_OF_FITS, *_OF_LEARNING, "learn", "samples")]
-    return {name: values[name] for name in names if values["learn"] or name not in ("rounds", "held_out")}
+    made_with = {name: values[name] for name in names if values["learn"] or name not in ("rounds", "held_out")}
+    return made_with | {name: values[name] for name in ("unit",) if name in values}
 
 
 def made_output(values, names, inputs, more=()):
@@ -179,6 +183,7 @@ def finished(out, report, words, rig, scans, fits, values):
     """
     from ..io.write import write_json
 
+    report["rig"] |= {"file": values["rig"]} | {key: values[key] for key in (o.key for o in RIG_OPTIONS) if values[key]}
     (out / GALLERY).unlink(missing_ok=True)  # of an earlier run
     report["gallery"] = []
     write_json(out / RESULTS, report)

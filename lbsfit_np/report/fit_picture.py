@@ -8,7 +8,7 @@ from ..scan import check_points
 from .colors import part_colors
 from .render import Mesh, Points, montage, render
 
-__all__ = ["axes_of", "fit_picture"]
+__all__ = ["axes_of", "drawn_fit", "fit_picture"]
 
 _VIEWS = ("front", "oblique")
 # Of a larger scan, so many points are drawn.
@@ -50,19 +50,41 @@ def fit_picture(rig, points, result, *, truth=None, size=(420, 480)):
     points = check_points(points)
     if len(points) != len(result.labels):
         raise InputError("points", f"{len(points)}", f"{len(result.labels)}, as many as the fit has labels")
+    truth = None if truth is None else rig.without_loose(truth) @ root_turn(rig, result.pose)
+    cloud, mesh, axes = drawn_fit(rig, points, result, () if truth is None else [truth])
+    items = [cloud, *([] if truth is None else [Mesh(truth, rig.faces)]), mesh]
+    return montage([[render(item, view=view, size=size, **axes) for item in items] for view in _VIEWS])
+
+
+def drawn_fit(rig, points, result, more=()):
+    """What pictures of a fit are made of, turned back as the rig stands.
+
+    Parameters
+    ----------
+    rig : Rig
+    points : (n, 3) array
+        As many as ``result`` has labels.
+    result : FitResult
+    more : sequence of (k, 3) arrays
+        Turned back, what is to be seen as well.
+
+    Returns
+    -------
+    cloud : Points
+        The scan coloured by the parts found, grey where it is off the mesh; some of its points where there are very many.
+    mesh : Mesh
+        The registered one, in the same colours.
+    axes : dict
+        The rest of what ``render`` takes, with a "frame" that wild points and wide floors do not stretch.
+    """
     turn, colors = root_turn(rig, result.pose), part_colors(len(rig.parts))
     rows = np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(int)
     found = rig.without_loose(result.vertices) @ turn
     shown = np.where(result.confidence[rows, None] < _OFF, np.array(_OFF_COLOR, colors.dtype), colors[result.labels[rows]])
-    items = [Points(points[rows] @ turn, shown)]
-    if truth is not None:
-        truth = rig.without_loose(truth)
-        items.append(Mesh(truth @ turn, rig.faces))
-    items.append(Mesh(found, rig.faces, colors[rig.vertex_labels]))
+    cloud = Points(points[rows] @ turn, shown)
     # What of the scan lies off the mesh is to be seen, too, but for single wild points and all of a wide floor.
-    around = np.clip(items[0].points, *np.percentile(items[0].points, [1, 99], axis=0))
+    around = np.clip(cloud.points, *np.percentile(cloud.points, [1, 99], axis=0))
     room = _ROOM * np.ptp(found, axis=0).max()
     around = np.clip(around, found.min(axis=0) - room, found.max(axis=0) + room)
-    frame = np.vstack([found, around] if truth is None else [found, around, truth @ turn])
-    axes = axes_of(rig) | {"frame": frame}
-    return montage([[render(item, view=view, size=size, **axes) for item in items] for view in _VIEWS])
+    axes = axes_of(rig) | {"frame": np.vstack([found, around, *more])}
+    return cloud, Mesh(found, rig.faces, colors[rig.vertex_labels]), axes
