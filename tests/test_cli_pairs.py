@@ -59,7 +59,7 @@ def test_fits_one_by_one(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     assert not (tmp_path / "out" / "model.npz").exists() and "rounds" not in report["settings"]
     assert report["gallery"] == ["s0"] and report["folder"] == str(pair_folder) and report["rig"]["file"].endswith("tube.npz")
     assert report["truth_file"]["path"].endswith("truth.csv") and len(report["truth_file"]["sha256"]) == 64
-    code, out, err = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--seed", 1))
+    code, out, err = run(*_command(pair_folder, tmp_path / "out", "--no-learn", "--unit", "ft", "--seed", 1))
     assert code == 2 and "fits made with seed 0; expected seed 1" in one_line(err)
     other = shutil.copytree(pair_folder, tmp_path / "other")
     write_points_ply(other / "s1.ply", pair_meshes[1][:50])

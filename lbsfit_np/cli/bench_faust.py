@@ -67,7 +67,7 @@ def _run(folder, values):
 
     def work(progress):
         on_figures = functools.partial(write_json, out / pair_runs.RESULTS)
-        options = pair_runs.bench_keywords(values, out, challenge_left(out)) | {"reporter": progress}
+        options = pair_runs.bench_keywords(values, out, fitter, challenge_left(out)) | {"reporter": progress}
         report, fits = faust_bench(fitter, found, out, on_figures=on_figures, **options)
         words = [faust_table(report, markdown=values["markdown"])]
         words += [_written(kind, written) for kind, written in report["challenge"].items()]

@@ -36,10 +36,10 @@ examples:
   lbsfit bench pairs scans --truth landmarks.csv --no-learn --subject-column person -o bench-scans
 
 OUT gets results.json (every figure of every pair, settings, versions), gallery.png, fits/NAME.npz for each scan with fits.json,
-which says what they were made of, and, after learning, model.npz, which lbsfit fit takes. First a segmenter is trained for the rig,
-once, unless it comes with one: two to three minutes, less with fewer --training-scans. Run the same command again to do what is
-missing; what an interrupted loop has done is in model.npz.unfinished. Each scan is fitted as its subject's: the subject column is
-part of what learning is told.
+which says what they were made of, and, after learning, model.npz, which lbsfit fit takes. First a segmenter is trained for the
+rig, once, unless it comes with one: two to three minutes, less with fewer --training-scans. Run the same command again to do what
+is missing; what an interrupted loop has done is in model.npz.unfinished. Each scan is fitted as its subject's: the subject column
+is part of what learning is told.
 """
 
 
@@ -74,7 +74,7 @@ def _run(folder, values):
         digest = hashlib.file_digest(file, "sha256").hexdigest()
 
     def work(progress):
-        options = pair_runs.bench_keywords(values, out) | {"unit": values["unit"], "reporter": progress}
+        options = pair_runs.bench_keywords(values, out, fitter) | {"unit": values["unit"], "reporter": progress}
         report, fits = pairs_bench(fitter, scans, truth, out, **options)
         report |= {"notes": notes, "folder": str(folder), "subject_column": column}
         report["truth_file"] = {"path": str(values["truth"]), "sha256": digest}

@@ -90,7 +90,7 @@ def _run(kind, values):
         say(f"note: {note}")
 
     def work(progress):
-        options = pair_runs.bench_keywords(values, out) | {"unit": "m", "reporter": progress}
+        options = pair_runs.bench_keywords(values, out, fitter) | {"unit": "m", "reporter": progress}
         report, fits = pairs_bench(fitter, scans, truth, out, **options)
         report |= {"benchmark": "people", "people": whose}
         table = f"{pairs_table(report, markdown=values['markdown'])}\nScans of {_in_words(whose)}."

@@ -105,14 +105,14 @@ def fitter_of(values):
     return LBSFitter(rig, **given, unit=values["unit"] if told else None)
 
 
-def bench_keywords(values, out, more=()):
+def bench_keywords(values, out, fitter, more=()):
     """Keywords of ``pairs_bench`` and ``faust_bench``, by the options' values; ``more`` files in ``out`` are made of fits."""
     return {
         "learn": values["learn"],
         "most_pairs": values["pairs"],
         "points": values["points"],
         "seed": values["seed"],
-        "settings": _fit_settings(values),
+        "settings": _fit_settings(values) | {"unit": fitter.unit},
         "existing": values["existing"],
         "made_of_fits": (out / RESULTS, out / GALLERY, *more),
         "n_samples": values["samples"],
@@ -123,8 +123,7 @@ def bench_keywords(values, out, more=()):
 def _fit_settings(values):
     """What fits depend on, beside rig and scans."""
     names = [name.replace("-", "_") for name in (*_OF_FITS, *_OF_LEARNING, "learn", "samples")]
-    made_with = {name: values[name] for name in names if values["learn"] or name not in ("rounds", "held_out")}
-    return made_with | {name: values[name] for name in ("unit",) if name in values}
+    return {name: values[name] for name in names if values["learn"] or name not in ("rounds", "held_out")}
 
 
 def made_output(values, names, inputs, more=()):
