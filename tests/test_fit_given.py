@@ -229,7 +229,36 @@ def test_few_known_labels_are_enough_to_tell_the_pose(tube_rig, tube_fitter, tub
     for p in range(4):
         labels[np.flatnonzero(tube_scan.labels == p)[:10]] = p
     r = tube_fitter.fit_scan(tube_scan.points, labels=labels)
-    assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.05 and r.status == "ok"
+    assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.05 and r.status == "ok" and "labelled" not in r.message
+
+
+def test_parts_that_no_label_names_are_named(tube_rig, fitter, tube_scan):
+    """Nothing has looked for their pose; where all points are labelled, what is not named is not there."""
+    some = np.where(tube_scan.labels < 2, tube_scan.labels, -1)
+    words = "no point is labelled as long, short: what the scan shows of these may be fitted wrongly; without labels it is "
+    assert words in fitter.fit_scan(tube_scan.points, labels=some).message
+    of = tube_scan.labels < 2
+    assert "labelled as" not in fitter.fit_scan(tube_scan.points[of], labels=tube_scan.labels[of]).message
+
+
+@pytest.mark.parametrize("start, mean, most", [(True, 0.002, 0.004), (False, 0.004, 0.01)])
+def test_labels_of_one_side_lead_nothing_to_the_hidden_side(start, mean, most):
+    """Neither a start that is right nor, without one, the scale."""
+    rig = lbs.load_rig("hand-coarse")
+    fitter = lbs.LBSFitter(rig, partial=True, effort="fast", orientation="aligned", random_state=0)
+    errors = []
+    for s in lbs.synthesize(rig, 6, random_state=11, one_sided=True, holes=0, noise=0.0, shape=0.0):
+        r = fitter.fit_scan(s.points, labels=s.labels, theta0=s.pose if start else None)
+        away = np.linalg.norm(r.joints - s.joints, axis=1) / rig.size
+        errors.append(away[r.joint_std < 0.02 * rig.size].mean())
+    assert np.mean(errors) < mean and max(errors) < most
+
+
+def test_which_way_a_scan_stands_is_said_where_it_was_looked_for(tube_rig, tube_fitter, tube_scan):
+    """With labels no axes were tried that an option would save."""
+    lying = tube_scan.points[:, [2, 0, 1]]
+    assert "stands along" in tube_fitter.fit_scan(lying).message
+    assert "stands along" not in tube_fitter.fit_scan(lying, labels=tube_scan.labels).message
 
 
 def test_labels_of_no_point_that_takes_part_are_named(tube_rig, tube_scan):

@@ -46,7 +46,7 @@ class Doubt:
             median over the other bones, or ÷ 0.002² where that is less; 0 for bones of few points, which do not count for others
             either, and for joints that no vertex follows most. Clutter does not count.
         """
-        w = np.ones(len(problem.X)) if problem.x_weights is None else problem.x_weights
+        w = np.full(len(problem.X), 1 / len(problem.X)) if problem.x_weights is None else problem.x_weights
         X, w, _ = merged(problem.X[w > 0] / state.scale, w[w > 0], None)
         V = self.model.deformed(state).vertices / state.scale
         nearest = PointIndex(V).nearest(X)

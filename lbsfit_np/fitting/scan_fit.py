@@ -6,7 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, listed
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
@@ -193,7 +193,7 @@ class ScanFit:
         if settings.polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
             last = replace(last, state=self._refit.polish(dense, last.state, **known))
-        stands = stands_words(self.facing, model.source, frame, last.state.theta) if theta0 is None else ""
+        stands = "" if given else stands_words(self.facing, model.source, frame, last.state.theta)  # else nothing was searched
         unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale, unit=settings.unit)
         return assemble(
             model.source,
@@ -210,6 +210,7 @@ class ScanFit:
             labels=labels,
             joint_std=self._refit.joint_std(with_partner, last.state, proba),
             evaluations=before + search.evaluations,
+            notes=[_parts_without_labels(model.source, labels, rows)],
             found=(unit, stands),
             further=() if given else further_words(model.source, settings, self.facing),
             given=given,
@@ -252,9 +253,9 @@ class ScanFit:
                 best = frame, problem, proba, theta, search
         frame, problem, proba, theta, search = best
         others = []
-        if theta0 is not None and labels is None:  # what the segmenter says may lead away from a start that is right
+        if theta0 is not None:  # labels, also right ones of one side, may lead away from a start that is right
             known = Runner(problem, self._refit.in_place(problem, theta))
-            others = [end.state for end in [known, *self._refit.race([known])]]
+            others = [end.state for end in [known, *(self._refit.race([known]) if labels is None else ())]]
         # What is known of fits, and the weights of losses, are of half sizes: in the scan's own unit, not in that of a guess.
         state = search.pose(others)
         q = state.scale
@@ -345,6 +346,17 @@ def stands_words(facing, rig, frame, theta):
     if not stands_note(frame.turn, facing.up) and not contradicts_note(turn @ facing.up, facing.up):
         return ""
     return stands_note(turn, facing.up)
+
+
+def _parts_without_labels(rig, labels, rows):
+    """In words, which parts no point is labelled as where some points have no label: their pose is told by the surface alone."""
+    if labels is None or labels[rows].min() >= 0:
+        return ""
+    without = [rig.parts[p] for p in np.flatnonzero(np.bincount(labels[rows][labels[rows] >= 0], minlength=len(rig.parts)) == 0)]
+    if not without:
+        return ""
+    words = "what the scan shows of these may be fitted wrongly; without labels it is searched for"
+    return f"no point is labelled as {listed(without, 6)}: {words}"
 
 
 def further_words(rig, settings, facing):

@@ -95,6 +95,9 @@ class Search:
             return states[0]
         steps = Proportioned(self.model, self.settings, ("pose", *self.place))
         labels = self.labels if self._all_known else None
+        if labels is not None and self.settings.partial:
+            # Until here, points of one side have drawn the hidden side to them, too; steps without labels know better.
+            states = [*states, steps.to_the_end(self.problem, states[0])[0]]
         return min((steps.to_the_end(self.problem, state, labels=labels) for state in states), key=lambda found: found[1])[0]
 
     def _relabel(self, state, sigma):

@@ -45,11 +45,11 @@ def start_from_parts(model, X, proba, *, state=None, free=("pose", "translation"
     share = weights.sum(axis=0)
     target = (weights.T @ X) / np.maximum(share, 1e-12)[:, None]
     share = np.where(share > 1e-3 * share.sum(), share, 0.0)
-    share /= share.sum()
     average = np.zeros((proba.shape[1], len(rig.vertices)))
     average[model.labels, np.arange(len(rig.vertices))] = model.areas
     total = average.sum(axis=1, keepdims=True)
     share = np.where(total[:, 0] > 0, share, 0.0)
+    share /= max(share.sum(), np.finfo(float).tiny)
     average = average / np.maximum(total, 1e-12)
     if state is None:
         state = model.rest()
