@@ -256,6 +256,13 @@ def test_steps_are_gone_where_all_is_to_be_done_anew(command, tmp_path, monkeypa
     assert said.endswith("; run the same command without --existing replace to continue\n")
 
 
+def test_stopped_before_anything_was_done_nothing_is_said_to_be_kept(command, tmp_path, monkeypatch, capsys):
+    with monkeypatch.context() as patch:
+        patch.setattr(run_module, "made", lambda *a, **k: (_ for _ in ()).throw(KeyboardInterrupt))
+        assert run([*command, "joint"]) == 130
+    assert "kept" not in capsys.readouterr().out and not (tmp_path / "out").exists()
+
+
 def test_two_studies_fill_one_folder(command, tmp_path, monkeypatch):
     """What another run has written meanwhile, of another seed or row, stays."""
     out, made = tmp_path / "out", run_module.made

@@ -28,7 +28,7 @@ def run_study(values):
     from ..bench.study.run import joined, study, with_rows
     from ..io.rigs import load_rig
     from ..io.write import write_json, write_npz
-    from ..learning.checkpoint import checkpoint_of
+    from ..learning.checkpoint import checkpoint_of, steps_in
 
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT, such as docs/study.")
@@ -103,7 +103,7 @@ def run_study(values):
     except BaseException as why:
         progress.close()
         stopped = isinstance(why, KeyboardInterrupt)
-        if begun and (stopped or results.exists()):
+        if begun and (results.exists() or any(steps_in(folder) for folder in cells.glob(checkpoint_of("*.npz").name))):
             how, again = "stopped: " * stopped, "run the same command" + " without --existing replace" * replace
             with suppress(OSError):  # which is not what went wrong
                 say(f"{how}finished work is kept in {out}; {again} to continue")
