@@ -358,6 +358,14 @@ def test_what_was_not_run_leaves_no_gap_in_the_console():
     assert "\n\n\n" not in console_table(_report(oracle_fit={}))
 
 
+def test_rows_that_lack_seeds_are_named_in_the_console_as_on_the_page():
+    report = _report(joint=[{}, {}, {}], cd=[{}], rand=[{}, {}])
+    words = "Fewer seeds: hand, cd: 300 alone; hand, rand: 300, 301."
+    assert console_table(report).endswith(f"\n\n{words}") and console_table(report, markdown=True).endswith(words)
+    assert f"{words} Lengths are in half sizes" in page(report, {})
+    assert "Fewer seeds" not in console_table(_report(joint=[{}, {}], rand=[{}, {}]))
+
+
 @pytest.mark.parametrize("n, words", [(1, "seed 300;"), (2, "seeds 300, 301;")])
 def test_one_seed_is_a_seed(n, words):
     text = page(_report(joint=[{}] * n), {})

@@ -145,7 +145,7 @@ def console_table(report, *, markdown=False):
     for name in report["rigs"]:
         made = [make(report, name, markdown=markdown) for make in (tables.registrations, tables.correspondences, tables.goals)]
         parts += [name, *made, tables.orders(report, name)]
-    return "\n\n".join(filter(None, parts))
+    return "\n\n".join(filter(None, [*parts, _fewer_seeds(report)]))
 
 
 def _of_rig(report, name, explained):
@@ -196,10 +196,16 @@ def _sizes(report):
     ]
     several = any(len(e["seeds"]) > 1 for e in report["rigs"].values())
     many = "Figures are means over the seeds, with their range. " if several else ""
-    fewer = [words for name, e in report["rigs"].items() for words in _with_fewer_seeds(name, e["seeds"])]
-    many += f"Fewer seeds: {'; '.join(fewer)}. " if fewer else ""
+    fewer = _fewer_seeds(report)
+    many += f"{fewer} " if fewer else ""
     listed = "\n".join(sizes)
     return f"Size `{report['size']}`:\n\n{listed}\n\n{many}Lengths are in half sizes of the rig ([−1, 1]³). Rows:"
+
+
+def _fewer_seeds(report):
+    """The rows that not all seeds of their rig have: their means are over other scans than those of the other rows."""
+    fewer = [words for name, e in report["rigs"].items() for words in _with_fewer_seeds(name, e["seeds"])]
+    return f"Fewer seeds: {'; '.join(fewer)}." if fewer else ""
 
 
 def _with_fewer_seeds(name, seeds):
