@@ -279,6 +279,15 @@ def test_a_motion_of_few_frames_is_named_before_any_training(shared_rigs, monkey
     assert most + most // 3 <= frames < most + 1 + (most + 1) // 3
 
 
+@pytest.mark.parametrize("name", ["hand", "body"])
+def test_too_few_scans_are_named_before_any_work(name, shared_rigs, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained first"))
+    out = tmp_path / "out"
+    command = ["bench", "learn", name, "--data", str(shared_rigs), "-o", str(out), "--variants", "cd"]
+    assert run([*command, "--scans", "2"]) == 2 and not out.exists()
+    assert capsys.readouterr().err == "lbsfit: error: --scans: got 2; expected at least 3, one of each person.\n"
+
+
 def test_label_errors_are_noted_after_each_round(shared_rigs, quick, monkeypatch):
     def fit(self, scans, subjects, on_round, **options):
         for k, segmenter in ((1, None if self.variant == "cd" else "s"), (2, None if self.variant == "cd" else "s")):

@@ -163,6 +163,7 @@ def learn_bench(
     name : {"hand", "body"}
     data : path-like
     n_scans : int, default 60
+        Of all subjects together; one of each at least.
     seeds : sequence of int
         Of the collections; what is trained has its own.
     variants : sequence of str
@@ -197,6 +198,8 @@ def learn_bench(
     seeds = [int(s) for s in seeds]
     if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
         raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
+    if n_scans < N_SUBJECTS:  # with fewer, none is left to judge labels on, nor one to learn from beside the one held out
+        raise InputError("n_scans", f"{n_scans}", f"at least {N_SUBJECTS}, one of each person")
     if not variants or not set(variants) <= set(VARIANT_ROWS):
         raise InputError("variants", repr(variants), f"some of {', '.join(VARIANT_ROWS)}")
     collection(name, data, n_scans, seed=seeds[0])  # before the training, as there may be too few frames

@@ -259,7 +259,8 @@ def _epilog(example, *, unusable="an unusable rig"):
 def _add_options(bench, options, run):
     """Options, and what runs with them: ``run(arguments, values)``."""
     add_options(bench, options)
-    bench.set_defaults(flags=bench.get_default("flags") | {"before": "-o"})  # the report of an earlier run is in that folder
+    # The report of an earlier run is in that folder.
+    bench.set_defaults(flags=bench.get_default("flags") | {"before": "-o", "n_scans": "--scans"})
 
     def in_its_folder(arguments):
         values = settings(arguments, options)
