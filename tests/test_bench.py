@@ -314,6 +314,14 @@ def test_the_table_in_both_forms(ran):
     assert table(report | {"rows": two}, markdown=True).count("| all |") == len(ROWS)
 
 
+def test_a_segmenter_is_told_of_where_one_was_trained(ran):
+    report = ran[2]
+    for rows in (("own", "plain"), ("paper",), ("plain", "oracle")):
+        text = table(report | {"rows": {row: report["rows"][row] for row in rows}})
+        assert ("Segmenter trained on 60 synthetic scans; lbsfit_np" in text) == (rows != ("plain", "oracle")), rows
+        assert "lbsfit_np" in text
+
+
 def test_shown_are_worst_median_and_best():
     fits = [(None, None if e is None else e, {"joint_error": e}) for e in (0.3, 0.1, None, 0.5, 0.2, 0.4)]
     assert shown(fits, 3) == [3, 0, 1]

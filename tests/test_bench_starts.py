@@ -377,6 +377,13 @@ def test_the_table_in_both_forms(known):
     assert "ROC" not in starts_table(report)
 
 
+def test_a_segmenter_is_told_of_where_one_was_trained(known):
+    report = starts_bench(["hand-coarse"], rows=["0.3"], fits=("plain", "oracle"), **QUICK)
+    assert not any(f.trained for f in known.made) and "effort balanced.\n" in starts_table(report)
+    report = starts_bench(["hand-coarse"], rows=["0.3"], before=report, **QUICK)
+    assert "effort balanced; segmenter trained on 60 synthetic scans.\n" in starts_table(report)
+
+
 @pytest.fixture
 def run(run):
     """Run ``lbsfit bench starts``."""

@@ -11,7 +11,7 @@ from ..scan import Scan
 from .environment import environment
 from .measure import joint_error, label_accuracy, recon, vertex_error
 
-__all__ = ["BENCHES", "MEASURES", "ROWS", "Bench", "run_bench"]
+__all__ = ["BENCHES", "MEASURES", "ROWS", "Bench", "run_bench", "with_segmenter"]
 
 # Of everything that the package learns; the test's seeds are others, and their streams have keys of their own besides.
 TRAINING_SEED = 0
@@ -95,6 +95,8 @@ ROWS = {
     "oracle": "true labels given",
     "paper": "own segmenter, the paper's weights",
 }
+# Those that are fitted with the segmenter that pretraining gives.
+_WITH_SEGMENTER = ("own", "paper")
 # What runs unless other rows are asked for.
 USUAL_ROWS = ("own", "plain", "oracle")
 
@@ -175,7 +177,7 @@ def run_bench(
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
     report = _report(bench, rig, fitter, synthesis, seeds, n_scans, jobs, rows)
     fits = {}
-    if "own" in rows or "paper" in rows:
+    if with_segmenter(rows):
         started = time.perf_counter()
         fitter.pretrain(cache=cache, progress=training_progress)
         report["training_seconds"] = round(time.perf_counter() - started, 2)
@@ -194,6 +196,11 @@ def run_bench(
                 on_row(report, row, seed)
     report["complete"] = True
     return report, fits
+
+
+def with_segmenter(rows):
+    """Whether any of these rows takes a segmenter."""
+    return not set(rows).isdisjoint(_WITH_SEGMENTER)
 
 
 # ---- the ways to fit ----

@@ -321,9 +321,9 @@ def _shares(figures, fits):
 
 def _legend(report):
     settings = report["settings"]
+    trained = f"; segmenter trained on {settings['training_scans']} synthetic scans" if _any_fit(report, "own") else ""
     lines = [
-        f"{settings['scans_a_row']} scans a row, seed {settings['seed']}, effort {settings['effort']}; segmenter trained on "
-        f"{settings['training_scans']} synthetic scans.",
+        f"{settings['scans_a_row']} scans a row, seed {settings['seed']}, effort {settings['effort']}{trained}.",
         "Reached: share of the scans whose mean joint error is at most 1.5 % (* 3 %) of the rig's size. Median and 95th",
         "percentile: of these errors, in % of the size. Further columns: the same share for other ways of fitting.",
     ]

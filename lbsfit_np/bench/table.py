@@ -1,6 +1,6 @@
 """A benchmark's report as a table, plain or in Markdown."""
 
-from .run import ROWS
+from .run import ROWS, with_segmenter
 
 __all__ = ["layout", "table"]
 
@@ -59,11 +59,12 @@ def _legend(report):
     env = report["environment"]
     of_seeds = "; all: the median over the seeds" if len(report["seeds"]) > 1 else ""
     aims = {name: f"{'≥' if name == 'labels' else '≤'} {aim:g}" for name, aim in report["aims"].items()}
+    trained = f"Segmenter trained on {report['settings']['fitter']['training_scans']} synthetic scans; "
     return "\n".join(
         (
             f"{report['scans_a_seed']} scans a seed, means over them{of_seeds}. Lengths in {unit}.",
             f"Aims with the own segmenter: {', '.join(f'{name} {aim}' for name, aim in aims.items())}.",
-            f"Segmenter trained on {report['settings']['fitter']['training_scans']} synthetic scans; "
+            f"{trained if with_segmenter(report['rows']) else ''}"
             f"lbsfit_np {env['lbsfit_np']}, numpy {env['numpy']}, scipy {env['scipy']}, scikit-learn {env['scikit-learn']}, "
             f"Python {env['python']}, {env['cpus']} CPUs, jobs {report['settings']['jobs']}.",
         )
