@@ -451,3 +451,17 @@ def test_rows_of_a_rig_with_other_poses_are_not_kept(tube_rig):
     assert module._row_entry(report, "tube", tube_rig, "0.3", condition)["fits"] == {"own": "kept"}
     other = replace(tube_rig, poses={"bent": np.full(tube_rig.lower.shape, 0.1)})
     assert module._row_entry(report, "tube", other, "0.3", condition)["fits"] == {}
+
+
+OTHER_CARDS = [{"up": "+z"}, {"forward": "-x"}, {"metres_per_unit": 0.01}, {"locked": np.ones(4, dtype=bool)}]
+
+
+@pytest.mark.parametrize("change", OTHER_CARDS)
+def test_rows_of_a_rig_with_another_card_are_not_kept(tube_rig, change):
+    """Of what its digest leaves out, too, which a fit hangs on as well."""
+    report, condition = {"rigs": {}}, CONDITIONS["0.3"]
+    module._row_entry(report, "tube", tube_rig, "0.3", condition)["fits"]["own"] = "kept"
+    report = json.loads(json.dumps(report))
+    assert module._row_entry(report, "tube", tube_rig, "0.3", condition)["fits"] == {"own": "kept"}
+    other = replace(tube_rig, **change)
+    assert module._row_entry(report, "tube", other, "0.3", condition)["fits"] == {}

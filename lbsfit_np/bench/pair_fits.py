@@ -16,7 +16,8 @@ import numpy as np
 
 from ..errors import FileError, InputError, LbsfitError
 from ..fitting.result import FitResult
-from ..learning.checkpoint import checkpoint_of, digest_of, remove_checkpoint, state_of_the_code
+from ..learning.checkpoint import checkpoint_of, remove_checkpoint, state_of_the_code
+from .resume import described
 
 __all__ = ["Fits", "checkpoint_in", "fit_files", "fit_scans_of", "has_record", "made_files"]
 
@@ -328,17 +329,10 @@ class _Record:
 
 
 def _described(rig):
-    """The code, and of a rig all that fits depend on: its digest, and what that does not cover, much of it a card's."""
-    still = [sorted(name for name, on in zip(rig.joint_names, mask, strict=True) if on) for mask in (rig.locked, rig.merged)]
-    return {
-        "code": state_of_the_code(),
-        "rig": rig.digest,
-        "rig's up": rig.up,
-        "rig's forward": rig.forward,
-        "rig's metres per unit": rig.metres_per_unit,
-        "rig's joints that are still": digest_of(still),
-        "rig's poses": rig.poses_digest,
-    }
+    """The code, and of a rig all that fits depend on, as errors call it."""
+    facts = described(rig)
+    of_rig = {"rig": facts.pop("digest")} | {f"rig's {key.replace('_', ' ')}": value for key, value in facts.items()}
+    return {"code": state_of_the_code()} | of_rig
 
 
 def _brief(value):

@@ -3,8 +3,9 @@
 from copy import deepcopy
 
 from ..errors import InputError
+from ..learning.checkpoint import digest_of
 
-__all__ = ["REMEDY", "begun"]
+__all__ = ["REMEDY", "begun", "described"]
 
 REMEDY = "Choose another folder, or --existing replace."
 
@@ -46,6 +47,19 @@ def begun(before, empty, *, same=("settings",)):
         got, expected = (", ".join(f"{key} {known.get(key)}" for key in other) for known in (theirs, ours))
         raise InputError("before", f"results with {got}", expected, REMEDY)
     return deepcopy(before)
+
+
+def described(rig):
+    """Of a rig all that fits depend on: its digest, and what that does not cover, much of it a card's; plain data for JSON."""
+    still = [sorted(name for name, on in zip(rig.joint_names, mask, strict=True) if on) for mask in (rig.locked, rig.merged)]
+    return {
+        "digest": rig.digest,
+        "up": rig.up,
+        "forward": rig.forward,
+        "metres_per_unit": rig.metres_per_unit,
+        "joints_that_are_still": digest_of(still),
+        "poses": rig.poses_digest,
+    }
 
 
 def _alike(theirs, ours):

@@ -16,7 +16,7 @@ from .baseline import PlainChamfer
 from .conditions import CONDITIONS, SEEN, conditions_of, starts_scan
 from .environment import environment
 from .measure import joint_error
-from .resume import begun
+from .resume import begun, described
 from .run import TRAINING_SEED
 
 __all__ = [
@@ -147,16 +147,16 @@ def _plan(rigs, rows, fits):
 
 def _row_entry(report, name, rig, row, condition):
     """Where the figures of a row are kept; emptied where they are of another rig or of another condition."""
-    described = {key: getattr(condition, key) for key in ("what", "goal", "close", "fitter", "unit", "subjects")}
-    described["scan"] = asdict(condition.scan)
-    facts = {"digest": rig.digest, "poses": rig.poses_digest, "up": rig.up, "size": rig.size, "vertices": len(rig.vertices)}
+    asked = {key: getattr(condition, key) for key in ("what", "goal", "close", "fitter", "unit", "subjects")}
+    asked["scan"] = asdict(condition.scan)
+    facts = described(rig) | {"size": rig.size, "vertices": len(rig.vertices)}
     kept = report["rigs"].get(name, {"digest": None})
     if any(kept.get(key, value) != value for key, value in facts.items()):  # earlier reports have fewer
         kept = report["rigs"][name] = {"rows": {}}
     kept |= facts
     entry = kept["rows"].get(row, {})
-    if entry.get("condition") != described:
-        entry = kept["rows"][row] = {"condition": described, "fits": {}}
+    if entry.get("condition") != asked:
+        entry = kept["rows"][row] = {"condition": asked, "fits": {}}
     return entry
 
 
