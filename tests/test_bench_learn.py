@@ -153,6 +153,18 @@ def test_rows_without_all_scans_or_of_other_code_are_told():
     assert "0123456789ab+changes: joint 100; 0123456789ab: cd 101." in learn_table(report)
 
 
+def test_each_row_says_what_made_it(shared_rigs, quick, monkeypatch):
+    """Also where a later run has made others."""
+    report, made = None, {"joint": {"commit": "a", "numpy": "1"}, "cd": {"commit": "b", "numpy": "2"}}
+    for jobs, (variant, there) in enumerate(made.items(), 1):
+        monkeypatch.setattr("lbsfit_np.bench.learn.environment", lambda there=there: there)
+        options = {"n_scans": 3, "seeds": (3,), "variants": (variant,), "jobs": jobs}
+        report = learn_bench("hand", shared_rigs, before=report, **options)
+    made["one by one"] = made["joint"]
+    assert {row: of["3"]["environment"] for row, of in report["rows"].items()} == made
+    assert {row: of["3"]["jobs"] for row, of in report["rows"].items()} == {"one by one": 1, "joint": 1, "cd": 2}
+
+
 def test_where_nothing_could_be_fitted_there_is_no_error(shared_rigs):
     rig, scans, subjects, _ = collection("hand", shared_rigs, 3, seed=3)
     templates = {k: SimpleNamespace(vertices=s.template) for k, s in enumerate(scans)}

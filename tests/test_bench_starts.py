@@ -322,12 +322,30 @@ def test_what_is_there_is_not_done_again(known):
     rows = both["rigs"]["hand-coarse"]["rows"]
     assert rows["0.3"] == first["rigs"]["hand-coarse"]["rows"]["0.3"] and list(before["rigs"]["hand-coarse"]["rows"]) == ["0.3"]
     assert both["confidence"]["scans"] == 8
+    assert "several states" not in starts_table(both)
     # Another condition or another rig of that name: all anew.
     before["rigs"]["hand-coarse"]["rows"]["0.3"]["condition"]["close"] = 0.5
     starts_bench(["hand-coarse"], rows=["0.3"], before=before, **QUICK)
     assert len(known.made) == made + 2
     both["rigs"]["hand-coarse"]["digest"] = "other"
     assert list(starts_bench(["hand-coarse"], rows=["0.3"], before=both, **QUICK)["rigs"]["hand-coarse"]["rows"]) == ["0.3"]
+
+
+def test_each_row_says_what_made_it(known, monkeypatch):
+    """Also where a later run has made others."""
+    made = {"0.3": {"commit": "0123456789abcdef", "numpy": "1"}, "0.6": {"commit": "fedcba9876543210+changes", "numpy": "2"}}
+    monkeypatch.setattr("lbsfit_np.workers.each", lambda work, tasks, *, jobs, done: [work(task) for task in tasks])
+    report = None
+    for jobs, (row, there) in enumerate(made.items(), 1):
+        monkeypatch.setattr(module, "environment", lambda there=there: there)
+        report = starts_bench(["hand-coarse"], rows=[row], before=report, jobs=jobs, **QUICK)
+    rows = report["rigs"]["hand-coarse"]["rows"]
+    assert {row: rows[row]["fits"]["own"]["environment"] for row in made} == made
+    assert [rows[row]["fits"]["own"]["jobs"] for row in made] == [1, 2]
+    states = "0123456789ab: hand-coarse 0.3 own; fedcba987654+changes: hand-coarse 0.6 own."
+    assert starts_table(report).endswith(f"\nRows are of several states of the code, by commit: {states}")
+    del rows["0.6"]
+    assert "several states" not in starts_table(report)
 
 
 def test_results_of_other_settings_are_left_alone(known):

@@ -213,7 +213,7 @@ def learn_bench(
         **read,
         "rows": {},
     }
-    report = begun(before, empty, same=("settings", "test_scans")) | {"complete": False, "environment": environment()}
+    report = begun(before, empty, same=("settings", "test_scans")) | {"complete": False}
     other = [key for key, digest in read.items() if report.get(key) != digest]
     if other:
         got = f"results with other {' and other '.join(other)} than this run's"
@@ -236,7 +236,7 @@ def learn_bench(
         if str(seed) not in singles:
             started = time.perf_counter()
             outcomes = _one_by_one(fitter, points, jobs, None if progress is None else partial(progress, _ONE_BY_ONE, seed))
-            entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "commit": environment()["commit"]}
+            entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "environment": environment()}
             entry |= _measured(rig, [o.result for o in outcomes], dict.fromkeys(subjects, rig), scans, subjects, unit)
             entry["failures"] = {str(i): str(o.error) for i, o in enumerate(outcomes) if o.result is None}
             singles[str(seed)] = entry | {"label_error": _wrong(first, others)}
@@ -252,7 +252,7 @@ def learn_bench(
                 started = time.perf_counter()
                 one.fit(points, subjects, checkpoint=kept, progress=say, on_round=partial(_note_wrong, wrong, others))
                 seconds = None if gone_on else time.perf_counter() - started
-                entry = {"seconds": seconds, "jobs": jobs, "commit": environment()["commit"]}
+                entry = {"seconds": seconds, "jobs": jobs, "environment": environment()}
                 entry |= _measured(rig, one.results_, one.template_, scans, subjects, unit)
                 entry["failures"] = {str(i): why for i, why in one.failures_.items()}
                 entry |= {"rounds": max(0, len(one.history_) - 1), "history": one.history_, "label_error_of_rounds": wrong}
@@ -352,7 +352,7 @@ def learn_table(report, *, markdown=False):
 
     Where nothing could be fitted, a measure is missing; its seed is left out of that column in all rows.
     """
-    from .table import layout
+    from .table import layout, of_states
 
     rows = {row: report["rows"][row] for row in (_ONE_BY_ONE, *VARIANT_ROWS) if row in report["rows"]}
     every = list(dict.fromkeys(seed for seeds in rows.values() for seed in seeds))
@@ -384,20 +384,9 @@ def learn_table(report, *, markdown=False):
     for row, of in rows.items():
         if lost := sum(of[seed].get("unfitted", 0) for seed in seeds):
             legend += f"\n{row}: {lost} of {n * len(seeds)} scans could not be fitted, and count in no measure of fits."
-    return f"{layout(lines, markdown=markdown)}\n\n{legend}{_of_rounds(rows, seeds)}{_of_states(rows)}"
-
-
-def _of_states(rows):
-    """The states of the code, by commit, where rows are of several: they are not to be compared as if they were of one."""
-    states = {}
-    for row, of in rows.items():
-        for seed, entry in of.items():
-            commit, *changes = (entry.get("commit") or "unknown").partition("+")
-            states.setdefault("".join((commit[:12], *changes)), []).append(f"{row} {seed}")
-    if len(states) < 2:
-        return ""
-    listed = "; ".join(f"{commit}: {', '.join(made)}" for commit, made in states.items())
-    return f"\nRows are of several states of the code, by commit: {listed}."
+    legend += _of_rounds(rows, seeds)
+    legend += of_states((f"{row} {seed}", entry) for row, of in rows.items() for seed, entry in of.items())
+    return f"{layout(lines, markdown=markdown)}\n\n{legend}"
 
 
 def _of_rounds(rows, seeds):

@@ -104,7 +104,7 @@ def starts_bench(
     todo = _plan(rigs, rows, fits)
     settings = {"seed": seed, "scans_a_row": n_scans, "effort": effort, "training_scans": training_scans}
     empty = {"benchmark": "starts", "settings": settings, "rigs": {}, "confidence": None}
-    report = begun(before, empty) | {"complete": False, "environment": environment()}
+    report = begun(before, empty) | {"complete": False}
     for name, row, fit in todo:
         rig, condition = rigs[name], CONDITIONS[row]
         entry = _row_entry(report, name, rig, row, condition)
@@ -229,7 +229,8 @@ def _fit_row(one, n_scans, close, jobs, on_scan):
         "seconds": float(np.mean([e["seconds"] for e in scans])),
         "failed": n_scans - len(errors),
         "wall_seconds": round(time.perf_counter() - started, 2),
-        "commit": environment()["commit"],
+        "jobs": jobs,
+        "environment": environment(),
         "scans": scans,
     }
 
@@ -290,7 +291,7 @@ def _calibration(p, exact):
 
 def starts_table(report, *, markdown=False):
     """The figures of a report of :func:`starts_bench`: a row for each condition and rig, and what fits know about themselves."""
-    from .table import layout
+    from .table import layout, of_states
 
     others = [fit for fit in FITS if fit != "own" and _any_fit(report, fit)]
     lines = [("condition", "rig", "goal", "reached", "median", "95th", "s a scan", *(FITS[fit] for fit in others))]
@@ -301,7 +302,13 @@ def starts_table(report, *, markdown=False):
                 star = "" if condition.close == PROBABLE else "*"
                 goal = f"{100 * condition.goal:.0f} %"
                 lines.append((condition.what + star, name, goal, *_cells(figures.get("own")), *_shares(figures, others)))
-    return f"{layout(lines, markdown=markdown)}\n\n{_legend(report)}"
+    states = of_states(
+        (f"{name} {row} {fit}", figures)
+        for name, entry in report["rigs"].items()
+        for row, content in entry["rows"].items()
+        for fit, figures in content["fits"].items()
+    )
+    return f"{layout(lines, markdown=markdown)}\n\n{_legend(report)}{states}"
 
 
 def _any_fit(report, fit):

@@ -2,7 +2,7 @@
 
 from .run import ROWS, with_segmenter
 
-__all__ = ["layout", "table"]
+__all__ = ["layout", "of_states", "table"]
 
 # Heading, measure, average, and format of each column.
 _COLUMNS = (
@@ -44,6 +44,29 @@ def table(report, *, markdown=False):
 def layout(rows, *, markdown=False):
     """Rows of texts, the first a heading, as a table; the first column to the left, the others to the right."""
     return _markdown(rows) if markdown else _plain(rows)
+
+
+def of_states(made):
+    """The states of the code, by commit, where rows are of several: they are not to be compared as if they were of one.
+
+    Parameters
+    ----------
+    made : iterable of (str, dict)
+        What each row is called, and its entry of a report; those of earlier versions have the commit without the environment.
+
+    Returns
+    -------
+    str
+        A line that follows others, or nothing.
+    """
+    states = {}
+    for called, entry in made:
+        commit, *changes = (entry.get("environment", entry).get("commit") or "unknown").partition("+")
+        states.setdefault("".join((commit[:12], *changes)), []).append(called)
+    if len(states) < 2:
+        return ""
+    listed = "; ".join(f"{commit}: {', '.join(called)}" for commit, called in states.items())
+    return f"\nRows are of several states of the code, by commit: {listed}."
 
 
 def _cells(entry, unit):
