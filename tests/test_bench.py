@@ -11,6 +11,7 @@ from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.bench import baseline as baseline_module
+from lbsfit_np.bench import run as run_module
 from lbsfit_np.bench.baseline import PlainChamfer
 from lbsfit_np.bench.body import SHAPES, body_rig, body_scans
 from lbsfit_np.bench.hand import hand_rig, hand_scans, natural_poses
@@ -259,12 +260,12 @@ def test_a_run_writes_every_figure(ran):
     assert sorted(p.name for p in out.iterdir()) == ["results.json", "seed-7.png"]
     assert report["complete"] and report["benchmark"] == "hand" and report["seeds"] == [7] and report["scans_a_seed"] == 2
     assert set(report["rows"]) == set(ROWS)
-    assert {"numpy", "scipy", "scikit-learn", "lbsfit_np", "python", "cpus", "commit"} <= set(report["environment"])
     assert report["settings"]["fitter"]["training_scans"] == 60 and report["settings"]["fitter"]["random_state"] == 0
     assert report["settings"]["test_scans"]["n_points"] == 2500
     for row, content in report["rows"].items():
         seed = content["seeds"]["7"]
-        assert [s["scan"] for s in seed["scans"]] == [0, 1] and seed["failed"] == 0
+        assert {"numpy", "scipy", "scikit-learn", "lbsfit_np", "python", "cpus", "commit"} <= set(seed["environment"])
+        assert [s["scan"] for s in seed["scans"]] == [0, 1] and seed["failed"] == 0 and seed["jobs"] == 1
         lacks = {"own": set(), "paper": set(), "plain": {"segmenter_labels"}, "oracle": {"segmenter_labels", "labels"}}[row]
         for scan in seed["scans"]:
             assert {"scan", "kind", "converged", "message", *set(MEASURES) - lacks} == set(scan)
@@ -329,12 +330,148 @@ def test_shown_are_worst_median_and_best():
     assert sorted(shown(fits, 9)) == [0, 1, 3, 4, 5]
 
 
-def test_results_are_not_overwritten_unless_asked(ran, run, shared_rigs):
+def test_results_are_not_overwritten_unless_asked(ran, run, shared_rigs, monkeypatch):
+    content_with_few_starts(monkeypatch)
     out = ran[0]
     before = (out / "results.json").read_bytes()
-    code, _, err = run("hand", "--data", shared_rigs, "-o", out, *QUICK)
-    assert code == 2 and "results.json" in err and "--existing replace" in err
+    code, _, err = run("hand", "--data", shared_rigs, "-o", out, *QUICK, "--scans", "3")
+    assert (code, err.count("\n")) == (2, 1)
+    assert "-o: got results with scans_a_seed 2; expected scans_a_seed 3." in err and "--existing replace" in err
     assert (out / "results.json").read_bytes() == before
+
+
+# ---- going on ----
+
+
+def _found(report):
+    """A report without what hangs on when its rows were made."""
+    if isinstance(report, list):
+        return [_found(part) for part in report]
+    if isinstance(report, dict):
+        return {k: _found(v) for k, v in report.items() if k not in ("seconds", "wall_seconds", "training_seconds")}
+    return report
+
+
+@pytest.fixture
+def run_stopped(monkeypatch):
+    """(main's arguments, n) → the exit code of a run that Ctrl-C stops when it has made n rows."""
+    fit_row = run_module._fit_row
+
+    def stopped(arguments, n):
+        made = []
+
+        def stopping(*given):
+            if len(made) == n:
+                raise KeyboardInterrupt
+            made.append(None)
+            return fit_row(*given)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(run_module, "_fit_row", stopping)
+            return main([str(a) for a in arguments])
+
+    return stopped
+
+
+def test_a_run_that_is_stopped_goes_on_to_the_same_figures(ran, run_stopped, shared_rigs, tmp_path, monkeypatch, capsys):
+    content_with_few_starts(monkeypatch)
+    out, fitted, fit_row = tmp_path / "out", [], run_module._fit_row
+    rows = ("--pictures", "2", "--rows", ",".join(ROWS))
+    command = ["bench", "hand", "--data", shared_rigs, "-o", out, *rows, *QUICK]
+    assert run_stopped(command, 0) == 130 and not out.exists() and "kept" not in capsys.readouterr().out
+    assert run_stopped(command, 2) == 130
+    assert f"stopped: finished work is kept in {out}; run the same command to continue\n" in capsys.readouterr().out
+    kept = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert set(kept["rows"]) == {"own", "plain"} and not kept["complete"] and (out / "seed-7.png").exists()
+    assert run_stopped(command, 0) == 130 and "run the same command to continue" in capsys.readouterr().out
+    monkeypatch.setattr(run_module, "_fit_row", lambda method, *more: fitted.append(type(method)) or fit_row(method, *more))
+    assert main([str(a) for a in command]) == 0 and len(fitted) == 2
+    report = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert _found(report) == _found(ran[2])
+    assert (out / "seed-7.png").read_bytes() == (ran[0] / "seed-7.png").read_bytes()
+    for row in kept["rows"]:
+        assert report["rows"][row] == kept["rows"][row]
+    # Nothing is left to do, whatever the order; nor is anything trained.
+    capsys.readouterr()
+    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained"))
+    assert main([str(a) for a in command]) == 0 and len(fitted) == 2
+    assert table(report) in capsys.readouterr().out
+
+
+def test_seeds_and_rows_are_added_to_those_that_are_there(run, run_stopped, shared_rigs, tmp_path, capsys):
+    out = tmp_path / "out"
+    command = ["hand", "--data", shared_rigs, "-o", out, "--scans", "1", "--rows"]
+
+    def there():
+        report = json.loads((out / "results.json").read_text(encoding="utf-8"))
+        return {row: set(content["seeds"]) for row, content in report["rows"].items()}, report["complete"], report["seeds"]
+
+    assert run(*command, "plain", "--seeds", "10")[0] == 0 and there() == ({"plain": {"10"}}, True, [10])
+    assert run(*command, "oracle,plain", "--seeds", "9")[0] == 0
+    assert there() == ({"plain": {"9", "10"}, "oracle": {"9"}}, False, [9, 10])
+    code, text, _ = run(*command, "oracle,plain", "--seeds", "10,9", "--markdown")
+    assert code == 0 and there() == ({"plain": {"9", "10"}, "oracle": {"9", "10"}}, True, [9, 10])
+    rows = [[cell.strip() for cell in line.split("|")[1:3]] for line in text.splitlines() if line.startswith("| ")][1:]
+    assert rows == [[ROWS[row], seed] for row in ("plain", "oracle") for seed in ("9", "10", "all")]
+    # Those that are replaced are gone once one is made anew.
+    replaced = ["bench", *command, "plain,oracle", "--seeds", "9", "--existing", "replace"]
+    assert run_stopped(replaced, 1) == 130 and there() == ({"plain": {"9"}}, False, [9])
+    assert "; run the same command without --existing replace to continue" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("kept", "given", "words"),
+    [
+        ({}, {"training_scans": 61}, "results with fitter training_scans 60; expected fitter training_scans 61"),
+        ({}, {"n_scans": 3}, "results with scans_a_seed 2; expected scans_a_seed 3"),
+        ({"benchmark": "body"}, {}, "results of body; expected results of hand"),
+        ({"data": "other"}, {}, "results with other data than this run's"),
+        ({"scans": "other"}, {}, "results with other scans than this run's"),
+        ({"rig": {"metres_per_unit": 7.0}}, {}, "results with other metres per unit than this run's"),
+        ({"rig": {"digest": "other"}}, {}, "results with other rig than this run's"),
+        ({"settings": {"test_scans": {"noise": 0.1}}}, {}, "results with test_scans noise 0.1; expected test_scans noise 0.004"),
+        ({"data": None}, {}, "results of hand without 'data'"),
+    ],
+)
+def test_results_of_something_else_are_not_gone_on_with(ran, shared_rigs, monkeypatch, kept, given, words):
+    content_with_few_starts(monkeypatch)
+    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained first"))
+    options = {"seeds": [7, 8], "n_scans": 2, "training_scans": 60, "before": _changed(ran[2], kept)}
+    with pytest.raises(InputError, match=f"before: got {words}.*--existing replace"):
+        run_bench(BENCHES["hand"], shared_rigs, **options | given)
+
+
+def _changed(report, changes):
+    """A report with changes of the dicts within it; what is None is gone."""
+    out = dict(report)
+    for key, value in changes.items():
+        out[key] = _changed(out[key], value) if isinstance(value, dict) else value
+    return {key: value for key, value in out.items() if key not in changes or value is not None}
+
+
+def test_pictures_of_others_are_not_drawn_over_and_those_that_are_gone_are_named(ran, run, shared_rigs, tmp_path, monkeypatch):
+    content_with_few_starts(monkeypatch)
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "seed-7.png").write_bytes(b"mine")
+    command = ("hand", "--data", shared_rigs, "-o", out, "--rows", "own", *QUICK)
+    code, _, err = run(*command)
+    assert code == 2 and "seed-7.png exists already" in err and (out / "seed-7.png").read_bytes() == b"mine"
+    (out / "results.json").write_bytes((ran[0] / "results.json").read_bytes())
+    (out / "seed-7.png").unlink()
+    code, text, _ = run(*command)
+    assert code == 0 and "note: no picture of seed 7, whose fits an earlier run has made; --existing replace" in text
+    assert "no picture" not in run(*command, "--pictures", "0")[1]
+
+
+def test_rows_of_several_commits_and_machines_are_told(ran):
+    report = json.loads(json.dumps(ran[2]))
+    assert "several states" not in table(report) and table(report).count(" CPUs, jobs 1") == 1
+    report["rows"]["plain"]["seeds"]["7"]["jobs"] = 2
+    report["rows"]["plain"]["seeds"]["7"]["environment"] |= {"commit": "0123456789abcdef"}
+    text = table(report)
+    assert " CPUs, jobs 1; and lbsfit_np" in text and " CPUs, jobs 2.\nRows are of several states of the code, by commit:" in text
+    assert "; 0123456789ab: plain 7" in text
 
 
 def test_scans_that_fail_are_named(run, shared_rigs, tmp_path, monkeypatch):

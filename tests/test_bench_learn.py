@@ -234,6 +234,10 @@ def test_the_command_keeps_each_row_and_goes_on(shared_rigs, quick, monkeypatch,
     with suppress(KeyboardInterrupt):
         assert run([*command, "--seeds", "3,4", "--variants", "cd"]) == 130
     assert set(seen[0]["one by one"]) == {"3", "4"} and set(seen[0]["cd"]) == {"3"} == set(rows()["cd"])
+    capsys.readouterr()
+    with suppress(KeyboardInterrupt):  # where this run has made nothing, an earlier one has
+        assert run([*command, "--seeds", "3,4", "--variants", "cd"]) == 130
+    assert f"finished work is kept in {tmp_path}; run the same command to continue\n" in capsys.readouterr().out
 
 
 def test_the_command_names_scans_that_could_not_be_fitted(shared_rigs, quick, monkeypatch, tmp_path, capsys):

@@ -432,6 +432,36 @@ def test_command(run, tmp_path):
         assert {k: v for k, v in a.items() if k != "seconds"} == {k: v for k, v in b.items() if k != "seconds"}
 
 
+def test_stopped_it_is_said_that_the_same_command_goes_on(run, known, tmp_path, monkeypatch):
+    out, fit_row, stops = tmp_path / "out", module._fit_row, {0}
+
+    def stopping(one, *more):
+        if len(done) in stops:
+            raise KeyboardInterrupt
+        done.append(one.row)
+        return fit_row(one, *more)
+
+    done = []
+    monkeypatch.setattr(module, "_fit_row", stopping)
+    command = ("hand-coarse", "--rows", "0.3,0.6", "--scans", "3", "--seed", "3")
+    code, text, _ = run(*command, "-o", out)
+    assert code == 130 and "kept" not in text and not out.exists()
+    stops = {1}
+    for _ in range(2):
+        code, text, _ = run(*command, "-o", out)
+        assert code == 130 and f"stopped: finished work is kept in {out}; run the same command to continue\n" in text
+    code, text, _ = run(*command, "-o", out, "--existing", "replace")
+    assert code == 130 and "kept" not in text  # what is there is to be replaced
+    stops = {2}
+    code, text, _ = run(*command, "-o", out, "--existing", "replace")
+    assert code == 130 and "; run the same command without --existing replace to continue\n" in text
+    assert run(*command, "-o", out)[0] == 130
+    code, text, _ = run(*command)
+    assert code == 130 and "kept" not in text  # nor is there a folder
+    stops = ()
+    assert run(*command, "-o", out)[0] == 0 and done == ["0.3", "0.3", "0.6"]
+
+
 def test_failures_are_named_and_do_not_end_the_run(run, known, tmp_path):
     code, text, err = run("hand-coarse", "--rows", "0.3", "--scans", "4", "--seed", "3")
     assert (code, err) == (1, "")

@@ -4,7 +4,6 @@ Three changed shapes of a rig, the same number of scans of each, and a third as 
 learns from, and on which the segmenter's labels are judged.
 """
 
-import hashlib
 import time
 from contextlib import contextmanager, suppress
 from dataclasses import asdict
@@ -23,9 +22,9 @@ from ..synthesis import synthesize_one, uniform_poses
 from . import body, hand
 from .environment import environment
 from .measure import joint_error, label_accuracy, vertex_error
-from .resume import REMEDY, begun
+from .resume import REMEDY, begun, check_same
 from .run import TRAINING_SEED
-from .subjects import people_digest, scans_digest, subject
+from .subjects import files_digest, people_digest, scans_digest, subject
 
 __all__ = ["MEASURES", "VARIANT_ROWS", "collection", "learn_bench", "learn_table", "steps_of", "touching_pose"]
 
@@ -214,10 +213,7 @@ def learn_bench(
         "rows": {},
     }
     report = begun(before, empty, same=("settings", "test_scans")) | {"complete": False}
-    other = [key for key, digest in read.items() if report.get(key) != digest]
-    if other:
-        got = f"results with other {' and other '.join(other)} than this run's"
-        raise InputError("before", got, "results of the same data, test people and scans", REMEDY)
+    check_same(report, read)
     if not set(report["rows"]) <= {_ONE_BY_ONE, *VARIANT_ROWS}:
         raise InputError("before", "results by an earlier version", "results of this version", REMEDY)
     # All scans face the rig's way.
@@ -302,11 +298,7 @@ def _one_by_one(fitter, points, jobs, progress):
 
 def _poses_digest(name, data):
     """Of the files in the data folder that the scans' poses are made of."""
-    files = sorted((Path(data) / "hand_poses").glob("*.handpose")) if name == "hand" else [_motion(data)]
-    digest = hashlib.sha256()
-    for file in files:
-        digest.update(file.read_bytes())
-    return digest.hexdigest()
+    return files_digest(sorted((Path(data) / "hand_poses").glob("*.handpose")) if name == "hand" else [_motion(data)])
 
 
 def _measured(rig, results, templates, scans, subjects, unit):

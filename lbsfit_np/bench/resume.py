@@ -5,7 +5,7 @@ from copy import deepcopy
 from ..errors import InputError
 from ..learning.checkpoint import digest_of
 
-__all__ = ["REMEDY", "begun", "described"]
+__all__ = ["REMEDY", "begun", "check_same", "described", "in_order"]
 
 REMEDY = "Choose another folder, or --existing replace."
 
@@ -42,11 +42,32 @@ def begun(before, empty, *, same=("settings",)):
         got = f"results of {theirs} without {', '.join(map(repr, lacking))}"
         raise InputError("before", got, f"all that a run of this version writes: {', '.join(empty)}", REMEDY)
     theirs, ours = ({k: v for name in same for k, v in _named(name, of[name])} for of in (before, empty))
-    other = [key for key in ours if theirs.get(key) != ours[key]]
+    other = [words for key in ours for words in _differing(key, theirs.get(key), ours[key])]
     if other:
-        got, expected = (", ".join(f"{key} {known.get(key)}" for key in other) for known in (theirs, ours))
+        got, expected = map(", ".join, zip(*other, strict=True))
         raise InputError("before", f"results with {got}", expected, REMEDY)
     return deepcopy(before)
+
+
+def check_same(kept, now, whose=""):
+    """InputError where a report has other facts than this run, of things that are told by their names alone.
+
+    Parameters
+    ----------
+    kept, now : dict
+        Of the report, and of this run; keys of the former alone count for nothing.
+    whose : str, optional
+        What the results are of, such as a rig's name.
+    """
+    other = ["rig" if key == "digest" else key.replace("_", " ") for key in now if kept.get(key) != now[key]]
+    if other:
+        got = f"results{whose and f' of {whose!r}'} with other {' and other '.join(other)} than this run's"
+        raise InputError("before", got, f"results of the same {' and '.join(other)}", REMEDY)
+
+
+def in_order(seeds):
+    """What is known by seed in the order of the numbers, whichever was made first: files have that of the alphabet."""
+    return {seed: seeds[seed] for seed in sorted(seeds, key=int)}
 
 
 def described(rig):
@@ -65,6 +86,15 @@ def described(rig):
 def _alike(theirs, ours):
     """Whether a dict stands where one belongs."""
     return isinstance(theirs, dict) or not isinstance(ours, dict)
+
+
+def _differing(name, theirs, ours):
+    """Pairs of words, of what is kept and of what this run has; of dicts only those for what differs in them."""
+    if isinstance(theirs, dict) and isinstance(ours, dict):
+        for key in ours | theirs:
+            yield from _differing(f"{name} {key}", theirs.get(key), ours.get(key))
+    elif theirs != ours:
+        yield f"{name} {theirs}", f"{name} {ours}"
 
 
 def _named(name, value):

@@ -14,7 +14,9 @@ from ..seeds import generator
 from ..synthesis import Synthesis, natural_poses, synthesize_one
 from .environment import environment
 from .measure import joint_error, label_accuracy
+from .resume import begun, check_same, described, in_order
 from .run import TRAINING_SEED
+from .subjects import scans_digest
 
 __all__ = ["AIM", "CLOSE", "RIGS", "SCAN", "roundtrip", "roundtrip_scans", "roundtrip_table"]
 
@@ -40,7 +42,18 @@ def roundtrip_scans(rig, n=40, *, seed):
     return scans
 
 
-def roundtrip(names=RIGS, *, n_scans=40, seeds=(100,), training_scans=4000, jobs=1, progress=None, on_scan=None, on_rig=None):
+def roundtrip(
+    names=RIGS,
+    *,
+    n_scans=40,
+    seeds=(100,),
+    training_scans=4000,
+    jobs=1,
+    before=None,
+    progress=None,
+    on_scan=None,
+    on_seed=None,
+):
     """Fit every rig's scans with the segmenter that pretraining gives, and compare with the truth.
 
     Parameters
@@ -53,24 +66,26 @@ def roundtrip(names=RIGS, *, n_scans=40, seeds=(100,), training_scans=4000, jobs
         Of the scans; what is trained has seed 0.
     training_scans : int, default 4000
     jobs : int, default 1
-        Worker processes.
+        Worker processes; errors do not depend on it.
+    before : dict, optional
+        A report of the same settings and rigs: the seeds that it has of a rig are not done again.
     progress : callable (share), optional
         Of training.
     on_scan : callable (name, seed, done, total), optional
-    on_rig : callable (report, name), optional
-        After each rig, with the report so far.
+    on_seed : callable (report, name, seed), optional
+        After each seed of each rig that was done, with the report so far.
 
     Returns
     -------
     dict
         Plain data for JSON. Of each rig and seed: each scan's mean joint error over the joints that move, in shares of the
         rig's size; their median, 95th percentile, and the share of at most :data:`CLOSE`, where a scan that failed counts
-        as not close.
+        as not close. "complete": all rigs, these and those of ``before``, have the same seeds.
 
     Raises
     ------
     InputError, FileError
-        A rig that is not there or has no natural poses; arguments that cannot be used.
+        A rig that is not there or has no natural poses; arguments that cannot be used; a report of other settings or rigs.
     """
     from ..learning.fitter import LBSFitter
 
@@ -81,27 +96,36 @@ def roundtrip(names=RIGS, *, n_scans=40, seeds=(100,), training_scans=4000, jobs
     for name, rig in rigs.items():
         if not rig.poses:
             raise InputError("rig", f"{name}, which has no library of natural poses", "a rig with one", "See: lbsfit rig list")
-    report = {
-        "benchmark": "roundtrip",
-        "close": CLOSE,
-        "aim": AIM,
-        "settings": {"training_scans": training_scans, "scans_a_seed": n_scans, "jobs": jobs, "test_scans": asdict(SCAN)},
-        "environment": environment(),
-        "rigs": {},
-    }
+    settings = {"training_scans": training_scans, "scans_a_seed": n_scans, "test_scans": asdict(SCAN)}
+    empty = {"benchmark": "roundtrip", "close": CLOSE, "aim": AIM, "settings": settings, "rigs": {}}
+    report = begun(before, empty, same=("close", "settings")) | {"complete": False}
+    known = {name: _described(rig) for name, rig in rigs.items()}
+    for name in known:
+        check_same(report["rigs"].get(name, known[name]), known[name], name)
     for name, rig in rigs.items():
-        settings = {"training_scans": training_scans, "n_jobs": jobs, "random_state": TRAINING_SEED}
-        fitter = LBSFitter(rig, orientation="aligned", **settings)  # the root is turned within its limits
+        entry = report["rigs"].get(name, known[name] | {"seeds": {}})
+        todo = [seed for seed in seeds if str(seed) not in entry["seeds"]]
+        if not todo:
+            continue
+        parameters = {"training_scans": training_scans, "n_jobs": jobs, "random_state": TRAINING_SEED}
+        fitter = LBSFitter(rig, orientation="aligned", **parameters)  # the root is turned within its limits
         fitter.pretrain(cache=True, progress=progress)
-        entry = {"digest": rig.digest, "size": rig.size, "vertices": len(rig.vertices), "seeds": {}}
-        for seed in seeds:
+        for seed in todo:
             say = None if on_scan is None else (lambda done, name=name, seed=seed: on_scan(name, seed, done, n_scans))
             entry["seeds"][str(seed)] = _fit_seed(fitter, rig, roundtrip_scans(rig, n_scans, seed=seed), jobs, say)
-        entry["all"] = _figures([e for s in entry["seeds"].values() for e in s["scans"]])
-        report["rigs"][name] = entry
-        if on_rig is not None:
-            on_rig(report, name)
+            entry["all"] = _figures([e for s in in_order(entry["seeds"]).values() for e in s["scans"]])
+            report["rigs"][name] = entry
+            if on_seed is not None:
+                on_seed(report, name, seed)
+    report["rigs"] = {name: report["rigs"][name] for name in (*rigs, *report["rigs"])}  # files have the order of the alphabet
+    report["complete"] = len({frozenset(entry["seeds"]) for entry in report["rigs"].values()}) == 1
     return report
+
+
+def _described(rig):
+    """What the entry of a rig begins with; by the scans it shows that they are made as they were."""
+    scans = scans_digest(rig, roundtrip_scans(rig, 1, seed=0))
+    return described(rig) | {"scans": scans, "size": rig.size, "vertices": len(rig.vertices)}
 
 
 class _Measured:
@@ -136,7 +160,8 @@ def _fit_seed(fitter, rig, scans, jobs, on_scan):
     outcomes = fit_scans(fitter, points, n_jobs=jobs, finish=_Measured(rig, scans), on_result=one_more)
     wall = time.perf_counter() - started
     entries = [{"scan": o.index} | ({"failed": o.error} if o.result is None else o.result) for o in outcomes]
-    return _figures(entries) | {"wall_seconds": round(wall, 2), "scans": entries}
+    made = {"jobs": jobs, "environment": environment()}
+    return _figures(entries) | {"wall_seconds": round(wall, 2), **made, "scans": entries}
 
 
 def _figures(entries):
@@ -154,12 +179,12 @@ def _figures(entries):
 
 def roundtrip_table(report, *, markdown=False):
     """The figures of a report of :func:`roundtrip` in rows, one for each rig and seed, and what was to be reached."""
-    from .table import layout
+    from .table import layout, of_states
 
     close = f"≤ {100 * report['close']:g} %"
     rows = [("rig", "seed", "median", "95th", close, "labels", "s a scan", "failed")]
     for name, entry in report["rigs"].items():
-        seeds = list(entry["seeds"].items())
+        seeds = list(in_order(entry["seeds"]).items())
         for seed, figures in [*seeds, *([("all", entry["all"])] if len(seeds) > 1 else [])]:
             rows.append((name, seed, *_cells(figures)))
     n, training = (report["settings"][key] for key in ("scans_a_seed", "training_scans"))
@@ -168,7 +193,9 @@ def roundtrip_table(report, *, markdown=False):
         f"percentile, and the share of scans with at most {100 * report['close']:g} % (aim: at least "
         f"{100 * report['aim']:g} %). Segmenter trained on {training} synthetic scans."
     )
-    return f"{layout(rows, markdown=markdown)}\n\n{legend}"
+    made = [(name, in_order(entry["seeds"])) for name, entry in report["rigs"].items()]
+    states = of_states((f"{name} {seed}", run) for name, seeds in made for seed, run in seeds.items())
+    return f"{layout(rows, markdown=markdown)}\n\n{legend}{states}"
 
 
 def _cells(figures):

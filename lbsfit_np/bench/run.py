@@ -1,5 +1,6 @@
 """The benchmarks: each row fits the same scans in another way; figures against the truth, by scan, by seed, over seeds."""
 
+import json
 import time
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -10,6 +11,8 @@ from ..errors import FileError, InputError
 from ..scan import Scan
 from .environment import environment
 from .measure import joint_error, label_accuracy, recon, vertex_error
+from .resume import begun, check_same, described
+from .subjects import files_digest, scans_digest
 
 __all__ = ["BENCHES", "MEASURES", "ROWS", "Bench", "run_bench", "with_segmenter"]
 
@@ -67,6 +70,10 @@ class Bench:
         if missing:
             raise FileError(str(data), f"a folder without {' and '.join(missing)}", expected)
 
+    def data_digest(self, data):
+        """Hex digest of the files that this benchmark reads."""
+        return files_digest(path for f in self.files for path in sorted(Path(data).glob(f)))
+
 
 BENCHES = {
     "hand": Bench(
@@ -123,6 +130,7 @@ def run_bench(
     jobs=1,
     cache=True,
     rows=USUAL_ROWS,
+    before=None,
     training_progress=None,
     on_scan=None,
     on_row=None,
@@ -145,22 +153,24 @@ def run_bench(
         Whether to use the cache of segmenters.
     rows : sequence of str
         Of ``ROWS``.
+    before : dict, optional
+        A report of the same settings, rig, data and scans: the rows that it has of a seed are not done again.
     training_progress : callable (share), optional
     on_scan : callable (row, seed, done, total), optional
-    on_row : callable (report, row, seed), optional
-        After each row of each seed, with the report so far.
+    on_row : callable (report, row, seed, fits), optional
+        After each row of each seed that was done, with the report so far, and the fits as below.
 
     Returns
     -------
     report : dict
-        Plain data for JSON.
+        Plain data for JSON. "complete": all rows, these and those of ``before``, have the same seeds.
     fits : dict of int to list of (SyntheticScan, FitResult or None, dict)
-        The fits of row "own" with their truth and figures, by seed.
+        The fits of row "own" that were done, with their truth and figures, by seed.
 
     Raises
     ------
     FileError, InputError
-        The data folder lacks something; arguments that cannot be used.
+        The data folder lacks something; arguments that cannot be used; a report of something else.
     """
     from ..learning.fitter import LBSFitter
 
@@ -175,26 +185,36 @@ def run_bench(
     rig = make_rig(data)
     # All scans face the rig's way.
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
-    report = _report(bench, rig, fitter, synthesis, seeds, n_scans, jobs, rows)
+    read = {"data": bench.data_digest(data), "scans": scans_digest(rig, make_scans(rig, data, 2, seed=0))}
+    empty = _report(bench, rig, fitter, synthesis, seeds, n_scans) | read
+    report = begun(before, empty, same=("unit", "scans_a_seed", "settings")) | {"complete": False}
+    check_same(report["rig"], described(rig))
+    check_same(report, read)
+    report["seeds"] = sorted({*report["seeds"], *seeds})
+    there = {row: content["seeds"] for row, content in report["rows"].items()}
+    todo = {seed: [row for row in rows if str(seed) not in there.get(row, {})] for seed in seeds}
     fits = {}
-    if with_segmenter(rows):
+    if any(with_segmenter(left) for left in todo.values()):
         started = time.perf_counter()
         fitter.pretrain(cache=cache, progress=training_progress)
-        report["training_seconds"] = round(time.perf_counter() - started, 2)
-    for seed in seeds:
-        scans = make_scans(rig, data, n_scans, seed=seed)
-        for row in rows:
+        report.setdefault("training_seconds", round(time.perf_counter() - started, 2))  # later runs find it in the cache
+    for seed, left in todo.items():
+        scans = make_scans(rig, data, n_scans, seed=seed) if left else []
+        for row in left:
             say = None if on_scan is None else (lambda done, row=row, seed=seed: on_scan(row, seed, done, n_scans))
             started = time.perf_counter()
             entries, results = _fit_row(_method(row, rig, fitter), scans, bench, rig, jobs, say)
             wall = round(time.perf_counter() - started, 2)
-            report["rows"][row]["seeds"][str(seed)] = _seed_entry(entries) | {"wall_seconds": wall}
-            report["rows"][row]["over_seeds"] = _over_seeds(report["rows"][row]["seeds"].values())
+            made = {"wall_seconds": wall, "jobs": jobs, "environment": environment()}
+            content = report["rows"].setdefault(row, {"what": ROWS[row], "seeds": {}})
+            content["seeds"][str(seed)] = _seed_entry(entries) | made
+            content["over_seeds"] = _over_seeds(content["seeds"].values())
+            found = list(zip(scans, results, entries, strict=True))
             if row == "own":
-                fits[seed] = list(zip(scans, results, entries, strict=True))
+                fits[seed] = found
             if on_row is not None:
-                on_row(report, row, seed)
-    report["complete"] = True
+                on_row(report, row, seed, found)
+    report["complete"] = len({frozenset(content["seeds"]) for content in report["rows"].values()}) == 1
     return report, fits
 
 
@@ -343,24 +363,30 @@ def _over_seeds(seeds):
     }
 
 
-def _report(bench, rig, fitter, synthesis, seeds, n_scans, jobs, rows):
+def _report(bench, rig, fitter, synthesis, seeds, n_scans):
+    """A report without rows."""
     from ..fitting.scan_fit import FitSettings
     from ..losses.objective import as_weights
     from .baseline import PlainChamfer
 
-    parameters = {name: value for name, value in fitter.get_params(deep=False).items() if name != "rig"}
+    parameters = {name: value for name, value in fitter.get_params(deep=False).items() if name not in ("rig", "n_jobs")}
     fit = FitSettings(weights=as_weights(fitter.weights), scale=fitter.scale, max_points=fitter.max_points)
     plain = PlainChamfer(rig)
+    settings = {
+        "fitter": parameters,
+        "fit": asdict(fit),
+        "plain": {"pose_iterations": plain.pose_iterations, "full_iterations": plain.full_iterations},
+        "test_scans": asdict(synthesis),
+    }
     return {
         "benchmark": bench.name,
-        "complete": False,
         "unit": bench.unit,
         "rig_units_in_a_unit": bench.rig_units(rig),
         "measures": MEASURES,
         "aims": bench.aims,
         "rig": {
             "name": rig.name,
-            "digest": rig.digest,
+            **described(rig),
             "size": rig.size,
             "vertices": len(rig.vertices),
             "moving_joints": int(rig.moving.sum()),
@@ -368,13 +394,6 @@ def _report(bench, rig, fitter, synthesis, seeds, n_scans, jobs, rows):
         },
         "seeds": seeds,
         "scans_a_seed": n_scans,
-        "settings": {
-            "jobs": jobs,
-            "fitter": parameters,
-            "fit": asdict(fit),
-            "plain": {"pose_iterations": plain.pose_iterations, "full_iterations": plain.full_iterations},
-            "test_scans": asdict(synthesis),
-        },
-        "environment": environment(),
-        "rows": {row: {"what": ROWS[row], "seeds": {}} for row in rows},
+        "settings": json.loads(json.dumps(settings)),  # as a file has them
+        "rows": {},
     }

@@ -13,7 +13,7 @@ import numpy as np
 from ..rig.chains import bones, chains
 from ..triangles import area_vectors
 
-__all__ = ["people_digest", "scans_digest", "subject"]
+__all__ = ["files_digest", "people_digest", "scans_digest", "subject"]
 
 # Normals are means over balls of this many times the way that the skin goes along them.
 _SMOOTH = 4.0
@@ -72,6 +72,14 @@ def people_digest(rig):
 def scans_digest(rig, scans):
     """Hex digest of some scans of a rig, by which it shows that scans are made as they were."""
     return _digest(np.concatenate([scan.points for scan in scans]), rig)
+
+
+def files_digest(files):
+    """Hex digest of what files hold, one after the other."""
+    digest = hashlib.sha256()
+    for file in files:
+        digest.update(file.read_bytes())
+    return digest.hexdigest()
 
 
 def _digest(points, rig):

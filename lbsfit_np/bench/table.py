@@ -1,5 +1,6 @@
 """A benchmark's report as a table, plain or in Markdown."""
 
+from .resume import in_order
 from .run import ROWS, with_segmenter
 
 __all__ = ["layout", "of_states", "table"]
@@ -33,8 +34,8 @@ def table(report, *, markdown=False):
     str
     """
     rows = [("fit", "seed", *(heading for heading, *_ in _COLUMNS))]
-    for row, content in report["rows"].items():
-        for seed, entry in content["seeds"].items():
+    for row, content in _in_order(report):
+        for seed, entry in in_order(content["seeds"]).items():
             rows.append((ROWS[row], seed, *_cells(entry, report["unit"])))
         if len(content["seeds"]) > 1:
             rows.append((ROWS[row], "all", *_cells(content["over_seeds"], report["unit"])))
@@ -44,6 +45,10 @@ def table(report, *, markdown=False):
 def layout(rows, *, markdown=False):
     """Rows of texts, the first a heading, as a table; the first column to the left, the others to the right."""
     return _markdown(rows) if markdown else _plain(rows)
+
+
+def _in_order(report):
+    return [(row, report["rows"][row]) for row in ROWS if row in report["rows"]]
 
 
 def of_states(made):
@@ -79,7 +84,8 @@ def _cells(entry, unit):
 
 def _legend(report):
     unit = "cm" if report["unit"] == "cm" else "half sizes of the rig ([−1, 1]³)"
-    env = report["environment"]
+    entries = [(f"{row} {seed}", e) for row, content in _in_order(report) for seed, e in in_order(content["seeds"]).items()]
+    made = "; and ".join(dict.fromkeys(_made_on(entry) for _, entry in entries))
     of_seeds = "; all: the median over the seeds" if len(report["seeds"]) > 1 else ""
     aims = {name: f"{'≥' if name == 'labels' else '≤'} {aim:g}" for name, aim in report["aims"].items()}
     trained = f"Segmenter trained on {report['settings']['fitter']['training_scans']} synthetic scans; "
@@ -87,11 +93,16 @@ def _legend(report):
         (
             f"{report['scans_a_seed']} scans a seed, means over them{of_seeds}. Lengths in {unit}.",
             f"Aims with the own segmenter: {', '.join(f'{name} {aim}' for name, aim in aims.items())}.",
-            f"{trained if with_segmenter(report['rows']) else ''}"
-            f"lbsfit_np {env['lbsfit_np']}, numpy {env['numpy']}, scipy {env['scipy']}, scikit-learn {env['scikit-learn']}, "
-            f"Python {env['python']}, {env['cpus']} CPUs, jobs {report['settings']['jobs']}.",
+            f"{trained if with_segmenter(report['rows']) else ''}{made}.{of_states(entries)}",
         )
     )
+
+
+def _made_on(entry):
+    """Versions, machine and processes of a row."""
+    env = entry["environment"]
+    libraries = f"numpy {env['numpy']}, scipy {env['scipy']}, scikit-learn {env['scikit-learn']}"
+    return f"lbsfit_np {env['lbsfit_np']}, {libraries}, Python {env['python']}, {env['cpus']} CPUs, jobs {entry['jobs']}"
 
 
 def _plain(rows):

@@ -40,12 +40,14 @@ the truth. Lengths are in cm.
 _MORE = """
 Rows: the fit as users get it (own); plain Chamfer from the rest pose (plain); the fit with the true labels given
 (oracle); and, if asked for, the fit with the paper's weights (paper). OUT gets results.json (every figure, settings,
-versions), rewritten after each row, and for each seed a picture of own fits from worst to best.
+versions), rewritten after each row, and for each seed a picture of own fits from worst to best. Run the same command again to
+do only what is missing.
 """
 
 _ROUNDTRIP = """\
 Scan bundled rigs in their own shape and in poses near their libraries of natural poses, fit these scans, and compare the fits
-with the truth. Mean joint errors are in shares of the rig's size; the goal is at most 2 % for at least 95 % of the scans.
+with the truth. Mean joint errors are in shares of the rig's size; the goal is at most 2 % for at least 95 % of the scans. OUT
+gets results.json, rewritten after each seed of each rig. Run the same command again to do only what is missing.
 """
 
 _LEARN = """\
@@ -114,7 +116,8 @@ def add_parser(commands):
             ),
             *_TRAINING,
             Option("pictures", "fits to show for each seed, from worst to best", natural, 3, metavar="K"),
-            *_TABLE,
+            _MARKDOWN,
+            _RESUMING,
         )
         _add_options(bench, options, lambda arguments, values, name=name: runs.run_data(name, values))
     _add_roundtrip(benches)
@@ -140,7 +143,8 @@ def _add_roundtrip(benches):
         Option("scans", "scans per rig and seed", positive, 40, metavar="N"),
         _seeds_option("the scans", "100"),
         *_TRAINING,
-        *_TABLE,
+        _MARKDOWN,
+        _RESUMING,
     )
     _add_options(bench, options, lambda arguments, values: runs.run_roundtrip(arguments.rigs, values))
 
@@ -235,7 +239,6 @@ _OUTPUT_OR_TABLE = Option(
     "output", "folder for results.json, created if needed; without it only a table is printed", metavar="OUT", flag="-o"
 )
 _MARKDOWN = Option("markdown", "print the table as Markdown", bool, False)
-_TABLE = (_MARKDOWN, Option("existing", "what to do if results already exist", default="error", choices=("error", "replace")))
 _EXISTING = "continue with existing results of the same settings, or start again without any"
 _RESUMING = Option("existing", _EXISTING, default="resume", choices=("resume", "replace"))
 _TRAINING = tuple(o for o in OPTIONS if o.name in ("training-scans", "jobs"))

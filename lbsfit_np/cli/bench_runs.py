@@ -1,9 +1,11 @@
 """What the commands of ``lbsfit bench`` run, and what they say while they do."""
 
 import json
+from contextlib import contextmanager
 from pathlib import Path
 
 from ..errors import FileError, InputError
+from ..interrupts import held
 from ..io.write import make_folder
 from .outputs import check_outputs
 from .progress import LearningProgress, Progress, bar, say
@@ -24,12 +26,13 @@ def run_starts(rigs, values):
     from ..io.write import write_json
 
     results = made_results(values)
-    resumed = results is not None and values["existing"] == "resume" and results.exists()
-    progress = _BenchProgress()
+    before, made, progress = _earlier(results, values), [], _BenchProgress()
 
     def on_row(report, name, row, fit):
         if results is not None:
-            write_json(results, report)
+            with held():
+                write_json(results, report)
+                made.append((name, row, fit))
         figures = report["rigs"][name]["rows"][row]["fits"][fit]
         progress.close()
         progress.line(f"{name}, {row}, {fit}: {100 * figures['success']:.1f} %, in {figures['wall_seconds']:.0f} s")
@@ -37,24 +40,21 @@ def run_starts(rigs, values):
     def on_scan(name, row, fit, done, total):
         progress.one_fit(f"{name}, {row}, {fit}", values["seed"], done, total)
 
-    try:
-        with terminable():
-            report = starts_bench(
-                rigs or RIGS,
-                rows=values["rows"].split(","),
-                fits=values["fits"].split(","),
-                n_scans=values["scans"],
-                seed=values["seed"],
-                effort=values["effort"],
-                training_scans=values["training_scans"],
-                jobs=values["jobs"],
-                before=read_results(results) if resumed else None,
-                progress=progress.training,
-                on_scan=on_scan,
-                on_row=on_row,
-            )
-    finally:
-        progress.close()
+    with _stoppable(values, progress, lambda: made or before):
+        report = starts_bench(
+            rigs or RIGS,
+            rows=values["rows"].split(","),
+            fits=values["fits"].split(","),
+            n_scans=values["scans"],
+            seed=values["seed"],
+            effort=values["effort"],
+            training_scans=values["training_scans"],
+            jobs=values["jobs"],
+            before=before,
+            progress=progress.training,
+            on_scan=on_scan,
+            on_row=on_row,
+        )
     if results is not None:
         write_json(results, report)
     say("")
@@ -77,14 +77,15 @@ def run_learn(name, values):
 
     checked_data(name, values)
     results = made_results(values)
-    resumed = values["existing"] == "resume" and results.exists()
+    before, made = _earlier(results, values), []
     progress, steps = _VariantsProgress(), checkpoint_of(results)
     for seed in numbers(values["seeds"]):
         if values["existing"] == "replace":
             remove_checkpoint(steps_of(steps, seed))
         say_steps(steps_of(steps, seed))
 
-    made = []  # rows of this run
+    def kept():
+        return made or before or any(steps_in(steps_of(steps, seed)) for seed in numbers(values["seeds"]))
 
     def on_row(report, variant, seed):
         write_json(results, report)
@@ -94,29 +95,20 @@ def run_learn(name, values):
         error = f"joints {entry['joint_error']:.4f}, vertices {entry['vertex_error']:.4f} {report['unit']}"
         say(f"seed {seed}, {variant}: {error}" + ("" if entry["seconds"] is None else f", {entry['seconds']:.0f} s"))
 
-    try:
-        with terminable():
-            report = learn_bench(
-                name,
-                values["data"],
-                n_scans=values["scans"],
-                seeds=numbers(values["seeds"]),
-                variants=values["variants"].split(","),
-                training_scans=values["training_scans"],
-                jobs=values["jobs"],
-                before=read_results(results) if resumed else None,
-                steps=steps,
-                progress=progress,
-                on_row=on_row,
-            )
-    except KeyboardInterrupt:
-        progress.close()
-        if made or any(steps_in(steps_of(steps, seed)) for seed in numbers(values["seeds"])):
-            again = "run the same command" + (" without --existing replace" if values["existing"] == "replace" else "")
-            say(f"stopped: finished work is kept in {values['output']}; {again} to continue")
-        raise
-    finally:
-        progress.close()
+    with _stoppable(values, progress, kept):
+        report = learn_bench(
+            name,
+            values["data"],
+            n_scans=values["scans"],
+            seeds=numbers(values["seeds"]),
+            variants=values["variants"].split(","),
+            training_scans=values["training_scans"],
+            jobs=values["jobs"],
+            before=before,
+            steps=steps,
+            progress=progress,
+            on_row=on_row,
+        )
     write_json(results, report)
     say("")
     say(learn_table(report, markdown=values["markdown"]))
@@ -134,27 +126,29 @@ def run_roundtrip(rigs, values):
     from ..io.write import write_json
 
     results = made_results(values)
-    progress = _BenchProgress()
+    before, made, progress = _earlier(results, values), [], _BenchProgress()
 
-    def on_rig(report, name):
+    def on_seed(report, name, seed):
         progress.close()
         if results is not None:
-            write_json(results, report)
+            with held():
+                write_json(results, report)
+                made.append((name, seed))
 
-    try:
-        with terminable():
-            report = roundtrip(
-                rigs or RIGS,
-                n_scans=values["scans"],
-                seeds=numbers(values["seeds"]),
-                training_scans=values["training_scans"],
-                jobs=values["jobs"],
-                progress=progress.training,
-                on_scan=progress.one_fit,
-                on_rig=on_rig,
-            )
-    finally:
-        progress.close()
+    with _stoppable(values, progress, lambda: made or before):
+        report = roundtrip(
+            rigs or RIGS,
+            n_scans=values["scans"],
+            seeds=numbers(values["seeds"]),
+            training_scans=values["training_scans"],
+            jobs=values["jobs"],
+            before=before,
+            progress=progress.training,
+            on_scan=progress.one_fit,
+            on_seed=on_seed,
+        )
+    if results is not None:
+        write_json(results, report)
     say(roundtrip_table(report, markdown=values["markdown"]))
     return failures_code(
         (f"{name}, seed {seed}, scan {scan['scan']}", scan["failed"])
@@ -167,54 +161,51 @@ def run_roundtrip(rigs, values):
 
 def run_data(name, values):
     """``lbsfit bench hand`` and ``body``: rigs of the data folder; the exit code."""
+    from ..bench.pictures import picture, shown
     from ..bench.run import run_bench
     from ..io.write import write_json
+    from ..report.render import write_png
 
     bench = checked_data(name, values)
     seeds, out = numbers(values["seeds"]), Path(values["output"])
     pictures = {seed: out / f"seed-{seed}.png" for seed in seeds} if values["pictures"] and "own" in values["rows"] else {}
-    results = made_results(values, pictures.values())
-    progress = _BenchProgress()
+    results = made_results(values)
+    before, made, progress = _earlier(results, values), [], _BenchProgress()
+    if values["existing"] != "replace":  # of pictures that no such run has drawn
+        others = [path for path in pictures.values() if path.name not in (before or {}).get("pictures", ())]
+        check_outputs(others, out, inputs=[], existing="error")
 
-    def on_row(report, row, seed):
-        write_json(results, report)
+    def on_row(report, row, seed, fits):
+        rows = shown(fits, values["pictures"]) if row == "own" and pictures else []
+        with held():  # as fits are not kept, a row that is has its picture
+            if rows:
+                report.setdefault("pictures", {})[pictures[seed].name] = rows
+            write_json(results, report)
+            if rows:
+                write_png(pictures[seed], picture(bench.load()[0](values["data"]), fits, rows))
+            made.append((row, seed))
         progress.row(report, row, seed)
 
-    try:
-        with terminable():
-            report, fits = run_bench(
-                bench,
-                values["data"],
-                seeds=seeds,
-                n_scans=values["scans"],
-                training_scans=values["training_scans"],
-                jobs=values["jobs"],
-                rows=values["rows"].split(","),
-                training_progress=progress.training,
-                on_scan=progress.one_scan,
-                on_row=on_row,
-            )
-    finally:
-        progress.close()
-    if pictures:
-        report["pictures"] = _draw(bench, values, fits, pictures)
+    with _stoppable(values, progress, lambda: made or before):
+        report, _ = run_bench(
+            bench,
+            values["data"],
+            seeds=seeds,
+            n_scans=values["scans"],
+            training_scans=values["training_scans"],
+            jobs=values["jobs"],
+            rows=values["rows"].split(","),
+            before=before,
+            training_progress=progress.training,
+            on_scan=progress.one_scan,
+            on_row=on_row,
+        )
     write_json(results, report)
+    own = report["rows"]["own"]["seeds"] if pictures else {}
+    for seed, path in pictures.items():
+        if not path.exists() and own[str(seed)]["failed"] < len(own[str(seed)]["scans"]):
+            say(f"note: no picture of seed {seed}, whose fits an earlier run has made; --existing replace makes them again")
     return _farewell(report, values, out)
-
-
-def _draw(bench, values, fits, paths):
-    """Draw a picture a seed; returns file → the scans that it shows, from top to bottom."""
-    from ..bench.pictures import picture, shown
-    from ..report.render import write_png
-
-    rig = bench.load()[0](values["data"])
-    drawn = {}
-    for seed, path in paths.items():
-        rows = shown(fits[seed], values["pictures"])
-        if rows:
-            write_png(path, picture(rig, fits[seed], rows))
-            drawn[path.name] = rows
-    return drawn
 
 
 def _farewell(report, values, out):
@@ -297,14 +288,36 @@ def checked_data(name, values):
     return BENCHES[name]
 
 
-def made_results(values, more=()):
+def made_results(values):
     """Path of the results, in a folder that is there and may be written to; None where none are asked for."""
     if values["output"] is None:
         return None
     out = Path(values["output"])
-    check_outputs([out / RESULTS, *more], out, inputs=[], existing=values["existing"])
+    check_outputs([out / RESULTS], out, inputs=[], existing=values["existing"])
     make_folder(out)
     return out / RESULTS
+
+
+def _earlier(results, values):
+    """The report of an earlier run to go on with; None where there is none, or where it is to be replaced."""
+    resumed = results is not None and values["existing"] == "resume" and results.exists()
+    return read_results(results) if resumed else None
+
+
+@contextmanager
+def _stoppable(values, progress, kept):
+    """Within it SIGTERM is as Ctrl-C; after either it is said how to go on, where ``kept`` () is true: something is kept."""
+    try:
+        with terminable():
+            yield
+    except KeyboardInterrupt:
+        progress.close()
+        if kept():
+            again = "run the same command" + " without --existing replace" * (values["existing"] == "replace")
+            say(f"stopped: finished work is kept in {values['output']}; {again} to continue")
+        raise
+    finally:
+        progress.close()
 
 
 def failures_code(failures):
