@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from lbsfit_np import synthesize
-from lbsfit_np.bench.pair_fits import Fits
 from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.io.write import write_mesh_ply
 from lbsfit_np.learning.archive import learned_digests, model_digest
@@ -54,17 +53,6 @@ def result_of(rig, vertices, n, status="ok", scale=1.0, recon=0.01):
         parts=rig.parts,
         rig_digest=rig.digest,
     )
-
-
-def fits_in(folder, rig, registrations):
-    """Fits that are there: a registration for each name, None for a scan without a fit."""
-    (folder / "fits").mkdir(exist_ok=True)
-    fits = Fits(folder)
-    for name, vertices in registrations.items():
-        fits.entries[name] = {"failed": "no points"} if vertices is None else {"status": "ok", "recon": 0.1, "scale": 1.0}
-        if vertices is not None:
-            result_of(rig, vertices, 5).save(folder / "fits" / f"{name}.npz")
-    return fits
 
 
 def fits_are_given(patch, registrations):

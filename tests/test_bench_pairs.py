@@ -5,7 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from registered_sets import WHO, fits_in, result_of
+from registered_sets import WHO, result_of
 from scipy.spatial.transform import Rotation
 
 import lbsfit_np as lbs
@@ -31,9 +31,9 @@ def _truth(kind, rig, meshes):
 
 
 @pytest.mark.parametrize("kind", ["order", "registrations", "landmarks"])
-def test_exact_registrations_give_no_error(pair_scans, tube_rig, pair_meshes, tmp_path, kind):
+def test_exact_registrations_give_no_error(pair_scans, tube_rig, pair_meshes, kind):
     truth = _truth(kind, tube_rig, pair_meshes)
-    fits = fits_in(tmp_path, tube_rig, {s.name: v for s, v in zip(pair_scans, pair_meshes)})
+    fits = {s.name: v for s, v in zip(pair_scans, pair_meshes)}
     pairs = choose_pairs(pair_scans, truth, 99, 0)
     assert len(pairs["intra"]) == 4 and len(pairs["inter"]) == 8
     found = measure_pairs(pair_scans, truth, fits, tube_rig.faces, pairs)
@@ -46,26 +46,26 @@ def test_exact_registrations_give_no_error(pair_scans, tube_rig, pair_meshes, tm
 
 
 @pytest.mark.parametrize("kind", ["order", "registrations", "landmarks"])
-def test_a_shifted_registration_is_off_by_the_shift(pair_scans, tube_rig, pair_meshes, tmp_path, kind):
+def test_a_shifted_registration_is_off_by_the_shift(pair_scans, tube_rig, pair_meshes, kind):
     """Onto a scan whose registration is shifted every place is off by as much; the snap brings it back where it is small."""
     truth = _truth(kind, tube_rig, pair_meshes)
     given = {s.name: v for s, v in zip(pair_scans, pair_meshes)} | {"s1": pair_meshes[1] + SHIFT}
-    pairs, fits = {"intra": [(0, 1)], "inter": [(2, 1)]}, fits_in(tmp_path, tube_rig, given)
+    pairs, fits = {"intra": [(0, 1)], "inter": [(2, 1)]}, given
     found = measure_pairs(pair_scans, truth, fits, tube_rig.faces, pairs)
     for entry in found["pairs"]:
         assert entry["b"] == "s1"
         for value in entry["before"].values():
             assert value == pytest.approx(0.05, rel=1e-9)
     given["s1"] = pair_meshes[1] + 1e-6
-    found = measure_pairs(pair_scans, truth, fits_in(tmp_path, tube_rig, given), tube_rig.faces, {"intra": [(0, 1)], "inter": []})
+    found = measure_pairs(pair_scans, truth, given, tube_rig.faces, {"intra": [(0, 1)], "inter": []})
     assert found["figures"]["intra"]["before"]["mean"] == pytest.approx(3**0.5 * 1e-6)
     assert found["figures"]["intra"]["after"]["mean"] < 1e-12
     assert found["figures"]["inter"] == {"pairs": 0, "missing": 0, "before": summary([]), "after": summary([])}
 
 
-def test_only_places_that_both_scans_know_count(pair_scans, tube_rig, pair_meshes, tmp_path):
+def test_only_places_that_both_scans_know_count(pair_scans, tube_rig, pair_meshes):
     places = ({"tip": 3, "end": 100, "side": 200}, {"end": 100, "side": 200, "none": 7}, {}, {})
-    fits = fits_in(tmp_path, tube_rig, {s.name: v for s, v in zip(pair_scans, pair_meshes)} | {"s1": pair_meshes[1] + SHIFT})
+    fits = {s.name: v for s, v in zip(pair_scans, pair_meshes)} | {"s1": pair_meshes[1] + SHIFT}
     truth = Landmarks(places, ({},) * 4)
     pairs = choose_pairs(pair_scans, truth, 99, 0)
     assert pairs == {"intra": [(0, 1), (1, 0)], "inter": []}
@@ -73,10 +73,10 @@ def test_only_places_that_both_scans_know_count(pair_scans, tube_rig, pair_meshe
     assert entry["points"] == 2 and entry["before"]["p95"] == pytest.approx(0.05)
 
 
-def test_the_measure_is_what_transfer_finds(pair_scans, tube_rig, pair_meshes, tmp_path):
+def test_the_measure_is_what_transfer_finds(pair_scans, tube_rig, pair_meshes):
     rng = np.random.default_rng(0)
     given = {s.name: v + 0.02 * rng.standard_normal(v.shape) for s, v in zip(pair_scans, pair_meshes)}
-    fits = fits_in(tmp_path, tube_rig, given)
+    fits = given
     found = measure_pairs(pair_scans, VertexOrder(242), fits, tube_rig.faces, {"intra": [(0, 1), (3, 2)], "inter": [(0, 3)]})
     pooled = []
     for a, b in ((0, 1), (3, 2), (0, 3)):
@@ -93,17 +93,17 @@ def test_the_measure_is_what_transfer_finds(pair_scans, tube_rig, pair_meshes, t
     assert found["figures"]["intra"]["before"]["p90"] == pytest.approx(np.percentile(np.concatenate(pooled), 90))
 
 
-def test_pairs_of_scans_without_a_fit_are_missing(pair_scans, tube_rig, pair_meshes, tmp_path):
-    fits = fits_in(tmp_path, tube_rig, {s.name: v for s, v in zip(pair_scans, pair_meshes)} | {"s3": None})
+def test_pairs_of_scans_without_a_fit_are_missing(pair_scans, tube_rig, pair_meshes):
+    fits = {s.name: v for s, v in zip(pair_scans, pair_meshes)} | {"s3": None}
     truth = VertexOrder(242)
     found = measure_pairs(pair_scans, truth, fits, tube_rig.faces, choose_pairs(pair_scans, truth, 99, 0), points=10)
     assert {k: (f["pairs"], f["missing"]) for k, f in found["figures"].items()} == {"intra": (2, 2), "inter": (4, 4)}
     assert {e["points"] for e in found["pairs"]} == {10}
 
 
-def test_points_are_chosen_by_the_seed(pair_scans, tube_rig, pair_meshes, tmp_path):
+def test_points_are_chosen_by_the_seed(pair_scans, tube_rig, pair_meshes):
     rng = np.random.default_rng(0)
-    fits = fits_in(tmp_path, tube_rig, {s.name: v + 0.02 * rng.standard_normal(v.shape) for s, v in zip(pair_scans, pair_meshes)})
+    fits = {s.name: v + 0.02 * rng.standard_normal(v.shape) for s, v in zip(pair_scans, pair_meshes)}
     a, b, c = (
         measure_pairs(pair_scans, VertexOrder(242), fits, tube_rig.faces, {"intra": [(0, 1)], "inter": []}, points=20, seed=seed)
         for seed in (1, 1, 2)
@@ -111,7 +111,7 @@ def test_points_are_chosen_by_the_seed(pair_scans, tube_rig, pair_meshes, tmp_pa
     assert a == b != c
 
 
-def test_points_of_different_scans_are_chosen_apart(pair_scans, tube_rig, pair_meshes, tmp_path):
+def test_points_of_different_scans_are_chosen_apart(pair_scans, tube_rig, pair_meshes):
     asked = {}
 
     class Watched(VertexOrder):
@@ -120,13 +120,13 @@ def test_points_of_different_scans_are_chosen_apart(pair_scans, tube_rig, pair_m
             asked[i] = found.keys.tolist()
             return found
 
-    fits = fits_in(tmp_path, tube_rig, {s.name: v for s, v in zip(pair_scans, pair_meshes)})
+    fits = {s.name: v for s, v in zip(pair_scans, pair_meshes)}
     measure_pairs(pair_scans, Watched(242), fits, tube_rig.faces, {"intra": [(0, 1), (1, 0)], "inter": [(0, 2)]}, points=20)
     assert len(asked[0]) == len(asked[1]) == 20 and set(asked) == {0, 1} and asked[0] != asked[1]
 
 
-def test_measuring_is_told_from_its_beginning(pair_scans, tube_rig, pair_meshes, tmp_path):
-    fits, told = fits_in(tmp_path, tube_rig, {s.name: v for s, v in zip(pair_scans, pair_meshes)}), []
+def test_measuring_is_told_from_its_beginning(pair_scans, tube_rig, pair_meshes):
+    fits, told = {s.name: v for s, v in zip(pair_scans, pair_meshes)}, []
     pairs = {"intra": [(0, 1), (1, 0)], "inter": []}
     measure_pairs(pair_scans, VertexOrder(242), fits, tube_rig.faces, pairs, points=5, on_pair=lambda *a: told.append(a))
     assert told == [(0, 2), (1, 2), (2, 2)]

@@ -8,7 +8,7 @@ import signal
 import numpy as np
 import pytest
 from cli_runs import QUICK_LEARNING, one_line
-from registered_sets import WHO, fits_are_given, fits_in, learning_is_given, result_of, what_fits_are_told, write_meshes
+from registered_sets import WHO, fits_are_given, learning_is_given, result_of, what_fits_are_told, write_meshes
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.pairs import choose_pairs, measure_pairs
@@ -80,9 +80,9 @@ def test_the_options_reach_what_they_are_for(pair_folder, pair_scans, tmp_path, 
     assert {f.random_state for _, f in told.values()} == {4}
     assert {len(lbs.FitResult.load(path).labels) for path in (out / "fits").iterdir()} == {50}
     report = json.loads((out / "results.json").read_text())
-    truth, fits = VertexOrder(242), fits_in(tmp_path, tube_rig, given)
+    truth = VertexOrder(242)
     pairs = choose_pairs(pair_scans, truth, 3, 4)
-    assert report["pairs"] == measure_pairs(pair_scans, truth, fits, tube_rig.faces, pairs, points=7, seed=4)["pairs"]
+    assert report["pairs"] == measure_pairs(pair_scans, truth, given, tube_rig.faces, pairs, points=7, seed=4)["pairs"]
     assert len(report["pairs"]) == 6 and {e["points"] for e in report["pairs"]} == {7}
     code, _, err = run(*_command(pair_folder, out, *options, "--samples", 60))
     assert code == 2 and "fits made with samples 50; expected samples 60" in one_line(err)

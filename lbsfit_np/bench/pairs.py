@@ -83,9 +83,9 @@ def pairs_bench(
     learn_from, everyone = readable if learn else (), [*scans, *also]
     options |= {"settings": settings, "jobs": jobs, "reporter": reporter}
     fits = fit_scans_of(fitter, everyone, folder, learn_from=learn_from, **options)
-    measured = measure_pairs(
-        scans, truth, fits, fitter.rig.faces, pairs, points=points, seed=seed, on_pair=getattr(reporter, "measured", None)
-    )
+    registered = {s.name: fits.load(s.name).vertices for s in scans if truth is not None and fits.has(s.name)}
+    how = {"points": points, "seed": seed, "on_pair": getattr(reporter, "measured", None)}
+    measured = measure_pairs(scans, truth, registered, fitter.rig.faces, pairs, **how)
     name, cm = unit_of(fitter.rig, fits, unit)
     report = {
         "benchmark": "pairs",
@@ -133,15 +133,17 @@ def choose_pairs(scans, truth, most, seed):
     return found
 
 
-def measure_pairs(scans, truth, fits, faces, pairs, *, points=5000, seed=0, on_pair=None):
+def measure_pairs(scans, truth, registered, faces, pairs, *, points=5000, seed=0, on_pair=None):
     """How far what is found is from the truth.
 
     Parameters
     ----------
-    scans, truth, fits
+    scans, truth
         As of :func:`pairs_bench`.
+    registered : mapping of str to (m, 3) array
+        By the scan's name, whatever has found it; scans that are not there, or None, have no registration.
     faces : (F, 3) int array
-        Of the rig.
+        Of all registrations.
     pairs : dict
         Of :func:`choose_pairs`.
     points, seed
@@ -154,21 +156,21 @@ def measure_pairs(scans, truth, fits, faces, pairs, *, points=5000, seed=0, on_p
     dict
         "pairs": for each one that could be measured "a", "b", "kind", "points", and "before" and "after" the snap a
         :func:`summary`; "figures": kind → the same over all points of all its pairs, "pairs" of them, and how many are "missing"
-        as one of the scans has no fit. Lengths in the scans' unit.
+        as one of the scans has no registration. Lengths in the scans' unit.
     """
     known = {(a, b): kind for kind, chosen in pairs.items() for a, b in chosen}
-    todo = sorted((p for p in known if all(fits.has(scans[i].name) for i in p)), key=lambda p: (p[1], p[0]))
+    there = {i: np.asarray(V, dtype=float) for i, s in enumerate(scans) if (V := registered.get(s.name)) is not None}
+    todo = sorted((p for p in known if there.keys() >= set(p)), key=lambda p: (p[1], p[0]))
     if on_pair is not None and todo:
         on_pair(0, len(todo))
-    registered = {i: fits.load(scans[i].name).vertices for i in sorted({i for p in todo for i in p})}
-    asked = {a: _Places.of(scans[a], a, truth, registered[a], faces, points, seed) for a in sorted({a for a, _ in todo})}
+    asked = {a: _Places.of(scans[a], a, truth, there[a], faces, points, seed) for a in sorted({a for a, _ in todo})}
     entries, errors, target = [], {kind: {"before": [], "after": []} for kind in KINDS}, (None, None)
     for done, (a, b) in enumerate(todo, 1):
         if target[0] != b:
             target = b, PointIndex(_points(scans[b]))
         on_b = target[1]
         rows, true = truth.true(asked[a].asked, b, on_b)
-        found = asked[a].on(registered[b], rows)
+        found = asked[a].on(there[b], rows)
         away = {"before": _distances(found, true), "after": _distances(on_b.points[on_b.nearest(found)], true)}
         kind = known[a, b]
         entry = {"a": scans[a].name, "b": scans[b].name, "kind": kind, "points": len(rows)}
