@@ -20,6 +20,7 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.report.animation import odd_scales, unit_of
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.units import WORDS
+from lbsfit_np.starts.clean import taking_part
 from lbsfit_np.starts.scale import reference_scale, sizes_in, unit_note
 from lbsfit_np.starts.turns import facing_of
 
@@ -34,6 +35,22 @@ def unknown_rig():
 
 
 # ---- the reference scale, and what is said ----
+
+
+def test_what_labels_name_is_compared_with_its_own_part_of_the_rig(tube_rig, tube_scan):
+    """A finger's extent says nothing of the whole body's unit or size."""
+    of, shown = tube_scan.labels == 3, tube_rig.vertex_labels == 3
+    for size in (0.6, 1.0, 1.5):
+        assert reference_scale(size * tube_scan.points[of], tube_rig, "estimate", shown=shown).scale == 1.0
+    tiny = 0.2 * CM * tube_scan.points[of]  # a small subject's
+    with pytest.raises(InputError, match="unit: got 'cm', in which the scan's extent is"):
+        reference_scale(tiny, tube_rig, "estimate", "cm")
+    assert reference_scale(tiny, tube_rig, "estimate", "cm", shown=shown).scale == pytest.approx(0.2 * CM, rel=0.5)
+    none = reference_scale(tube_scan.points, tube_rig, "estimate", shown=np.zeros(len(shown), dtype=bool))
+    assert none == reference_scale(tube_scan.points, tube_rig, "estimate")
+    how = {"most": 100, "scale": "estimate", "labels": tube_scan.labels[of]}
+    for size in (0.6, 1.5):  # the first would be another unit, were it of all of the body
+        assert taking_part(size * tube_scan.points[of], tube_rig, rng=np.random.default_rng(0), **how).scale == 1.0
 
 
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)])

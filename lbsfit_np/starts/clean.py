@@ -137,7 +137,9 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     if labels is not None and labels[kept].min() >= 0:  # where steps go by labels, they go by all
         others = others[labels[others] >= 0]
     more = _alike(points, kept, dropped, others, (_LAST - 1) * most, rng)
-    unit = reference_scale(points[kept], rig, scale, unit, whole=labels is None).scale
+    parts = None if labels is None or labels[kept].min() < 0 else np.unique(labels[kept])
+    shown = None if parts is None else np.isin(rig.vertex_labels, parts)
+    unit = reference_scale(points[kept], rig, scale, unit, whole=labels is None, shown=shown).scale
     return TakingPart(kept, more, words, unit, below, known, among)
 
 

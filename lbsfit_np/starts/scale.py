@@ -62,7 +62,7 @@ def sizes_in(rig, unit):
     return {} if unit is None else {"unit": unit_scale(rig, unit), "within": _SUBJECTS}
 
 
-def reference_scale(points, rig, mode, unit=None, *, whole=True):
+def reference_scale(points, rig, mode, unit=None, *, whole=True, shown=None):
     """Scan units in a rig unit.
 
     Parameters
@@ -76,6 +76,8 @@ def reference_scale(points, rig, mode, unit=None, *, whole=True):
         The scan's, where it is known; the rig's is then known, too.
     whole : bool, default True
         False where the scan may be known to show a part of the body: in a fixed scale it may then be as small as it is.
+    shown : (m,) bool array, optional
+        The vertices on what the scan shows, where that is known: then extents are compared with theirs.
 
     Returns
     -------
@@ -90,7 +92,7 @@ def reference_scale(points, rig, mode, unit=None, *, whole=True):
         As :func:`checked_extent`; a scan that is not in the rig's unit and shall be; one that is in another unit than said, as no
         subject is of such a size.
     """
-    ratio = checked_extent(points) / extent(rig.vertices[~rig.loose])
+    ratio = checked_extent(points) / _extent_of(rig, shown)
     if unit is not None:
         return _in_known_unit(ratio, rig, mode, unit, whole)
     if mode == "fixed":
@@ -275,6 +277,12 @@ def checked_extent(points):
         got = f"an extent of {largest * extent(points / largest):.3g}"
         raise InputError("points", got, "coordinates that double precision can square", "Give them in another unit.")
     return own
+
+
+def _extent_of(rig, shown):
+    """Of some of a rig's vertices in the rest pose; of all where these have none."""
+    skin = rig.vertices[~rig.loose & (True if shown is None else shown)]
+    return extent(skin) if (skin != skin[:1]).any() else extent(rig.vertices[~rig.loose])
 
 
 def extent(points):
