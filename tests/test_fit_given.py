@@ -1,5 +1,6 @@
 """What a fit can be given besides points: a start, labels, weights of points."""
 
+import copy
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -235,8 +236,9 @@ def test_few_known_labels_are_enough_to_tell_the_pose(tube_rig, tube_fitter, tub
 def test_parts_that_no_label_names_are_named(tube_rig, fitter, tube_scan):
     """Nothing has looked for their pose; where all points are labelled, what is not named is not there."""
     some = np.where(tube_scan.labels < 2, tube_scan.labels, -1)
-    words = "no point is labelled as long, short: what the scan shows of these may be fitted wrongly; without labels it is "
+    words = "no point that takes part is labelled as long, short: what the scan shows of these may be fitted wrongly; without "
     assert words in fitter.fit_scan(tube_scan.points, labels=some).message
+    assert "labelled as" not in fitter.fit_scan(tube_scan.points, labels=some, theta0=tube_scan.pose).message
     of = tube_scan.labels < 2
     assert "labelled as" not in fitter.fit_scan(tube_scan.points[of], labels=tube_scan.labels[of]).message
 
@@ -259,6 +261,8 @@ def test_which_way_a_scan_stands_is_said_where_it_was_looked_for(tube_rig, tube_
     lying = tube_scan.points[:, [2, 0, 1]]
     assert "stands along" in tube_fitter.fit_scan(lying).message
     assert "stands along" not in tube_fitter.fit_scan(lying, labels=tube_scan.labels).message
+    told = copy.copy(tube_fitter).set_params(up="+y").fit_scan(lying, labels=tube_scan.labels)
+    assert "stands along its +z axis, though up says '+y'" in told.message
 
 
 def test_labels_of_no_point_that_takes_part_are_named(tube_rig, tube_scan):

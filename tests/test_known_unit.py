@@ -53,6 +53,16 @@ def test_what_labels_name_is_compared_with_its_own_part_of_the_rig(tube_rig, tub
         assert taking_part(size * tube_scan.points[of], tube_rig, rng=np.random.default_rng(0), **how).scale == 1.0
 
 
+@pytest.mark.parametrize("options", [{}, {"unit": "m"}, {"scale": "fixed"}])
+def test_labelled_parts_may_be_far_from_each_other(options):
+    """Feet apart are further from each other than at rest, but no further than the rig is long."""
+    rig = lbs.load_rig("body-coarse")
+    (scan,) = lbs.synthesize(rig, 1, poses=rig.poses["yoga warrior"][None], shape=0.0, holes=0, noise=0.0, random_state=0)
+    feet = np.isin(scan.labels, [k for k, name in enumerate(rig.parts) if "ankle" in name or "foot" in name])
+    kept = {"most": 500, "rng": np.random.default_rng(0), "labels": scan.labels[feet]} | {"scale": "estimate"} | options
+    assert taking_part(scan.points[feet], rig, **kept).scale == 1.0
+
+
 @pytest.mark.parametrize(("unit", "metres"), [("m", 1.0), ("cm", 0.01), ("mm", 0.001), ("in", 0.0254), ("ft", 0.3048)])
 def test_the_reference_scale_is_the_conversion(tube_rig, tube_scan, unit, metres):
     one = tube_rig.metres_per_unit / metres

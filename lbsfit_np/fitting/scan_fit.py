@@ -193,7 +193,8 @@ class ScanFit:
         if settings.polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
             last = replace(last, state=self._refit.polish(dense, last.state, **known))
-        stands = "" if given else stands_words(self.facing, model.source, frame, last.state.theta)  # else nothing was searched
+        searched = not given or (theta0 is None and self.facing.told)  # of labels only what contradicts is to be said
+        stands = stands_words(self.facing, model.source, frame, last.state.theta) if searched else ""
         unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale, unit=settings.unit)
         return assemble(
             model.source,
@@ -210,7 +211,7 @@ class ScanFit:
             labels=labels,
             joint_std=self._refit.joint_std(with_partner, last.state, proba),
             evaluations=before + search.evaluations,
-            notes=[_parts_without_labels(model.source, labels, rows)],
+            notes=[_parts_without_labels(model.source, labels, rows) if theta0 is None else ""],
             found=(unit, stands),
             further=() if given else further_words(model.source, settings, self.facing),
             given=given,
@@ -356,7 +357,7 @@ def _parts_without_labels(rig, labels, rows):
     if not without:
         return ""
     words = "what the scan shows of these may be fitted wrongly; without labels it is searched for"
-    return f"no point is labelled as {listed(without, 6)}: {words}"
+    return f"no point that takes part is labelled as {listed(without, 6)}: {words}"
 
 
 def further_words(rig, settings, facing):

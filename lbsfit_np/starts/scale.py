@@ -77,7 +77,8 @@ def reference_scale(points, rig, mode, unit=None, *, whole=True, shown=None):
     whole : bool, default True
         False where the scan may be known to show a part of the body: in a fixed scale it may then be as small as it is.
     shown : (m,) bool array, optional
-        The vertices on what the scan shows, where that is known: then extents are compared with theirs.
+        The vertices on what the scan shows, where that is known: then it may be as small as these are in the rest pose. It may
+        still be as large as the whole, as parts move apart.
 
     Returns
     -------
@@ -92,44 +93,59 @@ def reference_scale(points, rig, mode, unit=None, *, whole=True, shown=None):
         As :func:`checked_extent`; a scan that is not in the rig's unit and shall be; one that is in another unit than said, as no
         subject is of such a size.
     """
-    ratio = checked_extent(points) / _extent_of(rig, shown)
+    ratios = checked_extent(points) / np.array([_extent_of(rig, shown), _extent_of(rig, None)])
+    ratio = ratios[1]
     if unit is not None:
-        return _in_known_unit(ratio, rig, mode, unit, whole)
+        return _in_known_unit(ratios, rig, mode, unit, whole)
     if mode == "fixed":
         if not _SAME_UNIT[0] * whole <= ratio <= _SAME_UNIT[1]:
             got = f"'fixed' for a scan whose extent is {ratio:.3g} times the rig's"
             remedy = "Convert the scan, or pass scale='estimate' (--scale estimate), which finds the unit."
             raise InputError("scale", got, "a scan in the rig's unit", remedy + (_PART if ratio < 1 else ""))
         return ReferenceScale(1.0, "scale fixed at 1")
-    if _SAME_UNIT[0] <= ratio <= _SAME_UNIT[1]:
+    if _may_be(ratios):
         return ReferenceScale(1.0, "scan and rig are in one unit")
     fitting = {}
     if rig.metres_per_unit is not None:
         fitting = {name: rig.metres_per_unit / METRES[name] for name in USUAL}
-        fitting = {name: unit for name, unit in fitting.items() if _SAME_UNIT[0] <= ratio / unit <= _SAME_UNIT[1]}
+        fitting = {name: unit for name, unit in fitting.items() if _may_be(ratios / unit)}
     if fitting:
-        name, unit = min(fitting.items(), key=lambda item: abs(np.log(ratio / item[1] / 0.9)))
+        name, unit = min(fitting.items(), key=lambda item: abs(np.log(ratios[0] / item[1] / 0.9)))
         return ReferenceScale(unit, f"the scan seems to be in {WORDS[name]}: one rig unit is {unit:.6g} scan units")
-    return ReferenceScale(ratio, _guess(ratio))
+    guess = float(ratios[_telling(ratios)])
+    return ReferenceScale(guess, _guess(guess))
 
 
-def _in_known_unit(ratio, rig, mode, unit, whole):
+def _may_be(sizes, factor=1.0):
+    """Whether a scan may be of the rig's size, up to a factor: by its extent in those of what it shows, and of the whole rig."""
+    return bool(_SAME_UNIT[0] / factor <= sizes[0] and sizes[1] <= _SAME_UNIT[1] * factor)
+
+
+def _telling(sizes):
+    """Of a scan that is not of the rig's size, which of the two says by how much."""
+    return 0 if sizes[0] < _SAME_UNIT[0] else 1
+
+
+def _in_known_unit(ratios, rig, mode, unit, whole):
     scale, (least, most) = unit_scale(rig, unit), _SAME_UNIT
-    size = ratio / scale
+    sizes = ratios / scale
+    size = sizes[1]
     if mode == "fixed":
         if not least * whole <= size <= most:
             got = f"'fixed' for a scan in {unit!r} whose extent is {size:.3g} times the rig's"
             remedy = "Check unit (--unit), or pass scale='estimate' (--scale estimate), which finds the size."
             raise InputError("scale", got, "a scan of the rig's size", remedy + (_PART if size < 1 else ""))
-    elif not least / _SUBJECTS <= size <= most * _SUBJECTS:
+    elif not _may_be(sizes, _SUBJECTS):
+        k = _telling(sizes)
+        whose = "the rig's" if k or ratios[0] == ratios[1] else "that of the rig's parts that it shows"
         raise InputError(
             "unit",
-            f"{unit!r}, in which the scan's extent is {size:.3g} times the rig's",
+            f"{unit!r}, in which the scan's extent is {sizes[k]:.3g} times {whose}",
             f"the scan's unit, in which it is {least / _SUBJECTS:g} to {most * _SUBJECTS:g} times the rig's",
             "Pass the scan's unit, or None (--unit auto) to have it found; or correct the rig's unit in a card.",
         )
-    same = mode == "fixed" or least <= size <= most
-    return ReferenceScale(scale if same else ratio, f"the scan is in {WORDS[unit]}")
+    same = mode == "fixed" or _may_be(sizes)
+    return ReferenceScale(scale if same else float(ratios[_telling(sizes)]), f"the scan is in {WORDS[unit]}")
 
 
 def _guess(ratio):
