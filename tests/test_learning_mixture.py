@@ -1,6 +1,4 @@
-"""The scans that a round trains on: poses that were inferred among uniform ones, and templates that were found among others."""
-
-from dataclasses import replace
+"""The scans that a round trains on: poses that were inferred among uniform ones, on the templates that were found."""
 
 import numpy as np
 import pytest
@@ -40,16 +38,10 @@ def test_poses_are_those_of_the_scans(mixture):
     assert len({mixture.pose(i).tobytes() for i in range(6)}) == 6
 
 
-def test_half_the_training_scans_are_made_of_the_templates(tube_rig, people, mixture):
-    """The others are of anybody, as in pretraining, whatever their pose."""
-    made = [mixture.scan(i) for i in range(200)]
-    which = np.array([[np.array_equal(s.template, t.vertices) for t in (*people.values(), tube_rig)] for s in made])
-    assert (which.sum(axis=1) == 1).all() and 0.4 < which[:, -1].mean() < 0.6 and 0.15 < which[:, 0].mean() < 0.35
-    inferred = np.array([np.abs(s.pose[1:] - mixture.poses[:, 1:]).max(axis=(1, 2)).min() <= 0.15 + 1e-12 for s in made])
-    assert 0.4 < which[inferred, -1].mean() < 0.6 and 0.4 < which[~inferred, -1].mean() < 0.6
-    varied = replace(mixture, settings=replace(mixture.settings, shape=0.1))
-    shapes = [varied.scan(i).template for i in range(9)]
-    assert not any(np.array_equal(shape, t.vertices) for shape in shapes for t in (*people.values(), tube_rig))
+def test_training_scans_are_made_of_the_templates(tube_rig, people, mixture):
+    made = [mixture.scan(i) for i in range(40)]
+    which = [[np.array_equal(s.template, t.vertices) for t in people.values()] for s in made]
+    assert np.sum(which, axis=1).tolist() == [1] * 40 and 8 < np.sum(which, axis=0)[0] < 32
     plain = Mixture(tube_rig, mixture.settings, mixture.poses, (), 0, 1).scan(0)
     np.testing.assert_array_equal(plain.template, tube_rig.vertices)
 
@@ -58,8 +50,7 @@ def test_some_variation_of_shape_stays(tube_rig, people, mixture):
     def spread(templates):
         made = Mixture(tube_rig, Synthesis(n_points=60, shape=0.1), mixture.poses, templates, 0, 1)
         base = templates[0][0] if templates else tube_rig.vertices
-        away = np.array([np.linalg.norm(made.scan(i).template - base, axis=1).mean() for i in range(40)])
-        return np.mean(np.sort(away)[:10])  # of half of these the base is the rig
+        return np.mean([np.linalg.norm(made.scan(i).template - base, axis=1).mean() for i in range(20)])
 
     on_templates, on_the_rig = spread(mixture.templates[:1]), spread(())
     assert 0.15 * on_the_rig < on_templates < 0.5 * on_the_rig

@@ -1,7 +1,7 @@
-"""Θ' of the loop: half uniform within the limits, half poses found so far with a little noise; half on templates found so far.
+"""Θ' of the loop: half uniform within the limits, half the poses found so far with a little noise; on the templates found so far.
 
 Scans synthesised from it close both gaps that pretraining leaves: the poses are those that people take, and the shapes are
-those that were scanned. The other half of each is as in pretraining, for people and poses that are yet to come.
+those that were scanned.
 """
 
 from dataclasses import dataclass
@@ -15,8 +15,6 @@ __all__ = ["Mixture"]
 
 # Half width of the uniform noise on inferred angles, radians.
 _NOISE = 0.15
-# Share of the scans that take an inferred pose, and of those on a template that was found.
-_INFERRED, _FOUND = 0.5, 0.5
 # Templates that were found are a little wrong, too: a share of the shape variation of pretraining stays.
 _SHARE_OF_SHAPE = 0.3
 
@@ -33,7 +31,7 @@ class Mixture:
     poses : (k, J, 3) array
         Θ inferred from scans, k ≥ 0; without any, all poses are uniform.
     templates : tuple of (vertices (m, 3), joints (J, 3))
-        U^d of the subjects; without any, all scans are of the rig's own with random proportions.
+        U^d of the subjects; without any, the rig's own with random proportions.
     random_state : int
     round : int
         Each round has scans of its own.
@@ -53,7 +51,7 @@ class Mixture:
     def scan(self, i):
         """The i-th SyntheticScan."""
         rig, (pose, rng) = self.rig, self._begun(i)
-        if self.templates and rng.random() < _FOUND:
+        if self.templates:
             template = self.templates[rng.integers(len(self.templates))]
             template = with_random_proportions(rig, _SHARE_OF_SHAPE * self.settings.shape, rng, template)
         else:
@@ -65,7 +63,7 @@ class Mixture:
         rng = generator(self.random_state, "mixture", self.round, i)
         rig = self.rig
         pose = training_poses(rig, 1, rng)[0]
-        if len(self.poses) and rng.random() < _INFERRED:
+        if len(self.poses) and rng.random() < 0.5:
             pose = self.poses[rng.integers(len(self.poses))].copy()
             pose[rig.root] = self.poses[rng.integers(len(self.poses)), rig.root]  # how one faces has nothing to do with the pose
             turning = (rig.upper > rig.lower) & rig.moving[:, None]
