@@ -88,13 +88,16 @@ class MissingExtraError(LbsfitError, ImportError):
         return type(self), (self.module, self.extra, self.what), self._notes()
 
 
-def check_array(argument, value, shape, what=""):
-    """``value`` as a finite float array of a given shape, or an InputError that names ``argument``; ``what`` its rows are."""
+def check_array(argument, value, shape, what="", *, finite=True):
+    """``value`` as a float array of a given shape, or an InputError that names ``argument``; ``what`` its rows are.
+
+    ``finite``: whether all of its numbers have to be.
+    """
     a = as_floats(argument, value, f"an array of numbers of shape {shape}")
     if a.shape != tuple(shape):
         remedy = ONE_AT_A_TIME if a.shape[1:] == tuple(shape) else None
         raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}{what and f', {what}'}", remedy)
-    if not np.isfinite(a).all():
+    if finite and not np.isfinite(a).all():
         raise InputError(argument, not_finite(int((~np.isfinite(a)).sum())), "finite numbers")
     return a
 
@@ -108,17 +111,21 @@ def as_floats(argument, value, expected):
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", expected) from None
     except (TypeError, ValueError, RuntimeError) as error:
-        # What has an array to give, such as a tensor on a graphics card, says itself how to come by it.
-        remedy = str(error) if hasattr(value, "__array__") and not isinstance(value, np.ndarray) else None
-        raise InputError(argument, type(value).__name__, expected, remedy) from None
+        raise InputError(argument, type(value).__name__, expected, _own_words(value, error)) from None
+
+
+def _own_words(value, error):
+    """What an object that has an array to give, such as a tensor on a graphics card, says of how to come by it; else None."""
+    return str(error) if hasattr(value, "__array__") and not isinstance(value, np.ndarray) else None
 
 
 def as_array(argument, value, expected):
     """``value`` as an array of whatever it holds, or an InputError where its rows make none."""
     try:
         return np.asarray(value)
-    except (TypeError, ValueError):
-        raise InputError(argument, "rows of different lengths", expected) from None
+    except (TypeError, ValueError, RuntimeError) as error:
+        words = _own_words(value, error)
+        raise InputError(argument, type(value).__name__ if words else "rows of different lengths", expected, words) from None
 
 
 def check_real(argument, value, expected):

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import InputError, as_floats
+from .errors import check_array
 from .rotations import left_jacobian, matrix_from_rotvec
 
 __all__ = ["JOINT_MODES", "Posed", "skin", "skin_adjoint"]
@@ -129,11 +129,17 @@ def skin_adjoint(posed, grad_vertices, grad_joints=None):
     -------
     SkinGradient
         The transpose of the Jacobian of :func:`skin`, applied; the path of offsets through the joint positions included.
+
+    Raises
+    ------
+    InputError
+        Gradients of another shape.
     """
     rig, A, R, rest, rest_joints = posed.rig, posed.A, posed.R, posed.rest, posed.rest_joints
     J, m = len(A), len(rest)
-    grad_vertices = _of_shape("grad_vertices", grad_vertices, (m, 3))
-    grad_joints = None if grad_joints is None else _of_shape("grad_joints", grad_joints, (J, 3))
+    # They need not be finite: a search may try what overflows.
+    grad_vertices = check_array("grad_vertices", grad_vertices, (m, 3), finite=False)
+    grad_joints = None if grad_joints is None else check_array("grad_joints", grad_joints, (J, 3), finite=False)
     g_scale = float(np.vdot(grad_vertices, posed.unscaled))
     g_translation = grad_vertices.sum(axis=0)
     g = posed.scale * grad_vertices
@@ -171,11 +177,3 @@ def skin_adjoint(posed, grad_vertices, grad_joints=None):
     g_rest = g + np.einsum("iab,ia->ib", posed.blended[:, :9].reshape(m, 3, 3), g)
     g_offsets = g_rest + rig.regressor_transposed @ g_rest_joints if posed.follow else g_rest
     return SkinGradient(g_theta, g_translation, g_scale, g_rest, g_rest_joints, g_offsets)
-
-
-def _of_shape(argument, value, shape):
-    """Numbers that need not be finite: a search may try what overflows."""
-    a = as_floats(argument, value, f"numbers of shape {shape}")
-    if a.shape != shape:
-        raise InputError(argument, f"shape {a.shape}", f"shape {shape}")
-    return a

@@ -13,6 +13,7 @@ from lbsfit_np.bench.pair_fits import Fits
 from lbsfit_np.bench.pair_pictures import gallery, gallery_of
 from lbsfit_np.bench.pairs import choose_pairs, measure_pairs, pairs_table, summary, unit_of
 from lbsfit_np.bench.truth import Landmarks, Registrations, VertexOrder
+from lbsfit_np.errors import InputError
 from lbsfit_np.report.colors import part_colors
 
 pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
@@ -123,6 +124,25 @@ def test_points_of_different_scans_are_chosen_apart(pair_scans, tube_rig, pair_m
     fits = {s.name: v for s, v in zip(pair_scans, pair_meshes)}
     measure_pairs(pair_scans, Watched(242), fits, tube_rig.faces, {"intra": [(0, 1), (1, 0)], "inter": [(0, 2)]}, points=20)
     assert len(asked[0]) == len(asked[1]) == 20 and set(asked) == {0, 1} and asked[0] != asked[1]
+
+
+def test_registrations_of_any_method_are_checked(pair_scans, tube_rig, pair_meshes):
+    """Those of another mesh would be compared by their first vertices; a name that no scan has would be a missing pair."""
+    given, pairs = {s.name: v for s, v in zip(pair_scans, pair_meshes)}, {"intra": [(0, 1)], "inter": [(0, 2)]}
+    for name, V, words in (
+        ("s1", np.vstack([pair_meshes[1]] * 2), r"registered\['s1'\]: got shape \(484, 3\); expected shape \(242, 3\)"),
+        ("s0", pair_meshes[0][:100], r"registered\['s0'\]: got shape \(100, 3\); expected shape \(242, 3\)"),
+        ("s0", pair_meshes[:1], r"registered\['s0'\]: got shape \(1, 242, 3\)"),
+        ("s1", np.where(np.arange(242)[:, None] == 3, np.nan, pair_meshes[1]), r"registered\['s1'\]: got 3 values that are NaN"),
+        ("s1.ply", pair_meshes[1], r"registered\['s1.ply'\]: got the name of no scan; expected names such as 's0'"),
+    ):
+        with pytest.raises(InputError, match=words):
+            measure_pairs(pair_scans, VertexOrder(242), given | {name: V}, tube_rig.faces, pairs)
+    nothing = given | {"s2": np.full((242, 3), np.nan), "s3": None}
+    figures = measure_pairs(pair_scans, VertexOrder(242), nothing, tube_rig.faces, pairs)["figures"]
+    assert (figures["intra"]["missing"], figures["inter"]["missing"]) == (0, 1)
+    as_lists = {name: V.tolist() for name, V in given.items()}
+    assert measure_pairs(pair_scans, VertexOrder(242), as_lists, tube_rig.faces, pairs)["figures"]["inter"]["pairs"] == 1
 
 
 def test_measuring_is_told_from_its_beginning(pair_scans, tube_rig, pair_meshes):

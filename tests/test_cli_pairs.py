@@ -114,7 +114,14 @@ def test_a_run_that_begins_anew_keeps_no_fits_of_others(pair_folder, tmp_path, r
     assert sorted(path.name for path in (tmp_path / "out" / "fits").iterdir()) == ["s0.npz", "s1.npz"]
 
 
-def test_a_run_that_is_refused_leaves_no_folder(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
+def test_a_run_that_is_refused_leaves_no_folder(pair_folder, tmp_path, run, tube_rig, pair_meshes):
+    folder = shutil.copytree(pair_folder, tmp_path / "scans")
+    write_points_ply(folder / "s1.ply", pair_meshes[1][:50])
+    code, _, err = run(*_command(folder, tmp_path / "out" / "deep", "--no-learn"))
+    assert code == 2 and "scans of 242 and 50 vertices" in one_line(err) and not (tmp_path / "out").exists()
+
+
+def test_a_run_that_breaks_leaves_no_folder_without_fits(pair_folder, tmp_path, run, monkeypatch):
     monkeypatch.setattr(lbs.LBSFitter, "pretrain", lambda self, **options: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         run(*_command(pair_folder, tmp_path / "out" / "deep", "--no-learn"))

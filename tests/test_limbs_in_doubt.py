@@ -356,3 +356,13 @@ def test_joints_that_do_not_move_are_not_swept(rig):
     moves = [joints for joints, _ in swept(stiff, np.zeros(rig.joints.shape))]
     assert not any(knee in joints for joints in moves)
     assert (ankle, rig.joint_names.index("left_hip")) in moves  # the next one that moves
+
+
+def test_much_clutter_is_doubted_alike_with_equal_weights_and_with_none(tube_rig):
+    """Where most of the points would have to be left out, none are."""
+    model, rng = Model(tube_rig), np.random.default_rng(0)
+    X = np.vstack([model.rig.vertices, rng.uniform(-8, 8, (160, 3))])
+    state = model.rest()
+    alone, weighted = (Doubt(model).of(Problem(X, w), state) for w in (None, np.full(len(X), 1 / len(X))))
+    np.testing.assert_allclose(alone, weighted)
+    assert alone.any()

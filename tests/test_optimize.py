@@ -429,3 +429,13 @@ def test_few_points_are_all_kept():
     rows, dropped = near_rows(points, np.arange(5))
     np.testing.assert_array_equal(rows, np.arange(5))
     assert dropped == 0
+
+
+def test_labels_of_parts_without_skin_draw_no_start(tube_rig, monkeypatch):
+    """They would hold it back by their share."""
+    model, away = Model(tube_rig), np.array([3.0, -2.0, 1.0])
+    X = np.vstack([model.rig.vertices, model.rig.vertices]) + away
+    labels = np.append(model.labels, np.full(len(model.labels), 4))  # no vertex has the last
+    monkeypatch.setattr("lbsfit_np.starts.parts.minimise", lambda evaluate, state, *how, **limits: state)
+    start = start_from_parts(model, X, np.eye(5)[labels], x_weights=np.tile(model.areas, 2))
+    np.testing.assert_allclose(start.translation, away, atol=1e-12)

@@ -160,6 +160,12 @@ def test_measures_stretch_nothing(tube_rig, posed):
     s = posed[0]
     with pytest.raises(InputError, match=r"vertices: got shape \(1, 3\); expected shape \(242, 3\)"):
         vertex_error(s.vertices[:1], s.vertices)
+    with pytest.raises(InputError, match=r"true_vertices: got shape \(3,\); expected shape \(k, 3\)"):
+        vertex_error(s.vertices[0], s.vertices[0])
+    with pytest.raises(InputError, match=r"true_labels: got shape \(0,\); expected shape \(n,\)"):
+        label_accuracy([], [])
+    with pytest.raises(InputError, match="vertices: got str; expected numbers of shape"):
+        vertex_error("mesh.ply", s.vertices)
     with pytest.raises(InputError, match=r"joints: got shape \(3, 3\); expected shape \(4, 3\)"):
         joint_error(s.joints[:3], s.joints, tube_rig.moving)
     for labels, words in ((s.labels[:1], r"labels: got shape \(1,\)"), (np.eye(4)[s.labels], r"scores.argmax\(axis=1\)")):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ..errors import InputError, as_array
+from ..errors import InputError, as_array, as_floats
 from ..losses.chamfer import chamfer
 from ..threads import one_thread
 
@@ -22,21 +22,28 @@ def joint_error(joints, true_joints, moving):
     Returns
     -------
     float
+
+    Raises
+    ------
+    InputError
+        Joints of another shape than the true ones, or none.
     """
     joints, true_joints = _alike("joints", joints, true_joints)
     return float(np.linalg.norm(joints - true_joints, axis=1)[moving].mean())
 
 
 def vertex_error(vertices, true_vertices):
-    """Mean distance between registered vertices and the true ones, (m, 3) each."""
+    """Mean distance between registered vertices and the true ones, (m, 3) each; other shapes are an InputError."""
     vertices, true_vertices = _alike("vertices", vertices, true_vertices)
     return float(np.linalg.norm(vertices - true_vertices, axis=1).mean())
 
 
 def label_accuracy(labels, true_labels):
-    """Share of the points, in [0, 1], whose label is the true one; (n,) each."""
-    labels, true_labels = as_array("labels", labels, "integers"), np.asarray(true_labels)
-    if labels.shape != true_labels.shape or labels.ndim != 1 or not labels.size:
+    """Share of the points, in [0, 1], whose label is the true one; (n,) each, n ≥ 1; other shapes are an InputError."""
+    labels, true_labels = as_array("labels", labels, "integers"), as_array("true_labels", true_labels, "integers")
+    if true_labels.ndim != 1 or not true_labels.size:
+        raise InputError("true_labels", f"shape {true_labels.shape}", "shape (n,), one for each of one point or more")
+    if labels.shape != true_labels.shape:
         remedy = "Take the largest of each row of scores: scores.argmax(axis=1)." if labels.ndim == 2 else None
         raise InputError("labels", f"shape {labels.shape}", f"shape {true_labels.shape}, one for each point", remedy)
     return float((labels == true_labels).mean())
@@ -44,8 +51,11 @@ def label_accuracy(labels, true_labels):
 
 def _alike(argument, found, true):
     """Both as arrays of one shape (k, 3): another would be stretched to it without a word."""
-    found, true = as_array(argument, found, "numbers of shape (k, 3)"), np.asarray(true)
-    if found.shape != true.shape or found.ndim != 2 or found.shape[1] != 3:
+    expected = "numbers of shape (k, 3)"
+    found, true = as_floats(argument, found, expected), as_floats(f"true_{argument}", true, expected)
+    if true.ndim != 2 or true.shape[1] != 3 or not true.size:
+        raise InputError(f"true_{argument}", f"shape {true.shape}", "shape (k, 3) with k ≥ 1")
+    if found.shape != true.shape:
         raise InputError(argument, f"shape {found.shape}", f"shape {true.shape}, as the true ones have")
     return found, true
 

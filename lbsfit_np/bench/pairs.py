@@ -9,7 +9,7 @@ import time
 import numpy as np
 
 from ..correspondence import at_places, surface_places
-from ..errors import InputError, LbsfitError
+from ..errors import InputError, LbsfitError, as_floats, check_array, did_you_mean
 from ..neighbors import PointIndex
 from ..seeds import generator
 from .environment import environment
@@ -141,7 +141,7 @@ def measure_pairs(scans, truth, registered, faces, pairs, *, points=5000, seed=0
     scans, truth
         As of :func:`pairs_bench`.
     registered : mapping of str to (m, 3) array
-        By the scan's name, whatever has found it; scans that are not there, or None, have no registration.
+        By the scan's name, whatever has found it, in the scan's frame; scans that are not there, None, or NaN have none.
     faces : (F, 3) int array
         Of all registrations.
     pairs : dict
@@ -157,9 +157,14 @@ def measure_pairs(scans, truth, registered, faces, pairs, *, points=5000, seed=0
         "pairs": for each one that could be measured "a", "b", "kind", "points", and "before" and "after" the snap a
         :func:`summary`; "figures": kind → the same over all points of all its pairs, "pairs" of them, and how many are "missing"
         as one of the scans has no registration. Lengths in the scans' unit.
+
+    Raises
+    ------
+    InputError
+        Registrations of no scan, or not of the mesh of the faces.
     """
     known = {(a, b): kind for kind, chosen in pairs.items() for a, b in chosen}
-    there = {i: np.asarray(V, dtype=float) for i, s in enumerate(scans) if (V := registered.get(s.name)) is not None}
+    there = _checked(scans, registered, faces)
     todo = sorted((p for p in known if there.keys() >= set(p)), key=lambda p: (p[1], p[0]))
     if on_pair is not None and todo:
         on_pair(0, len(todo))
@@ -186,6 +191,26 @@ def measure_pairs(scans, truth, registered, faces, pairs, *, points=5000, seed=0
         figures[kind] = {"pairs": count, "missing": len(chosen) - count}
         figures[kind] |= {when: summary(np.concatenate([*values, []])) for when, values in measured.items()}
     return {"pairs": entries, "figures": figures}
+
+
+def _checked(scans, registered, faces):
+    """Scan → its registration as an array, of those that have one; all of one mesh, whose last vertices may be of no face."""
+    names, found = {s.name: i for i, s in enumerate(scans)}, {}
+    for name, V in registered.items():
+        what = f"registered[{name!r}]"
+        if name not in names:
+            raise InputError(what, "the name of no scan", f"names such as {scans[0].name!r}", did_you_mean(name, names))
+        if V is None:
+            continue
+        V = as_floats(what, V, "numbers of shape (m, 3)")
+        m = len(next(iter(found.values()), V))
+        if V.shape != (m, 3) or m <= faces.max():
+            m = max(m, int(faces.max()) + 1)
+            raise InputError(what, f"shape {V.shape}", f"shape ({m}, 3), the vertices of one mesh with these faces")
+        if np.isnan(V).all():
+            continue
+        found[names[name]] = check_array(what, V, V.shape)
+    return found
 
 
 def summary(errors):

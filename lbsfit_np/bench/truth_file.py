@@ -217,17 +217,23 @@ def _order(path, scans, entries):
     raise FileError(str(path), f"{len(scans)} scans, none of which can be read", "scans that can be read")
 
 
+# So many are named in a note.
+_NAMED = 5
+
+
 def _in_no_pair(scans, truth):
     """Notes on what is in the table for nothing, as by a slip of the pen."""
     alone, notes = truth.alone() if isinstance(truth, Landmarks) else {}, []
     if alone:
         names = {name for places in truth.places for name in places}
-        said = [f"{brief(name)} ({_and_like(scans[i].name, name, names - {name})})" for name, i in alone.items()]
+        first = list(alone.items())[:_NAMED]  # to look for likenesses of all takes long where there are thousands
+        said = [f"{brief(name)} ({_and_like(scans[i].name, name, names - {name})})" for name, i in first]
+        said += [""] * (len(alone) - len(said))
         have = "name is of one scan alone" if len(alone) == 1 else "names are of one scan each"
-        notes.append(f"{len(alone)} {have}, which no pair has: {listed(said, 5)}")
+        notes.append(f"{len(alone)} {have}, which no pair has: {listed(said, _NAMED)}")
     lone = [a.name for i, a in enumerate(scans) if not any(truth.linked(i, k) for k in range(len(scans)) if k != i)]
     if 0 < len(lone) < len(scans):
-        notes.append(f"{len(lone)} of {len(scans)} scans {'is' if len(lone) == 1 else 'are'} in no pair: {listed(lone, 5)}")
+        notes.append(f"{len(lone)} of {len(scans)} scans {'is' if len(lone) == 1 else 'are'} in no pair: {listed(lone, _NAMED)}")
     return notes
 
 

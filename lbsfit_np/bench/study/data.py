@@ -148,6 +148,11 @@ def study_set(rig, size, seed, *, times=1):
     Returns
     -------
     StudySet
+
+    Raises
+    ------
+    InputError
+        A name that is not known.
     """
     size = size if isinstance(size, Size) else sized(rig, size)
     library = {purpose: replace(rig, poses=poses) for purpose, poses in _divided(rig).items()}

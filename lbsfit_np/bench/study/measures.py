@@ -6,7 +6,7 @@ import numpy as np
 from scipy import sparse
 
 from ...correspondence import surface_places
-from ...errors import InputError, as_array, brief
+from ...errors import InputError, as_floats, brief
 from ...optimize.surface import closest_on_mesh, faces_around
 from ...seeds import generator
 from ..measure import joint_error, recon, vertex_error
@@ -41,7 +41,7 @@ class Registrations:
                 rows = list(value)
             except TypeError:
                 raise InputError(what, brief(value), "a sequence of arrays, one for each scan") from None
-            object.__setattr__(self, name, [as_array(what, row, "an array of numbers for each scan") for row in rows])
+            object.__setattr__(self, name, [as_floats(what, row, "an array of numbers for each scan") for row in rows])
 
     @property
     def fitted(self):
@@ -72,6 +72,11 @@ class Truth:
     pairs : int
         For correspondences.
     seed : int
+
+    Raises
+    ------
+    InputError
+        Scans of another rig.
     """
 
     def __init__(self, rig, scans, pairs, seed):
@@ -136,7 +141,7 @@ def measured(truth, registrations):
     Raises
     ------
     InputError
-        Registrations of more or fewer scans, or of another mesh.
+        What is no Registrations; those of more or fewer scans, or of another mesh.
     """
     if not isinstance(registrations, Registrations):
         expected = "Registrations(vertices, joints), a sequence of arrays each"
