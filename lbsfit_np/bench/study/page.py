@@ -42,7 +42,8 @@ Means over the test scans.
 
 _CORRESPONDENCES = """\
 - **Corre.**: the two registrations carry a point of scan A to scan B; this is its distance from its true place there, as mean
-  and percentiles over {points} points of each of at most {pairs:,} ordered pairs of scans (the paper: 4,000 pairs).
+  and percentiles over {points} points of each of at most {pairs:,} ordered pairs of scans (the paper: 4,000 pairs). Where a
+  point truly is: at the nearest place of the true mesh, around the triangle that the point was taken from.
 - **snapped**: the same after moving to the nearest point of B, as the paper does. The result is a point of the scan, so even
   the best row is off by the spacing of the points, and by more where B has none. Goals refer to the figures before
   the snap.
