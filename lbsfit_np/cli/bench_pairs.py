@@ -1,6 +1,6 @@
 """``lbsfit bench pairs``: correspondence between scans of one's own whose truth is known."""
 
-import hashlib
+from pathlib import Path
 
 from ..bench.truth_file import TRUTH_FILES
 from ..errors import InputError
@@ -59,19 +59,17 @@ def add_parser(benches):
 
 def _run(folder, values):
     from ..bench.pairs import pairs_bench, pairs_table
+    from ..bench.subjects import files_digest
     from ..bench.truth_file import read_truth
 
     if values["truth"] is None:
         raise InputError("--truth", "nothing", "a table of scans and what corresponds", "Add --truth FILE.")
     column = values["subject_column"]
     scans, truth, notes = read_truth(values["truth"], folder, subject_column=column, output=values["output"])
-    fitter = pair_runs.fitter_of(values)
+    fitter, digest = pair_runs.fitter_of(values), files_digest([Path(values["truth"])])
     out = pair_runs.made_output(values, [s.name for s in scans], inputs=[*(s.path for s in scans), values["truth"]])
     for note in notes:
         say(f"note: {note}")
-
-    with open(values["truth"], "rb") as file:
-        digest = hashlib.file_digest(file, "sha256").hexdigest()
 
     def work(progress):
         options = pair_runs.bench_keywords(values, out, fitter) | {"unit": values["unit"], "reporter": progress}
