@@ -464,6 +464,19 @@ def test_pictures_of_others_are_not_drawn_over_and_those_that_are_gone_are_named
     assert "no picture" not in run(*command, "--pictures", "0")[1]
 
 
+def test_pictures_of_a_run_that_was_replaced_are_drawn_over(run, run_stopped, shared_rigs, tmp_path, monkeypatch):
+    content_with_few_starts(monkeypatch)
+    out = tmp_path / "out"
+    size = ("--scans", "1", "--seeds", "7,8", "--training-scans", "60")
+    command = ("hand", "--data", shared_rigs, "-o", out, "--rows", "own", *size)
+    assert run(*command)[0] == 0 and (out / "seed-8.png").exists()
+    drawn = (out / "seed-8.png").read_bytes()
+    assert run_stopped(("bench", *command, "--existing", "replace"), 1) == 130
+    assert run(*command)[0] == 0 and (out / "seed-8.png").read_bytes() == drawn
+    report = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert report["complete"] and report["pictures"] == {"seed-7.png": [0], "seed-8.png": [0]}
+
+
 def test_rows_of_several_commits_and_machines_are_told(ran):
     report = json.loads(json.dumps(ran[2]))
     assert "several states" not in table(report) and table(report).count(" CPUs, jobs 1") == 1

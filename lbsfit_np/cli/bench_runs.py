@@ -7,7 +7,7 @@ from pathlib import Path
 from ..errors import FileError, InputError
 from ..interrupts import held
 from ..io.write import make_folder
-from .outputs import check_outputs
+from .outputs import check_outputs, drawn_by_others
 from .progress import LearningProgress, Progress, bar, say
 from .stopping import say_steps, terminable
 
@@ -171,8 +171,9 @@ def run_data(name, values):
     pictures = {seed: out / f"seed-{seed}.png" for seed in seeds} if values["pictures"] and "own" in values["rows"] else {}
     results = made_results(values)
     before, made, progress = _earlier(results, values), [], _BenchProgress()
-    if values["existing"] != "replace":  # of pictures that no such run has drawn
-        others = [path for path in pictures.values() if path.name not in (before or {}).get("pictures", ())]
+    if values["existing"] != "replace":
+        named = (before or {}).get("pictures", ())  # and those of a run that was replaced are drawn over as well
+        others = [path for path in pictures.values() if path.name not in named and drawn_by_others(path)]
         check_outputs(others, out, inputs=[], existing="error")
 
     def on_row(report, row, seed, fits):

@@ -18,6 +18,7 @@ __all__ = [
     "check_outputs",
     "check_sources",
     "draw",
+    "drawn_by_others",
     "entry",
     "fitted_entry",
     "folded",
@@ -71,7 +72,7 @@ class ScanFiles:
     def beside(self):
         """What an earlier run has written beside its fit, a picture that is not wanted now, too; none that others have drawn."""
         picture = self.fit.with_name(self.name + _ENDINGS["picture"])
-        ours = (self.picture is not None or self.fit.is_file()) and not _is_of_others(picture)
+        ours = (self.picture is not None or self.fit.is_file()) and not drawn_by_others(picture)
         return [self.mesh, self.labels, *([picture] if ours else [])]
 
 
@@ -129,7 +130,7 @@ def without_pictures_of_others(files):
     """The same files, none with a picture whose place is taken by a file that this package has not drawn; and notes on these."""
     kept, notes = [], []
     for f in files:
-        if f.picture is not None and _is_of_others(f.picture):
+        if f.picture is not None and drawn_by_others(f.picture):
             notes.append(f"{f.name}: no picture: {f.picture} was not drawn by lbsfit and is kept")
             f = replace(f, picture=None)
         kept.append(f)
@@ -367,7 +368,7 @@ def _is_result(source, ending, scans):
         ours = "lbsfit_np_result" in npz_keys(fit)
     except FileError:
         return False
-    return ours and (ending != _ENDINGS["picture"] or not _is_of_others(source))
+    return ours and (ending != _ENDINGS["picture"] or not drawn_by_others(source))
 
 
 def _place(source, name):
@@ -379,7 +380,7 @@ def _check_there(files, out, argument, may_skip):
     there = [path for f in files for path in f.paths.values() if os.path.lexists(path)]
     if not there:
         return
-    others = [f.picture for f in files if f.picture is not None and _is_of_others(f.picture)]
+    others = [f.picture for f in files if f.picture is not None and drawn_by_others(f.picture)]
     words = _there_in_words(out, there)
     if others:
         which = "which" if others == there else f"of which {listed([path.name for path in others], 5)}"
@@ -409,7 +410,7 @@ def _there_in_words(out, there):
     return f"{out}, where {names} exist{'s' if len(there) == 1 else ''} already"
 
 
-def _is_of_others(picture):
+def drawn_by_others(picture):
     """Whether there is a file at a picture's place that this package has not drawn."""
     from ..report.render import is_signed
 
