@@ -477,6 +477,47 @@ def test_pictures_of_a_run_that_was_replaced_are_drawn_over(run, run_stopped, sh
     assert report["complete"] and report["pictures"] == {"seed-7.png": [0], "seed-8.png": [0]}
 
 
+@pytest.mark.parametrize("where", ["lbsfit_np.report.render.write_png", "lbsfit_np.bench.pictures.picture"])
+def test_no_figure_is_lost_for_a_picture(run, shared_rigs, tmp_path, monkeypatch, where):
+    content_with_few_starts(monkeypatch)
+    out = tmp_path / "out"
+    command = ("hand", "--data", shared_rigs, "-o", out, "--rows", "own,oracle", "--scans", "1", *QUICK[2:])
+
+    def failing(*given, **more):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(where, failing)
+        code, text, _ = run(*command)
+    report = json.loads((out / "results.json").read_text(encoding="utf-8"))
+    assert code == 0 and report["complete"] and set(report["rows"]) == {"own", "oracle"} and "pictures" not in report
+    assert "seed 7: no picture: " in text and "No space left on device" in text and "note:" not in text
+    assert [path.name for path in out.iterdir()] == ["results.json"]
+    assert "note: no picture of seed 7, whose fits an earlier run has made" in run(*command)[1]
+
+
+def test_places_of_pictures_are_checked_before_anything_is_fitted(run, shared_rigs, tmp_path, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained first"))
+    (tmp_path / "out" / "seed-7.png").mkdir(parents=True)
+    for existing in ("replace", "resume"):
+        command = ("hand", "--data", shared_rigs, "-o", tmp_path / "out", "--existing", existing)
+        code, _, err = run(*command, "--rows", "own", *QUICK)
+        assert code == 2 and "seed-7.png: got a folder" in err and err.count("\n") == 1
+
+
+def test_pictures_of_another_number_of_fits_are_told(ran, run, shared_rigs, tmp_path, monkeypatch):
+    content_with_few_starts(monkeypatch)
+    for name in ("results.json", "seed-7.png"):
+        (tmp_path / name).write_bytes((ran[0] / name).read_bytes())
+    command = ("hand", "--data", shared_rigs, "-o", tmp_path, *QUICK, "--pictures")
+    for k in ("0", "1"):
+        words = f"as many fits as an earlier run has drawn, not --pictures {k}: 2 of seed 7; --existing replace makes them again"
+        assert words in run(*command, k)[1]
+    for k in ("2", "3"):  # there are no more than two
+        assert "note:" not in run(*command, k)[1]
+    assert json.loads((tmp_path / "results.json").read_text(encoding="utf-8"))["pictures"] == ran[2]["pictures"]
+
+
 def test_rows_of_several_commits_and_machines_are_told(ran):
     report = json.loads(json.dumps(ran[2]))
     assert "several states" not in table(report) and table(report).count(" CPUs, jobs 1") == 1

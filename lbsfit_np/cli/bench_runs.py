@@ -4,10 +4,10 @@ import json
 from contextlib import contextmanager
 from pathlib import Path
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, in_words
 from ..interrupts import held
 from ..io.write import make_folder
-from .outputs import check_outputs, drawn_by_others
+from .outputs import check_outputs, drawn_by_others, remove
 from .progress import LearningProgress, Progress, bar, say
 from .stopping import say_steps, terminable
 
@@ -161,31 +161,28 @@ def run_roundtrip(rigs, values):
 
 def run_data(name, values):
     """``lbsfit bench hand`` and ``body``: rigs of the data folder; the exit code."""
-    from ..bench.pictures import picture, shown
     from ..bench.run import run_bench
     from ..io.write import write_json
-    from ..report.render import write_png
 
     bench = checked_data(name, values)
     seeds, out = numbers(values["seeds"]), Path(values["output"])
-    pictures = {seed: out / f"seed-{seed}.png" for seed in seeds} if values["pictures"] and "own" in values["rows"] else {}
+    pictures = {seed: out / f"seed-{seed}.png" for seed in seeds} if "own" in values["rows"].split(",") else {}
     results = made_results(values)
     before, made, progress = _earlier(results, values), [], _BenchProgress()
-    if values["existing"] != "replace":
-        named = (before or {}).get("pictures", ())  # and those of a run that was replaced are drawn over as well
-        others = [path for path in pictures.values() if path.name not in named and drawn_by_others(path)]
-        check_outputs(others, out, inputs=[], existing="error")
+    if values["pictures"]:
+        _check_pictures(pictures.values(), out, values["existing"], named=(before or {}).get("pictures", ()))
 
     def on_row(report, row, seed, fits):
-        rows = shown(fits, values["pictures"]) if row == "own" and pictures else []
-        with held():  # as fits are not kept, a row that is has its picture
-            if rows:
-                report.setdefault("pictures", {})[pictures[seed].name] = rows
+        notes = []
+        with held():  # as fits are not kept, a row that is has its picture, if one can be drawn
             write_json(results, report)
-            if rows:
-                write_png(pictures[seed], picture(bench.load()[0](values["data"]), fits, rows))
             made.append((row, seed))
+            if row == "own":
+                notes = _draw(report, pictures[seed], lambda: bench.load()[0](values["data"]), fits, values)
+                write_json(results, report)
         progress.row(report, row, seed)
+        for note in notes:
+            progress.line(f"seed {seed}: {note}")
 
     with _stoppable(values, progress, lambda: made or before):
         report, _ = run_bench(
@@ -202,11 +199,54 @@ def run_data(name, values):
             on_row=on_row,
         )
     write_json(results, report)
-    own = report["rows"]["own"]["seeds"] if pictures else {}
-    for seed, path in pictures.items():
-        if not path.exists() and own[str(seed)]["failed"] < len(own[str(seed)]["scans"]):
-            say(f"note: no picture of seed {seed}, whose fits an earlier run has made; --existing replace makes them again")
+    _note_pictures(report, {seed: path for seed, path in pictures.items() if ("own", seed) not in made}, values["pictures"])
     return _farewell(report, values, out)
+
+
+def _check_pictures(paths, out, existing, *, named):
+    """Raise where pictures cannot be written, or would be drawn over those of others; ``named``: in the earlier report."""
+    check_outputs(paths, out, inputs=[], existing="replace")
+    if existing != "replace":  # pictures of a run that was replaced are drawn over as well
+        others = [path for path in paths if path.name not in named and drawn_by_others(path)]
+        check_outputs(others, out, inputs=[], existing="error")
+
+
+def _draw(report, path, load_rig, fits, values):
+    """Draw fits of a seed and say in the report which; notes, one where they cannot be drawn: no figure is lost for a picture."""
+    from ..bench.pictures import picture, shown
+    from ..report.render import write_png
+
+    rows, notes = shown(fits, values["pictures"]), []
+    if rows:
+        try:
+            write_png(path, picture(load_rig(), fits, rows))
+            report.setdefault("pictures", {})[path.name] = rows
+            return notes
+        except Exception as error:  # noqa: BLE001 (whatever is wrong with a picture, the figures are right)
+            notes.append(f"no picture: {in_words(error)}")
+    if (values["pictures"] or values["existing"] == "replace") and not drawn_by_others(path):
+        notes += remove([path])  # an earlier run's, which would then pass for this one's
+    return notes
+
+
+def _note_pictures(report, kept, k):
+    """Say where pictures are not as asked for, of seeds whose fits an earlier run has made: seed → path."""
+    from ..bench.pictures import shown
+
+    missing, other = [], []
+    for seed, path in kept.items():
+        scans = report["rows"]["own"]["seeds"][str(seed)]["scans"]
+        asked = shown([(None, None if "failed" in scan else scan, scan) for scan in scans], k)
+        drawn = report.get("pictures", {}).get(path.name, []) if path.exists() else []
+        if asked and not drawn:
+            missing.append(str(seed))
+        elif drawn != asked:
+            other.append(f"{len(drawn)} of seed {seed}")
+    again = "--existing replace makes them again"
+    if missing:
+        say(f"note: no picture of seed {', '.join(missing)}, whose fits an earlier run has made; {again}")
+    if other:
+        say(f"note: pictures show as many fits as an earlier run has drawn, not --pictures {k}: {', '.join(other)}; {again}")
 
 
 def _farewell(report, values, out):
