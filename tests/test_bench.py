@@ -395,7 +395,7 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_figures(ran, run_stopped, sha
     capsys.readouterr()
     monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained"))
     assert main([str(a) for a in command]) == 0 and len(fitted) == 2
-    assert table(report) in capsys.readouterr().out
+    assert table(report | {"aims": BENCHES["hand"].aims}) in capsys.readouterr().out
 
 
 def test_seeds_and_rows_are_added_to_those_that_are_there(run, run_stopped, shared_rigs, tmp_path, capsys):
@@ -417,6 +417,16 @@ def test_seeds_and_rows_are_added_to_those_that_are_there(run, run_stopped, shar
     replaced = ["bench", *command, "plain,oracle", "--seeds", "9", "--existing", "replace"]
     assert run_stopped(replaced, 1) == 130 and there() == ({"plain": {"9"}}, False, [9])
     assert "; run the same command without --existing replace to continue" in capsys.readouterr().out
+
+
+def test_goals_and_measures_are_those_of_this_version(ran, shared_rigs, monkeypatch):
+    """Not of the one whose rows are kept; and in order, which files lack."""
+    content_with_few_starts(monkeypatch)
+    old = ran[2] | {"aims": {"joint_error": 9.0}, "measures": {"joint_error": "of old"}, "rig_units_in_a_unit": 7.0}
+    report, _ = run_bench(BENCHES["hand"], shared_rigs, seeds=[7], n_scans=2, training_scans=60, before=old, rows=tuple(ROWS))
+    assert json.loads(json.dumps(report)) == ran[2] and list(report["aims"]) == list(BENCHES["hand"].aims)
+    assert list(report["measures"]) == list(MEASURES) and list(report)[:2] == ["benchmark", "unit"]
+    assert "labels ≥ 0.85, joint_error ≤ 0.045" in table(report)
 
 
 @pytest.mark.parametrize(

@@ -348,6 +348,14 @@ def test_each_row_says_what_made_it(known, monkeypatch):
     assert "several states" not in starts_table(report)
 
 
+def test_an_environment_of_a_whole_report_is_left_out(known):
+    """Earlier versions wrote it; rows that are made since are of others."""
+    whole = starts_bench(["hand-coarse"], rows=["0.3"], **QUICK)
+    old = json.loads(json.dumps(whole)) | {"environment": {"numpy": "1"}}
+    again = starts_bench(["hand-coarse"], rows=["0.3"], before=old, **QUICK)
+    assert again == json.loads(json.dumps(whole)) and again["confidence"]["scans"]
+
+
 def test_results_of_other_settings_are_left_alone(known):
     before = starts_bench(["hand-coarse"], rows=["0.3"], **QUICK)
     with pytest.raises(InputError, match="results with seed 3; expected seed 4.*--existing replace"):

@@ -221,6 +221,12 @@ def test_results_of_other_settings_are_left_alone(known, monkeypatch, given, wor
     assert len(known.trained) == 1
 
 
+def test_the_aim_is_that_of_this_version(known):
+    whole = json.loads(json.dumps(roundtrip(["hand-coarse"], n_scans=1, seeds=[3])))
+    report = roundtrip(["hand-coarse"], n_scans=1, seeds=[3], before=whole | {"aim": 0.5})
+    assert report == whole and "at least 95 %" in roundtrip_table(report)
+
+
 def test_seeds_of_several_commits_are_told(known):
     report = roundtrip(["hand-coarse"], n_scans=1, seeds=[3, 4], jobs=1)
     seeds = report["rigs"]["hand-coarse"]["seeds"]

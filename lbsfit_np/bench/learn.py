@@ -22,7 +22,7 @@ from ..synthesis import synthesize_one, uniform_poses
 from . import body, hand
 from .environment import environment
 from .measure import joint_error, label_accuracy, vertex_error
-from .resume import REMEDY, begun, check_same
+from .resume import REMEDY, begun, check_same, renewed
 from .run import TRAINING_SEED
 from .subjects import files_digest, people_digest, scans_digest, subject
 
@@ -212,8 +212,9 @@ def learn_bench(
         **read,
         "rows": {},
     }
-    report = begun(before, empty, same=("settings", "test_scans")) | {"complete": False}
+    report = begun(before, empty, same=("settings", "test_scans"))
     check_same(report, read)
+    report = renewed(report, empty) | {"complete": False}
     if not set(report["rows"]) <= {_ONE_BY_ONE, *VARIANT_ROWS}:
         raise InputError("before", "results by an earlier version", "results of this version", REMEDY)
     # All scans face the rig's way.

@@ -5,9 +5,12 @@ from copy import deepcopy
 from ..errors import InputError
 from ..learning.checkpoint import digest_of
 
-__all__ = ["REMEDY", "begun", "check_same", "described", "in_order"]
+__all__ = ["REMEDY", "begun", "check_same", "described", "in_order", "renewed"]
 
 REMEDY = "Choose another folder, or --existing replace."
+
+# What runs have found, and of what; all else that a report without results has is constant.
+_FOUND = ("rows", "seeds", "rigs")
 
 
 def begun(before, empty, *, same=("settings",)):
@@ -47,6 +50,16 @@ def begun(before, empty, *, same=("settings",)):
         got, expected = map(", ".join, zip(*other, strict=True))
         raise InputError("before", f"results with {got}", expected, REMEDY)
     return deepcopy(before)
+
+
+def renewed(report, empty):
+    """A report to go on with, all that is constant as this version has it, and in its order, once it is known to be the same.
+
+    Goals and the words for measures are not among what has to be the same. An environment of the whole report, as earlier
+    versions wrote, is left out: each row has its own.
+    """
+    constant = {key: report[key] if key in _FOUND else value for key, value in empty.items()}
+    return constant | {key: value for key, value in report.items() if key not in empty and key != "environment"}
 
 
 def check_same(kept, now, whose=""):

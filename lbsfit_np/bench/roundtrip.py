@@ -14,7 +14,7 @@ from ..seeds import generator
 from ..synthesis import Synthesis, natural_poses, synthesize_one
 from .environment import environment
 from .measure import joint_error, label_accuracy
-from .resume import begun, check_same, described, in_order
+from .resume import begun, check_same, described, in_order, renewed
 from .run import TRAINING_SEED
 from .subjects import scans_digest
 
@@ -98,7 +98,7 @@ def roundtrip(
             raise InputError("rig", f"{name}, which has no library of natural poses", "a rig with one", "See: lbsfit rig list")
     settings = {"training_scans": training_scans, "scans_a_seed": n_scans, "test_scans": asdict(SCAN)}
     empty = {"benchmark": "roundtrip", "close": CLOSE, "aim": AIM, "settings": settings, "rigs": {}}
-    report = begun(before, empty, same=("close", "settings")) | {"complete": False}
+    report = renewed(begun(before, empty, same=("close", "settings")), empty) | {"complete": False}
     known = {name: _described(rig) for name, rig in rigs.items()}
     for name in known:
         check_same(report["rigs"].get(name, known[name]), known[name], name)

@@ -11,7 +11,7 @@ from ..errors import FileError, InputError
 from ..scan import Scan
 from .environment import environment
 from .measure import joint_error, label_accuracy, recon, vertex_error
-from .resume import begun, check_same, described
+from .resume import begun, check_same, described, renewed
 from .subjects import files_digest, scans_digest
 
 __all__ = ["BENCHES", "MEASURES", "ROWS", "Bench", "run_bench", "with_segmenter"]
@@ -187,9 +187,10 @@ def run_bench(
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
     read = {"data": bench.data_digest(data), "scans": scans_digest(rig, make_scans(rig, data, 2, seed=0))}
     empty = _report(bench, rig, fitter, synthesis, seeds, n_scans) | read
-    report = begun(before, empty, same=("unit", "scans_a_seed", "settings")) | {"complete": False}
+    report = begun(before, empty, same=("unit", "scans_a_seed", "settings"))
     check_same(report["rig"], described(rig))
     check_same(report, read)
+    report = renewed(report, empty) | {"complete": False}
     report["seeds"] = sorted({*report["seeds"], *seeds})
     there = {row: content["seeds"] for row, content in report["rows"].items()}
     todo = {seed: [row for row in rows if str(seed) not in there.get(row, {})] for seed in seeds}

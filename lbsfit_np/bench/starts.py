@@ -16,7 +16,7 @@ from .baseline import PlainChamfer
 from .conditions import CONDITIONS, SEEN, conditions_of, starts_scan
 from .environment import environment
 from .measure import joint_error
-from .resume import begun, described
+from .resume import begun, described, renewed
 from .run import TRAINING_SEED
 
 __all__ = [
@@ -104,7 +104,9 @@ def starts_bench(
     todo = _plan(rigs, rows, fits)
     settings = {"seed": seed, "scans_a_row": n_scans, "effort": effort, "training_scans": training_scans}
     empty = {"benchmark": "starts", "settings": settings, "rigs": {}, "confidence": None}
-    report = begun(before, empty) | {"complete": False}
+    report = renewed(begun(before, empty), empty) | {"complete": False}
+    if report["rigs"]:
+        report["confidence"] = _confidence(report)
     for name, row, fit in todo:
         rig, condition = rigs[name], CONDITIONS[row]
         entry = _row_entry(report, name, rig, row, condition)
