@@ -14,6 +14,7 @@ from lbsfit_np.bench import baseline as baseline_module
 from lbsfit_np.bench import run as run_module
 from lbsfit_np.bench.baseline import PlainChamfer
 from lbsfit_np.bench.body import SHAPES, body_rig, body_scans
+from lbsfit_np.bench.environment import commits, libraries, several
 from lbsfit_np.bench.hand import hand_rig, hand_scans, natural_poses
 from lbsfit_np.bench.measure import joint_error, label_accuracy, recon, vertex_error
 from lbsfit_np.bench.pictures import shown
@@ -536,6 +537,14 @@ def test_rows_of_several_commits_and_machines_are_told(ran):
     text = table(report)
     assert " CPUs, jobs 1; and lbsfit_np" in text and " CPUs, jobs 2.\nRows are of several states of the code, by commit:" in text
     assert "; 0123456789ab: plain 7" in text
+
+
+def test_states_of_the_code_in_words():
+    made = [("a", {"commit": "0123456789abcdef+changes"}), ("b", {}), ("c", {"commit": None}), ("d", {"commit": "0123456789ab"})]
+    states = commits(made)
+    assert states == {"0123456789ab+changes": ["a"], "": ["b", "c"], "0123456789ab": ["d"]}
+    assert several(states).endswith(", by commit: 0123456789ab+changes: a; unknown: b, c; 0123456789ab: d.")
+    assert libraries({"scipy": "2", "numpy": "1", "scikit-learn": "3"}) == "numpy 1, scipy 2, scikit-learn 3"
 
 
 def test_scans_that_fail_are_named(run, shared_rigs, tmp_path, monkeypatch):

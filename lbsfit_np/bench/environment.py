@@ -6,17 +6,18 @@ from pathlib import Path
 
 from ..workers import processors
 
-__all__ = ["environment", "installed"]
+__all__ = ["commits", "environment", "installed", "libraries", "several"]
+
+_LIBRARIES = ("numpy", "scipy", "scikit-learn")
 
 
 def environment():
     """A dict of versions, the platform, the number of CPUs that may be used, and the commit (None outside a checkout)."""
     from .. import __version__
 
-    libraries = ("numpy", "scipy", "scikit-learn")
     return {
         "lbsfit_np": __version__,
-        **{name: installed(name) for name in libraries},
+        **{name: installed(name) for name in _LIBRARIES},
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
         "processor": _processor(),
@@ -33,6 +34,36 @@ def installed(name):
         return version(name)
     except PackageNotFoundError:
         return None
+
+
+def libraries(env):
+    """The versions of the libraries of an environment, in words."""
+    return ", ".join(f"{name} {env[name]}" for name in _LIBRARIES)
+
+
+def commits(made):
+    """Each state of the code, by the first letters of its commit → what was made in it; "": not known.
+
+    Parameters
+    ----------
+    made : iterable of (str, dict)
+        What each row is called, and the environment that made it.
+
+    Returns
+    -------
+    dict of str to list of str
+    """
+    states = {}
+    for called, env in made:
+        commit, *changes = (env.get("commit") or "").partition("+")
+        states.setdefault("".join((commit[:12], *changes)), []).append(called)
+    return states
+
+
+def several(states):
+    """What to say of rows of several states, as by :func:`commits`: they are not to be compared as if they were of one."""
+    listed = "; ".join(f"{commit or 'unknown'}: {', '.join(called)}" for commit, called in states.items())
+    return f"Rows are of several states of the code, by commit: {listed}."
 
 
 def _processor():

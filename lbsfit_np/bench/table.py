@@ -1,5 +1,6 @@
 """A benchmark's report as a table, plain or in Markdown."""
 
+from .environment import commits, libraries, several
 from .resume import in_order
 from .run import ROWS, with_segmenter
 
@@ -64,14 +65,8 @@ def of_states(made):
     str
         A line that follows others, or nothing.
     """
-    states = {}
-    for called, entry in made:
-        commit, *changes = (entry.get("environment", entry).get("commit") or "unknown").partition("+")
-        states.setdefault("".join((commit[:12], *changes)), []).append(called)
-    if len(states) < 2:
-        return ""
-    listed = "; ".join(f"{commit}: {', '.join(called)}" for commit, called in states.items())
-    return f"\nRows are of several states of the code, by commit: {listed}."
+    states = commits((called, entry.get("environment", entry)) for called, entry in made)
+    return f"\n{several(states)}" if len(states) > 1 else ""
 
 
 def _cells(entry, unit):
@@ -101,8 +96,7 @@ def _legend(report):
 def _made_on(entry):
     """Versions, machine and processes of a row."""
     env = entry["environment"]
-    libraries = f"numpy {env['numpy']}, scipy {env['scipy']}, scikit-learn {env['scikit-learn']}"
-    return f"lbsfit_np {env['lbsfit_np']}, {libraries}, Python {env['python']}, {env['cpus']} CPUs, jobs {entry['jobs']}"
+    return f"lbsfit_np {env['lbsfit_np']}, {libraries(env)}, Python {env['python']}, {env['cpus']} CPUs, jobs {entry['jobs']}"
 
 
 def _plain(rows):

@@ -2,6 +2,7 @@
 
 from urllib.parse import quote
 
+from ..environment import commits, libraries, several
 from . import tables
 from .cells import cells_of
 from .rows import ROWS
@@ -246,22 +247,18 @@ def _processes(jobs, at_once):
 
 
 def _commits(report):
-    """The commit that rows are of; of several, each with its rows, which are not to be compared as if they were of one."""
-    of = {}
-    for name, entry in report["rigs"].items():
-        for seed, rows in entry["seeds"].items():
-            for row, c in rows.items():
-                commit, *changes = (c["environment"].get("commit") or "").partition("+")
-                if commit:
-                    of.setdefault("".join((commit[:12], *changes)), []).append(f"{name} {seed} {row}")
-    if len(of) > 1:
-        listed = "; ".join(f"{commit}: {', '.join(rows)}" for commit, rows in sorted(of.items()))
-        return f"Rows are of several states of the code, by commit: {listed}. "
-    return "".join(f"Commit {commit}; " for commit in of)
+    """The commit that rows are of; of several, each with its rows. Those of which none is known are left out."""
+    of = commits(
+        (f"{name} {seed} {row}", c["environment"])
+        for name, entry in report["rigs"].items()
+        for seed, rows in entry["seeds"].items()
+        for row, c in rows.items()
+    )
+    known = {commit: rows for commit, rows in sorted(of.items()) if commit}
+    return f"{several(known)} " if len(known) > 1 else "".join(f"Commit {commit}; " for commit in known)
 
 
 def _made_on(e):
     """Versions and machine of a row."""
     machine = f"{e['cpus']} CPUs" + (f" ({e['processor']})" if e["processor"] else "")
-    libraries = f"numpy {e['numpy']}, scipy {e['scipy']}, scikit-learn {e['scikit-learn']}"
-    return f"lbsfit_np {e['lbsfit_np']}, Python {e['python']}, {libraries}, {machine}"
+    return f"lbsfit_np {e['lbsfit_np']}, Python {e['python']}, {libraries(e)}, {machine}"
