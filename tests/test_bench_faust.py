@@ -297,7 +297,8 @@ def test_the_options_reach_what_they_are_for(made, truth, body, tmp_path, run, m
     assert {len(lbs.FitResult.load(path).labels) for path in (out / "fits").iterdir()} == {300}
     report, found = json.loads((out / "results.json").read_text()), read_faust(made)
     pairs = choose_pairs(found.training, found.truth, 3, 4)
-    measured = measure_pairs(found.training, found.truth, given, body.faces, pairs, points=7, seed=4)
+    of_training = {s.name: given[s.name] for s in found.training}
+    measured = measure_pairs(found.training, found.truth, of_training, body.faces, pairs, points=7, seed=4)
     assert report["pairs"] == measured["pairs"] and len(report["pairs"]) == 6 and {e["points"] for e in report["pairs"]} == {7}
     code, _, err = run(*_command(made, out, *options, "--samples", 200))
     assert code == 2 and "fits made with samples 300; expected samples 200" in one_line(err)

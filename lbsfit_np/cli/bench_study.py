@@ -103,10 +103,12 @@ def run_study(values):
     except BaseException as why:
         progress.close()
         stopped = isinstance(why, KeyboardInterrupt)
-        if begun and (results.exists() or any(steps_in(folder) for folder in cells.glob(checkpoint_of("*.npz").name))):
+        kept = results.exists() or any(steps_in(folder) for folder in cells.glob(checkpoint_of("*.npz").name))
+        if begun and (kept or stopped):
             how, again = "stopped: " * stopped, "run the same command" + " without --existing replace" * replace
+            words = f"finished work is kept in {out}" if kept else "nothing was finished yet"
             with suppress(OSError):  # which is not what went wrong
-                say(f"{how}finished work is kept in {out}; {again} to continue")
+                say(f"{how}{words}; {again} to continue")
         raise
     finally:
         progress.close()
