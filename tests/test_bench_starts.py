@@ -17,18 +17,6 @@ from lbsfit_np.errors import InputError
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
-BENT = {"0.3": 0.3, "0.6": 0.6, "1.0": 1.0, "subjects": 0.6}
-
-
-@pytest.fixture(scope="module")
-def hand():
-    return lbs.load_rig("hand-coarse")
-
-
-@pytest.fixture(scope="module")
-def body():
-    return lbs.load_rig("body-coarse")
-
 
 def test_rows_and_goals_are_those_set_for_them():
     goals = {row: (c.goal, c.close) for row, c in CONDITIONS.items()}
