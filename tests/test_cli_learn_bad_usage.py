@@ -49,6 +49,11 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("none.npz", "t0.ply", "-o", "m.npz"), ["none.npz", "no such file"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--results", "t1.ply"), ["t1.ply", "a folder to write to"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--results", "old"), ["--results: got old", "exists already"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--results", "m.npz"), ["--results: got m.npz, with m.npz as the model"]),
+        (("tube.npz", "t0.ply", "-o", "new/m.npz", "--results", "sub/../new/m.npz/fits"), ["other than m.npz and those"]),
+        (("tube.npz", "t0.ply", "-o", "m.npz", "--results", "m.npz.unfinished"), ["--results", "other than m.npz.unfinished"]),
+        (("tube.npz", "t0.ply", "-o", "cut.npz"), ["-o/--output: got cut.npz, whose steps", "or remove cut.npz.unfinished"]),
+        (("tube.npz", "t0.ply", "-o", "m" * 248 + ".npz"), ["-o/--output", "steps cannot be kept", "Choose another name"]),
         (("tube.npz", "t0.ply", "-o", "new/t0.fit.npz", "--results", "new"), ["t0.fit.npz", "a file of --results"]),
         (("tube.npz", "t0.ply", "sub/t0.ply", "-o", "m.npz", "--results", "new"), ["both be called", "learn without --results"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--rounds", "0"), ["--rounds", "at least 1"]),
@@ -79,7 +84,7 @@ def test_bad_usage_is_found_before_any_work(arguments, words, tubes, tmp_path, r
     for folder in ("folder.npz", "old", "sub"):
         (tmp_path / folder).mkdir()
     np.savez(tmp_path / "cloud.npz", points=np.eye(3))
-    contents = {"there.npz": "x", "old/t0.fit.npz": "x", "one.csv": "t0,a\nt1,b\n", "sub/t0.ply": "x"}
+    contents = {"cut.npz.unfinished": "", "there.npz": "x", "old/t0.fit.npz": "x", "one.csv": "t0,a\nt1,b\n", "sub/t0.ply": "x"}
     contents |= {"bad.toml": "round = 3", "share.toml": "held-out = 2"}
     contents |= {"word.toml": 'smooth = "much"', "half.toml": "rounds = 1.5", "skip.toml": 'existing = "skip"'}
     for name, text in contents.items():

@@ -18,6 +18,7 @@ _ONE_PLACE = " Put all names at the top, or all in [subjects]."
         ("who.csv", "\ufeffscan, subject\r\na1, anna\r\n\r\n# b\r\na2, anna\r\n'b 1',ben".replace("'", '"')),
         ("who.csv", "File;Who\nb 1;ben\na1;anna;\na2;anna;;\n"),
         ("who.tsv", "a1\tanna\na2\tanna\nb 1.xyz\tben\n"),
+        ("who.txt", "a1 anna\t\na2 anna\nb 1 ben\n"),
         ("who.txt", "a1.ply  anna\nin/a2.ply\tanna\nb 1.xyz ben\n".replace("\t", " ")),
         ("who", "in/a1.ply,anna\n./in/a2.ply,anna\nb 1,ben\n"),
         ("who.toml", '"a1.ply" = "anna"\na2 = "anna"\n"b 1" = "ben"\n'),

@@ -5,6 +5,7 @@ import pickle
 import re
 import types
 from dataclasses import replace
+from enum import Enum
 
 import numpy as np
 import pytest
@@ -358,8 +359,9 @@ def test_the_digest_survives_saving(learned, tmp_path):
     learned.save(tmp_path / "m.npz")
     loaded = lbs.LBSFitter.load(tmp_path / "m.npz")
     assert model_digest(loaded) == model_digest(learned) and learned_digests(loaded) == learned_digests(learned)
-    typed = copy.copy(learned).set_params(variant=np.str_(learned.variant), joints=np.str_("follow"))
-    assert model_digest(typed) == model_digest(learned)
+    for typed in (np.str_, Enum("Text", {"CD": "cd", "FOLLOW": "follow"}, type=str)):
+        own = copy.copy(learned).set_params(variant=typed(learned.variant), joints=typed("follow"))
+        assert model_digest(own) == model_digest(learned)
 
 
 def _moved(fitter):

@@ -75,6 +75,9 @@ def test_free_form_fits_that_fail_are_left_out(tube_rig, clouds, monkeypatch):
     with pytest.warns(UserWarning, match="scan 0: ZeroDivisionError"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": "free-form"}).fit([clouds[0][:399], *clouds[1:]])
     assert list(fitter.failures_) == [0] and fitter.results_[0] is None and fitter.results_[3].status != "failed"
+    with pytest.warns(UserWarning, match="nothing is learned for subject 'b'"):
+        fitter.fit([clouds[0][:399], *clouds[1:]], list("baaa"))
+    assert list(fitter.template_) == list(fitter.unit_) == ["a"]
 
 
 def test_free_form_fits_that_are_stopped_leave_the_fitter_as_it_was(tube_rig, clouds, monkeypatch):

@@ -2,6 +2,7 @@
 
 import copy
 import zipfile
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -59,7 +60,13 @@ def test_the_file_holds_plain_arrays_and_is_a_rig(saved, learned_people):
 
 
 @pytest.mark.parametrize(
-    "parameters", [{"weights": "paper"}, {"weights": lbs.losses.LossWeights(lam=0.5)}, {"training": Synthesis(turn=1.0)}]
+    "parameters",
+    [
+        {"weights": "paper"},
+        {"weights": lbs.losses.LossWeights(lam=0.5)},
+        {"training": Synthesis(turn=1.0)},
+        {"training": {"noise": Fraction(1, 128)}},
+    ],
 )
 def test_parameters_travel(learned_people, tmp_path, parameters):
     fitter = copy.copy(learned_people).set_params(random_state=np.random.default_rng(0), **parameters)

@@ -5,6 +5,7 @@ import signal
 import types
 import warnings
 from enum import Enum, IntEnum
+from functools import partial
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.labels import labels_from_mesh
 from lbsfit_np.learning.batch import _without_results, fit_scans
-from lbsfit_np.learning.parameters import learned_with
+from lbsfit_np.learning.parameters import check_callables, learned_with
 from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.subjects import as_subjects, check_ids, known_subject
 from lbsfit_np.learning.training import training_settings
@@ -221,6 +222,33 @@ def test_what_is_called_late_is_looked_at_before_any_work(learned, clouds):
         learned.pretrain(progress=3)
     with pytest.raises(InputError, match="segmenter: got a str; expected a Segmenter. Read one with Segmenter.load"):
         learned.pretrain(segmenter="s.npz")
+    for function in (lambda stage, share: None, lambda: None, lambda stage, share, figures, more: None):
+        with pytest.raises(InputError, match=r"progress: got one that takes other .* as progress\(stage, share(, figures)?\)"):
+            learned.fit(clouds, progress=function)
+    with pytest.raises(InputError, match=r"on_round: got .*called as on_round\(k, s\)"):
+        learned.fit(clouds, on_round=lambda k: None)
+    with pytest.raises(InputError, match=r"finish: got .*called as finish\(index, scan, result\)"):
+        fit_scans(learned, clouds, finish=lambda result: None)
+    check_callables(progress=(print, (("share",),)), finish=(max, (("index", "scan"),)))  # which may say nothing of themselves
+
+
+def test_a_reader_may_use_one_array_for_all_scans(tube_rig, clouds, monkeypatch):
+    room = np.empty((400, 3))
+
+    def read(cloud):
+        room[:] = cloud
+        return room
+
+    options = {"held_out": 0.0, "scale": "estimate", "max_points": 400, "random_state": 0}
+    found = read_collection(tube_rig, [partial(read, c) for c in clouds], None, **options)
+    for member, cloud in zip(found.members, clouds, strict=True):
+        np.testing.assert_array_equal(member.points, cloud)
+
+
+@pytest.mark.parametrize("ids", [[None, float("nan"), None, None], [["a"], None, None, None], [b"0", None, None, None]])
+def test_what_is_no_id_is_not_taken_for_one_that_is_misspelt(ids, learned, clouds):
+    with pytest.raises(InputError, match="for scan [01]; expected a learned subject: 0. Pass None for scans of other people.$"):
+        learned.transform(clouds, ids)
 
 
 def test_an_unknown_subject_is_said_once_before_any_work(tube_rig, learned, clouds):
@@ -327,3 +355,12 @@ def test_a_fixed_scale_is_1_whatever_was_learned(tube_rig, learned, scans, cloud
         assert labelled.fit_scan(clouds[0], labels=scans[0].labels).scale == 1.0
     other.unit_ = {0: 1.5}
     assert other.set_params(scale="estimate").fit_scan(clouds[0]).scale != 1.0
+
+
+@pytest.mark.parametrize("factor", [1.0, 1.6])
+def test_a_fixed_scale_is_named_where_the_fit_is_wrong_and_another_was_learned(factor, learned, clouds):
+    other = copy.copy(learned).set_params(scale="fixed")
+    other.unit_ = {0: factor}
+    r = other.fit_scan(1.6 * clouds[0])
+    words = "; the template was learned at 1.6 scan units in a rig unit, which scale 'fixed' does not allow: leave that out"
+    assert r.status != "ok" and (words in r.message) == (factor > 1)

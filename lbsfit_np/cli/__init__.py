@@ -39,7 +39,8 @@ def main(argv=None):
     Returns
     -------
     int
-        The exit code: 0 all done, 1 some scans failed, 2 usage or unreadable input, 130 stopped by Ctrl-C, 143 by SIGTERM.
+        The exit code: 0 all done, 1 some scans failed, 2 usage or unreadable input, 130 stopped by Ctrl-C, 143 by SIGTERM,
+        141 as nobody reads its output any more.
     """
     if argv is None:
         for stream in filter(None, (sys.stdout, sys.stderr)):  # a closed one is None
@@ -57,7 +58,7 @@ def main(argv=None):
         return 2
     except BrokenPipeError:  # the reader of our output, such as head, has had enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        return 141  # as a shell has it of a program that SIGPIPE ended
     except KeyboardInterrupt as stop:
         print("lbsfit: stopped", file=sys.stderr)
         return exit_code(stop)

@@ -1,6 +1,5 @@
 """``lbsfit learn``: learn from a collection of scans, and write what was learned as one model file."""
 
-import os
 import time
 import warnings
 from contextlib import suppress
@@ -15,14 +14,15 @@ from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, check_training, load_rig_with, scan_options
-from .models import about_model, is_model, unit_parameter
+from .learned_files import checked_files
+from .models import about_model, unit_parameter
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, of_all, say, span
 from .reading import Reading
 from .sequences import order_note
 from .stopped_learning import goes_on, is_result_of, results_so_far, stopped_early
 from .stopping import exit_code, say_steps, terminable
-from .subjects import SUBJECT_FILES, check_no_table, read_subjects, who_words
+from .subjects import SUBJECT_FILES, read_subjects, who_words
 from .summary import counts_of, say_doubtful, write_summary, written_of
 
 __all__ = ["OPTIONS", "add_parser", "learn_files"]
@@ -37,8 +37,6 @@ _TRAINING_SCANS = "synthetic scans to train the segmenter on, at first and in ea
 _TRAINING_SCANS += "many, in rounds three eighths"
 # Scans that the last line names, at most.
 _NAMED = 5
-# Endings of files, beside those of scans and rigs, that a model may be called by mistake; others are dots within a name.
-_OTHER_ENDINGS = (".pkl", ".json", ".toml", ".h5", ".bvh", ".fbx")
 
 OPTIONS = (
     Option("output", "the model to write (required), NAME.npz; its folder is created if needed", metavar="MODEL", flag="-o",
@@ -150,7 +148,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
 
     started = time.perf_counter()
     model, scans = Path(values["output"]), outputs.without_results(scans)
-    files = _checked(rig_path, scans, values, inputs)
+    files = checked_files(rig_path, scans, values, inputs)
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
     rig = load_rig_with(rig_path, values)
     values = _without_unused(values)
@@ -205,49 +203,6 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     return 1 if counts_of(entries)["failed"] else 0
 
 
-def _checked(rig_path, scans, values, inputs):
-    """The files of the results, none where they are not asked for, once no name can go wrong any more."""
-    from ..io.scans import SCAN_EXTENSIONS
-
-    model, existing = Path(values["output"]), values["existing"]
-    if model.suffix.lower() != ".npz":
-        got = f"{model}, which ends in {model.suffix!r}" if model.suffix else f"{model}, which has no ending"
-        other = model.suffix.lower() in (*SCAN_EXTENSIONS, *_OTHER_ENDINGS)  # else a dot within the name
-        name = model.with_suffix(".npz") if other else f"{model}.npz"
-        if model.is_dir():
-            got, name = f"{model}, which is a folder", model / "model.npz"
-        raise InputError("-o/--output", got, "a name that ends in .npz", f"Call it {name}.")
-    if values["smooth"] and not values["sequence"] and VARIANTS[values["variant"]].skinning:
-        raise InputError("--smooth", f"{values['smooth']:g} without --sequence", "a sequence", "Add --sequence, or leave it out.")
-    card = values["card"] if values["card"] != "none" else None
-    others = [p for p in (rig_path, card, values["subjects"], *inputs) if p]
-    outputs.check_sources(scans)
-    given = values["subjects"] is not None
-    check_no_table(scans, "Leave it out of the scans: --subjects is given." if given else "Give it as --subjects {}.")
-    _check_twice(scans)
-    outputs.check_file(model, inputs=[(path, f"an input ({path})") for path in (*scans, *others)], existing=existing)
-    if model.is_file() and not _was_model(model):
-        got = f"{model}, a file that is not a model and would be replaced"
-        raise InputError("-o/--output", got, "a new name, or an existing model", "Choose another name, or delete that file.")
-    if values["results"] is None:
-        if values["pictures"]:
-            raise InputError("--pictures", "no --results", "a folder for the fits and their pictures", "Add --results OUT.")
-        return ()
-    names = {"existing": existing, "argument": "--results", "pictures": values["pictures"]}
-    files = tuple(outputs.plan(scans, values["results"], inputs=others, **names))
-    for path in (p for f in files for p in f.paths.values()):
-        if outputs.same_file(path, model):
-            raise InputError("-o/--output", f"{model}, which is a file of --results", "another name")
-    return files
-
-
-def _was_model(path):
-    try:
-        return is_model(path)
-    except FileError:  # an NPZ cut short, or no NPZ
-        return False
-
-
 def _without_unused(values):
     """Options that mean nothing in the variant are named and back at their defaults."""
     defaults = {o.key: o.default for o in OPTIONS}
@@ -255,15 +210,6 @@ def _without_unused(values):
     if note := note_on(values["variant"], given):
         say(f"note: {note}")
     return values | {key: defaults[key] for key in unused(values["variant"], given)}
-
-
-def _check_twice(scans):
-    seen = set()
-    for scan in scans:
-        real = os.path.realpath(scan)
-        if real in seen:
-            raise InputError("SCAN", f"{scan} twice", "each scan once", "Leave one out.")
-        seen.add(real)
 
 
 def _fitter(rig, values):

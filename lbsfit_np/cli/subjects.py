@@ -220,7 +220,8 @@ def _table_rows(path, text):
     """Triples (line, name, id)."""
     lines = [(k, line) for k, line in enumerate(text.splitlines(), 1) if line.strip() and not line.lstrip().startswith("#")]
     first = lines[0][1] if lines else ""
-    delimiter = next((d for d in _SEPARATORS if d is not None and d in first), None)
+    seen = first.rstrip() if len(first.split()) > 1 else first  # what stands behind the id separates nothing
+    delimiter = next((d for d in _SEPARATORS if d is not None and d in seen), None)
     rows = []
     for k, line in lines:
         cells = line.rsplit(None, 1) if delimiter is None else _cells(path, k, line, delimiter)

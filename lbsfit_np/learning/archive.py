@@ -19,6 +19,7 @@ from ..optimize.state import Layout
 from ..rig.units import METRES
 from ..segmentation.segmenter import Segmenter
 from ..starts.library import PoseLibrary
+from .plain import plain
 
 __all__ = [
     "MODEL_KEY",
@@ -65,7 +66,7 @@ def write_fitter(fitter, path):
         header["segmenter"] = segmenter.header()
     header["library"], header["pose_prior"] = library is not None, getattr(fitter, "pose_prior_", None) is not None
     try:
-        text = json.dumps(header, default=_plain)
+        text = json.dumps(header, default=_jsonable)
     except TypeError as error:
         raise InputError("fitter", f"parameters that cannot be saved ({error})", "numbers, text and settings") from None
     write_npz(path, **{MODEL_KEY: np.array(text)}, **rig_arrays(fitter.rig), **_arrays(fitter, fitter.template_.values()))
@@ -84,11 +85,12 @@ def plain_parameters(fitter):
     return parameters
 
 
-def _plain(value):
-    """``default`` of ``json.dumps``: NumPy's scalars as Python's."""
-    if isinstance(value, np.generic):
-        return value.item()
-    raise TypeError(f"a {type(value).__name__}")
+def _jsonable(value):
+    """``default`` of ``json.dumps``."""
+    known = plain(value)
+    if known is value:
+        raise TypeError(f"a {type(value).__name__}")
+    return known
 
 
 def model_digest(fitter, subject=None):
@@ -102,7 +104,7 @@ def model_digest(fitter, subject=None):
     h = hashlib.sha256()
     templates = fitter.template_ if subject is None else {subject: fitter.template_[subject]}
     subjects = [(s, float(fitter.unit_[s])) for s in templates]
-    words = str(fitter.variant), str(fitter.joints)  # plain, whatever type of text they are
+    words = plain(fitter.variant), plain(fitter.joints)
     made_of = fitter.rig.digest, *words, subjects, subject is not None, fitter.learned_unit_
     h.update(repr(made_of).encode())
     for name, array in sorted(_arrays(fitter, templates.values()).items()):

@@ -88,7 +88,8 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     """
     if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs < 1:
         raise InputError("n_jobs", repr(n_jobs), "a positive whole number of worker processes")
-    check_callables(finish=finish, on_result=on_result, pretrain=pretrain)
+    after = (("index", "scan", "result"),)
+    check_callables(finish=(finish, after), on_result=(on_result, (("outcome",),)), pretrain=(pretrain, (("fitter",),)))
     scans = as_scans(scans)
     subjects = [None] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
     if hasattr(fitter, "_check"):

@@ -166,7 +166,7 @@ class LBSFitter(BaseEstimator):
         self
         """
         self._check()
-        check_callables(progress=progress)
+        check_callables(progress=(progress, (("share",),)))
         progress = progress or (lambda share: None)
         labels = as_variant(self.variant).labels
         check_segmenter(segmenter, self.rig)
@@ -213,7 +213,8 @@ class LBSFitter(BaseEstimator):
             On Ctrl-C. What a finished round has learned is then available; ``results_`` holds None for each scan.
         """
         self._check()
-        check_callables(progress=progress, on_round=on_round)
+        ways = (("stage", "share"), *([("stage", "share", "figures")] if as_variant(self.variant).skinning else []))
+        check_callables(progress=(progress, ways), on_round=(on_round, (("k", "s"),)))
         if checkpoint is not None and not self._repeatable():
             got = f"random_state {brief(self.random_state)}, with which a run cannot be repeated"
             raise InputError("checkpoint", got, "a seed", "Pass a seed, such as random_state=0.")
@@ -230,6 +231,7 @@ class LBSFitter(BaseEstimator):
             kept = checkpoint.narrowed(self._made_of(seed))
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress, checkpoint=kept)
             self.segmenter_ = self.regressor_ = self.pose_prior_ = None
+            units = {s: units[s] for s in collection.subjects}  # of others no scan could be fitted
             self.template_, self.unit_ = dict.fromkeys(units, self.rig), units
             self.history_, self._learned_with, self.learned_unit_ = [], learned_with(self), settings.unit
             return self._finished(collection, results)

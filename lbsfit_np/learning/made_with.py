@@ -2,12 +2,10 @@
 
 import json
 from dataclasses import replace
-from numbers import Integral, Real
-
-import numpy as np
 
 from .. import __version__
 from .archive import learned_digests, model_digest, plain_parameters
+from .plain import plain
 
 __all__ = ["as_fitted", "as_learned", "settings_of"]
 
@@ -20,14 +18,13 @@ def settings_of(fitter, *, learning=False):
     left_out = ("unit",) if learning else ("unit", *_OF_LEARNING)  # the unit is a field of its own
     settings = {name: value for name, value in plain_parameters(fitter).items() if name not in left_out}
     settings["training"] = settings["training"] or {}
-    return json.loads(json.dumps(settings, default=_plain)) | {"version": __version__}
+    return json.loads(json.dumps(settings, default=_jsonable)) | {"version": __version__}
 
 
-def _plain(value):
-    """What JSON knows in place of what it does not: no fit is lost for how a number was written."""
-    if isinstance(value, np.generic):
-        return value.item()
-    return int(value) if isinstance(value, Integral) else float(value) if isinstance(value, Real) else str(value)
+def _jsonable(value):
+    """``default`` of ``json.dumps``: no fit is lost for how a parameter was written."""
+    known = plain(value)
+    return str(value) if known is value else known
 
 
 def as_fitted(fitter, result, *, subject=None):

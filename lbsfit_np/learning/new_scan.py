@@ -125,6 +125,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if alone is not None and proportions > SOMEBODY_ELSE:
         nearest = f"the template of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned template"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: is it a scan of somebody else?"
+        message += _held_to(fitter, subject, alone)
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
     whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
@@ -148,6 +149,7 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         place |= held
     result = fit.finish(best.problem, state, proba=best.proba, labels_known=labels, started=started, **place)
     result = replace(result, subject=str(subject))
+    result = replace(result, message=result.message + _held_to(fitter, subject, result))
     if another and result.status != "ok":
         without = "without subject (--subject, or its line of --subjects, which may be wrong)"
         return replace(result, message=f"{result.message}; {without}, the template that fits best is used")
@@ -309,6 +311,16 @@ def _doubted(fitter, subject, scale, settings):
     if not (settings.unit and fitter.learned_unit_) or settings.scale == "fixed" or same_size(scale, learned):
         return ""
     return f", and {scale / learned:.3g} times as large as learned{unit_question(settings.unit)}"
+
+
+def _held_to(fitter, subject, result):
+    """What a fit that has not gone well may owe to a fixed scale, where no unit is known; else empty."""
+    learned = fitter.unit_[subject]
+    known = fitter.scale != "fixed" or fitter.unit or fitter.learned_unit_
+    if result.status == "ok" or known or same_size(learned, 1.0):
+        return ""
+    at = f"{learned:.3g} scan units in a rig unit, which scale 'fixed' does not allow"
+    return f"; the template was learned at {at}: leave that out (--scale estimate) if the scans are as they were"
 
 
 def _template_fit(fitter, subject, settings):

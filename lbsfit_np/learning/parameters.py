@@ -1,5 +1,6 @@
 """What the parameters of an LBSFitter and of its fits may be, checked before any work."""
 
+import inspect
 from collections.abc import Mapping
 
 import numpy as np
@@ -19,6 +20,7 @@ from ..skinning import JOINT_MODES
 from ..starts.turns import ORIENTATIONS
 from ..synthesis import Synthesis
 from .free_form import LOOSE
+from .plain import plain
 from .variants import as_variant
 
 __all__ = [
@@ -104,10 +106,24 @@ def _check_unit(unit, rig):
 
 
 def check_callables(**given):
-    """Raise InputError unless each is None or can be called: they are called late, when much would be lost."""
-    for name, value in given.items():
+    """Raise InputError unless each is None or can be called as it will be: late, when much would be lost.
+
+    Parameters
+    ----------
+    **given : (callable or None, tuple of tuples of str)
+        By its name, and the arguments that it is called with, in each way that it is.
+    """
+    for name, (value, ways) in given.items():
         if value is not None and not callable(value):
             raise InputError(name, brief(value), "a function, or None")
+        for arguments in ways if value is not None else ():
+            try:
+                inspect.signature(value).bind(*arguments)
+            except ValueError:  # a function of an extension that does not tell
+                continue
+            except TypeError as error:
+                expected = f"a function that can be called as {name}({', '.join(arguments)})"
+                raise InputError(name, f"one that takes other arguments ({error})", expected) from None
 
 
 def check_segmenter(segmenter, rig):
@@ -150,7 +166,7 @@ def fit_settings(fitter):
     """The FitSettings of a fitter."""
     free = isinstance(fitter.weights, str) and fitter.weights == "default" and not as_variant(fitter.variant).skinning
     given = {name: getattr(fitter, name) for name in ("scale", "unit", "effort", "max_points")}
-    given["unit"] = None if fitter.unit is None else str(fitter.unit)  # plain, as it becomes part of digests
+    given["unit"] = plain(fitter.unit)  # as it becomes part of digests
     return FitSettings(weights=LOOSE if free else as_weights(fitter.weights), partial=bool(fitter.partial), **given)
 
 

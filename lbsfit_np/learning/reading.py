@@ -92,6 +92,8 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
             with passing_interrupts():  # also where a reader takes them for an error of its own
                 scan = source() if callable(source) else source
                 points = check_points(scan, minimum=len(rig.parts))
+                if callable(source):  # all are read before any is worked with, and a reader may use one array again
+                    points = points.copy()
                 part = looked_at(i, points, ups)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             collection.failures[i] = in_words(error)

@@ -3,9 +3,8 @@
 from collections.abc import Mapping, Set
 from unicodedata import normalize
 
-import numpy as np
-
 from ..errors import InputError, brief, did_you_mean, listed
+from .plain import plain
 
 __all__ = ["as_subjects", "check_ids", "known_subject", "known_subjects"]
 
@@ -18,7 +17,7 @@ def as_subjects(subjects, n):
     some = hasattr(subjects, "__len__") and hasattr(subjects, "__iter__") and getattr(subjects, "ndim", 1)
     if isinstance(subjects, (str, bytes)) or not some:
         raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
-    subjects = list(map(_plain, subjects))
+    subjects = list(map(plain, subjects))
     if len(subjects) != n:
         raise InputError("subjects", f"{len(subjects)} id{'' if len(subjects) == 1 else 's'}", f"{n}, one for each scan")
     return subjects
@@ -72,7 +71,7 @@ def known_subject(learned, given, argument="subject", scan=None):
     InputError
         Nobody of that id.
     """
-    given = _plain(given)
+    given = plain(given)
     got = brief(given) if scan is None else f"{brief(given)} for scan {scan}"
     if learned is None:
         raise InputError(argument, got, "no subject, as nothing has been learned yet")
@@ -82,16 +81,8 @@ def known_subject(learned, given, argument="subject", scan=None):
         if found is not None:
             return found
     others = "Fit scans of other people without it." if scan is None else "Pass None for scans of other people."
-    remedy = did_you_mean(given, learned) or others
+    remedy = (did_you_mean(given, learned) if isinstance(given, (str, int)) else None) or others
     raise InputError(argument, got, f"a learned subject: {listed(list(map(repr, learned)))}", remedy)
-
-
-def _plain(subject):
-    """An id of a type of its own, such as NumPy's or a member of an Enum that is text, as plain text or a plain number."""
-    subject = subject.item() if isinstance(subject, np.generic) else subject
-    if isinstance(subject, str):
-        return str.__str__(subject)
-    return int(subject) if isinstance(subject, int) and not isinstance(subject, bool) else subject
 
 
 def _text(subject):
