@@ -57,8 +57,11 @@ def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
     if snap_to is not None and not len(snap_to):
         raise InputError("snap_to", "an empty array", "points of scan B, shape (k, 3)", "Leave it out to skip snapping.")
     low, high = a.min(axis=0), a.max(axis=0)
-    far = _FARTHEST * max((high - low).max(), np.finfo(float).tiny)
-    corners, barycentric = surface_places(np.clip(points, low - far, high + far), a, faces)
+    extent, number = (high - low).max(), np.finfo(float)
+    far = _FARTHEST * max(extent, number.tiny)
+    # Triangles' areas, squared, are to be within double precision; a power of 2 changes no digit.
+    unit = np.exp2(np.floor(np.log2(max(extent, number.eps * np.abs(a).max(), number.tiny))))
+    corners, barycentric = surface_places(np.clip(points, low - far, high + far) / unit, a / unit, faces)
     found = at_places(corners, barycentric, b)
     if snap_to is None:
         return found

@@ -89,9 +89,10 @@ def splat_points(buffer, item, pixels, radius):
     step = np.arange(-n, n + 1)
     dy, dx = (d.ravel() for d in np.meshgrid(step, step, indexing="ij"))
     size = max(_MOST_FRAGMENTS // len(dx), 1)
-    finite = np.flatnonzero(np.isfinite(pixels).all(axis=1))
-    for start in range(0, len(finite), size):
-        rows = finite[start : start + size]
+    within = (pixels[:, :2] > -n) & (pixels[:, :2] < np.array([buffer.width, buffer.height]) + n)  # NaN is not
+    drawn = np.flatnonzero(within.all(axis=1) & np.isfinite(pixels[:, 2]))
+    for start in range(0, len(drawn), size):
+        rows = drawn[start : start + size]
         p = pixels[rows]
         column = np.floor(p[:, 0]).astype(int)[:, None] + dx
         line = np.floor(p[:, 1]).astype(int)[:, None] + dy

@@ -159,19 +159,33 @@ def test_each_key_frame_is_its_registered_mesh(rig, tmp_path):
 
 
 def test_the_mean_template_keeps_bones_as_long_as_they_are(rig, tmp_path):
+    """In one size, with the vertices' centre where the fit has it."""
     results = [a_fit(rig, k) for k in range(3)]
     errors = save(tmp_path / "a.glb", rig, results)
+    scale = np.prod([r.scale for r in results]) ** (1 / 3)
     viewer = Viewer(tmp_path / "a.glb")
     mean = np.mean([r.offsets for r in results], axis=0)
     joints = np.mean([r.rest_joints for r in results], axis=0)
     for time, result, error in zip(viewer.times, results, errors, strict=True):
-        expected = rig.pose(result.pose, result.translation, result.scale, mean, joints=joints)
+        expected = rig.pose(result.pose, np.zeros(3), scale, mean, joints=joints)
+        expected += result.vertices.mean(axis=0) - expected.mean(axis=0)
         np.testing.assert_allclose(viewer.draw(time), expected, rtol=0, atol=closeness(rig))
         assert error == pytest.approx(np.linalg.norm(expected - result.vertices, axis=1).mean()) and error > 1e-3 * rig.size
     moved = {(c["target"]["node"], c["target"]["path"]) for c in viewer.animation["channels"]}
-    assert {node for node, path in moved if path != "rotation"} == {rig.root}
+    assert {(node, path) for node, path in moved if path != "rotation"} == {(rig.root, "translation")}
     assert {node for node, path in moved if path == "rotation"} == set(np.flatnonzero(rig.moving))
     assert "targets" not in viewer.primitive
+
+
+@pytest.mark.parametrize("subjects, factor", [(("ann", "bob"), 1.0), (("", ""), 1.5)])
+def test_of_people_of_several_sizes_each_has_its_own(subjects, factor, tube_rig, tmp_path):
+    results = [a_fit(tube_rig, k, subject=subject) for k, subject in enumerate(subjects)]
+    results[1] = replace(results[1], scale=factor * results[1].scale)
+    scale = np.sqrt(results[0].scale * results[1].scale)
+    save(tmp_path / "a.glb", tube_rig, results)
+    viewer = Viewer(tmp_path / "a.glb")
+    found = [viewer.properties(time)[tube_rig.root, "scale"][0] for time in viewer.times]
+    np.testing.assert_allclose(found, [r.scale / scale for r in results], rtol=1e-6)
 
 
 @pytest.mark.parametrize("n", [2, 3, 7])
@@ -250,11 +264,12 @@ def test_rest_pose_bones_and_fits_are_of_one_size_in_metres(tube_rig, tmp_path):
     lbs.save_animation(tmp_path / "a.glb", tube_rig, fits)
     viewer = Viewer(tmp_path / "a.glb")
     scale = np.sqrt(fits[0].scale * fits[1].scale)
+    assert 1.01 < max(f.scale for f in fits) / scale < 1.1
     assert np.ptp(viewer.attribute("POSITION"), axis=0).max() == pytest.approx(0.001 * scale * tube_rig.size, rel=0.02)
     for time, fit in zip(viewer.times, fits, strict=True):
-        np.testing.assert_allclose(1000 * viewer.draw(time), fit.vertices, atol=0.02 * fit.scale)
-        expected = [fit.scale / scale] * 3
-        np.testing.assert_allclose(viewer.properties(time)[tube_rig.root, "scale"], expected, rtol=1e-6)
+        drawn, own = 1000 * viewer.draw(time), fit.vertices - fit.vertices.mean(axis=0)
+        np.testing.assert_allclose(drawn - drawn.mean(axis=0), scale / fit.scale * own, atol=0.02 * fit.scale)
+        np.testing.assert_allclose(drawn.mean(axis=0), fit.vertices.mean(axis=0), atol=1e-4 * fit.scale)
     assert len(viewer.root["nodes"]) == 1 + len(tube_rig.parents)
     same = [replace(f, scale=250.0) for f in fits]
     lbs.save_animation(tmp_path / "b.glb", tube_rig, same)

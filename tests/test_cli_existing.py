@@ -37,7 +37,7 @@ def test_clashing_names_are_found_before_any_work(other, made, tmp_path, run):
         (tmp_path / name).write_text("0 0 0\n")
     code, _, err = run("fit", made / "tube.npz", tmp_path / "one.ply", tmp_path / other, "-o", tmp_path / "out", *QUICK)
     assert code == 2 and "SCAN: got" in one_line(err) and ("twice" if other == "one.ply" else "both be called") in err
-    assert "fit them into different folders" in err
+    assert ("Leave one out" if other == "one.ply" else "fit them into different folders") in err
     assert not (tmp_path / "out").exists()
 
 
@@ -190,6 +190,21 @@ def test_a_summary_of_another_program_is_not_written_over(content, existing, mad
     assert code == 2 and "-o: got" in one_line(err) and "with a summary.json that lbsfit did not write" in err
     assert [path.name for path in tmp_path.iterdir()] == ["summary.json"]
     assert (tmp_path / "summary.json").read_text() == content
+
+
+def test_results_that_are_links_stay_links_to_what_is_written(fitted, made, tmp_path, run):
+    """As some programs that keep large files elsewhere have them."""
+    out, store = tmp_path / "out", tmp_path / "store"
+    out.mkdir(), store.mkdir()
+    for kind in ("fit.npz", "mesh.ply", "labels.ply"):
+        (store / kind).write_text("older")
+        (out / f"one.{kind}").symlink_to(store / kind)
+    assert run("fit", made / "tube.npz", made / "one.ply", "-o", out, "--existing", "replace", *QUICK)[0] == 0
+    assert json.loads((out / "summary.json").read_text())["scans"][0]["files"].keys() == {"fit", "mesh", "labels"}
+    for kind in ("fit.npz", "mesh.ply", "labels.ply"):
+        assert (out / f"one.{kind}").is_symlink() and len((store / kind).read_bytes()) > 1000
+    code, text, _ = run("fit", made / "tube.npz", made / "one.ply", "-o", out, "--existing", "skip", *QUICK)
+    assert code == 0 and "kept" in text
 
 
 def test_what_cannot_be_fitted_now_has_no_fit_of_an_earlier_run(fitted, made, tmp_path, run):

@@ -148,6 +148,15 @@ def test_wild_points_spoil_no_others(tube_rig, poses):
     assert lbs.transfer(poses[0], *poses, tube_rig.faces, snap_to=np.full((1, 3), most)).max() == most
 
 
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("power", [-1000, -300, 5, 400, 495])
+def test_places_do_not_depend_on_the_unit(power, tube_rig, poses):
+    x = sample_surface(poses[0], tube_rig.faces, 200, np.random.default_rng(0))[0] + 0.01
+    unit = 2.0**power
+    found = lbs.transfer(unit * x, *(unit * V for V in poses), tube_rig.faces)
+    np.testing.assert_array_equal(found / unit, lbs.transfer(x, *poses, tube_rig.faces))
+
+
 @pytest.mark.parametrize(
     "change, words",
     [

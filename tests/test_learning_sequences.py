@@ -5,7 +5,7 @@ import pytest
 from learning_runs import collected, loop_over, mean_gap
 
 import lbsfit_np as lbs
-from lbsfit_np.cli.sequences import order_note
+from lbsfit_np.cli.sequences import order_note, takes_note
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning.collection import Collection
@@ -160,11 +160,20 @@ def test_files_are_in_order_by_subject():
     assert order_note(names, ["ann", "bob", "bob", "ann"]).startswith("f_2.ply is given after f_3.ply")
 
 
+def test_recordings_in_several_folders_are_one_sequence_and_told():
+    names = ["walk/1.ply", "walk/2.ply", "run/1.ply", "run/2.ply"]
+    assert "the last of walk and the first of run are neighbours" in takes_note(names)
+    assert not takes_note(names[:2]) and not takes_note(names, ["a", "a", "b", "b"])
+    assert "of walk and the first of run" in takes_note(names, ["a", "b", "a", "b"])
+
+
 def test_learn_says_that_files_are_out_of_order(tmp_path, tube_rig, run):
     tube_rig.save(tmp_path / "tube.npz")
-    names = [tmp_path / f"f{k}.npy" for k in (10, 9)]
+    (tmp_path / "b").mkdir()
+    names = [*(tmp_path / f"f{k}.npy" for k in (10, 9)), tmp_path / "b" / "f1.npy"]
     for name in names:
         np.save(name, np.zeros((2, 3)))
     told = {flag: run("learn", tmp_path / "tube.npz", *names, "-o", tmp_path / "m.npz", *flag) for flag in ((), ("--sequence",))}
     for flag, (code, out, err) in told.items():
         assert code == 2 and ("f9.npy is given after f10.npy" in out + err) == bool(flag)
+        assert (f"the first of {tmp_path / 'b'} are neighbours" in out + err) == bool(flag)

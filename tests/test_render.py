@@ -176,6 +176,15 @@ def test_content_that_leaves_the_picture_or_is_degenerate():
     assert drawn(render(size=(20, 20))) == 0.0
 
 
+@pytest.mark.filterwarnings("error")
+def test_points_however_far_off_leave_the_picture_without_a_word():
+    near = sphere(20)[0]
+    alone = render_points(near, frame=near, radius=3, size=(80, 80))
+    for far in (1e3, 1e18, 1e160, np.finfo(np.float32).max):
+        wild = np.vstack([near, [[far, 0, 0], [-far, far, 0]]])
+        np.testing.assert_array_equal(render_points(wild, frame=near, radius=3, size=(80, 80)), alone)
+
+
 def test_a_common_frame_keeps_the_scale():
     points, faces = sphere(30)
     full, half = (drawn(render_mesh(k * points, faces, frame=points, size=(200, 200), colors=(0, 0, 0))) for k in (1.0, 0.5))
@@ -297,16 +306,28 @@ def test_points_and_mesh_have_the_colours_of_their_parts(tube_rig, tube_scan, tu
 
 
 def test_of_a_large_scan_each_point_keeps_its_colour(tube_rig, tube_scan, tube_result, drawn_items):
-    """Of 70,000 points, the x coordinate of which is their row, some are drawn, from the first to the last."""
+    """Of 70,000 points in no order, the x coordinate of which tells their row, some are drawn, from the first to the last."""
     from dataclasses import replace
 
-    rows = np.arange(70_000)
-    labels = rows * 4 // len(rows)
-    result = replace(tube_result, labels=labels, confidence=np.ones(len(rows)), pose=np.zeros((4, 3)))
-    points = drawn_items(tube_rig, np.column_stack([rows, 0 * rows, 0 * rows]), result)[0][0]
-    shown = points.points[:, 0].round().astype(int)
+    row = np.random.default_rng(0).permutation(70_000)  # by the x coordinate
+    x = np.argsort(row)
+    labels = np.arange(len(x)) * 4 // len(x)
+    result = replace(tube_result, labels=labels, confidence=np.ones(len(x)), pose=np.zeros((4, 3)))
+    points = drawn_items(tube_rig, np.column_stack([x, 0 * x, 0 * x]), result)[0][0]
+    shown = row[points.points[:, 0].round().astype(int)]
     assert len(shown) == 30_000 and shown[0] == 0 and shown[-1] == 69_999
     np.testing.assert_array_equal(points.colors, part_colors(4)[labels[shown]])
+
+
+def test_of_cameras_whose_points_stand_in_turn_all_are_drawn(tube_rig, tube_result, drawn_items):
+    from dataclasses import replace
+
+    n = 60_000
+    camera = np.arange(n) % 2
+    x = np.arange(n) / n + 5 * camera
+    result = replace(tube_result, labels=np.zeros(n, int), confidence=np.ones(n), pose=np.zeros((4, 3)))
+    points = drawn_items(tube_rig, np.column_stack([x, 0 * x, 0 * x]), result)[0][0].points
+    assert len(points) == 30_000 and 0.45 < (points[:, 0] > 3).mean() < 0.55
 
 
 def test_the_truth_is_turned_along_and_seen_from_the_rigs_front(tube_rig, tube_scan, tube_result, drawn_items):

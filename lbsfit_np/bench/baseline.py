@@ -14,6 +14,7 @@ from ..optimize.lbfgs import minimise
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
+from ..scan import some_rows
 from ..starts.clean import TakingPart
 from ..starts.scale import reference_scale
 from ..threads import one_thread
@@ -62,7 +63,7 @@ class PlainChamfer:
 
     def _fit(self, points, started):
         settings, model = self.settings, self._model
-        rows = np.linspace(0, len(points) - 1, min(settings.max_points, len(points))).astype(int)
+        rows = some_rows(points, settings.max_points)
         reference = reference_scale(points[rows], self.rig, settings.scale)
         frame = Frame(points[rows].mean(axis=0), reference.scale * model.half)
         problem = Problem(frame.inside(points[rows]))

@@ -19,7 +19,7 @@ from .models import about_model, unit_parameter
 from .parsing import Option, add_options, amount, formatter, positive, settings, share
 from .progress import LearningProgress, Progress, of_all, say, span
 from .reading import Reading
-from .sequences import order_note
+from .sequences import order_note, takes_note
 from .stopped_learning import goes_on, is_result_of, results_so_far, stopped_early
 from .stopping import exit_code, say_steps, terminable
 from .subjects import SUBJECT_FILES, read_subjects, who_words
@@ -152,8 +152,9 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
     rig = load_rig_with(rig_path, values)
     values = _without_unused(values)
-    if values["sequence"] and (note := order_note(scans, subjects)):
-        say(f"note: {note}")
+    for note in (order_note(scans, subjects), takes_note(scans, subjects)) if values["sequence"] else ():
+        if note:
+            say(f"note: {note}")
     for words in who_words(subjects):
         say(words)
     fitter = _fitter(rig, values)

@@ -248,8 +248,8 @@ class Writer:
                 normals=scan.normals,
                 part_names=rig.parts,
             )
-            for path in files.beside():  # of an earlier fit, which would then pass for this one's
-                path.unlink(missing_ok=True)
+            for path in files.beside():  # of an earlier fit, which would then pass for this one's; links stay
+                Path(os.path.realpath(path)).unlink(missing_ok=True)
         undrawn = [] if files.picture is None else draw(files, rig, scan.points, result)
         return fitted_entry(files, result, notes=[*scan.notes, *undrawn])
 
@@ -433,10 +433,11 @@ def _check_clashes(files, out, argument):
     for f in files:
         other = seen.setdefault(folded(f.name), f)
         if other is not f:
-            what = "given twice" if same_file(f.source, other.source) else f"and {f.source}"
+            if same_file(f.source, other.source):
+                raise InputError("SCAN", f"{other.source} twice", "each scan once", "Leave one out.")
             raise InputError(
                 "SCAN",
-                f"{other.source} {what}, whose results would both be called {out / f.name}.*",
+                f"{other.source} and {f.source}, whose results would both be called {out / f.name}.*",
                 "scans whose names differ by more than their extension and upper or lower case",
                 f"Rename one, or {other_way}.",
             )

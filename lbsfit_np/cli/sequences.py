@@ -4,11 +4,23 @@ import re
 from decimal import Decimal
 from pathlib import Path
 
-__all__ = ["order_note"]
+__all__ = ["order_note", "takes_note"]
 
 # A minus is no dash between words: nothing that is a letter or a digit is before it. Exponents are short, so that no hash is one.
 _NUMBER = re.compile(r"(?:(?<![^\W_])-)?\d+(?:\.\d+)?(?:[eE][+-]?\d{1,2}(?!\d))?")
 _DIGITS = re.compile(r"\d+")
+
+
+def takes_note(paths, subjects=None):
+    """In words, that scans of one subject stand in several folders, as several recordings do; else empty."""
+    folders = {}
+    for path, subject in zip(map(Path, paths), subjects or [None] * len(paths), strict=True):
+        folders.setdefault(subject, {})[path.parent] = None
+    several = [list(map(str, of)) for of in folders.values() if len(of) > 1]
+    if not several:
+        return ""
+    end, begin = several[0][:2]
+    return f"each subject's scans are one sequence: the last of {end} and the first of {begin} are neighbours in it"
 
 
 def order_note(paths, subjects=None):

@@ -43,5 +43,5 @@ def _of(files):
 
 
 def _identity(path):
-    found = os.stat(path, follow_symlinks=False)
+    found = os.stat(path)
     return found.st_ino, found.st_mtime_ns, found.st_size

@@ -387,11 +387,12 @@ class Loop:
         """A few sweeps that draw each pose towards the mean of its neighbours' and its own, as the sweep before left them."""
         models = self._models(templates)
         for _ in range(_SWEEPS):
-            members = [m for m in self.collection.members if not m.apart and self._beside(m)]
-            for m in members:
-                others = [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]
-                m.prior = np.mean([m.state.theta, *others], axis=0), self.smooth  # without its own, neighbours would swap places
-            drawn = {m.index for m in members}
+            drawn = set()
+            for m in (m for m in self.collection.members if not m.apart):
+                if others := [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]:
+                    mean = np.mean([m.state.theta, *others], axis=0)  # without its own, neighbours would swap places
+                    m.prior = mean, self.smooth
+                    drawn.add(m.index)
             tasks = [
                 (m.subject, m.dense_X, m.state, m.prior if m.index in drawn else None, m.noise) for m in self.collection.members
             ]

@@ -24,7 +24,7 @@ from ..rig.frames import AXES, up_axis
 from ..rig.rig import Rig
 from ..rig.units import METRES, WORDS
 from ..rotations import matrix_from_rotvec
-from ..starts.scale import likely_unit, same_unit
+from ..starts.scale import likely_unit, same_size, same_unit
 
 __all__ = ["check_fit", "odd_scales", "said_unit", "save_animation", "stands_along", "unit_of"]
 
@@ -48,9 +48,9 @@ def save_animation(
     results : FitResult or sequence of FitResult
         One key frame for each, in this order; the scans are in one unit. A single fit gives a rig in its pose, and no animation.
     offsets : {"mean", "each"}, default "mean"
-        Which template U + offsets the frames have. "mean": the fits' mean, with its joints, so that bones keep their lengths.
-        "each": each fit's own (by morph targets and moved joints), so that each frame is the registered mesh. For a single fit
-        the two are the same.
+        Which template U + offsets the frames have. "mean": the fits' mean, with its joints, in one size where the fits may be of
+        one person, so that bones keep their lengths. "each": each fit's own (by morph targets and moved joints), so that each
+        frame is the registered mesh. For a single fit the two are the same.
     frames_per_second : float, default 30
     up : str, optional
         The scans' up axis, such as "+z": everything is turned so that it becomes glTF's, which is +y. By default it is the rig's
@@ -101,8 +101,9 @@ def save_animation(
     exact = offsets == "each" or len(results) == 1
     mean, joints = _mean([r.offsets for r in results]), _mean([r.rest_joints for r in results])
     shown = [(r.offsets, r.rest_joints) if exact else (mean, joints) for r in results]
-    away = np.array([_distance(rig, r, *of) for r, of in zip(results, shown, strict=True)])
-    motion = _in_gltf(rig, results, shown, mean, joints, _turn(rig, up), metres)
+    moving = results if exact else _of_one_size(rig, results, mean, joints)
+    away = np.array([_distance(rig, *frame) for frame in zip(moving, *zip(*shown, strict=True), results, strict=True)])
+    motion = _in_gltf(rig, moving, shown, mean, joints, _turn(rig, up), metres)
 
     from .. import __version__
     from ..io.glb import GlbWriter
@@ -244,9 +245,29 @@ class _Motion:
     morphs: np.ndarray | None  # (N, m, 3), what each frame's template differs by; None where all have the mean
 
 
-def _in_gltf(rig, results, shown, mean, joints, turn, metres):
+def _of_one_size(rig, results, mean, joints):
+    """The fits with one scale, each where its vertices are on the mean; as they are where they are of people of several sizes.
+
+    A fit's scale and its template make up for each other: beside a template of all fits, its own scale would only let the whole
+    grow and shrink.
+    """
+    scales = [r.scale for r in results]
+    if len({r.subject for r in results}) > 1 or not same_size(max(scales), min(scales)):
+        return results
+    scale, moved = _mean_scale(results), []
+    for r in results:
+        centre = rig.pose(r.pose, np.zeros(3), scale, mean, joints=joints).mean(axis=0)
+        moved.append(r if r.scale == scale else replace(r, scale=scale, translation=r.vertices.mean(axis=0) - centre))
+    return moved
+
+
+def _mean_scale(results):
     scales = np.array([r.scale for r in results])
-    scale = scales[0] if (scales == scales[0]).all() else np.exp(np.log(scales).mean())
+    return scales[0] if (scales == scales[0]).all() else np.exp(np.log(scales).mean())
+
+
+def _in_gltf(rig, results, shown, mean, joints, turn, metres):
+    scale = _mean_scale(results)
     unit = metres * scale  # metres in a rig unit
     placed = replace(
         rig,
@@ -261,7 +282,7 @@ def _in_gltf(rig, results, shown, mean, joints, turn, metres):
         np.stack([r.pose for r in results]),
         np.stack([unit * rest @ turn.T for _, rest in shown]),
         np.stack([metres * r.translation @ turn.T for r in results]),
-        scales / scale,
+        np.array([r.scale for r in results]) / scale,
         morphs if morphs.any() else None,
     )
 
@@ -294,8 +315,8 @@ def _strongest(weights, n):
     return kept
 
 
-def _distance(rig, result, offsets, joints):
-    vertices = rig.pose(result.pose, result.translation, result.scale, offsets, joints=joints)
+def _distance(rig, frame, offsets, joints, result):
+    vertices = rig.pose(frame.pose, frame.translation, frame.scale, offsets, joints=joints)
     return np.linalg.norm(vertices - result.vertices, axis=1).mean()
 
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..optimize.frame import root_turn
-from ..scan import check_points
+from ..scan import check_points, some_rows
 from .colors import part_colors
 from .render import Mesh, Points, montage, render
 
@@ -78,7 +78,7 @@ def drawn_fit(rig, points, result, more=()):
         The rest of what ``render`` takes, with a "frame" that wild points and wide floors do not stretch.
     """
     turn, colors = root_turn(rig, result.pose), part_colors(len(rig.parts))
-    rows = np.linspace(0, len(points) - 1, min(len(points), _MOST_POINTS)).astype(int)
+    rows = some_rows(points, _MOST_POINTS)
     found = rig.without_loose(result.vertices) @ turn
     shown = np.where(result.confidence[rows, None] < _OFF, np.array(_OFF_COLOR, colors.dtype), colors[result.labels[rows]])
     cloud = Points(points[rows] @ turn, shown)
