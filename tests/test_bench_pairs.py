@@ -102,6 +102,16 @@ def test_pairs_of_scans_without_a_fit_are_missing(pair_scans, tube_rig, pair_mes
     assert {e["points"] for e in found["pairs"]} == {10}
 
 
+def test_pairs_of_which_no_place_that_is_drawn_is_known_on_both_are_missing(pair_scans, tube_rig, pair_meshes):
+    fits = {s.name: v for s, v in zip(pair_scans, pair_meshes)}
+    many = {f"p{k}": k for k in range(40)}
+    truth = Landmarks((many | {"end": 100}, {"end": 100}, many, {}), ({},) * 4)
+    pairs = {"intra": [(0, 1), (1, 0)], "inter": [(0, 2)]}
+    found = measure_pairs(pair_scans, truth, fits, tube_rig.faces, pairs, points=1)
+    assert {k: (f["pairs"], f["missing"]) for k, f in found["figures"].items()} == {"intra": (1, 1), "inter": (1, 0)}
+    assert [(e["a"], e["b"], e["points"]) for e in found["pairs"]] == [("s1", "s0", 1), ("s0", "s2", 1)]
+
+
 def test_points_are_chosen_by_the_seed(pair_scans, tube_rig, pair_meshes):
     rng = np.random.default_rng(0)
     fits = {s.name: v + 0.02 * rng.standard_normal(v.shape) for s, v in zip(pair_scans, pair_meshes)}

@@ -1,5 +1,7 @@
 """The table of ``lbsfit bench pairs --truth``: its forms, what it takes for what, and what is wrong with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from registered_sets import posed_meshes, write_meshes
@@ -49,10 +51,12 @@ def test_places_by_vertices(folder, meshes):
     assert isinstance(truth, Landmarks) and truth.places == ({"tip": 5, "end": 7}, {"end": 9, "other": 1}, {"none": 0})
     assert truth.linked(0, 1) and not truth.linked(0, 2)
     rows, true = truth.true(_asked(truth, 0, meshes[0]), 1, PointIndex(meshes[1]))
-    np.testing.assert_array_equal(rows, [1])
+    np.testing.assert_array_equal(rows, [0])
     np.testing.assert_array_equal(true, meshes[1][[9]])
-    np.testing.assert_array_equal(_asked(truth, 0, meshes[0]).points, meshes[0][[5, 7]])
-    assert len(_asked(truth, 0, meshes[0], 1).points) == 1
+    np.testing.assert_array_equal(_asked(truth, 0, meshes[0]).points, meshes[0][[7]])  # no other scan has a tip
+    shared = replace(truth, places=(truth.places[0], truth.places[1] | {"tip": 3}, {}))
+    np.testing.assert_array_equal(_asked(shared, 0, meshes[0]).points, meshes[0][[5, 7]])
+    assert len(_asked(shared, 0, meshes[0], 1).points) == 1
     truth.check(0, meshes[0])
     with pytest.raises(InputError, match="vertex 7 for 'end' in line 3; expected .* 0 to 5.*count from 0"):
         truth.check(0, meshes[0][:6])

@@ -18,6 +18,7 @@ from lbsfit_np.cli.pair_runs import PairsProgress
 from lbsfit_np.cli.progress import SILENCE
 from lbsfit_np.io.write import write_points_ply
 from lbsfit_np.learning.checkpoint import Checkpoint
+from lbsfit_np.synthesis import sample_surface
 
 pytestmark = [pytest.mark.usefixtures("own_cache"), pytest.mark.usefixtures("one_thread")]
 
@@ -68,6 +69,32 @@ def test_fits_one_by_one(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     left = {path.name for path in (tmp_path / "out").iterdir()}  # what is refused takes nothing away
     assert left == {"fits", "fits.json", "results.json", "gallery.png"}
     assert json.loads((tmp_path / "out" / "results.json").read_text()) == report
+
+
+@pytest.mark.parametrize("layout", ["vertex order", "registrations"])
+def test_scans_of_the_bundled_body(layout, tmp_path, run, monkeypatch):
+    """Meshes that are registrations themselves, or clouds with a registration each; fits that are exact, but for one."""
+    body, rng = lbs.load_rig("body-coarse"), np.random.default_rng(0)
+    people = [body.subject(seed) for seed in (3, 4)]
+    templates = [(person.vertices, person.joints) for person in people]
+    meshes = [s.vertices for s in lbs.synthesize(body, 4, templates=templates, random_state=1, n_points=50)]
+    name = "s{}.ply" if layout == "vertex order" else "reg/r{}.ply"
+    write_meshes(tmp_path / "scans" / "reg", body, meshes, f"../{name}")
+    lines = ["scan,subject"] if layout == "vertex order" else ["scan,subject,registration"]
+    for i, vertices in enumerate(meshes):
+        lines.append(f"s{i},{WHO[i]}" + f",reg/r{i}.ply" * (layout == "registrations"))
+        if layout == "registrations":
+            points = sample_surface(vertices, body.faces, 400, rng)[0]
+            write_points_ply(tmp_path / "scans" / f"s{i}.ply", points)
+    (tmp_path / "scans" / "truth.csv").write_text("\n".join(lines))
+    off = np.array([0.03, 0.0, 0.04])
+    fits_are_given(monkeypatch, {f"s{i}": v + off * (i == 3) for i, v in enumerate(meshes)})
+    command = ("bench", "pairs", tmp_path / "scans", "--truth", tmp_path / "scans" / "truth.csv", "--rig", "body-coarse")
+    code, out, err = run(*command, "-o", tmp_path / "out", "--no-learn", "--unit", "m", "--pictures", 0)
+    assert (code, err) == (0, "") and "intra" in out
+    for entry in json.loads((tmp_path / "out" / "results.json").read_text())["pairs"]:
+        if entry["a"] != "s3":  # whose own places are looked for on a mesh that is off
+            assert entry["before"]["mean"] == pytest.approx(0.05 * (entry["b"] == "s3"), abs=1e-6), entry
 
 
 def test_the_options_reach_what_they_are_for(pair_folder, pair_scans, tmp_path, run, pair_meshes, tube_rig, monkeypatch):

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -85,6 +86,9 @@ def test_reports_of_something_else_are_refused(coarse_hand, quick):
         study({"h": load_rig("hand-left-coarse")}, before=report)
     with pytest.raises(InputError, match="another rig named 'h'"):
         study({"h": replace(coarse_hand, poses=dict(list(coarse_hand.poses.items())[:20]))}, before=report)
+    for card in ({"up": "+z"}, {"forward": "-z"}, {"metres_per_unit": 0.5}, {"locked": np.arange(len(coarse_hand.parents)) == 1}):
+        with pytest.raises(InputError, match="another rig named 'h', or of one with another card"):
+            study({"h": replace(coarse_hand, **card)}, before=report)
     with pytest.raises(InputError, match="results of starts.*results of study"):
         study({"h": coarse_hand}, before={"benchmark": "starts"})
     meant = (("jiont",), "some of free-form.* Did you mean 'joint'")
@@ -214,7 +218,7 @@ def test_what_cannot_be_fitted_has_a_reason(coarse_hand, quick, tmp_path, monkey
     assert list(found.test.fitted) == [True, False, True] and found.failures == {1: "points: got some; expected others."}
 
 
-def test_pictures_of_other_rigs_stay_on_the_page(coarse_hand, quick, tmp_path, monkeypatch):
+def test_pictures_of_other_rigs_stay_on_the_page(coarse_hand, quick, tmp_path, monkeypatch, capsys):
     def draw(report, arrays, out, *, rigs, jobs):
         for name in rigs:
             (out / f"triplet-{name}.png").write_bytes(b"")
@@ -230,7 +234,21 @@ def test_pictures_of_other_rigs_stay_on_the_page(coarse_hand, quick, tmp_path, m
         run([*arguments, rigs, *more])
         text = (tmp_path / "README.md").read_text()
         assert all(word in text for word in words), (rigs, more)
-    assert json.loads((tmp_path / "results.json").read_text())["drawn_by"] == {"matplotlib": installed("matplotlib")}
+    drawn_by = json.loads((tmp_path / "results.json").read_text())["drawn_by"]
+    assert drawn_by["matplotlib"] == installed("matplotlib") and drawn_by["of"].keys() == {"hand-coarse", "hand-left-coarse"}
+    quick.clear()
+    before = json.loads((tmp_path / "results.json").read_text())
+    before["rigs"]["hand-coarse"]["seeds"]["300"]["joint"]["pose"] = 0.1234
+    (tmp_path / "results.json").write_text(json.dumps(before))
+    run([*arguments, "hand-coarse", "--page"])
+    text = (tmp_path / "README.md").read_text()
+    assert not quick and "0.1234" in text and "of hand-coarse, 1" in text and "of hand-left-coarse, 2" in text
+    shutil.rmtree(tmp_path / "cells")
+    run([*arguments, "hand-coarse,hand-left-coarse", "--page"])  # without what pictures are made of, these stay as they are
+    assert "of hand-coarse, 1" in (tmp_path / "README.md").read_text()
+    capsys.readouterr()
+    assert run(["bench", "study", "-o", str(tmp_path / "none"), "--page"]) == 2 and not (tmp_path / "none").exists()
+    assert "with no results.json; expected a folder of the study. Leave out --page" in capsys.readouterr().err
     (tmp_path / "triplet-hand-left-coarse.png").unlink()
     run([*arguments, "hand-coarse", "--no-figures"])
     assert "of hand-left-coarse" not in (tmp_path / "README.md").read_text()

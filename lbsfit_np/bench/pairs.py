@@ -156,7 +156,7 @@ def measure_pairs(scans, truth, registered, faces, pairs, *, points=5000, seed=0
     dict
         "pairs": for each one that could be measured "a", "b", "kind", "points", and "before" and "after" the snap a
         :func:`summary`; "figures": kind → the same over all points of all its pairs, "pairs" of them, and how many are "missing"
-        as one of the scans has no registration. Lengths in the scans' unit.
+        as one of the scans has no registration, or no place that was drawn is known on both. Lengths in the scans' unit.
 
     Raises
     ------
@@ -166,8 +166,9 @@ def measure_pairs(scans, truth, registered, faces, pairs, *, points=5000, seed=0
     known = {(a, b): kind for kind, chosen in pairs.items() for a, b in chosen}
     there = _checked(scans, registered, faces)
     todo = sorted((p for p in known if there.keys() >= set(p)), key=lambda p: (p[1], p[0]))
-    if on_pair is not None and todo:
-        on_pair(0, len(todo))
+    told = on_pair or (lambda done, total: None)
+    if todo:
+        told(0, len(todo))
     asked = {a: _Places.of(scans[a], a, truth, there[a], faces, points, seed) for a in sorted({a for a, _ in todo})}
     entries, errors, target = [], {kind: {"before": [], "after": []} for kind in KINDS}, (None, None)
     for done, (a, b) in enumerate(todo, 1):
@@ -175,15 +176,15 @@ def measure_pairs(scans, truth, registered, faces, pairs, *, points=5000, seed=0
             target = b, PointIndex(_points(scans[b]))
         on_b = target[1]
         rows, true = truth.true(asked[a].asked, b, on_b)
-        found = asked[a].on(there[b], rows)
-        away = {"before": _distances(found, true), "after": _distances(on_b.points[on_b.nearest(found)], true)}
-        kind = known[a, b]
-        entry = {"a": scans[a].name, "b": scans[b].name, "kind": kind, "points": len(rows)}
-        entries.append(entry | {when: summary(values) for when, values in away.items()})
-        for when, values in away.items():
-            errors[kind][when].append(values)
-        if on_pair is not None:
-            on_pair(done, len(todo))
+        if len(rows):  # else the places that were drawn are not known on both
+            found = asked[a].on(there[b], rows)
+            away = {"before": _distances(found, true), "after": _distances(on_b.points[on_b.nearest(found)], true)}
+            kind = known[a, b]
+            entry = {"a": scans[a].name, "b": scans[b].name, "kind": kind, "points": len(rows)}
+            entries.append(entry | {when: summary(values) for when, values in away.items()})
+            for when, values in away.items():
+                errors[kind][when].append(values)
+        told(done, len(todo))
     figures = {}
     for kind, chosen in pairs.items():
         measured = errors[kind]

@@ -1,7 +1,6 @@
 """``lbsfit animate``: fits as an animated rig that other programs open."""
 
 import os
-import warnings
 
 from ..errors import InputError, counted, listed
 from ..rig.frames import AXES
@@ -80,7 +79,7 @@ def add_parser(commands):
 
 def _run(arguments):
     from ..fitting.result import FitResult
-    from ..report.animation import check_fit, odd_scales, said_unit, save_animation, stands_along, unit_of
+    from ..report.animation import check_fit, odd_scales, said_unit, stands_along, unit_of, write_animation
 
     values = settings(arguments, _OPTIONS)
     path, fits = values["output"], arguments.fits
@@ -111,18 +110,16 @@ def _run(arguments):
         say(f"note: the fits stand along {axis}: use --up={axis} for an upright animation, unless they lie down")
     if odd := [names[k] for k in odd_scales(results)]:
         say(f"note: the scale of {listed(odd)} differs from the others' by more than people do; are all scans in one unit?")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of the same, without names
-        away = save_animation(
-            path,
-            rig,
-            results,
-            offsets=values["offsets"],
-            frames_per_second=values["fps"],
-            up=values["up"],
-            metres_per_unit=METRES.get(values["unit"]),
-            influences=values["influences"],
-        )
+    away = write_animation(
+        path,
+        rig,
+        results,
+        offsets=values["offsets"],
+        frames_per_second=values["fps"],
+        up=values["up"],
+        metres_per_unit=METRES.get(values["unit"]),
+        influences=values["influences"],
+    )
     if values["unit"] == "auto":
         name = unit_of(rig, results)[0]
         known = f"the scans seem to be in {name}" if name else "the scans' unit is not known, and is assumed to be metres"

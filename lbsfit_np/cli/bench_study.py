@@ -23,6 +23,7 @@ _PAGE, _CELLS = "README.md", "cells"
 @kept_processes()
 def run_study(values):
     """The study; the exit code."""
+    from ..bench.study.data import kind_of
     from ..bench.study.making import cell_name
     from ..bench.study.page import console_table
     from ..bench.study.run import joined, study, with_rows
@@ -42,6 +43,10 @@ def run_study(values):
     if (folder / _PAGE).exists() and not (folder / RESULTS).exists() and values["existing"] != "replace":
         remedy = "Choose another one, or --existing replace."
         raise InputError("-o/--output", f"{folder}, which has another {_PAGE}", "a folder of the study's own", remedy)
+    for name in (name for name, rig in rigs.items() if kind_of(rig) == "other" and not values["page"]):
+        say(f"note: {name} is neither a hand nor a body by its joints' names: it has sizes of hands, and no figures of the paper")
+    if values["page"]:
+        return _page_alone(folder, rigs, values)
     results = made_results(values)
     out, cells = results.parent, results.parent / _CELLS
     replace, begun = values["existing"] == "replace", False
@@ -124,6 +129,30 @@ def run_study(values):
     return failures_code(_failures(report))
 
 
+def _page_alone(folder, rigs, values):
+    """The page of results that are there, and the pictures for which all is there; the exit code."""
+    from ..io.write import write_json
+
+    report = read_results(folder / RESULTS) if (folder / RESULTS).exists() else {}
+    if report.get("benchmark") != "study":
+        got = f"{folder}, with {'results of another benchmark' if report else f'no {RESULTS}'}"
+        raise InputError("-o/--output", got, "a folder of the study", "Leave out --page to make one.")
+    whole = {name: rig for name, rig in rigs.items() if _has_all(report["rigs"].get(name), name, folder / _CELLS)}
+    with terminable():
+        written = _write_page(report, whole, folder, pictures=values["figures"], jobs=values["jobs"])
+    write_json(folder / RESULTS, report)
+    say(written)
+    return 0
+
+
+def _has_all(entry, name, cells):
+    """Whether what the rows of a rig's entry have registered is all there."""
+    from ..bench.study.making import cell_name
+
+    rows = [] if entry is None else [(seed, row, c) for seed, done in entry["seeds"].items() for row, c in done.items()]
+    return bool(rows) and all(_arrays_of(cells, cell_name(name, seed, row), c["arrays"]) is not None for seed, row, c in rows)
+
+
 def _remove_earlier(out, cells, results):
     """Remove what an earlier study has written, and say how much; what cannot be removed stays."""
     from ..bench.study.rows import ROWS
@@ -179,7 +208,7 @@ class _Kept:
 def _write_page(report, rigs, out, *, pictures, jobs):
     """The page, and its pictures where they can be drawn; what was written, in words."""
     from ..bench.study.making import cell_name
-    from ..bench.study.page import page
+    from ..bench.study.page import page, rows_digest
     from ..io.write import atomic_path
 
     # Pictures of what this run did not draw again stay.
@@ -197,7 +226,8 @@ def _write_page(report, rigs, out, *, pictures, jobs):
         try:
             drawn = draw(report, _Kept(out / _CELLS, digests), out, rigs=rigs, jobs=jobs)
             captions = drawn | {file: text for file, text in captions.items() if file not in drawn}
-            report["drawn_by"] = {"matplotlib": installed("matplotlib")}
+            of = (report.get("drawn_by") or {}).get("of", {}) | {name: rows_digest(report["rigs"][name]) for name in rigs}
+            report["drawn_by"] = {"matplotlib": installed("matplotlib"), "of": of}
         except MissingExtraError as error:
             why = f", without pictures: {error}"
     report["captions"] = captions

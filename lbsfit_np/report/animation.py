@@ -26,7 +26,7 @@ from ..rig.units import METRES, WORDS
 from ..rotations import matrix_from_rotvec
 from ..starts.scale import likely_unit, same_size, same_unit
 
-__all__ = ["check_fit", "odd_scales", "said_unit", "save_animation", "stands_along", "unit_of"]
+__all__ = ["check_fit", "odd_scales", "said_unit", "save_animation", "stands_along", "unit_of", "write_animation"]
 
 _OFFSETS = ("mean", "each")
 _SET = 4  # influences in one set of attributes (3.7.3.3)
@@ -88,15 +88,22 @@ def save_animation(
     material is plain grey. There are no texture coordinates, as a ``Rig`` has none.
     """
     results = _checked(path, rig, results)
-    _check_options(offsets, frames_per_second, up, metres_per_unit, influences)
-    if influences is not None:
-        rig = replace(rig, weights=_strongest(rig.weights, influences))
+    _check_options(offsets, frames_per_second, up, metres_per_unit, influences)  # before anything is said
     if axis := stands_along(rig, results, up):
         words = f"the fits stand along {axis}: pass up={axis!r} for an upright animation, unless they lie down"
         warnings.warn(words, stacklevel=2)
     if odd := [f"results[{k}]" for k in odd_scales(results)]:
         words = f"the scale of {listed(odd)} differs from the others' by more than people do; are all scans in one unit?"
         warnings.warn(words, stacklevel=2)
+    options = {"offsets": offsets, "frames_per_second": frames_per_second, "up": up}
+    return write_animation(path, rig, results, **options, metres_per_unit=metres_per_unit, influences=influences)
+
+
+def write_animation(path, rig, results, *, offsets, frames_per_second, up, metres_per_unit, influences):
+    """``save_animation`` without a word: ``results`` are a list of fits that :func:`check_fit` has seen."""
+    _check_options(offsets, frames_per_second, up, metres_per_unit, influences)
+    if influences is not None:
+        rig = replace(rig, weights=_strongest(rig.weights, influences))
     metres = unit_of(rig, results)[1] if metres_per_unit is None else float(metres_per_unit)
     exact = offsets == "each" or len(results) == 1
     mean, joints = _mean([r.offsets for r in results]), _mean([r.rest_joints for r in results])

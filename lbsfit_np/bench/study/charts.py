@@ -138,7 +138,9 @@ def accuracy(report, path):
             ax = axes_at(figure, 70 + k * (width + 75), 35, width, height, ylim=(5 * (least // 5), 100))
             if goals[name]:
                 ax.axhline(100 * goals[name], color=GREY, lw=1.0, ls="--")
-                ax.text(0.0, 100 * goals[name] + 0.4, "goal of joint", color=GREY, va="bottom", fontsize=8)
+                where = {"x": 1.0, "y": 100 * goals[name], "transform": ax.get_yaxis_transform(), "ha": "right", "va": "center"}
+                box = {"facecolor": "white", "edgecolor": "none", "pad": 1.0}
+                ax.text(s="goal of joint ", color=GREY, fontsize=8, zorder=4, bbox=box, **where)
             for row, cells in rows.items():
                 color, seeds = ROW_COLORS[row], [100 * np.array(cell["accuracy"]) for cell in cells]
                 for values, cell in zip(seeds, cells, strict=True):

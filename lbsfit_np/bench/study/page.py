@@ -2,12 +2,13 @@
 
 from urllib.parse import quote
 
+from ...learning.checkpoint import digest_of
 from ..environment import commits, libraries, several
 from . import tables
 from .cells import cells_of
 from .rows import ROWS
 
-__all__ = ["FIGURES", "console_table", "page"]
+__all__ = ["FIGURES", "console_table", "page", "rows_digest"]
 
 # Kinds of figures, in reading order.
 FIGURES = (
@@ -36,9 +37,9 @@ Means over the test scans.
 - **Pose**: ‖joints − true joints‖, the mean over the unlocked joints, and its **median** over the scans. For free-form rows
   the joints are regressed from the vertices. It does not show how a head or a hand is turned about its bone.
 - **vertices**: ‖registered − true vertices‖. **unfitted**: scans without a fit; they do not count in the other columns.
-  **s**: seconds for learning and all fits of the row, without pretraining; – if the row took up steps of a run that was
-  stopped. Work that the rows of one run share counts in the first of them: fits of the single training scans, for rows that
-  learn from labels, and fits from the template without skinning.
+  **s**: seconds by the clock for learning and all fits of the row, without pretraining; – if the row took up steps of a run
+  that was stopped. Work that the rows of one run share counts in the first of them: fits of the single training scans, for
+  rows that learn from labels, and fits from the template without skinning.
 """
 
 _CORRESPONDENCES = """\
@@ -78,7 +79,7 @@ _PROTOCOL = """\
   reserved one are left out, too, so that neither training nor the library of starts sees them.
 - Bodies: natural poses as above replace SURREAL's; poses uniform within the limits replace the paper's bent bodies (3,000 of
   23,000).
-- People: the bundled rigs with changed shapes, a length and a thickness of ±12 % for each chain of joints
+{others}- People: the rigs with changed shapes, a length and a thickness of ±12 % for each chain of joints
   (`bench/subjects.py`). Training changes each bone separately (Gaussian, 8 %). A fit's proportions can lengthen bones as
   these people's are, widen them across, and widen only the skin of those that branch (palm, pelvis, chest). They cannot move
   skin along its normals, as the people's thickness does.
@@ -134,7 +135,7 @@ def page(report, captions):
         parts += [f"## {name.capitalize()}", *_of_rig(report, name, explained)]
     parts.append(_protocol(report))
     if captions:
-        parts.append("## Figures")
+        parts += ["## Figures", _drawn_earlier(report, captions)]
         files = sorted(captions, key=_place)
         parts += [f"![{file.removesuffix('.png').replace('-', ' ')}]({quote(file)})\n\n{captions[file]}" for file in files]
     parts.append(_provenance(report, captions))
@@ -223,7 +224,32 @@ def _protocol(report):
 
     scan, size = report["scan"], report["size"]
     given = {"n_points": scan["n_points"], "noise": scan["noise"], "size": size, "training_seed": report["training_seed"]}
+    given["others"] = "".join(_otherwise(name, entry) for name, entry in report["rigs"].items())
     return _PROTOCOL.format(natural_hand=NATURAL["hand"], more="" if size == "paper" else _PAPERS_SIZE, **given)
+
+
+def _otherwise(name, entry):
+    """What of this does not hold for a rig."""
+    words = ""
+    if entry["kind"] == "other":
+        words += f"- {name}: by its joints' names neither a hand nor a body, so without figures of the paper and without goals.\n"
+    if "library" in entry and not all(entry["library"].values()):
+        words += f"- {name}: its rig has no library of natural poses to divide, so all poses are uniform within the limits.\n"
+    return words
+
+
+def _drawn_earlier(report, captions):
+    """In words, of which rigs rows were made after the pictures that the page has of them."""
+    known = (report.get("drawn_by") or {}).get("of", {})
+    stale = [name for name, of in known.items() if name in report["rigs"] and of != rows_digest(report["rigs"][name])]
+    if not (captions and stale):
+        return ""
+    return f"These pictures are of earlier rows than those above: {', '.join(stale)}."
+
+
+def rows_digest(entry):
+    """Hex digest of what the rows of a rig have found, of all that pictures of them show."""
+    return digest_of([(seed, row, cell["arrays"]) for seed, rows in entry["seeds"].items() for row, cell in rows.items()])
 
 
 def _provenance(report, captions):
@@ -247,15 +273,22 @@ def _processes(jobs, at_once):
 
 
 def _commits(report):
-    """The commit that rows are of; of several, each with its rows. Those of which none is known are left out."""
-    of = commits(
-        (f"{name} {seed} {row}", c["environment"])
+    """The state of the code that rows are of; of several, each with its rows."""
+    cells = {
+        f"{name} {seed} {row}": c
         for name, entry in report["rigs"].items()
         for seed, rows in entry["seeds"].items()
         for row, c in rows.items()
-    )
-    known = {commit: rows for commit, rows in sorted(of.items()) if commit}
-    return f"{several(known)} " if len(known) > 1 else "".join(f"Commit {commit}; " for commit in known)
+    }
+    of = dict(sorted(commits((called, c["environment"]) for called, c in cells.items()).items()))
+    for commit, called in list(of.items()):
+        states = {}
+        for one in called:
+            states.setdefault(cells[one].get("code", "")[:8], []).append(one)
+        if len(states) > 1 and (not commit or commit.endswith("changes")):  # a commit tells less than the code itself
+            del of[commit]
+            of |= {f"{commit or 'unknown'} (code {code})": rows for code, rows in states.items()}
+    return f"{several(of)} " if len(of) > 1 else "".join(f"Commit {commit}; " for commit in of if commit)
 
 
 def _made_on(e):

@@ -7,7 +7,7 @@ from itertools import product
 from ...errors import InputError, did_you_mean
 from ...learning.checkpoint import remove_checkpoint, state_of_the_code
 from ...processes import kept_processes
-from ..resume import REMEDY, begun
+from ..resume import REMEDY, begun, described
 from ..run import TRAINING_SEED
 from ..subjects import people_digest, scans_digest
 from .at_once import batches, is_faster, made_at_once
@@ -20,6 +20,11 @@ __all__ = ["FIRST_SEED", "joined", "study", "with_rows"]
 
 # Of the scans, and those after it; nothing was tuned on them.
 FIRST_SEED = 300
+# What a rig's entry of a report says of it, without its kind and results.
+_FACTS = (
+    *("digest", "up", "forward", "metres_per_unit", "joints_that_are_still", "poses"),
+    *("people", "scans", "library", "size"),
+)
 
 
 @kept_processes()
@@ -96,9 +101,8 @@ def study(
             cells += [first_fits_name(*of)] if any(ROWS[row].in_common for row in left) else []
             cells += [cell_name(*of, row) for row in left]
         on_begun(report, cells, _of_other_code(report, {of: [row for row in rows if row not in todo[of]] for of in todo}))
-    for name in dict.fromkeys(name for (name, _), left in todo.items() if left):
-        if "local_optimum" not in report["rigs"][name]:
-            report["rigs"][name]["local_optimum"] = along_path(rigs[name])
+    for name in dict.fromkeys(name for (name, _), left in todo.items() if left):  # anew, as pictures show it as it now is
+        report["rigs"][name]["local_optimum"] = along_path(rigs[name])
 
     def on_row(name, seed, row, cell, arrays):
         known = report["rigs"][name]["seeds"]
@@ -155,7 +159,7 @@ def joined(report, other):
         return out
     for name, theirs in other["rigs"].items():
         ours = out["rigs"].setdefault(name, theirs)
-        if all(theirs.get(key) == ours[key] for key in ("digest", "poses", "people", "scans", "size")):
+        if all(theirs.get(key) == ours[key] for key in _FACTS if key in ours):
             for seed, rows in theirs["seeds"].items():
                 ours["seeds"][seed] = rows | ours["seeds"].get(seed, {})
             ours["seeds"] = {seed: ours["seeds"][seed] for seed in sorted(ours["seeds"], key=int)}
@@ -199,8 +203,8 @@ def _begun(before, size, rigs):
             now = _described(rigs[name], sized(rigs[name], size))
             if entry.get("size") != now["size"]:
                 raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", REMEDY)
-            if any(entry.get(key) != now[key] for key in ("digest", "poses")):
-                got = f"results of another rig named {name!r}, or of one with other natural poses"
+            if any(entry[key] != now[key] for key in described(rigs[name]) if key in entry):  # not all were always written
+                got = f"results of another rig named {name!r}, or of one with another card or other natural poses"
                 raise InputError("before", got, "results of the same rigs", REMEDY)
             for key, what in (("people", "test people"), ("scans", "scans")):
                 if entry[key] != now[key]:
@@ -213,7 +217,8 @@ def _described(rig, size):
     """A rig's entry of the report, without results."""
     given = study_set(rig, size, FIRST_SEED)
     scans = scans_digest(rig, [given.train[0], given.test[0]])
-    known = {"digest": rig.digest, "poses": rig.poses_digest, "people": people_digest(rig), "scans": scans}
+    library = {"train": len(given.train.rig.poses), "test": len(given.test.rig.poses)}
+    known = described(rig) | {"people": people_digest(rig), "scans": scans, "library": library}
     return {"kind": kind_of(rig), **known, "size": asdict(size), "seeds": {}}
 
 

@@ -121,6 +121,8 @@ def goals(report, name, *, markdown):
             met = np.mean(values) <= goal if sign == "≤" else np.mean(values) >= goal
             lines.append((what, number(values, style), f"{sign} {goal:g}", "yes" if met else "no"))
     made, n = layout(lines, markdown=markdown), len(cells)
+    if lost := sum(c.get("unfitted", 0) for c in cells_of(report, name, "joint")):
+        made += f"\n\nWithout {lost} scan{'s' * (lost > 1)} that could not be fitted."
     if n < GOALS["seeds"]:
         made += f"\n\nThe goals are for {GOALS['seeds']} seeds; here {'is one' if n == 1 else f'are {n}'}."
     return made
