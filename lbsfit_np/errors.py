@@ -17,6 +17,7 @@ __all__ = [
     "counted",
     "did_you_mean",
     "in_words",
+    "is_whole",
     "listed",
     "not_finite",
 ]
@@ -132,6 +133,12 @@ def check_real(argument, value, expected):
     """Raise InputError where an array holds complex numbers: half of each would be lost without a word."""
     if getattr(getattr(value, "dtype", None), "kind", "") == "c":
         raise InputError(argument, "complex numbers", expected)
+
+
+def is_whole(value, least=None):
+    """Whether a value is a whole number, Python's or NumPy's, and at least so large; True and False are none."""
+    number = isinstance(value, (int, np.integer)) and not isinstance(value, bool)
+    return number and (least is None or value >= least)
 
 
 def check_unmasked(argument, value, *, rows="rows", remedy="Leave masked entries out, or fill them with numpy.ma.filled."):

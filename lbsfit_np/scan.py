@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError, as_array, brief, check_unmasked, counted
+from .errors import InputError, as_array, brief, check_unmasked, counted, is_whole
 from .seeds import generator
 
 __all__ = ["Scan", "check_points", "count_distinct", "some_rows"]
@@ -104,7 +104,7 @@ class Scan:
         InputError
             ``n`` is not a positive whole number.
         """
-        if isinstance(n, bool) or not isinstance(n, (int, np.integer)) or n < 1:
+        if not is_whole(n, 1):
             raise InputError("n", brief(n), "a positive whole number of points")
         if n >= len(self.points):
             return np.arange(len(self.points))

@@ -4,14 +4,14 @@ import zlib
 
 import numpy as np
 
-from .errors import InputError
+from .errors import InputError, is_whole
 
 __all__ = ["check_random_state", "generator", "integer_seed"]
 
 
 def check_random_state(random_state):
     """Raise InputError unless it is a seed, a Generator or None."""
-    number = isinstance(random_state, (int, np.integer)) and not isinstance(random_state, bool) and random_state >= 0
+    number = is_whole(random_state, 0)
     if not (number or random_state is None or isinstance(random_state, np.random.Generator)):
         raise InputError("random_state", repr(random_state), "a non-negative integer, a numpy.random.Generator or None")
 

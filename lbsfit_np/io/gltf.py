@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import InputError, listed
+from ..errors import InputError, is_whole, listed
 from ..rig.data import RigData
 from ..rotations import rotvec_from_matrix
 from .gltf_buffers import open_gltf
@@ -160,7 +160,7 @@ def _skin_index(document, wanted, named, choices, skins):
             return matching[0]
         if wanted.isdecimal() and int(wanted) in named:
             return int(wanted)
-    elif isinstance(wanted, (int, np.integer)) and not isinstance(wanted, bool) and int(wanted) in named:
+    elif is_whole(wanted) and int(wanted) in named:
         return int(wanted)
     unused = [document.name(s, f"skin {i}") for i, s in enumerate(skins) if i not in named]
     also = f" No mesh uses {listed([repr(u) for u in unused], 5)}." if unused else ""

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, LbsfitError, brief
+from ..errors import FileError, InputError, LbsfitError, brief, is_whole
 from ..scan import Scan, check_points
 from ..seeds import generator
 from ..triangles import area_vectors, areas_around
@@ -78,7 +78,7 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
     InputError
         ``n_samples`` is not a positive whole number.
     """
-    if n_samples is not None and (isinstance(n_samples, bool) or not isinstance(n_samples, (int, np.integer)) or n_samples < 1):
+    if n_samples is not None and not is_whole(n_samples, 1):
         raise InputError("n_samples", brief(n_samples), "a positive whole number, or None for the points as they are")
     if n_samples is not None and n_samples > sys.maxsize:
         raise InputError("n_samples", brief(n_samples), "no more points than memory can hold")

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from ..errors import InputError, LbsfitError, in_words
+from ..errors import InputError, LbsfitError, in_words, is_whole
 from ..interrupts import passing_interrupts
 from ..processes import Unsent, Workers
 from ..scan import check_points
@@ -86,7 +86,7 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     KeyboardInterrupt
         On Ctrl-C, once the workers have ended and ``on_result`` has been called for every finished scan.
     """
-    if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs < 1:
+    if not is_whole(n_jobs, 1):
         raise InputError("n_jobs", repr(n_jobs), "a positive whole number of worker processes")
     after = (("index", "scan", "result"),)
     check_callables(finish=(finish, after), on_result=(on_result, (("outcome",),)), pretrain=(pretrain, (("fitter",),)))

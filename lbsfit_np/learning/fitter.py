@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from ..errors import InputError, brief
+from ..errors import InputError, brief, is_whole
 from ..interrupts import held
 from ..optimize.model import Model
 from ..seeds import integer_seed
@@ -422,7 +422,7 @@ class LBSFitter(BaseEstimator):
 
     def _repeatable(self):
         """Whether the same seed comes again: nothing that another one decides is kept in the cache."""
-        return isinstance(self.random_state, (int, np.integer)) and not isinstance(self.random_state, bool)
+        return is_whole(self.random_state)
 
     def _seed(self):
         """One whole number for all that is random; a Generator or None gives another one each time."""

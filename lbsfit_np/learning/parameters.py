@@ -6,7 +6,7 @@ from collections.abc import Mapping
 import numpy as np
 from sklearn.exceptions import NotFittedError
 
-from ..errors import InputError, as_array, brief, check_array, check_unmasked, counted, did_you_mean
+from ..errors import InputError, as_array, brief, check_array, check_unmasked, counted, did_you_mean, is_whole
 from ..fitting.effort import EFFORTS
 from ..fitting.scan_fit import FitSettings
 from ..losses.objective import as_weights
@@ -90,7 +90,7 @@ def check_parameters(fitter):
     jobs_of(fitter.n_jobs, None)
     for name in ("max_points", "training_scans", "rounds"):
         value = getattr(fitter, name)
-        if isinstance(value, bool) or not isinstance(value, (int, np.integer)) or value < 1:
+        if not is_whole(value, 1):
             raise InputError(name, brief(value), "a positive integer")
     if fitter.max_points < len(fitter.rig.parts):
         raise InputError("max_points", str(fitter.max_points), f"at least {len(fitter.rig.parts)}, as many as the rig has parts")

@@ -6,7 +6,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from ..errors import FileError, InputError, as_array, brief
+from ..errors import FileError, InputError, as_array, brief, is_whole
 from ..losses.checks import as_float, check_set
 from ..rotations import matrix_from_rotvec
 from ..scan import some_rows
@@ -297,7 +297,7 @@ def jobs_of(n_jobs, random_state):
 
     if n_jobs is None:
         return 1
-    if isinstance(n_jobs, bool) or not isinstance(n_jobs, (int, np.integer)) or n_jobs < -1 or n_jobs == 0:
+    if not is_whole(n_jobs, -1) or n_jobs == 0:
         expected = "a positive whole number of processes, −1 for one per processor, or None for one"
         raise InputError("n_jobs", brief(n_jobs), expected)
     if isinstance(random_state, np.random.Generator):
