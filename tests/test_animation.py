@@ -177,6 +177,18 @@ def test_the_mean_template_keeps_bones_as_long_as_they_are(rig, tmp_path):
     assert "targets" not in viewer.primitive
 
 
+def test_frames_of_one_scale_are_where_the_fits_are_too(tube_rig, tmp_path):
+    """As all are with a fixed scale; the mean template alone would move each."""
+    results = [replace(a_fit(tube_rig, k), scale=1.0) for k in range(3)]
+    posed = [(r.pose, r.translation, r.scale, r.offsets) for r in results]
+    results = [replace(r, vertices=tube_rig.pose(*p, joints=r.rest_joints)) for r, p in zip(results, posed, strict=True)]
+    save(tmp_path / "a.glb", tube_rig, results)
+    viewer = Viewer(tmp_path / "a.glb")
+    for time, result in zip(viewer.times, results, strict=True):
+        centre = result.vertices.mean(axis=0)
+        np.testing.assert_allclose(viewer.draw(time).mean(axis=0), centre, rtol=0, atol=closeness(tube_rig))
+
+
 @pytest.mark.parametrize("subjects, factor", [(("ann", "bob"), 1.0), (("", ""), 1.5)])
 def test_of_people_of_several_sizes_each_has_its_own(subjects, factor, tube_rig, tmp_path):
     results = [a_fit(tube_rig, k, subject=subject) for k, subject in enumerate(subjects)]

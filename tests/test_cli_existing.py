@@ -5,12 +5,14 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 from cli_runs import QUICK, one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit
 from lbsfit_np.cli.summary import counts_of, doubts_of
+from lbsfit_np.report.render import write_png
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -196,15 +198,18 @@ def test_results_that_are_links_stay_links_to_what_is_written(fitted, made, tmp_
     """As some programs that keep large files elsewhere have them."""
     out, store = tmp_path / "out", tmp_path / "store"
     out.mkdir(), store.mkdir()
-    for kind in ("fit.npz", "mesh.ply", "labels.ply"):
+    for kind in ("fit.npz", "mesh.ply", "labels.ply", "png"):
         (store / kind).write_text("older")
         (out / f"one.{kind}").symlink_to(store / kind)
+    write_png(store / "png", np.zeros((2, 2, 3), np.uint8))
     assert run("fit", made / "tube.npz", made / "one.ply", "-o", out, "--existing", "replace", *QUICK)[0] == 0
     assert json.loads((out / "summary.json").read_text())["scans"][0]["files"].keys() == {"fit", "mesh", "labels"}
     for kind in ("fit.npz", "mesh.ply", "labels.ply"):
         assert (out / f"one.{kind}").is_symlink() and len((store / kind).read_bytes()) > 1000
     code, text, _ = run("fit", made / "tube.npz", made / "one.ply", "-o", out, "--existing", "skip", *QUICK)
-    assert code == 0 and "kept" in text
+    assert code == 0 and "kept" in text and not (out / "one.png").exists()
+    text = run("fit", made / "tube.npz", made / "one.ply", "-o", out, "--existing", "skip", "--pictures", *QUICK)[1]
+    assert "no picture" not in text and (out / "one.png").is_symlink() and (store / "png").stat().st_size > 1000
 
 
 def test_what_cannot_be_fitted_now_has_no_fit_of_an_earlier_run(fitted, made, tmp_path, run):

@@ -53,7 +53,7 @@ pytestmark = pytest.mark.usefixtures("own_cache")
         (("tube.npz", "t0.ply", "-o", "new/m.npz", "--results", "sub/../new/m.npz/fits"), ["other than m.npz and those"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--results", "m.npz.unfinished"), ["--results", "other than m.npz.unfinished"]),
         (("tube.npz", "t0.ply", "-o", "cut.npz"), ["-o/--output: got cut.npz, whose steps", "or remove cut.npz.unfinished"]),
-        (("tube.npz", "t0.ply", "-o", "m" * 248 + ".npz"), ["-o/--output", "steps cannot be kept", "Choose another name"]),
+        (("tube.npz", "t0.ply", "-o", "m" * 248 + ".npz"), ["-o/--output", "steps cannot be kept", "Choose another name."]),
         (("tube.npz", "t0.ply", "-o", "new/t0.fit.npz", "--results", "new"), ["t0.fit.npz", "a file of --results"]),
         (("tube.npz", "t0.ply", "sub/t0.ply", "-o", "m.npz", "--results", "new"), ["both be called", "learn without --results"]),
         (("tube.npz", "t0.ply", "-o", "m.npz", "--rounds", "0"), ["--rounds", "at least 1"]),

@@ -137,17 +137,21 @@ def test_killed_among_the_files_of_a_fit_nothing_is_taken_for_one(at, made, fitt
     assert code == 0 and "already" not in text and "1 of 1 scan fitted" in text
 
 
+@pytest.mark.parametrize("links", [False, True])
 @pytest.mark.parametrize("new", [(), ("fit",), ("fit", "mesh"), ("fit", "mesh", "labels")])
-def test_a_fit_counts_where_all_of_its_files_are_new(new, made, fitted, tmp_path):
+def test_a_fit_counts_where_all_of_its_files_are_new(new, links, made, fitted, tmp_path):
     out = tmp_path / "out"
     shutil.copytree(fitted[0], out)
+    for path in list(out.glob("one.*")) if links else ():
+        path.rename(out / f"{path.name}.kept")
+        path.symlink_to(f"{path.name}.kept")
     files = outputs.plan([str(made / "one.ply")], out, inputs=[], existing="replace")
     before = named(files)
     assert set(before) == {files[0].fit, files[0].mesh, files[0].labels} and settled(files, before) == {}
     for kind in new:
         path = files[0].paths[kind]
         path.with_suffix(".new").write_bytes(path.read_bytes())
-        os.replace(path.with_suffix(".new"), path)
+        os.replace(path.with_suffix(".new"), os.path.realpath(path))
     assert list(settled(files, before)) == ["one"] * (len(new) == 3)
     if len(new) == 3:
         files[0].fit.write_bytes(b"cut short")
@@ -192,3 +196,10 @@ def test_sigterm_stops_benchmarks_as_ctrl_c_does(command, runs, tmp_path, run, m
     finally:
         signal.signal(signal.SIGTERM, before)
     assert code == 143 and err == "lbsfit: stopped\n"
+
+
+def test_a_program_whose_output_nobody_reads_any_more_ends_as_shells_have_it(tmp_path):
+    """Not as one that has done something."""
+    process = started("rig", "list", cache=tmp_path)
+    process.stdout.close()
+    assert process.wait(timeout=60) == 141 and process.stderr.read() == ""

@@ -5,7 +5,8 @@ import signal
 import types
 import warnings
 from enum import Enum, IntEnum
-from functools import partial
+from functools import partial, wraps
+from unittest import mock
 
 import numpy as np
 import pytest
@@ -230,6 +231,8 @@ def test_what_is_called_late_is_looked_at_before_any_work(learned, clouds):
     with pytest.raises(InputError, match=r"finish: got .*called as finish\(index, scan, result\)"):
         fit_scans(learned, clouds, finish=lambda result: None)
     check_callables(progress=(print, (("share",),)), finish=(max, (("index", "scan"),)))  # which may say nothing of themselves
+    wrapped = wraps(lambda context, k, s: None)(lambda k, s: None)  # as decorators leave them that add an argument
+    check_callables(on_round=(wrapped, (("k", "s"),)), progress=(mock.call, (("share",),)))
 
 
 def test_a_reader_may_use_one_array_for_all_scans(tube_rig, clouds, monkeypatch):

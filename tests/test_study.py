@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from copy import deepcopy
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -20,7 +21,7 @@ from lbsfit_np.bench.study.measures import Registrations
 from lbsfit_np.bench.study.page import console_table, page
 from lbsfit_np.bench.study.paper import GOALS
 from lbsfit_np.bench.study.rows import ROWS, Found
-from lbsfit_np.bench.study.run import study
+from lbsfit_np.bench.study.run import joined, study
 from lbsfit_np.cli import bench_study
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError
@@ -82,13 +83,23 @@ def test_reports_of_something_else_are_refused(coarse_hand, quick):
     report = study({"h": coarse_hand}, rows=("joint",), seeds=[1])
     with pytest.raises(InputError, match="size small.*size medium"):
         study({"h": coarse_hand}, size="medium", before=report)
-    with pytest.raises(InputError, match="another rig named 'h'"):
+    with pytest.raises(InputError, match="results of 'h' with other rig"):
         study({"h": load_rig("hand-left-coarse")}, before=report)
-    with pytest.raises(InputError, match="another rig named 'h'"):
+    with pytest.raises(InputError, match="results of 'h' with other poses"):
         study({"h": replace(coarse_hand, poses=dict(list(coarse_hand.poses.items())[:20]))}, before=report)
-    for card in ({"up": "+z"}, {"forward": "-z"}, {"metres_per_unit": 0.5}, {"locked": np.arange(len(coarse_hand.parents)) == 1}):
-        with pytest.raises(InputError, match="another rig named 'h', or of one with another card"):
+    still = np.arange(len(coarse_hand.parents)) == 1
+    cards = ({"up": "+z"}, {"forward": "-z"}, {"metres_per_unit": 0.5}, {"locked": still})
+    for card, what in zip(cards, ("up", "forward", "metres per unit", "joints that are still"), strict=True):
+        with pytest.raises(InputError, match=f"results of 'h' with .*{what} than this run's"):
             study({"h": replace(coarse_hand, **card)}, before=report)
+    quick.clear()
+    older = deepcopy(report)
+    for key in ("up", "forward", "metres_per_unit", "joints_that_are_still", "library"):
+        del older["rigs"]["h"][key]
+    assert study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=older)["rigs"]["h"] == older["rigs"]["h"] and not quick
+    both = joined(older, study({"h": coarse_hand}, rows=("joint",), seeds=[2]))
+    assert both["rigs"]["h"]["seeds"].keys() == {"1", "2"}
+    assert joined(report, study({"h": replace(coarse_hand, up="+z")}, rows=("joint",), seeds=[2]))["rigs"] == report["rigs"]
     with pytest.raises(InputError, match="results of starts.*results of study"):
         study({"h": coarse_hand}, before={"benchmark": "starts"})
     meant = (("jiont",), "some of free-form.* Did you mean 'joint'")
@@ -240,9 +251,27 @@ def test_pictures_of_other_rigs_stay_on_the_page(coarse_hand, quick, tmp_path, m
     before = json.loads((tmp_path / "results.json").read_text())
     before["rigs"]["hand-coarse"]["seeds"]["300"]["joint"]["pose"] = 0.1234
     (tmp_path / "results.json").write_text(json.dumps(before))
+    alone = json.dumps(before)
+
+    def beside(*a, **k):  # another run, meanwhile
+        now = json.loads(alone)
+        now["rigs"]["hand-coarse"]["seeds"]["300"]["cd"] = now["rigs"]["hand-coarse"]["seeds"]["300"]["joint"]
+        (tmp_path / "results.json").write_text(json.dumps(now))
+        return draw(*a, **k)
+
+    monkeypatch.setattr("lbsfit_np.bench.study.figures.draw", beside)
+    run([*arguments, "hand-coarse", "--page"])
+    assert "cd" in json.loads((tmp_path / "results.json").read_text())["rigs"]["hand-coarse"]["seeds"]["300"]
+    (tmp_path / "results.json").write_text(alone)
+    monkeypatch.setattr("lbsfit_np.bench.study.figures.draw", draw)
     run([*arguments, "hand-coarse", "--page"])
     text = (tmp_path / "README.md").read_text()
     assert not quick and "0.1234" in text and "of hand-coarse, 1" in text and "of hand-left-coarse, 2" in text
+    before["rigs"]["hand-coarse"]["up"] = "+z"
+    (tmp_path / "results.json").write_text(json.dumps(before))
+    capsys.readouterr()
+    assert run([*arguments, "hand-coarse", "--page"]) == 2 and "with other up than" in capsys.readouterr().err
+    (tmp_path / "results.json").write_text(alone)
     shutil.rmtree(tmp_path / "cells")
     run([*arguments, "hand-coarse,hand-left-coarse", "--page"])  # without what pictures are made of, these stay as they are
     assert "of hand-coarse, 1" in (tmp_path / "README.md").read_text()

@@ -130,8 +130,8 @@ class Landmarks:
 
     def asked(self, i, points, most, rng):
         """At most so many random places of scan i, of those that another scan has, too."""
-        others = set().union(*(places for k, places in enumerate(self.places) if k != i))
-        names = [name for name in self.places[i] if name in others]
+        alone = self.alone()
+        names = [name for name in self.places[i] if name not in alone]
         names = [names[k] for k in _some_rows(np.arange(len(names)), most, rng)]
         return Asked(self._at(i, names, points), names)
 

@@ -226,7 +226,7 @@ def _add_study(benches):
         ),
         *(option for option in _TRAINING if option.name == "jobs"),
         Option("figures", "draw the figures", bool, True),
-        Option("page", "only write OUT's page anew, with the figures for which all is there; runs no row", bool, False),
+        Option("page", "only write OUT's page anew, with figures where all registrations are there; runs no row", bool, False),
         _MARKDOWN,
         _RESUMING,
     )

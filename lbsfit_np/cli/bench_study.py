@@ -131,16 +131,20 @@ def run_study(values):
 
 def _page_alone(folder, rigs, values):
     """The page of results that are there, and the pictures for which all is there; the exit code."""
+    from ..bench.study.run import joined, to_go_on_with
     from ..io.write import write_json
 
-    report = read_results(folder / RESULTS) if (folder / RESULTS).exists() else {}
-    if report.get("benchmark") != "study":
-        got = f"{folder}, with {'results of another benchmark' if report else f'no {RESULTS}'}"
-        raise InputError("-o/--output", got, "a folder of the study", "Leave out --page to make one.")
-    whole = {name: rig for name, rig in rigs.items() if _has_all(report["rigs"].get(name), name, folder / _CELLS)}
+    path = folder / RESULTS
+    if not path.exists():
+        raise InputError("-o/--output", f"{folder}, with no {RESULTS}", "a folder of the study", "Leave out --page to make one.")
+    before = read_results(path)
+    there = before.get("rigs") if isinstance(before.get("rigs"), dict) else {}
+    rigs = {name: rig for name, rig in rigs.items() if name in there}
+    report = to_go_on_with(before, before.get("size"), rigs)
+    whole = {name: rig for name, rig in rigs.items() if _has_all(report["rigs"][name], name, folder / _CELLS)}
     with terminable():
         written = _write_page(report, whole, folder, pictures=values["figures"], jobs=values["jobs"])
-    write_json(folder / RESULTS, report)
+    write_json(path, joined(report, read_results(path)))  # a run beside this one may have added to it
     say(written)
     return 0
 
@@ -149,7 +153,7 @@ def _has_all(entry, name, cells):
     """Whether what the rows of a rig's entry have registered is all there."""
     from ..bench.study.making import cell_name
 
-    rows = [] if entry is None else [(seed, row, c) for seed, done in entry["seeds"].items() for row, c in done.items()]
+    rows = [(seed, row, c) for seed, done in entry["seeds"].items() for row, c in done.items()]
     return bool(rows) and all(_arrays_of(cells, cell_name(name, seed, row), c["arrays"]) is not None for seed, row, c in rows)
 
 
@@ -216,6 +220,7 @@ def _write_page(report, rigs, out, *, pictures, jobs):
     if pictures:
         from ..bench.environment import installed
         from ..bench.study.figures import draw
+        from ..bench.study.local_optimum import along_path
 
         digests = {
             cell_name(name, seed, row): cell["arrays"]
@@ -223,10 +228,13 @@ def _write_page(report, rigs, out, *, pictures, jobs):
             for seed, done in entry["seeds"].items()
             for row, cell in done.items()
         }
+        for name in rigs:  # pictures show it as it now is
+            report["rigs"][name]["local_optimum"] = along_path(rigs[name])
         try:
             drawn = draw(report, _Kept(out / _CELLS, digests), out, rigs=rigs, jobs=jobs)
             captions = drawn | {file: text for file, text in captions.items() if file not in drawn}
-            of = (report.get("drawn_by") or {}).get("of", {}) | {name: rows_digest(report["rigs"][name]) for name in rigs}
+            of = {name: rows_digest(report["rigs"][name]) for name in rigs if _has_all(report["rigs"][name], name, out / _CELLS)}
+            of = (report.get("drawn_by") or {}).get("of", {}) | of  # of others some pictures may be of earlier rows
             report["drawn_by"] = {"matplotlib": installed("matplotlib"), "of": of}
         except MissingExtraError as error:
             why = f", without pictures: {error}"

@@ -81,7 +81,7 @@ def _check_steps(model):
     try:
         Checkpoint(checkpoint_of(model))
     except InputError as error:
-        remedy = f"Choose another name, or remove {checkpoint_of(model)}."
+        remedy = "Choose another name" + f", or remove {checkpoint_of(model)}" * os.path.lexists(checkpoint_of(model)) + "."
         raise InputError("-o/--output", f"{model}, whose steps cannot be kept ({error.got})", error.expected, remedy) from None
 
 
@@ -89,10 +89,10 @@ def _check_apart(model, results):
     """The folder of the results is none that the model's own names would be, or lie below."""
     from ..learning.checkpoint import checkpoint_of
 
-    folder = Path(os.path.abspath(results))
-    for name in (Path(os.path.abspath(path)) for path in (model, checkpoint_of(model))):
-        if name in (folder, *folder.parents):
-            expected = f"a folder other than {name.name} and those in it"
+    folder = Path(outputs.folded(os.path.abspath(results)))
+    for path in (model, checkpoint_of(model)):
+        if Path(outputs.folded(os.path.abspath(path))) in (folder, *folder.parents):
+            expected = f"a folder other than {path.name} and those in it"
             raise InputError("--results", f"{results}, with {model} as the model", expected)
 
 

@@ -415,7 +415,7 @@ def drawn_by_others(picture):
     from ..report.render import is_signed
 
     try:
-        return os.path.lexists(picture) and not is_signed(picture)
+        return os.path.exists(picture) and not is_signed(picture)  # a link to nothing is in nobody's way
     except OSError:  # one that cannot be read is not for drawing over
         return True
 

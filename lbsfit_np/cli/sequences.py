@@ -1,5 +1,6 @@
 """Scans in order of time, as their names tell it."""
 
+import os
 import re
 from decimal import Decimal
 from pathlib import Path
@@ -13,14 +14,13 @@ _DIGITS = re.compile(r"\d+")
 
 def takes_note(paths, subjects=None):
     """In words, that scans of one subject stand in several folders, as several recordings do; else empty."""
-    folders = {}
-    for path, subject in zip(map(Path, paths), subjects or [None] * len(paths), strict=True):
-        folders.setdefault(subject, {})[path.parent] = None
-    several = [list(map(str, of)) for of in folders.values() if len(of) > 1]
-    if not several:
-        return ""
-    end, begin = several[0][:2]
-    return f"each subject's scans are one sequence: the last of {end} and the first of {begin} are neighbours in it"
+    last = {}
+    for path, subject in zip(paths, subjects or [None] * len(paths), strict=True):
+        before = last.setdefault(subject, path)
+        if os.path.dirname(os.path.abspath(before)) != os.path.dirname(os.path.abspath(path)):
+            return f"each subject's scans are one sequence: {before} and {path} are neighbours in it"
+        last[subject] = path
+    return ""
 
 
 def order_note(paths, subjects=None):

@@ -117,10 +117,12 @@ def check_callables(**given):
         if value is not None and not callable(value):
             raise InputError(name, brief(value), "a function, or None")
         for arguments in ways if value is not None else ():
-            try:
-                inspect.signature(value).bind(*arguments)
-            except ValueError:  # a function of an extension that does not tell
+            try:  # a decorator may add arguments to those of what it wraps
+                known = inspect.signature(value, follow_wrapped=False)
+            except (TypeError, ValueError):  # a function that does not tell, such as an extension's
                 continue
+            try:
+                known.bind(*arguments)
             except TypeError as error:
                 expected = f"a function that can be called as {name}({', '.join(arguments)})"
                 raise InputError(name, f"one that takes other arguments ({error})", expected) from None

@@ -262,9 +262,13 @@ def _of_one_size(rig, results, mean, joints):
     if len({r.subject for r in results}) > 1 or not same_size(max(scales), min(scales)):
         return results
     scale, moved = _mean_scale(results), []
+
+    def exact(r):  # to the last bit where it is
+        return r.scale == scale and np.array_equal(r.offsets, mean) and np.array_equal(r.rest_joints, joints)
+
     for r in results:
         centre = rig.pose(r.pose, np.zeros(3), scale, mean, joints=joints).mean(axis=0)
-        moved.append(r if r.scale == scale else replace(r, scale=scale, translation=r.vertices.mean(axis=0) - centre))
+        moved.append(r if exact(r) else replace(r, scale=scale, translation=r.vertices.mean(axis=0) - centre))
     return moved
 
 

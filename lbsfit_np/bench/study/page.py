@@ -233,7 +233,7 @@ def _otherwise(name, entry):
     words = ""
     if entry["kind"] == "other":
         words += f"- {name}: by its joints' names neither a hand nor a body, so without figures of the paper and without goals.\n"
-    if "library" in entry and not all(entry["library"].values()):
+    if "library" in entry and not any(entry["library"].values()):
         words += f"- {name}: its rig has no library of natural poses to divide, so all poses are uniform within the limits.\n"
     return words
 

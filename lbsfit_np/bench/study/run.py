@@ -7,7 +7,7 @@ from itertools import product
 from ...errors import InputError, did_you_mean
 from ...learning.checkpoint import remove_checkpoint, state_of_the_code
 from ...processes import kept_processes
-from ..resume import REMEDY, begun, described
+from ..resume import REMEDY, begun, check_same, described
 from ..run import TRAINING_SEED
 from ..subjects import people_digest, scans_digest
 from .at_once import batches, is_faster, made_at_once
@@ -16,15 +16,12 @@ from .local_optimum import along_path
 from .making import cell_name, first_fits_name, has_steps, made
 from .rows import PRETRAINING, ROWS
 
-__all__ = ["FIRST_SEED", "joined", "study", "with_rows"]
+__all__ = ["FIRST_SEED", "joined", "study", "to_go_on_with", "with_rows"]
 
 # Of the scans, and those after it; nothing was tuned on them.
 FIRST_SEED = 300
-# What a rig's entry of a report says of it, without its kind and results.
-_FACTS = (
-    *("digest", "up", "forward", "metres_per_unit", "joints_that_are_still", "poses"),
-    *("people", "scans", "library", "size"),
-)
+# What a rig's entry of a report has that was found.
+_FOUND = ("kind", "seeds", "local_optimum")
 
 
 @kept_processes()
@@ -85,7 +82,7 @@ def study(
     sizes = {name: sized(rig, size) for name, rig in rigs.items()}
     count = max(s.seeds for s in sizes.values())
     seeds = [FIRST_SEED + k for k in range(count)] if seeds is None else [int(s) for s in seeds]
-    report = _begun(before, size, rigs) | {"complete": False}
+    report = to_go_on_with(before, size, rigs) | {"complete": False}
     for name, rig in rigs.items():
         report["rigs"].setdefault(name, _described(rig, sizes[name]))
     todo = {}
@@ -101,7 +98,7 @@ def study(
             cells += [first_fits_name(*of)] if any(ROWS[row].in_common for row in left) else []
             cells += [cell_name(*of, row) for row in left]
         on_begun(report, cells, _of_other_code(report, {of: [row for row in rows if row not in todo[of]] for of in todo}))
-    for name in dict.fromkeys(name for (name, _), left in todo.items() if left):  # anew, as pictures show it as it now is
+    for name in dict.fromkeys(name for (name, _), left in todo.items() if left):
         report["rigs"][name]["local_optimum"] = along_path(rigs[name])
 
     def on_row(name, seed, row, cell, arrays):
@@ -159,7 +156,7 @@ def joined(report, other):
         return out
     for name, theirs in other["rigs"].items():
         ours = out["rigs"].setdefault(name, theirs)
-        if all(theirs.get(key) == ours[key] for key in _FACTS if key in ours):
+        if all(theirs.get(key) == ours[key] for key in ours if key not in _FOUND):
             for seed, rows in theirs["seeds"].items():
                 ours["seeds"][seed] = rows | ours["seeds"].get(seed, {})
             ours["seeds"] = {seed: ours["seeds"][seed] for seed in sorted(ours["seeds"], key=int)}
@@ -191,8 +188,8 @@ def _remove_steps(folder):
         remove_checkpoint(folder)
 
 
-def _begun(before, size, rigs):
-    """The report to go on with."""
+def to_go_on_with(before, size, rigs):
+    """The report to go on with; ``before`` as of :func:`study`, which says what is raised."""
     same = {"size": size, "scan": asdict(SCAN), "training_seed": TRAINING_SEED}
     report = begun(before, {"benchmark": "study", **same, "rigs": {}}, same=tuple(same))
     for name, entry in report["rigs"].items():
@@ -203,9 +200,8 @@ def _begun(before, size, rigs):
             now = _described(rigs[name], sized(rigs[name], size))
             if entry.get("size") != now["size"]:
                 raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", REMEDY)
-            if any(entry[key] != now[key] for key in described(rigs[name]) if key in entry):  # not all were always written
-                got = f"results of another rig named {name!r}, or of one with another card or other natural poses"
-                raise InputError("before", got, "results of the same rigs", REMEDY)
+            known = {key for key in described(rigs[name]) if key in entry} | {"digest", "poses"}  # not all were always written
+            check_same(entry, {key: now[key] for key in now if key in known}, name)
             for key, what in (("people", "test people"), ("scans", "scans")):
                 if entry[key] != now[key]:
                     got = f"results of other {what} than {name!r} now has"
