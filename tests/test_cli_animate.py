@@ -65,6 +65,17 @@ def test_scans_in_other_units_are_named(fitted, made, tmp_path, run):
         lbs.save_animation(tmp_path / "c.glb", lbs.load_rig(made / "tube.npz"), [lbs.FitResult.load(f) for f in fits])
 
 
+def test_a_unit_that_some_fits_alone_say_is_said_to_be_taken_for_all(fitted, made, tmp_path, run):
+    fit = lbs.FitResult.load(fitted[0] / "one.fit.npz")
+    for name, unit in (("a", "mm"), ("b", ""), ("c", "mm")):
+        replace(fit, unit=unit).save(tmp_path / f"{name}.fit.npz")
+    for names, said in (("ac", "are in millimetres, as specified when they were fitted"),
+                        ("ab", "are taken to be in millimetres, as specified when 1 of the 2 was fitted"),
+                        ("abc", "are taken to be in millimetres, as specified when 2 of the 3 were fitted")):  # fmt: skip
+        fits = [tmp_path / f"{name}.fit.npz" for name in names]
+        assert f"the scans {said}" in run("animate", made / "tube.npz", *fits, "-o", tmp_path / f"{names}.glb")[1]
+
+
 def test_fits_that_would_lie_are_told_how_to_stand(fitted, made, tmp_path, run):
     """As those of scans along z are with a rig along y: by the turn of the whole, of all of them."""
     fit = lbs.FitResult.load(fitted[0] / "one.fit.npz")

@@ -57,7 +57,7 @@ def test_rounds_with_the_time_left(terminal, capsys):
         assert out == "" and "round 2 of at most 4: poses of scans" in err and ", at most about 3 min left for the rounds" in err
         assert "results" in err and "left" not in err[err.rindex("results") :]
     else:
-        assert out.count("round 2 of at most 4: poses of scans\n") == 1 and "\nresults\n" in out
+        assert out.count("round 2 of at most 4: poses of scans\n") == 1 and "\ncomputing the results\n" in out
 
 
 @pytest.mark.parametrize("n, words", [(1, "1 scan"), (3, "3 scans")])

@@ -234,6 +234,13 @@ def test_accents_in_either_way_of_writing_them(tmp_path):
                 "note: 'rex' and 'Rex' differ only in upper and lower case: are they one person?",
             ],
         ),
+        (
+            ["anna", "ben", "anna", "anan", "ben", "p01", "p02", "p02"],  # numbers are no typing errors
+            [
+                "5 subjects, with these numbers of scans: anan 1, p01 1, anna 2, ben 2, p02 2",
+                "note: 'anan' has one scan, and is like 'anna': are they one person?",
+            ],
+        ),
     ],
 )
 def test_whose_scans_they_are_is_said_before_work(ids, lines):

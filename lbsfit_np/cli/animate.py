@@ -105,11 +105,12 @@ def _run(arguments):
     people = sorted({result.subject for result in results})
     if len(people) > 1 and values["offsets"] == "mean":
         who = listed([repr(name) if name else "no learned subject" for name in people])
-        say(f"note: the fits are of several subjects ({who}): all frames use the mean of their templates")
+        say(f"note: the fits are of several subjects ({who}): all frames use the mean of their templates, which has one size")
     if axis := stands_along(rig, results, values["up"]):
         say(f"note: the fits stand along {axis}: use --up={axis} for an upright animation, unless they lie down")
     if odd := [names[k] for k in odd_scales(results)]:
-        say(f"note: the scale of {listed(odd)} differs from the others' by more than people do; are all scans in one unit?")
+        words = f"the scale of {listed(odd)} differs from the others' by more than people do; are all scans in one unit?"
+        say(f"note: {words} Frames keep these scales.")
     away = write_animation(
         path,
         rig,
@@ -123,7 +124,10 @@ def _run(arguments):
     if values["unit"] == "auto":
         name = unit_of(rig, results)[0]
         known = f"the scans seem to be in {name}" if name else "the scans' unit is not known, and is assumed to be metres"
-        known = f"the scans are in {name}, as specified when they were fitted" if said else known
+        if said:
+            told = sum(bool(result.unit) for result in results)
+            whose = "they were" if told == len(results) else f"{told} of the {len(results)} {'was' if told == 1 else 'were'}"
+            known = f"the scans are {'taken to be ' * (told < len(results))}in {name}, as specified when {whose} fitted"
         say(f"{known} (use --unit to change this)")
     say(f"{path} written: {counted(len(fits), 'frame')}{_distance(rig, results, names, away, values)}")
     return 0
@@ -150,7 +154,7 @@ def _distance(rig, results, names, away, values):
     if shares[worst] < _ROUNDING:
         return ""
     mean = values["offsets"] == "mean" and values["influences"] is None and len(results) > 1
-    hint = "; with --offsets each they would be the same" if mean else ""
+    hint = "; with --offsets each, frames are the registered meshes" if mean else ""
     return (
         f", whose vertices are {sum(shares) / len(shares):.2g} % of the rig's size away from the registered meshes on average, "
         f"at most {shares[worst]:.2g} % ({names[worst]}){hint}"

@@ -17,6 +17,7 @@ _STAGES = {
     "templates": "fitting the subjects' templates",
     "segmenter": "training the segmenter on scans like these",
     "labels": "labelling the scans",
+    "results": "computing the results",
 }
 # Seconds, at least, between lines about one stage where there is no bar.
 SILENCE = 60

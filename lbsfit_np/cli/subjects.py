@@ -33,6 +33,8 @@ _EXPECTED_TOML = 'one line for each scan, such as "anna_01.ply" = "anna"'
 # What is looked at of a scan that may be a table, and of scans that a table lacks.
 _FIRST_BYTES, _FIRST_MISSING = 4096, 20
 _LISTED = 12  # subjects, at most
+# Ids as like as this, by difflib's ratio, may be typing errors; of more ids than so many, none are compared.
+_ALIKE, _COMPARED = 0.7, 300
 _NO_HEADING = 'If it is a heading, write "scan" in its place; if it is a scan that is not given to this command, leave it out.'
 _FILE_FIRST = "The columns seem to be swapped: put the file name first, then the id."
 
@@ -290,3 +292,7 @@ def who_words(subjects):
     for ids in alike.values():
         if len(ids) > 1:
             yield f"note: {' and '.join(map(repr, ids))} differ only in upper and lower case: are they one person?"
+    for subject in counts if len(counts) <= _COMPARED else ():
+        others = [s for s in counts if counts[s] > 1 and _numbers(s) == _numbers(subject) and s.casefold() != subject.casefold()]
+        if counts[subject] == 1 and (close := get_close_matches(subject, others, n=1, cutoff=_ALIKE)):
+            yield f"note: {subject!r} has one scan, and is like {close[0]!r}: are they one person?"
