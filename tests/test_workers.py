@@ -324,7 +324,7 @@ def test_all_steps_share_their_processes(whose, tube_rig, monkeypatch):
         used.extend(set(each(_process, range(2), jobs=2)) for _ in range(2))
         raise InterruptedError
 
-    monkeypatch.setattr(study_run, "_begun", steps)
+    monkeypatch.setattr(study_run, "to_go_on_with", steps)
     with pytest.raises(InterruptedError):
         if whose == "learning":
             Loop.run(SimpleNamespace(_first_fits=steps))
