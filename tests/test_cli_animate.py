@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from animated_files import Viewer
 from cli_runs import one_line, program
-from test_animation import Viewer
 
 import lbsfit_np as lbs
 from lbsfit_np.report.animation import stands_along

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from animated_files import Viewer
 from cli_runs import QUICK, QUICK_LEARNING, one_line, program
 from small_rigs import make_tube_data
-from test_animation import Viewer
 
 import lbsfit_np as lbs
 from lbsfit_np.cli.learn import _units

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from animated_files import Viewer
 from learning_runs import SMALL
 from small_rigs import make_tube_data
-from test_animation import Viewer
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError, InputError
