@@ -13,6 +13,7 @@ from study_sizes import TINY
 
 from lbsfit_np.bench.environment import installed
 from lbsfit_np.bench.run import TRAINING_SEED
+from lbsfit_np.bench.study import local_optimum
 from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
 from lbsfit_np.bench.study.data import SIZES, study_set
@@ -281,6 +282,31 @@ def test_pictures_of_other_rigs_stay_on_the_page(coarse_hand, quick, tmp_path, m
     (tmp_path / "triplet-hand-left-coarse.png").unlink()
     run([*arguments, "hand-coarse", "--no-figures"])
     assert "of hand-left-coarse" not in (tmp_path / "README.md").read_text()
+
+
+def test_the_page_and_its_pictures_are_of_one_state(coarse_hand, quick, tmp_path, monkeypatch):
+    """The way out of the local optimum, which is drawn as it now is, and whether pictures are of the rows that there are."""
+    monkeypatch.setattr("lbsfit_np.bench.study.figures.draw", lambda *a, **k: {})
+    results, now = tmp_path / "results.json", {"rise": 1.25}
+    for module in (run_module, local_optimum):
+        monkeypatch.setattr(module, "along_path", lambda rig: now)
+    arguments = ["bench", "study", "--rig", "hand-coarse", "-o", str(tmp_path), "--rows"]
+
+    def entry_after(*more, **changed):
+        report = json.loads(results.read_text())
+        report["rigs"]["hand-coarse"] |= changed
+        report["drawn_by"]["of"]["hand-coarse"] = "earlier"
+        results.write_text(json.dumps(report))
+        run([*arguments, *more])
+        report = json.loads(results.read_text())
+        return report["rigs"]["hand-coarse"]["local_optimum"], report["drawn_by"]["of"]["hand-coarse"] == "earlier"
+
+    monkeypatch.setattr("lbsfit_np.bench.study.page.tables.more", lambda *a: "")
+    run([*arguments, "joint"])
+    assert entry_after("joint", "--page", local_optimum={"rise": 9.0}) == (now, False)
+    assert entry_after("joint,rand", "--no-figures", local_optimum={"rise": 9.0}) == (now, True)
+    (tmp_path / "cells" / f"{cell_name('hand-coarse', 300, 'rand')}.npz").unlink()
+    assert entry_after("joint")[1]  # pictures that need rand stay as they were
 
 
 def test_the_command_says_what_is_missing_and_what_goes_on(quick, tmp_path, monkeypatch, capsys):
