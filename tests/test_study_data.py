@@ -10,11 +10,13 @@ from study_sizes import TINY
 from lbsfit_np.bench.run import TRAINING_SEED
 from lbsfit_np.bench.study import data
 from lbsfit_np.bench.study.data import SCAN, SIZES, Size, kind_of, part_groups, sized, study_set
+from lbsfit_np.bench.study.first_segmenter import first_scans, first_segmenter
 from lbsfit_np.bench.study.measures import Registrations
 from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import study
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
+from lbsfit_np.learning.fitter import LBSFitter
 
 MANY = Size(train=300, test=200, train_subjects=2, test_subjects=2, pairs=1, training_scans=1, rounds=1, seeds=1)
 
@@ -105,6 +107,44 @@ def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypat
     again = study_set(rig, size, 2)
     for a, b in zip([*contexts[1].given.train, *contexts[1].given.test], [*again.train, *again.test], strict=True):
         assert np.array_equal(a.points, b.points)
+
+
+@pytest.mark.parametrize("name", ["hand", "body"])
+def test_a_small_size_begins_with_the_packages_segmenter(name):
+    rig = load_rig(name)
+    given, begun = study_set(rig, "small", 300), first_segmenter(rig, sized(rig, "small"))
+    assert first_scans(rig, sized(rig, "small")) == LBSFitter(rig).training_scans == 4000
+    shipped = LBSFitter(rig, random_state=TRAINING_SEED).pretrain().segmenter_
+    assert np.array_equal(begun.predict_proba(given.test[0].points), shipped.predict_proba(given.test[0].points))
+
+
+def test_a_size_of_more_scans_and_a_rig_without_a_segmenter_train_their_own():
+    for rig, size, n in ((load_rig("hand"), "medium", 16000), (load_rig("hand-coarse"), "small", 200)):
+        size = sized(rig, size)
+        assert (first_scans(rig, size), first_segmenter(rig, size)) == (n, None)
+
+
+def test_rows_learn_from_the_segmenter_that_the_report_tells_of(monkeypatch):
+    contexts = []
+
+    def find(c):
+        contexts.append(c)
+        return Found(Registrations(*(np.array([getattr(s, what) for s in c.given.test]) for what in ("vertices", "joints"))))
+
+    monkeypatch.setattr("lbsfit_np.bench.study.making.ROWS", {"rand": replace(ROWS["rand"], find=find)})
+    monkeypatch.setitem(data.SIZES, "small", Size(3, 2, 1, 1, 2, 20, 1, 1))
+    monkeypatch.setattr("lbsfit_np.bench.study.run.along_path", lambda rig: None)
+    rig = load_rig("hand")
+    report = study({"hand": rig}, rows=("rand",), seeds=[1])
+    ((scan, *_), s) = contexts[0].given.test, contexts[0].fitter._pretrained[0]
+    begun = first_segmenter(rig, sized(rig, "small"))
+    assert np.array_equal(s.predict_proba(scan.points), begun.predict_proba(scan.points))
+    assert report["rigs"]["hand"]["first_scans"] == 4000
+    # Rows that began otherwise are not mixed with these.
+    for first in ({"first_scans": 20}, {}):
+        entry = {key: value for key, value in report["rigs"]["hand"].items() if key != "first_scans"} | first
+        with pytest.raises(InputError, match="'hand' whose segmenters began with other scans.* 4,000 synthetic scans"):
+            study({"hand": rig}, rows=("rand",), seeds=[1], before=report | {"rigs": {"hand": entry}})
 
 
 @pytest.mark.parametrize(

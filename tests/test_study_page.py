@@ -362,3 +362,11 @@ def test_joint_is_divided_by_the_oracle_of_the_same_seeds():
 def test_nothing_is_divided_by_an_oracle_without_errors():
     text = page(report_of(joint={}, oracle_fit={"pose": 0.0}), {})
     assert "Joint ÷ oracle fit: Recon 1.00, Corre. 1.00, vertices 1.00." in text
+
+
+def test_what_segmenters_began_with_is_said():
+    report = report_of(joint={})
+    assert "; 200 synthetic scans for the segmenter before learning and as many in each round\n" in page(report, {})
+    report["rigs"]["hand"]["first_scans"] = 4000
+    said = "; 4,000 synthetic scans for the segmenter before learning (it comes with the package), 200 in each round\n"
+    assert said in page(report, {})

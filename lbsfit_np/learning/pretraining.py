@@ -19,6 +19,7 @@ __all__ = [
     "pretrained",
     "pretrained_from",
     "shipped_name_of",
+    "shipped_path",
     "still_given",
 ]
 
@@ -91,12 +92,17 @@ def pretrain_segmenter(rig, synthesis, n_scans, *, random_state, n_jobs, cache, 
 
 def _shipped_segmenter(rig, synthesis, n_scans, *, random_state):
     """What :func:`pretrain_segmenter` would train, where that comes with the package; else None."""
-    path = bundled_files("trained/*.npz").get(shipped_name_of(rig, synthesis, n_scans, random_state=random_state))
+    path = shipped_path(rig, synthesis, n_scans, random_state=random_state)
     try:
         return None if path is None else Segmenter.load(path)
     except FileError as error:
         warnings.warn(f"{path}: {error.got}; install the package again. Until then a segmenter is trained.", stacklevel=4)
         return None
+
+
+def shipped_path(rig, synthesis, n_scans, *, random_state):
+    """The file of what :func:`pretrain_segmenter` would train, where that comes with the package; else None."""
+    return bundled_files("trained/*.npz").get(shipped_name_of(rig, synthesis, n_scans, random_state=random_state))
 
 
 def shipped_name_of(rig, synthesis, n_scans, *, random_state):

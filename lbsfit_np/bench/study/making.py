@@ -10,6 +10,7 @@ from ...learning.checkpoint import digest_of, state_of_the_code, steps_in
 from ..environment import environment
 from ..run import TRAINING_SEED
 from .data import part_groups, study_set
+from .first_segmenter import first_segmenter
 from .measures import Truth, measured
 from .rows import ROWS, Context, said
 
@@ -96,7 +97,8 @@ def _made(name, rig, size, seed, rows, jobs, at_once, steps, gone_on, progress, 
     parameters = {"training_scans": size.training_scans, "rounds": size.rounds, "n_jobs": jobs, "random_state": TRAINING_SEED}
     fitter = LBSFitter(given.rig, orientation="aligned", **parameters)
     if any(ROWS[row].pretrained for row in rows):
-        fitter.pretrain(cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
+        begun = first_segmenter(given.rig, size)
+        fitter.pretrain(segmenter=begun, cache=True, progress=lambda p: progress(name, seed, "pretraining", p))
         progress(name, seed, "pretraining", 1.0)  # also where it was in the cache
         reached("pretrained")
     before = cache(lambda: said(fitter.segmenter_, given.test, jobs))

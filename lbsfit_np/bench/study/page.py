@@ -193,8 +193,7 @@ def _sizes(report):
     sizes = [
         f"- {name}: {e['size']['train']} scans of {e['size']['train_subjects']} people to learn from (a tenth, one at least, "
         f"only tells when to stop), {e['size']['test']} of {e['size']['test_subjects']} others to be tested on, "
-        f"seed{'s' * (len(e['seeds']) > 1)} {', '.join(e['seeds'])}; "
-        f"{e['size']['training_scans']:,} synthetic scans for the segmenter before learning and as many in each round"
+        f"seed{'s' * (len(e['seeds']) > 1)} {', '.join(e['seeds'])}; {_synthetic(e)}"
         for name, e in report["rigs"].items()
     ]
     several = any(len(e["seeds"]) > 1 for e in report["rigs"].values())
@@ -203,6 +202,16 @@ def _sizes(report):
     many += f"{fewer} " if fewer else ""
     listed = "\n".join(sizes)
     return f"Size `{report['size']}`:\n\n{listed}\n\n{many}Lengths are in half sizes of the rig ([−1, 1]³). Rows:"
+
+
+def _synthetic(entry):
+    """How many synthetic scans the segmenter learns from, in words."""
+    in_a_round = entry["size"]["training_scans"]
+    first = entry.get("first_scans", in_a_round)  # which older results do not say
+    before = f"{first:,} synthetic scans for the segmenter before learning"
+    if first == in_a_round:
+        return f"{before} and as many in each round"
+    return f"{before} (it comes with the package), {in_a_round:,} in each round"
 
 
 def _fewer_seeds(report):

@@ -16,12 +16,13 @@ from .free_form import Augmented, FromTemplate, taught
 from .measures import Registrations, template_gap
 from .oracle import OracleFit
 
-__all__ = ["FIRST_FITS", "PRETRAINING", "ROWS", "Context", "Found", "Row", "said"]
+__all__ = ["FIRST_FITS", "LIBRARY", "PRETRAINING", "ROWS", "Context", "Found", "Row", "said"]
 
 # How long these take, as the weights of rows: the training scans' fits by themselves, of which the first row that learns from
-# labels is taken to be as long as the others, and pretraining, which is no part of a row.
+# labels is taken to be as long as the others, and pretraining, which is no part of a row; without s it is the library alone.
 FIRST_FITS = 6.0
 PRETRAINING = 12.0
+LIBRARY = 1.0
 
 # Test scans that the figure of the steps of skinning chooses from.
 _STAGES = 60

@@ -12,9 +12,10 @@ from ..run import TRAINING_SEED
 from ..subjects import people_digest, scans_digest
 from .at_once import batches, is_faster, made_at_once
 from .data import SCAN, kind_of, sized, study_set
+from .first_segmenter import first_scans
 from .local_optimum import along_path
 from .making import cell_name, first_fits_name, has_steps, made
-from .rows import PRETRAINING, ROWS
+from .rows import LIBRARY, PRETRAINING, ROWS
 
 __all__ = ["FIRST_SEED", "joined", "study", "to_go_on_with", "with_rows"]
 
@@ -120,7 +121,8 @@ def study(
         if not set(rows) & set(todo[name, seed]) and not any(folder is not None and folder.exists() for folder in folders):
             _remove_steps(steps(first_fits_name(name, seed)))
 
-    how = {"steps": steps, "progress": _of_all(todo, progress)}
+    trained = {name for name, size in sizes.items() if first_scans(rigs[name], size) == size.training_scans}
+    how = {"steps": steps, "progress": _of_all(todo, trained, progress)}
     plan = batches(todo, in_common=lambda *of: steps(first_fits_name(*of)) is not None)
     if jobs > 1 and is_faster(plan, jobs):
         made_at_once(plan, rigs, sizes, jobs=jobs, on_row=on_row, **how)
@@ -169,10 +171,11 @@ def _complete(report):
     return all(len({frozenset(done) for done in entry["seeds"].values()}) == 1 for entry in report["rigs"].values())
 
 
-def _of_all(todo, progress):
-    """The ``progress`` of rows that tells :func:`study`'s how far all of them are, too."""
+def _of_all(todo, trained, progress):
+    """The ``progress`` of rows that tells :func:`study`'s how far all of them are, too; ``trained`` are rigs whose first s is."""
     weights = {(*of, row): ROWS[row].weight for of, rows in todo.items() for row in rows}
-    weights |= {(name, "pretraining"): PRETRAINING for name, _, row in tuple(weights) if ROWS[row].pretrained}
+    pretrained = {name for name, _, row in weights if ROWS[row].pretrained}
+    weights |= {(name, "pretraining"): PRETRAINING if name in trained else LIBRARY for name in pretrained}
     shares = dict.fromkeys(weights, 0.0)
 
     def told(name, seed, row, share):
@@ -200,6 +203,9 @@ def to_go_on_with(before, size, rigs):
             now = _described(rigs[name], sized(rigs[name], size))
             if entry.get("size") != now["size"]:
                 raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", REMEDY)
+            if entry.get("first_scans", entry["size"]["training_scans"]) != now["first_scans"]:
+                got = f"results of {name!r} whose segmenters began with other scans"
+                raise InputError("before", got, f"a segmenter of {now['first_scans']:,} synthetic scans", REMEDY)
             known = {key for key in described(rigs[name]) if key in entry} | {"digest", "poses"}  # not all were always written
             check_same(entry, {key: now[key] for key in now if key in known}, name)
             for key, what in (("people", "test people"), ("scans", "scans")):
@@ -215,7 +221,7 @@ def _described(rig, size):
     scans = scans_digest(rig, [given.train[0], given.test[0]])
     library = {"train": len(given.train.rig.poses), "test": len(given.test.rig.poses)}
     known = described(rig) | {"people": people_digest(rig), "scans": scans, "library": library}
-    return {"kind": kind_of(rig), **known, "size": asdict(size), "seeds": {}}
+    return {"kind": kind_of(rig), **known, "size": asdict(size), "first_scans": first_scans(rig, size), "seeds": {}}
 
 
 def _of_other_code(report, there):
