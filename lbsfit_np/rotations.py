@@ -2,7 +2,15 @@
 
 import numpy as np
 
-__all__ = ["cross_matrix", "left_jacobian", "matrix_from_rotvec", "nearest_rotvec", "rotvec_from_matrix"]
+__all__ = [
+    "angle_between",
+    "cross_matrix",
+    "left_jacobian",
+    "matrix_from_quaternion",
+    "matrix_from_rotvec",
+    "nearest_rotvec",
+    "rotvec_from_matrix",
+]
 
 # Below this squared angle the Taylor series is exact to the last bit of a double, and the closed form is not.
 _SERIES = 1e-4
@@ -74,6 +82,21 @@ def rotvec_from_matrix(R):
 
     R = np.asarray(R, dtype=float)
     return Rotation.from_matrix(R.reshape(-1, 3, 3)).as_rotvec().reshape(R.shape[:-1])
+
+
+def matrix_from_quaternion(x, y, z, w):
+    """Rotation matrices (..., 3, 3) of unit quaternions x i + y j + z k + w, each an array (...)."""
+    rows = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def angle_between(R, other):
+    """The angle of the rotation from one rotation matrix (3, 3) to another, radians."""
+    return float(np.arccos(np.clip((np.trace(R.T @ other) - 1.0) / 2.0, -1.0, 1.0)))
 
 
 def nearest_rotvec(omega, other):

@@ -183,6 +183,23 @@ def test_a_neighbour_is_given_what_a_joint_is_bent_beyond_its_straightest(tube_r
     np.testing.assert_allclose(given[2, 1], [[0.4, 0.0, 0.0], [0.1 + 1.3 - 0.4, 0.0, 0.0]], atol=1e-12)
 
 
+def test_a_neighbour_turns_about_the_axis_that_the_joint_was_bent_about():
+    """Joints have frames of their own: on the body those of hip and knee are half a turn apart."""
+    body = lbs.load_rig("body-coarse")
+    moving = body.moving[:, None]
+    body = replace(body, lower=np.where(moving, -3.0, body.lower), upper=np.where(moving, 3.0, body.upper))
+    theta, apart = np.random.default_rng(0).uniform(-0.2, 0.2, body.joints.shape) * moving, 0
+    for name in ("left_knee", "right_elbow", "left_wrist", "left_collar"):
+        bent, j = theta.copy(), _joint(body, name)
+        bent[j] = [0.9, 0.3, -0.2]
+        for joints, angles in other_bends(body, bent):
+            if joints[0] == j and len(joints) == 2:
+                k = joints[1]
+                np.testing.assert_allclose(body.frames[k] @ (angles[1] - bent[k]), body.frames[j] @ bent[j], atol=1e-12)
+                apart += np.abs(body.frames[k] - body.frames[j]).max() > 0.5
+    assert apart >= 3
+
+
 # ---- which of them are followed, on known values ----
 
 

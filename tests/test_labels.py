@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from lbsfit_np.fitting.labels import labels_from_mesh, refined_labels
+from lbsfit_np.fitting.labels import LEANS, labels_from_mesh, refined_labels, said_of
 from lbsfit_np.losses import structured_chamfer
+from lbsfit_np.skinning import skin
 
 # Two parts of one vertex each, two units apart, and a third part without vertices.
 V = np.array([[0.0, 0, 0], [2.0, 0, 0]])
@@ -146,3 +147,23 @@ def test_points_off_the_mesh_have_no_confidence():
     _, confidence = labels_from_mesh(above, V, np.zeros(len(V), dtype=int), 2, 0.1)  # off from 4 sigma
     np.testing.assert_allclose(confidence[[0, 1, 2, 4, 5]], [1, 1, 1, 0, 0], atol=0.01)
     assert 0.5 < confidence[3] < 1
+
+
+@pytest.mark.parametrize("lean, back", [(0.0, False), (LEANS - 0.1, False), (LEANS + 0.1, True), (3.0, True)])
+@pytest.mark.parametrize("size", [1.0, 1.25])
+def test_a_scan_that_leans_is_turned_back_before_the_segmenter_sees_it(lean, back, size, tube_rig):
+    """And is of the size of what that has learned from."""
+    seen = []
+
+    class Segmenter:
+        half = tube_rig.size / 2
+
+        def predict_proba(self, points, *, scale, views):
+            seen.append(points / scale)
+
+    theta = np.zeros(tube_rig.lower.shape)
+    upright = skin(tube_rig, theta).vertices - tube_rig.joints[0]
+    theta[0] = lean * np.array([0.6, 0.0, 0.8])
+    leaning = skin(tube_rig, theta).vertices - tube_rig.joints[0]
+    said_of(Segmenter(), tube_rig, leaning / Segmenter.half, theta, size)
+    np.testing.assert_allclose(seen[0], (upright if back else leaning) / size, atol=1e-12)

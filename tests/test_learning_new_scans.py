@@ -198,6 +198,27 @@ def test_a_few_steps_tell_whose_template_suits_a_scan_in_any_unit(tube_rig):
     assert free == pytest.approx(1.21 * left[1.0]["own"], rel=0.05)
 
 
+@pytest.mark.parametrize("size", [1.25, 0.8])
+@pytest.mark.parametrize("factor, known", [(1.0, True), (1.1, True), (0.9, True), (1.5, False), (0.6, False)])
+def test_a_scans_unit_is_compared_with_the_learned_one_by_the_size_of_the_subjects_template(tube_rig, size, factor, known):
+    """What was seen on the rig's own template is ``size`` times as large on one of that size."""
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    grown = tube_rig.with_template(size * tube_rig.vertices, size * tube_rig.joints)
+    fitter.template_, fitter.unit_ = {"ann": grown}, {"ann": 1.0}
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=400, shape=0.0)
+    seen = found_at_the_truth(tube_rig, scan)
+    seen = replace(seen, frame=replace(seen.frame, unit=factor * size * seen.frame.unit), rivals=())
+    begun = new_scan._begun(fitter, "ann", seen, fit_settings(fitter))
+    assert begun.in_unit == known
+    assert begun.frame.unit == pytest.approx((1.0 if known else factor) * tube_rig.size / 2)
+    # Where the unit is found, what is known of the fit is of the scan's own half sizes.
+    found = new_scan._gone_on(fitter, begun, seen, fit_settings(fitter))
+    assert found.state.scale == 1.0
+    np.testing.assert_allclose(found.frame.outside(found.problem.X), seen.frame.outside(seen.problem.X), atol=1e-9)
+    if not known:
+        assert found.frame.unit == pytest.approx(factor * tube_rig.size / 2, rel=0.05)
+
+
 def test_views_of_one_side_are_compared_by_what_they_show(tube_rig):
     """What a view does not show is less of a slim person: by both ways of the Chamfer distance she would have been nearer."""
     own = tube_rig.vertices, tube_rig.joints

@@ -15,7 +15,7 @@ from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.learning import finish
 from lbsfit_np.learning.checkpoint import Checkpoint
 from lbsfit_np.learning.collection import Member, with_doubt
-from lbsfit_np.learning.scales import check_scales, scale_warnings, units_apart
+from lbsfit_np.learning.scales import check_scales, scale_of, scale_warnings, units_apart
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.starts.turns import Facing
 
@@ -98,6 +98,17 @@ def test_the_one_scan_that_a_subject_is_learned_from_is_not_set_apart():
     check_scales(members, [1.0, 1.1, 0.95, 2.0])
     assert "2.0" not in members[3].doubt and members[3].doubt and not members[3].apart
     assert [m.ratio for m in members] == pytest.approx([1.0 / 1.025, 1.1 / 0.975, 0.95 / 1.05, 2.0])  # it is no measure of them
+
+
+def test_scans_that_are_not_learned_from_do_not_tell_their_subjects_size():
+    members, scales = _members(3), [0.9, 1.1, 1.8]
+    assert scale_of(members, scales) == 1.1
+    check_scales(members, scales)
+    assert members[2].apart and scale_of(members, scales) == pytest.approx(1.0)
+    members[0].held_out = True
+    assert scale_of(members, scales) == 1.1
+    members[1].held_out = True  # nobody is left who is learned from
+    assert scale_of(members, scales) == 1.1
 
 
 @pytest.mark.parametrize(

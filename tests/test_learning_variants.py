@@ -8,6 +8,7 @@ from lbsfit_np import LBSFitter
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning import finish, pretraining
 from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.tasks import Told
 from lbsfit_np.learning.variants import VARIANTS, as_variant
 from lbsfit_np.losses.objective import PRESETS
 from lbsfit_np.optimize.model import Model
@@ -155,3 +156,46 @@ def test_nothing_is_trained_on_templates_of_scans_held_out(tube_rig, few_scans):
     assert len(taught) == len(few_scans) - 1 == len(made.templates)
     for (vertices, _), subject in zip(made.templates, taught):
         np.testing.assert_array_equal(vertices, templates[subject][0])
+
+
+def test_poses_that_are_most_likely_wrong_teach_nothing(tube_rig, few_scans, monkeypatch):
+    """Those of scans that are explained much worse than their subject's others: neither rounds nor other poses go by them."""
+    collection = collected(tube_rig, [s.points for s in few_scans], held_out=0.0)
+    for m, s in zip(collection.members, few_scans):
+        m.state, m.loss = Model(tube_rig).rest().replace(theta=s.pose), 1.0
+    collection.members[1].loss = 1.7
+    templates, asked = {0: (tube_rig.vertices, tube_rig.joints)}, []
+    monkeypatch.setattr("lbsfit_np.learning.loop.pose_prior", lambda poses, *more: asked.extend(poses))
+    for name in ("joint", "pose-only"):
+        loop = loop_over(tube_rig, collection, name, None)
+        right = [s.pose for k, s in enumerate(few_scans) if k != 1]
+        np.testing.assert_array_equal(loop._mixture(1, templates).poses, right)
+
+    def answers(work, tasks, *more):
+        if isinstance(work, Told):
+            return [(state, 1.0, np.eye(1) if is_asked else None) for _, _, state, is_asked in tasks]
+        return [(state, 1.0, 1.0) for _, _, _, state, _ in tasks]
+
+    monkeypatch.setattr(loop, "_work", answers)
+    loop._last_steps(1, templates)
+    np.testing.assert_array_equal(asked, right)
+
+
+@pytest.mark.parametrize("variant, size", [("joint", 1.0), ("pose-only", 1.2), ("rand", 1.2)])
+def test_labels_are_asked_for_at_the_size_that_the_segmenter_has_learned(variant, size, tube_rig, few_scans):
+    """Of the rig where the subjects' templates do not teach; joint's has learned theirs."""
+    asked = []
+
+    class Said:
+        half = tube_rig.size / 2
+
+        def predict_proba(self, points, *, scale, views):
+            asked.append(scale)
+            return np.full((len(points), 4), 0.25)
+
+    collection = collected(tube_rig, [s.points for s in few_scans])
+    for m in collection.members:
+        m.state = Model(tube_rig).rest()
+        m.use_frame(1.0, tube_rig.size / 2)
+    loop_over(tube_rig, collection, variant, Said())._label({0: (1.2 * tube_rig.vertices, 1.2 * tube_rig.joints)})
+    assert asked == pytest.approx([size] * len(few_scans))

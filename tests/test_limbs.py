@@ -88,10 +88,13 @@ def test_limbs_are_chains_with_all_that_hangs_on_them(hand, body, tube):
 
 
 def test_of_very_many_poses_evenly_taken_ones_are_tried(tube_rig):
-    poses = uniform_poses(tube_rig, 2600, np.random.default_rng(0))
+    poses = np.zeros((2600, *tube_rig.lower.shape))
+    poses[:] = np.arange(2600)[:, None, None]
     for limb in LimbPoses(Model(tube_rig), poses)._limbs:
-        assert len(limb.angles) == limbs_module._POSES
-        np.testing.assert_array_equal(limb.angles[[0, -1]], poses[[0, -1]][:, limb.hangs])
+        rows = limb.angles[:, 0, 0]
+        assert len(rows) == limbs_module._POSES
+        begin = 3.25 * np.arange(len(rows))  # one of each 3.25
+        assert (rows >= np.floor(begin)).all() and (rows < begin + 3.25).all()
 
 
 @pytest.mark.parametrize("changed", [False, True])
@@ -371,3 +374,14 @@ def test_few_points_and_a_rig_without_limbs_are_no_error(tube):
     data = replace(make_tube_data(), lower=np.zeros((4, 3)), upper=np.zeros((4, 3)))
     stiff = Model(build_rig(data))
     assert LimbPoses(stiff, np.zeros((3, 4, 3))).proposals(Problem(stiff.rig.vertices), stiff.rest(), 2) == []
+
+
+@pytest.mark.parametrize("n", [801, 1599, 1600, 3197])
+def test_of_very_many_poses_limbs_are_tried_in_some_of_each_kind(tube, n):
+    """Natural poses and others take turns in a library."""
+    poses = np.zeros((n, *tube.rig.lower.shape))
+    poses[1::2, 1, 0] = 1.0
+    for limb in LimbPoses(tube.model, poses)._limbs:
+        assert len(limb.angles) == 800
+        if limb.hangs[1]:
+            assert 0.4 < (limb.angles.max(axis=(1, 2)) == 1.0).mean() < 0.6

@@ -5,8 +5,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from lbsfit_np.rotations import (
+    angle_between,
     cross_matrix,
     left_jacobian,
+    matrix_from_quaternion,
     matrix_from_rotvec,
     nearest_rotvec,
     rotvec_from_matrix,
@@ -89,3 +91,17 @@ def test_the_nearest_of_the_vectors_of_a_rotation():
     best = np.linalg.norm(ways - other, axis=2).min(axis=0)
     np.testing.assert_allclose(np.linalg.norm(nearest - other, axis=1), best, rtol=1e-12)
     assert np.array_equal(nearest_rotvec(omega, omega), omega) and not nearest_rotvec(np.zeros(3), other[0]).any()
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-3, 0.8, 3.0, np.pi])
+def test_the_angle_between_rotations_is_that_of_the_one_from_one_to_the_other(angle):
+    first = matrix_from_rotvec(np.array([0.3, -1.0, 0.5]))
+    other = first @ matrix_from_rotvec(angle * np.array([0.6, 0.0, -0.8]))
+    assert angle_between(first, other) == pytest.approx(angle, abs=1e-7) == angle_between(other, first)
+
+
+def test_matrices_of_quaternions_are_those_of_scipy():
+    q = np.random.default_rng(0).standard_normal((2, 5, 4))
+    q /= np.linalg.norm(q, axis=-1, keepdims=True)
+    expected = Rotation.from_quat(q.reshape(-1, 4)).as_matrix().reshape(2, 5, 3, 3)
+    np.testing.assert_allclose(matrix_from_quaternion(*np.moveaxis(q, -1, 0)), expected, atol=1e-12)

@@ -126,7 +126,7 @@ def test_labels_are_seen_from_where_steps_have_turned_the_root_to(make_scout, cl
     upright, leaning = (Problem(frame.inside(x) @ turn.T) for turn in (np.eye(3), lean))
     leans = rest.replace(theta=turned_root(scout.model.rig, rest.theta, lean))
     seen = scout._seen(Runner(leaning, leans, frame))
-    expected = scout._seen(Runner(upright, rest, frame)) if along else scout._labels(leaning.X)
+    expected = scout._seen(Runner(upright, rest, frame)) if along else scout._seen(Runner(leaning, rest, frame))
     np.testing.assert_allclose(seen, expected, atol=1e-6)
     assert (seen.argmax(axis=1) == clean_scans[1].labels).mean() > (0.75 if along else 0.5)
 

@@ -180,7 +180,8 @@ def test_without_the_librarys_poses_starts_are_rest_and_f_under_its_turns(make_s
     assert len(runners) == 2 * len(set(turns))
     f = library.regress(points @ scout.facing.turns[turns[0]])
     for k, r in enumerate(runners):
-        np.testing.assert_array_equal(r.state.theta, f if k % 2 else np.zeros_like(f))
+        as_f = library.regress(points @ r.name.turn)  # as it sees the scan under this turn
+        np.testing.assert_array_equal(r.state.theta, as_f if k % 2 else np.zeros_like(f))
     assert {r.name.turn.tobytes() for r in runners} == {scout.facing.turns[k].tobytes() for k in turns}
     everything = make_scout(segmenter=False)._runners(points, None)
     np.testing.assert_array_equal(everything[-1].state.theta, f)
@@ -230,7 +231,8 @@ def test_the_better_one_of_labels_and_library_goes_on(tube_rig, right, monkeypat
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=41, poses=np.zeros((1, 4, 3)), **CLEAN)
     behind = np.zeros((2, 4, 3))
     behind[:, 0, 1] = np.pi
-    uniform = SimpleNamespace(predict_proba=lambda points, views: np.full((len(points), 4), 0.25))
+    half = tube_rig.size / 2
+    uniform = SimpleNamespace(predict_proba=lambda points, scale, views: np.full((len(points), 4), 0.25), half=half)
     poses = np.zeros((2, 4, 3)) if right == "library" else behind
     scout = _untrained(tube_rig, poses, effort="fast", segmenter=uniform, proportions=False)
 

@@ -140,7 +140,7 @@ def test_fits_and_rounds_take_one_view(tube_fitter, tube_rig, tube_scan, monkeyp
     for options in ({}, {"theta0": np.zeros((len(tube_rig.parents), 3))}):
         tube_fitter.fit_scan(tube_scan.points, **options)
     at_once = len(asked)
-    Labels(tube_fitter.segmenter_)(tube_scan.points / tube_fitter.segmenter_.half)
+    Labels(tube_fitter.segmenter_, tube_rig)((tube_scan.points / tube_fitter.segmenter_.half, np.zeros_like(tube_rig.lower)))
     assert at_once >= 2 and set(asked) == {1} and len(asked) == at_once + 1
 
 

@@ -160,7 +160,8 @@ def other_bends(rig, theta):
             below = np.flatnonzero(above == j)
             for k in (above[j], *(below if len(below) == 1 else ())):
                 if k >= 0 and k != rig.root:
-                    taken = np.clip(theta[k] + theta[j] - straight, rig.lower[k], rig.upper[k])
+                    bend = rig.frames[k].T @ rig.frames[j] @ (theta[j] - straight)  # about the same axis, in the other's frame
+                    taken = np.clip(theta[k] + bend, rig.lower[k], rig.upper[k])
                     out.append(((j, k), np.array([straight, taken])))
         elif axes[j] == 1 and np.linalg.norm(theta[j] - middle) > _BENT:
             out.append(((j,), middle[None]))

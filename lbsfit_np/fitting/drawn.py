@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..optimize.gauss_newton import as_weights
+from ..optimize.gauss_newton import weight_matrix
 
 __all__ = ["PosePrior", "drawn", "drawn_by_itself", "prior_of"]
 
@@ -156,7 +156,7 @@ def prior_of(prior, noise, turning, wanted=None):
         return wanted
     if wanted is None:
         return prior.of(noise)
-    pairs = [(theta[turning], as_weights(weights, turning)) for theta, weights in (prior.of(noise), wanted)]
+    pairs = [(theta[turning], weight_matrix(weights, turning)) for theta, weights in (prior.of(noise), wanted)]
     weights, theta = sum(W for _, W in pairs), prior.mean.copy()
     theta[turning] = np.linalg.solve(weights, sum(W @ angles for angles, W in pairs))
     return theta, weights

@@ -2,7 +2,13 @@
 
 import numpy as np
 
-__all__ = ["labels_from_mesh", "one_hot", "parts_of", "refined_labels"]
+from ..optimize.frame import root_turn
+from ..rotations import angle_between
+
+__all__ = ["LEANS", "labels_from_mesh", "one_hot", "parts_of", "refined_labels", "said_of"]
+
+# A root that a pose turns further than this leans as hardly any training scan does, radians.
+LEANS = 0.8
 
 # A part that the segmenter excludes is not quite impossible: the fitted mesh may know better.
 _FLOOR = 1e-3
@@ -22,6 +28,29 @@ def one_hot(labels, n_parts):
 def parts_of(proba):
     """(n,) int: the most probable part of each point; n_parts, which no vertex has, where all are 0."""
     return np.where(proba.any(axis=1), proba.argmax(axis=1), proba.shape[1])
+
+
+def said_of(segmenter, rig, X, theta, size=1.0):
+    """What the segmenter says of a scan whose pose is about known: one that leans far is turned back, as training hardly leans.
+
+    Parameters
+    ----------
+    segmenter : Segmenter
+    rig : Rig
+    X : (n, 3) array
+        In half sizes.
+    theta : (J, 3) array
+        Θ, radians.
+    size : float, default 1
+        Of the scan's template, in sizes of those that the segmenter has learned from.
+
+    Returns
+    -------
+    (n, n_parts) array
+    """
+    turn = root_turn(rig, theta)
+    upright = X if angle_between(turn, np.eye(3)) <= LEANS else X @ turn
+    return segmenter.predict_proba(upright * segmenter.half, scale=size, views=1)
 
 
 def refined_labels(X, proba, V, v_labels, sigma, *, doubt=0.0):

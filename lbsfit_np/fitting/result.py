@@ -132,6 +132,7 @@ class FitResult:
         ``subject``, ``unit`` as 0-d arrays; ``parts`` as text; ``terms``, ``evidence`` and ``settings`` as JSON text;
         ``lbsfit_np_result``, the format's number.
         """
+        from ..io.npz import RESULT_KEY
         from ..io.write import check_npz_name, write_npz
 
         check_npz_name(path)
@@ -145,11 +146,11 @@ class FitResult:
         scalars = {name: np.array(getattr(self, name)) for name in _SCALARS}
         write_npz(
             path,
-            lbsfit_np_result=np.array(_FORMAT),
             terms=np.array(json.dumps(self.terms)),
             evidence=np.array(json.dumps(self.evidence)),
             settings=np.array(settings),
             parts=np.array(self.parts),
+            **{RESULT_KEY: np.array(_FORMAT)},
             **arrays,
             **scalars,
         )
@@ -157,13 +158,13 @@ class FitResult:
     @classmethod
     def load(cls, path):
         """Read what :meth:`save` wrote."""
-        from ..io.npz import read_npz
+        from ..io.npz import RESULT_KEY, read_npz
 
         z = read_npz(path)
-        if "lbsfit_np_result" not in z:
-            raise FileError(str(path), "an NPZ without the key lbsfit_np_result", "a result that was saved with FitResult.save")
-        if z["lbsfit_np_result"].tolist() != _FORMAT:
-            raise FileError(str(path), f"result format {z['lbsfit_np_result']}", f"format {_FORMAT}", "Fit again.")
+        if RESULT_KEY not in z:
+            raise FileError(str(path), f"an NPZ without the key {RESULT_KEY}", "a result that was saved with FitResult.save")
+        if z[RESULT_KEY].tolist() != _FORMAT:
+            raise FileError(str(path), f"result format {z[RESULT_KEY]}", f"format {_FORMAT}", "Fit again.")
         try:
             fields = {name: z[name] for name in _ARRAYS}
             fields.update({name: z[name].item() for name in _SCALARS})

@@ -12,17 +12,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ..optimize.frame import Frame, root_turn
+from ..optimize.frame import Frame
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
 from ..rig.frames import up_axis
-from ..rotations import matrix_from_rotvec
+from ..rotations import angle_between, matrix_from_rotvec
 from ..starts.limbs import LimbPoses
 from ..starts.scale import sizes_in, unit_scale
 from ..starts.turns import any_side_up
 from .bends import Bends
 from .confidence import evidence_of, probability_of
 from .effort import EFFORTS
+from .labels import LEANS, said_of
 from .proportioned import Proportioned, step_options
 from .refit import LimbSearch, Refit, Runner, distinct
 
@@ -30,7 +31,7 @@ __all__ = ["ALIKE", "Found", "Scout"]
 
 
 # Labels are read of so many points, under turns that are further apart than this, radians.
-_LABELLED, _ELSEWHERE = 900, 0.8
+_LABELLED, _ELSEWHERE = 900, LEANS
 # Poses whose joints are nearer than this on average, in half sizes, are one.
 ALIKE = 0.03
 # Without proportions, the right pose may leave this many times as much unexplained as a wrong one.
@@ -87,10 +88,13 @@ class Scout:
         Whether the template's proportions are found as well, or are known.
     nearest : bool, default True
         False leaves out the library's poses, of limbs as well, but not what they tell of turn and unit.
+    size : float, default 1
+        Of the template, in sizes of those that the segmenter and the library have learned from.
     """
 
-    def __init__(self, model, library, facing, segmenter, settings, *, unit=None, proportions=True, nearest=True):
+    def __init__(self, model, library, facing, segmenter, settings, *, unit=None, proportions=True, nearest=True, size=1.0):
         self.model, self.library, self.facing, self.segmenter = model, library, facing, segmenter
+        self.size = size
         self.settings, self.nearest, self.effort = settings, nearest, EFFORTS[settings.effort]
         self.unit = (unit_scale(model.source, settings.unit) or 1.0) if settings.scale == "fixed" else unit
         self._sizes = {"unit": self.unit} if self.unit else sizes_in(model.source, settings.unit)
@@ -172,13 +176,16 @@ class Scout:
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points
         starts = self.library.starts(points, self.facing.turns, self.effort.starts, **self._sizes)
-        # f answers for a scan that faces the rig's way.
-        seen = self.library.regress(points @ self.facing.turns[starts[0].turn])
+
+        def regressed(start):
+            """As f has it, which answers for a scan that faces the rig's way."""
+            return replace(start, theta=self.library.regress(points @ self.facing.turns[start.turn]))
+
         if self.nearest:
-            starts.append(replace(starts[0], theta=seen))
+            starts.append(regressed(starts[0]))
         else:
             turns = {s.turn: s for s in reversed(starts)}.values()
-            starts = [replace(s, theta=theta) for s in turns for theta in (np.zeros_like(seen), seen)]
+            starts = [other for s in turns for other in (replace(s, theta=np.zeros_like(s.theta)), regressed(s))]
         # One unit for all, as what is left unexplained is compared.
         unit = self.unit or float(np.median([s.scale for s in starts]))
         frames = {s.turn: Frame(centre, unit * self.model.half, self.facing.turns[s.turn]) for s in starts}
@@ -212,7 +219,7 @@ class Scout:
             frames = [replace(runners[0].name, turn=runners[0].name.turn @ flip) for flip in flips]
         out = [runners[0].name]
         for frame in [*frames, *(r.name for r in runners)]:
-            apart = [_angle(frame.turn.T @ f.turn) for f in out]
+            apart = [angle_between(frame.turn, f.turn) for f in out]
             if len(out) < self.effort.facings and min(apart) > _ELSEWHERE:
                 out.append(frame)
         return out
@@ -221,17 +228,12 @@ class Scout:
         """A start from what the segmenter says in one frame."""
         problem = Problem(frame.inside(points), x_weights)
         few = problem.thinned(_LABELLED)
-        return Runner(problem, self._refit.from_parts(few, self._labels(few.X)), frame)
-
-    def _labels(self, X):
-        """What the segmenter says of points in half sizes."""
-        return self.segmenter.predict_proba(X * self.model.half, views=1)
+        proba = self.segmenter.predict_proba(few.X * self.model.half, scale=self.size, views=1)
+        return Runner(problem, self._refit.from_parts(few, proba), frame)
 
     def _seen(self, runner):
-        """The same where a runner has come to: a root that the steps have turned far is turned back, as training hardly leans."""
-        turn = root_turn(self.model.rig, runner.state.theta)
-        X = runner.problem.X
-        return self._labels(X if _angle(turn) <= _ELSEWHERE else X @ turn)
+        """What the segmenter says of the points where a runner has come to."""
+        return said_of(self.segmenter, self.model.rig, runner.problem.X, runner.state.theta, self.size)
 
     def _ended(self, runner):
         state, value = self._to_the_end(runner.problem, runner.state)
@@ -239,8 +241,3 @@ class Scout:
 
     def _joints(self, runner):
         return runner.name.outside(self.model.deformed(runner.state).joints)
-
-
-def _angle(rotation):
-    """Of a (3, 3) rotation, radians."""
-    return np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))

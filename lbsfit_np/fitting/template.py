@@ -21,7 +21,7 @@ from ..optimize.precision import told_angles
 from ..optimize.surface import Surface, vertex_normals
 from .labels import refined_labels
 
-__all__ = ["TemplateSettings", "shared_template"]
+__all__ = ["TemplateSettings", "likely_right", "shared_template"]
 
 # Share of the surface below which a vertex has none.
 _NO_AREA = 1e-12
@@ -66,6 +66,19 @@ class TemplateSettings:
     partial: bool = False
 
 
+def likely_right(losses, worst=TemplateSettings.worst):
+    """(k,) bool: which of one subject's scans are explained about as well as the others, so that their poses are likely right.
+
+    Parameters
+    ----------
+    losses : (k,) array
+        How well each scan is explained; what is small is good.
+    worst : float
+        Of ``TemplateSettings``.
+    """
+    return np.asarray(losses) <= worst * np.median(losses)
+
+
 def shared_template(model, problems, states, losses, *, proba=None, dense=None, prior=None, settings=None):
     """The template of one subject from the scans' poses as they are.
 
@@ -97,7 +110,7 @@ def shared_template(model, problems, states, losses, *, proba=None, dense=None, 
         To start from next time.
     """
     settings = settings or TemplateSettings()
-    keep = np.flatnonzero(np.asarray(losses) <= settings.worst * np.median(losses))
+    keep = np.flatnonzero(likely_right(losses, settings.worst))
     dense = [(problems if dense is None else dense)[i] for i in keep]
     problems, states = [problems[i] for i in keep], [states[i] for i in keep]
     steps = GaussNewton(model, reach=settings.reach, tangential=0.02, ridge=settings.ridge, partial=settings.partial)

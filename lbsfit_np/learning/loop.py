@@ -36,8 +36,8 @@ from .collection import HELD_OUT, LEARNED_FROM
 from .first_fits import FirstFit
 from .mixture import Mixture
 from .pose_prior import looked_at, pose_prior
-from .scales import check_scales, scale_warnings, size_and_unit, units_apart, use_unit
-from .tasks import Drawn, Held, Labels, Models, Pose, Template, Told
+from .scales import check_scales, scale_of, scale_warnings, size_and_unit, units_apart, use_unit
+from .tasks import Drawn, Held, Labels, Models, Pose, Template, Told, with_right_poses
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
 
@@ -236,7 +236,8 @@ class Loop:
         if estimate and unit is None and (apart := units_apart(scales)):
             warnings.warn(apart, stacklevel=2)
         for subject in self.collection.subjects:
-            members, scale = self.collection.of(subject), float(np.median(scales[subject])) if estimate else guess
+            members = self.collection.of(subject)
+            scale = scale_of(members, scales[subject]) if estimate else guess
             size, unit = size_and_unit(scale, guess, grows=self.joints == "follow")
             c = np.zeros(self.shifting.n_coefficients)
             c[: self.model.n_proportions] = size - 1.0
@@ -272,7 +273,8 @@ class Loop:
     def _mixture(self, k, templates):
         v, rig = self.variant, self.rig.welded
         learning = self.collection.with_role(LEARNED_FROM)
-        poses = np.array([m.state.theta for m in learning]) if v.inferred_poses and k else np.empty((0, *rig.lower.shape))
+        known = with_right_poses(learning)
+        poses = np.array([m.state.theta for m in known]) if v.inferred_poses and k else np.empty((0, *rig.lower.shape))
         rows = self.rig.welded_from
         taught_by = {m.subject for m in learning}  # of others all scans are held out, and their templates with them
         made = tuple((U[rows], J) for s, (U, J) in templates.items() if s in taught_by) if v.deformed and k else ()
@@ -300,7 +302,7 @@ class Loop:
                 library = of_library.keep(build(jobs=self.jobs, progress=told))
         self.segmenter, self.library = s, library
         if self.variant.labels:
-            self._label()
+            self._label(templates)
 
     def _trained(self, mixture):
         self.progress("segmenter", 0.0)
@@ -315,9 +317,11 @@ class Loop:
             start=self.segmenter,
         )
 
-    def _label(self):
-        work = Labels(self.segmenter)
-        found = self._work(work, [m.X for m in self.collection.members], "labels")
+    def _label(self, templates):
+        rig, taught = self.rig, self.variant.deformed  # what no templates have taught knows the rig's size alone
+        sizes = {s: rig.with_template(*t).size / rig.size for s, t in templates.items() if not taught}
+        tasks = [(m.X, m.state.theta, sizes.get(m.subject, 1.0)) for m in self.collection.members]
+        found = self._work(Labels(self.segmenter, rig), tasks, "labels")
         for m, proba in zip(self.collection.members, found, strict=True):
             m.proba = proba
         self._follow()
@@ -341,7 +345,7 @@ class Loop:
         """Every pose as its scan tells it by all its points, and where that leaves it open, as the others' poses do."""
         (start, end), middle = span, np.mean(span)
         models, partial = self._models(templates), self.fit_settings.partial
-        learning = self.collection.with_role(LEARNED_FROM)
+        learning = with_right_poses(self.collection.with_role(LEARNED_FROM))
         asked = {learning[i].index for i in looked_at(len(learning))} if self.variant.prior else ()
 
         def slots(step, *made_of):

@@ -129,8 +129,8 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
     whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
-    scale, size = best.state.scale * best.frame.unit / half, fitter.template_[subject].size / rig.size
-    unit = unit_note(scale, rig, settings.scale, unit=settings.unit, size=size)
+    scale = best.state.scale * best.frame.unit / half
+    unit = unit_note(scale, rig, settings.scale, unit=settings.unit, size=_size(fitter, subject))
     doubted = _doubted(fitter, subject, scale, settings)
     if doubted:  # which asks what the size alone may have asked
         unit = unit.removesuffix(unit_question(settings.unit)) + doubted
@@ -181,12 +181,14 @@ def _asking(result, subjects):
 def _scouted(fitter, subject, x, a, settings, *, once):
     """A scan of which nothing is known; in the subject's unit where its size allows that."""
     facing, library, segmenter = _facing(fitter), fitter.regressor_, fitter.segmenter_
-    seen = library.starts(x, facing.turns, 1, **sizes_in(fitter.rig, settings.unit))[0].scale
+    size = 1.0 if as_variant(fitter.variant).deformed else _size(fitter, subject)  # of what s and the library have learned from
+    seen = library.starts(x, facing.turns, 1, **sizes_in(fitter.rig, settings.unit))[0].scale / size
     unit = _unit(fitter, subject, seen, settings)
     model, nearest = _template_fit(fitter, subject, settings).model, as_variant(fitter.variant).library
 
     def make():
-        return Scout(model, library, facing, segmenter, settings, unit=unit, proportions=False, nearest=nearest)
+        known = {"unit": unit, "proportions": False, "nearest": nearest, "size": size}
+        return Scout(model, library, facing, segmenter, settings, **known)
 
     made_of = model, library, segmenter, settings, _facing_words(fitter), nearest, unit
     return _kept(fitter, (subject, "scout", unit is None), made_of, make)(x, a, once=once)
@@ -232,7 +234,7 @@ def _suiting(fitter, subjects, seen, settings):
 
 
 def _begun(fitter, subject, seen, settings):
-    unit = seen.state.scale * seen.frame.unit / (fitter.rig.size / 2)
+    unit = seen.state.scale * seen.frame.unit / (fitter.rig.size / 2) / _size(fitter, subject)  # it was seen on the rig's own
     learned = _unit(fitter, subject, unit, settings)
     ratio = (learned or unit) / (seen.frame.unit / (fitter.rig.size / 2))
     frame = replace(seen.frame, unit=seen.frame.unit * ratio)
@@ -249,7 +251,8 @@ def _gone_on(fitter, begun, seen, settings):
     refit = _template_fit(fitter, begun.subject, settings).refit
     refit = refit if begun.in_unit else refit.freeing(SIZED)
     state, value, _ = refit(begun.problem, [begun.state], proba=seen.proba, bend=False)
-    return Found(begun.frame, begun.problem, state, seen.proba, value, _rivals(value, seen), refit.free)
+    found = _in_its_unit(Found(begun.frame, begun.problem, state, seen.proba, value, (), refit.free))
+    return replace(found, rivals=_rivals(found.value, seen))
 
 
 def _bent(fitter, found, seen, settings):
@@ -258,8 +261,18 @@ def _bent(fitter, found, seen, settings):
     for subject, there in found:
         refit = _template_fit(fitter, subject, settings).refit
         state, value = (refit if there.free == refit.free else refit.freeing(there.free)).bent(there.problem, there.state)
-        out.append((subject, replace(there, state=state, value=value, rivals=_rivals(value, seen))))
+        bent = _in_its_unit(replace(there, state=state, value=value))
+        out.append((subject, replace(bent, rivals=_rivals(bent.value, seen))))
     return out
+
+
+def _in_its_unit(found):
+    """The same in half sizes of what was found, as evidence is: where the unit was not known, in those of a guess until then."""
+    q = found.state.scale
+    if q == 1.0:
+        return found
+    frame, value = replace(found.frame, unit=found.frame.unit * q), found.value / q**2
+    return replace(found, frame=frame, problem=found.problem.in_unit(q), state=found.state.in_unit(q), value=value)
 
 
 def _rivals(value, seen):
@@ -269,6 +282,7 @@ def _rivals(value, seen):
 
 def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     """A scan with a start, which says how it is turned, or with known labels, which tell it."""
+    guess = guess / _size(fitter, subject)  # it was made on the rig's own
     unit = _unit(fitter, subject, guess, settings)
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
@@ -281,9 +295,7 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
         left = refit.left(problem, state)
         if best is None or left < least:
             best, least = Found(frame, problem, state, proba, value, (), refit.free), left
-    q = best.state.scale  # evidence is of half sizes: in the scan's own unit, not in that of a guess
-    frame, value = replace(best.frame, unit=best.frame.unit * q), best.value / q**2
-    return replace(best, frame=frame, problem=best.problem.in_unit(q), state=best.state.in_unit(q), value=value)
+    return _in_its_unit(best)
 
 
 def _unit(fitter, subject, seen, settings):
@@ -296,6 +308,11 @@ def _unit(fitter, subject, seen, settings):
             raise InputError("scale", got, "'estimate'", "Leave it out (--scale estimate): the size was learned.")
         return fixed
     return learned if same_size(seen, learned) else None
+
+
+def _size(fitter, subject):
+    """Of a subject's template, in sizes of the rig's own."""
+    return fitter.template_[subject].size / fitter.rig.size
 
 
 def _learned_unit(fitter, subject, settings):

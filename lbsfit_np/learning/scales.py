@@ -6,7 +6,7 @@ from ..starts.scale import same_size
 from .collection import LEARNED_FROM
 from .reading import mixed_units, odd_ones
 
-__all__ = ["check_scales", "scale_warnings", "size_and_unit", "units_apart", "use_unit"]
+__all__ = ["check_scales", "scale_of", "scale_warnings", "size_and_unit", "units_apart", "use_unit"]
 
 # First fits' scales of one subject differ by less than this factor, unless scans are in two units.
 _ONE_SCALE = 1.6
@@ -51,6 +51,20 @@ def check_scales(members, scales, *, ends=False):
     for i in odd:
         members[i].doubt = f"{_other_scale(members[i])}: is it in another unit? Convert it and learn again"
         members[i].apart = others
+
+
+def scale_of(members, scales):
+    """A subject's scan units in a rig unit, as its first fits have found them.
+
+    Scans that are set apart, or held out, have no say as long as there are others.
+
+    Parameters
+    ----------
+    members, scales
+        As for :func:`check_scales`.
+    """
+    taught = [scale for m, scale in zip(members, scales, strict=True) if m.role == LEARNED_FROM]
+    return float(np.median(taught or scales))
 
 
 def scale_warnings(members):

@@ -8,13 +8,27 @@ import numpy as np
 from ..errors import InputError
 from ..fitting.drawn import drawn, prior_of
 from ..fitting.effort import EFFORTS
+from ..fitting.labels import said_of
 from ..fitting.refit import LimbSearch, Refit
-from ..fitting.template import TemplateSettings, shared_template
+from ..fitting.template import TemplateSettings, likely_right, shared_template
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..starts.limbs import LimbPoses
 
-__all__ = ["Drawn", "Held", "Labels", "Models", "Pose", "READY", "Template", "Told", "finite", "in_full", "short"]
+__all__ = [
+    "Drawn",
+    "Held",
+    "Labels",
+    "Models",
+    "Pose",
+    "READY",
+    "Template",
+    "Told",
+    "finite",
+    "in_full",
+    "short",
+    "with_right_poses",
+]
 
 # Subjects whose templates a process keeps ready, of a body some 30 MB each: scans come by subject.
 READY = 4
@@ -62,12 +76,13 @@ class Template:
 
 @dataclass(frozen=True)
 class Labels:
-    """Points of a scan in its frame → probabilities of the parts, in half precision."""
+    """Points of a scan in its frame, its Θ, and the size of its template, as ``said_of`` → probabilities in half precision."""
 
     segmenter: object
+    rig: object
 
-    def __call__(self, X):
-        return short(self.segmenter.predict_proba(X * self.segmenter.half, views=1))
+    def __call__(self, task):
+        return short(said_of(self.segmenter, self.rig, *task))
 
 
 @dataclass(frozen=True)
@@ -179,3 +194,13 @@ def finite(loss):
     if not np.isfinite(loss):
         raise InputError("points", "a fit that is not finite", "points without extreme outliers")
     return loss
+
+
+def with_right_poses(members):
+    """Those whose poses are likely right, by how well the scans of each subject are explained; no less than half of them."""
+    of, right = {}, {}
+    for m in members:
+        of.setdefault(m.subject, []).append(m)
+    for own in of.values():
+        right |= dict(zip((m.index for m in own), likely_right([m.loss for m in own]), strict=True))
+    return [m for m in members if right[m.index]]

@@ -19,7 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from ..optimize.model import farthest_points
-from ..rig.chains import chains, vertex_bones
+from ..rig.chains import chains, subtrees, vertex_bones
 from ..rotations import matrix_from_rotvec
 from ..scan import some_rows
 from ..segmentation.descriptors import VoxelGrid
@@ -76,11 +76,10 @@ class LimbPoses:
     def __init__(self, model, poses):
         self.model = model
         rig = model.rig
-        below = np.eye(len(rig.parents), dtype=bool)  # [j, k]: k is j or hangs on it
-        for level, up in reversed(rig.levels):
-            for j, p in zip(level, up):
-                below[p] |= below[j]
-        poses = poses[np.linspace(0, len(poses) - 1, min(len(poses), _POSES)).astype(int)]
+        below = subtrees(rig.parents) > 0
+        if len(poses) > _POSES:  # one of each so many, not every so-manieth: natural ones and others take turns
+            within = np.random.default_rng(0).random(_POSES)
+            poses = poses[((np.arange(_POSES) + within) * len(poses) / _POSES).astype(int)]
         chain = chains(rig)
         bone = vertex_bones(rig)
         self._limbs = []
