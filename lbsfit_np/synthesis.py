@@ -5,7 +5,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from .errors import InputError, as_array, brief, check_array, did_you_mean
+from .errors import InputError, as_array, brief, check_array, did_you_mean, is_whole
 from .rig.chains import chains
 from .rig.frames import up_axis
 from .rotations import matrix_from_rotvec, nearest_rotvec, rotvec_from_matrix
@@ -285,7 +285,7 @@ def natural_poses(rig, n, random_state=None):
 
 
 def _check_count(argument, n):
-    if isinstance(n, bool) or not isinstance(n, Integral) or n < 0:
+    if not is_whole(n, 0):
         raise InputError(argument, repr(n), "an integer of at least 0")
 
 

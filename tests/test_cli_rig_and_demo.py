@@ -28,6 +28,16 @@ def test_rig_show_of_derived_limits_in_degrees(tmp_path, run):
     assert noted[1] == noted[0]  # which has both units
 
 
+@pytest.mark.parametrize("metres, name, shown", [(0.1 * 0.1, '"cm"', "cm"), (0.03, "0.03", "0.03 m")])
+def test_show_and_card_name_a_unit_alike_but_for_rounding(metres, name, shown, tmp_path, run):
+    assert metres != 0.01
+    build_rig(replace(make_tube_data(), metres_per_unit=metres)).save(tmp_path / "tube.npz")
+    assert run("rig", "card", tmp_path / "tube.npz", "-o", tmp_path / "c.toml")[0] == 0
+    assert f"unit = {name}" in (tmp_path / "c.toml").read_text()
+    (line,) = [line for line in run("rig", "show", tmp_path / "tube.npz")[1].splitlines() if line.split()[:1] == ["unit"]]
+    assert line.split(maxsplit=1)[1] == shown
+
+
 def test_rig_card(made, tmp_path, run):
     card = tmp_path / "tube.toml"
     assert run("rig", "card", made / "tube.npz", "-o", card)[0] == 0

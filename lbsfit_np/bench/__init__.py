@@ -1,1 +1,1 @@
-"""Studies on real rigs: the benchmarks behind the documented figures. They hold no method."""
+"""The benchmarks behind the documented figures, and correspondences of one's own scans. They hold no method."""

@@ -1,4 +1,4 @@
-"""The hand's benchmark set: webxr_hand with its natural poses and changed shapes, as issue and docs/benchmarks.md define it."""
+"""The hand's benchmark set: webxr_hand with its natural poses and changed shapes, as docs/benchmarks.md defines it."""
 
 from pathlib import Path
 

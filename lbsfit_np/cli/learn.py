@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, LbsfitError
+from ..errors import FileError, InputError, LbsfitError, counted
 from ..io.write import make_folder, remove_empty
 from ..learning.variants import VARIANTS, note_on, unused
 from . import outputs
@@ -251,7 +251,7 @@ def _learned(fitter, reading, model, seconds):
     from ..learning.collection import APART, HELD_OUT, LEARNED_FROM
 
     n, who = len(reading.paths), len(fitter.template_)
-    scans = f"{n} scan{'' if n == 1 else 's'}"
+    scans = counted(n, "scan")
     if not VARIANTS[fitter.variant].skinning:
         fitted = n - len(reading.failures)
         return f"fitted {fitted} of {scans}, each by itself; wrote {model}, with their unit, after {span(seconds)}"
@@ -268,8 +268,8 @@ def _learned(fitter, reading, model, seconds):
     kept = next((entry["round"] for entry in fitter.history_ if entry["kept"]), rounds)
     which = f", keeping round {kept}" if kept < rounds else ""
     return (
-        f"learned from {learned} of {scans} of {who} subject{'' if who == 1 else 's'}{apart} "
-        f"in {rounds} round{'' if rounds == 1 else 's'}{early}{which}; wrote {model} after {span(seconds)}"
+        f"learned from {learned} of {scans} of {counted(who, 'subject')}{apart} "
+        f"in {counted(rounds, 'round')}{early}{which}; wrote {model} after {span(seconds)}"
     )
 
 
@@ -324,7 +324,7 @@ def _say_statuses(entries, roles, results):
     counts, n = counts_of(entries), len(entries)
     words = ", ".join(f"{counts[status]} {status}" for status in ("ok", "suspect", "failed"))
     written = "" if results is None else f"; {of_all(written_of(entries), n, 'result')} in {results}"
-    say(f"fits of {n} scan{'' if n == 1 else 's'}: {words}{written}")
+    say(f"fits of {counted(n, 'scan')}: {words}{written}")
     if words := most_failed([entry["status"] for entry in entries.values()], roles):
         say(words)
 

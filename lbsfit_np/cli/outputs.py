@@ -358,14 +358,14 @@ def _results_among(sources):
 
 def _is_result(source, ending, scans):
     """Whether a file with that ending is of a fit beside it, whose scan is one of these: places and names."""
-    from ..io.npz import npz_keys
+    from ..io.npz import RESULT_KEY, npz_keys
 
     name = os.path.basename(source).removesuffix(ending)
     if _place(source, name) not in scans:
         return False
     fit = os.path.join(os.path.dirname(source), name + _ENDINGS["fit"])
     try:
-        ours = "lbsfit_np_result" in npz_keys(fit)
+        ours = RESULT_KEY in npz_keys(fit)
     except FileError:
         return False
     return ours and (ending != _ENDINGS["picture"] or not drawn_by_others(source))

@@ -113,7 +113,7 @@ def read_npy(path):
 def read_npz(path):
     """Read an NPZ file: points (or xyz, vertices, …), and faces, normals and labels where it has them."""
     by_name = {key.lower(): key for key in sorted(npz.npz_keys(path))}
-    if "lbsfit_np_result" in by_name:
+    if npz.RESULT_KEY in by_name:
         remedy = "Give the scan that was fitted; FitResult.load reads this file."
         raise FileError(str(path), "the result of a fit", "a scan", remedy)
     of_rig = {"parents", "joints"} <= set(by_name) and any(key.startswith("weights") for key in by_name)

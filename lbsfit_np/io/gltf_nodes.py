@@ -5,6 +5,8 @@ Sections named below are those of the glTF 2.0 specification. Matrices act on co
 
 import numpy as np
 
+from ..rotations import matrix_from_quaternion
+
 __all__ = ["NodeGraph"]
 
 # Keys closer than this (seconds) are one moment: exporters write the same time with different rounding per channel.
@@ -229,16 +231,8 @@ def _unit(q):
 
 def _matrices(translation, rotation, scale):
     """T · R · S; (..., 3), (..., 4), (..., 3) → (..., 4, 4)."""
-    x, y, z, w = np.moveaxis(rotation, -1, 0)
     out = np.zeros(rotation.shape[:-1] + (4, 4))
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
-    for a in range(3):
-        for b in range(3):
-            out[..., a, b] = rows[a][b] * scale[..., b]
+    out[..., :3, :3] = matrix_from_quaternion(*np.moveaxis(rotation, -1, 0)) * scale[..., None, :]
     out[..., :3, 3] = translation
     out[..., 3, 3] = 1.0
     return out

@@ -11,7 +11,10 @@ import numpy as np
 
 from ..errors import FileError, InputError
 
-__all__ = ["npz_keys", "read_npy", "read_npz"]
+__all__ = ["RESULT_KEY", "npz_keys", "read_npy", "read_npz"]
+
+# What the file of a fit has, and no other.
+RESULT_KEY = "lbsfit_np_result"
 
 # What zipfile, zlib and numpy raise for files that are cut short, damaged, or something else entirely; RuntimeError is zipfile's
 # word for encrypted members and for compressions that it does not know.

@@ -54,6 +54,7 @@ from scipy import sparse
 
 from ..errors import FileError, InputError
 from ..rig.card import nearest
+from ..rig.chains import loose_joints
 from ..rig.data import RigData
 from ..rig.frames import frames_along
 from ..rig.shapes import ShapeSpace, from_counts, to_counts
@@ -302,17 +303,9 @@ def _body_bones(file, joints, row):
 
 def _body_frames(bones, joints, parents):
     ok = np.isfinite(joints).all() and parents.shape == (len(joints),) and parents.dtype.kind in "iu"
-    if not ok or (parents >= len(joints)).any() or (parents < -1).any() or _has_cycle(parents):
+    if not ok or (parents >= len(joints)).any() or (parents < -1).any() or (parents[loose_joints(parents)] >= 0).any():
         return np.tile(np.eye(3), (len(joints), 1, 1))  # build_rig says what is wrong with them
     return frames_along(bones, joints, parents, "+y", "+z")
-
-
-def _has_cycle(parents):
-    """Whether going up from some joint never ends."""
-    at = np.arange(len(parents))
-    for _ in range(len(parents)):
-        at = np.where(at >= 0, parents[at], -1)
-    return bool((at >= 0).any())
 
 
 class _Arrays:

@@ -10,7 +10,7 @@ from ..bundled import bundled_files
 from ..errors import FileError, InputError
 from ..rig.build import build_rig
 from ..rig.card import nearest
-from ..rig.card_text import loose_joints
+from ..rig.chains import loose_joints
 from ..rig.mirror import mirrored
 from .scans import SCAN_EXTENSIONS
 
@@ -176,7 +176,7 @@ def _found(path_or_name):
 
 
 def _npz_reader(path):
-    from .npz import npz_keys
+    from .npz import RESULT_KEY, npz_keys
     from .npz_rig import BODY_KEYS, OWN_KEY
 
     keys = npz_keys(path)
@@ -186,7 +186,7 @@ def _npz_reader(path):
         return "smpl"
     if "verts" in keys:
         return "body"
-    if "lbsfit_np_result" in keys:
+    if RESULT_KEY in keys:
         remedy = "Give the rig that the scan was fitted with; lbs.FitResult.load reads this file."
         raise FileError(str(path), "the result of a fit", "a rig, or a learned model", remedy)
     shown = ", ".join(sorted(keys)[:10]) or "nothing"

@@ -1,1 +1,1 @@
-"""The estimator: what is learnt once for a rig, and many scans fitted with it."""
+"""The estimator: Algorithm 1 over a collection of scans, what it keeps in files and between stops, and new scans with that."""

@@ -156,7 +156,7 @@ def read_fitter(path, make):
     FileError
         No such file, or one that is broken or no model.
     """
-    from ..io.npz import npz_keys, read_npz
+    from ..io.npz import RESULT_KEY, npz_keys, read_npz
     from ..io.rigs import load_rig
 
     if isinstance(path, (str, os.PathLike)) and os.path.isfile(path) and Path(path).suffix.lower() != ".npz":
@@ -164,7 +164,7 @@ def read_fitter(path, make):
         raise FileError(str(path), got, f"{_EXPECTED}, whose name ends in .npz", _OTHERS)
     keys = npz_keys(path)
     if MODEL_KEY not in keys:
-        got = "the result of a fit" if "lbsfit_np_result" in keys else f"an NPZ without the key {MODEL_KEY}"
+        got = "the result of a fit" if RESULT_KEY in keys else f"an NPZ without the key {MODEL_KEY}"
         raise FileError(str(path), got, _EXPECTED, _OTHERS)
     rig = load_rig(path, card="none")
     arrays = read_npz(path)

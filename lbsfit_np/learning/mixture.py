@@ -1,4 +1,4 @@
-"""Θ' of the loop: half uniform within the limits, half the poses found so far with a little noise; on the templates found so far.
+"""Θ' of the loop: half as in pretraining, half the poses found so far with a little noise; on the templates found so far.
 
 Scans synthesised from it close both gaps that pretraining leaves: the poses are those that people take, and the shapes are
 those that were scanned.
@@ -29,7 +29,7 @@ class Mixture:
         Welded.
     settings : Synthesis
     poses : (k, J, 3) array
-        Θ inferred from scans, k ≥ 0; without any, all poses are uniform.
+        Θ inferred from scans, k ≥ 0; without any, all poses are as in pretraining.
     templates : tuple of (vertices (m, 3), joints (J, 3))
         U^d of the subjects; without any, the rig's own with random proportions.
     random_state : int

@@ -2,6 +2,7 @@
 
 import inspect
 from collections.abc import Mapping
+from numbers import Real
 
 import numpy as np
 from sklearn.exceptions import NotFittedError
@@ -80,7 +81,7 @@ def check_parameters(fitter):
     check_random_state(fitter.random_state)
     for name, most in (("held_out", 0.9), ("smooth", 1e6)):
         value = getattr(fitter, name)
-        if isinstance(value, bool) or not isinstance(value, (int, float, np.number)) or not 0 <= value <= most:
+        if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= value <= most:
             raise InputError(name, brief(value), f"a number of at least 0 and at most {most:g}")
     for name in ("sequence", "partial"):
         if not isinstance(getattr(fitter, name), (bool, np.bool_)):

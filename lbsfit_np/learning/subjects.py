@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Set
 from unicodedata import normalize
 
-from ..errors import InputError, brief, did_you_mean, listed
+from ..errors import InputError, brief, counted, did_you_mean, listed
 from .plain import plain
 
 __all__ = ["as_subjects", "check_ids", "known_subject", "known_subjects"]
@@ -19,7 +19,7 @@ def as_subjects(subjects, n):
         raise InputError("subjects", brief(subjects), "a sequence with one id for each scan")
     subjects = list(map(plain, subjects))
     if len(subjects) != n:
-        raise InputError("subjects", f"{len(subjects)} id{'' if len(subjects) == 1 else 's'}", f"{n}, one for each scan")
+        raise InputError("subjects", counted(len(subjects), "id"), f"{n}, one for each scan")
     return subjects
 
 

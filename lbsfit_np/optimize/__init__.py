@@ -1,1 +1,1 @@
-"""What every optimisation of a pose shares: the normalised model, the state and its layout, the objective, L-BFGS."""
+"""What every optimisation of a pose shares: model, state and objective, L-BFGS and Gauss–Newton steps, closest surface points."""

@@ -26,7 +26,7 @@ from .state import MOST_PROPORTION, Layout
 from .surface import Surface
 from .visibility import shown
 
-__all__ = ["GaussNewton", "as_weights"]
+__all__ = ["GaussNewton", "weight_matrix"]
 
 # The damping at the start; it falls by _EASE after a step that helped and grows by _STIFFEN after one that did not. Below
 # _SOFTEST it would change hardly any step, and would have to grow in vain, an evaluation each time, before it does again.
@@ -170,7 +170,7 @@ class GaussNewton:
                 m = self._normal_equations(problems[i], states[i], labels[i], layout, shared)
                 if priors[i] is not None:
                     theta, held_by = priors[i]
-                    m.hold((states[i].theta - theta)[layout.turning], as_weights(held_by, layout.turning))
+                    m.hold((states[i].theta - theta)[layout.turning], weight_matrix(held_by, layout.turning))
                 if len(used) > _MANY:
                     m.settle()
                 made.append(m)
@@ -277,7 +277,7 @@ class GaussNewton:
         return out
 
 
-def as_weights(weights, turning):
+def weight_matrix(weights, turning):
     """(t, t) weights of the angles that turn, where one number may stand for all."""
     return weights if np.ndim(weights) == 2 else weights * np.eye(int(turning.sum()))
 

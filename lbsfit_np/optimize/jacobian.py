@@ -15,9 +15,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ..rig.chains import subtrees
 from ..rotations import left_jacobian
 
-__all__ = ["VertexMotion", "joint_motion", "subtrees", "vertex_motion"]
+__all__ = ["VertexMotion", "joint_motion", "vertex_motion"]
 
 _I = np.eye(3)
 # (a, b, c): coordinate a of a cross product x × y is x_b y_c − x_c y_b.
@@ -198,14 +199,3 @@ def _family(model, posed, rows):
         place[level] = place[up] + np.einsum("jab,jbk->jak", A[up], joints[level] - joints[up])
     carried = (place - np.einsum("jab,jbk->jak", A, joints)).reshape(J, -1)
     return posed.scale * (turn @ basis + (rig.weights[rows] @ carried).reshape(-1, 3, k))
-
-
-def subtrees(parents):
-    """(J, J): 1 where joint k is joint j or hangs below it."""
-    below = np.eye(len(parents))
-    for k in range(len(parents)):
-        j = parents[k]
-        while j >= 0:
-            below[j, k] = 1.0
-            j = parents[j]
-    return below

@@ -1,7 +1,8 @@
 """Problem: one scan and one rig in a common normalised frame, and the objective between them.
 
 In this frame the template's longest half-extent is 1 and the scan, divided by the same length and by the reference
-scale, stands at its centroid: x̃ = (x − centre) / (reference scale · half). All losses are evaluated here.
+scale, stands at its centroid, turned back as the frame says: x̃ = Tᵀ (x − centre) / (reference scale · half). All losses are
+evaluated here.
 """
 
 from dataclasses import dataclass

@@ -1,4 +1,4 @@
-"""State: what a fit changes, and how it is laid out in the optimiser's vector. Nobody else knows that layout."""
+"""State: what a fit changes, and how it is laid out in the optimiser's vector: the angles that turn come first."""
 
 from dataclasses import dataclass, replace
 

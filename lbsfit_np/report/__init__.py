@@ -1,1 +1,1 @@
-"""Pictures of fits, drawn with NumPy. Holds no method."""
+"""Pictures of fits, drawn with NumPy, and animated glTF. Holds no method."""

@@ -12,12 +12,12 @@ joints of the file's bind matrices [F_j | J̄_j]. The root's node carries transl
 
 import warnings
 from dataclasses import dataclass, replace
-from numbers import Integral, Real
+from numbers import Real
 
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, brief, listed
+from ..errors import InputError, brief, is_whole, listed
 from ..fitting.result import FitResult
 from ..optimize.frame import root_turn
 from ..rig.frames import AXES, up_axis
@@ -25,12 +25,12 @@ from ..rig.rig import Rig
 from ..rig.units import METRES, WORDS
 from ..rotations import matrix_from_rotvec
 from ..starts.scale import likely_unit, same_size, same_unit
+from ..starts.turns import ALONG, axis_name
 
 __all__ = ["check_fit", "odd_scales", "said_unit", "save_animation", "stands_along", "unit_of", "write_animation"]
 
 _OFFSETS = ("mean", "each")
 _SET = 4  # influences in one set of attributes (3.7.3.3)
-_ALONG = np.cos(np.radians(30.0))  # what stands no further than this from an axis stands along it
 _MOST = 1e15  # of any number, so that products stay within single precision
 
 
@@ -153,8 +153,8 @@ def stands_along(rig, results, up=None):
     if rig.up is None:
         return None
     along = np.mean([root_turn(rig, r.pose) @ up_axis(rig) for r in results], axis=0)
-    axis = max(AXES, key=lambda name: along @ AXES[name])
-    return axis if along @ AXES[axis] > _ALONG and axis != (up or rig.up or "+y") else None
+    axis = axis_name(along)
+    return axis if along @ AXES[axis] > ALONG and axis != (up or rig.up or "+y") else None
 
 
 def said_unit(results, names=None):
@@ -233,7 +233,7 @@ def _check_options(offsets, frames_per_second, up, metres_per_unit, influences):
     for name, value in numbers.items():
         if not isinstance(value, Real) or isinstance(value, bool) or not 1e-6 <= value <= 1e6:
             raise InputError(name, brief(value), "a positive number, from 1e-6 to 1e6")
-    if influences is not None and (not isinstance(influences, Integral) or isinstance(influences, bool) or influences < 1):
+    if influences is not None and not is_whole(influences, 1):
         raise InputError("influences", brief(influences), "a whole number of at least 1, or None")
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..errors import InputError, did_you_mean
-from ..optimize.jacobian import subtrees
+from ..rig.chains import subtrees
 from .fit_picture import axes_of
 from .render import Mesh, montage, render
 

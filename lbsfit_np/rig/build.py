@@ -11,6 +11,7 @@ from ..errors import InputError, listed
 from ..triangles import face_areas
 from .anomalies import mesh_notes, size_notes, skin_notes
 from .card import Card, matching, read_card
+from .chains import subtrees
 from .checks import (
     Reporter,
     check_directions,
@@ -306,14 +307,8 @@ def _mask(report, field, value, J):
 def _powerless(weights, parents, root):
     """Joints below the root that move no vertex, and joints that move all of them: (J,) bool each."""
     hangs = np.asarray((weights > 0).sum(axis=0)).ravel() > 0
-    reach = np.zeros((len(parents), len(parents)), dtype=bool)  # reach[a, j]: a is j or above it
-    for j in range(len(parents)):
-        k = j
-        while k >= 0:
-            reach[k, j] = True
-            k = parents[k]
-    idle = ~reach[:, hangs].any(axis=1)
-    all_of_it = reach[:, hangs].all(axis=1)
+    moved = subtrees(parents)[:, hangs] > 0
+    idle, all_of_it = ~moved.any(axis=1), moved.all(axis=1)
     idle[root] = all_of_it[root] = False
     return idle, all_of_it
 

@@ -1,17 +1,17 @@
 """The text of a rig card to edit: a rig's present settings in TOML, and comments that say what could be changed."""
 
-import math
 import re
 from itertools import chain, pairwise
 
 import numpy as np
 
+from .chains import loose_joints
 from .clips import under_other_parents
 from .data import RigData
 from .limits import all_derived, derived_limits
-from .units import METRES
+from .units import unit_name
 
-__all__ = ["card_text", "guessed_chains", "loose_joints"]
+__all__ = ["card_text", "guessed_chains"]
 
 
 def card_text(rig):
@@ -85,17 +85,10 @@ def guessed_chains(names, joints):
     return root, list(groups.values())
 
 
-def loose_joints(parents):
-    """Rows of the joints without a parent, and of those that go round in circles or hang on these: one, of a tree."""
-    at = np.arange(len(parents))
-    for _ in range(len(parents)):
-        at = np.where(at >= 0, parents[at], -1)
-    return np.flatnonzero((parents < 0) | (at >= 0))
-
-
 def _rig_table(rig):
     unit = rig.metres_per_unit
-    named = next((f'"{name}"' for name, metres in METRES.items() if unit and math.isclose(unit, metres)), repr(unit))
+    name = unit_name(unit)
+    named = f'"{name}"' if name else repr(unit)
     granularity = getattr(rig, "granularity", None) or getattr(rig, "parts", None)
     use = granularity if isinstance(granularity, str) else None
     return [

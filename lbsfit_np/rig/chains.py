@@ -1,8 +1,8 @@
-"""Chains: the unbranched runs of moving joints that a hierarchy falls into, such as fingers, arms, a tail."""
+"""What hangs on what in a hierarchy: chains, the unbranched runs of moving joints, such as fingers, arms, a tail; bones."""
 
 import numpy as np
 
-__all__ = ["bones", "chains", "vertex_bones"]
+__all__ = ["bones", "chains", "loose_joints", "subtrees", "vertex_bones"]
 
 
 def bones(rig):
@@ -31,3 +31,22 @@ def chains(rig):
             above = bone[p]
             chain[c] = chain.max() + 1 if rig.moving[c] and (branches[above] > 1 or above == rig.root) else chain[p]
     return chain
+
+
+def loose_joints(parents):
+    """Rows of the joints without a parent, and of those that go round in circles or hang on these: one, of a tree."""
+    at = np.arange(len(parents))
+    for _ in range(len(parents)):
+        at = np.where(at >= 0, parents[at], -1)
+    return np.flatnonzero((parents < 0) | (at >= 0))
+
+
+def subtrees(parents):
+    """(J, J) of a tree: 1 at [j, k] where joint k is joint j or hangs below it, else 0."""
+    below = np.eye(len(parents))
+    for k in range(len(parents)):
+        j = parents[k]
+        while j >= 0:
+            below[j, k] = 1.0
+            j = parents[j]
+    return below

@@ -4,7 +4,7 @@ import numpy as np
 
 from ..errors import listed
 from .frames import up_axis
-from .units import METRES
+from .units import unit_name
 
 __all__ = ["describe"]
 
@@ -52,7 +52,7 @@ def _facts(rig):
     others = [name for name in ("joints", *rig.partitions) if name != rig.granularity]
     yield "parts", f"{len(rig.parts)}, partition {rig.granularity!r}" + (f" (others: {', '.join(others)})" if others else "")
     unit = rig.metres_per_unit
-    name = next((word for word, metres in METRES.items() if metres == unit), None)
+    name = unit_name(unit)
     words = "unknown" if unit is None else name or f"{unit:g} m"
     sides = " × ".join(f"{side:.4g}" for side in rig.sides)
     yield "unit", words

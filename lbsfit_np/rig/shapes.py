@@ -9,6 +9,7 @@ In files the directions D are whole multiples of a power of two, as many as 16 b
 """
 
 from dataclasses import dataclass, replace
+from numbers import Real
 
 import numpy as np
 
@@ -85,7 +86,7 @@ class ShapeSpace:
                 known = "; ".join(map(self.words, range(len(self))))
                 raise InputError(name, "a shape parameter that the rig does not have", f"one of: {known}")
             k = self.names.index(name)
-            number = isinstance(value, (int, float, np.integer, np.floating)) and not isinstance(value, bool)
+            number = isinstance(value, Real) and not isinstance(value, bool)
             if not number or not self.lower[k] <= value <= self.upper[k]:
                 unit = f" {self.units[k]}" if self.units[k] else ""
                 got = f"{value:g}" if number else repr(value)

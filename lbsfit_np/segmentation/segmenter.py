@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import asdict, dataclass
-from numbers import Integral, Real
+from numbers import Real
 
 import numpy as np
 
@@ -217,7 +217,7 @@ def train_segmenter(
     descriptor, training = descriptor or (start.descriptor if start else Descriptor()), training or Training()
     progress = progress or (lambda share: None)
     n_parts, half = len(rig.parts), rig.size / 2
-    if isinstance(n_scans, bool) or not isinstance(n_scans, Integral) or n_scans < 1:
+    if not is_whole(n_scans, 1):
         raise InputError("n_scans", brief(n_scans), "a whole number of at least 1")
     if start is not None:
         _check_start(start, n_parts, descriptor, training)

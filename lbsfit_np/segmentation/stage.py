@@ -2,11 +2,11 @@
 
 import warnings
 from dataclasses import dataclass, replace
-from numbers import Integral, Real
+from numbers import Real
 
 import numpy as np
 
-from ..errors import InputError, brief
+from ..errors import InputError, brief, is_whole
 from ..interrupts import passing_interrupts
 from ..seeds import generator, integer_seed
 from ..threads import one_thread
@@ -43,9 +43,9 @@ class Training:
     def __post_init__(self):
         """Raise InputError where a value is out of its range."""
         for name, least in (("points_per_scan", 1), ("epochs", 1), ("average_from", 0)):
-            if not _is_whole(value := getattr(self, name), least):
+            if not is_whole(value := getattr(self, name), least):
                 raise InputError(name, brief(value), f"a whole number of at least {least}")
-        if not isinstance(self.hidden, (tuple, list)) or not self.hidden or not all(_is_whole(h, 1) for h in self.hidden):
+        if not isinstance(self.hidden, (tuple, list)) or not self.hidden or not all(is_whole(h, 1) for h in self.hidden):
             raise InputError("hidden", brief(self.hidden), "sizes of one or more layers")
         for name, least, most in (("learning_rate", 1e-12, 1.0), ("second", 0.0, 0.9)):
             value = getattr(self, name)
@@ -56,10 +56,6 @@ class Training:
         """The same with the layers of a segmenter that training goes on from; itself without one."""
         hidden = start and next(filter(None, (stage.hidden for stage in start.stages)), None)
         return replace(self, hidden=hidden) if hidden else self
-
-
-def _is_whole(value, least):
-    return isinstance(value, Integral) and not isinstance(value, bool) and value >= least
 
 
 # Chunks an epoch: how often the weights are looked at for the average, and what part of the data is standardised at a time.

@@ -1,1 +1,1 @@
-"""Where a fit begins: the reference scale, and a pose from the parts that the labels show."""
+"""Where a fit begins: what of a scan takes part, its unit and turn, and poses from a library, from f and from labelled parts."""

@@ -7,6 +7,7 @@ import numpy as np
 from ..neighbors import PointIndex
 from ..optimize.frame import root_turn
 from ..optimize.surface import Surface
+from ..rig.chains import bones
 from ..rig.units import METRES, USUAL
 from ..triangles import face_areas
 from .scale import unit_scale
@@ -72,17 +73,8 @@ def end_of(rig, vertices=None, joints=None):
     end = End(direction, float(along.max()), float(np.ptp(along)))
     if end.reach > _ON_THE_OTHER_SIDE * end.length or end.length < _OF_ITS_SIZE * np.ptp(vertices, axis=0).max():
         return None
-    with_root = np.asarray(rig.weights[:, _still(rig)].sum(axis=1)).ravel()[_at(end, along)].mean()
+    with_root = np.asarray(rig.weights[:, bones(rig) == rig.root].sum(axis=1)).ravel()[_at(end, along)].mean()
     return end if with_root > _WITH_THE_ROOT else None
-
-
-def _still(rig):
-    """(J,) bool: the root, and the joints that never move against it."""
-    still = np.zeros(len(rig.parents), dtype=bool)
-    still[rig.root] = True
-    for rows, parents in rig.levels:
-        still[rows] = still[parents] & ~rig.moving[rows]
-    return still
 
 
 def _at(end, along):

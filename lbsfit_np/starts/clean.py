@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..errors import InputError
+from ..errors import InputError, counted
 from .floor import off_floor
 from .scale import checked_extent, near_rows, reference_scale
 
@@ -126,7 +126,7 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     told = f"{same} identical points left out" if same else ""
     words = "; ".join(filter(None, (told, note)))
     if words and len(kept) < len(rig.parts):
-        got = f"{len(kept)} point{'' if len(kept) == 1 else 's'} that may be of the body ({words})"
+        got = f"{counted(len(kept), 'point')} that may be of the body ({words})"
         raise InputError("points", got, f"at least {len(rig.parts)} points, one for each part")
     dropped = np.setdiff1d(drawn, body, assume_unique=True)
     others = np.setdiff1d(rows, np.union1d(kept, dropped), assume_unique=True)
@@ -221,5 +221,5 @@ def clean_rows(points, rows, *, ups=None, body=None):
     rows, wild = near_rows(points, rows)
     rows, floor, below = off_floor(points, rows, ups=ups, body=body)
     told = (wild, "far from all others"), (floor, "of a floor")
-    notes = [f"{n} point{'' if n == 1 else 's'} {where} left out" for n, where in told if n]
+    notes = [f"{counted(n, 'point')} {where} left out" for n, where in told if n]
     return rows, "; ".join(notes) + (looked_at if notes else ""), below

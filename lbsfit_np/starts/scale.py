@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InputError
-from ..rig.units import METRES, USUAL, WORDS
+from ..rig.units import METRES, USUAL, WORDS, unit_name
 
 __all__ = [
     "ReferenceScale",
@@ -204,7 +204,7 @@ def _otherwise(scale, rig, name):
     if rig.metres_per_unit is None:
         return ""
     metres = {word: METRES[unit] for unit, word in WORDS.items() if unit != name}
-    if rig.metres_per_unit not in METRES.values():
+    if unit_name(rig.metres_per_unit) is None:
         metres["the rig's unit"] = rig.metres_per_unit
     sizes = {word: scale * unit / rig.metres_per_unit for word, unit in metres.items()}
     told = [f"in {word} {size:.2f}" for word, size in sizes.items() if 1 / _MAYBE <= size <= _MAYBE]

@@ -5,16 +5,26 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from ..rig.frames import AXES, up_axis
-from ..rotations import matrix_from_rotvec
+from ..rotations import matrix_from_quaternion, matrix_from_rotvec
 
-__all__ = ["ORIENTATIONS", "Facing", "any_side_up", "contradicts_note", "facing_of", "some_turns", "stands_note"]
+__all__ = [
+    "ALONG",
+    "ORIENTATIONS",
+    "Facing",
+    "any_side_up",
+    "axis_name",
+    "contradicts_note",
+    "facing_of",
+    "some_turns",
+    "stands_note",
+]
 
 ORIENTATIONS = ("aligned", "upright", "any")
 # Steps of 15° about the up axis; all rotations some 30° apart. Steps towards the surface turn the rest of the way.
 _UPRIGHT = 24
 _ANY = 600
 # What is less than 30° from a coordinate axis stands along it.
-_ALONG = np.cos(np.radians(30.0))
+ALONG = np.cos(np.radians(30.0))
 
 
 @dataclass(frozen=True)
@@ -91,19 +101,20 @@ def stands_note(turn, up):
     axis = int(np.abs(along).argmax())
     if along[axis] * up[axis] > 0:
         return ""
-    name = _axis_name(along)
+    name = axis_name(along)
     spared = f"if this is right, up={name!r}, --up={name}, saves the search"
     return f"the scan stands along its {name} axis, which is not the rig's up axis ({spared})"
 
 
 def contradicts_note(along, up):
     """In words, that a scan stands otherwise than said; ``along`` is the direction that the rig's up axis took; else empty."""
-    if np.abs(along).max() < _ALONG or along @ up >= _ALONG:
+    if np.abs(along).max() < ALONG or along @ up >= ALONG:
         return ""
-    return f"the scan stands along its {_axis_name(along)} axis, though up says {_axis_name(up)!r}"
+    return f"the scan stands along its {axis_name(along)} axis, though up says {axis_name(up)!r}"
 
 
-def _axis_name(along):
+def axis_name(along):
+    """The axis, such as "+z", that a direction is nearest to."""
     return max(AXES, key=lambda name: along @ AXES[name])
 
 
@@ -130,11 +141,4 @@ def _spread_rotations(n):
     inner, outer = np.sqrt(s / n), np.sqrt(1.0 - s / n)
     alpha, beta = 2 * np.pi * s / phi, 2 * np.pi * s / psi
     x, y, z, w = inner * np.sin(alpha), inner * np.cos(alpha), outer * np.sin(beta), outer * np.cos(beta)
-    return np.stack(
-        [
-            np.stack([1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)], axis=-1),
-            np.stack([2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)], axis=-1),
-            np.stack([2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)], axis=-1),
-        ],
-        axis=-2,
-    )
+    return matrix_from_quaternion(x, y, z, w)
