@@ -8,7 +8,7 @@ from lbsfit_np import LBSFitter
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning import finish, pretraining
 from lbsfit_np.learning.batch import fit_scans
-from lbsfit_np.learning.tasks import Told
+from lbsfit_np.learning.tasks import Told, with_right_poses
 from lbsfit_np.learning.variants import VARIANTS, as_variant
 from lbsfit_np.losses.objective import PRESETS
 from lbsfit_np.optimize.model import Model
@@ -164,6 +164,9 @@ def test_poses_that_are_most_likely_wrong_teach_nothing(tube_rig, few_scans, mon
     for m, s in zip(collection.members, few_scans):
         m.state, m.loss = Model(tube_rig).rest().replace(theta=s.pose), 1.0
     collection.members[1].loss = 1.7
+    few = collection.members[:3]
+    assert with_right_poses(few) == few  # two would tell nothing of how poses vary
+    assert [m.index for m in with_right_poses(collection.members)] == [0, 2, 3, 4][: len(collection.members) - 1]
     templates, asked = {0: (tube_rig.vertices, tube_rig.joints)}, []
     monkeypatch.setattr("lbsfit_np.learning.loop.pose_prior", lambda poses, *more: asked.extend(poses))
     for name in ("joint", "pose-only"):

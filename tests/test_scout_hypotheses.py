@@ -16,7 +16,8 @@ from lbsfit_np.fitting.scout import Found, Scout
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
-from lbsfit_np.starts.library import Start
+from lbsfit_np.segmentation.segmenter import Segmenter
+from lbsfit_np.starts.library import PoseLibrary, Start
 from lbsfit_np.starts.turns import facing_of
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -186,6 +187,32 @@ def test_without_the_librarys_poses_starts_are_rest_and_f_under_its_turns(make_s
     everything = make_scout(segmenter=False)._runners(points, None)
     np.testing.assert_array_equal(everything[-1].state.theta, f)
     assert sum((r.state.theta == library.poses).all(axis=(1, 2)).any() for r in everything) == len(everything) - 1
+
+
+@pytest.mark.parametrize("unit", [None, 1.0])
+def test_library_and_segmenter_are_asked_at_the_size_that_they_have_learned_from(make_scout, clean_scans, unit, monkeypatch):
+    points, size, asked, scales = clean_scans[0].points, 1.25, [], []
+    starts, predict_proba = PoseLibrary.starts, Segmenter.predict_proba
+
+    def starting(self, *given, **sizes):
+        asked.append(sizes)
+        return starts(self, *given, **sizes)
+
+    def saying(self, points, *, scale=1.0, **options):
+        scales.append(scale)
+        return predict_proba(self, points, scale=scale, **options)
+
+    monkeypatch.setattr(PoseLibrary, "starts", starting)
+    monkeypatch.setattr(Segmenter, "predict_proba", saying)
+    plain, scout = make_scout(unit=unit), make_scout(unit=unit, size=size)
+    as_large, as_small = plain._runners(points, None), scout._runners(points, None)
+    assert asked == ([{}, {}] if unit is None else [{"unit": 1.0}, {"unit": size}])
+    if unit is None:  # what the library takes for a scan of its own size is one of 1 / 1.25 of the template's
+        of = [np.median([r.state.scale * r.name.unit for r in runners]) for runners in (as_large, as_small)]
+        assert of[0] / of[1] == pytest.approx(size)
+    scout._labelled(points, None, as_small[0].name)
+    scout._seen(as_small[0])
+    assert scales == [size, size]
 
 
 def test_starts_stand_where_the_scan_is(make_scout, clean_scans):

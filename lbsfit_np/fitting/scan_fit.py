@@ -290,7 +290,7 @@ def given_names(theta0, labels):
     return [name for name, value in (("theta0", theta0), ("labels", labels)) if value is not None]
 
 
-def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels):
+def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels, *, size=1.0):
     """A scan turned back as a given start says, or by some turns, among which known labels tell the right one.
 
     Parameters
@@ -307,6 +307,8 @@ def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels):
         The start's angles in the scan's frame.
     labels : (k,) int array or None
         Known ones, −1 where one is not known.
+    size : float, default 1
+        Of the scan's template, in sizes of those that the segmenter has learned from.
 
     Raises
     ------
@@ -334,7 +336,7 @@ def given_views(rig, facing, x, x_weights, unit, segmenter, theta0, labels):
         frame = Frame(x.mean(axis=0), unit * half, turn)
         problem = Problem(frame.inside(x), x_weights)
         asked = known is None and segmenter is not None
-        yield frame, problem, segmenter.predict_proba(problem.X * half, views=1) if asked else known, theta0
+        yield frame, problem, segmenter.predict_proba(problem.X * half, scale=size, views=1) if asked else known, theta0
 
 
 def stands_words(facing, rig, frame, theta):

@@ -98,6 +98,8 @@ class Scout:
         self.settings, self.nearest, self.effort = settings, nearest, EFFORTS[settings.effort]
         self.unit = (unit_scale(model.source, settings.unit) or 1.0) if settings.scale == "fixed" else unit
         self._sizes = {"unit": self.unit} if self.unit else sizes_in(model.source, settings.unit)
+        if "unit" in self._sizes:
+            self._sizes |= {"unit": size * self._sizes["unit"]}  # as the library sees it
         self._free = IN_UNIT if self.unit else SIZED
         self._refit = Refit(model, self._free, partial=settings.partial)
         up = up_axis(model.source)
@@ -176,6 +178,7 @@ class Scout:
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points
         starts = self.library.starts(points, self.facing.turns, self.effort.starts, **self._sizes)
+        starts = [replace(s, scale=s.scale / self.size) for s in starts]
 
         def regressed(start):
             """As f has it, which answers for a scan that faces the rig's way."""

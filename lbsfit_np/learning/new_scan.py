@@ -100,7 +100,8 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if given:
         place = x, a, settings, guess, theta0, known
         if len(subjects) > _SEVERAL:  # one shows where the scan is, and that the templates that suit it
-            few = [b.subject for b in _suiting(fitter, subjects, _given(fitter, subjects[0], *place), settings)]
+            first = _given(fitter, subjects[0], *place)
+            few = [b.subject for b in _suiting(fitter, subjects, first, settings, _size(fitter, subjects[0]))]
         else:
             few = subjects
         found = [(s, _given(fitter, s, *place)) for s in few]
@@ -181,7 +182,7 @@ def _asking(result, subjects):
 def _scouted(fitter, subject, x, a, settings, *, once):
     """A scan of which nothing is known; in the subject's unit where its size allows that."""
     facing, library, segmenter = _facing(fitter), fitter.regressor_, fitter.segmenter_
-    size = 1.0 if as_variant(fitter.variant).deformed else _size(fitter, subject)  # of what s and the library have learned from
+    size = _size_beside_taught(fitter, subject)
     seen = library.starts(x, facing.turns, 1, **sizes_in(fitter.rig, settings.unit))[0].scale / size
     unit = _unit(fitter, subject, seen, settings)
     model, nearest = _template_fit(fitter, subject, settings).model, as_variant(fitter.variant).library
@@ -190,7 +191,7 @@ def _scouted(fitter, subject, x, a, settings, *, once):
         known = {"unit": unit, "proportions": False, "nearest": nearest, "size": size}
         return Scout(model, library, facing, segmenter, settings, **known)
 
-    made_of = model, library, segmenter, settings, _facing_words(fitter), nearest, unit
+    made_of = model, library, segmenter, settings, _facing_words(fitter), nearest, unit, size
     return _kept(fitter, (subject, "scout", unit is None), made_of, make)(x, a, once=once)
 
 
@@ -224,17 +225,20 @@ def _on_templates(fitter, subjects, seen, settings):
     return [(b.subject, _gone_on(fitter, b, seen, settings)) for b in _suiting(fitter, subjects, seen, settings)]
 
 
-def _suiting(fitter, subjects, seen, settings):
-    """Of the templates those that suit a scan, as _Begun, by a few steps from where it was seen: the best, and few near to it."""
+def _suiting(fitter, subjects, seen, settings, size=1.0):
+    """Of the templates those that suit a scan, as _Begun, by a few steps from where it was seen: the best, and few near to it.
+
+    ``size`` is that of the template that it was seen on, in sizes of the rig's own.
+    """
     ready = getattr(fitter, "_prepared", ())
     first = sorted(subjects, key=lambda s: (s, "fit") not in ready)  # before others take their places
-    begun = {s: _begun(fitter, s, seen, settings) for s in first}
+    begun = {s: _begun(fitter, s, seen, settings, size) for s in first}
     begun = sorted((begun[s] for s in subjects), key=lambda b: b.left)
     return [b for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
 
 
-def _begun(fitter, subject, seen, settings):
-    unit = seen.state.scale * seen.frame.unit / (fitter.rig.size / 2) / _size(fitter, subject)  # it was seen on the rig's own
+def _begun(fitter, subject, seen, settings, size=1.0):
+    unit = seen.state.scale * seen.frame.unit / (fitter.rig.size / 2) * size / _size(fitter, subject)
     learned = _unit(fitter, subject, unit, settings)
     ratio = (learned or unit) / (seen.frame.unit / (fitter.rig.size / 2))
     frame = replace(seen.frame, unit=seen.frame.unit * ratio)
@@ -282,13 +286,13 @@ def _rivals(value, seen):
 
 def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     """A scan with a start, which says how it is turned, or with known labels, which tell it."""
-    guess = guess / _size(fitter, subject)  # it was made on the rig's own
     unit = _unit(fitter, subject, guess, settings)
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
         refit = refit.freeing(SIZED)
     best, least, place = None, np.inf, (fitter.rig, _facing(fitter), x, a, unit or guess)
-    for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, labels):
+    known = {"size": _size_beside_taught(fitter, subject)}
+    for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, labels, **known):
         # Steps from the start itself compete with those that look far, which may lead away from one that is right.
         states = [] if theta is None else [refit.in_place(problem, theta)]
         state, value, _ = refit(problem, states, proba=None if labels is None else proba, labels_known=labels is not None)
@@ -313,6 +317,11 @@ def _unit(fitter, subject, seen, settings):
 def _size(fitter, subject):
     """Of a subject's template, in sizes of the rig's own."""
     return fitter.template_[subject].size / fitter.rig.size
+
+
+def _size_beside_taught(fitter, subject):
+    """Of a subject's template, in sizes of what s and the library have learned from: such templates, or the rig's own."""
+    return 1.0 if as_variant(fitter.variant).deformed else _size(fitter, subject)
 
 
 def _learned_unit(fitter, subject, settings):

@@ -87,7 +87,8 @@ def check_parameters(fitter):
         if not isinstance(getattr(fitter, name), (bool, np.bool_)):
             raise InputError(name, brief(getattr(fitter, name)), "True or False")
     if fitter.smooth and not fitter.sequence:
-        raise InputError("smooth", f"{fitter.smooth:g} without sequence", "a sequence", "Pass sequence=True, or leave it out.")
+        got = f"{float(fitter.smooth):g} without sequence"
+        raise InputError("smooth", got, "a sequence", "Pass sequence=True, or leave it out.")
     jobs_of(fitter.n_jobs, None)
     for name in ("max_points", "training_scans", "rounds"):
         value = getattr(fitter, name)

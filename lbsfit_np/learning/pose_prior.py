@@ -9,7 +9,7 @@ import numpy as np
 
 from ..fitting.drawn import PosePrior
 
-__all__ = ["looked_at", "pose_prior"]
+__all__ = ["LEAST", "looked_at", "pose_prior"]
 
 # Scans that are looked at, at most, evenly taken; steps of EM.
 _MOST, _STEPS = 400, 40
@@ -18,7 +18,7 @@ _BEFORE, _SPREAD = 1.0, 0.3
 # As if so many more had angles that vary as they do, but do not go together.
 _APART = 60.0
 # Fewer poses tell nothing of how poses vary.
-_LEAST = 3
+LEAST = 3
 
 
 def looked_at(n):
@@ -43,7 +43,7 @@ def pose_prior(poses, told, turning, root):
     PosePrior or None
         None of hardly any poses.
     """
-    if len(poses) < _LEAST:
+    if len(poses) < LEAST:
         return None
     held = np.nonzero(turning)[0] != root
     found = np.array([theta[turning][held] for theta in poses])

@@ -89,7 +89,7 @@ class ShapeSpace:
             number = isinstance(value, Real) and not isinstance(value, bool)
             if not number or not self.lower[k] <= value <= self.upper[k]:
                 unit = f" {self.units[k]}" if self.units[k] else ""
-                got = f"{value:g}" if number else repr(value)
+                got = f"{float(value):g}" if number else repr(value)
                 raise InputError(name, got, f"a number from {self.lower[k]:.4g} to {self.upper[k]:.4g}{unit}")
             values[k] = value
         return values

@@ -42,7 +42,7 @@ class Size:
     pairs : int
         Of test scans, for correspondences.
     training_scans : int
-        Synthetic scans of pretraining.
+        Synthetic scans of pretraining, but see ``first_segmenter``, and of each round.
     rounds : int
         Of the loop, at most.
     seeds : int

@@ -85,7 +85,10 @@ def study(
     seeds = [FIRST_SEED + k for k in range(count)] if seeds is None else [int(s) for s in seeds]
     report = to_go_on_with(before, size, rigs) | {"complete": False}
     for name, rig in rigs.items():
-        report["rigs"].setdefault(name, _described(rig, sizes[name]))
+        entry, n = report["rigs"].setdefault(name, _described(rig, sizes[name])), first_scans(rig, sizes[name])
+        if entry.get("first_scans", sizes[name].training_scans) != n:  # older results do not say it
+            got = f"results of {name!r} whose segmenters began with other scans"
+            raise InputError("before", got, f"a segmenter of {n:,} synthetic scans", REMEDY)
     todo = {}
     for name, seed in product(rigs, seeds):
         done = report["rigs"][name]["seeds"].get(str(seed), {})
@@ -203,9 +206,6 @@ def to_go_on_with(before, size, rigs):
             now = _described(rigs[name], sized(rigs[name], size))
             if entry.get("size") != now["size"]:
                 raise InputError("before", f"results of {name!r} with other numbers of scans", "results of the same size", REMEDY)
-            if entry.get("first_scans", entry["size"]["training_scans"]) != now["first_scans"]:
-                got = f"results of {name!r} whose segmenters began with other scans"
-                raise InputError("before", got, f"a segmenter of {now['first_scans']:,} synthetic scans", REMEDY)
             known = {key for key in described(rigs[name]) if key in entry} | {"digest", "poses"}  # not all were always written
             check_same(entry, {key: now[key] for key in now if key in known}, name)
             for key, what in (("people", "test people"), ("scans", "scans")):
