@@ -1,0 +1,87 @@
+"""New scans on templates of another size than the rig's: units are compared, and s and the library asked, at the right size."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from learning_runs import found_at_the_truth
+
+import lbsfit_np as lbs
+from lbsfit_np.learning import new_scan
+from lbsfit_np.learning.parameters import fit_settings
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.mark.parametrize("size", [1.25, 0.8])
+@pytest.mark.parametrize("factor, known", [(1.0, True), (1.1, True), (0.9, True), (1.5, False), (0.6, False)])
+def test_a_scans_unit_is_compared_with_the_learned_one_by_the_size_of_the_subjects_template(tube_rig, size, factor, known):
+    """What was seen on the rig's own template is ``size`` times as large on one of that size."""
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    grown = tube_rig.with_template(size * tube_rig.vertices, size * tube_rig.joints)
+    fitter.template_, fitter.unit_ = {"ann": grown}, {"ann": 1.0}
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=400, shape=0.0)
+    seen = found_at_the_truth(tube_rig, scan)
+    seen = replace(seen, frame=replace(seen.frame, unit=factor * size * seen.frame.unit), rivals=())
+    begun = new_scan._begun(fitter, "ann", seen, fit_settings(fitter))
+    assert begun.in_unit == known
+    assert begun.frame.unit == pytest.approx((1.0 if known else factor) * tube_rig.size / 2)
+    # Where the unit is found, what is known of the fit is of the scan's own half sizes.
+    found = new_scan._gone_on(fitter, begun, seen, fit_settings(fitter))
+    assert found.state.scale == 1.0
+    np.testing.assert_allclose(found.frame.outside(found.problem.X), seen.frame.outside(seen.problem.X), atol=1e-9)
+    if not known:
+        assert found.frame.unit == pytest.approx(factor * tube_rig.size / 2, rel=0.05)
+    refit = new_scan._template_fit(fitter, "ann", fit_settings(fitter)).refit
+    assert found.value == pytest.approx(refit.chamfer(found.problem, refit._mine(found.state)))
+    ((_, bent),) = new_scan._bent(fitter, [("ann", found)], seen, fit_settings(fitter))
+    assert bent.state.scale == 1.0
+    assert bent.value == pytest.approx(refit.chamfer(bent.problem, refit._mine(bent.state)))
+
+
+@pytest.mark.parametrize("variant, size", [("joint", 1.0), ("pose-only", 1.25), ("rand", 1.25)])
+def test_what_has_learned_from_the_rigs_size_is_asked_at_that(variant, size, tube_rig, monkeypatch):
+    """By a scan on the one template, and by one with a start."""
+    fitter = lbs.LBSFitter(tube_rig, random_state=0, variant=variant)
+    grown = tube_rig.with_template(1.25 * tube_rig.vertices, 1.25 * tube_rig.joints)
+    fitter.template_, fitter.unit_, made = {"ann": grown}, {"ann": 1.0}, []
+    library = SimpleNamespace(starts=lambda *given, **sizes: [SimpleNamespace(scale=1.4 * size)])
+    fitter.segmenter_, fitter.regressor_ = None, library
+    monkeypatch.setattr(new_scan, "Scout", lambda *given, **known: lambda x, a, *, once: made.append(known))
+    x = np.random.default_rng(0).standard_normal((50, 3))
+    new_scan._scouted(fitter, "ann", x, None, fit_settings(fitter), once=True)
+    library.starts = lambda *given, **sizes: [SimpleNamespace(scale=1.2 * size)]
+    new_scan._scouted(fitter, "ann", x, None, fit_settings(fitter), once=True)
+    assert [known["size"] for known in made] == pytest.approx([size, size])
+    assert [known["unit"] for known in made] == [None, 1.0]  # by what the subject is, whatever the library has learned from
+    asked = []
+    monkeypatch.setattr(new_scan, "given_views", lambda *known, size: asked.append((known[4], size)) or iter(()))
+    for guess in (1.0, 1.36, 100.0):  # in the learned unit, if the extents say so, or as they do
+        with pytest.raises(AttributeError):  # of no views none is the best
+            new_scan._given(fitter, "ann", x, None, fit_settings(fitter), guess, np.zeros((4, 3)), None)
+    assert np.ravel(asked) == pytest.approx([1.0, size, 1.36, size, 100.0, size])
+
+
+def test_where_a_start_has_shown_one_template_the_others_are_tried_from_there(tube_rig, monkeypatch):
+    """Sizes are then to be compared with that template's, not with the rig's."""
+    sizes, tried = {"big": 1.25, "own": 1.0, "mid": 0.9, "small": 0.75}, []
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter.template_ = {s: tube_rig.with_template(k * tube_rig.vertices, k * tube_rig.joints) for s, k in sizes.items()}
+    fitter.unit_, fitter.segmenter_, fitter.regressor_ = dict.fromkeys(sizes, 1.0), None, object()
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=400, shape=0.0)
+    seen, begun = found_at_the_truth(tube_rig, scan), new_scan._begun  # in unit 1, on the big one's template
+
+    def watched(fitter, subject, seen, settings, size):
+        b = begun(fitter, subject, seen, settings, size)
+        tried.append((subject, b.frame.unit / (tube_rig.size / 2) if not b.in_unit else 1.0))
+        return b
+
+    monkeypatch.setattr(new_scan, "_given", lambda *known: seen)
+    monkeypatch.setattr(new_scan, "_begun", watched)
+    monkeypatch.setattr(new_scan, "_nearest", lambda fitter, found, settings: next(iter(())))
+    with pytest.raises(StopIteration):  # that is all that is asked for here
+        fitter_arguments = list(sizes), np.zeros((4, 3)), None, None
+        new_scan.fit_new(fitter, scan.points, *fitter_arguments)
+    # 1.25 / 0.9 is another size, 1.25 / 1.0 is not.
+    assert dict(tried) == pytest.approx({"big": 1.0, "own": 1.0, "mid": 1.25 / 0.9, "small": 1.25 / 0.75})
