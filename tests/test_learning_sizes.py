@@ -35,9 +35,17 @@ def test_a_scans_unit_is_compared_with_the_learned_one_by_the_size_of_the_subjec
         assert found.frame.unit == pytest.approx(factor * tube_rig.size / 2, rel=0.05)
     refit = new_scan._template_fit(fitter, "ann", fit_settings(fitter)).refit
     assert found.value == pytest.approx(refit.chamfer(found.problem, refit._mine(found.state)))
-    ((_, bent),) = new_scan._bent(fitter, [("ann", found)], seen, fit_settings(fitter))
-    assert bent.state.scale == 1.0
-    assert bent.value == pytest.approx(refit.chamfer(bent.problem, refit._mine(bent.state)))
+
+
+def test_a_scan_whose_bends_have_changed_its_unit_is_put_into_that(tube_rig, monkeypatch):
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=100)
+    seen = replace(found_at_the_truth(tube_rig, scan), value=0.5, rivals=(1.0,))
+    bent = SimpleNamespace(free=seen.free, bent=lambda problem, state: (state.replace(scale=2.0), 0.4))
+    monkeypatch.setattr(new_scan, "_template_fit", lambda *known: SimpleNamespace(refit=bent))
+    ((subject, found),) = new_scan._bent(None, [("ann", seen)], seen, None)
+    assert subject == "ann" and found.state.scale == 1.0 and found.frame.unit == 2 * seen.frame.unit
+    assert found.value == pytest.approx(0.1) and found.rivals == pytest.approx([0.2])
+    np.testing.assert_allclose(found.problem.X, seen.problem.X / 2)
 
 
 @pytest.mark.parametrize("variant, size", [("joint", 1.0), ("pose-only", 1.25), ("rand", 1.25)])
