@@ -8,8 +8,10 @@ import pytest
 from learning_runs import found_at_the_truth
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.scan_fit import given_views
 from lbsfit_np.learning import new_scan
 from lbsfit_np.learning.parameters import fit_settings
+from lbsfit_np.starts.turns import Facing
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -93,3 +95,17 @@ def test_where_a_start_has_shown_one_template_the_others_are_tried_from_there(tu
         new_scan.fit_new(fitter, scan.points, *fitter_arguments)
     # 1.25 / 0.9 is another size, 1.25 / 1.0 is not.
     assert dict(tried) == pytest.approx({"big": 1.0, "own": 1.0, "mid": 1.25 / 0.9, "small": 1.25 / 0.75})
+
+
+def test_the_views_of_a_start_are_labelled_at_the_size_that_the_segmenter_has_learned(tube_rig):
+    asked = []
+
+    def said(points, *, scale, views):
+        asked.append(scale)
+        return np.full((len(points), 4), 0.25)
+
+    x, known = np.random.default_rng(0).standard_normal((50, 3)), (SimpleNamespace(predict_proba=said), np.zeros((4, 3)), None)
+    for size in (1.0, 1.25):
+        ((_, _, proba, _),) = given_views(tube_rig, Facing(), x, None, 1.0, *known, size=size)
+        assert proba.shape == (50, 4)
+    assert asked == [1.0, 1.25]
