@@ -110,7 +110,8 @@ def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypat
 
 
 @pytest.mark.parametrize("name", ["hand", "body"])
-def test_a_small_size_begins_with_the_packages_segmenter(name):
+def test_a_small_size_begins_with_the_packages_segmenter(name, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.learning.pretraining.pretrain_library", lambda *made_of, **how: None)  # which takes long
     rig = load_rig(name)
     given, begun = study_set(rig, "small", 300), first_segmenter(rig, sized(rig, "small"))
     assert first_scans(rig, sized(rig, "small")) == LBSFitter(rig).training_scans == 4000
