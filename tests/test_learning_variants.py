@@ -165,7 +165,7 @@ def test_poses_that_are_most_likely_wrong_teach_nothing(tube_rig, few_scans, mon
         m.state, m.loss = Model(tube_rig).rest().replace(theta=s.pose), 1.0
     collection.members[1].loss = 1.7
     few = collection.members[:3]
-    assert with_right_poses(few) == few  # two would tell nothing of how poses vary
+    assert with_right_poses(few, 3) == few and [m.index for m in with_right_poses(few)] == [0, 2]
     assert [m.index for m in with_right_poses(collection.members)] == [0, 2, 3, 4][: len(collection.members) - 1]
     templates, asked = {0: (tube_rig.vertices, tube_rig.joints)}, []
     monkeypatch.setattr("lbsfit_np.learning.loop.pose_prior", lambda poses, *more: asked.extend(poses))

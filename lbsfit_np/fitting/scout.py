@@ -97,9 +97,7 @@ class Scout:
         self.size = size
         self.settings, self.nearest, self.effort = settings, nearest, EFFORTS[settings.effort]
         self.unit = (unit_scale(model.source, settings.unit) or 1.0) if settings.scale == "fixed" else unit
-        self._sizes = {"unit": self.unit} if self.unit else sizes_in(model.source, settings.unit)
-        if "unit" in self._sizes:
-            self._sizes |= {"unit": size * self._sizes["unit"]}  # as the library sees it
+        self._sizes = {"unit": size * self.unit} if self.unit else sizes_in(model.source, settings.unit)  # as it sees them
         self._free = IN_UNIT if self.unit else SIZED
         self._refit = Refit(model, self._free, partial=settings.partial)
         up = up_axis(model.source)

@@ -35,7 +35,7 @@ from .checkpoint import FIRST_FIT, NO_CHECKPOINT, kept_by_its_process
 from .collection import HELD_OUT, LEARNED_FROM
 from .first_fits import FirstFit
 from .mixture import Mixture
-from .pose_prior import looked_at, pose_prior
+from .pose_prior import LEAST, looked_at, pose_prior
 from .scales import check_scales, scale_of, scale_warnings, size_and_unit, units_apart, use_unit
 from .tasks import Drawn, Held, Labels, Models, Pose, Template, Told, with_right_poses
 
@@ -345,7 +345,7 @@ class Loop:
         """Every pose as its scan tells it by all its points, and where that leaves it open, as the others' poses do."""
         (start, end), middle = span, np.mean(span)
         models, partial = self._models(templates), self.fit_settings.partial
-        learning = with_right_poses(self.collection.with_role(LEARNED_FROM))
+        learning = with_right_poses(self.collection.with_role(LEARNED_FROM), LEAST)
         asked = {learning[i].index for i in looked_at(len(learning))} if self.variant.prior else ()
 
         def slots(step, *made_of):

@@ -286,7 +286,7 @@ def _rivals(value, seen):
 
 def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     """A scan with a start, which says how it is turned, or with known labels, which tell it."""
-    unit = _unit(fitter, subject, guess, settings)
+    unit = _unit(fitter, subject, guess, settings)  # which was once such a guess, too: neither tells the subject's size
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
         refit = refit.freeing(SIZED)

@@ -14,7 +14,6 @@ from ..fitting.template import TemplateSettings, likely_right, shared_template
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..starts.limbs import LimbPoses
-from .pose_prior import LEAST
 
 __all__ = [
     "Drawn",
@@ -197,12 +196,12 @@ def finite(loss):
     return loss
 
 
-def with_right_poses(members):
-    """Those whose poses are likely right, by how well the scans of each subject are explained; all where these are not three."""
+def with_right_poses(members, least=1):
+    """Those whose poses are likely right, by how well the scans of each subject are explained; all where too few are."""
     of, right = {}, {}
     for m in members:
         of.setdefault(m.subject, []).append(m)
     for own in of.values():
         right |= dict(zip((m.index for m in own), likely_right([m.loss for m in own]), strict=True))
     likely = [m for m in members if right[m.index]]
-    return likely if len(likely) >= LEAST else members
+    return likely if len(likely) >= least else members
