@@ -89,10 +89,13 @@ def test_where_a_start_has_shown_one_template_the_others_are_tried_from_there(tu
 
     monkeypatch.setattr(new_scan, "_given", lambda *known: seen)
     monkeypatch.setattr(new_scan, "_begun", watched)
-    monkeypatch.setattr(new_scan, "_nearest", lambda fitter, found, settings: next(iter(())))
-    with pytest.raises(StopIteration):  # that is all that is asked for here
-        fitter_arguments = list(sizes), np.zeros((4, 3)), None, None
-        new_scan.fit_new(fitter, scan.points, *fitter_arguments)
+
+    def nearest(*found):
+        raise StopIteration  # that is all that is asked for here
+
+    monkeypatch.setattr(new_scan, "_nearest", nearest)
+    with pytest.raises(StopIteration):
+        new_scan.fit_new(fitter, scan.points, list(sizes), np.zeros((4, 3)), None, None)
     # 1.25 / 0.9 is another size, 1.25 / 1.0 is not.
     assert dict(tried) == pytest.approx({"big": 1.0, "own": 1.0, "mid": 1.25 / 0.9, "small": 1.25 / 0.75})
 

@@ -182,6 +182,10 @@ def test_poses_that_are_most_likely_wrong_teach_nothing(tube_rig, few_scans, mon
     monkeypatch.setattr(loop, "_work", answers)
     loop._last_steps(1, templates)
     np.testing.assert_array_equal(asked, right)
+    collection.members[1].loss, collection.members[3:] = 1.7, []
+    asked.clear()
+    loop._last_steps(1, templates)  # two right ones would make no prior
+    np.testing.assert_array_equal(asked, [s.pose for s in few_scans[:3]])
 
 
 @pytest.mark.parametrize("variant, size", [("joint", 1.0), ("pose-only", 1.2), ("rand", 1.2)])

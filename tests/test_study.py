@@ -21,7 +21,7 @@ from lbsfit_np.bench.study.making import cell_name
 from lbsfit_np.bench.study.measures import Registrations
 from lbsfit_np.bench.study.page import console_table, page
 from lbsfit_np.bench.study.paper import GOALS
-from lbsfit_np.bench.study.rows import ROWS, Found
+from lbsfit_np.bench.study.rows import LIBRARY, PRETRAINING, ROWS, Found
 from lbsfit_np.bench.study.run import joined, study
 from lbsfit_np.cli import bench_study
 from lbsfit_np.cli import main as run
@@ -356,6 +356,16 @@ def test_a_bar_is_of_all_rows_and_names_those_that_are_being_made(monkeypatch):
     progress.cell("h", 300, "cd", {"seconds": 1.0})
     both = "h 300 cd 50%, b 300 rand 25%"
     assert shown == [(10, "h 300 pretraining 50%"), (20, ""), (40, "h 300 cd 50%"), (60, both), ("h, seed 300, cd", both[14:])]
+
+
+def test_pretraining_without_a_segmenter_to_train_is_a_small_part_of_all():
+    todo, told = {("h", 300): ["cd", "oracle-fit"], ("b", 300): ["cd"]}, []
+    progress = run_module._of_all(todo, {"b"}, lambda name, seed, row, share, of_all: told.append(of_all))
+    for name in ("h", "b"):
+        progress(name, 300, "pretraining", 1.0)
+    rows = 2 * ROWS["cd"].weight + ROWS["oracle-fit"].weight
+    every = rows + PRETRAINING + LIBRARY
+    assert told == pytest.approx([LIBRARY / every, (LIBRARY + PRETRAINING) / every]) and LIBRARY < PRETRAINING / 5
 
 
 def test_the_command_keeps_each_row_as_soon_as_it_is_there(coarse_hand, quick, monkeypatch, tmp_path):
