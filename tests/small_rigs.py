@@ -131,3 +131,18 @@ def _bend(points):
 def _ramp(t, middle, half_width):
     s = np.clip((t - middle) / (2 * half_width) + 0.5, 0.0, 1.0)
     return s * s * (3 - 2 * s)
+
+
+def seamed(data, copies, weight_change=0.0):
+    """The data with some vertices split: later faces use the copies."""
+    m = len(data.vertices)
+    faces = data.faces.copy()
+    for k, v in enumerate(copies):
+        f, c = np.argwhere(faces == v)[-1]
+        faces[f, c] = m + k
+    w = data.weights.toarray()
+    w_copies = w[copies]
+    w_copies[:, :2] += [weight_change, -weight_change]
+    return replace(
+        data, vertices=np.vstack([data.vertices, data.vertices[copies]]), faces=faces, weights=np.vstack([w, w_copies])
+    )

@@ -351,3 +351,20 @@ def test_a_rig_that_is_none(tmp_path, tube_rig):
 def test_a_folder_that_does_not_exist(tmp_path, tube_rig):
     with pytest.raises(FileError, match="does not exist"):
         save(tmp_path / "no" / "a.glb", tube_rig, a_fit(tube_rig, 0))
+
+
+def test_far_from_the_origin_frames_still_move(tube_rig, tmp_path):
+    """By centimetres, where single precision's numbers are half a metre apart."""
+    far = np.array([650_000.37, 5_200_000.27, 300.0])
+    near = [replace(a_fit(tube_rig, 0, amount=0.0), translation=np.array([0.0, 0.05 * k, 0.0])) for k in range(3)]
+    for results, place in ((near, None), ([replace(r, translation=r.translation + far) for r in near], far)):
+        results = [replace(r, vertices=tube_rig.pose(r.pose, r.translation, r.scale)) for r in results]
+        save(tmp_path / "a.glb", tube_rig, results)
+        viewer = Viewer(tmp_path / "a.glb")
+        drawn = [viewer.draw(time) for time in viewer.times]
+        for k, vertices in enumerate(drawn):
+            np.testing.assert_allclose(vertices - drawn[0], [[0.0, 0.05 * k, 0.0]] * len(vertices), atol=1e-5)
+            np.testing.assert_allclose(vertices, results[k].vertices, atol=1e-5)
+        (top,) = [viewer.root["nodes"][n] for n in viewer.root["scenes"][0]["nodes"] if "mesh" not in viewer.root["nodes"][n]]
+        assert (top["name"] == "place of the scans") == (place is not None)
+        assert tuple(read_gltf(tmp_path / "a.glb").joint_names) == tube_rig.joint_names

@@ -12,6 +12,7 @@ from cli_runs import QUICK, one_line
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit
 from lbsfit_np.cli.summary import counts_of, doubts_of
+from lbsfit_np.io.write import write_points_ply
 from lbsfit_np.report.render import write_png
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -314,3 +315,48 @@ def test_what_a_stop_leaves_while_files_get_their_names_is_made_anew(last, made,
     monkeypatch.setattr(os, "replace", move)
     assert run(*command, "--existing", "skip")[0] == 0
     assert sorted(path.name for path in (tmp_path / "out").glob("one.*")) == ["one.fit.npz", "one.labels.ply", "one.mesh.ply"]
+
+
+def test_skip_leaves_files_alone_that_are_no_fits(fitted, made, tmp_path, run, monkeypatch):
+    """Also where mesh or labels are missing, which of a fit would have it made again."""
+    arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
+    fit = tmp_path / "one.fit.npz"
+    np.savez(fit, mine=np.arange(3))
+    before = fit.read_bytes()
+    code, _, err = run(*arguments)
+    assert code == 2 and "one.fit.npz, which is no fit" in one_line(err) and fit.read_bytes() == before
+    fit.write_bytes((fitted[0] / "one.fit.npz").read_bytes())
+    code, _, err = run(*arguments, "--parts", "arm and fingers")
+    assert code == 2 and "a fit of another rig" in one_line(err)
+    fit.write_bytes(b"of somebody who keeps it to herself")
+    monkeypatch.setattr("lbsfit_np.cli.kept_fits.os.access", lambda path, mode: path != fit)
+    code, _, err = run(*arguments)
+    assert code == 2 and "--existing skip: got" in one_line(err) and "expected fits that can be read" in err
+
+
+def test_a_mesh_without_content_is_missing(fitted, made, tmp_path, run):
+    for name in ("one.fit.npz", "one.mesh.ply", "one.labels.ply"):
+        (tmp_path / name).write_bytes((fitted[0] / name).read_bytes())
+    (tmp_path / "one.mesh.ply").write_bytes(b"")
+    code, text, _ = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
+    assert code == 0 and "kept" not in text and (tmp_path / "one.mesh.ply").stat().st_size > 0
+
+
+def test_kept_fits_of_other_points_are_told(fitted, made, tmp_path, run):
+    """As of a scan of the same name in another folder."""
+    for path in fitted[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    (tmp_path / "other").mkdir()
+    other = tmp_path / "other" / "one.ply"
+    other.write_bytes((made / "one.ply").read_bytes())
+    arguments = ("fit", made / "tube.npz", other, made / "two.xyz", "-o", tmp_path, "--existing", "skip", *QUICK)
+    code, text, _ = run(*arguments)
+    assert code == 0 and "note: " not in text and '"other_points"' not in (tmp_path / "summary.json").read_text()
+    moved = lbs.load_scan(made / "two.xyz").points + [0.0, 0.0, 0.01]
+    for points, scans in ((moved, f"{other} has"), (moved[:300], f"{other} has")):
+        write_points_ply(other, points)
+        code, text, _ = run(*arguments)
+        said = f"note: 1 kept fit was made of other points than {scans} now, read with these options; --existing replace"
+        assert code == 0 and said in text and "kept existing fits of 2 of 2 scans" in text
+        entries = {e["name"]: e for e in json.loads((tmp_path / "summary.json").read_text())["scans"]}
+        assert entries["one"]["other_points"] and "other_points" not in entries["two"]

@@ -13,7 +13,7 @@ from docs_tables import needs_documents, summary_keys
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit, learn
-from lbsfit_np.learning.archive import MODEL_KEY
+from lbsfit_np.io.npz import MODEL_KEY
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 

@@ -18,8 +18,8 @@ import lbsfit_np as lbs
 from lbsfit_np.cli import learn, outputs, stopped_learning
 from lbsfit_np.cli.stopped_learning import results_so_far
 from lbsfit_np.errors import FileError
+from lbsfit_np.io.npz import MODEL_KEY
 from lbsfit_np.io.write import make_folder
-from lbsfit_np.learning.archive import MODEL_KEY
 from lbsfit_np.learning.checkpoint import steps_in
 from lbsfit_np.learning.first_fits import FirstFit
 

@@ -1,6 +1,7 @@
 """Learned models in the other commands, and files of models that are broken."""
 
 import json
+import re
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ from cli_runs import ARRAYS, HAND, QUICK, QUICK_LEARNING, one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit
-from lbsfit_np.learning.archive import MODEL_KEY
+from lbsfit_np.io.npz import MODEL_KEY
 from lbsfit_np.learning.batch import fit_scans
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -397,3 +398,19 @@ def test_skip_leaves_each_scan_its_own_subject(learned_hands, hands, tmp_path, r
     entries = json.loads((tmp_path / "summary.json").read_text())["scans"]
     assert [(e["subject"], e["kept"]) for e in entries] == [("anna", True), ("ben", False)]
     assert lbs.FitResult.load(tmp_path / "ben1.fit.npz").subject == "ben"
+
+
+def test_a_card_beside_a_model_changes_nothing(learned_hands, tmp_path, run):
+    """A model keeps its rig as it was when it was learned, in all commands; an edited card would make it another."""
+    model = tmp_path / "m.npz"
+    model.write_bytes(learned_hands[0].read_bytes())
+    card = tmp_path / "m.card.toml"
+    code, text, _ = run("rig", "card", model, "-o", card)
+    assert code == 0 and f"pass it with --card {card}" in text and "automatically" not in text
+    before = lbs.load_rig(learned_hands[0]).digest
+    card.write_text(re.sub(r'"index1" = \[\[.*', '"index1" = [[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]', card.read_text()))
+    rig = lbs.load_rig(model)
+    assert rig.digest == before != lbs.load_rig(model, card=card).digest
+    note = "the card m.card.toml beside the file was not used: a learned model keeps its rig as it was"
+    assert note in rig.notes and note in run("rig", "show", model)[1]
+    assert lbs.LBSFitter.load(model).rig.digest == before

@@ -399,3 +399,14 @@ def test_regression_finds_what_tells_and_gives_nothing_a_good_word():
     assert p[np.array(right)].mean() > 0.85 and p.mean() == pytest.approx(np.mean(right), abs=0.02)
     with pytest.raises(InputError, match="right and wrong"):
         regression(evidence, [True] * 400)
+
+
+def test_an_axis_without_room_is_at_no_limit():
+    """Half a degree to either side is near both limits wherever the angle is."""
+    data = make_tube_data()
+    lower, upper = data.lower.copy(), data.upper.copy()
+    lower[1:, 1:], upper[1:, 1:] = -0.008, 0.008
+    narrow = Model(build_rig(replace(data, lower=lower, upper=upper)))
+    state = narrow.rest().replace(theta=np.where(np.arange(4)[:, None] == 2, upper, np.zeros((4, 3))))
+    (scan,) = lbs.synthesize(narrow.source, 1, random_state=1, n_points=200)
+    assert _evidence(narrow, state, scan.points / narrow.half)[0]["at_limits"] == pytest.approx(1 / 3)

@@ -95,3 +95,19 @@ def test_mirrored_meshes_look_outwards(tmp_path, scale):
     p = vertices[shown]
     out = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
     assert (np.einsum("ia,ia->i", out, p.mean(axis=1) - vertices.mean(axis=0)) > 0).all()
+
+
+@pytest.mark.parametrize("other", ["NORMAL", "_LABEL"])
+def test_primitives_of_one_set_of_positions_have_their_own_normals_and_labels(tmp_path, other):
+    writer = scene([{"mesh": 0}], [(4, [0, 1, 2], {}), (4, [3, 4, 5], {})])
+    more = writer.accessor(-UPWARDS) if other == "NORMAL" else writer.accessor(LABELS + 10, "u1")
+    second = writer.json["meshes"][0]["primitives"][1]
+    second["attributes"] = second["attributes"] | {other: more}
+    scan = load_scan(save(writer, tmp_path))
+    np.testing.assert_allclose(scan.points, CORNERS)
+    changed = np.repeat([0, 1], 3)
+    np.testing.assert_array_equal(scan.labels, LABELS + 10 * changed * (other == "_LABEL"))
+    np.testing.assert_array_equal(scan.normals[:, 2], np.where(changed * (other == "NORMAL"), -1.0, 1.0))
+    del second["attributes"][other]
+    scan = load_scan(save(writer, tmp_path))
+    assert (scan.normals is None, scan.labels is None) == (other == "NORMAL", other == "_LABEL")

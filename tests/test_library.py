@@ -335,3 +335,12 @@ def test_the_cache_keeps_libraries_beside_segmenters(tube_rig, tmp_path, monkeyp
     monkeypatch.setattr("lbsfit_np.learning.pretraining.build_library", lambda *a, **k: pytest.fail("built again"))
     with pytest.raises(pytest.fail.Exception, match="built again"):
         fitter(other).pretrain(cache=True)  # the digest and the names are the same, the poses are not
+
+
+def test_a_library_of_numbers_that_are_none_is_told_when_it_is_loaded(library, tmp_path):
+    for change in (lambda a: np.full_like(a, np.nan), lambda a: a.astype(str)):
+        arrays = library.arrays("library")
+        for key in arrays:
+            np.savez(tmp_path / "l.npz", **arrays | {key: change(arrays[key])})
+            with pytest.raises(FileError, match="content does not fit"):
+                PoseLibrary.load(tmp_path / "l.npz")

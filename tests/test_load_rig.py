@@ -270,3 +270,8 @@ def test_a_name_too_long_for_a_card_beside_it_has_none(tmp_path, tube_rig):
     path = tmp_path / ("r" * 250 + ".npz")
     tube_rig.save(path)
     assert load_rig(path).digest == tube_rig.digest
+
+
+@pytest.mark.parametrize("name", ["hand-left-coarse", "hand-coarse"])
+def test_a_bundled_rig_by_a_path_object(name):
+    assert load_rig(rigs.Path(name)).digest == load_rig(name).digest

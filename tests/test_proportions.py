@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_rigs import make_tube_data
+from small_rigs import make_tube_data, seamed
 
 import lbsfit_np
 from lbsfit_np.io.rigs import load_rig
@@ -13,6 +13,7 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.state import MOST_PROPORTION
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.chains import bones
+from lbsfit_np.synthesis import with_random_proportions
 
 CARDS = Path(lbsfit_np.__file__).parent / "bench" / "cards"
 
@@ -187,3 +188,10 @@ def test_a_flat_template_still_has_bones_with_three_directions():
 
 def test_the_family_does_not_depend_on_the_unit(tube_rig):
     np.testing.assert_allclose(tube_rig.scaled(1000.0).proportions.basis, 1000 * tube_rig.proportions.basis, atol=1e-9)
+
+
+def test_other_proportions_open_no_seams():
+    rig = build_rig(seamed(make_tube_data(), [60, 100], weight_change=0.004))
+    assert len(rig.welded.vertices) == 242
+    for person in (rig.subject(3, amount=2.0), rig.with_template(*with_random_proportions(rig, 0.2, np.random.default_rng(0)))):
+        assert len(person.welded.vertices) == 242 and np.abs(person.vertices - rig.vertices).max() > 0.01

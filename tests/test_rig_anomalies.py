@@ -6,9 +6,10 @@ from dataclasses import fields, replace
 import numpy as np
 import pytest
 from scipy import sparse
-from small_rigs import make_tube_data, with_joint, with_loose_vertices
+from small_rigs import make_tube_data, seamed, with_joint, with_loose_vertices
 
 from lbsfit_np import load_rig, synthesize
+from lbsfit_np.errors import InputError
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.data import RigData
 from lbsfit_np.rig.describe import describe
@@ -83,21 +84,6 @@ def test_many_influences_are_told_and_are_no_anomaly():
 
 
 # ---- welding ----
-
-
-def seamed(data, copies, weight_change=0.0):
-    """The data with some vertices split: later faces use the copies."""
-    m = len(data.vertices)
-    faces = data.faces.copy()
-    for k, v in enumerate(copies):
-        f, c = np.argwhere(faces == v)[-1]
-        faces[f, c] = m + k
-    w = data.weights.toarray()
-    w_copies = w[copies]
-    w_copies[:, :2] += [weight_change, -weight_change]
-    return replace(
-        data, vertices=np.vstack([data.vertices, data.vertices[copies]]), faces=faces, weights=np.vstack([w, w_copies])
-    )
 
 
 def test_seams_are_welded_for_the_geometry_only(tube_rig):
@@ -211,3 +197,48 @@ def test_sheets_that_touch_but_move_apart_are_not_welded():
     w[-1] = [0, 0, 0, 1]
     rig = build_rig(replace(data, weights=w))
     assert len(rig.welded.vertices) == 243
+
+
+def test_a_seam_of_other_weights_loses_no_part(tube_rig):
+    """A joint that leads but one copy of a vertex: rig and surface have the same parts, of the same joints."""
+    data = with_joint(seamed(make_tube_data(), [5]))
+    w = data.weights.toarray()
+    w[[5, 242]] = 0.0
+    w[5, [0, 4]], w[242, [0, 4]] = (0.503, 0.497), (0.494, 0.506)
+    for copies in (w, w[[*range(5), 242, *range(6, 242), 5]]):
+        rig = build_rig(replace(data, weights=copies))
+        assert rig.parts == rig.welded.parts and rig.digest != rig.welded.digest
+        np.testing.assert_array_equal(rig.part_of_joint, rig.welded.part_of_joint)
+        np.testing.assert_array_equal(rig.vertex_labels[rig.welded_from], rig.welded.vertex_labels)
+        moved = rig.with_template(rig.vertices * 1.1)
+        assert moved.parts == moved.welded.parts == rig.parts
+
+
+def test_vertices_of_no_face_weld_nothing(tube_rig):
+    """Very many at one place, and one so far away that the whole surface is small beside it."""
+    places = np.zeros((20_000, 3))
+    places[0] = 1e6
+    rig = build_rig(with_loose_vertices(make_tube_data(), places))
+    np.testing.assert_array_equal(rig.welded.vertices, tube_rig.vertices)
+    np.testing.assert_array_equal(rig.welded.faces, tube_rig.faces)
+    assert rig.loose.sum() == 20_000 and not any("seams" in note or "degenerate" in note for note in rig.notes)
+
+
+def test_vertices_of_no_face_need_no_weights(tube_rig):
+    data = with_loose_vertices(make_tube_data(), [[9.0, 9, 9], [0.1, 0.2, 0.3]])
+    w = data.weights.toarray()
+    w[0] = 0.0
+    rig = build_rig(replace(data, weights=w))
+    assert "1 vertex of no face has no weight, follows 'root'" in rig.notes
+    np.testing.assert_array_equal(rig.weights.toarray()[0], [1.0, 0, 0, 0])
+    np.testing.assert_array_equal(rig.welded.weights.toarray(), tube_rig.weights.toarray())
+    w[1] = w[7] = 0.0
+    with pytest.raises(InputError, match="weights: got 1 of 244 vertices without any weight, the first is vertex 7"):
+        build_rig(replace(data, weights=w))
+
+
+def test_what_is_known_of_seams_goes_on_to_other_parts(tube_rig, monkeypatch):
+    rig = build_rig(seamed(make_tube_data(), [5]))
+    assert rig.weld is not None
+    monkeypatch.setattr("lbsfit_np.rig.rig.weld_of", None)
+    assert rig.with_parts("arm and fingers").parts == ("arm", "fingers")

@@ -111,3 +111,20 @@ def test_rest_pose_stays_inside_limits_from_animations():
     animated[:, 1, 0] = [1.0, 1.2]
     lower, upper, _ = derived_limits(0, 2, animated)
     assert lower[1, 0] == 0.0 and upper[1, 0] == pytest.approx(1.3)
+
+
+def test_limits_of_joints_that_turn_beyond_half_a_turn():
+    """Rotation vectors of matrices end at half a turn and go on from the other side."""
+    angles = np.radians([0.0, 60, 120, 170, 190, 150])
+    animated = np.zeros((6, 3, 3))
+    animated[:, 1, 0] = (angles + np.pi) % (2 * np.pi) - np.pi
+    animated[:, 2] = np.where(angles > np.radians(165), -1.0, 1.0)[:, None] * np.radians([5.0, 0, 0])
+    wobble = np.radians([175.0, 178, 182, 185, 179, 176])
+    animated[:, 2] = ((wobble + np.pi) % (2 * np.pi) - np.pi)[:, None] * np.array([1.0, 1, 0]) / np.sqrt(2)
+    lower, upper, seen = derived_limits(0, 3, animated)
+    np.testing.assert_array_equal(seen, [False, True, True])
+    np.testing.assert_allclose([lower[1, 0], upper[1, 0]], [-0.25 * np.radians(190), np.radians(190)])
+    assert lower[2, 0] == lower[2, 1] == 0.0 and upper[2, 0] == pytest.approx(np.radians(185) / np.sqrt(2) + 0.1)
+    animated[:, 1, 0] = (np.radians([0.0, 100, 200, 300, 400, 500]) + np.pi) % (2 * np.pi) - np.pi  # a wheel
+    lower, upper, _ = derived_limits(0, 3, animated)
+    np.testing.assert_allclose([lower[1, 0], upper[1, 0]], [-np.pi, np.pi])

@@ -318,3 +318,31 @@ def test_labels_in_an_npz_are_those_that_fit(tmp_path):
         np.savez(tmp_path / "b.npz", points=POINTS, **{"class": one})
         scan = load_scan(tmp_path / "b.npz")
         assert scan.labels is None and scan.notes == ("'class' is one value for all points: labels left out.",)
+
+
+@pytest.mark.parametrize("spelt", ["-nan(ind)", "nan(snan)", "1.#QNAN", "-1.#IND", "1.#INF"])
+@pytest.mark.parametrize("row", [0, 2])
+def test_what_some_programs_write_for_nan(tmp_path, spelt, row):
+    """Also in a first row, which is no header, and in a last column, where # would begin a comment."""
+    lines = [f"{x} {y} {z}" for x, y, z in POINTS]
+    lines[row] = f"1 2 {spelt}"
+    body = "\n".join(lines) + "\n"
+    header = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {a}\n" for a in "xyz")
+    faces = "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    pcd = "VERSION 0.7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 4\nHEIGHT 1\nPOINTS 4\nDATA ascii\n"
+    files = {"a.ply": header + faces + body + "3 0 1 3\n", "a.pcd": pcd + body, "a.xyz": body, "a.csv": body.replace(" ", ",")}
+    for name, text in files.items():
+        path = write(tmp_path, name, text)
+        with pytest.raises(FileError, match="NaN or infinite"):
+            load_scan(path)
+        np.testing.assert_allclose(load_scan(path, drop_invalid=True).points, np.delete(POINTS, row, axis=0))
+
+
+def test_blank_lines_in_a_ply_are_nothing(tmp_path):
+    header = "ply\nformat ascii 1.0\nelement vertex 4\n" + "".join(f"property float {a}\n" for a in "xyz")
+    header += "element face 4\nproperty list uchar int vertex_indices\nend_header\n"
+    faces = "\n \n".join(f"3 {a} {b} {c}" for a, b, c in FACES)
+    scan = load_scan(write(tmp_path, "a.ply", header + rows(POINTS) + "\n" + faces + "\n"), n_samples=50)
+    assert "50 points sampled from the surface of 4 triangles." in scan.notes
+    with pytest.raises(FileError, match="ends after 3 of 4 face rows"):
+        load_scan(write(tmp_path, "b.ply", header + rows(POINTS) + "\n" + faces.rpartition("3 1 3")[0] + "\n\n"))

@@ -335,3 +335,26 @@ def test_ply_vertices_with_lists(tmp_path, form, lengths, faces):
         assert on_tetrahedron(load_scan(path, n_samples=50).points) < 1e-6
     with pytest.raises(FileError, match="ends after 3 of 4 (vertex|face) rows|the (vertex|face) row 3"):
         load_scan(write(tmp_path, "cut.ply", path.read_bytes()[:-2]))
+
+
+def test_a_cloud_with_a_triangle_is_no_mesh_to_sample(tmp_path):
+    """Such as one beside a marker; of a mesh that was cropped, what is left out is said."""
+    cloud = np.random.default_rng(0).normal(size=(300, 3)).round(3)
+    text = "".join(f"v {x} {y} {z}\n" for x, y, z in cloud)
+    path = write(tmp_path, "c.obj", (text + "f 1 2 3\n").encode())
+    scan = load_scan(path, n_samples=200)
+    assert len(scan.points) == 200 and {tuple(p) for p in scan.points} <= {tuple(p) for p in cloud}
+    assert "297 of its 300 points are in no triangle: it is taken for a point cloud." in scan.notes
+    faces = "".join(f"f {k} {k + 1} {k + 2}\n" for k in range(1, 190))
+    scan = load_scan(write(tmp_path, "m.obj", (text + faces).encode()), n_samples=200)
+    assert "109 of its 300 points are in no triangle: left out." in scan.notes
+    assert "200 points sampled from the surface of 189 triangles." in scan.notes
+
+
+def test_lines_that_go_on_and_bytes_behind_the_last_triangle(tmp_path):
+    before, face, after = obj().partition(b"\nf ")
+    text = before + face + after.replace(b" ", b" \\\n", 1)
+    np.testing.assert_array_equal(load_mesh(write(tmp_path, "a.obj", text))[1], FACES)
+    np.testing.assert_array_equal(load_scan(write(tmp_path, "a.stl", binary_stl() + b"\0\0")).points, POINTS)
+    with pytest.raises(FileError, match="announces 4 triangles"):
+        load_scan(write(tmp_path, "a.stl", binary_stl() + bytes(50)))

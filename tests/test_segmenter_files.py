@@ -167,3 +167,19 @@ def test_nothing_in_a_file_is_run(saved, tmp_path):
     with pytest.raises(FileError):
         Segmenter.load(saved)
     assert not (tmp_path / "sprung").exists()
+
+
+@pytest.mark.parametrize("key", ["stage_0_coefs_1", "stage_1_intercepts_0", "stage_0_mean", "stage_0_deviation"])
+def test_numbers_that_are_none_are_told_when_it_is_loaded(key, saved):
+    for change in (lambda a: np.full_like(a, np.nan), lambda a: a.astype(str)):
+        arrays = _arrays(saved)
+        np.savez(saved, **arrays | {key: change(arrays[key])})
+        with pytest.raises(FileError, match="content does not fit .*values that are not finite numbers"):
+            Segmenter.load(saved)
+
+
+@pytest.mark.parametrize("key, what", [("lbsfit_np_model", "a learned model"), ("mine", "another NPZ")])
+def test_another_file_is_told_from_a_broken_one(key, what, tmp_path):
+    np.savez(tmp_path / "s.npz", **{key: np.arange(3)})
+    with pytest.raises(FileError, match=f"got {what}, without the key lbsfit_np_segmenter; .*Check the path"):
+        Segmenter.load(tmp_path / "s.npz")

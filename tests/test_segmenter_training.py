@@ -230,3 +230,23 @@ def test_the_context_of_no_points_is_none():
     none = context(np.zeros((0, 3)), np.zeros((0, 4)), around, np.full((40, 4), 0.25))
     one = context(around[:1], np.full((1, 4), 0.25), around, np.full((40, 4), 0.25))
     assert none.shape == (0, one.shape[1])
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda p, y: (p, y + 4), "labels from 4 to .* of scan 1; expected labels from 0 to 3, or −1"),
+        (lambda p, y: (p, y - 2), "labels from -2 to "),
+        (lambda p, y: (p, y.astype(float)), "float64 labels of shape .* of scan 1; .* n whole numbers"),
+        (lambda p, y: (p[:-1], y), "points of shape .* of scan 1"),
+        (lambda p, y: (p[:, :2], y), "points of shape .* of scan 1"),
+        (lambda p, y: (np.where(p > 0, np.nan, p), y), "points that are NaN or infinite, of scan 1"),
+    ],
+)
+def test_scans_that_cannot_be_learned_from_are_told_before_any_training(change, words, tube_rig, monkeypatch):
+    monkeypatch.setattr("lbsfit_np.segmentation.segmenter.train_stage", None)
+    scans = scans_of(tube_rig, 2).scans
+    points, labels, scale = scans[1]
+    scan = Scans([scans[0], (*change(points, labels), scale)])
+    with pytest.raises(InputError, match=f"^scan: got .*{words}"):
+        train_segmenter(tube_rig, scan, 2, training=Training(points_per_scan=20, second=0.0), random_state=0)

@@ -17,6 +17,7 @@ from lbsfit_np.bench.study.run import study
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.learning.fitter import LBSFitter
+from lbsfit_np.synthesis import synthesize
 
 MANY = Size(train=300, test=200, train_subjects=2, test_subjects=2, pairs=1, training_scans=1, rounds=1, seeds=1)
 
@@ -113,10 +114,10 @@ def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypat
 def test_a_small_size_begins_with_the_packages_segmenter(name, monkeypatch):
     monkeypatch.setattr("lbsfit_np.learning.pretraining.pretrain_library", lambda *made_of, **how: None)  # which takes long
     rig = load_rig(name)
-    given, begun = study_set(rig, "small", 300), first_segmenter(rig, sized(rig, "small"))
+    (scan,), begun = synthesize(rig, 1, random_state=5, n_points=300), first_segmenter(rig, sized(rig, "small"))
     assert first_scans(rig, sized(rig, "small")) == LBSFitter(rig).training_scans == 4000
     shipped = LBSFitter(rig, random_state=TRAINING_SEED).pretrain().segmenter_
-    assert np.array_equal(begun.predict_proba(given.test[0].points), shipped.predict_proba(given.test[0].points))
+    assert np.array_equal(begun.predict_proba(scan.points, views=1), shipped.predict_proba(scan.points, views=1))
 
 
 def test_a_size_of_more_scans_and_a_rig_without_a_segmenter_train_their_own():

@@ -231,3 +231,43 @@ def test_npz_refuses_python_objects(tmp_path):
     with pytest.raises(InputError, match="thing: got an array of Python objects"):
         write_npz(tmp_path / "a.npz", fine=[1, 2], thing=[None, {}])
     assert names(tmp_path) == []
+
+
+def test_what_is_written_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
+    seen = []
+    monkeypatch.setattr(os, "fsync", lambda handle: seen.append((os.fstat(handle).st_size, names(tmp_path))))
+    write_json(tmp_path / "a.json", {"a": 1})
+    ((size, there),) = seen
+    assert size == (tmp_path / "a.json").stat().st_size > 0 and "a.json" not in there
+
+
+def test_an_error_names_what_was_asked_for_and_what_was_wrong(tmp_path, monkeypatch):
+    """Where the disk is full while a file is written in the place of another, and what is left of it cannot be removed."""
+
+    def full(handle):
+        raise OSError(28, "No space left on device")
+
+    def read_only(self, missing_ok=False):
+        raise OSError(30, "Read-only file system")
+
+    monkeypatch.setattr(os, "fsync", full)
+    monkeypatch.setattr(Path, "unlink", read_only)
+    path = tmp_path / "a.mesh.ply"
+    with pytest.raises(FileError, match="No space left on device") as told, atomic_path(path) as temporary:
+        write_mesh_ply(temporary, POINTS, FACES)
+    assert told.value.argument == str(path)
+
+
+def test_a_table_that_does_not_fit_tells_why(tmp_path):
+    resource = pytest.importorskip("resource", reason="limits of a process are POSIX")
+    import signal
+
+    before, handler = resource.getrlimit(resource.RLIMIT_FSIZE), signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (400, before[1]))
+    try:
+        with pytest.raises(FileError, match=r"File too large"):
+            write_points_ply(tmp_path / "a.ply", POINTS)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert names(tmp_path) == []

@@ -40,12 +40,11 @@ def hand_scans(rig, data, n=40, *, seed):
     in half sizes of the rig.
     """
     natural = natural_poses(rig, data)
-    turning = rig.upper > rig.lower
     scans = []
     for i in range(n):
         rng = generator(seed, "hand", i)
         if i % 2:
-            pose = natural[(i // 2) % len(natural)] + 0.1 * rng.uniform(-1, 1, rig.lower.shape) * turning
+            pose = natural[(i // 2) % len(natural)] + 0.1 * rng.uniform(-1, 1, rig.lower.shape) * rig.turning
         else:
             pose = uniform_poses(rig, 1, rng)[0]
         pose[rig.root] = rng.uniform(-0.6, 0.6, 3)

@@ -79,14 +79,13 @@ def collection(name, data, n_scans, *, seed):
 
 def _hand_poses(rig, data):
     natural = hand.natural_poses(rig, data)
-    turning = rig.upper > rig.lower
 
     def pose(i, rng):
         kind = i // N_SUBJECTS % 3
         if kind == 0:
             theta = uniform_poses(rig, 1, rng)[0]
         elif kind == 1:
-            theta = natural[rng.integers(len(natural))] + 0.1 * rng.uniform(-1, 1, rig.lower.shape) * turning
+            theta = natural[rng.integers(len(natural))] + 0.1 * rng.uniform(-1, 1, rig.lower.shape) * rig.turning
         else:
             theta = touching_pose(rig, natural, rng)
         theta[rig.root] = rng.uniform(-0.6, 0.6, 3)
@@ -131,7 +130,7 @@ def touching_pose(rig, natural, rng):
     for _ in range(_TRIES):
         a, b = natural[rng.integers(len(natural), size=2)]
         t = rng.random()
-        theta = (1 - t) * a + t * b + 0.25 * rng.uniform(-1, 1, rig.lower.shape) * (rig.upper > rig.lower)
+        theta = (1 - t) * a + t * b + 0.25 * rng.uniform(-1, 1, rig.lower.shape) * rig.turning
         theta = np.clip(theta, rig.lower, rig.upper)
         theta[rig.root] = 0.0
         V = skin(rig, theta).vertices / (rig.size / 2)

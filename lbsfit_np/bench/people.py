@@ -88,7 +88,7 @@ def people_scans(kind, data, *, n_people=6, n_scans=5, seed):
 
 def _hands(rig, data):
     """Who and in which pose: functions of (k, rng) → vertices and joints, and of rng → Θ."""
-    natural, turning = natural_poses(rig, data), rig.upper > rig.lower
+    natural = natural_poses(rig, data)
     frame = rig.frames[rig.root]
     upwards = frame.T @ np.diag([-1.0, -1.0, 1.0]) @ frame  # the file's hand points down
 
@@ -97,7 +97,7 @@ def _hands(rig, data):
         return who.vertices, who.joints
 
     def pose(rng):
-        theta = natural[rng.integers(len(natural))] + _NATURAL * rng.uniform(-1, 1, rig.lower.shape) * turning
+        theta = natural[rng.integers(len(natural))] + _NATURAL * rng.uniform(-1, 1, rig.lower.shape) * rig.turning
         theta[rig.root] = rotvec_from_matrix(upwards @ matrix_from_rotvec(rng.uniform(-_TILT, _TILT, 3)))
         return theta
 

@@ -258,7 +258,8 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
         for note in notes:
             say(note)
     rig, subjects = fitter.rig, {f.name: subject for f, subject in zip(files, subjects, strict=True)}
-    kept = kept_entries(files, fitter, subjects) if values["existing"] == "skip" else {}
+    reader = functools.partial(read_scan, least=len(rig.parts), options=scan_options(values))
+    kept = kept_entries(files, fitter, subjects, reader) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"kept existing fits of {of_all(len(kept), len(files))}")

@@ -1,9 +1,13 @@
 """Fits of earlier runs that ``--existing skip`` keeps, once it is sure what they were made with."""
 
 import functools
+import os
 from collections import Counter
 
-from ..errors import FileError, InputError, counted
+import numpy as np
+
+from ..errors import FileError, InputError, counted, listed
+from ..io.npz import RESULT_KEY, npz_keys
 from . import outputs
 from .progress import say
 
@@ -11,24 +15,28 @@ __all__ = ["kept_entries"]
 
 # Of fits that were made with other settings, so many kinds are told one by one.
 _KINDS = 3
+# Points that are as near, as a share of the scan's extent, are the same, read by other libraries.
+_SAME = 1e-6
 
 
-def kept_entries(files, fitter, subjects):
+def kept_entries(files, fitter, subjects, read):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else.
 
-    Other settings, such as another effort, are no error: of some scans one may want what is too slow for all. A line tells them.
+    Other settings, such as another effort, are no error: of some scans one may want what is too slow for all. A line tells them,
+    and fits of other points than ``read`` (path → Scan) finds now.
     """
     from ..fitting.result import FitResult
     from ..learning.made_with import settings_of
 
     kept, rig = {}, fitter.rig
-    made, now, others = _MadeWith(fitter), settings_of(fitter), Counter()
+    made, now, others, strange = _MadeWith(fitter), settings_of(fitter), Counter(), []
     for f in files:
-        if not all(path.is_file() for what, path in f.paths.items() if what != "picture"):
+        if not f.fit.is_file():
             continue
         try:
             result = FitResult.load(f.fit)
         except FileError as error:
+            _check_ours(f.fit, error)
             say(f"{f.name}: {f.fit} cannot be read ({error.got}; expected {error.expected}), so the scan is fitted again")
             continue
         if result.rig_digest != rig.digest:
@@ -44,6 +52,8 @@ def kept_entries(files, fitter, subjects):
             said = [f"in {unit!r}" if unit else "in an unspecified unit" for unit in (result.unit, fitter.unit)]
             remedy = "Give --unit as in that run (auto: unspecified), choose another folder, or --existing replace."
             raise InputError("--existing skip", f"{f.fit}, a fit of a scan {said[0]}", f"fits of scans {said[1]}", remedy)
+        if not all(path.is_file() and path.stat().st_size for path in (f.mesh, f.labels)):
+            continue
         if f.picture is not None and not _is_newer(f.picture, f.fit):
             _draw_kept(f, rig, result)
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)
@@ -51,8 +61,41 @@ def kept_entries(files, fitter, subjects):
         if other:
             kept[f.name]["other_settings"] = other if result.settings else None
             others[_in_words(other, now)] += 1
+        if _has_other_points(f, result, read):
+            kept[f.name]["other_points"] = True
+            strange.append(f.source)
     _say_others(others)
+    if strange:
+        fits = f"{counted(len(strange), 'kept fit')} {'was' if len(strange) == 1 else 'were'} made of other points than"
+        words = f"{listed(strange, 3)} {'has' if len(strange) == 1 else 'have'} now, read with these options"
+        say(f"note: {fits} {words}; --existing replace fits all again")
     return kept
+
+
+def _check_ours(path, error):
+    """Raise InputError about a file in a fit's place that is not to be replaced: one of others, or one that may not be read."""
+    remedy = "Move it away, choose another folder, or --existing replace."
+    if not os.access(path, os.R_OK):
+        raise InputError("--existing skip", f"{path}, {error.got}", "fits that can be read", remedy)
+    try:
+        keys = npz_keys(path)
+    except FileError:
+        return  # damaged
+    if RESULT_KEY not in keys:
+        raise InputError("--existing skip", f"{path}, which is no fit", "fits that lbsfit has written", remedy)
+
+
+def _has_other_points(files, result, read):
+    """Whether a scan is not the one that its fit was made of, as far as it can be read."""
+    from ..io.scans import load_scan
+
+    try:
+        now, then = read(files.source).points, load_scan(files.labels).points
+    except FileError:
+        return False
+    if not len(now) == len(then) == len(result.labels):
+        return True
+    return not np.allclose(now, then, rtol=0.0, atol=_SAME * np.ptp(then, axis=0).max())
 
 
 def _say_others(others):

@@ -19,8 +19,7 @@ _FREE = ("scale", "unit", "orientation", "up", "partial", "effort", "weights", "
 
 def is_model(path):
     """Whether there is a learned model at ``path``; FileError where there is an NPZ that cannot be read."""
-    from ..io.npz import npz_keys
-    from ..learning.archive import MODEL_KEY
+    from ..io.npz import MODEL_KEY, npz_keys
 
     if not str(path).lower().endswith(".npz") or not os.path.isfile(path):
         return False
@@ -83,8 +82,7 @@ def unit_parameter(values):
 
 def about_model(path):
     """What a model says of itself: a dict with path, variant, rounds and subjects (all of them); None where it is no model."""
-    from ..io.npz import read_npz
-    from ..learning.archive import MODEL_KEY
+    from ..io.npz import MODEL_KEY, read_npz
 
     if not is_model(path):
         return None

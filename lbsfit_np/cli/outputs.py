@@ -22,6 +22,7 @@ __all__ = [
     "entry",
     "fitted_entry",
     "folded",
+    "identity",
     "plan",
     "remove",
     "results_beside",
@@ -175,7 +176,7 @@ class _Inputs:
             name = folded(os.path.abspath(source))
             self._names.setdefault(name, source)
             try:
-                self._files.setdefault(_identity(source), source)
+                self._files.setdefault(identity(source), source)
             except (OSError, ValueError):
                 self._missing.setdefault(name, source)
 
@@ -183,12 +184,13 @@ class _Inputs:
         """The input that a path is, or would be where upper and lower case are the same; None where it is none."""
         name = folded(os.path.abspath(path))
         try:
-            return self._files.get(_identity(path), self._missing.get(name))
+            return self._files.get(identity(path), self._missing.get(name))
         except (OSError, ValueError):
             return self._names.get(name)
 
 
-def _identity(path):
+def identity(path):
+    """What two paths have in common that are one file."""
     found = os.stat(path)
     return found.st_dev, found.st_ino
 

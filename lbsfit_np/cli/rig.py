@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from .fit import RIG_OPTIONS, load_rig_with
-from .models import about_model, model_in_words
+from .models import about_model, is_model, model_in_words
 from .outputs import check_file, same_file
 from .parsing import Option, add_options, formatter, settings
 
@@ -110,8 +110,9 @@ def _card(arguments):
     write_card(found, path)
     rig = Path(arguments.file)
     beside = rig.with_name(rig.stem + CARD_SUFFIX)
-    by_itself = rig.is_file() and same_file(path, beside)
-    if rig.is_file() and not by_itself and beside.is_file():
+    of_model = is_model(arguments.file)
+    by_itself = rig.is_file() and same_file(path, beside) and not of_model
+    if rig.is_file() and not by_itself and not of_model and beside.is_file():
         print(f"note: the card describes {rig.name} without {beside.name}, which was not read")
     edit = "check its [hierarchy], which is a guess" if isinstance(found, RigData) else "edit it"
     print(f"{path} written; {edit}; " + (f"it is used automatically with {rig}" if by_itself else f"pass it with --card {path}"))

@@ -13,7 +13,7 @@ from pathlib import Path
 from unicodedata import normalize
 
 from ..errors import FileError, InputError, brief, counted, did_you_mean, listed
-from .outputs import folded, results_beside
+from .outputs import folded, identity, results_beside
 
 __all__ = ["SUBJECT_FILES", "check_no_table", "read_subjects", "who_words"]
 
@@ -181,7 +181,7 @@ class _Names:
         """As ``outputs.same_file`` finds them: one by one that takes too long where each of thousands of scans has such names."""
         known, places = self.files
         try:
-            return known.get(_identity(name), [])
+            return known.get(identity(name), [])
         except (OSError, ValueError):
             return places.get(folded(os.path.abspath(name)), [])
 
@@ -192,18 +192,12 @@ class _Names:
         for i, scan in enumerate(self.scans):
             places.setdefault(folded(os.path.abspath(scan)), []).append(i)
             with suppress(OSError, ValueError):
-                known.setdefault(_identity(scan), []).append(i)
+                known.setdefault(identity(scan), []).append(i)
         return known, places
 
     def without(self, scans):
         """Names that mean other scans, too."""
         return [name for table in self.tables for name, found in table.items() if set(found) - scans]
-
-
-def _identity(path):
-    """What two paths have in common that are one file."""
-    found = os.stat(path)
-    return found.st_dev, found.st_ino
 
 
 def _text(path):

@@ -62,7 +62,7 @@ def say_doubtful(entries):
 
 
 def is_of_others(path):
-    """Whether there is a file in the summary's place that this package has not written."""
+    """Whether there is a file in the summary's place that this package has not written, as far as it can be read."""
     if not os.path.isfile(path):
         return False
     try:

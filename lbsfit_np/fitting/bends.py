@@ -150,7 +150,7 @@ def other_bends(rig, theta):
     """
     bone, out = bones(rig), []
     above = np.where(rig.moving & (np.arange(len(bone)) != rig.root), bone[rig.parents], -1)
-    axes = (rig.upper > rig.lower).sum(axis=1)
+    axes = rig.turning.sum(axis=1)
     for j in np.flatnonzero(rig.moving):
         straight, middle = np.clip(0.0, rig.lower[j], rig.upper[j]), (rig.lower[j] + rig.upper[j]) / 2
         if j == rig.root:

@@ -198,8 +198,8 @@ def shown_problem(model, problem, state, partial):
         v_kept &= shown(V, normals, problem.X, normals[on], to_X)
     if (x_kept.all() and v_kept.all()) or model.areas[v_kept].sum() < LEAST_SEEN:
         return problem
-    a = problem.x_weights if problem.x_weights is not None else np.full(len(problem.X), 1.0 / len(problem.X))
-    return Problem(problem.X, a * x_kept / (a * x_kept).sum(), v_kept.astype(float))
+    a = problem.shares * x_kept
+    return Problem(problem.X, a / a.sum(), v_kept.astype(float))
 
 
 def _median(values, weights):
@@ -258,13 +258,13 @@ def _disagreement(w, proba, parts):
 
 def _bending(rig):
     """(J, 3) bool: the angles that are to be found, without the root's."""
-    free = (rig.upper > rig.lower) & rig.moving[:, None]
+    free = rig.turning.copy()
     free[rig.root] = False
     return free
 
 
 def _at_limits(rig, theta):
-    free = _bending(rig)
+    free = _bending(rig) & (rig.upper - rig.lower > _NARROW)
     if not free.any():
         return 0.0
     room = np.minimum(theta - rig.lower, rig.upper - theta)[free]
@@ -363,6 +363,8 @@ _ALSO = {
 }
 # From this share of the angles on limits may be too narrow, or of the wrong sign.
 AT_LIMITS = 0.25
+# Axes with less room than this, radians, are always near a limit, which tells nothing.
+_NARROW = 0.1
 # From where on a piece of evidence is worth a word, and the word.
 _WORDS = {
     "distance": (_NOT_THE_RIG, "points lie far from the mesh"),
@@ -373,6 +375,6 @@ _WORDS = {
     "disagreement": (0.35, "labels and mesh disagree on {value:.0%} of the points"),
     "rival": (0.6, "another pose explains the scan nearly as well"),
     "at_limits": (AT_LIMITS, "{value:.0%} of the angles are at their limits"),
-    "sparse": (0.1, "it has few points (of a mesh, --samples takes more)"),
+    "sparse": (0.1, "few points take part (of a mesh, --samples takes more), or few have all the weight"),
     "proportions": (SOMEBODY_ELSE, "other proportions explain it much better: is it a scan of somebody else?"),
 }

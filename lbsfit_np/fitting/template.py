@@ -172,12 +172,11 @@ def _rows(model, U, J, h, normals, problem, state, surface, reach):
     on = surface.closest(X, cKDTree(V).query(X)[1], V)
     r = np.einsum("na,na->n", X - on.points, on.normals)
     e2 = np.einsum("na,na->n", X - on.points, X - on.points)
-    a = np.full(len(X), 1.0 / len(X)) if problem.x_weights is None else problem.x_weights
     turned = posed.scale * np.einsum("iab,ib->ia", posed.blended[:, :9].reshape(-1, 3, 3) + np.eye(3), normals)
     slope = on.barycentric * np.einsum("nka,na->nk", turned[on.corners], on.normals)
     row = np.repeat(np.arange(len(X)), 3)
     A = sparse.csr_array((slope.ravel(), (row, on.corners.ravel())), shape=(len(X), len(U)))
-    return A, r, a / (1.0 + e2 / reach**2) ** 2
+    return A, r, problem.shares / (1.0 + e2 / reach**2) ** 2
 
 
 def _solved(H, g):

@@ -7,7 +7,19 @@ import numpy as np
 
 from ..errors import FileError, listed
 
-__all__ = ["CloudData", "cloud_from_columns", "column_role", "columns_by_role", "fans", "set_labels", "whole_numbers"]
+__all__ = [
+    *("CloudData", "cloud_from_columns", "column_role", "columns_by_role", "fans"),
+    *("in_plain_numbers", "set_labels", "whole_numbers"),
+]
+
+
+# NaN and infinity as some C libraries write them: nan(ind), 1.#QNAN, 1.#INF.
+_ODD = re.compile(r"nan\([^)]*\)|1\.#[a-z0-9]+", re.IGNORECASE)
+
+
+def in_plain_numbers(line):
+    """A line of text with "nan" for what is no finite number in the spelling of some C libraries, which Python does not read."""
+    return _ODD.sub("nan", line) if "(" in line or "1.#" in line else line
 
 
 @dataclass

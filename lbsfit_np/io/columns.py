@@ -2,6 +2,7 @@
 
 import codecs
 import csv
+import mmap
 import re
 import warnings
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from ..errors import FileError
 from . import npz
-from .cloud import CloudData, cloud_from_columns, column_role, set_labels, whole_numbers
+from .cloud import CloudData, cloud_from_columns, column_role, in_plain_numbers, set_labels, whole_numbers
 
 __all__ = ["ODD_X", "read_npy", "read_npz", "read_table"]
 
@@ -167,6 +168,7 @@ def _read_head(path):
         for skip in range(_HEAD_LINES):
             raw = file.readline(100_000)
             line = raw.decode("utf-8-sig" if skip == 0 else "utf-8", "replace").strip("\r\n")
+            line = in_plain_numbers(line)
             if not raw:
                 return skip, names, None, None, notes
             if not line.strip():
@@ -257,18 +259,24 @@ def _begins_with_a_mark(path):
         return file.read(len(_MARK)) == _MARK
 
 
+def _has_odd_numbers(path):
+    """Whether a file may have numbers that :func:`in_plain_numbers` changes."""
+    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        return any(content.find(odd) >= 0 for odd in (b"1.#", b"nan(", b"NaN(", b"NAN("))
+
+
 def _lines(path, decimal_comma):
-    """The lines of a file without that mark, numbers with decimal points."""
+    """The lines of a file without that mark, numbers with decimal points and spelt plainly."""
     with open(path, encoding="latin-1") as file:
         for k, line in enumerate(file):
-            line = line if k else line.removeprefix(_MARK.decode("latin-1"))
+            line = in_plain_numbers(line if k else line.removeprefix(_MARK.decode("latin-1")))
             yield line.replace(",", ".") if decimal_comma else line
 
 
 def _load(path, skip, delimiter, usecols, decimal_comma):
     """The wanted columns as an (n, c) array."""
     options = {"delimiter": delimiter, "usecols": usecols, "ndmin": 2, "skiprows": skip, "encoding": "latin-1", "quotechar": '"'}
-    plain = not decimal_comma and not _begins_with_a_mark(path)
+    plain = not decimal_comma and not _begins_with_a_mark(path) and not _has_odd_numbers(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")

@@ -9,13 +9,15 @@ from .gltf_nodes import NodeGraph
 __all__ = ["read_gltf_scan"]
 
 _POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
+# How attributes begin that say how a vertex follows a skin.
+_OF_SKINS = ("JOINTS_", "WEIGHTS_")
 
 
 def read_gltf_scan(path):
     """Read the meshes and point primitives of a ``.glb`` or ``.gltf`` file, in the scene's frame: y up, metres.
 
     Nodes' transforms are applied, morph targets as the nodes weigh them, and skins in the pose that the nodes stand in. A mesh
-    that the scene shows twice is there twice. Where primitives share their positions, the vertices come once; those that
+    that the scene shows twice is there twice. Where primitives share their vertices, these come once; those that
     nothing shows are left out, as are lines. Normals and labels (an attribute ``_LABEL``) are kept where all primitives have
     them.
 
@@ -75,7 +77,7 @@ def _skinning(document, nodes, skin):
 
 
 def _mesh(document, i, world, matrices, notes):
-    """The mesh of node i: one piece per set of positions, of the vertices that are shown."""
+    """The mesh of node i: one piece per set of vertices, of those that are shown."""
     node, where = document.items("nodes")[i], f"node {i}"
     number = document.integer(node, "mesh", where)
     mesh, pieces = document.item("meshes", number, where), {}
@@ -89,7 +91,9 @@ def _mesh(document, i, world, matrices, notes):
         attributes = document.object(primitive, "attributes", where)
         targets = document.objects(primitive, "targets", where)
         moved = [document.integer(t, "POSITION", f"target {j} of {where}", -1) for j, t in enumerate(targets)]
-        key = document.integer(attributes, "POSITION", where), *moved
+        own = [name for name in sorted(attributes) if name in ("NORMAL", _label_of(attributes)) or name.startswith(_OF_SKINS)]
+        named = [(name, document.integer(attributes, name, where)) for name in own]
+        key = document.integer(attributes, "POSITION", where), *moved, *named
         if key not in pieces:
             owner, of = (node, f"node {i}") if "weights" in node else (mesh, f"mesh {number}")
             given = owner.get("weights", [])
@@ -101,8 +105,13 @@ def _mesh(document, i, world, matrices, notes):
     return [piece.shown() for piece in pieces.values()]
 
 
+def _label_of(attributes):
+    """The name of the attribute that has the labels; None where none has."""
+    return next((name for name in attributes if name.startswith("_") and column_role(name.strip("_")) == 6), None)
+
+
 class _Piece:
-    """The vertices of one set of positions, and which of them are shown."""
+    """The vertices of one set of positions, normals, labels and weights, and which of them are shown."""
 
     def __init__(self, document, attributes, targets, world, matrices, where):
         points = _morphed(document, attributes, targets, "POSITION", where)
@@ -115,8 +124,7 @@ class _Piece:
             normals = _morphed(document, attributes, targets, "NORMAL", where)
             if len(normals) == len(points):
                 self.cloud.normals = self._turned(normals)
-        label = next((name for name in attributes if name.startswith("_") and column_role(name.strip("_")) == 6), None)
-        if label is not None:
+        if (label := _label_of(attributes)) is not None:
             labels = document.accessor(document.integer(attributes, label, where), where, ("SCALAR",))
             if len(labels) == len(points):
                 set_labels(self.cloud, label, labels)

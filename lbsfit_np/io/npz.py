@@ -11,10 +11,11 @@ import numpy as np
 
 from ..errors import FileError, InputError
 
-__all__ = ["RESULT_KEY", "npz_keys", "read_npy", "read_npz"]
+__all__ = ["MODEL_KEY", "RESULT_KEY", "npz_keys", "read_npy", "read_npz"]
 
-# What the file of a fit has, and no other.
+# What the file of a fit has, or of a learned fitter, and no other.
 RESULT_KEY = "lbsfit_np_result"
+MODEL_KEY = "lbsfit_np_model"
 
 # What zipfile, zlib and numpy raise for files that are cut short, damaged, or something else entirely; RuntimeError is zipfile's
 # word for encrypted members and for compressions that it does not know.

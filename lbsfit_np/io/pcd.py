@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 
 from ..errors import FileError
-from .cloud import cloud_from_columns, columns_by_role
+from .cloud import cloud_from_columns, columns_by_role, in_plain_numbers
 
 __all__ = ["read_pcd"]
 
@@ -83,7 +83,8 @@ def _read_ascii(file, path, names, dtypes, n):
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy warns of blank lines and of no lines at all
             rows = min(n, os.fstat(file.fileno()).st_size)  # no file has more rows than bytes
-            table = np.loadtxt(file, comments=None, usecols=[first[k] for k in wanted], max_rows=rows, ndmin=2)
+            lines = (in_plain_numbers(line.decode("latin-1")) for line in file)
+            table = np.loadtxt(lines, comments=None, usecols=[first[k] for k in wanted], max_rows=rows, ndmin=2)
     except ValueError as error:
         raise FileError(str(path), f"rows that cannot be read ({error})", f"numbers for {', '.join(names)}") from None
     if len(table) < n:

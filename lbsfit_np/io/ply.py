@@ -11,7 +11,7 @@ from array import array
 import numpy as np
 
 from ..errors import FileError
-from .cloud import cloud_from_columns, columns_by_role, fans
+from .cloud import cloud_from_columns, columns_by_role, fans, in_plain_numbers
 
 __all__ = ["read_ply"]
 
@@ -133,7 +133,7 @@ def _read_ascii(file, path, element, count, properties, wanted):
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")  # numpy warns of blank lines and of no lines at all
                 rows = min(count, os.fstat(file.fileno()).st_size)  # no file has more rows than bytes
-                table = np.loadtxt(file, comments=None, max_rows=rows, usecols=wanted or (0,), ndmin=2)
+                table = np.loadtxt(map(in_plain_numbers, file), comments=None, max_rows=rows, usecols=wanted or (0,), ndmin=2)
         except (ValueError, IndexError) as error:
             raise FileError(str(path), f"{element} rows that cannot be read ({error})", _numbers(properties)) from None
         if len(table) < count:
@@ -142,9 +142,9 @@ def _read_ascii(file, path, element, count, properties, wanted):
     lists = {k: (array("q"), array("q")) for k in wanted if properties[k][2]}
     scalars = {k: array("d") for k in wanted if k not in lists}
     for row in range(count):
-        words = file.readline().split()
-        if not words:
-            raise _truncated(path, element, row, count)
+        while not (words := in_plain_numbers(line := file.readline()).split()):  # blank lines are nothing, as among scalars
+            if not line:
+                raise _truncated(path, element, row, count)
         at = 0
         try:
             for k, (_, _, length) in enumerate(properties):

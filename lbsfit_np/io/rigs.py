@@ -12,6 +12,7 @@ from ..rig.build import build_rig
 from ..rig.card import nearest
 from ..rig.chains import loose_joints
 from ..rig.mirror import mirrored
+from .npz import MODEL_KEY, RESULT_KEY, npz_keys
 from .scans import SCAN_EXTENSIONS
 
 __all__ = ["CARD_SUFFIX", "about_bundled", "bundled_rigs", "load_rig", "read_rig_data", "rig_for_card"]
@@ -45,7 +46,7 @@ def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weight
         see :func:`bundled_rigs`.
     card : path-like or Card, optional
         The rig card: what the file cannot say or gets wrong. By default ``STEM.card.toml`` beside the file, if there is one
-        (``rig.notes`` then says so); "none" ignores it.
+        (``rig.notes`` then says so) and the file is no learned model; "none" ignores it.
     shape : str or int, optional
         Which shape to take from a file of several; the first by default.
     skin : str or int, optional
@@ -69,12 +70,18 @@ def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weight
         card = None
     elif card is None and data.path is not None:
         beside = data.path.with_name(data.path.stem + CARD_SUFFIX)
-        if os.path.isfile(beside):
+        if os.path.isfile(beside) and _is_model(data.path):
+            data.notes.append(f"the card {beside.name} beside the file was not used: a learned model keeps its rig as it was")
+        elif os.path.isfile(beside):
             card = beside
             data.notes.append(f"the card {beside.name} beside the file was used")
         elif other := _of_another_case(beside):
             data.notes.append(f"{other} beside the file was not used: a card of this rig is called {beside.name}")
     return build_rig(data, card, normalize_weights=normalize_weights, parts=parts)
+
+
+def _is_model(path):
+    return path.suffix.lower() == ".npz" and MODEL_KEY in npz_keys(path)
 
 
 def _of_another_case(path):
@@ -94,7 +101,8 @@ def read_rig_data(path_or_name, *, shape=None, skin=None):
     RigData
     """
     if _is_mirrored(path_or_name):
-        return mirrored(read_rig_data(_MIRRORED[path_or_name], shape=shape, skin=skin), path_or_name)
+        name = str(path_or_name)
+        return mirrored(read_rig_data(_MIRRORED[name], shape=shape, skin=skin), name)
     path = _found(path_or_name)
     ending = path.suffix.lower()
     if ending not in _ENDINGS:
@@ -150,7 +158,8 @@ def about_bundled(name):
 
 
 def _is_mirrored(name):
-    return isinstance(name, str) and name in _MIRRORED and _MIRRORED[name] in bundled_files("*.npz") and not Path(name).is_file()
+    known = isinstance(name, (str, os.PathLike)) and str(name) in _MIRRORED
+    return known and _MIRRORED[str(name)] in bundled_files("*.npz") and not os.path.isfile(name)
 
 
 def _found(path_or_name):
@@ -176,7 +185,6 @@ def _found(path_or_name):
 
 
 def _npz_reader(path):
-    from .npz import RESULT_KEY, npz_keys
     from .npz_rig import BODY_KEYS, OWN_KEY
 
     keys = npz_keys(path)

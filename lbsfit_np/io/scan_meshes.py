@@ -35,7 +35,7 @@ def read_obj(path):
     with open(path, encoding="latin-1") as file:
 
         def vertex_lines():  # one pass over the file: loadtxt pulls the vertices, the rest is put aside on the way
-            for number, line in enumerate(file, 1):
+            for number, line in _whole_lines(file):
                 words = (line.removeprefix(_BOM) if number == 1 else line).split(None, 1)
                 if not words or len(words) < 2:
                     continue
@@ -76,14 +76,30 @@ def read_obj(path):
     return cloud
 
 
+def _whole_lines(file):
+    """Numbers of lines and lines; one that ends in a backslash with those that it goes on in."""
+    begun, first = "", 0
+    for number, line in enumerate(file, 1):
+        first = first if begun else number
+        if line.endswith("\\\n"):
+            begun += line[:-2] + " "
+            continue
+        yield first, begun + line
+        begun = ""
+    if begun:
+        yield first, begun
+
+
 def read_stl(path):
     """Read an STL file, binary or ASCII. Its loose triangles' equal corners become one point, in order of first appearance."""
     data = path.read_bytes()
     count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
-    if len(data) == 84 + 50 * count:
+    text = (start := data[:4096].removeprefix(_BOM.encode("latin-1")).lstrip().lower()).startswith(b"solid") and b"facet" in start
+    more = len(data) - 84 - 50 * count
+    if more == 0 or (count > 0 and 0 < more < 50 and not text):  # some programs write a few bytes behind the last triangle
         corners = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("extra", "<u2")]), count, 84)
         corners = corners["corners"].reshape(-1, 3)
-    elif (start := data[:4096].removeprefix(_BOM.encode("latin-1")).lstrip().lower()).startswith(b"solid") and b"facet" in start:
+    elif text:
         corners = _ascii_corners(path, data)
     elif count >= 0:
         got = f"{len(data)} bytes where its header announces {count} triangles"

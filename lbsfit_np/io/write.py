@@ -19,6 +19,10 @@ __all__ = [
 ]
 
 
+# Temporary file → the name asked for, which errors tell, also of another file that is written in its place.
+_ASKED_FOR = {}
+
+
 @contextmanager
 def atomic_path(path):
     """A temporary file beside ``path`` to write to, which takes its place when the block ends without an error.
@@ -63,14 +67,30 @@ def atomic_path(path):
         # Created in here, as a process may be told to end as soon as the file is there. mkstemp would make it private (0600);
         # this way the umask decides, as for any file that a user writes.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+        _ASKED_FOR[str(temporary)] = path
         yield temporary
+        _to_disk(temporary)  # before it has the name: else a power cut could leave the name with nothing behind it
         os.replace(temporary, final)
-    except OSError as error:
-        temporary.unlink(missing_ok=True)
-        raise _cannot_write(path, error) from error
-    except BaseException:
-        temporary.unlink(missing_ok=True)
+    except BaseException as error:
+        with suppress(OSError):  # which would hide what has happened
+            temporary.unlink(missing_ok=True)
+        if isinstance(error, OSError):
+            raise _cannot_write(path, error) from error
         raise
+    finally:
+        _ASKED_FOR.pop(str(temporary), None)
+
+
+def _to_disk(path):
+    """Have a file's content on the disk and not only on its way there, where the file system does that."""
+    handle = os.open(path, os.O_RDWR)
+    try:
+        os.fsync(handle)
+    except OSError as error:
+        if error.errno not in (errno.EINVAL, errno.ENOTSUP):
+            raise
+    finally:
+        os.close(handle)
 
 
 def make_folder(out):
@@ -298,9 +318,9 @@ def _write_ply(path, table, faces, part_names):
     header.append("end_header\n")
     with atomic_path(path) as temporary, open(temporary, "wb") as file:
         file.write("\n".join(header).encode("ascii", "backslashreplace"))
-        table.tofile(file)
+        file.write(table)  # tofile would not say that the disk is full
         if faces is not None:
-            faces.tofile(file)
+            file.write(faces)
 
 
 def _plain(obj):
@@ -327,4 +347,4 @@ def _start(name, most=80):
 
 def _cannot_write(path, error):
     why = getattr(error, "strerror", None) or error
-    return FileError(str(path), f"an error while writing ({why})", "a place that can be written to")
+    return FileError(str(_ASKED_FOR.get(str(path), path)), f"an error while writing ({why})", "a place that can be written to")

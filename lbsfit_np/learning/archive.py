@@ -22,7 +22,6 @@ from ..starts.library import PoseLibrary
 from .plain import plain
 
 __all__ = [
-    "MODEL_KEY",
     "learned_arrays",
     "learned_digests",
     "model_digest",
@@ -31,7 +30,6 @@ __all__ = [
     "write_fitter",
 ]
 
-MODEL_KEY = "lbsfit_np_model"
 _FORMAT = 5
 _EXPECTED = "a model that was saved with LBSFitter.save or written by lbsfit learn"
 _OTHERS = "lbs.load_rig reads rigs; lbs.FitResult.load reads results."
@@ -47,6 +45,7 @@ def write_fitter(fitter, path):
     path : path-like
         Should end in ``.npz``.
     """
+    from ..io.npz import MODEL_KEY
     from ..io.npz_rig import rig_arrays
     from ..io.write import check_npz_name, write_npz
 
@@ -156,7 +155,7 @@ def read_fitter(path, make):
     FileError
         No such file, or one that is broken or no model.
     """
-    from ..io.npz import RESULT_KEY, npz_keys, read_npz
+    from ..io.npz import MODEL_KEY, RESULT_KEY, npz_keys, read_npz
     from ..io.rigs import load_rig
 
     if isinstance(path, (str, os.PathLike)) and os.path.isfile(path) and Path(path).suffix.lower() != ".npz":

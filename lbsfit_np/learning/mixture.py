@@ -66,8 +66,7 @@ class Mixture:
         if len(self.poses) and rng.random() < 0.5:
             pose = self.poses[rng.integers(len(self.poses))].copy()
             pose[rig.root] = self.poses[rng.integers(len(self.poses)), rig.root]  # how one faces has nothing to do with the pose
-            turning = (rig.upper > rig.lower) & rig.moving[:, None]
-            pose += _NOISE * rng.uniform(-1, 1, pose.shape) * turning
+            pose += _NOISE * rng.uniform(-1, 1, pose.shape) * rig.turning
             root = pose[rig.root].copy()
             pose = np.clip(pose, rig.lower, rig.upper)
             pose[rig.root] = root

@@ -204,7 +204,7 @@ class GaussNewton:
         model = self.model
         posed = model.deformed(state)
         V, X = posed.vertices, problem.X
-        a = np.full(len(X), 1.0 / len(X)) if problem.x_weights is None else problem.x_weights
+        a = problem.shares
         nearest, known = self._nearest(X, V, labels)
         X, a = X[known], a[known]
         if proba is not None:

@@ -50,6 +50,11 @@ class Problem:
         self.v_weights = v_weights
         self._part_index = None, None
 
+    @property
+    def shares(self):
+        """(n,): ``x_weights``, also where all points have the same."""
+        return np.full(len(self.X), 1.0 / len(self.X)) if self.x_weights is None else self.x_weights
+
     def thinned(self, most):
         """The problem on at most so many of its points, the same ones for the same n."""
         if len(self.X) <= most:

@@ -30,7 +30,9 @@ class Pulling:
     corners, barycentric : (v, 1) or (v, 3) arrays
         Vertices that a place hangs on, and how.
     weights : (v,) array
-        Shares of the surface that the places stand for; they sum to 1.
+        They sum to 1. On a mesh of fewer vertices than places, shares of the surface that the places stand for. Of vertices
+        that were chosen, their own shares among these alone: where vertices lie densely, as on fingers of a body, each pulls
+        less than its place would, which measured fits are better for.
     """
 
     def __init__(self, model, most):

@@ -51,7 +51,7 @@ class Layout:
     def __init__(self, rig, free, n_coefficients):
         self._free = frozenset(free)
         m = len(rig.vertices)
-        turning = (rig.upper > rig.lower) & rig.moving[:, None]
+        turning = rig.turning.copy()
         turning[rig.root] = True
         self.turning = turning
         # One unit of each block changes the loss by a comparable amount, which is what L-BFGS starts from: a single

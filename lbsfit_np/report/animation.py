@@ -32,6 +32,7 @@ __all__ = ["check_fit", "odd_scales", "said_unit", "save_animation", "stands_alo
 _OFFSETS = ("mean", "each")
 _SET = 4  # influences in one set of attributes (3.7.3.3)
 _MOST = 1e15  # of any number, so that products stay within single precision
+_STEP = 1e-5  # of single precision's numbers, as a share of the rig's size, that frames may be off by
 
 
 def save_animation(
@@ -84,7 +85,9 @@ def save_animation(
 
     Notes
     -----
-    Vertices, faces and joints are the rig's, in its order and with its names; normals are those of the mean template. The
+    Where scans are so far from the origin that single precision loses their motion, the skeleton hangs on a node "place of the
+    scans", whose translation says where they are; most programs show it better without. Vertices, faces and joints are the rig's,
+    in its order and with its names; normals are those of the mean template. The
     material is plain grey. There are no texture coordinates, as a ``Rig`` has none.
     """
     results = _checked(path, rig, results)
@@ -110,7 +113,7 @@ def write_animation(path, rig, results, *, offsets, frames_per_second, up, metre
     shown = [(r.offsets, r.rest_joints) if exact else (mean, joints) for r in results]
     moving = results if exact else _of_one_size(rig, results, mean, joints)
     away = np.array([_distance(rig, *frame) for frame in zip(moving, *zip(*shown, strict=True), results, strict=True)])
-    motion = _in_gltf(rig, moving, shown, mean, joints, _turn(rig, up), metres)
+    place, motion = _near_the_origin(_in_gltf(rig, moving, shown, mean, joints, _turn(rig, up), metres))
 
     from .. import __version__
     from ..io.glb import GlbWriter
@@ -121,7 +124,10 @@ def write_animation(path, rig, results, *, offsets, frames_per_second, up, metre
     binds = _inverse_binds(writer, motion.rig)
     skin = writer.add("skins", name=rig.name, joints=list(range(len(rig.parents))), inverseBindMatrices=binds)
     body = writer.add("nodes", name=f"{rig.name} mesh", mesh=mesh, skin=skin)
-    writer.add("scenes", nodes=[rig.root, body])
+    top = rig.root
+    if place.any():
+        top = writer.add("nodes", name="place of the scans", translation=place.tolist(), children=[rig.root])
+    writer.add("scenes", nodes=[top, body])
     writer.root["scene"] = 0
     if len(results) > 1:
         _animate(writer, motion, values, np.arange(len(results)) / frames_per_second, body)
@@ -296,6 +302,18 @@ def _in_gltf(rig, results, shown, mean, joints, turn, metres):
         np.array([r.scale for r in results]) / scale,
         morphs if morphs.any() else None,
     )
+
+
+def _near_the_origin(motion):
+    """Where fits are that are so far away that single precision would lose how they move, (3,), and the motion from there.
+
+    It is 0 where they are near enough. As a node's translation it is exact in itself.
+    """
+    step = np.finfo("<f4").eps * np.abs(motion.translation).max()
+    if step <= _STEP * motion.rig.size:
+        return np.zeros(3), motion
+    place = motion.translation.mean(axis=0).astype("<f4").astype(float)
+    return place, replace(motion, translation=motion.translation - place)
 
 
 def _mean(arrays):

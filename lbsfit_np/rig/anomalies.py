@@ -92,7 +92,8 @@ def skin_notes(rig):
             f"{len(blind)} moving joints have no part of their own, because no vertex belongs mostly to them: {listed(blind)}"
         )
     for name, groups in rig.partitions.items():
-        missing = [part for part in groups if part not in rig.with_parts(name).parts]
+        there = rig.with_parts(name).parts
+        missing = [part for part in groups if part not in there]
         if missing:
             notes.append(f"partition {name!r}: no vertex belongs mostly to {listed(missing)}; such parts are left out")
     return notes

@@ -74,7 +74,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     notes = list(data.notes)
     names, parents, joints, frames = check_joints(report, data)
     vertices, faces = check_mesh(report, data.vertices, data.faces)
-    weights = check_weights(report, data.weights, len(vertices), names, normalize_weights, notes)
+    weights = check_weights(report, data.weights, len(vertices), faces, names, normalize_weights, notes)
     unit, up, forward = (
         mine if mine is not None else theirs
         for mine, theirs in ((card.metres_per_unit, data.metres_per_unit), (card.up, data.up), (card.forward, data.forward))

@@ -106,8 +106,8 @@ def check_mesh(report, vertices, faces):
     return vertices, faces
 
 
-def check_weights(report, weights, m, joint_names, normalize, notes):
-    """Skinning weights as an (m, J) csr_array whose rows sum to 1."""
+def check_weights(report, weights, m, faces, joint_names, normalize, notes):
+    """Skinning weights as an (m, J) csr_array whose rows sum to 1; vertices of no face without weights get the first joint's."""
     J = len(joint_names)
     w = report.matrix("weights", weights, (m, J))
     if (w.data < 0).any():
@@ -117,6 +117,12 @@ def check_weights(report, weights, m, joint_names, normalize, notes):
         got = f"{counted(np.count_nonzero(w.data < 0), 'negative weight')}, the worst {worst}"
         report.fail("weights", got, "weights of 0 and more", "Clean the weights in the program that made the rig.")
     sums = np.asarray(w.sum(axis=1)).ravel()
+    idle = np.setdiff1d(np.flatnonzero(sums <= 0), faces)
+    if len(idle):
+        w = sparse.csr_array(w + sparse.coo_array((np.ones(len(idle)), (idle, np.zeros(len(idle), dtype=int))), shape=w.shape))
+        sums[idle] = 1.0
+        which = "vertex of no face has no weight, follows" if len(idle) == 1 else "vertices of no face have no weight, follow"
+        notes.append(f"{len(idle)} {which} {joint_names[0]!r}")
     if (sums <= 0).any():
         first = int(np.flatnonzero(sums <= 0)[0])
         got = f"{np.count_nonzero(sums <= 0)} of {m} vertices without any weight, the first is vertex {first}"

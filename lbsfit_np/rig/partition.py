@@ -41,7 +41,7 @@ def parts_of_joints(rig):
         part[[row[n] for n in members]] = p
     for level, up in rig.levels:
         part[level] = np.where(part[level] < 0, part[up], part[level])
-    leads = np.unique(leading_joint(rig)[~rig.loose])  # of the surface, as no scan shows more
+    leads = np.unique(leading_joint(rig)[rig.welded_from])  # of the surface, as no scan shows more; ``welded`` has the same
     homeless = [rig.joint_names[j] for j in leads if part[j] < 0]
     if homeless:
         raise InputError(

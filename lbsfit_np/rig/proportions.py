@@ -98,6 +98,8 @@ def proportions(rig):
     for g, q in enumerate(branching):
         j = owner[q]
         girths[:, :, g] = _GIRTH * weight[:, j, None] * ((rig.vertices - rig.joints[j]) @ stretch[j, :, :, q])
+    copies = np.where(rig.loose, np.arange(m), rig.welded_from[rig.weld])  # weights that differ a little would open seams
+    basis, girths = basis[copies], girths[copies]
     for array in (basis, joints, length, owner, girths):
         array.setflags(write=False)  # the rig keeps them
     return Proportions(basis, joints, length, owner, girths)

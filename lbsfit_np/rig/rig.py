@@ -136,6 +136,11 @@ class Rig:
         return moving
 
     @cached_property
+    def turning(self):
+        """(J, 3) bool: the angles with room between their limits, of joints that are not locked."""
+        return (self.upper > self.lower) & self.moving[:, None]
+
+    @cached_property
     def size(self):
         """Longest side of the bounding box of the rest pose's surface, in rig units."""
         return float(self.sides.max())
@@ -285,7 +290,9 @@ class Rig:
     def with_parts(self, granularity):
         """Return the same rig with another of its partitions in use."""
         check_partition("parts", granularity, self.partitions)
-        return replace(self, granularity=granularity)
+        rig = replace(self, granularity=granularity)
+        rig.__dict__.update({name: value for name, value in self.__dict__.items() if name == "_weld"})  # of any parts the same
+        return rig
 
     def with_template(self, vertices, joints=None):
         """Return the same rig on a changed template U^d.
@@ -417,22 +424,22 @@ def _bytes(a):
 
 
 def weld_rig(rig):
-    """A rig on the distinct vertices of the surface of ``rig``: faces renumbered, degenerate ones dropped, weights averaged."""
+    """A rig on the distinct vertices of the surface of ``rig``: faces renumbered, degenerate ones dropped.
+
+    Of copies it has the first one's weights: with others, such as their mean, another joint might lead, and a part be lost.
+    """
     weld, m, n = rig._weld, len(rig.vertices), len(rig.welded_from)
     faces = weld.rows[rig.faces]
     sound = proper(faces)
     if n == m:
         return rig if sound.all() else replace(rig, faces=faces[sound])
     member = sparse.csr_array((np.ones(m), (weld.rows, np.arange(m))), shape=(n, m))
-    shown = np.flatnonzero(~weld.loose)
-    counts = np.bincount(weld.rows[shown], minlength=n)
-    mean = sparse.diags_array(1.0 / counts) @ member[:, shown]
     regressor = sparse.csr_array(rig.regressor @ sparse.csr_array(member.T))
     return replace(
         rig,
         vertices=rig.vertices[weld.first],
         faces=faces[sound],
-        weights=sparse.csr_array(mean @ rig.weights[shown]),
+        weights=rig.weights[weld.first],
         regressor=exact_regressor(regressor, rig.vertices[weld.first], rig.joints) if weld.loose.any() else regressor,
         shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, weld.first]),
     )

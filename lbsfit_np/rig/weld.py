@@ -46,12 +46,14 @@ def weld_of(vertices, weights, faces):
     faces : (F, 3) int array
         Where none of them is proper, no vertex is loose.
     """
-    size = max(float(np.ptp(vertices, axis=0).max()), np.finfo(float).tiny)
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    pairs = cKDTree(vertices).query_pairs(_POSITION * size, output_type="ndarray")
+    # Of others there may be very many at one place, each a pair with each, or one that is far away.
+    used = np.unique(faces) if proper(faces).any() else np.arange(len(vertices))
+    size = max(float(np.ptp(vertices[used], axis=0).max()), np.finfo(float).tiny)
+    pairs = used[cKDTree(vertices[used]).query_pairs(_POSITION * size, output_type="ndarray")]
     if len(pairs):
         apart = abs(weights[pairs[:, 0]] - weights[pairs[:, 1]]).sum(axis=1)
         pairs = pairs[np.asarray(apart).ravel() <= _WEIGHT]

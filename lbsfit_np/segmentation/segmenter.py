@@ -20,6 +20,8 @@ from .stage import LARGEST, Stage, Training, in_half_precision, train_stage
 __all__ = ["Segmenter", "jobs_of", "train_segmenter"]
 
 _FORMAT = 3
+# What the file of a segmenter has, and no other.
+_KEY = "lbsfit_np_segmenter"
 # Axes about which the copies of a scan that it is labelled by are turned: a tetrahedron's, as far from each other as can be.
 _AXES = np.array([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]]) / np.sqrt(3)
 # By how much, radians, and how far the root has to turn either way in training for that; less where it turns less.
@@ -74,7 +76,9 @@ class Segmenter:
     def predict_proba(self, points, *, scale=1.0, rows=None, views=4):
         """Give the probability of each part for points of a scan, as the mean over slightly turned copies.
 
-        Voxels, probes and what the classifiers happen to have learned fall differently on each copy, so that errors cancel.
+        Voxels, probes and what the classifiers happen to have learned fall differently on each copy, so that errors cancel. The
+        order of the points has a little say: every so-manieth of them tells what is around a point. In another order one or two
+        points in a hundred get another part.
 
         Parameters
         ----------
@@ -140,7 +144,7 @@ class Segmenter:
         from ..io.write import write_npz
 
         header = json.dumps({"format": _FORMAT} | self.header())
-        write_npz(path, lbsfit_np_segmenter=np.array(header), **self.arrays("stage"))
+        write_npz(path, **{_KEY: np.array(header)}, **self.arrays("stage"))
 
     def header(self):
         """Everything but the stages' arrays, as plain data for JSON."""
@@ -162,12 +166,15 @@ class Segmenter:
     @classmethod
     def load(cls, path):
         """Read what :meth:`save` wrote."""
-        from ..io.npz import read_npz
+        from ..io.npz import MODEL_KEY, RESULT_KEY, read_npz
 
         arrays = read_npz(path)
         expected = "a segmenter that was saved with Segmenter.save"
+        if _KEY not in arrays:
+            got = "a learned model" if MODEL_KEY in arrays else "the result of a fit" if RESULT_KEY in arrays else "another NPZ"
+            raise FileError(str(path), f"{got}, without the key {_KEY}", expected, "Check the path.")
         try:
-            header = json.loads(str(arrays["lbsfit_np_segmenter"]))
+            header = json.loads(str(arrays[_KEY]))
             version = header["format"]
             if version == _FORMAT:
                 return cls.from_arrays(header, arrays, "stage")
@@ -186,8 +193,8 @@ def train_segmenter(
     rig : Rig
         The welded rig.
     scan : callable
-        i → (points, labels, scale) of scan i: points in the scan's unit, labels that index rig.parts, and scan units per rig
-        unit. Points with label −1 are seen but not learned. It must be picklable if ``n_jobs`` asks for processes.
+        i → (points, labels, scale) of scan i: points in the scan's unit, whole labels that index rig.parts, and scan units per
+        rig unit. Points with label −1 are seen but not learned. It must be picklable if ``n_jobs`` asks for processes.
     n_scans : int
     training : Training, optional
     descriptor : Descriptor, optional
@@ -208,8 +215,8 @@ def train_segmenter(
     Raises
     ------
     InputError
-        ``n_scans`` or ``n_jobs`` cannot be used, ``start`` has other parts or layers or another descriptor, ``scan`` cannot be
-        sent to processes, or one of these was killed.
+        ``n_scans``, ``n_jobs`` or what ``scan`` returns cannot be used, ``start`` has other parts or layers or another
+        descriptor, ``scan`` cannot be sent to processes, or one of these was killed.
     KeyboardInterrupt
         On Ctrl-C, once all processes have ended.
     """
@@ -227,7 +234,7 @@ def train_segmenter(
     stages = ()
     for k, (name, (begin, stop)) in enumerate(zip(("first", "second"), spans, strict=False)):
         done, share = begin / n_scans, (stop - begin) / n_scans / 2
-        describe = _Describe(scan, descriptor, half, training.points_per_scan, random_state, stages[0] if stages else None)
+        describe = _Describe(scan, descriptor, half, training.points_per_scan, n_parts, random_state, *(stages or [None]))
         X, y = _describe_all(describe, begin, stop, jobs, lambda p, d=done, s=share: progress(d + s * p))
         stage = train_stage(
             X,
@@ -263,6 +270,7 @@ class _Describe:
     descriptor: Descriptor
     half: float
     points_per_scan: int
+    n_parts: int
     random_state: int | None
     first: Stage | None
 
@@ -270,6 +278,7 @@ class _Describe:
         X, y = [], []
         for i in map(int, indices):
             points, labels, scale = self.scan(i)
+            self._check(i, points, labels)
             points = points / (scale * self.half)
             rng = generator(self.random_state, "segmenter points", i)
             of_the_body = np.flatnonzero(labels >= 0)  # clutter and floor are there to be seen, not to be learned
@@ -277,6 +286,18 @@ class _Describe:
             X.extend(_described(points, rows, self.descriptor, *([] if self.first is None else [self.first])))
             y.append(labels[rows])
         return in_half_precision(np.concatenate(X)), np.concatenate(y)
+
+    def _check(self, i, points, labels):
+        """Raise InputError where a scan cannot be learned from; after the training of a stage would be late."""
+        points, labels = np.asarray(points), np.asarray(labels)
+        if points.ndim != 2 or points.shape[1:] != (3,) or labels.shape != points.shape[:1] or labels.dtype.kind not in "iu":
+            got = f"points of shape {points.shape} and {labels.dtype} labels of shape {labels.shape}"
+            raise InputError("scan", f"{got} of scan {i}", "points of shape (n, 3) and n whole numbers")
+        if not np.isfinite(points).all():
+            raise InputError("scan", f"points that are NaN or infinite, of scan {i}", "finite points")
+        if labels.max(initial=-1) >= self.n_parts or labels.min(initial=-1) < -1:
+            got = f"labels from {labels.min()} to {labels.max()} of scan {i}"
+            raise InputError("scan", got, f"labels from 0 to {self.n_parts - 1}, or −1 where none is known")
 
 
 def _describe_all(describe, start, stop, jobs, progress):

@@ -89,9 +89,12 @@ class Stage:
     only: int = 0
 
     def __post_init__(self):
-        """Raise ValueError unless the arrays fit together, so that no broken file fails later, far from its name."""
-        if self.mean.ndim != 1 or self.mean.shape != self.deviation.shape:
-            raise ValueError("a mean and deviations of different shapes")
+        """Raise ValueError unless the arrays are finite and fit together: no broken file is to fail later, far from its name."""
+        layers = () if self.classifier is None else (*self.classifier.coefs_, *self.classifier.intercepts_)
+        if not all(a.dtype.kind == "f" and np.isfinite(a).all() for a in (self.mean, self.deviation, *layers)):
+            raise ValueError("values that are not finite numbers")
+        if self.mean.ndim != 1 or self.mean.shape != self.deviation.shape or not (self.deviation > 0).all():
+            raise ValueError("a mean and deviations that do not fit together")
         if self.classifier is None:
             if not 0 <= self.only < self.n_parts:
                 raise ValueError("a part that does not exist")

@@ -78,7 +78,10 @@ class PoseLibrary:
     layers: tuple
 
     def __post_init__(self):
-        """Raise ValueError unless the arrays fit together."""
+        """Raise ValueError unless the arrays are finite and fit together."""
+        arrays = self.looks, self.radii, self.poses, self.mean, self.deviation, *(a for layer in self.layers for a in layer)
+        if not all(a.dtype.kind == "f" and np.isfinite(a).all() for a in arrays):
+            raise ValueError("a library of poses with values that are not finite numbers")
         widths = [self.looks.shape[1:], *(w.shape[1:] for w, _ in self.layers)]
         fit = all((w.shape[0],) == width and b.shape == w.shape[1:] for (w, b), width in zip(self.layers, widths))
         ends = self.mean.shape == self.deviation.shape == self.looks.shape[1:] and widths[-1] == (self.poses[0].size,)
@@ -170,7 +173,7 @@ class PoseLibrary:
 
         try:
             return cls.from_arrays(read_npz(path), "library")
-        except (KeyError, ValueError, IndexError) as error:
+        except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
             raise FileError(str(path), f"a file whose content does not fit ({error})", "a library of poses") from None
 
 
