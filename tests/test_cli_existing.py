@@ -328,10 +328,16 @@ def test_skip_leaves_files_alone_that_are_no_fits(fitted, made, tmp_path, run, m
     fit.write_bytes((fitted[0] / "one.fit.npz").read_bytes())
     code, _, err = run(*arguments, "--parts", "arm and fingers")
     assert code == 2 and "a fit of another rig" in one_line(err)
-    fit.write_bytes(b"of somebody who keeps it to herself")
-    monkeypatch.setattr("lbsfit_np.cli.kept_fits.os.access", lambda path, mode: path != fit)
+    before = fit.read_bytes()
+
+    def refused(path, *arguments, **options):
+        raise PermissionError(13, "Permission denied", path)
+
+    monkeypatch.setattr("lbsfit_np.cli.kept_fits.open", refused, raising=False)
+    fit.write_bytes(before[:100])
     code, _, err = run(*arguments)
     assert code == 2 and "--existing skip: got" in one_line(err) and "expected fits that can be read" in err
+    assert fit.read_bytes() == before[:100]
 
 
 def test_a_mesh_without_content_is_missing(fitted, made, tmp_path, run):
@@ -353,10 +359,38 @@ def test_kept_fits_of_other_points_are_told(fitted, made, tmp_path, run):
     code, text, _ = run(*arguments)
     assert code == 0 and "note: " not in text and '"other_points"' not in (tmp_path / "summary.json").read_text()
     moved = lbs.load_scan(made / "two.xyz").points + [0.0, 0.0, 0.01]
-    for points, scans in ((moved, f"{other} has"), (moved[:300], f"{other} has")):
+    for points in (moved, moved[:300]):
         write_points_ply(other, points)
+        run(*arguments)
+        os.utime(other, ns=(0, 0))  # what was found is found again
         code, text, _ = run(*arguments)
-        said = f"note: 1 kept fit was made of other points than {scans} now, read with these options; --existing replace"
+        said = f"note: 1 kept fit was made of other points than those now in {other}, read with these options; --existing"
         assert code == 0 and said in text and "kept existing fits of 2 of 2 scans" in text
         entries = {e["name"]: e for e in json.loads((tmp_path / "summary.json").read_text())["scans"]}
         assert entries["one"]["other_points"] and "other_points" not in entries["two"]
+    other.write_text("ply")
+    text = run(*arguments)[1]
+    assert f"note: 1 kept fit was not compared with {other}: with these options it cannot be read" in text
+    assert '"other_points": null' in (tmp_path / "summary.json").read_text()
+
+
+def test_scans_that_were_read_before_are_not_read_again(fitted, made, tmp_path, run, monkeypatch):
+    """Unless they were read otherwise, or have been written since."""
+    for path in fitted[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    scan = tmp_path / "scans" / "one.ply"
+    scan.parent.mkdir()
+    scan.write_bytes((made / "one.ply").read_bytes())
+    read = []
+    monkeypatch.setattr("lbsfit_np.cli.kept_fits._has_other_points", lambda files, *_: read.append(files.source) or False)
+    arguments = ("fit", made / "tube.npz", scan, "-o", tmp_path, "--existing", "skip", *QUICK)
+    os.utime(scan, ns=(0, 0))
+
+    def read_in(*more):
+        read.clear()
+        assert run(*arguments, *more)[0] == 0
+        return len(read)
+
+    assert [read_in(*more) for more in ((), (), ("--drop-invalid",), ("--drop-invalid",), ())] == [1, 0, 1, 0, 1]
+    os.utime(scan)
+    assert read_in() == 1

@@ -97,17 +97,41 @@ def test_mirrored_meshes_look_outwards(tmp_path, scale):
     assert (np.einsum("ia,ia->i", out, p.mean(axis=1) - vertices.mean(axis=0)) > 0).all()
 
 
-@pytest.mark.parametrize("other", ["NORMAL", "_LABEL"])
-def test_primitives_of_one_set_of_positions_have_their_own_normals_and_labels(tmp_path, other):
+def test_primitives_of_one_set_of_positions_have_their_own_labels(tmp_path):
     writer = scene([{"mesh": 0}], [(4, [0, 1, 2], {}), (4, [3, 4, 5], {})])
-    more = writer.accessor(-UPWARDS) if other == "NORMAL" else writer.accessor(LABELS + 10, "u1")
     second = writer.json["meshes"][0]["primitives"][1]
-    second["attributes"] = second["attributes"] | {other: more}
+    second["attributes"] = second["attributes"] | {"_LABEL": writer.accessor(LABELS + 10, "u1")}
     scan = load_scan(save(writer, tmp_path))
     np.testing.assert_allclose(scan.points, CORNERS)
-    changed = np.repeat([0, 1], 3)
-    np.testing.assert_array_equal(scan.labels, LABELS + 10 * changed * (other == "_LABEL"))
-    np.testing.assert_array_equal(scan.normals[:, 2], np.where(changed * (other == "NORMAL"), -1.0, 1.0))
-    del second["attributes"][other]
+    np.testing.assert_array_equal(scan.labels, [0, 1, 2, 13, 14, 15])
+    np.testing.assert_array_equal(scan.normals, UPWARDS)
+    del second["attributes"]["_LABEL"]
+    assert load_scan(save(writer, tmp_path)).labels is None
+
+
+@pytest.mark.parametrize("none", [False, True])
+def test_normals_that_differ_at_the_same_vertices_are_left_out(tmp_path, none):
+    """As of the two sides of a sheet, whose points come once all the same."""
+    writer = scene([{"mesh": 0}], [(4, range(6), {}), (4, [2, 1, 0], {})])
+    second = writer.json["meshes"][0]["primitives"][1]
+    second["attributes"] = second["attributes"] | {"NORMAL": writer.accessor(-UPWARDS)}
+    if none:
+        del second["attributes"]["NORMAL"]
     scan = load_scan(save(writer, tmp_path))
-    assert (scan.normals is None, scan.labels is None) == (other == "NORMAL", other == "_LABEL")
+    np.testing.assert_allclose(scan.points, CORNERS)
+    assert scan.normals is None and len(scan.labels) == 6
+    assert any("has no normals, or others, than those before it at the same vertices" in note for note in scan.notes)
+
+
+@pytest.mark.parametrize("skinned", [False, True])
+def test_primitives_of_one_set_of_positions_follow_their_own_joints(tmp_path, skinned):
+    nodes = [{"mesh": 0}, {"translation": [10, 0, 0]}, {"translation": [0, 20, 0]}]
+    writer = scene(nodes, [(4, [0, 1, 2], {}), (4, [3, 4, 5], {})])
+    for k, primitive in enumerate(writer.json["meshes"][0]["primitives"]):
+        joints = writer.accessor(np.tile([k, 0, 0, 0], (6, 1)), "u1")
+        weights = writer.accessor(np.tile([1.0, 0, 0, 0], (6, 1)))
+        primitive["attributes"] = primitive["attributes"] | {"JOINTS_0": joints, "WEIGHTS_0": weights}
+    if skinned:
+        writer.json["nodes"][0]["skin"] = writer.add("skins", joints=[1, 2])
+    moved = np.repeat([[10.0, 0, 0], [0, 20, 0]], 3, axis=0) if skinned else 0.0
+    np.testing.assert_allclose(load_scan(save(writer, tmp_path)).points, CORNERS + moved)

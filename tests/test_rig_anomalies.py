@@ -229,7 +229,7 @@ def test_vertices_of_no_face_need_no_weights(tube_rig):
     w = data.weights.toarray()
     w[0] = 0.0
     rig = build_rig(replace(data, weights=w))
-    assert "1 vertex of no face has no weight, follows 'root'" in rig.notes
+    assert "1 vertex of no face has no weight, and follows 'root'" in rig.notes
     np.testing.assert_array_equal(rig.weights.toarray()[0], [1.0, 0, 0, 0])
     np.testing.assert_array_equal(rig.welded.weights.toarray(), tube_rig.weights.toarray())
     w[1] = w[7] = 0.0
@@ -242,3 +242,34 @@ def test_what_is_known_of_seams_goes_on_to_other_parts(tube_rig, monkeypatch):
     assert rig.weld is not None
     monkeypatch.setattr("lbsfit_np.rig.rig.weld_of", None)
     assert rig.with_parts("arm and fingers").parts == ("arm", "fingers")
+
+
+def test_collapsed_faces_weld_nothing(tube_rig):
+    """Very many vertices at one place, of faces that are points."""
+    data = make_tube_data()
+    faces = np.arange(6000).reshape(-1, 3)
+    more = with_loose_vertices(data, np.zeros((6000, 3)))
+    rig = build_rig(replace(more, faces=np.vstack([faces, more.faces])))
+    np.testing.assert_array_equal(rig.welded.vertices, tube_rig.vertices)
+    np.testing.assert_array_equal(rig.welded.faces, tube_rig.faces)
+
+
+def test_what_was_trained_on_a_rig_with_seams_is_of_it_still():
+    """The digest goes by how weights are stored: as what a product of sparse matrices gives, as it always was."""
+    rig = build_rig(seamed(make_tube_data(), [5, 60, 200]))
+    mean = sparse.csr_array((1 / np.bincount(rig.weld)[rig.weld], (rig.weld, np.arange(245))), shape=(242, 245))
+    as_mean = replace(rig.welded, weights=sparse.csr_array(mean @ rig.weights))
+    assert as_mean.digest == rig.welded.digest
+
+
+def test_vertices_of_no_face_without_weights_follow_the_root_wherever_it_stands():
+    data = with_loose_vertices(make_tube_data(), [[9.0, 9, 9]])
+    order = [3, 0, 1, 2]  # the root is second
+    w = data.weights.toarray()[:, order]
+    w[0] = 0.0
+    picked = {name: np.asarray(getattr(data, name))[order] for name in ("joints", "frames", "lower", "upper")}
+    names = [data.joint_names[j] for j in order]
+    parents = np.array([order.index(p) if p >= 0 else -1 for p in np.asarray(data.parents)[order]])
+    rig = build_rig(replace(data, weights=w, joint_names=names, parents=parents, regressor=None, **picked))
+    np.testing.assert_array_equal(rig.weights.toarray()[0], [0.0, 1, 0, 0])
+    assert rig.root == 1 and any("follows 'root'" in note for note in rig.notes)

@@ -118,13 +118,27 @@ def test_limits_of_joints_that_turn_beyond_half_a_turn():
     angles = np.radians([0.0, 60, 120, 170, 190, 150])
     animated = np.zeros((6, 3, 3))
     animated[:, 1, 0] = (angles + np.pi) % (2 * np.pi) - np.pi
-    animated[:, 2] = np.where(angles > np.radians(165), -1.0, 1.0)[:, None] * np.radians([5.0, 0, 0])
     wobble = np.radians([175.0, 178, 182, 185, 179, 176])
     animated[:, 2] = ((wobble + np.pi) % (2 * np.pi) - np.pi)[:, None] * np.array([1.0, 1, 0]) / np.sqrt(2)
     lower, upper, seen = derived_limits(0, 3, animated)
     np.testing.assert_array_equal(seen, [False, True, True])
     np.testing.assert_allclose([lower[1, 0], upper[1, 0]], [-0.25 * np.radians(190), np.radians(190)])
     assert lower[2, 0] == lower[2, 1] == 0.0 and upper[2, 0] == pytest.approx(np.radians(185) / np.sqrt(2) + 0.1)
-    animated[:, 1, 0] = (np.radians([0.0, 100, 200, 300, 400, 500]) + np.pi) % (2 * np.pi) - np.pi  # a wheel
-    lower, upper, _ = derived_limits(0, 3, animated)
-    np.testing.assert_allclose([lower[1, 0], upper[1, 0]], [-np.pi, np.pi])
+    for shuffled in (animated[::-1], animated[[3, 0, 4, 1, 5, 2]]):  # as of several clips
+        np.testing.assert_allclose(derived_limits(0, 3, shuffled)[:2], [lower, upper], atol=1e-12)
+
+
+@pytest.mark.parametrize("start", [0.0, 1, 20, 90, -170])
+@pytest.mark.parametrize("turns", [[0, 45, 90, 135, 180, 225, 270, 315, 360], [0, 190, 90, 150], [0, 200, -5, -20], [0, 330]])
+def test_rigs_of_clips_with_any_turns_can_be_used(start, turns):
+    """Wheels, several clips, joints beyond half a turn: poses lie within limits, and show what the clips do."""
+    data = make_tube_data()
+    angles = np.radians(start + np.array(turns))
+    animated = np.zeros((len(turns), 4, 3))
+    animated[:, 2, 0] = (angles + np.pi) % (2 * np.pi) - np.pi
+    rig = build_rig(replace(data, lower=None, upper=None, animated=animated))
+    assert (np.abs([rig.lower, rig.upper]) <= 2 * np.pi).all() and rig.poses
+    for theta in rig.poses.values():
+        assert (theta >= rig.lower - 1e-9).all() and (theta <= rig.upper + 1e-9).all()
+        away = matrix_from_rotvec(theta[2]) - matrix_from_rotvec(animated[:, 2])
+        assert np.abs(away).max(axis=(1, 2)).min() < 1e-9

@@ -358,3 +358,22 @@ def test_lines_that_go_on_and_bytes_behind_the_last_triangle(tmp_path):
     np.testing.assert_array_equal(load_scan(write(tmp_path, "a.stl", binary_stl() + b"\0\0")).points, POINTS)
     with pytest.raises(FileError, match="announces 4 triangles"):
         load_scan(write(tmp_path, "a.stl", binary_stl() + bytes(50)))
+    ascii_one = ascii_stl()  # four bytes of which, read as a number, could be that of triangles that nearly fill it
+    n = (len(ascii_one) - 84) // 50
+    count = struct.pack("<I", n)
+    head = ascii_one.index(b"\n") + 1
+    odd = ascii_one[: head - 1] + b" " * (80 - head + 1) + count + b"\n" + ascii_one[head:]
+    odd = odd[:80] + struct.pack("<I", (len(odd) - 85) // 50) + odd[84:]
+    np.testing.assert_array_equal(load_scan(write(tmp_path, "b.stl", odd)).points, POINTS)
+
+
+@pytest.mark.parametrize("line", ["# exported from C:\\Users\\me\\", "o a\\", "mtllib C:\\x\\", ""])
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_names_that_end_in_a_backslash_are_names(line, end, tmp_path):
+    text = obj().decode().replace("\n", end)
+    mesh = load_mesh(write(tmp_path, "a.obj", (line + end + text).encode()))
+    np.testing.assert_array_equal(mesh[0], POINTS)
+    np.testing.assert_array_equal(mesh[1], FACES)
+    cropped = obj().decode() + "".join(f"v {k} 0 9\n" for k in range(12))
+    notes = load_scan(write(tmp_path, "b.obj", cropped.encode()), n_samples=30).notes
+    assert "12 of its 16 points are in no triangle: left out." in notes

@@ -178,6 +178,13 @@ def test_numbers_that_are_none_are_told_when_it_is_loaded(key, saved):
             Segmenter.load(saved)
 
 
+def test_deviations_divide(saved):
+    arrays = _arrays(saved)
+    np.savez(saved, **arrays | {"stage_0_deviation": 0 * arrays["stage_0_deviation"]})
+    with pytest.raises(FileError, match="content does not fit .*a mean and deviations"):
+        Segmenter.load(saved)
+
+
 @pytest.mark.parametrize("key, what", [("lbsfit_np_model", "a learned model"), ("mine", "another NPZ")])
 def test_another_file_is_told_from_a_broken_one(key, what, tmp_path):
     np.savez(tmp_path / "s.npz", **{key: np.arange(3)})

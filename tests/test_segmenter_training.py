@@ -205,6 +205,13 @@ def test_fewer_points_than_chunks_are_learned(tube_rig, tube_scan):
     assert np.isfinite(one.predict_proba(tube_scan.points)).all()
 
 
+def test_labels_may_be_bytes(tube_rig):
+    few = scans_of(tube_rig, 2)
+    short = Scans([(p, y.astype(np.uint8), k) for p, y, k in few.scans])
+    one, two = (train_segmenter(tube_rig, s, 2, training=Training(points_per_scan=20), random_state=0) for s in (few, short))
+    np.testing.assert_array_equal(one.stages[0].classifier.coefs_[0], two.stages[0].classifier.coefs_[0])
+
+
 def test_scans_without_a_label_are_refused(tube_rig):
     scan = Scans([(p, np.full_like(y, -1), k) for p, y, k in scans_of(tube_rig, 2).scans])
     with pytest.raises(InputError, match="^scan: got scans without a point that has a label"):

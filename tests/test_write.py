@@ -1,5 +1,6 @@
 """Written files: whole or not at all, and read back as they were."""
 
+import errno
 import json
 import os
 import stat
@@ -239,6 +240,16 @@ def test_what_is_written_is_on_the_disk_before_it_has_its_name(tmp_path, monkeyp
     write_json(tmp_path / "a.json", {"a": 1})
     ((size, there),) = seen
     assert size == (tmp_path / "a.json").stat().st_size > 0 and "a.json" not in there
+
+
+@pytest.mark.parametrize("code", [errno.EINVAL, errno.ENOTSUP])
+def test_file_systems_that_cannot_say_when_are_good_enough(code, tmp_path, monkeypatch):
+    def cannot(handle):
+        raise OSError(code, os.strerror(code))
+
+    monkeypatch.setattr(os, "fsync", cannot)
+    write_json(tmp_path / "a.json", {"a": 1})
+    assert names(tmp_path) == ["a.json"]
 
 
 def test_an_error_names_what_was_asked_for_and_what_was_wrong(tmp_path, monkeypatch):

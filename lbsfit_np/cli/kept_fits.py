@@ -1,6 +1,7 @@
 """Fits of earlier runs that ``--existing skip`` keeps, once it is sure what they were made with."""
 
 import functools
+import json
 import os
 from collections import Counter
 
@@ -10,6 +11,7 @@ from ..errors import FileError, InputError, counted, listed
 from ..io.npz import RESULT_KEY, npz_keys
 from . import outputs
 from .progress import say
+from .summary import SUMMARY
 
 __all__ = ["kept_entries"]
 
@@ -19,17 +21,18 @@ _KINDS = 3
 _SAME = 1e-6
 
 
-def kept_entries(files, fitter, subjects, read):
+def kept_entries(files, fitter, subjects, values, read):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else.
 
     Other settings, such as another effort, are no error: of some scans one may want what is too slow for all. A line tells them,
-    and fits of other points than ``read`` (path → Scan) finds now.
+    and fits of other points than ``read`` (path → Scan), with the options ``values``, finds now.
     """
     from ..fitting.result import FitResult
     from ..learning.made_with import settings_of
 
     kept, rig = {}, fitter.rig
-    made, now, others, strange = _MadeWith(fitter), settings_of(fitter), Counter(), []
+    made, now, others, differ = _MadeWith(fitter), settings_of(fitter), Counter(), {True: [], None: []}
+    as_before = _read_before(files[0].fit.with_name(SUMMARY), values)
     for f in files:
         if not f.fit.is_file():
             continue
@@ -61,22 +64,28 @@ def kept_entries(files, fitter, subjects, read):
         if other:
             kept[f.name]["other_settings"] = other if result.settings else None
             others[_in_words(other, now)] += 1
-        if _has_other_points(f, result, read):
-            kept[f.name]["other_points"] = True
-            strange.append(f.source)
+        if not as_before(f) and (differs := _has_other_points(f, result, read)) is not False:
+            kept[f.name]["other_points"] = differs
+            differ[differs].append(f.source)
     _say_others(others)
-    if strange:
-        fits = f"{counted(len(strange), 'kept fit')} {'was' if len(strange) == 1 else 'were'} made of other points than"
-        words = f"{listed(strange, 3)} {'has' if len(strange) == 1 else 'have'} now, read with these options"
-        say(f"note: {fits} {words}; --existing replace fits all again")
+    for differs, scans in differ.items():
+        if scans:
+            which = f"not compared with {listed(scans, 3)}: with these options it cannot be read"
+            if differs:
+                which = f"made of other points than those now in {listed(scans, 3)}, read with these options"
+                which += "; --existing replace fits all again"
+            say(f"note: {counted(len(scans), 'kept fit')} {'was' if len(scans) == 1 else 'were'} {which}")
     return kept
 
 
 def _check_ours(path, error):
     """Raise InputError about a file in a fit's place that is not to be replaced: one of others, or one that may not be read."""
     remedy = "Move it away, choose another folder, or --existing replace."
-    if not os.access(path, os.R_OK):
-        raise InputError("--existing skip", f"{path}, {error.got}", "fits that can be read", remedy)
+    try:
+        with open(path, "rb") as file:
+            file.read(1)
+    except OSError:
+        raise InputError("--existing skip", f"{path}, {error.got}", "fits that can be read", remedy) from None
     try:
         keys = npz_keys(path)
     except FileError:
@@ -85,14 +94,37 @@ def _check_ours(path, error):
         raise InputError("--existing skip", f"{path}, which is no fit", "fits that lbsfit has written", remedy)
 
 
+def _read_before(summary, values):
+    """ScanFiles → whether the run of this summary has read the scan from the same file, unchanged since, in the same way.
+
+    To read all scans again may take long.
+    """
+    try:
+        with open(summary, encoding="utf-8") as file:
+            content = json.load(file)
+        alike = all(content["settings"][key] == values[key] for key in ("samples", "drop_invalid", "seed"))
+        inputs = {e["name"]: e["input"] for e in content["scans"] if "other_points" not in e} if alike else {}
+    except (OSError, ValueError, RecursionError, KeyError, TypeError):
+        inputs = {}
+
+    def as_before(files):
+        try:
+            unchanged = os.stat(files.source).st_mtime_ns <= os.stat(files.fit).st_mtime_ns
+        except OSError:
+            return False
+        return unchanged and inputs.get(files.name) == files.source
+
+    return as_before
+
+
 def _has_other_points(files, result, read):
-    """Whether a scan is not the one that its fit was made of, as far as it can be read."""
+    """Whether a scan is not the one that its fit was made of; None where it cannot be read."""
     from ..io.scans import load_scan
 
     try:
         now, then = read(files.source).points, load_scan(files.labels).points
     except FileError:
-        return False
+        return None
     if not len(now) == len(then) == len(result.labels):
         return True
     return not np.allclose(now, then, rtol=0.0, atol=_SAME * np.ptp(then, axis=0).max())

@@ -2,7 +2,6 @@
 
 import codecs
 import csv
-import mmap
 import re
 import warnings
 
@@ -17,6 +16,7 @@ __all__ = ["ODD_X", "read_npy", "read_npz", "read_table"]
 # How the note begins that x is hardly what was meant: of each scan that has it, the fit is all but certainly wrong.
 ODD_X = "Columns 1 to 3 were read as x, y, z, but the first"
 
+_AT_A_TIME = 1 << 20  # bytes
 _HEAD_LINES = 200  # comment lines before the first row; more than that is no table
 _NPZ_KEYS = {
     "points": ("points", "xyz", "vertices", "verts", "v", "positions", "position", "pos", "point", "x", "pc", "cloud"),
@@ -261,8 +261,14 @@ def _begins_with_a_mark(path):
 
 def _has_odd_numbers(path):
     """Whether a file may have numbers that :func:`in_plain_numbers` changes."""
-    with open(path, "rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
-        return any(content.find(odd) >= 0 for odd in (b"1.#", b"nan(", b"NaN(", b"NAN("))
+    with open(path, "rb") as file:
+        end = b""
+        while block := file.read(_AT_A_TIME):
+            block = end + block
+            if any(odd in block for odd in (b"1.#", b"nan(", b"NaN(", b"NAN(")):
+                return True
+            end = block[-3:]
+    return False
 
 
 def _lines(path, decimal_comma):

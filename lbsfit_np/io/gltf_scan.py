@@ -91,7 +91,8 @@ def _mesh(document, i, world, matrices, notes):
         attributes = document.object(primitive, "attributes", where)
         targets = document.objects(primitive, "targets", where)
         moved = [document.integer(t, "POSITION", f"target {j} of {where}", -1) for j, t in enumerate(targets)]
-        own = [name for name in sorted(attributes) if name in ("NORMAL", _label_of(attributes)) or name.startswith(_OF_SKINS)]
+        skins = _OF_SKINS if matrices is not None else ()
+        own = [name for name in sorted(attributes) if name == _label_of(attributes) or name.startswith(skins)]
         named = [(name, document.integer(attributes, name, where)) for name in own]
         key = document.integer(attributes, "POSITION", where), *moved, *named
         if key not in pieces:
@@ -102,6 +103,9 @@ def _mesh(document, i, world, matrices, notes):
             weights = document.numbers(owner, "weights", len(targets), None, of) if targets else ()
             pieces[key] = _Piece(document, attributes, list(zip(targets, weights)), world, matrices, where)
         pieces[key].show(document, primitive, mode, where)
+        if pieces[key].normals_of != document.integer(attributes, "NORMAL", where, -1) and pieces[key].cloud.normals is not None:
+            pieces[key].cloud.normals = None
+            notes.append(f"{where} has no normals, or others, than those before it at the same vertices: left out.")
     return [piece.shown() for piece in pieces.values()]
 
 
@@ -111,12 +115,13 @@ def _label_of(attributes):
 
 
 class _Piece:
-    """The vertices of one set of positions, normals, labels and weights, and which of them are shown."""
+    """The vertices of one set of positions, labels and weights, and which of them are shown."""
 
     def __init__(self, document, attributes, targets, world, matrices, where):
         points = _morphed(document, attributes, targets, "POSITION", where)
         linear, shift = _transforms(document, attributes, len(points), world, matrices, where)
         self.cloud = CloudData(np.einsum("iab,ib->ia", linear, points) + shift, np.empty((0, 3), dtype=int))
+        self.normals_of = document.integer(attributes, "NORMAL", where, -1)
         self._seen = np.zeros(len(points), dtype=bool)
         self._cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
         self._side = np.sign(np.einsum("ib,ib->i", linear[:, 0], self._cofactors[:, 0]))  # -1 where a transform mirrors

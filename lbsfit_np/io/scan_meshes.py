@@ -14,7 +14,7 @@ from itertools import islice
 import numpy as np
 
 from ..errors import FileError
-from .cloud import CloudData, fans
+from .cloud import CloudData, fans, in_plain_numbers
 
 __all__ = ["read_obj", "read_off", "read_stl"]
 
@@ -77,11 +77,11 @@ def read_obj(path):
 
 
 def _whole_lines(file):
-    """Numbers of lines and lines; one that ends in a backslash with those that it goes on in."""
+    """Numbers of lines and lines; a vertex, normal or face whose line ends in a backslash with those that it goes on in."""
     begun, first = "", 0
     for number, line in enumerate(file, 1):
         first = first if begun else number
-        if line.endswith("\\\n"):
+        if line.endswith("\\\n") and (begun or line.split(None, 1)[0] in ("v", "vn", "f")):
             begun += line[:-2] + " "
             continue
         yield first, begun + line
@@ -181,7 +181,7 @@ def _loaded(path, lines, form, columns=(1, 2, 3)):
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # numpy warns where there is no line at all
-            return np.loadtxt(lines, usecols=columns, ndmin=2)
+            return np.loadtxt(map(in_plain_numbers, lines), usecols=columns, ndmin=2)
     except FileError:
         raise
     except (ValueError, IndexError) as error:

@@ -46,8 +46,9 @@ SCAN_EXTENSIONS = tuple(_READERS)
 _UNEVEN = 0.45
 # A surface to sample from has at least this share of a file's points; of its vertices this share may be a floor's.
 _SURFACE, _FLOOR = 0.95, 0.01
-# With more of its points in no triangle a file is a point cloud, whatever triangles it has; with fewer, a mesh that was cropped.
-_CLOUD = 0.5
+# With fewer triangles a point, and most points in none, a file is a point cloud beside some triangles. A mesh that was cropped
+# may have kept all points, too, but it has more triangles.
+_FEW = 0.1
 
 
 def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
@@ -60,8 +61,8 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
         fit it is an error. The points keep the file's order, frame and unit (glTF: the scene's frame, y up, metres).
     n_samples : int, optional
         Number of points to sample from a mesh's surface, uniformly by area; of a point cloud, take a random subset of at most
-        this many. By default, all vertices of a mesh and all points of a cloud are taken. A file with more than half of its
-        points in no triangle is a cloud.
+        this many. By default, all vertices of a mesh and all points of a cloud are taken. A file with most of its points in no
+        triangle, and few triangles beside them, is a cloud.
     random_state : int or numpy.random.Generator, default 0
         Seed of the samples.
     drop_invalid : bool, default False
@@ -97,14 +98,15 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
         normals = None if normals is None else normals[valid]
         labels = None if labels is None else labels[valid]
         faces = (np.cumsum(valid) - 1)[faces[valid[faces].all(axis=1)]]
-    loose = len(points) - len(np.unique(faces))
-    if n_samples is not None and len(faces) and loose <= _CLOUD * len(points):
+    loose = 0 if n_samples is None or not len(faces) else _in_no_triangle(len(points), faces)
+    cloud = loose > len(points) / 2 and len(faces) < _FEW * len(points)
+    if n_samples is not None and len(faces) and not cloud:
         if loose:
             notes.append(f"{loose} of its {len(points)} points are in no triangle: left out.")
         points, normals, labels = _sampled(points, faces, normals, labels, n_samples, random_state, shown)
         notes.append(f"{n_samples} points sampled from the surface of {len(faces)} triangles.")
     elif n_samples is not None and n_samples < len(points):
-        if len(faces):
+        if cloud:
             notes.append(f"{loose} of its {len(points)} points are in no triangle: it is taken for a point cloud.")
         keep = Scan(points).thinned(n_samples, generator(random_state, "load_scan"))
         notes.append(f"A random subset of {n_samples} of its {len(points)} points.")
@@ -122,6 +124,12 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
         return Scan(points, normals, labels, name=Path(path).stem, path=Path(path), notes=tuple(notes))
     except InputError as error:
         raise FileError(shown, error.got, error.expected, error.remedy) from None
+
+
+def _in_no_triangle(n, faces):
+    free = np.ones(n, dtype=bool)
+    free[faces] = False
+    return int(np.count_nonzero(free))
 
 
 def _evenness(points, faces):

@@ -22,6 +22,7 @@ from .checks import (
     check_rotations,
     check_tree,
     check_weights,
+    following_root,
 )
 from .clips import poses_of_clips, under_other_parents
 from .frames import bone_frames, child_directions, frames_along
@@ -84,6 +85,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
 
     parents = _hierarchy(parents, names, card)
     root = check_tree(report, parents, names, explained=bool(card.root or card.chains or card.parents))
+    weights = following_root(root, weights, names, notes)
     if data.animated is not None and not np.array_equal(parents, data.parents):
         animated = report.array("animated", data.animated, (None, len(names), 3))
         data = replace(data, animated=under_other_parents(animated, frames, np.asarray(data.parents), parents))

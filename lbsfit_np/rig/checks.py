@@ -20,6 +20,7 @@ __all__ = [
     "check_rotations",
     "check_tree",
     "check_weights",
+    "following_root",
 ]
 
 # Weight sums this near to 1 are rounding (of single-precision files) and not worth a word.
@@ -107,7 +108,7 @@ def check_mesh(report, vertices, faces):
 
 
 def check_weights(report, weights, m, faces, joint_names, normalize, notes):
-    """Skinning weights as an (m, J) csr_array whose rows sum to 1; vertices of no face without weights get the first joint's."""
+    """Skinning weights as an (m, J) csr_array whose rows sum to 1; those of vertices of no face may be empty."""
     J = len(joint_names)
     w = report.matrix("weights", weights, (m, J))
     if (w.data < 0).any():
@@ -117,12 +118,7 @@ def check_weights(report, weights, m, faces, joint_names, normalize, notes):
         got = f"{counted(np.count_nonzero(w.data < 0), 'negative weight')}, the worst {worst}"
         report.fail("weights", got, "weights of 0 and more", "Clean the weights in the program that made the rig.")
     sums = np.asarray(w.sum(axis=1)).ravel()
-    idle = np.setdiff1d(np.flatnonzero(sums <= 0), faces)
-    if len(idle):
-        w = sparse.csr_array(w + sparse.coo_array((np.ones(len(idle)), (idle, np.zeros(len(idle), dtype=int))), shape=w.shape))
-        sums[idle] = 1.0
-        which = "vertex of no face has no weight, follows" if len(idle) == 1 else "vertices of no face have no weight, follow"
-        notes.append(f"{len(idle)} {which} {joint_names[0]!r}")
+    sums[np.setdiff1d(np.flatnonzero(sums <= 0), faces)] = 1.0
     if (sums <= 0).any():
         first = int(np.flatnonzero(sums <= 0)[0])
         got = f"{np.count_nonzero(sums <= 0)} of {m} vertices without any weight, the first is vertex {first}"
@@ -146,6 +142,17 @@ def check_weights(report, weights, m, faces, joint_names, normalize, notes):
         count = counted(np.count_nonzero(off > _ROUNDING), "weight row")
         notes.append(f"{count} summed to {_range(sums, '.6g')}; they were divided by their sums")
     return w
+
+
+def following_root(root, weights, names, notes):
+    """Weights with the root's for vertices that have none, which are those of no face."""
+    idle = np.flatnonzero(np.diff(weights.indptr) == 0)
+    if not len(idle):
+        return weights
+    which = "vertex of no face has no weight, and follows" if len(idle) == 1 else "vertices of no face have no weight, and follow"
+    notes.append(f"{len(idle)} {which} {names[root]!r}")
+    own = sparse.coo_array((np.ones(len(idle)), (idle, np.full(len(idle), root))), shape=weights.shape)
+    return sparse.csr_array(weights + own)
 
 
 def _range(values, digits):

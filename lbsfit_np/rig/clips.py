@@ -2,13 +2,15 @@
 
 import numpy as np
 
-from ..rotations import matrix_from_rotvec, rotvec_from_matrix
+from ..rotations import matrix_from_rotvec, nearest_rotvec, rotvec_from_matrix
 
-__all__ = ["poses_of_clips", "under_other_parents"]
+__all__ = ["about_their_mean", "poses_of_clips", "under_other_parents"]
 
 # Frames of which no joint is turned against the other's by more than this, radians, are one pose; the rest pose is one, too. So
 # many are taken at most.
 _ALIKE, _MOST = 0.2, 24
+# A joint that is turned from its mean by more than this, radians, turns round.
+_ROUND = np.radians(170)
 
 
 def poses_of_clips(animated, root, still):
@@ -32,7 +34,7 @@ def poses_of_clips(animated, root, still):
     """
     from scipy.spatial.transform import Rotation
 
-    frames = np.array(animated, dtype=float)
+    frames = about_their_mean(animated)  # as limits are derived from them: poses shall lie inside
     frames[:, root] = 0.0
     frames[:, still] = 0.0
     turns = Rotation.from_rotvec(frames.reshape(-1, 3))
@@ -43,6 +45,30 @@ def poses_of_clips(animated, root, still):
         between = Rotation.from_rotvec(np.tile(frames[chosen[-1]], (len(frames), 1))).inv() * turns
         away = np.minimum(away, between.magnitude().reshape(frames.shape[:2]).max(axis=1))
     return {f"animation {n + 1}": frames[k] for n, k in enumerate(sorted(chosen))}
+
+
+def about_their_mean(animated):
+    """The same rotations by the vectors that lie nearest to their mean: those of matrices change sides at half a turn.
+
+    Parameters
+    ----------
+    animated : (k, J, 3) array
+        Rotation vectors with angles up to π.
+
+    Returns
+    -------
+    (k, J, 3) array
+        With angles up to 2π. A joint that turns round, so that it is opposite to its mean at times, has the vectors given.
+    """
+    from scipy.spatial.transform import Rotation
+
+    out = np.array(animated, dtype=float)
+    for j in np.flatnonzero(np.linalg.norm(out, axis=2).max(axis=0, initial=0.0) > np.pi / 2):  # others change no sides
+        turns = Rotation.from_rotvec(out[:, j])
+        middle = turns.mean()
+        if (middle.inv() * turns).magnitude().max() < _ROUND:
+            out[:, j] = nearest_rotvec(out[:, j], middle.as_rotvec())
+    return out
 
 
 def under_other_parents(animated, frames, before, after):

@@ -1,11 +1,10 @@
 """Joint limits for rigs whose files have none: from what their animations do, else a plain default."""
 
 import re
-from itertools import pairwise
 
 import numpy as np
 
-from ..rotations import nearest_rotvec
+from .clips import about_their_mean
 
 __all__ = ["DEFAULT_LIMIT", "DEFAULT_ROOT_LIMIT", "NO_LIMITS", "all_derived", "derived_limits"]
 
@@ -39,14 +38,14 @@ def derived_limits(root, n_joints, animated=None):
     n_joints : int
         J.
     animated : (k, J, 3) array, optional
-        Rotation vectors in the rest frames, sampled from the file's animations, in the order of time.
+        Rotation vectors in the rest frames, sampled from the file's animations.
 
     Returns
     -------
     lower, upper : (J, 3) arrays
         Over the frames, smallest and largest angle about each axis, widened by 25 % of the range and at least 0.1 rad on
-        each side, made to contain 0 (the rest pose). Only frames, not what they are widened by, reach beyond ±π; where they
-        span more than a whole turn, it is ±π. Joints that do not move: ±0.8 rad, and as far beyond as all frames have them.
+        each side, made to contain 0 (the rest pose). Frames are as ``clips.about_their_mean`` has them; only these, not what
+        they are widened by, reach beyond ±π. Joints that do not move: ±0.8 rad, and as far beyond as all frames have them.
     from_animation : (J,) bool array
         The joints whose limits come from the animations.
     """
@@ -54,10 +53,8 @@ def derived_limits(root, n_joints, animated=None):
     upper = np.full((n_joints, 3), DEFAULT_LIMIT)
     seen = np.zeros(n_joints, dtype=bool)
     if animated is not None and len(animated):
-        animated = _unwrapped(animated)
+        animated = about_their_mean(animated)
         low, high = animated.min(axis=0), animated.max(axis=0)
-        whole = high - low > 2 * np.pi
-        low, high = np.where(whole, -np.pi, low), np.where(whole, np.pi, high)
         least, most = np.minimum(low, -np.pi), np.maximum(high, np.pi)
         seen = (high - low).max(axis=1) > _STILL
         margin = np.maximum(_MARGIN * (high - low), _LEAST_MARGIN)
@@ -69,11 +66,3 @@ def derived_limits(root, n_joints, animated=None):
     seen[root] = False
     lower[root], upper[root] = -DEFAULT_ROOT_LIMIT, DEFAULT_ROOT_LIMIT
     return lower, upper, seen
-
-
-def _unwrapped(animated):
-    """The same rotations, each vector the nearest to the frame before: beyond half a turn they would jump to the other side."""
-    out = np.array(animated, dtype=float)
-    for before, now in pairwise(out):
-        now[...] = nearest_rotvec(now, before)
-    return out

@@ -433,13 +433,14 @@ def weld_rig(rig):
     sound = proper(faces)
     if n == m:
         return rig if sound.all() else replace(rig, faces=faces[sound])
+    first = sparse.csr_array((np.ones(n), (np.arange(n), weld.first)), shape=(n, m))
     member = sparse.csr_array((np.ones(m), (weld.rows, np.arange(m))), shape=(n, m))
     regressor = sparse.csr_array(rig.regressor @ sparse.csr_array(member.T))
     return replace(
         rig,
         vertices=rig.vertices[weld.first],
         faces=faces[sound],
-        weights=rig.weights[weld.first],
+        weights=sparse.csr_array(first @ rig.weights),  # stored as of any product: the digest goes by that
         regressor=exact_regressor(regressor, rig.vertices[weld.first], rig.joints) if weld.loose.any() else regressor,
         shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, weld.first]),
     )

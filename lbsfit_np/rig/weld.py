@@ -51,7 +51,8 @@ def weld_of(vertices, weights, faces):
     from scipy.spatial import cKDTree
 
     # Of others there may be very many at one place, each a pair with each, or one that is far away.
-    used = np.unique(faces) if proper(faces).any() else np.arange(len(vertices))
+    sound = faces[_with_corners_apart(vertices, faces)]
+    used, faces = (np.unique(sound), sound) if len(sound) else (np.arange(len(vertices)), faces)
     size = max(float(np.ptp(vertices[used], axis=0).max()), np.finfo(float).tiny)
     pairs = used[cKDTree(vertices[used]).query_pairs(_POSITION * size, output_type="ndarray")]
     if len(pairs):
@@ -72,6 +73,12 @@ def weld_of(vertices, weights, faces):
     if len(kept) < m:  # they move with what is nearest
         rows[loose] = cKDTree(vertices[first]).query(vertices[loose])[1]
     return Weld(*(locked(a, copy=False) for a in (rows, first, loose)))
+
+
+def _with_corners_apart(vertices, faces):
+    """(F,) bool: the faces with three corners that differ, at three places."""
+    a, b, c = (vertices[faces[:, k]] for k in range(3))
+    return proper(faces) & ~((a == b).all(axis=1) | (b == c).all(axis=1) | (c == a).all(axis=1))
 
 
 def proper(faces):

@@ -295,7 +295,7 @@ class _Describe:
             raise InputError("scan", f"{got} of scan {i}", "points of shape (n, 3) and n whole numbers")
         if not np.isfinite(points).all():
             raise InputError("scan", f"points that are NaN or infinite, of scan {i}", "finite points")
-        if labels.max(initial=-1) >= self.n_parts or labels.min(initial=-1) < -1:
+        if len(labels) and not -1 <= int(labels.min()) <= int(labels.max()) < self.n_parts:
             got = f"labels from {labels.min()} to {labels.max()} of scan {i}"
             raise InputError("scan", got, f"labels from 0 to {self.n_parts - 1}, or −1 where none is known")
 
