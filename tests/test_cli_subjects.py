@@ -75,6 +75,7 @@ def test_empty_ids_and_other_scans_where_both_may_be(name, text, tmp_path):
         ("a1,anna\nb_1,ben\n", "no id for 2 of 3 scans: in/a2.ply, in/b 1.xyz", "If 'b_1' in line 2 means 'in/b 1.xyz', write"),
         ("a1,anna\nb 1,\na3,anna\n", "no id for 1 of 3 scans: in/a2.ply", "Add them"),  # another of the series
         ("z,anna\n", "a file that names none of these scans: 'in/a1.ply', 'in/a2.ply', 'in/b 1.xyz'", "Add them"),
+        ("o1.ply,anna\n", "a file that names none of these scans: ", "Add them"),  # alike in its ending alone
         ("../in/a1.ply,anna\n", "a file that names none of these scans: ", "If '../in/a1.ply' in line 1 means 'in/a1.ply'"),
         ("anna,a1\nben,b 1\n", "a file that names none of these scans: ", "The columns seem to be swapped"),
         ("", "no id for 3 of 3 scans", "Add them"),

@@ -346,3 +346,15 @@ def test_blank_lines_in_a_ply_are_nothing(tmp_path):
     assert "50 points sampled from the surface of 4 triangles." in scan.notes
     with pytest.raises(FileError, match="ends after 3 of 4 face rows"):
         load_scan(write(tmp_path, "b.ply", header + rows(POINTS) + "\n" + faces.rpartition("3 1 3")[0] + "\n\n"))
+
+
+@pytest.mark.parametrize("name, sep", [("a.xyz", " "), ("a.txt", "\t"), ("a.csv", ",")])
+def test_a_first_line_may_be_the_number_of_rows(name, sep, tmp_path):
+    body = rows(POINTS, sep=sep)
+    for first in ("4\n", "# made here\n4\n", "4\nx y z\n".replace(" ", sep)):
+        scan = load_scan(write(tmp_path, name, first + body))
+        np.testing.assert_array_equal(scan.points, POINTS)
+    with pytest.raises(FileError, match="4 rows below a first line that is 5; expected as many rows as that"):
+        load_scan(write(tmp_path, name, "5\n" + body))
+    with pytest.raises(FileError, match="the first row '4'; expected numbers x, y, z"):
+        load_scan(write(tmp_path, name, "4\n5\n6\n7\n8\n"))

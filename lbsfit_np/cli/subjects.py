@@ -145,14 +145,13 @@ def _likeness(missing, passed):
     """What a name that is no scan may mean, of those that are missing: the first such one, in a list; else none."""
     by_numbers = {}  # scans of a series differ in their numbers alone, and none of them stands for another
     for line, name, _ in passed:
-        by_numbers.setdefault(_numbers(name), {}).setdefault(name.casefold(), (name, line))
+        by_numbers.setdefault(_numbers(name), {}).setdefault(Path(name).stem.casefold(), (name, line))
     for scan in missing[:_FIRST_MISSING]:
         alike = by_numbers.get(_numbers(scan), {})
-        for given in (Path(scan).stem, Path(scan).name, scan):
-            if close := get_close_matches(given.casefold(), alike, n=1):
-                name, line = alike[close[0]]
-                words = f"If {brief(name)} in line {line} means {brief(scan)}, write it that way"
-                return [f"{words}: name scans by their file names, or as on the command line."]
+        if close := get_close_matches(Path(scan).stem.casefold(), alike, n=1):  # folders and endings are alike in any case
+            name, line = alike[close[0]]
+            words = f"If {brief(name)} in line {line} means {brief(scan)}, write it that way"
+            return [f"{words}: name scans by their file names, or as on the command line."]
     return []
 
 

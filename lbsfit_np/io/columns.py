@@ -17,6 +17,7 @@ __all__ = ["ODD_X", "read_npy", "read_npz", "read_table"]
 ODD_X = "Columns 1 to 3 were read as x, y, z, but the first"
 
 _AT_A_TIME = 1 << 20  # bytes
+_COUNT = re.compile(r"[1-9][0-9]{0,11}")
 _HEAD_LINES = 200  # comment lines before the first row; more than that is no table
 _NPZ_KEYS = {
     "points": ("points", "xyz", "vertices", "verts", "v", "positions", "position", "pos", "point", "x", "pc", "cloud"),
@@ -33,7 +34,7 @@ def read_table(path):
     Columns are found by the names in a header line; without one, the first three are x, y, z, and the next three are the
     normal if they have unit length; a column before them that counts the rows is left out. An empty cell of a row is NaN.
     Lines that start with # are comments, but for a last one that names the columns. Tabs side by side are blanks where a first
-    row has no header, or as many numbers as its header has names.
+    row has no header, or as many numbers as its header has names. The first line may be the number of rows alone.
 
     Parameters
     ----------
@@ -49,7 +50,7 @@ def read_table(path):
         Binary content, no rows, a header without x, y, z or of fewer columns than the rows have, but for one, rows that are not
         numbers or of different lengths.
     """
-    skip, names, cells, delimiter, notes = _read_head(path)
+    skip, names, cells, delimiter, counted, notes = _read_head(path)
     if cells is None:
         below = "" if names is None else f" below the first line, {_row(names)!r}, which was read as a header"
         raise FileError(str(path), f"no line of numbers{below}", "one point per line")
@@ -85,6 +86,10 @@ def read_table(path):
     table = _load(path, skip, delimiter, usecols, decimal_comma)
     if usecols is not None:
         _check_lengths(path, skip, delimiter, max(len(cells), len(names or ())))
+    if counted is not None and counted != len(table):
+        got = f"{len(table)} rows below a first line that is {counted}"
+        remedy = "The file may be truncated. If that is no number of rows, delete the line."
+        raise FileError(str(path), got, "as many rows as that", remedy)
     if names is None:
         cloud = _unnamed(table, *_IN_TABLES)
     else:
@@ -156,8 +161,10 @@ def _take_labels(cloud, path, keys):
 
 
 def _read_head(path):
-    """Lines to skip, column names or None, the cells of the first row (None: there is none), the delimiter, and notes."""
-    names, seen_comment, notes = None, None, []
+    """Lines to skip, column names or None, the cells of the first row (None: there is none), the delimiter, the number of rows
+    where the first line says it alone, else None, and notes.
+    """
+    names, seen_comment, counted, notes = None, None, None, []
     with open(path, "rb") as file:
         start = file.read(4096)
         if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -170,7 +177,7 @@ def _read_head(path):
             line = raw.decode("utf-8-sig" if skip == 0 else "utf-8", "replace").strip("\r\n")
             line = in_plain_numbers(line)
             if not raw:
-                return skip, names, None, None, notes
+                return skip, names, None, None, None, notes
             if not line.strip():
                 continue
             if line.lstrip().startswith(("#", "//")):
@@ -178,6 +185,9 @@ def _read_head(path):
                 continue
             delimiter = _delimiter(line, names)
             cells = _cells(line, delimiter)
+            if counted is None and names is None and len(cells) == 1 and _COUNT.fullmatch(cells[0]):
+                counted, only = int(cells[0]), (skip, cells)
+                continue
             if names is None and _is_header(cells, delimiter):
                 names, header, of_header = _without_empty_ends(cells), line, delimiter
                 continue
@@ -186,7 +196,10 @@ def _read_head(path):
                 names = _named_in(seen_comment, len(cells), notes)
             elif names is not None and of_header == "\t" and delimiter is None:  # "x y z<tab>label"
                 names = _cells(header, None)
-            return skip, names, cells, delimiter, notes
+            if counted is not None and names is None and len(cells) < 3:  # one column, of which that is the first row
+                skip, cells = only
+                counted = None
+            return skip, names, cells, delimiter, counted, notes
     raise FileError(str(path), f"no row of numbers in the first {_HEAD_LINES} lines", "one point per line")
 
 

@@ -5,7 +5,7 @@ import hashlib
 import os
 import tempfile
 import warnings
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from .. import __version__
@@ -77,18 +77,18 @@ def cached(kind, key, train, load):
     if name in _MEMORY:
         return _MEMORY[name]
     path = cache_folder() / f"{name}.npz"
-    try:
-        trained = load(path)
-    except FileError:
-        with _warning_of(path.parent):  # before the training, as far as it can be known: who is told can stop it
-            there = next((folder for folder in (path.parent, *path.parent.parents) if os.path.lexists(folder)), Path())
-            why = None if os.access(there, os.W_OK) else errno.EACCES
-            if why := why if os.path.isdir(there) else errno.EEXIST:
-                raise OSError(why, os.strerror(why)) from None
-        trained = train()
-        with _warning_of(path.parent):
-            path.parent.mkdir(parents=True, exist_ok=True)
-            trained.save(path)
+    with suppress(FileError):  # none, or a broken one
+        trained = _MEMORY[name] = load(path)
+        return trained
+    with _warning_of(path.parent):  # before the training, as far as it can be known: who is told can stop it
+        there = next((folder for folder in (path.parent, *path.parent.parents) if os.path.lexists(folder)), Path())
+        why = None if os.access(there, os.W_OK) else errno.EACCES
+        if why := why if os.path.isdir(there) else errno.EEXIST:
+            raise OSError(why, os.strerror(why)) from None
+    trained = train()
+    with _warning_of(path.parent):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        trained.save(path)
     _MEMORY[name] = trained
     return trained
 
