@@ -138,22 +138,3 @@ def test_meshes_of_short_triangles_are_looked_at_as_before(tube):
     short = Surface(tube.rig.vertices, faces).closest(X, nearest, V)
     expected = closest_on_mesh(X, nearest, V, faces, faces_around(faces, len(V)))
     np.testing.assert_array_equal(short.points, expected.points)
-
-
-def test_thin_triangles_have_points_along_them_alone():
-    """As many as their length asks for, not its square; the closest points found are the closest there are."""
-    angle = np.linspace(0, 2 * np.pi, 65)[:-1]
-    ring = 0.3 * np.column_stack([np.cos(angle), np.zeros(64), np.sin(angle)])
-    V = np.vstack([ring - [0, 0.8, 0], ring + [0, 0.8, 0]])
-    k, after = np.arange(64), (np.arange(64) + 1) % 64
-    faces = np.concatenate([np.column_stack([k, k + 64, after]), np.column_stack([after, k + 64, after + 64])])
-    surface = Surface(V, faces)
-    assert 20 * len(faces) <= len(surface._face) < 60 * len(faces)
-    rng = np.random.default_rng(0)
-    X = np.column_stack([*(0.3 * rng.normal(size=(2, 60))), rng.uniform(-0.9, 0.9, 60)])[:, [0, 2, 1]]
-    nearest = np.linalg.norm(X[:, None] - V, axis=2).argmin(axis=1)
-    found = np.linalg.norm(surface.closest(X, nearest, V).points - X, axis=1)
-    np.testing.assert_allclose(found, [_brute(x, V[faces]) for x in X], atol=2e-3)
-    # Of triangles as broad as long all rows have points.
-    even = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 0.87, 0]])
-    assert len(Surface(even, np.array([[0, 1, 2]]))._face) == 13**2

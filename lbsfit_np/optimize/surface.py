@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..neighbors import PointIndex
-from ..triangles import face_areas
 
 __all__ = ["Closest", "Surface", "closest_on_mesh", "divided", "faces_around", "faces_at", "summed_normals", "vertex_normals"]
 
@@ -13,8 +12,6 @@ __all__ = ["Closest", "Surface", "closest_on_mesh", "divided", "faces_around", "
 # most; on each edge there are at most so many. On other meshes the triangles at the nearest vertex have the closest point but for
 # one or two in a hundred, whose own is up to 0.04 half sizes nearer, and to look at others would take twice the time.
 _LONG, _APART, _MOST = 0.22, 0.08, 20
-# Rows of such points are apart at least this share of what the points of a row are.
-_ROW = 0.75
 
 
 @dataclass(frozen=True)
@@ -90,20 +87,11 @@ class Surface:
 def _on_long_faces(vertices, faces):
     """(p,) faces and (p, 3) barycentric: the centres of the equal triangles that each long one is divided into."""
     corners = vertices[faces]
-    edges = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
-    longest = edges.max(axis=1)
+    longest = np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2).max(axis=1)
     if longest.max(initial=0.0) <= _LONG:
         return np.empty(0, dtype=int), np.empty((0, 3))
     parts = np.minimum(np.ceil(longest / _APART), _MOST).astype(int)
-    face, barycentric = divided(np.where(parts > 1, parts, 0))
-    # Thin triangles have as many rows of pieces as long ones have, each hardly broad: of these some do.
-    apex = (edges.argmax(axis=1) + 2) % 3
-    longest = np.maximum(longest, np.finfo(float).tiny)  # of a face that is one point
-    height = 2 * face_areas(vertices, faces) / longest
-    step = np.maximum(1, (_ROW * longest / np.maximum(height, longest / _MOST)).astype(int))
-    row = (barycentric[np.arange(len(face)), apex[face]] * parts[face]).astype(int)
-    kept = row % step[face] == 0
-    return face[kept], barycentric[kept]
+    return divided(np.where(parts > 1, parts, 0))
 
 
 def divided(parts):
