@@ -1,5 +1,6 @@
 """First fits of a collection's scans: what is looked at again, what takes part from then on, and what they depend on."""
 
+import warnings
 from dataclasses import fields, replace
 from types import SimpleNamespace
 
@@ -19,6 +20,7 @@ from lbsfit_np.learning.first_fits import FirstFit
 from lbsfit_np.learning.scales import check_scales
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
+from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.starts.clean import TakingPart
 from lbsfit_np.starts.turns import Facing
 
@@ -51,6 +53,9 @@ class _Scout:
 
     def is_sure(self, found):
         return self.sure
+
+    def probability(self, found):
+        return 0.9 if self.sure else 0.01
 
 
 def _first_fit(hand, fits, *, sure, **settings):
@@ -100,7 +105,7 @@ def test_results_know_the_rivals_of_first_fits(turn, rival, tube_rig, tube_scan)
 def test_a_first_fit_that_is_sure_or_fast_is_not_looked_at_again(hand, short_scan, settings, sure):
     fits, n = MadeFits(hand, short_scan), len(short_scan.points)
     work, scout = _first_fit(hand, fits, sure=sure, **settings)
-    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, (2.0, 3.0), None)
+    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, (2.0, 3.0), None, not sure)
     assert scout.of == [(n, False)] and not fits.of
 
 
@@ -110,7 +115,7 @@ def test_a_first_fit_in_doubt_is_of_what_lies_within_the_rig(hand, which, reques
     scan = request.getfixturevalue(which)
     n, arm, fits = len(scan.points), scan.labels < 0, MadeFits(hand, scan, all=("true", 0.2), hand=("true", 0.9))
     work, scout = _first_fit(hand, fits, sure=False)
-    _, state, _, _, _, part = work(work.task(_member(scan)))
+    _, state, _, _, _, part, _ = work(work.task(_member(scan)))
     assert part.among[~arm].all() and part.among[arm].mean() < 0.25 and state == (len(part.rows), True)
     # The scout's word on the whole is taken for the fit of the whole.
     assert scout.of == [(n, which == "long_scan"), (part.among.sum(), True)]
@@ -122,7 +127,7 @@ def test_a_part_that_is_none_too_sure_is_not_learned_from(hand, short_scan):
     n, fits = len(short_scan.points), MadeFits(hand, short_scan, all=("true", 0.2), hand=("true", 0.3))
     fits.ends |= {"hand_end": ("turned", 0.1), "arm_end": ("turned", 0.1)}
     work, scout = _first_fit(hand, fits, sure=False)
-    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, (2.0, 3.0), None)
+    assert work(work.task(_member(short_scan))) == (None, (n, False), 0.5, None, (2.0, 3.0), None, True)
     assert "hand" in fits.of and scout.of.count((n, False)) == 1
 
 
@@ -143,7 +148,7 @@ def test_of_a_long_scan_with_nothing_beyond_the_closer_look_is_taken(hand, long_
     fits = _FitsOfALook(hand, long_scan, all=("turned", 0.2), hand=("turned", 0.3), **ends)
     fits.closely = closely
     work, scout = _first_fit(hand, fits, sure=False)
-    assert work(work.task(_member(long_scan))) == (None, (n, False), 0.5, None, (2.0, 3.0), None)
+    assert work(work.task(_member(long_scan))) == (None, (n, False), 0.5, None, (2.0, 3.0), None, True)
     assert [once for m, once in scout.of if m == n] == [True, False]
 
 
@@ -169,7 +174,7 @@ def test_after_its_first_fit_a_member_is_what_lies_within_the_rig(tube_rig, few_
     among = np.arange(len(scans[0])) % 2 == 0
     part = TakingPart(np.flatnonzero(among), np.arange(0), "", 1.0, None, np.where(among, 1, -2).astype(np.int8), among)
     frame, state = Frame(np.zeros(3), loop.model.half), loop.model.rest().replace(scale=1.1)
-    monkeypatch.setattr(loop, "_work", lambda *given: [(frame, state, 0.01, None, (), part)] * 3)
+    monkeypatch.setattr(loop, "_work", lambda *given: [(frame, state, 0.01, None, (), part, False)] * 3)
     loop._first_fits()
     assert loop.collection.unit_by_extents == 1.0
     for m, x in zip(collection.members, scans, strict=True):
@@ -185,3 +190,30 @@ def test_where_a_rig_ends_scales_that_are_apart_may_be_of_what_lies_beyond(ends)
     with pytest.raises(InputError, match="different units") as error:
         check_scales(members, [1.0, 1.0, 1.0, 1.75, 1.8], ends=ends)
     assert ("such as an arm, crop them. Convert them" in str(error.value)) == ends
+
+
+@pytest.mark.parametrize("wrong, told", [((), False), ((0, 1), False), ((0, 1, 2), True), ((0, 1, 2, 3), True)])
+def test_learning_from_scans_that_are_fitted_wrongly_is_told_before_it_begins(wrong, told, tube_rig, few_scans, monkeypatch):
+    """As of scans that stand otherwise than the fitter thinks: rounds would take long, and come to nothing."""
+    collection = collected(tube_rig, [s.points for s in few_scans[:4]], held_out=0)
+    loop = loop_over(tube_rig, collection, "cd", None)
+    frame, state = Frame(np.zeros(3), loop.model.half), loop.model.rest()
+    answers = [(frame, state, 0.01, None, (), None, k in wrong) for k in range(4)]
+    monkeypatch.setattr(loop, "_work", lambda *given: answers)
+    with warnings.catch_warnings(record=True) as seen:
+        warnings.simplefilter("always")
+        assert loop._first_fits() == len(wrong)
+    said = [str(w.message) for w in seen if "all but certainly fitted wrongly" in str(w.message)]
+    assert len(said) == told and all(words.startswith(f"{len(wrong)} of 4 scans") for words in said)
+
+
+def test_what_stands_on_its_head_is_fitted_wrongly(tube_rig, make_learner, few_scans):
+    """And the same scans as they stand are not."""
+    turn = matrix_from_rotvec(np.array([np.pi, 0.0, 0.0]))
+    for R, most in ((turn, True), (np.eye(3), False)):
+        learner = make_learner(orientation="aligned", rounds=1)
+        with warnings.catch_warnings(record=True) as seen:
+            warnings.simplefilter("always")
+            learner.fit([s.points @ R.T for s in few_scans[:4]])
+        assert any("all but certainly fitted wrongly" in str(w.message) for w in seen) == most
+        assert (2 * learner.history_[0]["failed"] > 4) == most

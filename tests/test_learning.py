@@ -76,7 +76,7 @@ def test_results_give_their_vertices_back(tube_rig, learned_people):
 def test_history_and_progress(learned_people):
     assert [h["round"] for h in learned_people.history_] == [0, 1]
     keys = {"round", "recon", "recon_held_out", "seconds", "kept"}
-    assert [set(h) for h in learned_people.history_] == [keys | {"beyond"}, keys | {"new_starts_won"}]
+    assert [set(h) for h in learned_people.history_] == [keys | {"beyond", "failed"}, keys | {"new_starts_won"}]
     assert [h["kept"] for h in learned_people.history_] == [False, True]
     # Round 0 has proportions for each scan by itself, which explain a little more than one template for all.
     assert learned_people.history_[1]["recon"] < 1.2 * learned_people.history_[0]["recon"]

@@ -227,6 +227,8 @@ class LearningProgress:
             words.append(f"{counted(n, 'scan')} got a better pose from a new start")
         if n := figures.get("beyond"):
             words.append(f"points beyond the rig left out in {counted(n, 'scan')}")
+        if n := figures.get("failed"):
+            words.append(f"{counted(n, 'fit')} all but certainly wrong")
         words.append(f"took {span(figures['seconds'])}")
         if k < self.rounds and self._took:
             words.append(self._left_in_words())

@@ -162,10 +162,10 @@ class Scout:
 
     def is_sure(self, found):
         """Whether what was found is likely to be right."""
-        return self._probability(found) >= _SURE
+        return self.probability(found) >= _SURE
 
-    def _probability(self, found):
-        """That the pose is right, by what is known of it before the full objective."""
+    def probability(self, found):
+        """How likely the pose is right, by what is known of it before the full objective."""
         model, state = self.model, found.state
         known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
         known |= {"partial": self.settings.partial, "areas": model.areas, "x_weights": found.problem.x_weights}

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..fitting.confidence import FAILED
 from ..fitting.refit import plain_chamfer
 from ..fitting.result import FitResult
 from ..fitting.scan_fit import ScanFit
@@ -12,16 +13,16 @@ from ..fitting.second_look import is_long, looked_at_again, may_go_on
 from ..optimize.model import Model
 from .tasks import finite, short
 
-__all__ = ["FirstFit"]
+__all__ = ["FirstFit", "most_have_failed"]
 
 
 @dataclass(frozen=True)
 class FirstFit:
-    """A task → (Frame, State, L_c, probabilities or None, rivals, TakingPart or None), on the rig's template with proportions.
+    """A task → (Frame, State, L_c, probabilities or None, rivals, TakingPart or None, bool), on the rig's proportioned template.
 
-    ``rivals`` are what other poses leave unexplained, in what this one leaves. The last is None, or what takes part without the
-    points that are found to go on beyond the rig, as in fits of single scans (``fitting.second_look``); the others are of that
-    then.
+    ``rivals`` are what other poses leave unexplained, in what this one leaves. The last but one is None, or what takes part
+    without the points that are found to go on beyond the rig, as in fits of single scans (``fitting.second_look``); the others
+    are of that then. The last: whether the fit is all but certainly wrong.
     """
 
     model: Model
@@ -53,7 +54,8 @@ class FirstFit:
     def _answer(self, found, part=None):
         loss = plain_chamfer(self.model, found.problem, found.state, partial=self.settings.partial)
         rivals = tuple(value / max(found.value, np.finfo(float).tiny) for value in found.rivals)
-        return found.frame, found.state, finite(loss), short(found.proba), rivals, part
+        failed = bool(self._fit.scout.probability(found) < FAILED)
+        return found.frame, found.state, finite(loss), short(found.proba), rivals, part, failed
 
     def _looked_at_again(self, points, part, ups, found, long):
         """The answer for what lies within the rig, where a likelier fit that is "ok" finds something beyond; else for all.
@@ -85,6 +87,14 @@ class FirstFit:
         if best.status == "ok":  # what is left out here takes no part in learning, whatever comes later
             return self._answer(best.seen, best.part)
         return self._answer(scouted(whole, False))
+
+
+def most_have_failed(failed, n):
+    """What to say where most of n first fits have failed; "" where they have not."""
+    if 2 * failed <= n:
+        return ""
+    words = f"{failed} of {n} scans are all but certainly fitted wrongly, and templates are learned from right fits"
+    return f"{words}: do scans stand as orientation and up say, is it their rig? Fit one alone (lbs.fit_scan, lbsfit fit) to see"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

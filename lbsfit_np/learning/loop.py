@@ -33,7 +33,7 @@ from ..threads import one_thread
 from ..workers import beside
 from .checkpoint import FIRST_FIT, NO_CHECKPOINT, kept_by_its_process
 from .collection import HELD_OUT, LEARNED_FROM
-from .first_fits import FirstFit
+from .first_fits import FirstFit, most_have_failed
 from .mixture import Mixture
 from .pose_prior import LEAST, looked_at, pose_prior
 from .scales import check_scales, scale_of, scale_warnings, size_and_unit, units_apart, use_unit
@@ -129,16 +129,13 @@ class Loop:
         Of the training scans.
     joints : {"follow", "fixed"}
     sequence : bool
-    smooth : float
-        Weight of the angles' distance from their neighbours', in a sequence.
+    smooth : float; weight of the angles' distance from their neighbours', in a sequence
     jobs : int
     random_state : int
-    progress : callable (stage, share, figures) or None
-        ``figures`` is a round's entry of the history when it ends, else None.
+    progress : callable (stage, share, figures) or None; ``figures`` is a round's entry of the history when it ends, else None
     on_round, on_kept : callable (k, segmenter), (Learned), or None, after a round; the latter if it is kept unless a later one is
     checkpoint : Checkpoint
-        That depends on all of the above but for the collection, the variant, ``sequence``, ``smooth``, ``jobs`` and the number of
-        rounds.
+        Of all of the above but the collection, the variant, ``sequence``, ``smooth``, ``jobs`` and the number of rounds.
     """
 
     def __init__(
@@ -181,8 +178,8 @@ class Loop:
     def run(self):
         """All rounds; returns Learned, and leaves in each member its state, points in the frame and loss."""
         started = time.perf_counter()
-        self._first_fits()
-        self._note(0, started, {"beyond": sum(m.part.among is not None for m in self.collection.members)})
+        failed = self._first_fits()
+        self._note(0, started, {"beyond": sum(m.part.among is not None for m in self.collection.members), "failed": failed})
         self.progress("round", 1.0, self.history[-1])
         best, bring_back, learned = np.inf, None, None
         for k in range(1, self.settings.rounds + 1):
@@ -211,7 +208,7 @@ class Loop:
     # ---- the steps ----
 
     def _first_fits(self):
-        """Each scan by itself, on the rig's own template with proportions."""
+        """Each scan by itself, on the rig's own template with proportions; how many of these fits have failed."""
         half, hold_out = self.model.half, bool(self.collection.with_role(HELD_OUT))
         unit, estimate = self.fit_settings.unit, self.fit_settings.scale == "estimate"
         guess = self.collection.members[0].unit  # one for all
@@ -219,8 +216,10 @@ class Loop:
         work = FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library, self.seed)
         tasks = [work.task(m) for m in self.collection.members]
         answers = self._work(work, tasks, "first fits", [self._first_kept.slot(FIRST_FIT, task) for task in tasks])
-        scales = {}
-        for m, (frame, state, loss, proba, rivals, part) in zip(self.collection.members, answers, strict=True):
+        scales, failed = {}, sum(wrong for *_, wrong in answers)
+        if words := most_have_failed(failed, len(answers)):
+            warnings.warn(words, stacklevel=2)
+        for m, (frame, state, loss, proba, rivals, part, _) in zip(self.collection.members, answers, strict=True):
             if part is not None:
                 m.take(part)
             m.use_frame(frame.unit / half, half, frame.turn)
@@ -247,6 +246,7 @@ class Loop:
             for m in members:
                 use_unit(m, size, unit, half, self.model.rig.joints[self.rig.root])
         self._follow()
+        return failed
 
     def _templates(self, k, stage="templates", span=(0.0, 1.0)):
         """Each subject's template from the poses of its scans that are learned from, or that it has at all."""
