@@ -333,10 +333,10 @@ def test_a_floor_below_another_axis_may_be_a_side_of_the_body(given, ends, tries
     result, fits = fitted(points, ends, **{name: known[name] for name in given})
     assert len(fits) == tries and result.message == f"fit {kept}{said}" and result.probability == ends[kept - 1][1]
     assert (result.seconds, result.evaluations) == ((2.0, 30) if tries == 2 else (1.0, 10))
-    assert "of a floor" in fits[0].note and fits[0].floor_elsewhere
+    assert "of a floor below +z left out" in fits[0].note and fits[0].floor_elsewhere
     assert tries == 1 or fits[1].note == ""
     result, fits = fitted(_before_a_wall(tube_rig, axis=1)[0], ends)
-    assert len(fits) == 1 and "of a floor" in fits[0].note and not fits[0].floor_elsewhere and result.message == "fit 1"
+    assert len(fits) == 1 and "of a floor left out" in fits[0].note and not fits[0].floor_elsewhere and result.message == "fit 1"
 
 
 @pytest.mark.parametrize("random_state", [5, None, "a generator"])

@@ -7,6 +7,7 @@ import numpy as np
 from ..errors import InputError, counted
 from .floor import off_floor
 from .scale import checked_extent, near_rows, reference_scale
+from .turns import axis_name
 
 __all__ = ["TakingPart", "clean_rows", "taking_part"]
 
@@ -220,6 +221,7 @@ def clean_rows(points, rows, *, ups=None, body=None):
     looked_at = f" (of {len(rows)} examined)" if len(rows) < len(points) else ""
     rows, wild = near_rows(points, rows)
     rows, floor, below = off_floor(points, rows, ups=ups, body=body)
-    told = (wild, "far from all others"), (floor, "of a floor")
+    under = f" below {axis_name(ups[below])}" if below else ""  # another axis than is taken for up, which may be wrong
+    told = (wild, "far from all others"), (floor, f"of a floor{under}")
     notes = [f"{counted(n, 'point')} {where} left out" for n, where in told if n]
     return rows, "; ".join(notes) + (looked_at if notes else ""), below
