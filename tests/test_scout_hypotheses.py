@@ -82,7 +82,7 @@ def test_doubt_is_worth_a_second_look(make_scout, clean_scans, effort, p, looks,
         return SimpleNamespace(value=next(values), effort=self.effort, frame=SimpleNamespace(unit=1.0))
 
     monkeypatch.setattr(Scout, "_look", look)
-    monkeypatch.setattr(Scout, "_probability", lambda self, found: p)
+    monkeypatch.setattr(Scout, "probability", lambda self, found: p)
     scout = make_scout(settings=FitSettings(effort=effort))
     assert known[scout(clean_scans[0].points).effort] == looks[-1] and seen == looks
     seen.clear()
@@ -98,7 +98,7 @@ def test_looks_are_compared_in_the_scans_unit(tube_rig, unit, kept, monkeypatch)
     """The second leaves 0.8 of the first's unexplained, in units of its own."""
     first, second = (SimpleNamespace(value=v, frame=SimpleNamespace(unit=u)) for v, u in ((1.0, 1.0), (0.8, unit)))
     monkeypatch.setattr(Scout, "_look", lambda self, *scan: second if self.effort is EFFORTS["thorough"] else first)
-    monkeypatch.setattr(Scout, "_probability", lambda self, found: 0.0)
+    monkeypatch.setattr(Scout, "probability", lambda self, found: 0.0)
     assert _untrained(tube_rig)(np.zeros((9, 3))) is {"thorough": second, "balanced": first}[kept]
 
 
@@ -114,7 +114,7 @@ def test_a_second_look_tries_any_side_where_no_axis_was_told(tube_rig, effort, o
         return SimpleNamespace(value=1.0, frame=SimpleNamespace(unit=1.0))
 
     monkeypatch.setattr(Scout, "_look", look)
-    monkeypatch.setattr(Scout, "_probability", lambda self, found: 0.0)
+    monkeypatch.setattr(Scout, "probability", lambda self, found: 0.0)
     scout = _untrained(tube_rig, facing=facing, effort=effort)
     scout(np.zeros((9, 3)))
     assert seen[0] is facing and scout.facing is facing
@@ -140,9 +140,9 @@ def test_poses_are_told_apart_in_half_sizes_whatever_the_unit(tube_rig, apart, p
 def test_a_wrong_pose_is_in_doubt(make_scout, clean_scans):
     scout = make_scout()
     found = scout(clean_scans[0].points)
-    assert scout._probability(found) > 0.8
+    assert scout.probability(found) > 0.8
     wrong = found.state.replace(theta=found.state.theta * 0.0, translation=found.state.translation + 0.2)
-    assert scout._probability(replace(found, state=wrong)) < 0.05
+    assert scout.probability(replace(found, state=wrong)) < 0.05
 
 
 def _of_other_proportions(model):
@@ -161,7 +161,7 @@ def test_the_mesh_that_was_found_is_judged_with_its_proportions(tube_rig, monkey
 
     monkeypatch.setattr("lbsfit_np.fitting.scout.evidence_of", evidence_of)
     monkeypatch.setattr("lbsfit_np.fitting.scout.probability_of", lambda evidence: 0.5)
-    assert scout._probability(Found(Frame(np.zeros(3), 1.0), Problem(V), state, None, 0.0, ())) == 0.5
+    assert scout.probability(Found(Frame(np.zeros(3), 1.0), Problem(V), state, None, 0.0, ())) == 0.5
     np.testing.assert_allclose(seen, [V], atol=1e-12)
 
 
