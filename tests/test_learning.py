@@ -207,7 +207,7 @@ def test_another_scan_tells_when_to_stop_where_the_one_held_out_is_in_another_un
     (held,) = collection.with_role(HELD_OUT)
     frames, rest = [replace(m.frame, unit=loop.model.half) for m in collection.members], loop.model.rest()
     scales = [2.54 if m is held else 1.0 for m in collection.members]
-    found = [(f, rest.replace(scale=scale), 0.01, None, (), None) for f, scale in zip(frames, scales)]
+    found = [(f, rest.replace(scale=scale), 0.01, None, (), None, False) for f, scale in zip(frames, scales)]
     monkeypatch.setattr(loop, "_work", lambda *given: found)
     with pytest.warns(UserWarning, match=f"scan {held.index}: .*; not learned from"):
         loop._first_fits()

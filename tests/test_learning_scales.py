@@ -175,7 +175,7 @@ def test_the_unit_of_a_scan_in_doubt_is_that_of_its_first_fit_not_the_subjects_s
     loop = loop_over(tube_rig, collection, "cd", None)
     rest = loop.model.rest()
     frames = [replace(m.frame, unit=loop.model.half) for m in collection.members]
-    found = [(frame, rest.replace(scale=k), 0.01, None, (), None) for frame, k in zip(frames, scales)]
+    found = [(frame, rest.replace(scale=k), 0.01, None, (), None, False) for frame, k in zip(frames, scales)]
     monkeypatch.setattr(loop, "_work", lambda *given: found)
     with pytest.warns(UserWarning, match="scan 2: .*; not learned from"):
         loop._first_fits()
