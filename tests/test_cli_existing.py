@@ -370,27 +370,40 @@ def test_kept_fits_of_other_points_are_told(fitted, made, tmp_path, run):
         assert entries["one"]["other_points"] and "other_points" not in entries["two"]
     other.write_text("ply")
     text = run(*arguments)[1]
-    assert f"note: 1 kept fit was not compared with {other}: with these options it cannot be read" in text
+    assert f"note: 1 kept fit was not compared with {other}, which cannot be read with these options" in text
     assert '"other_points": null' in (tmp_path / "summary.json").read_text()
 
 
-def test_scans_that_were_read_before_are_not_read_again(fitted, made, tmp_path, run, monkeypatch):
-    """Unless they were read otherwise, or have been written since."""
+def test_points_are_compared_whatever_names_and_times_say(fitted, made, tmp_path, run, monkeypatch):
+    """As of two folders whose scans are named alike, and of an older file that was moved into a scan's place."""
     for path in fitted[0].iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    scan = tmp_path / "scans" / "one.ply"
-    scan.parent.mkdir()
-    scan.write_bytes((made / "one.ply").read_bytes())
-    read = []
-    monkeypatch.setattr("lbsfit_np.cli.kept_fits._has_other_points", lambda files, *_: read.append(files.source) or False)
-    arguments = ("fit", made / "tube.npz", scan, "-o", tmp_path, "--existing", "skip", *QUICK)
-    os.utime(scan, ns=(0, 0))
+    moved = lbs.load_scan(made / "one.ply").points + [0.0, 0.0, 0.01]
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        (tmp_path / folder / "one.ply").write_bytes((made / "one.ply").read_bytes())
+    write_points_ply(tmp_path / "b" / "one.ply", moved)
+    for path in (tmp_path / "a" / "one.ply", tmp_path / "b" / "one.ply"):
+        os.utime(path, ns=(0, 0))
+    arguments = ("fit", made / "tube.npz", "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
+    said = "note: 1 kept fit was made of other points than those now in one.ply, read with these options"
+    for folder, others in (("a", False), ("b", True), ("a", False)):
+        monkeypatch.chdir(tmp_path / folder)
+        assert (said in run(*arguments)[1]) == others
+    os.replace(tmp_path / "b" / "one.ply", tmp_path / "a" / "one.ply")
+    assert said in run(*arguments)[1]
 
-    def read_in(*more):
-        read.clear()
-        assert run(*arguments, *more)[0] == 0
-        return len(read)
 
-    assert [read_in(*more) for more in ((), (), ("--drop-invalid",), ("--drop-invalid",), ())] == [1, 0, 1, 0, 1]
-    os.utime(scan)
-    assert read_in() == 1
+@pytest.mark.parametrize("damage, got", [("cut", "a file that "), ("of another scan", "4 points; expected the ")])
+def test_a_scan_whose_labels_cannot_be_used_is_fitted_again(damage, got, fitted, made, tmp_path, run):
+    for path in fitted[0].iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    labels = tmp_path / "one.labels.ply"
+    whole = labels.read_bytes()
+    if damage == "cut":
+        labels.write_bytes(whole[: len(whole) // 2])
+    else:
+        write_points_ply(labels, np.random.default_rng(0).random((4, 3)))
+    code, text, _ = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
+    assert code == 0 and f"one: {labels} cannot be used ({got}" in text and "so the scan is fitted again" in text
+    assert labels.read_bytes() == whole and "note: " not in text and "kept" not in text

@@ -3,7 +3,6 @@
 import json
 import os
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ from cli_runs import QUICK, one_line
 import lbsfit_np as lbs
 from lbsfit_np.cli import kept_fits, outputs
 from lbsfit_np.errors import FileError
-from lbsfit_np.io.write import write_points_ply
 from lbsfit_np.report.render import is_signed, write_png
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -171,21 +169,6 @@ def test_a_file_that_cannot_be_removed_does_not_stop_the_run(tmp_path, monkeypat
     assert [path.name for path in tmp_path.iterdir()] == ["one.mesh.ply"]
     assert entry["message"] == "no scan; one.mesh.ply of an earlier run cannot be removed (Permission denied)"
     assert (entry["status"], entry["seconds"]) == ("failed", 1.0) and "files" not in entry
-
-
-@pytest.mark.parametrize("labels, words", [(None, "no such file"), (4, "4 points; expected the 5"), (5, None)])
-def test_without_the_points_of_a_kept_fit_there_is_no_picture_of_it(labels, words, tube_rig, tmp_path, monkeypatch, capsys):
-    files = _files(tmp_path)
-    files.labels.unlink()
-    if labels is not None:
-        write_points_ply(files.labels, np.random.default_rng(0).random((labels, 3)))
-    monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", lambda rig, points, result: PIXELS)
-    kept_fits._draw_kept(files, tube_rig, SimpleNamespace(labels=np.zeros(5, dtype=int)))
-    said = capsys.readouterr().out
-    if words is None:
-        assert said == "" and files.picture.read_bytes().startswith(b"\x89PNG")
-    else:
-        assert said.startswith("one: no picture: ") and words in said and not files.picture.exists()
 
 
 @pytest.mark.parametrize("later, newer", [(-1, False), (0, True), (1, True)])

@@ -259,7 +259,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
             say(note)
     rig, subjects = fitter.rig, {f.name: subject for f, subject in zip(files, subjects, strict=True)}
     reader = functools.partial(read_scan, least=len(rig.parts), options=scan_options(values))
-    kept = kept_entries(files, fitter, subjects, values, reader) if values["existing"] == "skip" else {}
+    kept = kept_entries(files, fitter, subjects, reader) if values["existing"] == "skip" else {}
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"kept existing fits of {of_all(len(kept), len(files))}")

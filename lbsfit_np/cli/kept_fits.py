@@ -1,8 +1,6 @@
 """Fits of earlier runs that ``--existing skip`` keeps, once it is sure what they were made with."""
 
 import functools
-import json
-import os
 from collections import Counter
 
 import numpy as np
@@ -11,7 +9,6 @@ from ..errors import FileError, InputError, counted, listed
 from ..io.npz import RESULT_KEY, npz_keys
 from . import outputs
 from .progress import say
-from .summary import SUMMARY
 
 __all__ = ["kept_entries"]
 
@@ -21,18 +18,18 @@ _KINDS = 3
 _SAME = 1e-6
 
 
-def kept_entries(files, fitter, subjects, values, read):
+def kept_entries(files, fitter, subjects, read):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else.
 
     Other settings, such as another effort, are no error: of some scans one may want what is too slow for all. A line tells them,
-    and fits of other points than ``read`` (path → Scan), with the options ``values``, finds now.
+    and fits of other points than ``read`` (path → Scan) finds now. To read a scan is nothing beside fitting it, and neither names
+    nor times of files say whether it is the same one.
     """
     from ..fitting.result import FitResult
     from ..learning.made_with import settings_of
 
     kept, rig = {}, fitter.rig
     made, now, others, differ = _MadeWith(fitter), settings_of(fitter), Counter(), {True: [], None: []}
-    as_before = _read_before(files[0].fit.with_name(SUMMARY), values)
     for f in files:
         if not f.fit.is_file():
             continue
@@ -57,23 +54,29 @@ def kept_entries(files, fitter, subjects, values, read):
             raise InputError("--existing skip", f"{f.fit}, a fit of a scan {said[0]}", f"fits of scans {said[1]}", remedy)
         if not all(path.is_file() and path.stat().st_size for path in (f.mesh, f.labels)):
             continue
+        try:
+            labelled = _labelled(f.labels, result)
+        except FileError as error:
+            say(f"{f.name}: {f.labels} cannot be used ({error.got}; expected {error.expected}), so the scan is fitted again")
+            continue
         if f.picture is not None and not _is_newer(f.picture, f.fit):
-            _draw_kept(f, rig, result)
+            for note in outputs.draw(f, rig, labelled, result):
+                say(f"{f.name}: {note}")
         kept[f.name] = outputs.fitted_entry(f, result, kept=True)
         other = {name: result.settings.get(name) for name in now if result.settings.get(name) != now[name]}
         if other:
             kept[f.name]["other_settings"] = other if result.settings else None
             others[_in_words(other, now)] += 1
-        if not as_before(f) and (differs := _has_other_points(f, result, read)) is not False:
+        if (differs := _has_other_points(f.source, labelled, read)) is not False:
             kept[f.name]["other_points"] = differs
             differ[differs].append(f.source)
     _say_others(others)
     for differs, scans in differ.items():
         if scans:
-            which = f"not compared with {listed(scans, 3)}: with these options it cannot be read"
-            if differs:
-                which = f"made of other points than those now in {listed(scans, 3)}, read with these options"
-                which += "; --existing replace fits all again"
+            which = f"made of other points than those now in {listed(scans, 3)}, read with these options; "
+            which += "--existing replace fits all again"
+            if not differs:
+                which = f"not compared with {listed(scans, 3)}, which cannot be read with these options"
             say(f"note: {counted(len(scans), 'kept fit')} {'was' if len(scans) == 1 else 'were'} {which}")
     return kept
 
@@ -94,40 +97,23 @@ def _check_ours(path, error):
         raise InputError("--existing skip", f"{path}, which is no fit", "fits that lbsfit has written", remedy)
 
 
-def _read_before(summary, values):
-    """ScanFiles → whether the run of this summary has read the scan from the same file, unchanged since, in the same way.
-
-    To read all scans again may take long.
-    """
-    try:
-        with open(summary, encoding="utf-8") as file:
-            content = json.load(file)
-        alike = all(content["settings"][key] == values[key] for key in ("samples", "drop_invalid", "seed"))
-        inputs = {e["name"]: e["input"] for e in content["scans"] if "other_points" not in e} if alike else {}
-    except (OSError, ValueError, RecursionError, KeyError, TypeError):
-        inputs = {}
-
-    def as_before(files):
-        try:
-            unchanged = os.stat(files.source).st_mtime_ns <= os.stat(files.fit).st_mtime_ns
-        except OSError:
-            return False
-        return unchanged and inputs.get(files.name) == files.source
-
-    return as_before
-
-
-def _has_other_points(files, result, read):
-    """Whether a scan is not the one that its fit was made of; None where it cannot be read."""
+def _labelled(path, result):
+    """The points that a fit has labelled: the scan may be another by now."""
     from ..io.scans import load_scan
 
+    points = load_scan(path).points
+    if len(points) != len(result.labels):
+        raise FileError(str(path), f"{len(points)} points", f"the {len(result.labels)} that the fit has labels for")
+    return points
+
+
+def _has_other_points(source, labelled, read):
+    """Whether a scan is not the one whose points a fit has labelled; None where it cannot be read."""
     try:
-        now, then = read(files.source).points, load_scan(files.labels).points
+        now = read(source).points
     except FileError:
         return None
-    if not len(now) == len(then) == len(result.labels):
-        return True
-    return not np.allclose(now, then, rtol=0.0, atol=_SAME * np.ptp(then, axis=0).max())
+    return len(now) != len(labelled) or not np.allclose(now, labelled, rtol=0.0, atol=_SAME * np.ptp(labelled, axis=0).max())
 
 
 def _say_others(others):
@@ -190,23 +176,6 @@ class _MadeWith:
                 remedy += "the scan again; or choose another folder, or --existing replace."
         expected = "fits with this model and subject" if self.anybody else f"fits with rig {self.rig.name!r} alone"
         return InputError("--existing skip", f"{files.fit}, a fit {words}", expected, remedy)
-
-
-def _draw_kept(files, rig, result):
-    """The picture of a fit that an earlier run has made, with the points that it labelled: the scan may be another by now."""
-    from ..io.scans import load_scan
-
-    try:
-        points = load_scan(files.labels).points
-        if len(points) != len(result.labels):
-            got, expected = f"{len(points)} points", f"the {len(result.labels)} that the fit has labels for"
-            raise FileError(str(files.labels), got, expected)
-    except FileError as error:
-        notes = [f"no picture: {error}", *outputs.remove([files.picture])]
-    else:
-        notes = outputs.draw(files, rig, points, result)
-    for note in notes:
-        say(f"{files.name}: {note}")
 
 
 def _is_newer(picture, fit):
