@@ -232,8 +232,10 @@ class Rig:
         h = hashlib.sha256()
         for a in (self.vertices, self.faces, self.parents, self.joints, self.frames, self.lower, self.upper):
             h.update(_bytes(a))
-        for matrix in (self.weights.tocoo(), self.regressor.tocoo()):
-            h.update(_bytes(np.stack([matrix.row, matrix.col])) + _bytes(matrix.data))
+        for matrix in (self.weights.copy(), self.regressor.copy()):
+            matrix.sum_duplicates()  # which sorts them, too: products of SciPy's leave entries in orders of its own
+            entries = matrix.tocoo()
+            h.update(_bytes(np.stack([entries.row, entries.col])) + _bytes(entries.data))
         h.update("\0".join(self.joint_names + self.parts).encode())
         h.update(self.part_of_joint.astype(np.int64).tobytes())
         return h.hexdigest()
@@ -433,14 +435,13 @@ def weld_rig(rig):
     sound = proper(faces)
     if n == m:
         return rig if sound.all() else replace(rig, faces=faces[sound])
-    first = sparse.csr_array((np.ones(n), (np.arange(n), weld.first)), shape=(n, m))
     member = sparse.csr_array((np.ones(m), (weld.rows, np.arange(m))), shape=(n, m))
     regressor = sparse.csr_array(rig.regressor @ sparse.csr_array(member.T))
     return replace(
         rig,
         vertices=rig.vertices[weld.first],
         faces=faces[sound],
-        weights=sparse.csr_array(first @ rig.weights),  # stored as of any product: the digest goes by that
+        weights=rig.weights[weld.first],
         regressor=exact_regressor(regressor, rig.vertices[weld.first], rig.joints) if weld.loose.any() else regressor,
         shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, weld.first]),
     )
