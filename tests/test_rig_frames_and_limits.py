@@ -142,3 +142,18 @@ def test_rigs_of_clips_with_any_turns_can_be_used(start, turns):
         assert (theta >= rig.lower - 1e-9).all() and (theta <= rig.upper + 1e-9).all()
         away = matrix_from_rotvec(theta[2]) - matrix_from_rotvec(animated[:, 2])
         assert np.abs(away).max(axis=(1, 2)).min() < 1e-9
+
+
+@pytest.mark.parametrize("low, high", [(-180, 180), (-10, 350), (-350, 10)])
+def test_poses_of_clips_lie_within_a_cards_limits(low, high):
+    """Whichever of the vectors of one rotation that takes."""
+    data, animated = make_tube_data(), np.zeros((4, 4, 3))
+    angles = np.radians([0, 190, 90, 150])
+    animated[:, 2, 0] = (angles + np.pi) % (2 * np.pi) - np.pi
+    low, high = np.radians([[low, -5, -5], [high, 5, 5]])
+    rig = build_rig(replace(data, lower=None, upper=None, animated=animated), Card(limits=(("long", low, high),)))
+    assert len(rig.poses) == 3
+    for theta in rig.poses.values():
+        assert (theta >= rig.lower - 1e-9).all() and (theta <= rig.upper + 1e-9).all()
+        away = matrix_from_rotvec(theta[2]) - matrix_from_rotvec(animated[:, 2])
+        assert np.abs(away).max(axis=(1, 2)).min() < 1e-9

@@ -24,7 +24,7 @@ from .checks import (
     check_weights,
     following_root,
 )
-from .clips import poses_of_clips, under_other_parents
+from .clips import poses_of_clips, under_other_parents, within_limits
 from .frames import bone_frames, child_directions, frames_along
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, derived_limits
 from .partition import check_partition, partition_names
@@ -100,7 +100,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     if state.merged_now.any():
         weights = _merged_weights(weights, parents, state.merged)
     lower, upper = _limits(report, data, parents, root, names, turned, state, card, notes)
-    poses, smpl_rest = _library(report, data, names, parents, root, turned, state, notes)
+    poses, smpl_rest = _library(report, data, names, parents, root, turned, state, (lower, upper), notes)
     shapes = check_shapes(report, data.shapes, len(vertices), len(names))
 
     partitions = _partitions(report, data, names, card)
@@ -386,7 +386,7 @@ def _limits(report, data, parents, root, names, turned, state, card, notes):
     return lower, upper
 
 
-def _library(report, data, names, parents, root, turned, state, notes):
+def _library(report, data, names, parents, root, turned, state, limits, notes):
     """The natural poses about the rig's axes, the file's or else its animations', without turns of joints that do not turn;
     and ``smpl_rest``.
 
@@ -407,7 +407,7 @@ def _library(report, data, names, parents, root, turned, state, notes):
         if turned is not None:
             theta = np.einsum("jab,jb->ja", turned, theta)
         theta[still] = 0.0
-        poses[name] = theta
+        poses[name] = theta if own else within_limits(theta, *limits)  # a card may have other limits than the clips
     return poses, rest
 
 
