@@ -114,11 +114,11 @@ def _card(arguments):
     by_itself = rig.is_file() and same_file(path, beside) and not of_model
     if rig.is_file() and not by_itself and not of_model and beside.is_file():
         print(f"note: the card describes {rig.name} without {beside.name}, which was not read")
-    edit = "check its [hierarchy], which is a guess" if isinstance(found, RigData) else "edit it"
-    how = f"it is used automatically with {rig}" if by_itself else f"pass it with --card {path}"
     if of_model:
-        how = f"a learned model keeps its rig: learn again with the rig's file and --card {path}"
-    print(f"{path} written; {edit}; {how}")
+        print(f"{path} written: the rig as the model keeps it; to change it, edit a card of the rig's own file, and learn again")
+        return 0
+    edit = "check its [hierarchy], which is a guess" if isinstance(found, RigData) else "edit it"
+    print(f"{path} written; {edit}; {f'it is used automatically with {rig}' if by_itself else f'pass it with --card {path}'}")
     return 0
 
 

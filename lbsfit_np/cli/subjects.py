@@ -7,7 +7,7 @@ import shlex
 import tomllib
 from collections import Counter
 from contextlib import suppress
-from difflib import get_close_matches
+from difflib import SequenceMatcher, get_close_matches
 from functools import cached_property
 from pathlib import Path
 from unicodedata import normalize
@@ -145,14 +145,23 @@ def _likeness(missing, passed):
     """What a name that is no scan may mean, of those that are missing: the first such one, in a list; else none."""
     by_numbers = {}  # scans of a series differ in their numbers alone, and none of them stands for another
     for line, name, _ in passed:
-        by_numbers.setdefault(_numbers(name), {}).setdefault(Path(name).stem.casefold(), (name, line))
+        by_numbers.setdefault(_numbers(name), {}).setdefault(Path(name).stem.casefold(), []).append((name, line))
     for scan in missing[:_FIRST_MISSING]:
         alike = by_numbers.get(_numbers(scan), {})
-        if close := get_close_matches(Path(scan).stem.casefold(), alike, n=1):  # folders and endings are alike in any case
-            name, line = alike[close[0]]
+        if close := get_close_matches(Path(scan).stem.casefold(), alike, n=1):  # endings are alike in any case
+            named = [(_folders_likeness(scan, name), name, line) for name, line in alike[close[0]]]
+            likeness, name, line = max(named, key=lambda row: row[0])
+            if likeness < _ALIKE:  # as where each person has a folder: this row is of another one's scan
+                continue
             words = f"If {brief(name)} in line {line} means {brief(scan)}, write it that way"
             return [f"{words}: name scans by their file names, or as on the command line."]
     return []
+
+
+def _folders_likeness(scan, name):
+    """How alike the folders are in which two paths have their files; 1 where one of them is a file name alone."""
+    a, b = (Path(path).parent.name.casefold() for path in (scan, name))
+    return SequenceMatcher(None, a, b).ratio() if a and b else 1.0
 
 
 def _numbers(name):

@@ -5,6 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..errors import counted
 from ..fitting.confidence import FAILED
 from ..fitting.refit import plain_chamfer
 from ..fitting.result import FitResult
@@ -89,11 +90,13 @@ class FirstFit:
         return self._answer(scouted(whole, False))
 
 
-def most_have_failed(failed, n):
-    """What to say where most of n first fits have failed; "" where they have not."""
-    if 2 * failed <= n:
+def most_have_failed(failed):
+    """What to say where most first fits of the scans to learn from have failed, a bool for each; "" where they have not."""
+    wrong, n = sum(failed), len(failed)
+    if 2 * wrong <= n:
         return ""
-    words = f"{failed} of {n} scans are all but certainly fitted wrongly, and templates are learned from right fits"
+    words = f"{wrong} of {counted(n, 'scan')} to learn from {'is' if wrong == 1 else 'are'} all but certainly fitted wrongly"
+    words += ", and templates are learned from right fits"
     return f"{words}: do scans stand as orientation and up say, is it their rig? Fit one alone (lbs.fit_scan, lbsfit fit) to see"
 
 

@@ -216,8 +216,8 @@ class Loop:
         work = FirstFit(self.model, self.fit_settings, segmenter, self.library, self.facing, self.variant.library, self.seed)
         tasks = [work.task(m) for m in self.collection.members]
         answers = self._work(work, tasks, "first fits", [self._first_kept.slot(FIRST_FIT, task) for task in tasks])
-        scales, failed = {}, sum(wrong for *_, wrong in answers)
-        if words := most_have_failed(failed, len(answers)):
+        scales, failed = {}, [wrong for *_, wrong in answers]
+        if words := most_have_failed([f for m, f in zip(self.collection.members, failed) if m.role == LEARNED_FROM]):
             warnings.warn(words, stacklevel=2)
         for m, (frame, state, loss, proba, rivals, part, _) in zip(self.collection.members, answers, strict=True):
             if part is not None:
@@ -246,7 +246,7 @@ class Loop:
             for m in members:
                 use_unit(m, size, unit, half, self.model.rig.joints[self.rig.root])
         self._follow()
-        return failed
+        return sum(failed)
 
     def _templates(self, k, stage="templates", span=(0.0, 1.0)):
         """Each subject's template from the poses of its scans that are learned from, or that it has at all."""
