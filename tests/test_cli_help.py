@@ -7,6 +7,7 @@ from cli_runs import help_alone
 
 from lbsfit_np.cli import _parser, fit
 from lbsfit_np.cli.progress import SILENCE, Progress
+from lbsfit_np.cli.summary import say_doubtful
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -77,6 +78,21 @@ def test_a_line_of_a_fit_in_doubt_has_the_first_reason(status, capsys):
         f"[1/3] one: {status}: points near part head are not explained; … (right with probability 0.12)",
         f"[2/3] one: {status}: several small things together (right with probability 0.12)",
         "[3/3] two: failed: no points; nothing to fit",
+    ]
+
+
+def test_fits_that_are_ok_but_not_surely_right_are_named(capsys):
+    """The least probable first; free-form fits have no evidence, and a probability of 0."""
+    sure = {"status": "ok", "probability": 0.8, "evidence": {"rival": 0.1}, "message": ""}
+    say_doubtful([sure | {"name": "one"}, sure | {"name": "free", "probability": 0.0, "evidence": {}}])
+    assert capsys.readouterr().out == ""
+    several = [sure | {"name": f"n{k}", "probability": p} for k, p in enumerate((0.7, 0.504, 0.95, 0.799))]
+    say_doubtful([sure | {"name": "one"}, *several[:1]])
+    say_doubtful(several + [sure | {"name": f"m{k}", "probability": 0.75} for k in range(4)])
+    assert capsys.readouterr().out.splitlines() == [
+        "note: 1 fit is ok, but right with a probability below 0.8 only: n0 (0.70)",
+        "note: 7 fits are ok, but each right with a probability below 0.8 only: n1 (0.50), n0 (0.70), m0 (0.75), m1 (0.75), "
+        "m2 (0.75) and 2 more",
     ]
 
 

@@ -367,19 +367,19 @@ def test_the_verdict_names_reasons():
     much = {"unexplained": 0.21, "rival": 0.9, "part_unexplained": 0.6, "part_unreached": 0.7}
     status, reason = verdict_of(NOTHING | much, 0.3, PARTS)
     assert status == "suspect"
-    assert "21% of the points are not explained" in reason and "another pose" in reason
+    assert "points are not explained (mean misfit 21%)" in reason and "another pose" in reason
     assert "part left_arm does not fit" in reason and "part right_arm has no points" in reason
     assert verdict_of(NOTHING | {"unexplained": 0.9}, 0.01)[0] == "failed"
     assert verdict_of(NOTHING, 0.3)[1] == "several small things together"
     some = {"unexplained": 0.02, "part_unexplained": 0.14, "disagreement": 0.3, "distance": 0.5}
-    words = "several small things together, above all points near part left_arm that are not explained (14%) "
-    words += "and points that are not explained (2%)"
+    words = "several small things together, above all points near part left_arm that are not explained (mean misfit 14%) "
+    words += "and points that are not explained (mean misfit 2%)"
     assert verdict_of(NOTHING | some, 0.3, PARTS)[1] == words
     tiny = {"unexplained": 0.004, "at_limits": 0.004}
     assert verdict_of(NOTHING | tiny, 0.3)[1] == "several small things together"
-    assert "(1%)" in verdict_of(NOTHING | {"unexplained": 0.0051}, 0.3)[1]
+    assert "misfit 1%)" in verdict_of(NOTHING | {"unexplained": 0.0051}, 0.3)[1]
     for none in (0.005, 0.0049):  # percent of which none is left
-        assert "(0%)" not in verdict_of(NOTHING | {"unexplained": none}, 0.3)[1]
+        assert " 0%)" not in verdict_of(NOTHING | {"unexplained": none}, 0.3)[1]
     every = {name: 0.02 for name in EVIDENCE if name not in ("distance", "proportions")}
     for name in every:
         assert "above all " in verdict_of(NOTHING | {name: 0.02}, 0.3, PARTS)[1]

@@ -5,11 +5,14 @@ import os
 import platform
 import time
 
+from ..errors import listed
 from .progress import in_digits, say
 
 __all__ = ["SUMMARY", "counts_of", "doubts_of", "is_of_others", "say_doubtful", "write_summary", "written_of"]
 
 SUMMARY = "summary.json"
+# Below this probability a fit is named even if it is ok; so many names.
+_SURE, _NAMED = 0.8, 5
 
 
 def counts_of(entries):
@@ -47,7 +50,24 @@ def doubtful_first(entries):
 
 
 def say_doubtful(entries):
-    """A table of the scans that failed or are suspect, on standard output, a line for each reason; nothing where all are well."""
+    """What to look at, on standard output; nothing where all are well.
+
+    A table of the scans that failed or are suspect, a line for each reason, and then a line of fits that are hardly better.
+    """
+    _say_suspects(entries)
+    unsure = sorted((e for e in entries if e["status"] == "ok" and _is_unsure(e)), key=lambda e: e["probability"])
+    if unsure:
+        named = listed([f"{e['name']} ({in_digits(e['probability'])})" for e in unsure], _NAMED)
+        are = "fit is ok, but" if len(unsure) == 1 else "fits are ok, but each"
+        say(f"note: {len(unsure)} {are} right with a probability below {_SURE} only: {named}")
+
+
+def _is_unsure(entry):
+    """Whether a fit is that nothing is told against; free-form ones have no evidence, and no probability."""
+    return bool(entry.get("evidence")) and entry["probability"] < _SURE
+
+
+def _say_suspects(entries):
     doubtful = [e for e in doubtful_first(entries) if e["status"] in ("failed", "suspect")]
     if not doubtful:
         return

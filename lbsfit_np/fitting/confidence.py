@@ -352,11 +352,11 @@ def _together(evidence, worst):
 
 # What a piece of evidence is called that is not worth a word by itself.
 _ALSO = {
-    "unexplained": "points that are not explained ({value:.0%})",
-    "unreached": "surface that is not reached by points ({value:.0%})",
-    "part_unexplained": "points near part {part} that are not explained ({value:.0%})",
-    "part_unreached": "surface of part {part} that is not reached by points ({value:.0%})",
-    "disagreement": "labels and mesh that disagree ({value:.0%} of the points)",
+    "unexplained": "points that are not explained (mean misfit {value:.0%})",
+    "unreached": "surface that is not reached by points (mean misfit {value:.0%})",
+    "part_unexplained": "points near part {part} that are not explained (mean misfit {value:.0%})",
+    "part_unreached": "surface of part {part} that is not reached by points (mean misfit {value:.0%})",
+    "disagreement": "labels and mesh that disagree ({value:.0%} on average)",
     "rival": "another pose that explains the scan nearly as well ({value:.0%})",
     "at_limits": "angles at their limits ({value:.0%})",
     "sparse": "few points",
@@ -368,11 +368,11 @@ _NARROW = 0.1
 # From where on a piece of evidence is worth a word, and the word.
 _WORDS = {
     "distance": (_NOT_THE_RIG, "points lie far from the mesh"),
-    "unexplained": (0.03, "{value:.0%} of the points are not explained"),
-    "unreached": (0.12, "{value:.0%} of the model is not reached by points"),
+    "unexplained": (0.03, "points are not explained (mean misfit {value:.0%})"),
+    "unreached": (0.12, "surface is not reached by points (mean misfit {value:.0%})"),
     "part_unexplained": (MISFIT, "part {part} does not fit"),
     "part_unreached": (0.4, "part {part} has no points"),
-    "disagreement": (0.35, "labels and mesh disagree on {value:.0%} of the points"),
+    "disagreement": (0.35, "labels and mesh disagree ({value:.0%} on average)"),
     "rival": (0.6, "another pose explains the scan nearly as well"),
     "at_limits": (AT_LIMITS, "{value:.0%} of the angles are at their limits"),
     "sparse": (0.1, "few points take part (of a mesh, --samples takes more), or few have all the weight"),
