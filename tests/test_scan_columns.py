@@ -348,7 +348,7 @@ def test_blank_lines_in_a_ply_are_nothing(tmp_path):
         load_scan(write(tmp_path, "b.ply", header + rows(POINTS) + "\n" + faces.rpartition("3 1 3")[0] + "\n\n"))
 
 
-@pytest.mark.parametrize("name, sep", [("a.xyz", " "), ("a.txt", "\t"), ("a.csv", ",")])
+@pytest.mark.parametrize("name, sep", [("a.xyz", " "), ("a.pts", " "), ("a.asc", " "), ("a.txt", "\t"), ("a.csv", ",")])
 def test_a_first_line_may_be_the_number_of_rows(name, sep, tmp_path):
     body = rows(POINTS, sep=sep)
     for first in ("4\n", "# made here\n4\n", "4\nx y z\n".replace(" ", sep)):
@@ -358,3 +358,10 @@ def test_a_first_line_may_be_the_number_of_rows(name, sep, tmp_path):
         load_scan(write(tmp_path, name, "5\n" + body))
     with pytest.raises(FileError, match="the first row '4'; expected numbers x, y, z"):
         load_scan(write(tmp_path, name, "4\n5\n6\n7\n8\n"))
+
+
+def test_pts_files_go_on_with_intensity_and_colour(tmp_path):
+    body = "".join(f"{x} {y} {z} -{1000 + k} {k} 128 255\n" for k, (x, y, z) in enumerate(POINTS))
+    scan = load_scan(write(tmp_path, "a.pts", f"{len(POINTS)}\n{body}"))
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert scan.normals is None and scan.labels is None

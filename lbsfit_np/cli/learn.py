@@ -112,7 +112,7 @@ def add_parser(commands):
     )
     parser.add_argument("rig", metavar="RIG", help="a rig file (.npz .glb .gltf .pkl) or a bundled rig (see: lbsfit rig list)")
     parser.add_argument(
-        "scans", metavar="SCAN", nargs="+", help="scan files: .ply .obj .stl .off .xyz .txt .csv .pcd .npy .npz .glb .gltf"
+        "scans", metavar="SCAN", nargs="+", help="scans: .ply .obj .stl .off .xyz .pts .asc .txt .csv .pcd .npy .npz .glb .gltf"
     )
     add_options(parser, OPTIONS)
     parser.add_argument("--config", metavar="FILE", help="a TOML file with these options; the command line wins")

@@ -30,6 +30,8 @@ _READERS = {
     ".stl": _lazily(".scan_meshes", "read_stl"),
     ".off": _lazily(".scan_meshes", "read_off"),
     ".xyz": _lazily(".columns", "read_table"),
+    ".pts": _lazily(".columns", "read_table"),
+    ".asc": _lazily(".columns", "read_table"),
     ".txt": _lazily(".columns", "read_table"),
     ".csv": _lazily(".columns", "read_table"),
     ".pcd": _lazily(".pcd", "read_pcd"),
@@ -57,8 +59,8 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
     Parameters
     ----------
     path : str or Path
-        .ply .obj .stl .off .xyz .txt .csv .pcd .npy .npz .glb .gltf; the extension picks the reader, and content that does not
-        fit it is an error. The points keep the file's order, frame and unit (glTF: the scene's frame, y up, metres).
+        .ply .obj .stl .off .xyz .pts .asc .txt .csv .pcd .npy .npz .glb .gltf; the extension picks the reader, and content that
+        does not fit it is an error. The points keep the file's order, frame and unit (glTF: the scene's frame, y up, metres).
     n_samples : int, optional
         Number of points to sample from a mesh's surface, uniformly by area; of a point cloud, take a random subset of at most
         this many. By default, all vertices of a mesh and all points of a cloud are taken. A file with most of its points in no
