@@ -12,6 +12,7 @@ __all__ = [
     "ONE_AT_A_TIME",
     "as_floats",
     "brief",
+    "check_angles",
     "check_array",
     "check_unmasked",
     "counted",
@@ -25,6 +26,8 @@ __all__ = [
 
 # What to do with a batch where one is asked for.
 ONE_AT_A_TIME = "Pass one at a time: loop over the first axis."
+# Radians. Of larger angles rounding is more than other errors are.
+_MOST_ANGLE = 1e6
 
 
 class LbsfitError(Exception):
@@ -100,6 +103,14 @@ def check_array(argument, value, shape, what="", *, finite=True):
         raise InputError(argument, f"shape {a.shape}", f"shape {tuple(shape)}{what and f', {what}'}", remedy)
     if finite and not np.isfinite(a).all():
         raise InputError(argument, not_finite(int((~np.isfinite(a)).sum())), "finite numbers")
+    return a
+
+
+def check_angles(argument, value, shape):
+    """``check_array`` of rotation vectors in radians, none of so many turns that no digit tells where they end."""
+    a = check_array(argument, value, shape)
+    if a.size and np.abs(a).max() > _MOST_ANGLE:
+        raise InputError(argument, f"an angle of {np.abs(a).max():.3g}", f"radians, of at most {_MOST_ANGLE:.0e}")
     return a
 
 

@@ -62,9 +62,18 @@ class PointIndex:
         -------
         index : (k,) int array
             Row of ``points``; −1 where no point has the query's part.
+
+        Raises
+        ------
+        InputError
+            Labels for an index without them, or none for one with labels.
         """
-        if self.labels is None:
+        if (labels is None) != (self.labels is None):
+            got, expected = ("None", "parts of the queries") if labels is None else (f"a {type(labels).__name__}", "None")
+            raise InputError("labels", got, f"{expected}, as the index was made with{'out' * (self.labels is None)} labels")
+        if labels is None:
             return self._tree.query(queries)[1]
+        queries, labels = np.asarray(queries), np.asarray(labels)
         known = (labels >= 0) & (labels < len(self._present))
         known[known] = self._present[labels[known]]
         index = np.full(len(queries), -1)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from .errors import check_array
+from .errors import InputError, brief, check_array
 from .rotations import left_jacobian, matrix_from_rotvec
 
 __all__ = ["JOINT_MODES", "Posed", "skin", "skin_adjoint"]
@@ -71,8 +71,12 @@ def skin(rig, theta, *, translation=None, scale=1.0, offsets=None, joint_offsets
     Returns
     -------
     Posed
-        Not validated: arguments are trusted. ``Rig.pose`` is the checked door.
+        Not validated: arrays are trusted. ``Rig.pose`` is the checked door.
     """
+    if not isinstance(joints, str) or joints not in JOINT_MODES:  # which would pass for "fixed"
+        remedy = "Give rest positions of your own as joint_offsets: what they have moved by from rig.joints."
+        got = brief(joints) if isinstance(joints, str) else f"a {type(joints).__name__}"
+        raise InputError("joints", got, " or ".join(map(repr, JOINT_MODES)), remedy)
     J = len(rig.parents)
     follow = joints == "follow" and joint_offsets is None
     rest, rest_joints = rig.vertices, rig.joints

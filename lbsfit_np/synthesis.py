@@ -5,7 +5,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from .errors import InputError, as_array, brief, check_array, did_you_mean, is_whole
+from .errors import InputError, as_array, brief, check_angles, check_array, did_you_mean, is_whole
 from .rig.chains import chains
 from .rig.frames import up_axis
 from .rotations import matrix_from_rotvec, nearest_rotvec, rotvec_from_matrix
@@ -185,7 +185,7 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
         shape = as_array("poses", poses, f"shape (k, {len(rig.parents)}, 3) with k ≥ 1").shape
         if len(shape) != 3 or shape[1:] != rig.lower.shape or not shape[0]:
             raise InputError("poses", f"shape {shape}", f"shape (k, {len(rig.parents)}, 3) with k ≥ 1")
-        poses = check_array("poses", poses, shape)
+        poses = check_angles("poses", poses, shape)
     if templates is not None:
         if not isinstance(templates, (list, tuple)):
             remedy = "For a rig's subject, pass [(subject.vertices, subject.joints)]."
@@ -388,7 +388,10 @@ def _checked_template(rig, k, template):
     if not isinstance(template, (tuple, list)) or len(template) != 2:
         raise InputError(f"templates[{k}]", type(template).__name__, "a pair (vertices (m, 3), joints (J, 3))")
     shapes = rig.vertices.shape, rig.joints.shape
-    return tuple(check_array(f"templates[{k}][{i}]", a, shape) for i, (a, shape) in enumerate(zip(template, shapes)))
+    arrays = tuple(check_array(f"templates[{k}][{i}]", a, shape).copy() for i, (a, shape) in enumerate(zip(template, shapes)))
+    for a in arrays:  # scans share them as their truth
+        a.flags.writeable = False
+    return arrays
 
 
 def with_random_proportions(rig, amount, rng, template=None):

@@ -114,6 +114,8 @@ BAD = [
     (lambda: objective(_X, _V, _V, weights="best"), ["weights: got 'best'", "'paper'", "'default'"]),
     (lambda: objective(_X, _V, _V, weights={"lam": 1}), ["weights: got {'lam': 1}", "LossWeights"]),
     (lambda: objective(_X, _V, _V, weights="paper", x_labels=_xl), ["v_labels: got None", "x_labels"]),
+    (lambda: objective(_X, _V, _V, weights="paper", v_labels=_vl), ["x_labels: got None", "Leave both out"]),
+    (lambda: objective(_X * np.nan, _V, _V, weights=LossWeights(chamfer=0.0)), ["X: got 37 points that are NaN"]),
     (lambda: objective(_X, _V, _V, weights="default", K=S.K), ["offsets: got None"]),
     (lambda: objective(_X, _V, _V[:-2], weights="paper"), ["V: got 28 points"]),
     (lambda: LossWeights(lam=-1.0), ["lam: got -1.0", "at least 0"]),

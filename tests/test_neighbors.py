@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.distance import cdist
 
+from lbsfit_np.errors import InputError
 from lbsfit_np.neighbors import PointIndex
 
 
@@ -143,3 +144,13 @@ def test_the_index_leaves_its_points_alone():
     PointIndex(points, labels).nearest(queries, asked)
     for a, b in zip((points, labels, queries, asked), kept):
         np.testing.assert_array_equal(a, b)
+
+
+def test_labels_are_of_both_sides_or_of_none():
+    points, labels, queries, asked = _sets(0)
+    with pytest.raises(InputError, match="labels: got .*; expected None, as the index was made without labels"):
+        PointIndex(points).nearest(queries, asked)
+    with pytest.raises(InputError, match="labels: got None; expected parts of the queries, as the index was made with labels"):
+        PointIndex(points, labels).nearest(queries)
+    index = PointIndex(points, labels)
+    np.testing.assert_array_equal(index.nearest(queries.tolist(), asked.tolist()), index.nearest(queries, asked))

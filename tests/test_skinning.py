@@ -1,5 +1,6 @@
 """M(Θ, U) and its adjoint, against a slow reference and against finite differences."""
 
+from fractions import Fraction
 from pathlib import Path
 
 import numpy as np
@@ -299,6 +300,7 @@ def test_skinning_leaves_its_arguments_alone(tube_rig):
         ({"theta": np.zeros((3, 3))}, ["theta", "(3, 3)", "(4, 3)"]),
         ({"theta": np.full((4, 3), np.nan)}, ["theta", "12 values", "NaN"]),
         ({"theta": "rest"}, ["theta", "str", "numbers"]),
+        ({"theta": np.full((4, 3), -1e160)}, ["theta: got an angle of 1e+160", "radians, of at most 1e+06"]),
         ({"translation": [0.0, 1.0]}, ["translation", "(2,)", "(3,)"]),
         ({"translation": [0.0, 1.0, np.inf]}, ["translation", "infinite"]),
         ({"offsets": np.zeros((5, 3))}, ["offsets", "(5, 3)", "(242, 3)"]),
@@ -316,6 +318,19 @@ def test_bad_arguments_are_named(tube_rig, method, arguments, words):
         getattr(tube_rig, method)(**{"theta": np.zeros((4, 3)), **arguments})
     for word in words:
         assert word in str(error.value)
+
+
+@pytest.mark.parametrize("joints", ["Follow", None, "array"])
+def test_what_are_no_modes_of_joints_do_not_pass_for_fixed_ones(joints, tube_rig):
+    joints = tube_rig.joints if joints == "array" else joints
+    with pytest.raises(InputError, match="joints: got .*; expected 'follow' or 'fixed'. Give rest positions of your own as j"):
+        skin(tube_rig, np.zeros((4, 3)), joints=joints)
+
+
+def test_vertices_are_floats_whatever_the_scale_is(tube_rig):
+    half = tube_rig.pose(np.zeros((4, 3)), scale=Fraction(1, 2))
+    assert half.dtype == float
+    np.testing.assert_array_equal(half, tube_rig.vertices / 2)
 
 
 def test_bad_templates_are_named(tube_rig):

@@ -119,6 +119,7 @@ def test_poses_beyond_the_limits_are_not_clipped():
         (np.zeros((15, 3)), r"pose: got shape \(15, 3\); expected shape \(16, 3\) or \(48,\)"),
         (np.zeros(72), r"pose: got shape \(72,\)"),
         (np.full(48, np.nan), "pose: got 48 values that are NaN"),
+        (np.full(48, 1e160), "pose: got an angle of 1e\\+160"),
         ("flat", r"pose: got shape \(\)"),
     ],
 )
@@ -127,6 +128,8 @@ def test_bad_poses(pose, words):
         load_rig("hand").from_smpl_pose(pose)
     with pytest.raises(InputError, match=r"theta"):
         load_rig("hand").to_smpl_pose(np.zeros(48))
+    with pytest.raises(InputError, match=r"theta: got an angle of 1e\+160"):
+        load_rig("hand").to_smpl_pose(np.full((16, 3), 1e160))
 
 
 def test_rigs_without_the_relation_say_which_have_it(tube_rig):

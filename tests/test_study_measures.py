@@ -168,6 +168,9 @@ def test_measures_stretch_nothing(tube_rig, posed):
         vertex_error("mesh.ply", s.vertices)
     with pytest.raises(InputError, match=r"joints: got shape \(3, 3\); expected shape \(4, 3\)"):
         joint_error(s.joints[:3], s.joints, tube_rig.moving)
+    for moving in ([1, 1, 0, 1], [True] * 3, [False] * 4, slice(None)):
+        with pytest.raises(InputError, match="moving: got .*; expected True or False for each of 4 joints, one of them True"):
+            joint_error(s.joints, s.joints, moving)
     for labels, words in ((s.labels[:1], r"labels: got shape \(1,\)"), (np.eye(4)[s.labels], r"scores.argmax\(axis=1\)")):
         with pytest.raises(InputError, match=words):
             label_accuracy(labels, s.labels)
@@ -177,6 +180,13 @@ def test_measures_stretch_nothing(tube_rig, posed):
 def test_scans_are_of_the_truths_rig(coarse_hand, posed):
     with pytest.raises(InputError, match="scans: got scan 0 of a rig with 242 vertices; expected scans of the rig 'hand-coarse'"):
         Truth(coarse_hand, posed, 6, 0)
+
+
+@pytest.mark.parametrize("dirt", ["clutter", "floor"])
+def test_scans_are_of_the_mesh_alone(dirt, tube_rig):
+    scans = synthesize(tube_rig, 2, n_points=100, random_state=0, **{dirt: 0.2})
+    with pytest.raises(InputError, match="scans: got scan 0 with [0-9]+ points of clutter or a floor; expected scans of the"):
+        Truth(tube_rig, scans, 2, 0)
 
 
 def test_the_poses_truth_has_the_regressors_joints(tube_rig):

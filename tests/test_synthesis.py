@@ -258,6 +258,8 @@ def test_given_poses_and_templates_are_taken_in_turn(tube_rig):
         np.testing.assert_array_equal(s.pose, poses[i % 2])
         np.testing.assert_array_equal(s.template, templates[i % 3][0])
         np.testing.assert_array_equal(s.template_joints, templates[i % 3][1])
+    templates[0][0][:] = 0.0  # the truth of scans is no array that callers go on with
+    assert np.ptp(scans[0].template) > 0 and not scans[0].template.flags.writeable
 
 
 def test_turn_is_a_rotation_about_the_root_up_to_an_angle(tube_rig):
@@ -377,6 +379,7 @@ def test_samples_are_uniform_by_area_and_on_their_triangles(tube_rig):
         ({"poses": np.zeros((4, 3))}, ["poses: got shape (4, 3)", "(k, 4, 3)"]),
         ({"poses": np.zeros((0, 4, 3))}, ["poses: got shape (0, 4, 3)", "k ≥ 1"]),
         ({"poses": np.full((1, 4, 3), np.nan)}, ["poses", "12 values", "NaN"]),
+        ({"poses": np.full((1, 4, 3), 1e200)}, ["poses: got an angle of 1e+200", "radians"]),
         ({"templates": np.zeros((1, 2, 242, 3))}, ["templates: got a ndarray", "a list of pairs"]),
         ({"templates": []}, ["templates: got none", "one or more pairs"]),
         ({"templates": [np.zeros((242, 3))]}, ["templates[0]: got ndarray", "pair"]),

@@ -26,9 +26,13 @@ def joint_error(joints, true_joints, moving):
     Raises
     ------
     InputError
-        Joints of another shape than the true ones, or none.
+        Joints of another shape than the true ones, or none; a mask that is not one of bools, or of no joint.
     """
     joints, true_joints = _alike("joints", joints, true_joints)
+    moving = np.asarray(moving)
+    if moving.dtype != bool or moving.shape != joints.shape[:1] or not moving.any():  # whole numbers would be rows
+        got = f"{moving.dtype} values of shape {moving.shape}" if moving.dtype != bool or moving.any() else "no joint"
+        raise InputError("moving", got, f"True or False for each of {len(joints)} joints, one of them True", "Pass rig.moving.")
     return float(np.linalg.norm(joints - true_joints, axis=1)[moving].mean())
 
 

@@ -122,7 +122,7 @@ def objective(
         M(Θ, U^d) and M(Θ, U).
     weights : LossWeights or {"default", "paper"}
     x_labels, v_labels : int arrays, optional
-        Parts; without them, the structured term is left out.
+        Parts; without both, the structured term is left out.
     offsets : (m, 3) array, optional
         U^d − U; needed by the "offsets" Laplacian.
     K : sparse array, optional
@@ -137,13 +137,17 @@ def objective(
     Raises
     ------
     InputError
-        As in the terms; also where labels or offsets that a term needs are missing.
+        As in the terms; also where labels of one side or offsets that a term needs are missing.
     """
     weights = as_weights(weights)
     Vd, V = (check_set("V", V),) * 2 if Vd is V else (check_set("Vd", Vd), check_set("V", V))
     check_same_length("V", V, "Vd", Vd)
+    X = check_set("X", X)
     if x_labels is not None and v_labels is None:
         raise InputError("v_labels", "None", "the part of each vertex, where x_labels are given")
+    if v_labels is not None and x_labels is None:
+        remedy = "Leave both out to do without the structured term."
+        raise InputError("x_labels", "None", "the part of each point, where v_labels are given", remedy)
     sides = {"x_weights": x_weights, "v_weights": v_weights}
     terms = {}
     value = 0.0
@@ -155,7 +159,7 @@ def objective(
         grad_V += weights.chamfer * g
     if weights.lam_s and x_labels is not None:
         if x_part_index is not None:  # the loss would call it x_index
-            X, x_labels = check_set("X", X), check_labels("x_labels", x_labels, len(X))
+            x_labels = check_labels("x_labels", x_labels, len(X))
             check_index("x_part_index", x_part_index, X, x_labels)
         terms["structured"], g_d, g = composite_structured_chamfer(
             X, Vd, V, x_labels, v_labels, lam=weights.lam, **sides, x_index=x_part_index

@@ -102,7 +102,7 @@ class Problem:
             V.vertices,
             weights=weights,
             x_labels=labels,
-            v_labels=model.labels,
+            v_labels=None if labels is None else model.labels,
             offsets=Vd.rest - model.rig.vertices,
             K=model.K if weights.lam_lap else None,
             x_weights=self.x_weights,

@@ -9,7 +9,7 @@ from numbers import Real
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, brief, check_array
+from ..errors import InputError, brief, check_angles, check_array
 from .locked import locked
 from .partition import check_partition, parts_of_joints, vertex_parts
 from .proportions import proportions
@@ -274,7 +274,7 @@ class Rig:
     def _posed(self, theta, translation, scale, offsets, joints):
         from ..skinning import JOINT_MODES, skin
 
-        theta = check_array("theta", theta, self.lower.shape)
+        theta = check_angles("theta", theta, self.lower.shape)
         if translation is not None:
             translation = check_array("translation", translation, (3,))
         if offsets is not None:
@@ -287,7 +287,7 @@ class Rig:
         elif joints not in JOINT_MODES:
             expected = f"{' or '.join(map(repr, JOINT_MODES))}, or rest positions of shape {self.joints.shape}"
             raise InputError("joints", repr(joints), expected)
-        return skin(self, theta, translation=translation, scale=scale, offsets=offsets, joint_offsets=moved, joints=joints)
+        return skin(self, theta, translation=translation, scale=float(scale), offsets=offsets, joint_offsets=moved, joints=joints)
 
     def with_parts(self, granularity):
         """Return the same rig with another of its partitions in use."""

@@ -7,7 +7,7 @@ rotations are W_j = G_j A_jᵀ, and what it calls the pose are the rotation vect
 
 import numpy as np
 
-from ..errors import InputError, as_array, check_array
+from ..errors import InputError, as_array, check_angles
 from ..rotations import matrix_from_rotvec, rotvec_from_matrix
 
 __all__ = ["from_smpl_pose", "to_smpl_pose"]
@@ -16,7 +16,7 @@ __all__ = ["from_smpl_pose", "to_smpl_pose"]
 def to_smpl_pose(rig, theta):
     """``Rig.to_smpl_pose``."""
     _check(rig)
-    theta = check_array("theta", theta, rig.lower.shape)
+    theta = check_angles("theta", theta, rig.lower.shape)
     local = matrix_from_rotvec(np.einsum("jab,jb->ja", rig.frames, theta))
     return rotvec_from_matrix(_to_local(rig, _to_global(rig, local) @ np.swapaxes(rig.smpl_rest, 1, 2)))
 
@@ -28,7 +28,7 @@ def from_smpl_pose(rig, pose):
     shape = as_array("pose", pose, f"shape ({J}, 3) or ({3 * J},)").shape
     if shape not in ((J, 3), (3 * J,)):
         raise InputError("pose", f"shape {shape}", f"shape ({J}, 3) or ({3 * J},)")
-    pose = check_array("pose", pose, shape).reshape(J, 3)
+    pose = check_angles("pose", pose, shape).reshape(J, 3)
     G = _to_global(rig, matrix_from_rotvec(pose)) @ rig.smpl_rest
     return np.einsum("jab,ja->jb", rig.frames, rotvec_from_matrix(_to_local(rig, G)))
 

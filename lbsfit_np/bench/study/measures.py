@@ -68,7 +68,7 @@ class Truth:
     ----------
     rig : Rig
     scans : sequence of SyntheticScan
-        Of which no more than one is held at a time.
+        Without clutter and floor. No more than one is held at a time.
     pairs : int
         For correspondences.
     seed : int
@@ -76,7 +76,7 @@ class Truth:
     Raises
     ------
     InputError
-        Scans of another rig.
+        Scans of another rig, or with points that are none of its mesh's.
     """
 
     def __init__(self, rig, scans, pairs, seed):
@@ -89,6 +89,9 @@ class Truth:
             if s.vertices.shape != rig.vertices.shape:
                 got = f"scan {i} of a rig with {len(s.vertices)} vertices"
                 raise InputError("scans", got, f"scans of the rig {rig.name!r}, which has {len(rig.vertices)}")
+            if (s.triangle < 0).any():
+                got = f"scan {i} with {np.count_nonzero(s.triangle < 0)} points of clutter or a floor"
+                raise InputError("scans", got, "scans of the mesh alone", "Make them with clutter = 0 and floor = 0.")
             self.recon[i] = recon(s.points, s.vertices) / self.half
             self.pose[i] = _regressed(rig, s) / self.half
             chosen = rng.choice(len(s.points), min(POINTS, len(s.points)), replace=False)
