@@ -65,6 +65,32 @@ def test_closest_points_of_a_mesh_are_those_among_all_triangles(tube):
     np.testing.assert_allclose(found, among, atol=1e-9)  # and is always the closest of those that do
 
 
+def test_normals_on_edges_and_vertices_are_of_all_faces_there():
+    """A roof, whose ridge is the edge of both sides: far from the eaves and long, so that faces are found by both ways."""
+    V = np.array([[0.0, -1, 0], [0, 1, 0], [1, 0, -1], [-1, 0, -0.5]])
+    X = np.array([[0.01, 0.3, 0.5], [0.0, 1.5, 0.0], [0.5, 0.0, -0.4]])
+    left, right = (np.cross(b - a, c - a) for a, b, c in (V[[0, 1, 3]], V[[1, 0, 2]]))
+    left, right = left / np.linalg.norm(left), right / np.linalg.norm(right)
+    both = (left + right) / np.linalg.norm(left + right)
+    for faces in np.array([[[0, 1, 3], [1, 0, 2]], [[0, 2, 1], [3, 0, 1]]]):
+        nearest = np.array([((V - x) ** 2).sum(axis=1).argmin() for x in X])
+        on = Surface(V, faces).closest(X, nearest, V)
+        np.testing.assert_allclose(on.normals, [both, both, right], atol=1e-14)
+
+
+def test_normals_do_not_depend_on_the_order_of_the_faces(tube):
+    """Nor on rounding: on edges and vertices, which of the faces there is closest is nothing that anything may hang on."""
+    V, faces, rng = tube.pose(state_within(tube, 4))[0].vertices, tube.rig.faces, np.random.default_rng(2)
+    X = sample_surface(V, faces, 400, rng)[0] + 0.08 * rng.standard_normal((400, 3))
+    nearest = np.array([((V - x) ** 2).sum(axis=1).argmin() for x in X])
+    on = closest_on_mesh(X, nearest, V, faces, faces_around(faces, len(V)))
+    assert (on.barycentric.min(axis=1) < 1e-12).mean() > 0.15
+    for change in (lambda a: a, lambda a: a + 1e-13, lambda a: 3 * a):
+        for order in (np.arange(len(faces)), rng.permutation(len(faces))):
+            again = closest_on_mesh(change(X), nearest, change(V), faces[order], faces_around(faces[order], len(V)))
+            np.testing.assert_allclose(again.normals, on.normals, atol=1e-9)
+
+
 @pytest.mark.parametrize(
     "corners",
     [

@@ -12,6 +12,8 @@ __all__ = ["Closest", "Surface", "closest_on_mesh", "divided", "faces_around", "
 # most; on each edge there are at most so many. On other meshes the triangles at the nearest vertex have the closest point but for
 # one or two in a hundred, whose own is up to 0.04 half sizes nearer, and to look at others would take twice the time.
 _LONG, _APART, _MOST = 0.22, 0.08, 20
+# Triangles whose squared distances differ by no more than this share of these and of their edges are as close.
+_TIE = 1e-10
 
 
 @dataclass(frozen=True)
@@ -25,7 +27,7 @@ class Closest:
     barycentric : (n, 3) array
     points : (n, 3) array
     normals : (n, 3) array
-        Unit normals of the triangles; 0 for triangles without area.
+        Unit normals of the triangles, on edges and vertices of all of them together; 0 for triangles without area.
     """
 
     corners: np.ndarray
@@ -192,13 +194,23 @@ def closest_on_mesh(queries, nearest, vertices, faces, around):
     away[3] = s3 * (s3 * d11 - 2 * q1) + t3 * (t3 * d22 - 2 * q2) + 2 * s3 * t3 * d12
     least, place = np.full(table.shape, np.inf), np.zeros(table.shape, dtype=int)
     least[other], place[other] = away.min(axis=0) + _dot(d, d), np.arange(len(point))
-    best = place[np.arange(len(queries)), least.argmin(axis=1)]
+    slot = least.argmin(axis=1)
+    best, least_of_all = place[np.arange(len(queries)), slot], least[np.arange(len(queries)), slot]
     kind, zero = away[:, best].argmin(axis=0), np.zeros(len(best))
     bu = np.choose(kind, [u[best], t1[best], zero, s3[best]])
     bv = np.choose(kind, [v[best], zero, t2[best], t3[best]])
     foot = a[:, best] + bu * e1[:, best] + bv * e2[:, best]
-    normal = _cross(e1[:, best], e2[:, best])
-    normal /= np.maximum(np.sqrt(_dot(normal, normal)), tiny)
+    normal = _unit(_cross(e1[:, best], e2[:, best]))
+    # Of a place on an edge or a vertex several triangles are as close: which one is best hangs on rounding, and on their order.
+    rim = np.flatnonzero(kind > 0)
+    as_close = least[rim] <= (least_of_all[rim] + _TIE * (least_of_all[rim] + d11[best[rim]]))[:, None]
+    several = as_close.sum(axis=1) > 1
+    rim, as_close = rim[several], as_close[several]
+    row, column = np.nonzero(as_close)
+    once = np.unique(row * len(faces) + table[rim[row], column], return_index=True)[1]  # by both ways to look for triangles
+    row, pair = row[once], place[rim[row[once]], column[once]]
+    of_faces = _unit(_cross(e1[:, pair], e2[:, pair]))
+    normal[:, rim] = _unit(np.stack([np.bincount(row, along, minlength=len(rim)) for along in of_faces]))
     barycentric = np.column_stack([1 - bu - bv, bu, bv])
     return Closest(corners[:, best].T, barycentric, foot.T, normal.T)
 
@@ -224,6 +236,11 @@ def summed_normals(vertices, faces, at):
     a, b, c = (np.take(vertices.T, corner, axis=1) for corner in faces.T)
     normals = (at @ _cross(b - a, c - a).T).T
     return (normals / np.maximum(np.sqrt(_dot(normals, normals)), np.finfo(float).tiny)).T
+
+
+def _unit(a):
+    """(3, k) vectors as long as 1; 0 stays."""
+    return a / np.maximum(np.sqrt(_dot(a, a)), np.finfo(float).tiny)
 
 
 def _dot(a, b):
