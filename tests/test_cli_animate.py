@@ -113,7 +113,11 @@ def test_fits_that_may_be_wrong_are_named(fitted, made, tmp_path, run):
     assert code == 0 and (tmp_path / "a.glb").is_file() and "registered meshes" not in out  # which are the same one
     assert "note: 1 fit has status suspect: a9.fit.npz" in out and "note: 1 fit has status failed: a11.fit.npz" in out
     assert "note: a9.fit.npz is given after a10.fit.npz: these files are not in order of their numbers" in out
-    assert "several subjects (no learned subject, 'tom')" in out
+    assert "several subjects (no learned subject, 'tom'): all frames use the mean of their templates, which has one size" in out
+    large = lbs.FitResult.load(fits[0])
+    replace(large, scale=2 * large.scale).save(tmp_path / "a12.fit.npz")
+    out = run("animate", made / "tube.npz", fits[2], fits[0], tmp_path / "a12.fit.npz", "-o", tmp_path / "c.glb")[1]
+    assert "Frames keep these scales." in out and "several subjects" in out and "which has one size" not in out
     (tmp_path / "again").mkdir()
     (tmp_path / "again" / "a9.fit.npz").write_bytes(fits[1].read_bytes())
     out = run("animate", made / "tube.npz", fits[1], tmp_path / "again" / "a9.fit.npz", "-o", tmp_path / "b.glb")[1]

@@ -9,6 +9,7 @@ from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import demo
+from lbsfit_np.cli.fit import fit_files
 from lbsfit_np.rig.build import build_rig
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -128,6 +129,14 @@ def test_demo(made, tmp_path, run):
     assert code == 2 and "exist already" in one_line(err)
     code, _, err = run("demo", "-o", out, "--rig", out / "rig.npz", "--existing", "replace", *TRAINING)
     assert code == 2 and "never overwritten" in one_line(err)
+
+
+def test_a_demo_whose_fit_has_failed_shows_what_it_is(made, tmp_path, run, monkeypatch):
+    monkeypatch.setattr(demo, "fit_files", lambda *given: fit_files(*given) or 1)  # which is how it says so
+    out = tmp_path / "demo"
+    code, text, _ = run("demo", "-o", out, "--rig", made / "tube.npz", "--points", 500, *TRAINING)
+    assert code == 1 and "Mean errors against the truth" in text and "demo.png" in text
+    assert (out / "demo.png").read_bytes().startswith(b"\x89PNG")
 
 
 def test_a_demo_without_a_fit_leaves_nothing_in_the_way_of_the_next(made, tmp_path, run, monkeypatch):

@@ -46,6 +46,20 @@ def test_rig_is_immutable_and_leaves_the_data_alone():
     assert abs(rig.weights.sum(axis=1) - 1).max() < 1e-12
 
 
+@pytest.mark.parametrize(
+    "pose, words",
+    [
+        (np.zeros((3, 3)), r"shape \(3, 3\); expected shape \(4, 3\)"),
+        (np.full((4, 3), np.nan), "12 values that are NaN or infinite"),
+        (np.full((4, 3), 1e9), "an angle of 1e.09; expected radians"),
+        ("sitting", "str; expected an array of numbers"),
+    ],
+)
+def test_poses_of_ones_own_are_checked(pose, words, tube_rig):
+    with pytest.raises(InputError, match=rf"poses\['mine'\]: got {words}"):
+        replace(tube_rig, poses={"mine": pose})
+
+
 def test_templates_leave_their_givers_arrays_alone(tube_rig):
     vertices, joints, theta = tube_rig.vertices + 0.1, tube_rig.joints + 0.1, np.zeros((4, 3))
     rig = replace(tube_rig.with_template(vertices, joints), poses={"mine": theta})

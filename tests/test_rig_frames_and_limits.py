@@ -58,6 +58,9 @@ def test_changed_frames_carry_animations_over_and_drop_the_files_limits():
     limited = build_rig(replace(data, frames=np.tile(turn, (4, 1, 1))), Card(frames=(("long", "rig"),)))
     np.testing.assert_array_equal(limited.upper[2], [0.8, 0.8, 0.8])
     np.testing.assert_array_equal(limited.upper[3], data.upper[3])
+    told = "neither file nor card has limits for 1 of 4 moving joints with the parent or axes that the card gives; they were"
+    assert any(note.startswith(told) for note in limited.notes)
+    assert not any("that the card gives" in note for note in rig.notes)  # the file has none
     assert any("1 of 4 moving joints" in note for note in limited.notes)
 
 

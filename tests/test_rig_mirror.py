@@ -57,7 +57,7 @@ def test_hand_left_is_the_mirrored_hand():
     np.testing.assert_allclose(left.pose(theta), hand.pose(theta) * S["x"], atol=1e-14)
     assert left.name == "hand-left" and left.joint_names == hand.joint_names and left.parts == hand.parts
     assert np.array_equal(left.lower, hand.lower) and np.array_equal(left.upper, hand.upper)
-    assert left.digest == hand.mirrored("hand-left").digest != hand.digest
+    assert left.digest == hand.mirrored(name="hand-left").digest != hand.digest
     assert list(left.poses) == list(hand.poses) and np.array_equal(left.poses["ok"], hand.poses["ok"])
     assert np.array_equal(left.vertex_labels, hand.vertex_labels)
     assert left.notes == hand.notes
@@ -78,7 +78,7 @@ def test_skin_stays_outward_and_frames_right_handed():
 @pytest.mark.parametrize("axis", "xyz")
 def test_twice_is_the_rig_itself(axis):
     rig = build_rig(turned_tube())
-    again = rig.mirrored(axis=axis).mirrored(rig.name, axis=axis)
+    again = rig.mirrored(axis=axis).mirrored(name=rig.name, axis=axis)
     assert again.digest == rig.digest and again.name == rig.name
     for field in ("vertices", "frames", "joints", "faces", "smpl_rest"):
         assert np.array_equal(getattr(again, field), getattr(rig, field)), field

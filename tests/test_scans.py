@@ -75,7 +75,9 @@ def test_a_point_cloud_is_thinned_to_n_samples(tmp_path):
     np.save(tmp_path / "c.npy", points)
     scan = load_scan(tmp_path / "c.npy", n_samples=20, random_state=3)
     assert len(scan) == 20 and {tuple(p) for p in scan.points} <= {tuple(p) for p in points}
-    assert len(load_scan(tmp_path / "c.npy", n_samples=80)) == 50
+    few = load_scan(tmp_path / "c.npy", n_samples=80)
+    assert len(few) == 50 and few.notes == ("It has 50 points, fewer than the 80 asked for: all are taken.",)
+    assert not load_scan(tmp_path / "c.npy", n_samples=50).notes
 
 
 def test_npz_keys_and_mesh(tmp_path):
@@ -345,6 +347,8 @@ def test_a_cloud_with_a_triangle_is_no_mesh_to_sample(tmp_path):
     scan = load_scan(path, n_samples=200)
     assert len(scan.points) == 200 and {tuple(p) for p in scan.points} <= {tuple(p) for p in cloud}
     assert "297 of its 300 points are in no triangle: it is taken for a point cloud." in scan.notes
+    why = "It has 300 points, fewer than the 400 asked for, and most of them in none of its 1 triangle: all are taken."
+    assert why in load_scan(path, n_samples=400).notes
     faces = "".join(f"f {k} {k + 1} {k + 2}\n" for k in range(1, 190))
     scan = load_scan(write(tmp_path, "m.obj", (text + faces).encode()), n_samples=200)
     assert "109 of its 300 points are in no triangle: left out." in scan.notes

@@ -137,7 +137,7 @@ def test_a_scan_that_stands_otherwise_is_told(side, words):
 
 def test_the_option_that_spares_the_search_is_the_one_that_was_found():
     note = stands_note(matrix_from_rotvec(np.array([-np.pi / 2, 0.0, 0.0])), np.array([0.0, 1.0, 0.0]))
-    assert "along its -z axis" in note and "(if this is right, up='-z', --up=-z, saves the search)" in note
+    assert "along its -z axis" in note and "(if this is right, say so: up='-z', --up=-z)" in note
 
 
 @pytest.mark.parametrize("axis", [[1, 0, 1], [1, 0, -1], [-1, 0, 1]])
@@ -179,17 +179,19 @@ def test_a_fit_tells_which_way_the_scan_stands(tube_rig, found, root, up, told):
     r = fit.fit(points, part=fit.taking_part(points), found=seen)
     assert r.status == "ok"
     assert ("the scan stands along its +z axis" in r.message) == ("stands" in r.message) == told
-    assert ("though up says '+y'" in r.message) == (told and up is not None) == ("saves the search" not in r.message and told)
+    assert ("though up says '+y'" in r.message) == (told and up is not None) == ("say so: up=" not in r.message and told)
 
 
 FASTER = "effort 'balanced' (--effort balanced) looks further, also for what goes on beyond the rig"
+SIDES = FASTER.replace("also", "also along other up axes and")
 AXES_TOO = "without up (--up), other axes are tried, too"
 
 
 @pytest.mark.parametrize(
     "effort, orientation, up, words",
     [
-        ("fast", "upright", None, (FASTER,)),
+        ("fast", "upright", None, (SIDES,)),
+        ("fast", "aligned", None, (FASTER,)),
         ("fast", "upright", "+z", (FASTER, f"with that and {AXES_TOO}")),
         ("balanced", "upright", "+z", (AXES_TOO,)),
         ("thorough", "upright", "+y", (AXES_TOO,)),
@@ -205,11 +207,12 @@ def test_what_would_look_further(tube_rig, effort, orientation, up, words):
 
 def test_only_where_a_rig_ends_something_may_go_on_beyond_it():
     body = lbs.load_rig("body-coarse")
-    (words,) = further_words(body, FitSettings(effort="fast"), facing_of(body, "upright"))
-    assert FASTER.startswith(words) and "beyond" not in words
+    for orientation, beginning in (("upright", ", also along other up axes"), ("aligned", "")):
+        (words,) = further_words(body, FitSettings(effort="fast"), facing_of(body, orientation))
+        assert words == FASTER.partition(",")[0] + beginning
 
 
-@pytest.mark.parametrize("effort, up, words", [("fast", None, FASTER), ("balanced", "+y", AXES_TOO), ("balanced", None, "")])
+@pytest.mark.parametrize("effort, up, words", [("fast", None, SIDES), ("balanced", "+y", AXES_TOO), ("balanced", None, "")])
 @pytest.mark.parametrize("status", ["ok", "suspect"])
 def test_a_fit_in_doubt_tells_what_would_look_further(tube_rig, effort, up, words, status, monkeypatch):
     monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *known: (status, "" if status == "ok" else "odd"))

@@ -103,12 +103,14 @@ def _run(arguments):
         say(f"note: {note}")
     _say_doubtful(names, results)
     people = sorted({result.subject for result in results})
+    odd = [names[k] for k in odd_scales(results)]
     if len(people) > 1 and values["offsets"] == "mean":
         who = listed([repr(name) if name else "no learned subject" for name in people])
-        say(f"note: the fits are of several subjects ({who}): all frames use the mean of their templates, which has one size")
+        size = "" if odd else ", which has one size"
+        say(f"note: the fits are of several subjects ({who}): all frames use the mean of their templates{size}")
     if axis := stands_along(rig, results, values["up"]):
         say(f"note: the fits stand along {axis}: use --up={axis} for an upright animation, unless they lie down")
-    if odd := [names[k] for k in odd_scales(results)]:
+    if odd:
         words = f"the scale of {listed(odd)} differs from the others' by more than people do; are all scans in one unit?"
         say(f"note: {words} Frames keep these scales.")
     away = write_animation(

@@ -103,7 +103,7 @@ def _run(arguments):
             remove([*paths.values(), out / SUMMARY])
             remove_empty(folders)
             say(f"the scan was not fitted, so the demo's files in {out} are removed")
-    if code:
+    if code > 1 or not fits[0].is_file():  # stopped, or unfitted; a fit that has failed is the one to look at
         return code
     result = FitResult.load(out / "scan.fit.npz")
     write_png(paths["picture"], fit_picture(rig, truth.points, result, truth=truth.vertices))
@@ -114,7 +114,7 @@ def _run(arguments):
     quoted = {name: shlex.quote(str(paths[name])) for name in ("rig", "scan")}
     say(_FILES.format(out=out, options=options, **quoted))
     say(f"{time.perf_counter() - started:.0f} s in total")
-    return 0
+    return code
 
 
 def _scan_with_truth(rig, values):

@@ -365,8 +365,9 @@ def _parts_without_labels(rig, labels, rows):
 def further_words(rig, settings, facing):
     """What would look further at a scan in doubt than a search with these settings, a tuple of strings for users."""
     fast = settings.effort == "fast"
-    ends = ", also for what goes on beyond the rig" if end_of(rig) is not None else ""
-    more = (f"effort 'balanced' (--effort balanced) looks further{ends}",) if fast else ()
+    also = ["along other up axes"] * facing.open_up + ["for what goes on beyond the rig"] * (end_of(rig) is not None)
+    also = f", also {' and '.join(also)}" if also else ""
+    more = (f"effort 'balanced' (--effort balanced) looks further{also}",) if fast else ()
     if facing.told and len(facing.turns) > 1:  # by a second look, which "fast" has none of
         more += (f"{'with that and ' if fast else ''}without up (--up), other axes are tried, too",)
     return more

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, LbsfitError, brief, is_whole
+from ..errors import FileError, InputError, LbsfitError, brief, counted, is_whole
 from ..scan import Scan, check_points
 from ..seeds import generator
 from ..triangles import area_vectors, areas_around
@@ -117,6 +117,9 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
             None if normals is None else normals[keep],
             None if labels is None else labels[keep],
         )
+    elif n_samples is not None and n_samples > len(points):
+        why = f", and most of them in none of its {counted(len(faces), 'triangle')}" if cloud else ""
+        notes.append(f"It has {counted(len(points), 'point')}, fewer than the {n_samples} asked for{why}: all are taken.")
     elif len(faces) and _evenness(points, faces) < _UNEVEN:
         notes.append("Its vertices are unevenly spaced: set n_samples (--samples), such as 20000, to sample its surface instead.")
     for array in (points, normals, labels):  # these are ours alone: Scan need not copy what nobody else can write to

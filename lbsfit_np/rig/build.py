@@ -340,8 +340,8 @@ def _limits(report, data, parents, root, names, turned, state, card, notes):
         if animated is not None:
             animated = np.einsum("jab,kjb->kja", turned, animated)  # the same turns, about the new axes
     lower, upper, from_animation = derived_limits(root, J, animated)
-    derived = np.ones(J, dtype=bool)
-    if data.lower is not None or data.upper is not None:
+    derived, own = np.ones(J, dtype=bool), data.lower is not None or data.upper is not None
+    if own:
         low, high = check_limits(report, data.lower, data.upper, names)
         derived = changed & moving  # a box about other axes, or relative to another parent, says nothing about these
         lower[~derived], upper[~derived] = low[~derived], high[~derived]
@@ -380,7 +380,8 @@ def _limits(report, data, parents, root, names, turned, state, card, notes):
         if derived[root]:
             ways.append(f"±{DEFAULT_ROOT_LIMIT} rad for sampling the root ({np.degrees(DEFAULT_ROOT_LIMIT):.0f}°)")
         notes.append(
-            f"{NO_LIMITS} {np.count_nonzero(derived)} of {np.count_nonzero(moving)} moving joints; "
+            f"{NO_LIMITS} {np.count_nonzero(derived)} of {np.count_nonzero(moving)} moving joints"
+            f"{' with the parent or axes that the card gives' if own else ''}; "
             f"they were derived: {'; '.join(ways)} (a card's [limits] can replace them)"
         )
     return lower, upper

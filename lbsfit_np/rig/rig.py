@@ -94,7 +94,8 @@ class Rig:
     def __post_init__(self):
         for name, value in list(self.__dict__.items()):
             object.__setattr__(self, name, locked(value))
-        object.__setattr__(self, "poses", {name: locked(pose) for name, pose in self.poses.items()})
+        poses = {name: check_angles(f"poses[{name!r}]", pose, self.lower.shape) for name, pose in self.poses.items()}
+        object.__setattr__(self, "poses", {name: locked(pose) for name, pose in poses.items()})
 
     def __repr__(self):
         m, J = self.weights.shape
@@ -320,7 +321,7 @@ class Rig:
             self, vertices=self.vertices * factor, joints=self.joints * factor, metres_per_unit=unit, shapes=shapes
         )
 
-    def mirrored(self, name=None, *, axis="x"):
+    def mirrored(self, *, name=None, axis="x"):
         """Return the mirror image, such as a left hand from a right one. The same angles give the mirrored pose.
 
         Parameters

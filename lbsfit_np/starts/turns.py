@@ -102,8 +102,8 @@ def stands_note(turn, up):
     if along[axis] * up[axis] > 0:
         return ""
     name = axis_name(along)
-    spared = f"if this is right, up={name!r}, --up={name}, saves the search"
-    return f"the scan stands along its {name} axis, which is not the rig's up axis ({spared})"
+    say_so = f"if this is right, say so: up={name!r}, --up={name}"
+    return f"the scan stands along its {name} axis, which is not the rig's up axis ({say_so})"
 
 
 def contradicts_note(along, up):
