@@ -147,6 +147,15 @@ def test_rigs_of_clips_with_any_turns_can_be_used(start, turns):
         assert np.abs(away).max(axis=(1, 2)).min() < 1e-9
 
 
+@pytest.mark.parametrize("low, high, told", [(0.1, 0.5, True), (-0.5, -0.1, True), (0.3, 0.3, True), (0.0, 0.5, False)])
+def test_limits_that_leave_out_the_rest_pose_are_told(low, high, told):
+    """Of other joints than the root, which fits turn freely."""
+    limits = (("long", (low, 0.0, 0.0), (high, 0.0, 0.0)), ("root", (0.1, 0.0, 0.0), (0.2, 0.0, 0.0)))
+    rig = build_rig(make_tube_data(), Card(limits=limits))
+    assert ("the rest pose is outside the limits of 1 joint (long)" in rig.notes) == told
+    assert not any("outside the limits of" in note for note in rig.notes if "(long)" not in note)
+
+
 @pytest.mark.parametrize("low, high", [(-180, 180), (-10, 350), (-350, 10)])
 def test_poses_of_clips_lie_within_a_cards_limits(low, high):
     """Whichever of the vectors of one rotation that takes."""

@@ -4,9 +4,10 @@ import re
 
 import numpy as np
 
+from ..errors import counted, listed
 from .clips import about_their_mean
 
-__all__ = ["DEFAULT_LIMIT", "DEFAULT_ROOT_LIMIT", "NO_LIMITS", "all_derived", "derived_limits"]
+__all__ = ["DEFAULT_LIMIT", "DEFAULT_ROOT_LIMIT", "NO_LIMITS", "all_derived", "derived_limits", "without_rest"]
 
 # How the note begins that says so; numbers follow.
 NO_LIMITS = "neither file nor card has limits for"
@@ -26,6 +27,16 @@ _STILL = 1e-3  # rad: less than this over all frames is a joint that never turns
 def all_derived(notes):
     """Whether a rig's notes say that the limits of all joints that move were derived."""
     return any(re.match(rf"{NO_LIMITS} (\d+) of \1 moving joints", note) for note in notes)
+
+
+def without_rest(lower, upper, names, root):
+    """A note, in a list, on joints whose limits leave out the rest pose; none of the root, whose limits fits do not keep to."""
+    out = ((lower > 0) | (upper < 0)).any(axis=1)
+    out[root] = False
+    if not out.any():
+        return []
+    named = listed([names[j] for j in np.flatnonzero(out)], 4)
+    return [f"the rest pose is outside the limits of {counted(int(out.sum()), 'joint')} ({named})"]
 
 
 def derived_limits(root, n_joints, animated=None):
