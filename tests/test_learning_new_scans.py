@@ -217,7 +217,9 @@ def test_views_of_one_side_are_compared_by_what_they_show(tube_rig):
 
 
 LEFT = SimpleNamespace(left=lambda problem, state: 0.0)
-FASTER = ("effort 'balanced' (--effort balanced) looks further, also for what goes on beyond the rig",)
+FASTER = (
+    "effort 'balanced' (--effort balanced) looks further, also along other up axes and for what goes on beyond the rig",
+)
 
 
 @pytest.mark.parametrize("status, asks", [("ok", False), ("suspect", True), ("failed", True)])

@@ -282,18 +282,15 @@ def test_other_bends_are_tried_of_what_has_won(model, case, monkeypatch):
 
 
 def test_a_foot_that_points_the_wrong_way_is_turned():
-    """Whether steps by themselves leave it there hangs on the last digits: of scans that differ by these, some do."""
-    rig, rng = lbs.load_rig("body-coarse"), np.random.default_rng(0)
-    model, ankle = Model(rig), rig.joint_names.index("left_ankle")
-    (s,) = lbs.synthesize(rig, poses="natural", random_state=5, shape=0.0, n_points=900)
+    """Steps by themselves leave it there."""
+    rig = lbs.load_rig("body-coarse")
+    model, ankle = Model(rig), rig.joint_names.index("right_ankle")
+    (s,) = lbs.synthesize(rig, poses="natural", random_state=11, shape=0.0, n_points=900)
     centre, theta = s.points.mean(axis=0), s.pose.copy()
-    theta[ankle, 0] = max(theta[ankle, 0] - 1.2, rig.lower[ankle, 0])
+    theta[ankle, 0] = min(theta[ankle, 0] + 1.2, rig.upper[ankle, 0])
     refit, wrong = Refit(model, bends=True), model.rest().replace(theta=theta, translation=(s.translation - centre) / model.half)
-    for _ in range(20):
-        problem = Problem((s.points + 1e-6 * rng.standard_normal(s.points.shape) - centre) / model.half)
-        stuck, value = refit.to_the_end(problem, wrong)
-        if np.linalg.norm(stuck.theta[ankle] - s.pose[ankle]) > 0.7:
-            break
+    problem = Problem((s.points - centre) / model.half)
+    stuck, value = refit.to_the_end(problem, wrong)
     assert np.linalg.norm(stuck.theta[ankle] - s.pose[ankle]) > 0.7
     state, least = refit._bends(problem, stuck, value)
     assert least < 0.95 * value and np.linalg.norm(state.theta[ankle] - s.pose[ankle]) < 0.2
