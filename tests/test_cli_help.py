@@ -87,10 +87,10 @@ def test_fits_that_are_ok_but_not_surely_right_are_named(capsys):
     say_doubtful([sure | {"name": "one"}, sure | {"name": "free", "probability": 0.0, "evidence": {}}])
     assert capsys.readouterr().out == ""
     several = [sure | {"name": f"n{k}", "probability": p} for k, p in enumerate((0.7, 0.504, 0.95, 0.799))]
-    say_doubtful([sure | {"name": "one"}, *several[:1]])
+    say_doubtful([sure | {"name": "one"}, several[0], several[3]])
     say_doubtful(several + [sure | {"name": f"m{k}", "probability": 0.75} for k in range(4)])
     assert capsys.readouterr().out.splitlines() == [
-        "note: 1 fit is ok, but right with a probability below 0.8 only: n0 (0.70)",
+        "note: 2 fits are ok, but each right with a probability below 0.8 only: n0 (0.70), n3 (0.799)",
         "note: 7 fits are ok, but each right with a probability below 0.8 only: n1 (0.50), n0 (0.70), m0 (0.75), m1 (0.75), "
         "m2 (0.75) and 2 more",
     ]

@@ -77,6 +77,7 @@ def test_empty_ids_and_other_scans_where_both_may_be(name, text, tmp_path):
         ("z,anna\n", "a file that names none of these scans: 'in/a1.ply', 'in/a2.ply', 'in/b 1.xyz'", "Add them"),
         ("o1.ply,anna\n", "a file that names none of these scans: ", "Add them"),  # alike in its ending alone
         ("../in/a1.ply,anna\n", "a file that names none of these scans: ", "If '../in/a1.ply' in line 1 means 'in/a1.ply'"),
+        ("../a1.ply,anna\n", "a file that names none of these scans: ", "If '../a1.ply' in line 1 means 'in/a1.ply'"),
         # Where each person has a folder, the row of another one's scan is none of these.
         ("ben/a1.ply,ben\n", "a file that names none of these scans: ", "Add them"),
         ("ben/a1.ply,ben\ninn/a1.ply,anna\n", "a file that names none of these scans: ", "If 'inn/a1.ply' in line 2 means"),

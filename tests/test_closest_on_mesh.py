@@ -72,10 +72,13 @@ def test_normals_on_edges_and_vertices_are_of_all_faces_there():
     left, right = (np.cross(b - a, c - a) for a, b, c in (V[[0, 1, 3]], V[[1, 0, 2]]))
     left, right = left / np.linalg.norm(left), right / np.linalg.norm(right)
     both = (left + right) / np.linalg.norm(left + right)
+    nearest = np.array([((V - x) ** 2).sum(axis=1).argmin() for x in X])
     for faces in np.array([[[0, 1, 3], [1, 0, 2]], [[0, 2, 1], [3, 0, 1]]]):
-        nearest = np.array([((V - x) ** 2).sum(axis=1).argmin() for x in X])
         on = Surface(V, faces).closest(X, nearest, V)
         np.testing.assert_allclose(on.normals, [both, both, right], atol=1e-14)
+    for faces in ([[0, 1, 3], [0, 1, 2]], [[0, 1, 3], [1, 0, 2], [0, 3, 1], [0, 1, 2]]):  # wound against each other, both sides
+        on = Surface(V, np.array(faces)).closest(X[:1], nearest[:1], V)
+        np.testing.assert_allclose(np.abs(on.normals @ both), 1.0, atol=1e-14)
 
 
 def test_normals_do_not_depend_on_the_order_of_the_faces(tube):
@@ -89,6 +92,10 @@ def test_normals_do_not_depend_on_the_order_of_the_faces(tube):
         for order in (np.arange(len(faces)), rng.permutation(len(faces))):
             again = closest_on_mesh(change(X), nearest, change(V), faces[order], faces_around(faces[order], len(V)))
             np.testing.assert_allclose(again.normals, on.normals, atol=1e-9)
+    of_vertices = [
+        closest_on_mesh(V, np.arange(len(V)), V, some, faces_around(some, len(V))).normals for some in (faces, faces[::-1])
+    ]
+    np.testing.assert_allclose(*of_vertices, atol=1e-9)
 
 
 @pytest.mark.parametrize(

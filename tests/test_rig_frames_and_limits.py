@@ -7,6 +7,7 @@ import pytest
 from small_rigs import make_tube_data
 
 from lbsfit_np.errors import InputError
+from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.card import Card
 from lbsfit_np.rig.frames import bone_frames
@@ -148,12 +149,16 @@ def test_rigs_of_clips_with_any_turns_can_be_used(start, turns):
 
 
 @pytest.mark.parametrize("low, high, told", [(0.1, 0.5, True), (-0.5, -0.1, True), (0.3, 0.3, True), (0.0, 0.5, False)])
-def test_limits_that_leave_out_the_rest_pose_are_told(low, high, told):
+def test_limits_that_leave_out_the_rest_pose_are_told(low, high, told, tmp_path):
     """Of other joints than the root, which fits turn freely."""
     limits = (("long", (low, 0.0, 0.0), (high, 0.0, 0.0)), ("root", (0.1, 0.0, 0.0), (0.2, 0.0, 0.0)))
     rig = build_rig(make_tube_data(), Card(limits=limits))
     assert ("the rest pose is outside the limits of 1 joint (long)" in rig.notes) == told
     assert not any("outside the limits of" in note for note in rig.notes if "(long)" not in note)
+    rig.save(tmp_path / "saved.npz")
+    (tmp_path / "card.toml").write_text('[limits]\nunit = "rad"\nlong = [[-0.5, 0, 0], [0.5, 0, 0]]\n')
+    mended = load_rig(tmp_path / "saved.npz", card=tmp_path / "card.toml")
+    assert not any("outside the limits of" in note for note in mended.notes)
 
 
 @pytest.mark.parametrize("low, high", [(-180, 180), (-10, 350), (-350, 10)])

@@ -30,12 +30,12 @@ def say(text):
     print(text, flush=True)
 
 
-def in_digits(probability):
-    """A probability in two digits, or in as many as show on which side of a status' bound it is."""
+def in_digits(probability, *bounds):
+    """A probability in two digits, or in as many as show on which side of a status' bound, or another, it is."""
     from ..fitting.confidence import FAILED, SUSPECT
 
     digits = 2
-    while any((probability < bound) != (round(probability, digits) < bound) for bound in (FAILED, SUSPECT)):
+    while any((probability < bound) != (round(probability, digits) < bound) for bound in (FAILED, SUSPECT, *bounds)):
         digits += 1
     return f"{probability:.{digits}f}"
 

@@ -160,7 +160,7 @@ def _likeness(missing, passed):
 
 def _folders_likeness(scan, name):
     """How alike the folders are in which two paths have their files; 1 where one of them is a file name alone."""
-    a, b = (Path(path).parent.name.casefold() for path in (scan, name))
+    a, b = (Path(path).parent.name.casefold().strip(".") for path in (scan, name))  # without ".."
     return SequenceMatcher(None, a, b).ratio() if a and b else 1.0
 
 

@@ -57,7 +57,7 @@ def say_doubtful(entries):
     _say_suspects(entries)
     unsure = sorted((e for e in entries if e["status"] == "ok" and _is_unsure(e)), key=lambda e: e["probability"])
     if unsure:
-        named = listed([f"{e['name']} ({in_digits(e['probability'])})" for e in unsure], _NAMED)
+        named = listed([f"{e['name']} ({in_digits(e['probability'], _SURE)})" for e in unsure], _NAMED)
         are = "fit is ok, but" if len(unsure) == 1 else "fits are ok, but each"
         say(f"note: {len(unsure)} {are} right with a probability below {_SURE} only: {named}")
 

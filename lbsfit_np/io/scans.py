@@ -117,9 +117,11 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
             None if normals is None else normals[keep],
             None if labels is None else labels[keep],
         )
-    elif n_samples is not None and n_samples > len(points):
-        why = f", and most of them in none of its {counted(len(faces), 'triangle')}" if cloud else ""
-        notes.append(f"It has {counted(len(points), 'point')}, fewer than the {n_samples} asked for{why}: all are taken.")
+    elif n_samples is not None:
+        if cloud:
+            notes.append(f"{loose} of its {len(points)} points are in no triangle: it is taken for a point cloud.")
+        if n_samples > len(points):
+            notes.append(f"It has {counted(len(points), 'point')}, fewer than the {n_samples} asked for: all are taken.")
     elif len(faces) and _evenness(points, faces) < _UNEVEN:
         notes.append("Its vertices are unevenly spaced: set n_samples (--samples), such as 20000, to sample its surface instead.")
     for array in (points, normals, labels):  # these are ours alone: Scan need not copy what nobody else can write to

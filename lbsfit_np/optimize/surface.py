@@ -14,6 +14,8 @@ __all__ = ["Closest", "Surface", "closest_on_mesh", "divided", "faces_around", "
 _LONG, _APART, _MOST = 0.22, 0.08, 20
 # Triangles whose squared distances differ by no more than this share of these and of their edges are as close.
 _TIE = 1e-10
+# What is no further from an edge, in barycentric coordinates, or from a plane is on it. A shorter sum of normals tells none.
+_RIM, _CLEAR = 1e-9, 0.1
 
 
 @dataclass(frozen=True)
@@ -202,7 +204,7 @@ def closest_on_mesh(queries, nearest, vertices, faces, around):
     foot = a[:, best] + bu * e1[:, best] + bv * e2[:, best]
     normal = _unit(_cross(e1[:, best], e2[:, best]))
     # Of a place on an edge or a vertex several triangles are as close: which one is best hangs on rounding, and on their order.
-    rim = np.flatnonzero(kind > 0)
+    rim = np.flatnonzero(np.minimum(np.minimum(bu, bv), 1 - bu - bv) <= _RIM)
     as_close = least[rim] <= (least_of_all[rim] + _TIE * (least_of_all[rim] + d11[best[rim]]))[:, None]
     several = as_close.sum(axis=1) > 1
     rim, as_close = rim[several], as_close[several]
@@ -210,7 +212,15 @@ def closest_on_mesh(queries, nearest, vertices, faces, around):
     once = np.unique(row * len(faces) + table[rim[row], column], return_index=True)[1]  # by both ways to look for triangles
     row, pair = row[once], place[rim[row[once]], column[once]]
     of_faces = _unit(_cross(e1[:, pair], e2[:, pair]))
-    normal[:, rim] = _unit(np.stack([np.bincount(row, along, minlength=len(rim)) for along in of_faces]))
+    # Turned to the side of the query, as faces wound against each other would make nothing of each other, or a way along them.
+    height = _dot(np.take(queries.T - foot, rim[row], axis=1), of_faces)
+    plain, turned = (
+        np.stack([np.bincount(row, side * along, minlength=len(rim)) for along in of_faces])
+        for side in (1.0, np.where(height < -_RIM, -1.0, 1.0))
+    )
+    back = np.where(_dot(turned, plain) < -_RIM, -1.0, 1.0)  # to the side that most of them face
+    clear = _dot(turned, turned) > _CLEAR**2
+    normal[:, rim[clear]] = (back * _unit(turned))[:, clear]
     barycentric = np.column_stack([1 - bu - bv, bu, bv])
     return Closest(corners[:, best].T, barycentric, foot.T, normal.T)
 

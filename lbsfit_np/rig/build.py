@@ -26,7 +26,7 @@ from .checks import (
 )
 from .clips import poses_of_clips, under_other_parents, within_limits
 from .frames import bone_frames, child_directions, frames_along
-from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, derived_limits, without_rest
+from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, OUTSIDE, derived_limits, without_rest
 from .partition import check_partition, partition_names
 from .regressor import exact_regressor, regressor_from_weights
 from .rig import Rig
@@ -100,7 +100,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     if state.merged_now.any():
         weights = _merged_weights(weights, parents, state.merged)
     lower, upper = _limits(report, data, parents, root, names, turned, state, card, notes)
-    notes += without_rest(lower, upper, names, root)
+    notes[:] = [note for note in notes if not note.startswith(OUTSIDE)] + without_rest(lower, upper, names, root)
     poses, smpl_rest = _library(report, data, names, parents, root, turned, state, (lower, upper), notes)
     shapes = check_shapes(report, data.shapes, len(vertices), len(names))
 

@@ -7,10 +7,13 @@ import numpy as np
 from ..errors import counted, listed
 from .clips import about_their_mean
 
-__all__ = ["DEFAULT_LIMIT", "DEFAULT_ROOT_LIMIT", "NO_LIMITS", "all_derived", "derived_limits", "without_rest"]
+__all__ = ["DEFAULT_LIMIT", "DEFAULT_ROOT_LIMIT", "NO_LIMITS", "OUTSIDE", "all_derived", "derived_limits", "without_rest"]
 
 # How the note begins that says so; numbers follow.
 NO_LIMITS = "neither file nor card has limits for"
+
+# How the note begins on joints whose limits leave out the rest pose.
+OUTSIDE = "the rest pose is outside the limits of"
 
 # ±0.8 rad (46°) about each axis of every moving joint. Elbows and knees bend further; but the limits are also what uniform
 # poses are drawn from, and chains of joints that all turn by more than this leave few poses without the mesh cutting itself.
@@ -36,7 +39,7 @@ def without_rest(lower, upper, names, root):
     if not out.any():
         return []
     named = listed([names[j] for j in np.flatnonzero(out)], 4)
-    return [f"the rest pose is outside the limits of {counted(int(out.sum()), 'joint')} ({named})"]
+    return [f"{OUTSIDE} {counted(int(out.sum()), 'joint')} ({named})"]
 
 
 def derived_limits(root, n_joints, animated=None):
