@@ -8,6 +8,7 @@ import numpy as np
 from .errors import InputError, as_array, brief, check_angles, check_array, did_you_mean, is_whole
 from .rig.chains import chains
 from .rig.frames import up_axis
+from .rig.locked import locked
 from .rotations import matrix_from_rotvec, nearest_rotvec, rotvec_from_matrix
 from .seeds import generator
 from .sensor import clutter, floor, sample_seen_surface, sample_surface
@@ -388,10 +389,8 @@ def _checked_template(rig, k, template):
     if not isinstance(template, (tuple, list)) or len(template) != 2:
         raise InputError(f"templates[{k}]", type(template).__name__, "a pair (vertices (m, 3), joints (J, 3))")
     shapes = rig.vertices.shape, rig.joints.shape
-    arrays = tuple(check_array(f"templates[{k}][{i}]", a, shape).copy() for i, (a, shape) in enumerate(zip(template, shapes)))
-    for a in arrays:  # scans share them as their truth
-        a.flags.writeable = False
-    return arrays
+    checked = (check_array(f"templates[{k}][{i}]", a, shape) for i, (a, shape) in enumerate(zip(template, shapes)))
+    return tuple(map(locked, checked))  # scans share them as their truth
 
 
 def with_random_proportions(rig, amount, rng, template=None):

@@ -364,13 +364,13 @@ def test_kept_fits_of_other_points_are_told(fitted, made, tmp_path, run):
         run(*arguments)
         os.utime(other, ns=(0, 0))  # what was found is found again
         code, text, _ = run(*arguments)
-        said = f"note: 1 kept fit was made of other points than those now in {other}, read with these options; --existing"
+        said = f"note: 1 kept fit was made of other points than those now in {other}, read with these options; delete their files"
         assert code == 0 and said in text and "kept existing fits of 2 of 2 scans" in text
         entries = {e["name"]: e for e in json.loads((tmp_path / "summary.json").read_text())["scans"]}
         assert entries["one"]["other_points"] and "other_points" not in entries["two"]
     other.write_text("ply")
     text = run(*arguments)[1]
-    assert f"note: 1 kept fit was not compared with {other}, which cannot be read with these options" in text
+    assert f"note: 1 kept fit was not compared with {other}, which cannot be read with these options: a " in text
     assert '"other_points": null' in (tmp_path / "summary.json").read_text()
 
 
@@ -394,16 +394,17 @@ def test_points_are_compared_whatever_names_and_times_say(fitted, made, tmp_path
     assert said in run(*arguments)[1]
 
 
-@pytest.mark.parametrize("damage, got", [("cut", "a file that "), ("of another scan", "4 points; expected the ")])
-def test_a_scan_whose_labels_cannot_be_used_is_fitted_again(damage, got, fitted, made, tmp_path, run):
+@pytest.mark.parametrize("kind, of", [("labels", "points"), ("mesh", "vertices")])
+@pytest.mark.parametrize("damage, got", [("cut", "a file that "), ("of another scan", "4 {of}; expected the ")])
+def test_a_scan_whose_labels_or_mesh_cannot_be_used_is_fitted_again(damage, got, kind, of, fitted, made, tmp_path, run):
     for path in fitted[0].iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())
-    labels = tmp_path / "one.labels.ply"
-    whole = labels.read_bytes()
+    damaged = tmp_path / f"one.{kind}.ply"
+    whole = damaged.read_bytes()
     if damage == "cut":
-        labels.write_bytes(whole[: len(whole) // 2])
+        damaged.write_bytes(whole[: len(whole) // 2])
     else:
-        write_points_ply(labels, np.random.default_rng(0).random((4, 3)))
+        write_points_ply(damaged, np.random.default_rng(0).random((4, 3)))
     code, text, _ = run("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--existing", "skip", *QUICK)
-    assert code == 0 and f"one: {labels} cannot be used ({got}" in text and "so the scan is fitted again" in text
-    assert labels.read_bytes() == whole and "note: " not in text and "kept" not in text
+    assert code == 0 and f"one: {damaged} cannot be used ({got.format(of=of)}" in text and "so the scan is fitted again" in text
+    assert damaged.read_bytes() == whole and "note: " not in text and "kept" not in text

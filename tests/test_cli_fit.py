@@ -9,7 +9,6 @@ from cli_runs import QUICK, one_line
 from docs_tables import needs_documents, summary_keys
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.confidence import verdict_of
 from lbsfit_np.io.write import write_mesh_ply
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -99,15 +98,9 @@ def test_drop_invalid_keeps_the_good_points(made, tmp_path, run):
     assert "2 of 400" in json.loads((tmp_path / "out" / "summary.json").read_text())["scans"][0]["notes"][0]
 
 
-def test_row_numbers_taken_for_x_are_told_of_each_scan_and_why_its_fit_is_wrong(made, tmp_path, run, monkeypatch):
-    def verdict(*known):  # with a probability near 0.05, that rounding moves to either side: both are to have failed
-        status, reason = verdict_of(*known)
-        return "failed" if status == "suspect" else status, reason
-
-    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", verdict)
-    points = lbs.load_scan(made / "one.ply").points
-    for name, rows in (("filtered.csv", np.arange(400) * 2), ("shuffled.csv", np.arange(400)[::-1])):
-        np.savetxt(tmp_path / name, np.column_stack([rows, points]), delimiter=",")
+def test_row_numbers_taken_for_x_are_told_of_each_scan_and_why_its_fit_is_wrong(made, tmp_path, run):
+    for name, scan, rows in (("filtered", "one.ply", np.arange(400) * 2), ("shuffled", "two.xyz", np.arange(400)[::-1])):
+        np.savetxt(tmp_path / f"{name}.csv", np.column_stack([rows, lbs.load_scan(made / scan).points]), delimiter=",")
     scans, out = sorted(tmp_path.glob("*.csv")), tmp_path / "out"
     code, text, err = run("fit", made / "tube.npz", *scans, made / "one.ply", "-o", out, *QUICK)
     assert code == 1 and err.count(": failed: Columns 1 to 3 were read as x, y, z, but the first (") == 2

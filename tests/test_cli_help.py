@@ -87,6 +87,8 @@ def test_fits_that_are_ok_but_not_surely_right_are_named(capsys):
     say_doubtful([sure | {"name": "one"}, sure | {"name": "free", "probability": 0.0, "evidence": {}}])
     assert capsys.readouterr().out == ""
     several = [sure | {"name": f"n{k}", "probability": p} for k, p in enumerate((0.7, 0.504, 0.95, 0.799))]
+    say_doubtful([{"name": "s", "status": "suspect", "probability": 0.3, "evidence": {"rival": 0.9}, "message": "odd"}])
+    assert " ok, but" not in capsys.readouterr().out
     say_doubtful([sure | {"name": "one"}, several[0], several[3]])
     say_doubtful(several + [sure | {"name": f"m{k}", "probability": 0.75} for k in range(4)])
     assert capsys.readouterr().out.splitlines() == [

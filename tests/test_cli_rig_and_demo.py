@@ -131,12 +131,13 @@ def test_demo(made, tmp_path, run):
     assert code == 2 and "never overwritten" in one_line(err)
 
 
-def test_a_demo_whose_fit_has_failed_shows_what_it_is(made, tmp_path, run, monkeypatch):
-    monkeypatch.setattr(demo, "fit_files", lambda *given: fit_files(*given) or 1)  # which is how it says so
+@pytest.mark.parametrize("code, shown", [(1, True), (130, False)])
+def test_a_demo_shows_a_fit_that_has_failed_and_ends_where_it_is_stopped(code, shown, made, tmp_path, run, monkeypatch):
+    monkeypatch.setattr(demo, "fit_files", lambda *given: fit_files(*given) or code)  # which is how it says so
     out = tmp_path / "demo"
-    code, text, _ = run("demo", "-o", out, "--rig", made / "tube.npz", "--points", 500, *TRAINING)
-    assert code == 1 and "Mean errors against the truth" in text and "demo.png" in text
-    assert (out / "demo.png").read_bytes().startswith(b"\x89PNG")
+    found, text, _ = run("demo", "-o", out, "--rig", made / "tube.npz", "--points", 500, *TRAINING)
+    assert found == code and ("Mean errors against the truth" in text) == ("demo.png" in text) == shown
+    assert (out / "demo.png").is_file() == shown and (out / "scan.fit.npz").is_file()
 
 
 def test_a_demo_without_a_fit_leaves_nothing_in_the_way_of_the_next(made, tmp_path, run, monkeypatch):

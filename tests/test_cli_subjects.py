@@ -80,6 +80,7 @@ def test_empty_ids_and_other_scans_where_both_may_be(name, text, tmp_path):
         ("../a1.ply,anna\n", "a file that names none of these scans: ", "If '../a1.ply' in line 1 means 'in/a1.ply'"),
         # Where each person has a folder, the row of another one's scan is none of these.
         ("ben/a1.ply,ben\n", "a file that names none of these scans: ", "Add them"),
+        ("in2/a1.ply,ben\n", "a file that names none of these scans: ", "Add them"),  # numbers differ
         ("ben/a1.ply,ben\ninn/a1.ply,anna\n", "a file that names none of these scans: ", "If 'inn/a1.ply' in line 2 means"),
         ("anna,a1\nben,b 1\n", "a file that names none of these scans: ", "The columns seem to be swapped"),
         ("", "no id for 3 of 3 scans", "Add them"),

@@ -79,6 +79,18 @@ def test_normals_on_edges_and_vertices_are_of_all_faces_there():
     for faces in ([[0, 1, 3], [0, 1, 2]], [[0, 1, 3], [1, 0, 2], [0, 3, 1], [0, 1, 2]]):  # wound against each other, both sides
         on = Surface(V, np.array(faces)).closest(X[:1], nearest[:1], V)
         np.testing.assert_allclose(np.abs(on.normals @ both), 1.0, atol=1e-14)
+    inside = Surface(V, np.array([[0, 3, 1], [1, 2, 0]])).closest(X[:1], nearest[:1], V)  # sides that face down
+    np.testing.assert_allclose(inside.normals, [-both], atol=1e-14)
+
+
+def test_normals_of_a_sheet_with_two_sides_are_on_the_querys():
+    """Whichever of both comes first; in the sheet's plane there is none, and one of the two is as good."""
+    V, sides = np.array([[0.0, -1, 0], [0, 1, 0], [1, 0, 0]]), np.array([[0, 1, 2], [1, 0, 2]])
+    X = np.array([[0.3, 0.1, 0.2], [0.3, 0.1, -0.2], [0.0, 0.3, 0.1], [0.0, 0.3, 0.0]])
+    for faces in (sides, sides[::-1]):
+        n = closest_on_mesh(X, np.ones(4, int), V, faces, faces_around(faces, 3)).normals
+        np.testing.assert_allclose(n[:3], [[0, 0, 1], [0, 0, -1], [0, 0, 1]], atol=1e-14)
+        np.testing.assert_allclose(np.abs(n[3]), [0, 0, 1], atol=1e-14)
 
 
 def test_normals_do_not_depend_on_the_order_of_the_faces(tube):

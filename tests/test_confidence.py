@@ -371,6 +371,8 @@ def test_the_verdict_names_reasons():
     assert "part left_arm does not fit" in reason and "part right_arm has no points" in reason
     assert verdict_of(NOTHING | {"unexplained": 0.9}, 0.01)[0] == "failed"
     assert verdict_of(NOTHING, 0.3)[1] == "several small things together"
+    reason = verdict_of(NOTHING | {"unreached": 0.5, "disagreement": 0.4}, 0.3)[1]
+    assert reason == "surface is not reached by points (mean misfit 50%); labels and mesh disagree (40% on average)"
     some = {"unexplained": 0.02, "part_unexplained": 0.14, "disagreement": 0.3, "distance": 0.5}
     words = "several small things together, above all points near part left_arm that are not explained (mean misfit 14%) "
     words += "and points that are not explained (mean misfit 2%)"

@@ -282,7 +282,7 @@ def test_other_bends_are_tried_of_what_has_won(model, case, monkeypatch):
 
 
 def test_a_hand_that_points_the_wrong_way_is_turned():
-    """Steps by themselves leave it there."""
+    """Steps by themselves leave it there; other bends alone turn it, before any bone is in doubt."""
     rig = lbs.load_rig("body-coarse")
     model, wrist = Model(rig), rig.joint_names.index("left_wrist")
     (s,) = lbs.synthesize(rig, poses="natural", random_state=6, shape=0.0, n_points=900)
@@ -292,6 +292,7 @@ def test_a_hand_that_points_the_wrong_way_is_turned():
     problem = Problem((s.points - centre) / model.half)
     stuck, value = refit.to_the_end(problem, wrong)
     assert np.linalg.norm(stuck.theta[wrist] - s.pose[wrist]) > 0.7
+    refit._bends._rounds = 0
     state, least = refit._bends(problem, stuck, value)
     assert least < 0.95 * value and np.linalg.norm(state.theta[wrist] - s.pose[wrist]) < 0.2
     assert state.scale == 1.0 and not state.coefficients.any()

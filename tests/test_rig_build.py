@@ -47,17 +47,21 @@ def test_rig_is_immutable_and_leaves_the_data_alone():
 
 
 @pytest.mark.parametrize(
-    "pose, words",
+    "poses, words",
     [
-        (np.zeros((3, 3)), r"shape \(3, 3\); expected shape \(4, 3\)"),
-        (np.full((4, 3), np.nan), "12 values that are NaN or infinite"),
-        (np.full((4, 3), 1e9), "an angle of 1e.09; expected radians"),
-        ("sitting", "str; expected an array of numbers"),
+        ({"mine": np.zeros((3, 3))}, r"pose 'mine': got shape \(3, 3\); expected shape \(4, 3\)"),
+        ({"mine": np.full((4, 3), np.nan)}, "pose 'mine': got 12 values that are NaN or infinite"),
+        ({"mine": np.full((4, 3), 90)}, "pose 'mine': got an angle of 90; expected radians, of two turns at most. Multiply d"),
+        ({"mine": "sitting"}, "pose 'mine': got an array of type <U7"),
+        ({"": np.zeros((4, 3))}, "poses: got names that are empty or not text"),
+        ({1: np.zeros((4, 3))}, "poses: got names that are empty or not text"),
+        ([np.zeros((4, 3))], "poses: got list; expected a mapping of names to poses"),
     ],
 )
-def test_poses_of_ones_own_are_checked(pose, words, tube_rig):
-    with pytest.raises(InputError, match=rf"poses\['mine'\]: got {words}"):
-        replace(tube_rig, poses={"mine": pose})
+def test_poses_of_ones_own_are_checked(poses, words, tube_rig):
+    with pytest.raises(InputError, match=words):
+        replace(tube_rig, poses=poses)
+
 
 
 def test_templates_leave_their_givers_arrays_alone(tube_rig):

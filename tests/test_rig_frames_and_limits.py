@@ -148,6 +148,15 @@ def test_rigs_of_clips_with_any_turns_can_be_used(start, turns):
         assert np.abs(away).max(axis=(1, 2)).min() < 1e-9
 
 
+def test_a_files_own_poses_are_kept_as_they_are():
+    """Whatever limits a card gives."""
+    theta = np.zeros((4, 3))
+    theta[2, 0] = np.radians(190)
+    limits = (("long", np.radians([-180.0, -5, -5]), np.radians([180.0, 5, 5])),)
+    rig = build_rig(replace(make_tube_data(), poses={"mine": theta}), Card(limits=limits))
+    np.testing.assert_array_equal(rig.poses["mine"], theta)
+
+
 @pytest.mark.parametrize("low, high, told", [(0.1, 0.5, True), (-0.5, -0.1, True), (0.3, 0.3, True), (0.0, 0.5, False)])
 def test_limits_that_leave_out_the_rest_pose_are_told(low, high, told, tmp_path):
     """Of other joints than the root, which fits turn freely."""

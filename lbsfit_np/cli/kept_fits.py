@@ -29,7 +29,7 @@ def kept_entries(files, fitter, subjects, read):
     from ..learning.made_with import settings_of
 
     kept, rig = {}, fitter.rig
-    made, now, others, differ = _MadeWith(fitter), settings_of(fitter), Counter(), {True: [], None: []}
+    made, now, others, differ, unread = _MadeWith(fitter), settings_of(fitter), Counter(), [], []
     for f in files:
         if not f.fit.is_file():
             continue
@@ -55,9 +55,10 @@ def kept_entries(files, fitter, subjects, read):
         if not all(path.is_file() and path.stat().st_size for path in (f.mesh, f.labels)):
             continue
         try:
-            labelled = _labelled(f.labels, result)
+            labelled = _labelled(f, result)
         except FileError as error:
-            say(f"{f.name}: {f.labels} cannot be used ({error.got}; expected {error.expected}), so the scan is fitted again")
+            why = f"{error.argument} cannot be used ({error.got}; expected {error.expected})"
+            say(f"{f.name}: {why}, so the scan is fitted again")
             continue
         if f.picture is not None and not _is_newer(f.picture, f.fit):
             for note in outputs.draw(f, rig, labelled, result):
@@ -67,17 +68,25 @@ def kept_entries(files, fitter, subjects, read):
         if other:
             kept[f.name]["other_settings"] = other if result.settings else None
             others[_in_words(other, now)] += 1
-        if (differs := _has_other_points(f.source, labelled, read)) is not False:
-            kept[f.name]["other_points"] = differs
-            differ[differs].append(f.source)
+        try:
+            now_there = read(f.source).points
+        except FileError as error:
+            kept[f.name]["other_points"] = None
+            unread.append((f.source, error))
+        else:
+            if not _are_same(labelled, now_there):
+                kept[f.name]["other_points"] = True
+                differ.append(f.source)
     _say_others(others)
-    for differs, scans in differ.items():
-        if scans:
-            which = f"made of other points than those now in {listed(scans, 3)}, read with these options; "
-            which += "--existing replace fits all again"
-            if not differs:
-                which = f"not compared with {listed(scans, 3)}, which cannot be read with these options"
-            say(f"note: {counted(len(scans), 'kept fit')} {'was' if len(scans) == 1 else 'were'} {which}")
+    if differ:
+        which = f"made of other points than those now in {listed(differ, 3)}, read with these options"
+        which += "; delete their files to fit these again, or --existing replace fits all again"
+        say(f"note: {counted(len(differ), 'kept fit')} {'was' if len(differ) == 1 else 'were'} {which}")
+    if unread:
+        first, error = unread[0]
+        why = f"{error.got}; expected {error.expected}" + f" ({first})" * (len(unread) > 1)
+        which = f"not compared with {listed([source for source, _ in unread], 3)}, which cannot be read with these options: {why}"
+        say(f"note: {counted(len(unread), 'kept fit')} {'was' if len(unread) == 1 else 'were'} {which}")
     return kept
 
 
@@ -97,23 +106,21 @@ def _check_ours(path, error):
         raise InputError("--existing skip", f"{path}, which is no fit", "fits that lbsfit has written", remedy)
 
 
-def _labelled(path, result):
-    """The points that a fit has labelled: the scan may be another by now."""
+def _labelled(files, result):
+    """The points that a fit has labelled, where its labels and its mesh are whole; the scan may be another by now."""
     from ..io.scans import load_scan
 
-    points = load_scan(path).points
-    if len(points) != len(result.labels):
-        raise FileError(str(path), f"{len(points)} points", f"the {len(result.labels)} that the fit has labels for")
-    return points
+    sets = {}
+    for path, n, of in ((files.mesh, len(result.vertices), "vertices"), (files.labels, len(result.labels), "points")):
+        sets[of] = load_scan(path).points
+        if len(sets[of]) != n:
+            raise FileError(str(path), f"{len(sets[of])} {of}", f"the {n} of the fit")
+    return sets["points"]
 
 
-def _has_other_points(source, labelled, read):
-    """Whether a scan is not the one whose points a fit has labelled; None where it cannot be read."""
-    try:
-        now = read(source).points
-    except FileError:
-        return None
-    return len(now) != len(labelled) or not np.allclose(now, labelled, rtol=0.0, atol=_SAME * np.ptp(labelled, axis=0).max())
+def _are_same(then, now):
+    """Whether points are the same, but for rounding."""
+    return len(now) == len(then) and np.allclose(now, then, rtol=0.0, atol=_SAME * np.ptp(then, axis=0).max())
 
 
 def _say_others(others):

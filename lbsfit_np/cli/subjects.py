@@ -159,9 +159,9 @@ def _likeness(missing, passed):
 
 
 def _folders_likeness(scan, name):
-    """How alike the folders are in which two paths have their files; 1 where one of them is a file name alone."""
-    a, b = (Path(path).parent.name.casefold().strip(".") for path in (scan, name))  # without ".."
-    return SequenceMatcher(None, a, b).ratio() if a and b else 1.0
+    """How alike the folders of two paths are, from the last on, as far as both have any; 0 where these differ in numbers."""
+    a, b = ([f.casefold() for f in reversed(Path(path).parent.parts) if f.strip("./")] for path in (scan, name))
+    return min((SequenceMatcher(None, x, y).ratio() * (_numbers(x) == _numbers(y)) for x, y in zip(a, b)), default=1.0)
 
 
 def _numbers(name):

@@ -215,8 +215,8 @@ def _terms(model, problem, state, weights, x_labels, pivot, turn):
     sides = {"x_weights": problem.x_weights, "v_weights": problem.v_weights}
     own, K = model.offsets(state), model.K if weights.lam_lap else None
     offsets = np.zeros_like(Vd) if own is None else own
-    labels = {} if x_labels is None else {"x_labels": x_labels, "v_labels": model.labels}
-    L = objective(X, Vd, V, weights=weights, **labels, offsets=offsets, K=K, **sides)
+    sides |= {"x_labels": x_labels, "v_labels": None if x_labels is None else model.labels}
+    L = objective(X, Vd, V, weights=weights, offsets=offsets, K=K, **sides)
     return L.terms | {"total": L.value, "recon": float(np.sqrt(chamfer(X, Vd, x_weights=problem.x_weights)[0]))}
 
 

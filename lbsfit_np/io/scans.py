@@ -102,14 +102,14 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
         faces = (np.cumsum(valid) - 1)[faces[valid[faces].all(axis=1)]]
     loose = 0 if n_samples is None or not len(faces) else _in_no_triangle(len(points), faces)
     cloud = loose > len(points) / 2 and len(faces) < _FEW * len(points)
+    if cloud:
+        notes.append(f"{loose} of its {len(points)} points are in no triangle: it is taken for a point cloud.")
     if n_samples is not None and len(faces) and not cloud:
         if loose:
             notes.append(f"{loose} of its {len(points)} points are in no triangle: left out.")
         points, normals, labels = _sampled(points, faces, normals, labels, n_samples, random_state, shown)
         notes.append(f"{n_samples} points sampled from the surface of {len(faces)} triangles.")
     elif n_samples is not None and n_samples < len(points):
-        if cloud:
-            notes.append(f"{loose} of its {len(points)} points are in no triangle: it is taken for a point cloud.")
         keep = Scan(points).thinned(n_samples, generator(random_state, "load_scan"))
         notes.append(f"A random subset of {n_samples} of its {len(points)} points.")
         points, normals, labels = (
@@ -118,8 +118,6 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
             None if labels is None else labels[keep],
         )
     elif n_samples is not None:
-        if cloud:
-            notes.append(f"{loose} of its {len(points)} points are in no triangle: it is taken for a point cloud.")
         if n_samples > len(points):
             notes.append(f"It has {counted(len(points), 'point')}, fewer than the {n_samples} asked for: all are taken.")
     elif len(faces) and _evenness(points, faces) < _UNEVEN:

@@ -14,8 +14,8 @@ __all__ = ["Closest", "Surface", "closest_on_mesh", "divided", "faces_around", "
 _LONG, _APART, _MOST = 0.22, 0.08, 20
 # Triangles whose squared distances differ by no more than this share of these and of their edges are as close.
 _TIE = 1e-10
-# What is no further from an edge, in barycentric coordinates, or from a plane is on it. A shorter sum of normals tells none.
-_RIM, _CLEAR = 1e-9, 0.1
+# What is no higher above a triangle is on its plane. A shorter sum of normals tells none.
+_ON, _CLEAR = 1e-9, 0.1
 
 
 @dataclass(frozen=True)
@@ -203,24 +203,22 @@ def closest_on_mesh(queries, nearest, vertices, faces, around):
     bv = np.choose(kind, [v[best], zero, t2[best], t3[best]])
     foot = a[:, best] + bu * e1[:, best] + bv * e2[:, best]
     normal = _unit(_cross(e1[:, best], e2[:, best]))
-    # Of a place on an edge or a vertex several triangles are as close: which one is best hangs on rounding, and on their order.
-    rim = np.flatnonzero(np.minimum(np.minimum(bu, bv), 1 - bu - bv) <= _RIM)
-    as_close = least[rim] <= (least_of_all[rim] + _TIE * (least_of_all[rim] + d11[best[rim]]))[:, None]
-    several = as_close.sum(axis=1) > 1
-    rim, as_close = rim[several], as_close[several]
-    row, column = np.nonzero(as_close)
-    once = np.unique(row * len(faces) + table[rim[row], column], return_index=True)[1]  # by both ways to look for triangles
-    row, pair = row[once], place[rim[row[once]], column[once]]
+    # On edges and vertices several triangles are as close: which one is best hangs on rounding, and on their order.
+    as_close = least <= (least_of_all + _TIE * (least_of_all + d11[best]))[:, None]
+    several = np.flatnonzero(as_close.sum(axis=1) > 1)
+    row, column = np.nonzero(as_close[several])
+    once = np.unique(row * len(faces) + table[several[row], column], return_index=True)[1]  # by both ways to look for triangles
+    row, pair = row[once], place[several[row[once]], column[once]]
     of_faces = _unit(_cross(e1[:, pair], e2[:, pair]))
     # Turned to the side of the query, as faces wound against each other would make nothing of each other, or a way along them.
-    height = _dot(np.take(queries.T - foot, rim[row], axis=1), of_faces)
+    height = _dot(np.take(queries.T - foot, several[row], axis=1), of_faces)
     plain, turned = (
-        np.stack([np.bincount(row, side * along, minlength=len(rim)) for along in of_faces])
-        for side in (1.0, np.where(height < -_RIM, -1.0, 1.0))
+        np.stack([np.bincount(row, side * along, minlength=len(several)) for along in of_faces])
+        for side in (1.0, np.where(height < -_ON, -1.0, 1.0))
     )
-    back = np.where(_dot(turned, plain) < -_RIM, -1.0, 1.0)  # to the side that most of them face
+    back = np.where(_dot(turned, plain) < -_ON, -1.0, 1.0)  # to the side that most of them face
     clear = _dot(turned, turned) > _CLEAR**2
-    normal[:, rim[clear]] = (back * _unit(turned))[:, clear]
+    normal[:, several[clear]] = (back * _unit(turned))[:, clear]
     barycentric = np.column_stack([1 - bu - bv, bu, bv])
     return Closest(corners[:, best].T, barycentric, foot.T, normal.T)
 
@@ -245,7 +243,7 @@ def summed_normals(vertices, faces, at):
     """(r, 3) unit normals of the vertices that ``at`` is of: :func:`faces_at`; the faces may be those at these vertices alone."""
     a, b, c = (np.take(vertices.T, corner, axis=1) for corner in faces.T)
     normals = (at @ _cross(b - a, c - a).T).T
-    return (normals / np.maximum(np.sqrt(_dot(normals, normals)), np.finfo(float).tiny)).T
+    return _unit(normals).T
 
 
 def _unit(a):

@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from ..errors import InputError, listed
+from ..rotations import nearest_rotvec
 from ..triangles import face_areas
 from .anomalies import mesh_notes, size_notes, skin_notes
 from .card import Card, matching, read_card
@@ -24,7 +25,7 @@ from .checks import (
     check_weights,
     following_root,
 )
-from .clips import poses_of_clips, under_other_parents, within_limits
+from .clips import poses_of_clips, under_other_parents
 from .frames import bone_frames, child_directions, frames_along
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, OUTSIDE, derived_limits, without_rest
 from .partition import check_partition, partition_names
@@ -409,7 +410,7 @@ def _library(report, data, names, parents, root, turned, state, limits, notes):
         if turned is not None:
             theta = np.einsum("jab,jb->ja", turned, theta)
         theta[still] = 0.0
-        poses[name] = theta if own else within_limits(theta, *limits)  # a card may have other limits than the clips
+        poses[name] = theta if own else nearest_rotvec(theta, sum(limits) / 2)  # a card may have other limits
     return poses, rest
 
 

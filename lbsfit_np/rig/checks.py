@@ -29,6 +29,8 @@ _ROUNDING = 1e-5
 _TOLERATED = 0.01
 # Beyond, squares of lengths leave double precision.
 _LARGEST = 1e100
+# Radians, of poses.
+_MOST_ANGLE = 4 * np.pi
 
 
 class Reporter:
@@ -210,7 +212,12 @@ def check_poses(report, poses, names):
         report.fail("poses", type(poses).__name__, "a mapping of names to poses (J, 3)")
     if not all(isinstance(name, str) and name for name in poses):
         report.fail("poses", "names that are empty or not text", "a name for each pose")
-    return {name: report.array(f"pose {name!r}", theta, (len(names), 3)) for name, theta in poses.items()}
+    poses = {name: report.array(f"pose {name!r}", theta, (len(names), 3)) for name, theta in poses.items()}
+    for name, theta in poses.items():
+        if np.abs(theta).max() > _MOST_ANGLE:
+            got = f"an angle of {np.abs(theta).max():.3g}"
+            report.fail(f"pose {name!r}", got, "radians, of two turns at most", "Multiply degrees by pi / 180.")
+    return poses
 
 
 def check_tree(report, parents, names, explained):

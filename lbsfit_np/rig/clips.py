@@ -4,7 +4,7 @@ import numpy as np
 
 from ..rotations import matrix_from_rotvec, nearest_rotvec, rotvec_from_matrix
 
-__all__ = ["about_their_mean", "poses_of_clips", "under_other_parents", "within_limits"]
+__all__ = ["about_their_mean", "poses_of_clips", "under_other_parents"]
 
 # Frames of which no joint is turned against the other's by more than this, radians, are one pose; the rest pose is one, too. So
 # many are taken at most.
@@ -69,25 +69,6 @@ def about_their_mean(animated):
         if (middle.inv() * turns).magnitude().max() < _ROUND:
             out[:, j] = nearest_rotvec(out[:, j], middle.as_rotvec())
     return out
-
-
-def within_limits(theta, lower, upper):
-    """The same rotations, whole turns more or fewer, that lie least outside of limits; those given where that is no gain.
-
-    Parameters
-    ----------
-    theta, lower, upper : (J, 3) arrays
-
-    Returns
-    -------
-    (J, 3) array
-    """
-    angle = np.linalg.norm(theta, axis=1, keepdims=True)
-    turns = np.array([0, -1, 1, -2, 2])[:, None, None]
-    same = theta * (1.0 + 2 * np.pi * turns / np.where(angle > 0, angle, np.inf))
-    outside = np.maximum(lower - same, 0.0).sum(axis=2) + np.maximum(same - upper, 0.0).sum(axis=2)
-    outside[1:] += 1e-9  # of rounding
-    return same[outside.argmin(axis=0), np.arange(len(theta))]
 
 
 def under_other_parents(animated, frames, before, after):

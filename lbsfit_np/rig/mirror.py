@@ -41,6 +41,8 @@ def mirrored(rig, name=None, *, axis="x"):
     """
     if axis not in ("x", "y", "z"):
         raise InputError("axis", repr(axis), "'x', 'y' or 'z'")
+    if name is not None and not (isinstance(name, str) and name):
+        raise InputError("name", repr(name), "text, or None")
     if name is None:
         name = other_side(rig.name)
         if name == rig.name:

@@ -10,6 +10,7 @@ import numpy as np
 from scipy import sparse
 
 from ..errors import InputError, brief, check_angles, check_array
+from .checks import Reporter, check_poses
 from .locked import locked
 from .partition import check_partition, parts_of_joints, vertex_parts
 from .proportions import proportions
@@ -94,8 +95,9 @@ class Rig:
     def __post_init__(self):
         for name, value in list(self.__dict__.items()):
             object.__setattr__(self, name, locked(value))
-        poses = {name: check_angles(f"poses[{name!r}]", pose, self.lower.shape) for name, pose in self.poses.items()}
-        object.__setattr__(self, "poses", {name: locked(pose) for name, pose in poses.items()})
+        poses = check_poses(Reporter(None), self.poses, self.joint_names)
+        given = {n: p for n, p in self.poses.items() if isinstance(p, np.ndarray) and p.dtype == float}  # need no copy if locked
+        object.__setattr__(self, "poses", {name: locked(pose) for name, pose in (poses | given).items()})
 
     def __repr__(self):
         m, J = self.weights.shape
