@@ -191,7 +191,7 @@ def test_labels_of_what_lies_beyond_the_rig_have_no_confidence(rigs, labels):
     np.testing.assert_array_equal(r.labels, whole.labels)
 
 
-@pytest.mark.parametrize("without", ["proba", "rivals", "value", "theta", "partial", "areas", "x_weights"])
+@pytest.mark.parametrize("without", ["proba", "rivals", "value", "theta", "partial", "x_weights"])
 def test_the_evidence_is_of_all_that_is_known(rigs, without):
     """Points of one side, half of which weigh little, on a hand with its angles at their limits."""
     model = Model(rigs["hand"])
@@ -203,10 +203,10 @@ def test_the_evidence_is_of_all_that_is_known(rigs, without):
     known = {"proba": np.eye(len(model.source.parts))[(model.labels[side] + (X[:, 1] > 0)) % 2], "rivals": (2.0,), "value": 1.0}
     given = {**known, "partial": True, "x_weights": weights / weights.sum()}
     r = _at_rest(model, X, state=state, **given)
-    given |= {"theta": state.theta, "areas": model.areas}
-    assert r.evidence == evidence_of(model.rig, V, model.labels, X, **given)[0]
+    given["theta"] = state.theta
+    assert r.evidence == evidence_of(model, V, X, **given)[0]
     del given[without]
-    assert r.evidence != evidence_of(model.rig, V, model.labels, X, **given)[0]  # so that each of them is told
+    assert r.evidence != evidence_of(model, V, X, **given)[0]  # so that each of them is told
 
 
 def test_a_wrong_pose_of_a_whole_scan_is_not_taken_for_one_side(rigs):

@@ -32,7 +32,7 @@ def right(model):
 
 def _evidence(model, state, X, **more):
     V = model.pose(state)[0].vertices
-    return evidence_of(model.rig, V, model.labels, X, theta=state.theta, areas=model.areas, **more)
+    return evidence_of(model, V, X, theta=state.theta, **more)
 
 
 def test_a_right_fit_leaves_next_to_nothing(model, right):

@@ -155,7 +155,7 @@ def test_the_mesh_that_was_found_is_judged_with_its_proportions(tube_rig, monkey
     state = _of_other_proportions(scout.model)
     V = scout.model.deformed(state).vertices
 
-    def evidence_of(rig, vertices, *scan, **known):
+    def evidence_of(model, vertices, *scan, **known):
         seen.append(vertices)
         return None, {}
 

@@ -9,7 +9,6 @@ from lbsfit_np import load_rig
 from lbsfit_np.bench.study import local_optimum
 from lbsfit_np.bench.study.local_optimum import along_path, limbs, swings, target_scan
 from lbsfit_np.losses import chamfer
-from lbsfit_np.rig.partition import leading_joint
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +45,7 @@ def test_the_numbers_are_plain_and_the_losses(hand, found):
 
 
 def test_swings_begin_in_the_wrong_place_and_end_beside_the_right_one(hand):
-    lead = leading_joint(hand)
+    lead = hand.leading_joint
     tips = {limb.joint: limb for limb in limbs(hand).values()}
     assert sorted(hand.joint_names[j] for j in tips) == ["index1", "middle1", "pinky1", "ring1", "thumb1"]
     both = swings(hand)

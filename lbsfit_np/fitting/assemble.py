@@ -148,16 +148,14 @@ def assemble(
         status, reason = "ok", ""
     elif finite:
         evidence, worst = evidence_of(
-            model.rig,
+            model,
             V,
-            model.labels,
             problem.X,
             proba=proba,
             rivals=rivals,
             value=value,
             theta=state.theta,
             partial=partial,
-            areas=model.areas,
             x_weights=problem.x_weights,
             proportions=proportions,
         )

@@ -9,7 +9,7 @@ import numpy as np
 
 from ..neighbors import PointIndex
 from ..optimize.problem import Problem
-from ..optimize.surface import Surface, vertex_normals
+from ..optimize.surface import vertex_normals
 from ..optimize.visibility import shown
 
 __all__ = [
@@ -68,30 +68,15 @@ _FLOOR = 1e-3
 
 
 def evidence_of(
-    rig,
-    vertices,
-    labels,
-    X,
-    *,
-    proba=None,
-    rivals=(),
-    value=None,
-    theta=None,
-    partial=False,
-    areas=None,
-    x_weights=None,
-    proportions=0.0,
+    model, vertices, X, *, proba=None, rivals=(), value=None, theta=None, partial=False, x_weights=None, proportions=0.0
 ):
     """Measure a fit.
 
     Parameters
     ----------
-    rig : Rig
-        Welded, in half sizes.
+    model : Model
     vertices : (m, 3) array
         V^d in the normalised frame.
-    labels : (m,) int array
-        Parts of the vertices.
     X : (n, 3) array
         The scan in that frame.
     proba : (n, n_parts) array, optional
@@ -103,8 +88,6 @@ def evidence_of(
     theta : (J, 3) array, optional
     partial : bool
         Whether the scan shows one side only.
-    areas : (m,) array, optional
-        Shares of the surface.
     x_weights : (n,) array, optional
         How much each point counts.
     proportions : float, default 0
@@ -123,12 +106,12 @@ def evidence_of(
     worst : dict of str to int
         The parts of "part_unexplained" and "part_unreached"; −1 where nothing is.
     """
-    a = np.full(len(vertices), 1.0 / len(vertices)) if areas is None else areas
+    rig, labels, a = model.rig, model.labels, model.areas
     w = np.full(len(X), 1.0 / len(X)) if x_weights is None else x_weights / x_weights.sum()
     X, w, proba = merged(X, w, proba)
     on = PointIndex(vertices).nearest(X)
     away = ((X - vertices[on]) ** 2).sum(axis=1)
-    there = Surface(rig.vertices, rig.faces).closest(X, on, vertices)
+    there = model.surface.closest(X, on, vertices)
     away = np.minimum(away, ((X - there.points) ** 2).sum(axis=1))
     index = PointIndex(X)
     to_X = index.nearest(vertices)

@@ -8,7 +8,6 @@ where all joints were within 2.5 % of the size, but for one of 11; where one was
 import numpy as np
 
 from ..neighbors import PointIndex
-from ..optimize.surface import Surface
 from ..rig.chains import vertex_bones
 from .confidence import lonely_odd, merged, without
 
@@ -29,7 +28,7 @@ class Doubt:
 
     def __init__(self, model):
         rig = model.rig
-        self.model, self._bone, self._surface = model, vertex_bones(rig), Surface(rig.vertices, rig.faces)
+        self.model, self._bone, self._surface = model, vertex_bones(rig), model.surface
 
     def of(self, problem, state):
         """Of one pose.
@@ -46,7 +45,7 @@ class Doubt:
             median over the other bones, or ÷ 0.002² where that is less; 0 for bones of few points, which do not count for others
             either, and for joints that no vertex follows most. Clutter does not count.
         """
-        w = np.full(len(problem.X), 1 / len(problem.X)) if problem.x_weights is None else problem.x_weights
+        w = problem.shares
         X, w, _ = merged(problem.X[w > 0] / state.scale, w[w > 0], None)
         V = self.model.deformed(state).vertices / state.scale
         nearest = PointIndex(V).nearest(X)

@@ -105,6 +105,7 @@ class Scout:
         self._flips = [up] if facing.up is not None else [up, *np.eye(3)[up == 0]]
         self._limbs = LimbPoses(model, library.poses)
         self._to_the_end, self._bends = self._refit.to_the_end, None
+        self._judged = None, None  # what was judged last is asked for again
         if settings.polish:
             last = Proportioned(model, settings, self._free) if proportions else self._refit
             self._to_the_end = last.to_the_end
@@ -166,12 +167,14 @@ class Scout:
 
     def probability(self, found):
         """How likely the pose is right, by what is known of it before the full objective."""
-        model, state = self.model, found.state
-        known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
-        known |= {"partial": self.settings.partial, "areas": model.areas, "x_weights": found.problem.x_weights}
-        V = model.deformed(state).vertices
-        # Without what the scan tells of single joints: a second look finds no points that it lacks.
-        return probability_of(evidence_of(model.rig, V, model.labels, found.problem.X, **known)[0])
+        if self._judged[0] is not found:
+            state = found.state
+            known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
+            known |= {"partial": self.settings.partial, "x_weights": found.problem.x_weights}
+            # Without what the scan tells of single joints: a second look finds no points that it lacks.
+            evidence, _ = evidence_of(self.model, self.model.deformed(state).vertices, found.problem.X, **known)
+            self._judged = found, probability_of(evidence)
+        return self._judged[1]
 
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points

@@ -18,7 +18,7 @@ from scipy import sparse
 from ..losses.laplacian import cotangent_matrix
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.precision import told_angles
-from ..optimize.surface import Surface, vertex_normals
+from ..optimize.surface import vertex_normals
 from .labels import refined_labels
 
 __all__ = ["TemplateSettings", "likely_right", "shared_template"]
@@ -136,7 +136,6 @@ def _heights(model, U, J, problems, states, settings):
     """(m, 3): how the skin moves along its normals, the joints where they are."""
     rig = model.rig
     m = len(U)
-    surface = Surface(rig.vertices, rig.faces)
     normals = vertex_normals(U, rig.faces)
     K = cotangent_matrix(U, rig.faces)
     prior = sparse.csc_array(settings.smooth * (K.T @ K) + settings.small * sparse.diags_array(model.areas))
@@ -145,7 +144,7 @@ def _heights(model, U, J, problems, states, settings):
     for _ in range(settings.rounds):
         H, g = sparse.csr_array((m, m)), np.zeros(m)
         for problem, state in zip(problems, states):
-            A, r, w = _rows(model, U, J, h, normals, problem, state, surface, settings.reach)
+            A, r, w = _rows(model, U, J, h, normals, problem, state, settings.reach)
             H = H + A.T @ (A * w[:, None])
             g += A.T @ (w * r)
         n = len(problems)
@@ -153,7 +152,7 @@ def _heights(model, U, J, problems, states, settings):
     return h[:, None] * normals
 
 
-def _rows(model, U, J, h, normals, problem, state, surface, reach):
+def _rows(model, U, J, h, normals, problem, state, reach):
     """One scan's equations for the heights: rows (n, m), residuals and weights."""
     from scipy.spatial import cKDTree
 
@@ -169,7 +168,7 @@ def _rows(model, U, J, h, normals, problem, state, surface, reach):
         joint_offsets=J - rig.joints,
     )
     V, X = posed.vertices, problem.X
-    on = surface.closest(X, cKDTree(V).query(X)[1], V)
+    on = model.surface.closest(X, cKDTree(V).query(X)[1], V)
     r = np.einsum("na,na->n", X - on.points, on.normals)
     e2 = np.einsum("na,na->n", X - on.points, X - on.points)
     turned = posed.scale * np.einsum("iab,ib->ia", posed.blended[:, :9].reshape(-1, 3, 3) + np.eye(3), normals)

@@ -70,8 +70,7 @@ class GaussNewton:
     ):
         self.model, self.tangential, self.reach, self.ridge, self.tolerance = model, tangential, reach, ridge, tolerance
         self.partial, self._parts = partial, model.labels if parts is None else parts
-        rig = model.rig
-        self._surface = Surface(rig.vertices, rig.faces, self._parts)
+        self._surface = model.surface if parts is None else Surface(model.rig.vertices, model.rig.faces, parts)
         self._pulling = Pulling(model, vertices)
 
     def pose(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12, prior=None):

@@ -10,6 +10,7 @@ from ..losses.laplacian import cotangent_matrix
 from ..skinning import skin
 from ..triangles import areas_around, inside_out
 from .state import State
+from .surface import Surface
 
 __all__ = ["Model", "farthest_points"]
 
@@ -72,12 +73,29 @@ class Model:
         return share / max(share.sum(), np.finfo(float).tiny)
 
     @cached_property
+    def surface(self):
+        """The template's triangles, and where to look for the closest one."""
+        return Surface(self.rig.vertices, self.rig.faces, self.labels)
+
+    @cached_property
+    def _farthest(self):
+        """Rows of vertices, as many as the pose stages look at: the first of them are those that fewer would be."""
+        return farthest_points(self.rig.vertices, min(len(self.rig.vertices), _COARSE))
+
+    def spread(self, n):
+        """(n,) rows of vertices spread evenly, ascending; all of them where there are no more."""
+        if n >= len(self.rig.vertices):
+            return np.arange(len(self.rig.vertices))
+        rows = self._farthest if n <= len(self._farthest) else farthest_points(self.rig.vertices, n)
+        return np.sort(rows[:n])
+
+    @cached_property
     def coarse(self):
         """The model on evenly spread vertices, for stages without a residual; itself where the rig is small."""
         m = len(self.rig.vertices)
         if m <= _COARSE:
             return self
-        rows = farthest_points(self.rig.vertices, _COARSE)
+        rows = self.spread(_COARSE)
         from scipy.spatial import cKDTree
 
         nearest = cKDTree(self.rig.vertices[rows]).query(self.rig.vertices)[1]
@@ -163,7 +181,7 @@ def _shifts(rig, size):
 
 
 def farthest_points(points, n):
-    """(n,) rows of points spread evenly: each next one is the farthest from those before. Starts at row 0."""
+    """(n,) rows of points spread evenly: row 0, and each next one the farthest from those before it."""
     rows = np.zeros(n, dtype=int)
     x, y, z = np.ascontiguousarray(points.T)
     d2 = np.full(len(points), np.inf)
@@ -171,4 +189,4 @@ def farthest_points(points, n):
         at = rows[k - 1]
         np.minimum(d2, (x - x[at]) ** 2 + (y - y[at]) ** 2 + (z - z[at]) ** 2, out=d2)
         rows[k] = d2.argmax()
-    return np.sort(rows)
+    return rows

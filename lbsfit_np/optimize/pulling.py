@@ -42,7 +42,7 @@ class Pulling:
             self.corners = self._faces = faces[face]
             self._at = eye_array(len(face), format="csr")
         else:
-            rows = farthest_points(vertices, most) if len(vertices) > most else np.arange(most)
+            rows = model.spread(most)
             self.corners, self.barycentric, areas = rows[:, None], np.ones((len(rows), 1)), model.areas[rows]
             pulls = np.zeros(len(vertices), dtype=bool)
             pulls[rows] = True
@@ -74,6 +74,6 @@ def _on_faces(vertices, faces, most):
     if len(face) <= most:
         return face, barycentric, areas
     points = np.einsum("pk,pka->pa", barycentric, vertices[faces[face]])
-    rows = farthest_points(points, most)
+    rows = np.sort(farthest_points(points, most))
     nearest = cKDTree(points[rows]).query(points)[1]
     return face[rows], barycentric[rows], np.bincount(nearest, areas, minlength=most)

@@ -5,7 +5,6 @@ from scipy import sparse
 
 from ..errors import counted, listed
 from ..triangles import inside_out
-from .partition import leading_joint
 
 __all__ = ["mesh_notes", "size_notes", "skin_notes"]
 
@@ -85,7 +84,7 @@ def skin_notes(rig):
     idle = [name for name, w, merged in zip(rig.joint_names, carried, rig.merged) if w == 0 and not merged]
     if idle:
         notes.append(f"{len(idle)} joints carry no weight: {listed(idle)}")
-    leads = np.unique(leading_joint(rig)[~rig.loose])
+    leads = np.unique(rig.leading_joint[~rig.loose])
     blind = [rig.joint_names[j] for j in np.flatnonzero(rig.moving) if j not in leads and carried[j] > 0]
     if blind:
         notes.append(

@@ -15,7 +15,7 @@ def bones(rig):
 
 def vertex_bones(rig):
     """(m,) int: of :func:`bones`, the one that each vertex follows most."""
-    return bones(rig)[np.asarray(rig.weights.copy().argmax(axis=1)).ravel()]  # a copy: scipy sorts in place
+    return bones(rig)[rig.leading_joint]
 
 
 def chains(rig):

@@ -41,7 +41,7 @@ def parts_of_joints(rig):
         part[[row[n] for n in members]] = p
     for level, up in rig.levels:
         part[level] = np.where(part[level] < 0, part[up], part[level])
-    leads = np.unique(leading_joint(rig)[rig.welded_from])  # of the surface, as no scan shows more; ``welded`` has the same
+    leads = np.unique(rig.leading_joint[rig.welded_from])  # of the surface, as no scan shows more; ``welded`` has the same
     homeless = [rig.joint_names[j] for j in leads if part[j] < 0]
     if homeless:
         raise InputError(
@@ -65,15 +65,15 @@ def parts_of_joints(rig):
 
 def vertex_parts(rig):
     """(m,) int: the part of each vertex, from the joint with its largest weight."""
-    labels = rig.part_of_joint[leading_joint(rig)]
+    labels = rig.part_of_joint[rig.leading_joint]
     labels.flags.writeable = False
     return labels
 
 
-def leading_joint(rig):
-    """(m,) int: argmax_j w_ij, the lowest row on ties."""
-    w = rig.weights
+def leading_joint(w):
+    """(m,) int: argmax_j w_ij of sparse weights (m, J), the lowest row on ties."""
     lead = np.empty(w.shape[0], dtype=int)
     order = np.lexsort((w.indices, -w.data, np.repeat(np.arange(w.shape[0]), np.diff(w.indptr))))
     lead[:] = w.indices[order[w.indptr[:-1]]]
+    lead.flags.writeable = False
     return lead

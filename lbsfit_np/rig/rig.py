@@ -1,6 +1,5 @@
 """Rig: the template mesh, skinning weights, joint hierarchy and joint limits, validated and immutable."""
 
-import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -11,12 +10,13 @@ from scipy import sparse
 
 from ..errors import InputError, brief, check_angles, check_array
 from .checks import Reporter, check_poses
+from .digest import poses_digest, rig_digest
 from .locked import locked
-from .partition import check_partition, parts_of_joints, vertex_parts
+from .partition import check_partition, leading_joint, parts_of_joints, vertex_parts
 from .proportions import proportions
 from .regressor import exact_regressor
 from .shapes import ShapeSpace
-from .weld import proper, weld_of
+from .weld import weld_of, weld_rig
 
 __all__ = ["Rig"]
 
@@ -164,6 +164,11 @@ class Rig:
         return sparse.csr_array(self.regressor.T)
 
     @cached_property
+    def leading_joint(self):
+        """(m,) int: argmax_j w_ij, the joint that each vertex follows most; the lowest row on ties."""
+        return leading_joint(self.weights)
+
+    @cached_property
     def _parts(self):
         return parts_of_joints(self)
 
@@ -232,21 +237,12 @@ class Rig:
 
         It leaves out the unit and the axes, which only tell how a scan may lie and be measured.
         """
-        h = hashlib.sha256()
-        for a in (self.vertices, self.faces, self.parents, self.joints, self.frames, self.lower, self.upper):
-            h.update(_bytes(a))
-        for matrix in (self.weights.copy(), self.regressor.copy()):
-            matrix.sum_duplicates()  # which sorts them, too: products of SciPy's leave entries in orders of its own
-            entries = matrix.tocoo()
-            h.update(_bytes(np.stack([entries.row, entries.col])) + _bytes(entries.data))
-        h.update("\0".join(self.joint_names + self.parts).encode())
-        h.update(self.part_of_joint.astype(np.int64).tobytes())
-        return h.hexdigest()
+        return rig_digest(self)
 
     @property
     def poses_digest(self):
         """Hex digest of the natural poses, which ``digest`` leaves out; it depends on their order, by which they are drawn."""
-        return hashlib.sha256(repr([(name, pose.tolist()) for name, pose in self.poses.items()]).encode()).hexdigest()
+        return poses_digest(self.poses)
 
     # ---- what people do with a rig ----
 
@@ -421,30 +417,3 @@ def _checked_factor(factor):
         bounds = f"a positive number, from {_LEAST_FACTOR:g} to {1 / _LEAST_FACTOR:g}"
         raise InputError("factor", brief(factor), bounds, "For example, 100 converts metres to centimetres.")
     return size
-
-
-def _bytes(a):
-    """An array's content, the same whatever its layout, its integer type and the sign of its zeros."""
-    return np.ascontiguousarray(np.round(a, 12) + 0.0 if a.dtype.kind == "f" else a.astype(np.int64)).tobytes()
-
-
-def weld_rig(rig):
-    """A rig on the distinct vertices of the surface of ``rig``: faces renumbered, degenerate ones dropped.
-
-    Of copies it has the first one's weights: with others, such as their mean, another joint might lead, and a part be lost.
-    """
-    weld, m, n = rig._weld, len(rig.vertices), len(rig.welded_from)
-    faces = weld.rows[rig.faces]
-    sound = proper(faces)
-    if n == m:
-        return rig if sound.all() else replace(rig, faces=faces[sound])
-    member = sparse.csr_array((np.ones(m), (weld.rows, np.arange(m))), shape=(n, m))
-    regressor = sparse.csr_array(rig.regressor @ sparse.csr_array(member.T))
-    return replace(
-        rig,
-        vertices=rig.vertices[weld.first],
-        faces=faces[sound],
-        weights=rig.weights[weld.first],
-        regressor=exact_regressor(regressor, rig.vertices[weld.first], rig.joints) if weld.loose.any() else regressor,
-        shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, weld.first]),
-    )

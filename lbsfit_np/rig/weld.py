@@ -1,12 +1,14 @@
 """Welding: which vertices are one point of the surface, split only for texture coordinates or normals."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import sparse
 
 from .locked import locked
+from .regressor import exact_regressor
 
-__all__ = ["Weld", "proper", "weld_of"]
+__all__ = ["Weld", "proper", "weld_of", "weld_rig"]
 
 # Seam copies are written from one float32 position; anything further apart than this share of the size is another point.
 _POSITION = 1e-6
@@ -46,7 +48,6 @@ def weld_of(vertices, weights, faces):
     faces : (F, 3) int array
         Where none of them is proper, no vertex is loose.
     """
-    from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
@@ -59,7 +60,7 @@ def weld_of(vertices, weights, faces):
         apart = abs(weights[pairs[:, 0]] - weights[pairs[:, 1]]).sum(axis=1)
         pairs = pairs[np.asarray(apart).ravel() <= _WEIGHT]
     m = len(vertices)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(m, m))
+    graph = sparse.coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(m, m))
     _, group = connected_components(graph, directed=False)
     corners = group[faces]
     corners = corners[proper(corners)]
@@ -73,6 +74,28 @@ def weld_of(vertices, weights, faces):
     if len(kept) < m:  # they move with what is nearest
         rows[loose] = cKDTree(vertices[first]).query(vertices[loose])[1]
     return Weld(*(locked(a, copy=False) for a in (rows, first, loose)))
+
+
+def weld_rig(rig):
+    """A rig on the distinct vertices of the surface of ``rig``: faces renumbered, degenerate ones dropped.
+
+    Of copies it has the first one's weights: with others, such as their mean, another joint might lead, and a part be lost.
+    """
+    weld, m, n = rig._weld, len(rig.vertices), len(rig.welded_from)
+    faces = weld.rows[rig.faces]
+    sound = proper(faces)
+    if n == m:
+        return rig if sound.all() else replace(rig, faces=faces[sound])
+    member = sparse.csr_array((np.ones(m), (weld.rows, np.arange(m))), shape=(n, m))
+    regressor = sparse.csr_array(rig.regressor @ sparse.csr_array(member.T))
+    return replace(
+        rig,
+        vertices=rig.vertices[weld.first],
+        faces=faces[sound],
+        weights=rig.weights[weld.first],
+        regressor=exact_regressor(regressor, rig.vertices[weld.first], rig.joints) if weld.loose.any() else regressor,
+        shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, weld.first]),
+    )
 
 
 def _with_corners_apart(vertices, faces):

@@ -89,14 +89,13 @@ class LimbPoses:
             skin = hangs[bone]
             rows = np.flatnonzero(skin)
             if len(rows) > _LIMB_VERTICES:
-                rows = rows[farthest_points(rig.vertices[rows], _LIMB_VERTICES)]
+                rows = rows[np.sort(farthest_points(rig.vertices[rows], _LIMB_VERTICES))]
             if len(rows):
                 area = model.areas[skin].sum() / len(rows)
                 spacing = _spacing(rig.vertices[skin], rig.vertices[rows])
                 angles, ends = np.ascontiguousarray(poses[:, hangs]), bool((chain[hangs & rig.moving] == c).all())
                 self._limbs.append(_Limb(hangs, skin, rows, area, spacing, angles, ends))
-        some = np.arange(len(rig.vertices))
-        self._all = some if len(some) <= _ALL_VERTICES else farthest_points(rig.vertices, _ALL_VERTICES)
+        self._all = model.spread(_ALL_VERTICES)
         self._spacing = _spacing(rig.vertices, rig.vertices[self._all])
 
     def proposals(self, problem, state, n, *, closer=False):

@@ -11,7 +11,6 @@ import numpy as np
 
 from ...losses import chamfer, structured_chamfer
 from ...rig.chains import chains
-from ...rig.partition import leading_joint
 from ...seeds import generator
 from ...sensor import sample_surface
 
@@ -153,7 +152,7 @@ class Limb:
 
 def limbs(rig):
     """The chains that lead vertices, by number; not the root's. Dict of int to Limb."""
-    chain, lead = chains(rig), leading_joint(rig)
+    chain, lead = chains(rig), rig.leading_joint
     out = {}
     for c in range(1, chain.max() + 1):
         joint = next((j for j in np.flatnonzero((chain == c) & rig.moving) if chain[rig.parents[j]] != c), None)
