@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .errors import InputError, as_array, check_array, check_unmasked
+from .errors import InputError, as_array, check_array, check_unmasked, its_array
 from .neighbors import PointIndex
 from .optimize.surface import closest_on_mesh, faces_around
 
@@ -48,11 +48,9 @@ def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
     from .losses.checks import check_set  # with all losses come libraries that commands shall not wait for
 
     points = _checked_points("points", points)
-    a = _checked_points("registration_a", registration_a)
-    b = check_array("registration_b", registration_b, a.shape)
+    a = check_set("registration_a", registration_a)
+    b = check_set("registration_b", check_array("registration_b", registration_b, a.shape))
     faces = _checked_faces(faces, len(a))
-    for name, placed in (("registration_a", a), ("registration_b", b)):
-        check_set(name, placed)
     snap_to = None if snap_to is None else _checked_points("snap_to", snap_to)
     if snap_to is not None and not len(snap_to):
         raise InputError("snap_to", "an empty array", "points of scan B, shape (k, 3)", "Leave it out to skip snapping.")
@@ -164,7 +162,7 @@ def _checked_points(argument, value):
         array = None
     if array is None or array.ndim != 2 or array.shape[1] != 3:
         got = "rows of different lengths" if array is None else f"an array of shape {array.shape}"
-        raise InputError(argument, got, "shape (n, 3), one point per row")
+        raise InputError(argument, got, "shape (n, 3), one point per row", its_array(value))
     check_unmasked(argument, getattr(value, "points", value))
     return check_array(argument, array, array.shape)
 

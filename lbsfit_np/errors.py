@@ -19,6 +19,7 @@ __all__ = [
     "did_you_mean",
     "in_words",
     "is_whole",
+    "its_array",
     "listed",
     "not_finite",
 ]
@@ -123,7 +124,13 @@ def as_floats(argument, value, expected):
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", expected) from None
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(argument, type(value).__name__, expected, _own_words(value, error)) from None
+        raise InputError(argument, type(value).__name__, expected, _own_words(value, error) or its_array(value)) from None
+
+
+def its_array(value):
+    """Where an object, such as a result, a scan or a mesh, has the points that it was taken for, in words; else None."""
+    names = [name for name in ("points", "vertices") if getattr(getattr(value, name, None), "ndim", 0) == 2]
+    return f"Pass its {names[0]}: .{names[0]}" if names else None
 
 
 def _own_words(value, error):

@@ -1,7 +1,9 @@
 """Worker processes that each do one task at a time: the death of one costs its own task only, and Ctrl-C ends them tidily."""
 
+import os
 import pickle
 import signal
+import sys
 import warnings
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -70,6 +72,14 @@ def _spare():
     return None
 
 
+def _to_start():
+    """What lets worker processes start, which read the script first."""
+    script = getattr(sys.modules.get("__main__"), "__file__", None)
+    if script is not None and not os.path.exists(script):  # such as <stdin>
+        return f"They cannot read the script {script}: save it to a file and run that, or pass n_jobs=1."
+    return 'In a script, call this under `if __name__ == "__main__":`.'
+
+
 class Workers:
     """A context manager that keeps up to ``n`` processes, each of which has its own copy of ``work``.
 
@@ -136,7 +146,7 @@ class Workers:
                 "n_jobs",
                 f"worker processes that ended before they started work ({self._unbegun})",
                 "processes that start",
-                'In a script, call this under `if __name__ == "__main__":`.',
+                _to_start(),
             )
         come, self._come = self._come, []
         return come

@@ -170,10 +170,7 @@ def synthesize(rig, n_scans=1, *, poses="uniform", templates=None, random_state=
         A setting that is not known or out of range; poses or templates that do not fit the rig; natural poses of a rig
         without a library.
     """
-    from .rig.rig import Rig
-
-    if not isinstance(rig, Rig):
-        raise InputError("rig", brief(rig), "a Rig", "load_rig(name or path) gives one.")
+    _check_rig(rig)
     settings = make_settings(settings, ("n_scans", "poses", "templates", "random_state"))
     _check_count("n_scans", n_scans)
     if isinstance(poses, str):
@@ -265,7 +262,10 @@ def natural_poses(rig, n, random_state=None):
     InputError
         The rig has no library.
     """
-    _check_library(rig, "natural")
+    _check_rig(rig)
+    if not rig.poses:
+        got = f"the rig {rig.name!r}, which has no library of natural poses"
+        raise InputError("rig", got, "a rig with one", "The bundled rigs have a library.")
     _check_count("n", n)
     rng = generator(random_state, "natural_poses")
     library = np.stack(list(rig.poses.values()))
@@ -283,6 +283,13 @@ def natural_poses(rig, n, random_state=None):
     # In the root's own frame: the library's turn first, then the further one.
     poses[:, root] = rotvec_from_matrix(matrix_from_rotvec(turn) @ matrix_from_rotvec(blended_root))
     return poses
+
+
+def _check_rig(rig):
+    from .rig.rig import Rig
+
+    if not isinstance(rig, Rig):
+        raise InputError("rig", brief(rig), "a Rig", "load_rig(name or path) gives one.")
 
 
 def _check_count(argument, n):

@@ -89,6 +89,11 @@ def test_a_doubtful_fit_is_a_result_all_the_same(quick_fitter, clouds, alone, mo
     assert outcome.error is None and outcome.result is doubtful
 
 
+def test_what_is_no_fitter_is_named(tube_rig, clouds):
+    with pytest.raises(InputError, match=r"fitter: got a Rig; expected an LBSFitter. Make one of a rig with LBSFitter\(rig\)"):
+        fit_scans(tube_rig, clouds[:1])
+
+
 def test_training_waits_for_a_scan_that_can_be_fitted(tube_rig, clouds):
     calls = []
     fitter = lbs.LBSFitter(tube_rig, training_scans=5, random_state=0)
@@ -260,6 +265,14 @@ def test_a_script_without_a_main_guard_is_told_so(tmp_path):
     assert "InputError: n_jobs: got worker processes that ended before they started work" in done.stderr
     assert 'if __name__ == "__main__":' in done.stderr
     assert done.stderr.count("Traceback") == 1 and "freeze_support" not in done.stderr  # and not by each process
+
+
+def test_a_script_that_workers_cannot_read_is_told_so(tmp_path):
+    """Of which they are given the name of no file."""
+    script = "from lbsfit_np.processes import Workers\nw = Workers(len, 1)\nw.give([1])\nw.answers()\n"
+    env = os.environ | {"PYTHONPATH": PACKAGE_PARENT}
+    done = subprocess.run([sys.executable], input=script, capture_output=True, text=True, env=env, timeout=120)
+    assert "save it to a file and run that, or pass n_jobs=1" in done.stderr and "__main__" not in done.stderr.splitlines()[-1]
 
 
 @POSIX

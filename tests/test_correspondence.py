@@ -1,5 +1,7 @@
 """Places on a surface against all of its triangles, and the transfer of points by registrations whose truth is known."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import trimesh
@@ -166,6 +168,9 @@ def test_places_do_not_depend_on_the_unit(power, tube_rig, poses):
         ({"points": np.ma.masked_less(np.eye(3), 0.5)}, ["points: got a masked array with 3 of 3 rows masked"]),
         ({"registration_a": np.zeros(3)}, ["registration_a", "(3,)"]),
         ({"registration_a": np.full((242, 3), 1e200)}, ["registration_a: got coordinates of up to 1e+200"]),
+        ({"points": SimpleNamespace(vertices=np.zeros((4, 3)))}, ["points: got", "Pass its vertices"]),
+        ({"registration_a": SimpleNamespace(vertices=np.zeros((242, 3)))}, ["registration_a: got Simple", "its vertices"]),
+        ({"registration_a": lbs.Scan(np.eye(3))}, ["registration_a: got Scan", "its points"]),
         ({"registration_b": np.zeros((5, 3))}, ["registration_b: got shape (5, 3)"]),
         ({"faces": np.zeros((0, 3), int)}, ["faces", "at least one triangle", "rig.faces"]),
         ({"faces": np.zeros((2, 3))}, ["faces", "float64", "whole numbers"]),

@@ -1,6 +1,7 @@
 """Bad scans and bad parameters of a fit are named before any training."""
 
 import re
+from inspect import signature
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -152,6 +153,18 @@ def test_scans_that_no_fit_takes_are_refused_before_training(seed, tube_rig, tub
         (outcome,) = fit_scans(fitter, [points], pretrain=lambda fitter: pytest.fail("trained first"))
         assert re.search(words, outcome.error)
     assert before is None or seed.bit_generator.state == before
+
+
+def test_one_call_has_the_names_of_all_parameters_and_tells_of_training(tube_rig, tube_scan, tmp_path, monkeypatch):
+    monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path))
+    names = list(signature(lbs.fit_scan).parameters)
+    assert names[:2] == ["rig", "points"] and {"effort", "partial", "n_jobs", "theta0", "progress"} < set(names)
+    assert len(names) == len(set(names)) and not {"self", "parameters"} & set(names)
+    shares, few = [], {"training_scans": 2, "training": {"n_points": 100}, "effort": "fast"}
+    lbs.fit_scan(tube_rig, tube_scan.points, progress=shares.append, **few)
+    assert shares == sorted(shares) and shares[-1] == 1.0
+    with pytest.raises(InputError, match="progress"):
+        lbs.fit_scan(tube_rig, tube_scan.points, progress="bar", **few)
 
 
 def test_one_call_names_its_errors_before_training(tube_rig, tube_scan, monkeypatch):

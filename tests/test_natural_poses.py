@@ -113,8 +113,10 @@ def test_mixed_takes_them_in_turn(hand):
 def test_rigs_without_a_library_say_what_to_do(tube_rig, poses):
     with pytest.raises(InputError, match=f"poses: got '{poses}' for the rig 'tube'.*no library.*'uniform'.*bundled rigs"):
         synthesize(tube_rig, 1, poses=poses)
-    with pytest.raises(InputError, match="no library"):
+    with pytest.raises(InputError, match="rig: got the rig 'tube', which has no library of natural poses"):
         natural_poses(tube_rig, 1)
+    with pytest.raises(InputError, match=r"rig: got 'hand'; expected a Rig. load_rig\(name or path\) gives one"):
+        natural_poses("hand", 1)
 
 
 def test_other_words_are_refused(hand):

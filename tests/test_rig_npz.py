@@ -314,6 +314,15 @@ def test_body_shapes_by_name_number_and_default(tmp_path):
     assert slim.vertices.dtype == float
 
 
+def test_the_first_of_several_shapes_is_told_where_none_is_asked_for(tmp_path):
+    said = "the file has 2 shapes, 'slim', 'tall'; the first is taken (shape=... and --shape take another)"
+    assert said in load_rig(body(tmp_path)).notes
+    assert said.replace(", 'slim', 'tall'", "") in load_rig(body(tmp_path, shape_names=None)).notes
+    assert not any("shapes" in note for note in load_rig(body(tmp_path), shape="slim").notes)
+    one = {key: np.load(body(tmp_path))[key][:1] for key in ("verts", "joints", "tails", "shape_names")}
+    assert not any("shapes" in note for note in load_rig(body(tmp_path, **one)).notes)
+
+
 @pytest.mark.parametrize("shape", ["tal", 2, -1, 1.5j, "7", 0.9, True])
 def test_unknown_shape_lists_the_names(tmp_path, shape):
     with pytest.raises(InputError, match=r"shape.*'slim', 'tall'.*0 to 1"):

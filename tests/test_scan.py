@@ -12,6 +12,13 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.scan import Scan, check_points, count_distinct, some_rows
 
 
+def test_where_the_points_of_an_object_are_is_told():
+    with pytest.raises(InputError, match=r"points: got a SimpleNamespace; .* Pass its vertices: \.vertices"):
+        check_points(SimpleNamespace(vertices=np.eye(3)))
+    with pytest.raises(InputError, match=r"expected numbers of shape \(n, 3\)\.$"):
+        check_points(SimpleNamespace(vertices="none"))
+
+
 def test_check_points_takes_scans_lists_and_integers():
     scan = Scan(POINTS)
     assert check_points(scan) is scan.points

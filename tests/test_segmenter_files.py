@@ -33,6 +33,12 @@ def test_loaded_is_bit_equal(small_segmenter, saved, tube_scan):
     )
 
 
+def test_its_name_has_to_tell_what_it_is(small_segmenter, tmp_path):
+    with pytest.raises(FileError, match="a name that ends in .npz"):
+        small_segmenter.save(tmp_path / "s")
+    assert not list(tmp_path.iterdir())
+
+
 def test_the_file_holds_numbers_and_text_only(saved):
     arrays = _arrays(saved)  # allow_pickle=False: an object array would raise
     assert {a.dtype.kind for a in arrays.values()} <= set("fiuU")

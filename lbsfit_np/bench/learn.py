@@ -22,8 +22,8 @@ from ..synthesis import synthesize_one, uniform_poses
 from . import body, hand
 from .environment import environment
 from .measure import joint_error, label_accuracy, vertex_error
-from .resume import REMEDY, begun, check_same, renewed
-from .run import TRAINING_SEED
+from .resume import REMEDY, begun, check_same, checked_seeds, renewed
+from .run import BENCHES, TRAINING_SEED
 from .subjects import files_digest, people_digest, scans_digest, subject
 
 __all__ = ["MEASURES", "VARIANT_ROWS", "collection", "learn_bench", "learn_table", "steps_of", "touching_pose"]
@@ -192,10 +192,9 @@ def learn_bench(
     from sklearn.base import clone
 
     from ..learning.fitter import LBSFitter
+    from ..learning.pretraining import share_pretraining
 
-    seeds = [int(s) for s in seeds]
-    if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
-        raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
+    seeds = checked_seeds(seeds)
     if n_scans < N_SUBJECTS:  # with fewer, none is left to judge labels on, nor one to learn from beside the one held out
         raise InputError("n_scans", f"{n_scans}", f"at least {N_SUBJECTS}, one of each person")
     if not variants or not set(variants) <= set(VARIANT_ROWS):
@@ -219,8 +218,7 @@ def learn_bench(
     # All scans face the rig's way.
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
     fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress(None, None, "pretraining", p))
-    first, pretrained = fitter.segmenter_, fitter._pretrained
-    unit = rig.size / 2 if name == "hand" else 0.01
+    first, unit = fitter.segmenter_, BENCHES[name].rig_units(rig)
     for seed in seeds:
         todo = [variant for variant in variants if str(seed) not in report["rows"].get(variant, {})]
         if not todo:
@@ -242,7 +240,7 @@ def learn_bench(
         with _kept_until_done(steps, seed) as (kept, gone_on):
             for variant in todo:
                 one = clone(fitter).set_params(variant=variant)
-                one._pretrained = pretrained
+                share_pretraining(fitter, one)
                 say = None if progress is None else partial(progress, variant, seed)
                 wrong = []
                 started = time.perf_counter()

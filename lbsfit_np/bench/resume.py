@@ -1,11 +1,12 @@
 """Reports of runs that go on where an earlier one stopped."""
 
 from copy import deepcopy
+from itertools import count
 
 from ..errors import InputError
 from ..learning.checkpoint import digest_of
 
-__all__ = ["REMEDY", "begun", "check_same", "described", "in_order", "renewed"]
+__all__ = ["REMEDY", "begun", "check_same", "checked_seeds", "counted_by", "described", "in_order", "renewed"]
 
 REMEDY = "Choose another folder, or --existing replace."
 
@@ -60,6 +61,20 @@ def renewed(report, empty):
     """
     constant = {key: report[key] if key in _FOUND else value for key, value in empty.items()}
     return constant | {key: value for key, value in report.items() if key not in empty and key != "environment"}
+
+
+def checked_seeds(seeds):
+    """Seeds of scans as a list of numbers; InputError about ``seeds`` where they are none, twice the same, or below 0."""
+    seeds = [int(s) for s in seeds]
+    if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
+        raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
+    return seeds
+
+
+def counted_by(on_scan):
+    """A function of outcomes that tells ``on_scan``, if there is one, how many there have been."""
+    done = count(1)
+    return None if on_scan is None else lambda outcome: on_scan(next(done))
 
 
 def check_same(kept, now, whose=""):

@@ -14,7 +14,7 @@ from ..seeds import generator
 from ..synthesis import Synthesis, natural_poses, synthesize_one
 from .environment import environment
 from .measure import joint_error, label_accuracy
-from .resume import begun, check_same, described, in_order, renewed
+from .resume import begun, check_same, checked_seeds, counted_by, described, in_order, renewed
 from .run import TRAINING_SEED
 from .subjects import scans_digest
 
@@ -89,9 +89,7 @@ def roundtrip(
     """
     from ..learning.fitter import LBSFitter
 
-    seeds = [int(s) for s in seeds]
-    if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
-        raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
+    seeds = checked_seeds(seeds)
     rigs = {name: load_rig(name) for name in names}
     for name, rig in rigs.items():
         if not rig.poses:
@@ -129,7 +127,7 @@ def _described(rig):
 
 
 class _Measured:
-    """``finish`` of ``fit_scans``: figures in place of the fit."""
+    """``finish`` of ``each_scan``: figures in place of the fit."""
 
     def __init__(self, rig, scans):
         self.rig, self.truth = rig, [(s.joints, s.labels) for s in scans]
@@ -145,19 +143,11 @@ class _Measured:
 
 
 def _fit_seed(fitter, rig, scans, jobs, on_scan):
-    from ..learning.batch import fit_scans
-
-    done = 0
-
-    def one_more(outcome):
-        nonlocal done
-        done += 1
-        if on_scan is not None:
-            on_scan(done)
+    from ..learning.batch import each_scan
 
     started = time.perf_counter()
     points = [scan.points for scan in scans]
-    outcomes = fit_scans(fitter, points, n_jobs=jobs, finish=_Measured(rig, scans), on_result=one_more)
+    outcomes = each_scan(fitter, points, n_jobs=jobs, finish=_Measured(rig, scans), on_result=counted_by(on_scan))
     wall = time.perf_counter() - started
     entries = [{"scan": o.index} | ({"failed": o.error} if o.result is None else o.result) for o in outcomes]
     made = {"jobs": jobs, "environment": environment()}

@@ -11,7 +11,7 @@ from ..errors import FileError, InputError
 from ..scan import Scan
 from .environment import environment
 from .measure import joint_error, label_accuracy, recon, vertex_error
-from .resume import begun, check_same, described, renewed
+from .resume import begun, check_same, checked_seeds, counted_by, described, renewed
 from .subjects import files_digest, scans_digest
 
 __all__ = ["BENCHES", "MEASURES", "ROWS", "Bench", "run_bench", "with_segmenter"]
@@ -175,9 +175,7 @@ def run_bench(
     from ..learning.fitter import LBSFitter
 
     bench.check_data(data)
-    seeds = [int(s) for s in seeds]
-    if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
-        raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
+    seeds = checked_seeds(seeds)
     if not rows or not set(rows) <= set(ROWS):
         raise InputError("rows", repr(rows), f"some of {', '.join(ROWS)}")
     make_rig, make_scans, synthesis = bench.load()
@@ -258,11 +256,13 @@ class _Oracle:
 def _method(row, rig, fitter):
     from sklearn.base import clone
 
+    from ..learning.pretraining import share_pretraining
+
     if row == "own":
         return _Own(rig, fitter)
     if row == "paper":
         other = clone(fitter).set_params(weights="paper")
-        other.segmenter_, other.regressor_ = other._pretrained = fitter._pretrained
+        share_pretraining(fitter, other)
         return _Own(rig, other)
     if row == "oracle":
         return _Oracle(rig, clone(fitter))  # without the segmenter
@@ -276,7 +276,7 @@ def _method(row, rig, fitter):
 
 @dataclass(frozen=True)
 class _Measured:
-    """``finish`` of ``fit_scans``: figures and the fit itself."""
+    """``finish`` of ``each_scan``: figures and the fit itself."""
 
     method: object
     unit: float
@@ -301,24 +301,10 @@ class _Measured:
 
 def _fit_row(method, scans, bench, rig, jobs, on_scan):
     """(entries, results) of all scans, in order."""
-    from ..learning.batch import fit_scans
+    from ..learning.batch import each_scan
 
-    done = 0
-
-    def one_more(outcome):
-        nonlocal done
-        done += 1
-        if on_scan is not None:
-            on_scan(done)
-
-    outcomes = fit_scans(
-        method,
-        scans,
-        n_jobs=jobs,
-        finish=_Measured(method, bench.rig_units(rig)),
-        on_result=one_more,
-        pretrain=lambda method: None,  # done already, or not needed
-    )
+    finish = _Measured(method, bench.rig_units(rig))
+    outcomes = each_scan(method, scans, n_jobs=jobs, finish=finish, on_result=counted_by(on_scan))
     entries, results = [], []
     for i, outcome in enumerate(outcomes):
         entry = {"scan": i, "kind": bench.kinds[i % len(bench.kinds)]}

@@ -52,7 +52,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, listed
 from ..rig.card import nearest
 from ..rig.chains import loose_joints
 from ..rig.data import RigData
@@ -253,6 +253,7 @@ def read_body_npz(path, *, shape=None):
         )
     parents, joints = file["parents"], file["joints"][row].astype(float)
     bones = _body_bones(file, joints, row)
+    notes = [] if shape is not None or len(verts) == 1 else [_first_of(file, len(verts))]
     return RigData(
         name=Path(path).stem,
         vertices=verts[row],
@@ -266,8 +267,15 @@ def read_body_npz(path, *, shape=None):
         metres_per_unit=1.0,
         up="+y",
         forward="+z",
+        notes=notes,
         path=Path(path),
     )
+
+
+def _first_of(file, n):
+    names = file.names("shape_names") if "shape_names" in file else []
+    which = f", {listed(list(map(repr, names)))}" if names else ""
+    return f"the file has {n} shapes{which}; the first is taken (shape=... and --shape take another)"
 
 
 def _shape_row(file, shape, n):

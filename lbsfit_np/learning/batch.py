@@ -19,7 +19,7 @@ from .reading import as_scans
 from .subjects import as_subjects, known_subjects
 from .variants import as_variant
 
-__all__ = ["ScanOutcome", "fit_scans"]
+__all__ = ["ScanOutcome", "each_scan", "fit_scans"]
 
 
 @dataclass(frozen=True)
@@ -86,34 +86,71 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     KeyboardInterrupt
         On Ctrl-C, once the workers have ended and ``on_result`` has been called for every finished scan.
     """
-    if not is_whole(n_jobs, 1):
-        raise InputError("n_jobs", repr(n_jobs), "a positive whole number of worker processes")
-    after = (("index", "scan", "result"),)
-    check_callables(finish=(finish, after), on_result=(on_result, (("outcome",),)), pretrain=(pretrain, (("fitter",),)))
-    scans = as_scans(scans)
-    subjects = [None] * len(scans) if subjects is None else as_subjects(subjects, len(scans))
-    if hasattr(fitter, "_check"):
-        fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
-        if getattr(fitter, "template_", None) is not None:
-            fitter._check_learned()
-        subjects = known_subjects(getattr(fitter, "template_", None), subjects, len(scans))
-    if n_jobs > 1 and len(scans) > 1 and finish is not None:
-        _check_sent("finish", finish)  # before the training
-    outcomes = {}
+    check_callables(pretrain=(pretrain, (("fitter",),)))
+    if not hasattr(fitter, "_check_alone"):  # whose class cannot be imported here
+        raise InputError("fitter", f"a {type(fitter).__name__}", "an LBSFitter", "Make one of a rig with LBSFitter(rig).")
+    batch = _Batch(scans, n_jobs, finish, on_result)
+    learned, n = getattr(fitter, "template_", None), len(batch.scans)
+    subjects = [None] * n if subjects is None else as_subjects(subjects, n)
+    fitter._check()  # here, as a parameter that cannot be used would fail every scan in turn
+    if learned is not None:
+        fitter._check_learned()
+    subjects = known_subjects(learned, subjects, n)
+    batch.check_sent()
+    read = _pretrained(fitter, batch.scans, batch.report, pretrain)
+    return batch.fitted(_without_results(fitter), subjects, read)
 
-    def report(outcome):
-        outcomes[outcome.index] = outcome
-        if on_result is not None:
-            on_result(outcome)
 
-    read = _pretrained(fitter, scans, report, pretrain)
-    todo = [i for i in range(len(scans)) if i not in outcomes]
-    if n_jobs == 1 or len(todo) < 2:
-        for i in todo:
-            report(_fit_one(fitter, finish, i, read.pop(i, scans[i]), subjects[i]))
-    else:
-        _fit_by_workers(_Work(_without_results(fitter), finish), scans, subjects, deque(todo), int(n_jobs), report)
-    return [outcomes[i] for i in range(len(scans))]
+def each_scan(method, scans, *, n_jobs=1, finish=None, on_result=None):
+    """The same for anything that fits a scan, with no training and no subjects.
+
+    Parameters
+    ----------
+    method : object with fit_scan(scan) → FitResult
+        With several jobs it must be picklable.
+    scans, n_jobs, finish, on_result
+        As in :func:`fit_scans`.
+
+    Returns
+    -------
+    list of ScanOutcome
+        In the order of ``scans``.
+    """
+    batch = _Batch(scans, n_jobs, finish, on_result)
+    batch.check_sent()
+    return batch.fitted(method, [None] * len(batch.scans), {})
+
+
+class _Batch:
+    """Scans to be fitted, and what has become of them."""
+
+    def __init__(self, scans, n_jobs, finish, on_result):
+        if not is_whole(n_jobs, 1):
+            raise InputError("n_jobs", repr(n_jobs), "a positive whole number of worker processes")
+        check_callables(finish=(finish, (("index", "scan", "result"),)), on_result=(on_result, (("outcome",),)))
+        self.scans, self.n_jobs, self.finish, self.on_result = as_scans(scans), int(n_jobs), finish, on_result
+        self.outcomes = {}
+
+    def check_sent(self):
+        """Raise InputError, before any training, where ``finish`` cannot go to other processes and has to."""
+        if self.n_jobs > 1 and len(self.scans) > 1 and self.finish is not None:
+            _check_sent("finish", self.finish)
+
+    def report(self, outcome):
+        self.outcomes[outcome.index] = outcome
+        if self.on_result is not None:
+            self.on_result(outcome)
+
+    def fitted(self, method, subjects, read):
+        """The outcomes of all; ``read`` are scans, by index, that have been read."""
+        scans, n = self.scans, len(self.scans)
+        todo = [i for i in range(n) if i not in self.outcomes]
+        if self.n_jobs == 1 or len(todo) < 2:
+            for i in todo:
+                self.report(_fit_one(method, self.finish, i, read.pop(i, scans[i]), subjects[i]))
+        else:
+            _fit_by_workers(_Work(method, self.finish), scans, subjects, deque(todo), self.n_jobs, self.report)
+        return [self.outcomes[i] for i in range(n)]
 
 
 def _without_results(fitter):
@@ -134,19 +171,16 @@ def _check_sent(argument, value):
 
 def _pretrained(fitter, scans, report, pretrain):
     """Pretrain the fitter where it wants that; returns the scan, by index, that was read to see that this is worth while."""
-    variant = as_variant(getattr(fitter, "variant", "joint"))
-    if getattr(fitter, "template_", None) is not None or not variant.skinning:
+    if getattr(fitter, "template_", None) is not None or not as_variant(fitter.variant).skinning:
         return {}  # learned, or free-form, which has nothing to train
-    if hasattr(fitter, "_is_pretrained") and fitter._is_pretrained():
+    if fitter._is_pretrained():
         return {}
     for i, source in enumerate(scans):
         started = time.perf_counter()
         try:
             with passing_interrupts():
                 scan = source() if callable(source) else source
-                points = check_points(scan, minimum=len(fitter.rig.parts))
-                if hasattr(fitter, "_check_alone"):
-                    fitter._check_alone(points)
+                fitter._check_alone(check_points(scan, minimum=len(fitter.rig.parts)))
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             report(_failure(i, error, started))
             continue

@@ -362,9 +362,10 @@ class LBSFitter(BaseEstimator):
         """
         return self._fit_scan(points, theta0, labels, point_weights, subject=subject)
 
-    def _fit_scan(self, points, theta0, labels, point_weights, *, subject=None, cache=False):
+    def _fit_scan(self, points, theta0, labels, point_weights, *, subject=None, cache=False, progress=None):
         """:meth:`fit_scan`, with the cache of segmenters where asked; all is checked before anything is trained."""
         self._check()
+        check_callables(progress=(progress, (("share",),)))
         rig = self.rig
         points, theta0, labels, point_weights = check_scan(rig, self.variant, points, theta0, labels, point_weights)
         learned = getattr(self, "template_", None)
@@ -380,7 +381,7 @@ class LBSFitter(BaseEstimator):
         if labels is None:
             if not self._is_pretrained():
                 self._check_alone(points, point_weights)
-                self._pretrain_alone(cache=cache)
+                self._pretrain_alone(cache=cache, progress=progress)
             segmenter = self.segmenter_ if as_variant(self.variant).labels else None
             if segmenter is not None:
                 segmenter.check_rig(rig)

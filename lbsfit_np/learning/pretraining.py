@@ -18,6 +18,7 @@ __all__ = [
     "pretrain_segmenter",
     "pretrained",
     "pretrained_from",
+    "share_pretraining",
     "shipped_name_of",
     "shipped_path",
     "still_given",
@@ -149,6 +150,20 @@ def pretrained_from(fitter):
 def _seen_from(rig, synthesis):
     """The up axis where training scans depend on it, which the rig's digest does not know."""
     return (rig.up or "+y",) if synthesis.one_sided or synthesis.floor else ()
+
+
+def share_pretraining(fitter, other):
+    """Give another fitter what one was pretrained to, as if that had been pretrained itself.
+
+    Parameters
+    ----------
+    fitter : LBSFitter
+        Pretrained.
+    other : LBSFitter
+        Of the same rig, training and seed, such as a clone with another variant or other weights.
+    """
+    other.segmenter_, other.regressor_ = other._pretrained = fitter._pretrained
+    other._pretrained_of, other._given = fitter._pretrained_of, fitter._given
 
 
 def is_stale(fitter):

@@ -18,6 +18,7 @@ from .checks import (
     check_directions,
     check_joints,
     check_limits,
+    check_mask,
     check_mesh,
     check_poses,
     check_rotations,
@@ -264,8 +265,8 @@ def _states(report, data, weights, parents, root, names, card, notes):
     """Merged and locked joints: the file's (our own format only), the card's, and those that could only confuse a fit."""
     J = len(names)
     ours = data.merged is not None or data.locked is not None
-    before = np.zeros(J, dtype=bool) if data.merged is None else _mask(report, "merged", data.merged, J)
-    locked = np.zeros(J, dtype=bool) if data.locked is None else _mask(report, "locked", data.locked, J)
+    before = np.zeros(J, dtype=bool) if data.merged is None else check_mask(report, "merged", data.merged, J)
+    locked = np.zeros(J, dtype=bool) if data.locked is None else check_mask(report, "locked", data.locked, J)
     spoken_for = np.isin(names, [pattern for pattern, *_ in card.limits])  # by name: a glob means no joint in particular
     locked_before, merged, freed = locked.copy(), before.copy(), locked & spoken_for
     locked &= ~freed
@@ -299,13 +300,6 @@ def _states(report, data, weights, parents, root, names, card, notes):
     if (now := freed & ~merged & ~locked).any():
         notes.append(f"{np.count_nonzero(now)} joints that the file locks are free, as limits name them: {_named(names, now)}")
     return _States(merged, merged & ~before, locked)
-
-
-def _mask(report, field, value, J):
-    a = np.array(value)
-    if a.dtype != bool or a.shape != (J,):
-        report.fail(field, f"an array of type {a.dtype} and shape {a.shape}", f"true or false for each of the {J} joints")
-    return a
 
 
 def _powerless(weights, parents, root):

@@ -7,7 +7,7 @@ from numbers import Real
 import numpy as np
 from scipy import sparse
 
-from ..errors import FileError, InputError, counted, listed, not_finite
+from ..errors import FileError, InputError, brief, counted, listed, not_finite
 from .frames import AXES
 
 __all__ = [
@@ -15,8 +15,10 @@ __all__ = [
     "check_directions",
     "check_joints",
     "check_limits",
+    "check_mask",
     "check_mesh",
     "check_poses",
+    "check_rig",
     "check_rotations",
     "check_tree",
     "check_weights",
@@ -218,6 +220,41 @@ def check_poses(report, poses, names):
             got = f"an angle of {np.abs(theta).max():.3g}"
             report.fail(f"pose {name!r}", got, "radians, of two turns at most", "Multiply degrees by pi / 180.")
     return poses
+
+
+def check_rig(rig):
+    """Raise InputError, about the field, where a rig that was put together by hand has something that no rig can have.
+
+    Only what costs next to nothing to see is looked at: ``build.build_rig`` checks all else, and says more.
+    """
+    report, J = Reporter(None), len(rig.joint_names)
+    for name in ("vertices", "faces", "parents", "joints", "frames", "lower", "upper", "merged", "locked"):
+        if not isinstance(value := getattr(rig, name), np.ndarray):
+            report.fail(name, type(value).__name__, "a NumPy array")
+    if not isinstance(rig.partitions, Mapping) or not all(isinstance(parts, Mapping) for parts in rig.partitions.values()):
+        report.fail("partitions", brief(rig.partitions), "a mapping of names to mappings of parts to joint names")
+    shapes = {"vertices": (None, 3), "faces": (None, 3), "parents": (J,), "joints": (J, 3), "frames": (J, 3, 3)}
+    for name, shape in shapes.items():
+        report.array(name, getattr(rig, name), shape, "indices" if name in ("faces", "parents") else "numbers")
+    m = len(rig.vertices)
+    if rig.faces.size and not 0 <= rig.faces.min() <= rig.faces.max() < m:
+        report.fail("faces", f"rows {rig.faces.min()} to {rig.faces.max()}", f"rows of the {m} vertices, 0 to {m - 1}")
+    for name, shape in (("weights", (m, J)), ("regressor", (J, m))):
+        if not sparse.issparse(matrix := getattr(rig, name)) or matrix.shape != shape:
+            got = f"{type(matrix).__name__} of shape {np.shape(matrix)}"
+            report.fail(name, got, f"a sparse array of shape {shape}, as the rig has {m} vertices and {J} joints")
+    check_limits(report, rig.lower, rig.upper, rig.joint_names)
+    for name in ("merged", "locked"):
+        check_mask(report, name, getattr(rig, name), J)
+    check_directions(report, rig.metres_per_unit, rig.up, rig.forward)
+
+
+def check_mask(report, field, value, J):
+    """A new (J,) bool array."""
+    a = np.array(value)
+    if a.dtype != bool or a.shape != (J,):
+        report.fail(field, f"an array of type {a.dtype} and shape {a.shape}", f"true or false for each of the {J} joints")
+    return a
 
 
 def check_tree(report, parents, names, explained):

@@ -4,12 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
+from types import MappingProxyType
 
 import numpy as np
 from scipy import sparse
 
 from ..errors import InputError, brief, check_angles, check_array
-from .checks import Reporter, check_poses
+from .checks import Reporter, check_poses, check_rig
 from .digest import poses_digest, rig_digest
 from .locked import locked
 from .partition import check_partition, leading_joint, parts_of_joints, vertex_parts
@@ -93,21 +94,28 @@ class Rig:
     smpl_rest: np.ndarray | None = None
 
     def __post_init__(self):
-        for name, value in list(self.__dict__.items()):
-            object.__setattr__(self, name, locked(value))
+        check_rig(self)
         poses = check_poses(Reporter(None), self.poses, self.joint_names)
         given = {n: p for n, p in self.poses.items() if isinstance(p, np.ndarray) and p.dtype == float}  # need no copy if locked
-        object.__setattr__(self, "poses", {name: locked(pose) for name, pose in (poses | given).items()})
+        poses = {name: locked(pose) for name, pose in (poses | given).items()}
+        self.__dict__.update({name: locked(value) for name, value in self.__dict__.items()})
+        self.__dict__.update(poses=MappingProxyType(poses), partitions=_read_only(self.partitions))
 
     def __repr__(self):
         m, J = self.weights.shape
         return f"<Rig {self.name!r}: {m} vertices, {J} joints ({int(self.moving.sum())} moving), {len(self.parts)} parts>"
+
+    def __getstate__(self):
+        """What is pickled: mappings that nobody can write to cannot be."""
+        partitions = {name: dict(groups) for name, groups in self.partitions.items()}
+        return self.__dict__ | {"poses": dict(self.poses), "partitions": partitions}
 
     def __setstate__(self, state):
         """Restore a pickled rig; NumPy's pickles forget that arrays were locked."""
         self.__dict__.update({name: locked(value, copy=False) for name, value in state.items()})
         for pose in self.poses.values():
             locked(pose, copy=False)
+        self.__dict__.update(poses=MappingProxyType(self.poses), partitions=_read_only(self.partitions))
 
     def __deepcopy__(self, memo):
         return self  # immutable: a copy would be the same rig
@@ -278,7 +286,9 @@ class Rig:
             translation = check_array("translation", translation, (3,))
         if offsets is not None:
             offsets = check_array("offsets", offsets, self.vertices.shape)
-        if not isinstance(scale, Real) or not 0 < scale < np.inf:
+        if isinstance(scale, np.ndarray) and scale.ndim == 0:
+            scale = scale[()]  # as NumPy's files have it
+        if not isinstance(scale, Real) or isinstance(scale, bool) or not 0 < scale < np.inf:
             raise InputError("scale", repr(scale), "a positive number")
         moved = None
         if not isinstance(joints, str):
@@ -406,6 +416,11 @@ class Rig:
         from ..io.npz_rig import save_rig
 
         save_rig(self, path)
+
+
+def _read_only(partitions):
+    """Name → part → joints as mappings that nobody can write to."""
+    return MappingProxyType({name: MappingProxyType(dict(groups)) for name, groups in partitions.items()})
 
 
 def _checked_factor(factor):

@@ -141,8 +141,9 @@ class Segmenter:
 
     def save(self, path):
         """Write as NPZ: arrays and one JSON text, without pickle; :meth:`load` executes nothing from it."""
-        from ..io.write import write_npz
+        from ..io.write import check_npz_name, write_npz
 
+        check_npz_name(path)
         header = json.dumps({"format": _FORMAT} | self.header())
         write_npz(path, **{_KEY: np.array(header)}, **self.arrays("stage"))
 

@@ -202,9 +202,11 @@ _OF_A_ROUND = {
 def _learned(c, variant):
     from sklearn.base import clone
 
+    from ...learning.pretraining import share_pretraining
+
     given, heard = c.given, []  # what the segmenter says of the test scans, before learning and after each round
     fitter = clone(c.fitter).set_params(variant=variant)
-    fitter._pretrained = c.fitter._pretrained
+    share_pretraining(c.fitter, fitter)
     labels = as_variant(variant).labels
 
     def watch(k, segmenter):

@@ -7,7 +7,7 @@ from itertools import product
 from ...errors import InputError, did_you_mean
 from ...learning.checkpoint import remove_checkpoint, state_of_the_code
 from ...processes import kept_processes
-from ..resume import REMEDY, begun, check_same, described
+from ..resume import REMEDY, begun, check_same, checked_seeds, described
 from ..run import TRAINING_SEED
 from ..subjects import people_digest, scans_digest
 from .at_once import batches, is_faster, made_at_once
@@ -82,7 +82,7 @@ def study(
         raise InputError("rows", repr(rows), f"some of {', '.join(ROWS)}", did_you_mean(odd[0], ROWS) if odd else None)
     sizes = {name: sized(rig, size) for name, rig in rigs.items()}
     count = max(s.seeds for s in sizes.values())
-    seeds = [FIRST_SEED + k for k in range(count)] if seeds is None else [int(s) for s in seeds]
+    seeds = [FIRST_SEED + k for k in range(count)] if seeds is None else checked_seeds(seeds)
     report = to_go_on_with(before, size, rigs) | {"complete": False}
     for name, rig in rigs.items():
         entry, n = report["rigs"].setdefault(name, _described(rig, sizes[name])), first_scans(rig, sizes[name])

@@ -1,0 +1,84 @@
+"""Rigs put together by hand, by ``dataclasses.replace``: what no rig can have is refused, and nobody can write to one."""
+
+import copy
+import pickle
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from lbsfit_np.errors import InputError
+
+
+@pytest.mark.parametrize(
+    "change, words",
+    [
+        (lambda rig: {"lower": rig.upper, "upper": rig.lower}, ["limits", "reversed", "Swap"]),
+        (lambda rig: {"upper": np.full(rig.upper.shape, 90.0)}, ["limits", "up to 90", "pi / 180"]),
+        (lambda rig: {"lower": rig.lower[0], "upper": rig.upper[0]}, ["lower", "(3,)", "(4, 3)"]),
+        (lambda rig: {"lower": rig.lower.tolist()}, ["lower", "list", "NumPy array"]),
+        (lambda rig: {"vertices": rig.vertices[:10]}, ["faces", "0 to 9"]),
+        (lambda rig: {"vertices": np.full(rig.vertices.shape, np.nan)}, ["vertices", "NaN"]),
+        (lambda rig: {"weights": rig.weights[:5]}, ["weights", "(5, 4)"]),
+        (lambda rig: {"weights": rig.weights.toarray()}, ["weights", "ndarray", "sparse"]),
+        (lambda rig: {"regressor": rig.regressor[:1]}, ["regressor", "(4, "]),
+        (lambda rig: {"joint_names": rig.joint_names[:2]}, ["parents", "(4,)", "(2,)"]),
+        (lambda rig: {"locked": np.zeros(2, dtype=bool)}, ["locked", "(2,)", "4 joints"]),
+        (lambda rig: {"metres_per_unit": "cm"}, ["metres_per_unit", "'cm'", "positive number"]),
+        (lambda rig: {"up": "z"}, ["up", "'z'", "+z"]),
+        (lambda rig: {"up": "+y", "forward": "-y"}, ["forward", "-y"]),
+        (lambda rig: {"partitions": {"own": ["a"]}}, ["partitions", "mapping"]),
+    ],
+)
+def test_what_no_rig_can_have_is_one_clear_error(change, words, tube_rig):
+    with pytest.raises(InputError) as raised:
+        replace(tube_rig, **change(tube_rig))
+    assert all(word in str(raised.value) for word in words), raised.value
+
+
+def test_other_limits_make_another_rig(tube_rig):
+    narrow = replace(tube_rig, lower=0.5 * tube_rig.lower, upper=0.5 * tube_rig.upper)
+    assert narrow.digest != tube_rig.digest
+    np.testing.assert_array_equal(narrow.lower, 0.5 * tube_rig.lower)
+
+
+@pytest.mark.parametrize("of", [lambda rig: rig, copy.copy, copy.deepcopy, lambda rig: pickle.loads(pickle.dumps(rig))])
+def test_nobody_can_write_to_one(of, tube_rig):
+    rig = of(replace(tube_rig, poses={"bent": 0.5 * tube_rig.upper}, partitions={"all": {"one": tube_rig.joint_names}}))
+    with pytest.raises(TypeError):
+        rig.poses["more"] = np.zeros((4, 3))
+    with pytest.raises(TypeError):
+        rig.partitions["more"] = {}
+    with pytest.raises(TypeError):
+        rig.partitions["all"]["more"] = ()
+    for array in (rig.vertices, rig.weights.data, rig.poses["bent"]):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+
+
+def test_what_a_rig_was_made_of_can_change_afterwards(tube_rig):
+    poses, groups = {"bent": 0.5 * tube_rig.upper}, {"all": {"one": tube_rig.joint_names}}
+    rig = replace(tube_rig, poses=poses, partitions=groups)
+    poses["bent"][:] = 9.0
+    groups["all"]["two"] = ()
+    poses.clear()
+    np.testing.assert_array_equal(rig.poses["bent"], 0.5 * tube_rig.upper)
+    assert dict(rig.partitions["all"]) == {"one": tube_rig.joint_names}
+
+
+def test_a_scale_may_be_an_array_without_axes(tube_rig):
+    """As ``np.load`` gives the scale of a result."""
+    rest = np.zeros((4, 3))
+    np.testing.assert_array_equal(tube_rig.pose(rest, scale=np.array(2.0)), tube_rig.pose(rest, scale=2.0))
+    for scale in (True, np.array([2.0]), np.array(0.0), np.array("2")):
+        with pytest.raises(InputError, match="scale: got"):
+            tube_rig.pose(rest, scale=scale)
+
+
+def test_the_leading_joint_is_the_first_of_the_heaviest(tube_rig):
+    dense = tube_rig.weights.toarray()
+    np.testing.assert_array_equal(tube_rig.leading_joint, dense.argmax(axis=1))
+    tied = np.zeros_like(dense)
+    tied[:, [1, 2]] = 0.5
+    rig = replace(tube_rig, weights=type(tube_rig.weights)(tied))
+    assert (rig.leading_joint == 1).all() and not rig.leading_joint.flags.writeable
