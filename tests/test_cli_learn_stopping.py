@@ -15,7 +15,7 @@ import pytest
 from cli_runs import QUICK, QUICK_LEARNING, as_said, one_line, started, stopped
 
 import lbsfit_np as lbs
-from lbsfit_np.cli import learn, outputs, stopped_learning
+from lbsfit_np.cli import learn, outputs, scan_results, stopped_learning
 from lbsfit_np.cli.stopped_learning import results_so_far
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.npz import MODEL_KEY
@@ -124,14 +124,14 @@ def test_stopped_before_anything_was_trained_nothing_is_said_to_be_kept(variant,
 
 
 def test_ctrl_c_among_the_results_keeps_the_model(tubes, tmp_path, run, monkeypatch):
-    write = outputs.Writer.__call__
+    write = scan_results.Writer.__call__
 
     def interrupted(self, index, scan, result):
         if index == 2:
             raise KeyboardInterrupt
         return write(self, index, scan, result)
 
-    monkeypatch.setattr(outputs.Writer, "__call__", interrupted)
+    monkeypatch.setattr(scan_results.Writer, "__call__", interrupted)
     (tmp_path / "t4.ply").write_bytes(b"")
     scans = (*sorted(tubes.glob("*.ply")), tmp_path / "t4.ply")
     arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", "--results", tmp_path / "fits")
@@ -159,7 +159,7 @@ def test_ctrl_c_after_the_results_names_a_scan_that_failed_once(tubes, tmp_path,
 
 
 def _stopped_among_results(
-    run, tubes, out, stop_at, monkeypatch, *options, stop_in=outputs.Writer, method="__call__", letters=0
+    run, tubes, out, stop_at, monkeypatch, *options, stop_in=scan_results.Writer, method="__call__", letters=0
 ):
     """The last line of a run that is stopped at some call of a function, and the scans."""
     call, calls = getattr(stop_in, method), []
@@ -183,7 +183,7 @@ def _stopped_among_results(
 @pytest.mark.parametrize("where", ["results", "pictures", "before"])
 def test_the_rest_of_the_results_after_ctrl_c(where, tubes, tmp_path, run, monkeypatch):
     """Of one whose picture was being drawn the fit is there, and only its picture is made."""
-    options, stop_in, method, stop_at = (), outputs.Writer, "__call__", 2 * (where == "results")
+    options, stop_in, method, stop_at = (), scan_results.Writer, "__call__", 2 * (where == "results")
     if where == "pictures":
         options, stop_in, method, stop_at = ("--pictures", "--drop-invalid", "--samples", 300), outputs, "draw", 1
     how = (tubes, tmp_path, stop_at, monkeypatch, *options)
@@ -301,7 +301,7 @@ def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, 
     words = results_so_far(fitter, "m.npz", files, {}, ["a", "carl", "dora", "b"], values)
     assert f"lbsfit fit m.npz {shlex.join([scans[0], scans[3]])} -o new" in words
     files[0].mesh.unlink()
-    entries = {files[3].name: outputs.unfitted_entry(files[3], "empty")}  # which no command makes better
+    entries = {files[3].name: scan_results.unfitted_entry(files[3], "empty")}  # which no command makes better
     words = results_so_far(fitter, "m.npz", files, entries, ["a", "carl", "dora", "b"], values)
     assert f"lbsfit fit m.npz {shlex.join([scans[0]])} -o new" in words and words.endswith("skip")
 
@@ -340,7 +340,7 @@ def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path,
 
 def test_a_result_that_is_not_written_leaves_none_of_an_earlier_run(tubes, tmp_path, run, monkeypatch):
     """One that is not finite, and one whose files cannot be written."""
-    fit, write = lbs.LBSFitter.fit, outputs.Writer.__call__
+    fit, write = lbs.LBSFitter.fit, scan_results.Writer.__call__
 
     def odd(self, *given, **options):
         fit(self, *given, **options)
@@ -352,7 +352,7 @@ def test_a_result_that_is_not_written_leaves_none_of_an_earlier_run(tubes, tmp_p
         return write(self, index, scan, result)
 
     monkeypatch.setattr(lbs.LBSFitter, "fit", odd)
-    monkeypatch.setattr(outputs.Writer, "__call__", full)
+    monkeypatch.setattr(scan_results.Writer, "__call__", full)
     results = tmp_path / "fits"
     results.mkdir()
     for name in ("t0", "t1"):

@@ -9,7 +9,7 @@ import pytest
 from cli_runs import QUICK, one_line
 
 import lbsfit_np as lbs
-from lbsfit_np.cli import kept_fits, outputs
+from lbsfit_np.cli import kept_fits, outputs, scan_results
 from lbsfit_np.errors import FileError
 from lbsfit_np.report.render import is_signed, write_png
 
@@ -63,7 +63,7 @@ def test_a_picture_is_drawn_once_the_fit_is_there(fitted, made, tube_rig, tmp_pa
 
     monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", fit_picture)
     result = lbs.FitResult.load(fitted[0] / "one.fit.npz")
-    outputs.Writer(tube_rig, (files,))(0, lbs.load_scan(made / "one.ply"), result)
+    scan_results.Writer(tube_rig, (files,))(0, lbs.load_scan(made / "one.ply"), result)
     assert sorted(there) == ["one.fit.npz", "one.labels.ply", "one.mesh.ply"] and files.picture.is_file()
 
 
@@ -118,7 +118,7 @@ def test_a_picture_of_others_is_not_drawn_over_where_a_scan_is_still_to_be_fitte
 def test_what_cannot_be_fitted_costs_others_no_picture(tmp_path):
     files = _files(tmp_path)
     files.picture.write_bytes(b"\x89PNG of others")
-    outputs.unfitted_entry(files, "no scan")
+    scan_results.unfitted_entry(files, "no scan")
     assert [path.name for path in tmp_path.iterdir()] == ["one.png"]
 
 
@@ -157,7 +157,7 @@ def test_whatever_is_wrong_with_a_picture_is_a_note(error, words, held, tmp_path
     monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", lambda *given: PIXELS)
     if held:
         _held(monkeypatch, "one.png")
-    note, *more = outputs.draw(files, None, None, None)
+    note, *more = scan_results.draw(files, None, None, None)
     assert note.startswith(f"no picture: {words}") and files.picture.exists() == held and files.fit.exists()
     assert more == (["one.png of an earlier run cannot be removed (Permission denied)"] if held else [])
 
@@ -165,7 +165,7 @@ def test_whatever_is_wrong_with_a_picture_is_a_note(error, words, held, tmp_path
 def test_a_file_that_cannot_be_removed_does_not_stop_the_run(tmp_path, monkeypatch):
     files = _files(tmp_path)
     _held(monkeypatch, "one.mesh.ply")
-    entry = outputs.unfitted_entry(files, "no scan", seconds=1.0)
+    entry = scan_results.unfitted_entry(files, "no scan", seconds=1.0)
     assert [path.name for path in tmp_path.iterdir()] == ["one.mesh.ply"]
     assert entry["message"] == "no scan; one.mesh.ply of an earlier run cannot be removed (Permission denied)"
     assert (entry["status"], entry["seconds"]) == ("failed", 1.0) and "files" not in entry

@@ -8,7 +8,7 @@ from cli_runs import QUICK, one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import learn
-from lbsfit_np.cli.outputs import results_beside, without_results
+from lbsfit_np.cli.earlier_results import results_beside, without_results
 from lbsfit_np.cli.subjects import read_subjects
 from lbsfit_np.errors import FileError
 from lbsfit_np.report.render import write_png

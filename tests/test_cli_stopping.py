@@ -11,7 +11,7 @@ from cli_runs import QUICK, started, stopped
 
 import lbsfit_np as lbs
 import lbsfit_np.io.write
-from lbsfit_np.cli import outputs
+from lbsfit_np.cli import outputs, scan_results
 from lbsfit_np.cli.stopped_fits import named, settled
 
 pytestmark = pytest.mark.usefixtures("own_cache")
@@ -103,14 +103,14 @@ def test_a_fit_that_is_being_written_at_ctrl_c_is_finished_and_counted(at, numbe
 
 def test_fits_of_an_earlier_run_are_not_counted_at_ctrl_c(made, fitted, tmp_path, run, monkeypatch):
     """Those that were written since are, noted or not."""
-    out, write = tmp_path / "out", outputs.Writer.__call__
+    out, write = tmp_path / "out", scan_results.Writer.__call__
     shutil.copytree(fitted[0], out)
 
     def interrupted(self, index, scan, result):
         write(self, index, scan, result)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(outputs.Writer, "__call__", interrupted)
+    monkeypatch.setattr(scan_results.Writer, "__call__", interrupted)
     command = ("fit", made / "tube.npz", made / "one.ply", made / "two.xyz", *QUICK, "-o", out, "--existing", "replace")
     code, text, _ = run(*command)
     assert code == 130 and "1 of 2 scans is fitted and kept" in text and "1 of the others has a fit from an earlier run" in text

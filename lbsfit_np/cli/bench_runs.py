@@ -7,8 +7,10 @@ from pathlib import Path
 from ..errors import FileError, InputError, in_words
 from ..interrupts import held
 from ..io.write import make_folder
-from .outputs import check_outputs, drawn_by_others, remove
+from .earlier_results import drawn_by_others
+from .outputs import check_outputs
 from .progress import LearningProgress, Progress, bar, say
+from .scan_results import remove
 from .stopping import say_steps, terminable
 
 __all__ = [

@@ -7,9 +7,10 @@ from pathlib import Path
 from ..errors import InputError
 from ..io.write import make_folder, remove_empty
 from .fit import OPTIONS, fit_files
-from .outputs import check_outputs, remove
+from .outputs import check_outputs
 from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import say
+from .scan_results import remove
 from .summary import SUMMARY
 
 __all__ = ["add_parser"]

@@ -8,7 +8,7 @@ from ..errors import FileError, InputError, brief, counted, did_you_mean
 from ..io.write import make_folder, remove_empty
 from ..rig.frames import AXES
 from ..rig.units import METRES
-from . import outputs
+from . import earlier_results, outputs, scan_results
 from .kept_fits import kept_entries
 from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subjects_of, unit_parameter
 from .parsing import Option, add_options, chosen, formatter, natural, positive
@@ -242,7 +242,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     from ..learning.parameters import check_parameters
 
     started = time.perf_counter()
-    out, scans = Path(values["output"]), outputs.without_results(scans)
+    out, scans = Path(values["output"]), earlier_results.without_results(scans)
     read = [rig_path, values["segmenter"], values["subjects"], values["card"] if values["card"] != "none" else None, *inputs]
     names = {"existing": values["existing"], "pictures": values["pictures"], "may_skip": True}
     outputs.check_sources(scans)
@@ -272,7 +272,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
         if outcome.error is None:
             entries[f.name] = outcome.result
         else:
-            entries[f.name] = outputs.unfitted_entry(f, outcome.error, seconds=round(outcome.seconds, 3))
+            entries[f.name] = scan_results.unfitted_entry(f, outcome.error, seconds=round(outcome.seconds, 3))
             if outcome.details:
                 entries[f.name]["details"] = outcome.details
         progress.notes(f.name, entries[f.name].get("notes", ()))
@@ -360,7 +360,7 @@ def _fit(fitter, todo, subjects, values, on_result, progress):
         [functools.partial(read_scan, f.source, len(fitter.rig.parts), scan_options(values)) for f in todo],
         subjects=[subjects[f.name] for f in todo],
         n_jobs=values["jobs"],
-        finish=outputs.Writer(fitter.rig, todo),
+        finish=scan_results.Writer(fitter.rig, todo),
         on_result=on_result,
         pretrain=pretrain,
     )

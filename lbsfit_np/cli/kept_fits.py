@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import FileError, InputError, counted, listed
 from ..io.npz import RESULT_KEY, npz_keys
-from . import outputs
+from . import scan_results
 from .progress import say
 
 __all__ = ["kept_entries"]
@@ -61,9 +61,9 @@ def kept_entries(files, fitter, subjects, read):
             say(f"{f.name}: {why}, so the scan is fitted again")
             continue
         if f.picture is not None and not _is_newer(f.picture, f.fit):
-            for note in outputs.draw(f, rig, labelled, result):
+            for note in scan_results.draw(f, rig, labelled, result):
                 say(f"{f.name}: {note}")
-        kept[f.name] = outputs.fitted_entry(f, result, kept=True)
+        kept[f.name] = scan_results.fitted_entry(f, result, kept=True)
         other = {name: result.settings.get(name) for name in now if result.settings.get(name) != now[name]}
         if other:
             kept[f.name]["other_settings"] = other if result.settings else None

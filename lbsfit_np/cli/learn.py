@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import FileError, InputError, LbsfitError, counted
 from ..io.write import make_folder, remove_empty
 from ..learning.variants import VARIANTS, note_on, unused
-from . import outputs
+from . import earlier_results, scan_results
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, check_training, load_rig_with, scan_options
 from .learned_files import checked_files
@@ -147,7 +147,7 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     from ..learning.parameters import check_parameters
 
     started = time.perf_counter()
-    model, scans = Path(values["output"]), outputs.without_results(scans)
+    model, scans = Path(values["output"]), earlier_results.without_results(scans)
     files = checked_files(rig_path, scans, values, inputs)
     subjects = None if values["subjects"] is None else read_subjects(values["subjects"], scans)
     rig = load_rig_with(rig_path, values)
@@ -331,7 +331,7 @@ def _say_statuses(entries, roles, results):
 
 def _write_results(rig_path, fitter, reading, files, entries, values, started):
     """The files of every scan, as ``lbsfit fit`` writes them, and the summary; ``entries`` fills up."""
-    writer = outputs.Writer(fitter.rig, files)
+    writer = scan_results.Writer(fitter.rig, files)
     progress = Progress(len(files) - len(reading.failures))
     stopped = True
     try:
@@ -339,7 +339,7 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
             try:
                 entries[f.name] = _without_fit(reading, i, f, result) or writer(i, reading.scans[i], result)
             except LbsfitError as error:
-                entries[f.name] = outputs.unfitted_entry(f, str(error))
+                entries[f.name] = scan_results.unfitted_entry(f, str(error))
             if result is None:
                 continue
             read = reading.scans[i].notes  # said when it was read
@@ -358,9 +358,9 @@ def _write_results(rig_path, fitter, reading, files, entries, values, started):
 def _without_fit(reading, i, files, result):
     """The entry of a scan without a result, or with one that is not finite and so is not written; None for any other."""
     if result is None:
-        return outputs.unfitted_entry(files, reading.why(i))
+        return scan_results.unfitted_entry(files, reading.why(i))
     if not np.isfinite(result.vertices).all():
-        return outputs.unfitted_entry(files, outputs.with_reasons(result.message, reading.scans[i].notes))
+        return scan_results.unfitted_entry(files, scan_results.with_reasons(result.message, reading.scans[i].notes))
     return None
 
 
@@ -374,4 +374,4 @@ def _settle_the_rest(fitter, reading, files, entries):
         if entry := _without_fit(reading, i, f, result):
             entries[f.name] = entry
         elif i == left[0][0] and is_result_of(learned, f):
-            entries[f.name] = outputs.fitted_entry(f, result, notes=reading.scans[i].notes)
+            entries[f.name] = scan_results.fitted_entry(f, result, notes=reading.scans[i].notes)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from ..errors import FileError, InputError
 from ..learning.variants import VARIANTS
-from . import outputs
+from . import outputs, same_files
 from .models import is_model
 from .subjects import check_no_table
 
@@ -67,7 +67,7 @@ def checked_files(rig_path, scans, values, inputs):
     names = {"existing": existing, "argument": "--results", "pictures": values["pictures"]}
     files = tuple(outputs.plan(scans, values["results"], inputs=others, **names))
     for path in (p for f in files for p in f.paths.values()):
-        if outputs.same_file(path, model):
+        if same_files.same_file(path, model):
             raise InputError("-o/--output", f"{model}, which is a file of --results", "another name")
     return files
 
@@ -89,9 +89,9 @@ def _check_apart(model, results):
     """The folder of the results is none that the model's own names would be, or lie below."""
     from ..learning.checkpoint import checkpoint_of
 
-    folder = Path(outputs.folded(os.path.abspath(results)))
+    folder = Path(same_files.folded(os.path.abspath(results)))
     for path in (model, checkpoint_of(model)):
-        if Path(outputs.folded(os.path.abspath(path))) in (folder, *folder.parents):
+        if Path(same_files.folded(os.path.abspath(path))) in (folder, *folder.parents):
             expected = f"a folder other than {path.name} and those in it"
             raise InputError("--results", f"{results}, with {model} as the model", expected)
 

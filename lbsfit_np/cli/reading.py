@@ -7,7 +7,7 @@ from pathlib import Path
 
 from ..errors import FileError, LbsfitError, in_words
 from ..interrupts import passing_interrupts
-from . import outputs
+from . import scan_results
 from .fit import read_scan
 
 __all__ = ["Reading"]
@@ -69,7 +69,7 @@ class Reading:
 
     def why(self, i, message=None):
         """What became of scan i, by default of one without a fit, after what its file explains of that."""
-        return outputs.with_reasons(self.failures[i] if message is None else message, self.notes.get(i, ()))
+        return scan_results.with_reasons(self.failures[i] if message is None else message, self.notes.get(i, ()))
 
     def fail(self, i, message):
         """Scan i cannot be used: said once."""

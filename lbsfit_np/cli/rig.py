@@ -5,8 +5,9 @@ from pathlib import Path
 from ..errors import InputError
 from .fit import RIG_OPTIONS, load_rig_with
 from .models import about_model, is_model, model_in_words
-from .outputs import check_file, same_file
+from .outputs import check_file
 from .parsing import Option, add_options, formatter, settings
+from .same_files import same_file
 
 __all__ = ["add_parser"]
 

@@ -4,7 +4,7 @@ import os
 from contextlib import suppress
 
 from ..errors import FileError
-from . import outputs
+from . import scan_results
 
 __all__ = ["named", "settled"]
 
@@ -34,7 +34,7 @@ def settled(files, before):
     for f in files:
         if all(path in now and now[path] != before.get(path) for path in _of(f)):
             with suppress(FileError):
-                entries[f.name] = outputs.fitted_entry(f, FitResult.load(f.fit))
+                entries[f.name] = scan_results.fitted_entry(f, FitResult.load(f.fit))
     return entries
 
 

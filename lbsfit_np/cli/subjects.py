@@ -13,7 +13,8 @@ from pathlib import Path
 from unicodedata import normalize
 
 from ..errors import FileError, InputError, brief, counted, did_you_mean, listed
-from .outputs import folded, identity, results_beside
+from .earlier_results import results_beside
+from .same_files import folded, identity
 
 __all__ = ["SUBJECT_FILES", "check_no_table", "read_subjects", "who_words"]
 
@@ -186,7 +187,7 @@ class _Names:
         return self._by_file(name) if Path(name).name != name else []  # another way to write a path
 
     def _by_file(self, name):
-        """As ``outputs.same_file`` finds them: one by one that takes too long where each of thousands of scans has such names."""
+        """As ``same_file`` finds them: one by one that takes too long where each of thousands of scans has such names."""
         known, places = self.files
         try:
             return known.get(identity(name), [])

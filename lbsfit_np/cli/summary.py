@@ -105,7 +105,7 @@ def write_summary(out, rig_path, rig, files, entries, values, *, started, stoppe
     files : sequence of ScanFiles
         Of all scans.
     entries : dict of name to entry
-        Of the scans that were dealt with, see ``outputs.entry``.
+        Of the scans that were dealt with, see ``scan_results.entry``.
     values : dict
         The settings.
     started : float
