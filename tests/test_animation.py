@@ -12,8 +12,8 @@ from small_rigs import make_tube_data, make_tube_rig
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.fitting.several import unit_of
 from lbsfit_np.io.gltf import read_gltf
-from lbsfit_np.report.animation import unit_of
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.data import RigData
 
@@ -241,15 +241,12 @@ def test_a_root_that_is_not_the_first_row_and_a_seam(tmp_path):
     np.testing.assert_array_equal(normals[:m], normals[m:])
 
 
-def test_a_vertex_without_a_face_has_a_normal_and_a_front_that_is_up_is_none(tube_rig, tmp_path):
+def test_a_vertex_without_a_face_has_a_normal(tmp_path):
     data = make_tube_data()
     weights = sparse.vstack([data.weights, data.weights[[5]]]).tocsr()
     loose = build_rig(replace(data, vertices=np.vstack([data.vertices, [[0.0, 0.0, 2.0]]]), weights=weights))
     save(tmp_path / "a.glb", loose, a_fit(loose, 0))
     np.testing.assert_allclose(np.linalg.norm(Viewer(tmp_path / "a.glb").attribute("NORMAL"), axis=1), 1.0, atol=1e-6)
-    result = a_fit(tube_rig, 0)
-    save(tmp_path / "b.glb", replace(tube_rig, up="+y", forward="-y"), result)
-    np.testing.assert_allclose(Viewer(tmp_path / "b.glb").draw(), result.vertices, atol=closeness(tube_rig))
 
 
 def test_a_rig_of_one_joint(tmp_path):

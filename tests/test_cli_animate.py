@@ -10,7 +10,7 @@ from animated_files import Viewer
 from cli_runs import one_line, program
 
 import lbsfit_np as lbs
-from lbsfit_np.report.animation import stands_along
+from lbsfit_np.fitting.several import stands_along
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 

@@ -14,10 +14,10 @@ import lbsfit_np as lbs
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Scout
+from lbsfit_np.fitting.several import odd_scales, unit_of
 from lbsfit_np.learning import new_scan
 from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.optimize.model import Model
-from lbsfit_np.report.animation import odd_scales, unit_of
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.units import WORDS
 from lbsfit_np.starts.clean import taking_part

@@ -79,7 +79,8 @@ def add_parser(commands):
 
 def _run(arguments):
     from ..fitting.result import FitResult
-    from ..report.animation import check_fit, odd_scales, said_unit, stands_along, unit_of, write_animation
+    from ..fitting.several import odd_scales, said_unit, stands_along, unit_of
+    from ..report.animation import check_fit, write_animation
 
     values = settings(arguments, _OPTIONS)
     path, fits = values["output"], arguments.fits

@@ -19,18 +19,17 @@ from scipy import sparse
 
 from ..errors import InputError, brief, is_whole, listed
 from ..fitting.result import FitResult
-from ..optimize.frame import root_turn
-from ..rig.frames import AXES, up_axis
+from ..fitting.several import odd_scales, stands_along, unit_of
+from ..rig.frames import AXES
 from ..rig.rig import Rig
-from ..rig.units import METRES, WORDS
+from ..rig.units import METRES
 from ..rotations import matrix_from_rotvec
-from ..starts.scale import likely_unit, same_size, same_unit
-from ..starts.turns import ALONG, axis_name
+from ..starts.scale import same_size
+from .gltf_motion import animate, influences_of, inverse_binds, mesh, skeleton
 
-__all__ = ["check_fit", "odd_scales", "said_unit", "save_animation", "stands_along", "unit_of", "write_animation"]
+__all__ = ["check_fit", "save_animation", "write_animation"]
 
 _OFFSETS = ("mean", "each")
-_SET = 4  # influences in one set of attributes (3.7.3.3)
 _MOST = 1e15  # of any number, so that products stay within single precision
 _STEP = 1e-5  # of single precision's numbers, as a share of the rig's size, that frames may be off by
 
@@ -119,76 +118,20 @@ def write_animation(path, rig, results, *, offsets, frames_per_second, up, metre
     from ..io.glb import GlbWriter
 
     writer = GlbWriter(f"lbsfit_np {__version__}")
-    values = _skeleton(writer, motion)
-    mesh = _mesh(writer, motion)
-    binds = _inverse_binds(writer, motion.rig)
+    values = skeleton(writer, motion)
+    shape = mesh(writer, motion)
+    binds = inverse_binds(writer, motion.rig)
     skin = writer.add("skins", name=rig.name, joints=list(range(len(rig.parents))), inverseBindMatrices=binds)
-    body = writer.add("nodes", name=f"{rig.name} mesh", mesh=mesh, skin=skin)
+    body = writer.add("nodes", name=f"{rig.name} mesh", mesh=shape, skin=skin)
     top = rig.root
     if place.any():
         top = writer.add("nodes", name="place of the scans", translation=place.tolist(), children=[rig.root])
     writer.add("scenes", nodes=[top, body])
     writer.root["scene"] = 0
     if len(results) > 1:
-        _animate(writer, motion, values, np.arange(len(results)) / frames_per_second, body)
+        animate(writer, motion, values, np.arange(len(results)) / frames_per_second, body)
     writer.save(path)
     return away
-
-
-def unit_of(rig, results):
-    """Return the unit that the fits say, else the one that the scans seem to be in: in words, and its length in metres.
-
-    It is None and 1 where the fits say nothing, and the rig and the scales do not tell it.
-    """
-    if said := said_unit(results):
-        return WORDS[said], METRES[said]
-    scale = float(np.median([r.scale for r in results]))
-    if rig.metres_per_unit is not None:
-        if same_unit(scale):
-            return WORDS.get(likely_unit(1.0, rig), "the rig's unit"), rig.metres_per_unit
-        if unit := likely_unit(scale, rig):
-            return WORDS[unit], METRES[unit]
-    return None, 1.0
-
-
-def stands_along(rig, results, up=None):
-    """Return the axis, such as "+z", along which the rig's up axis lies in the mean of the fits, if it is not ``up``; else None.
-
-    It is also None where the rig's up axis is not known, as it then cannot be said which way the rig stands.
-    """
-    if rig.up is None:
-        return None
-    along = np.mean([root_turn(rig, r.pose) @ up_axis(rig) for r in results], axis=0)
-    axis = axis_name(along)
-    return axis if along @ AXES[axis] > ALONG and axis != (up or rig.up or "+y") else None
-
-
-def said_unit(results, names=None):
-    """Return the unit that fits say their scans are in; it holds for all if some say it, and is empty if none does.
-
-    ``names``, in the error, are those of the fits; ``results[k]`` by default.
-
-    Raises
-    ------
-    InputError
-        The fits say several units.
-    """
-    names = [f"results[{k}]" for k in range(len(results))] if names is None else names
-    said = {r.unit: name for r, name in zip(reversed(results), reversed(names), strict=True) if r.unit}  # the first of each
-    if len(said) > 1:
-        remedy = "Write one animation for each unit, or convert the scans and fit again."
-        of_each = listed([f"{unit} ({said[unit]})" for unit in sorted(said)])
-        raise InputError("results", f"fits of scans in {of_each}", "scans in one unit", remedy)
-    return next(iter(said), "")
-
-
-def odd_scales(results):
-    """Return the rows of fits whose scales are further from the median than people differ in size; none if all say their unit."""
-    if results[0].unit and len({r.unit for r in results}) == 1:
-        return []
-    scales = np.array([r.scale for r in results])
-    middle = np.sort(scales)[(len(scales) - 1) // 2]
-    return [k for k, scale in enumerate(scales) if not same_unit(scale / middle)]
 
 
 def check_fit(rig, result, name):
@@ -326,7 +269,7 @@ def _turn(rig, up):
     stands = up is None or up == rig.up
     up, y = np.array(AXES[up or rig.up or "+y"]), np.array([0.0, 1.0, 0.0])
     front = np.array(AXES[rig.forward]) if stands and rig.up and rig.forward else None
-    if front is not None and up @ front == 0:
+    if front is not None:
         return np.stack([np.cross(up, front), up, front])
     if np.abs(up) @ y:
         return np.diag([1.0, up[1], up[1]])
@@ -335,7 +278,7 @@ def _turn(rig, up):
 
 def _strongest(weights, n):
     """The n largest weights of each row, scaled to a sum of 1."""
-    joints, values = (np.hstack(a) for a in zip(*_influences(weights), strict=True))
+    joints, values = (np.hstack(a) for a in zip(*influences_of(weights), strict=True))
     joints, values = joints[:, :n], values[:, :n]
     rows = np.repeat(np.arange(len(joints)), joints.shape[1])
     values /= values.sum(axis=1, keepdims=True)
@@ -347,104 +290,3 @@ def _strongest(weights, n):
 def _distance(rig, frame, offsets, joints, result):
     vertices = rig.pose(frame.pose, frame.translation, frame.scale, offsets, joints=joints)
     return np.linalg.norm(vertices - result.vertices, axis=1).mean()
-
-
-# ---- what is written ----
-
-
-def _skeleton(writer, motion):
-    """Add the joints' nodes, rows as in the rig, in the first frame's pose; their values in all frames by (row, path)."""
-    rig, joints = motion.rig, motion.joints
-    F, root, below = rig.frames, rig.root, np.flatnonzero(rig.parents >= 0)
-    up = rig.parents[below]
-    turns = matrix_from_rotvec(motion.theta)
-    delta = rig.joints - joints
-    turned = np.einsum("jab,kjbc,jdc,kjd->kja", F, turns, F, delta)  # R_j δ_j
-    T = np.empty(joints.shape)
-    T[:, root] = motion.translation + motion.scale[:, None] * (joints[:, root] + turned[:, root])
-    bones = joints[:, below] - joints[:, up] + turned[:, below] - delta[:, up]
-    T[:, below] = np.einsum("jba,kjb->kja", F[up], bones)
-    local = F.copy()
-    local[below] = np.einsum("jba,jbc->jac", F[up], F[below])
-    values = {}
-    for j, name in enumerate(rig.joint_names):
-        values[j, "translation"] = T[:, j].astype("<f4")
-        values[j, "rotation"] = _quaternions(local[j] @ turns[:, j])
-        if j == root:
-            values[j, "scale"] = np.repeat(motion.scale[:, None], 3, axis=1).astype("<f4")
-        node = {path: values[j, path][0].tolist() for path in ("translation", "rotation", "scale") if (j, path) in values}
-        children = np.flatnonzero(rig.parents == j).tolist()
-        writer.add("nodes", name=name, **node, **({"children": children} if children else {}))
-    return values
-
-
-def _quaternions(R):
-    """(k, 4) xyzw of rotations (k, 3, 3), each on the same side as the one before, as what lies between is interpolated."""
-    from scipy.spatial.transform import Rotation
-
-    q = Rotation.from_matrix(R).as_quat()
-    flips = np.einsum("ka,ka->k", q[1:], q[:-1]) < 0
-    q[1:][np.cumsum(flips) % 2 == 1] *= -1
-    return q.astype("<f4")
-
-
-def _mesh(writer, motion):
-    """Add the mesh in the rest pose, with a morph target for each frame where these differ."""
-    from ..optimize.surface import vertex_normals
-
-    rig, morphs = motion.rig, motion.morphs
-    normals = vertex_normals(rig.welded.vertices, rig.welded.faces)[rig.weld]
-    normals[np.linalg.norm(normals, axis=1) < 0.5] = 0.0, 0.0, 1.0  # without a face, where any will do
-    attributes = {"POSITION": writer.accessor(rig.vertices, use="vertices", bounds=True)}
-    attributes["NORMAL"] = writer.accessor(normals, use="vertices")
-    for k, (joints, weights) in enumerate(_influences(rig.weights)):
-        attributes[f"JOINTS_{k}"] = writer.accessor(joints, use="vertices")
-        attributes[f"WEIGHTS_{k}"] = writer.accessor(weights, use="vertices")
-    # Without one, glTF's default is metal, which is all but black where nothing is mirrored in it.
-    plain = {"baseColorFactor": [0.8, 0.8, 0.8, 1.0], "metallicFactor": 0.0, "roughnessFactor": 0.8}
-    material = writer.add("materials", name="plain", pbrMetallicRoughness=plain, doubleSided=True)
-    indices = writer.accessor(rig.faces.astype("<u4").ravel(), use="indices")
-    primitive = {"attributes": attributes, "indices": indices, "material": material}
-    fields = {}
-    if morphs is not None:
-        primitive["targets"] = [{"POSITION": writer.accessor(morph, use="vertices", bounds=True)} for morph in morphs]
-        fields["weights"] = [1.0] + [0.0] * (len(morphs) - 1)
-        fields["extras"] = {"targetNames": [f"fit {k + 1}" for k in range(len(morphs))]}
-    return writer.add("meshes", name=rig.name, primitives=[primitive], **fields)
-
-
-def _influences(weights):
-    """Pairs of joints (m, 4) and weights (m, 4), a vertex's largest first; as many as the vertex on the most joints needs."""
-    w = weights.tocoo()
-    row, column, value = (a[w.data > 0] for a in (w.row, w.col, w.data))
-    order = np.lexsort((column, -value, row))
-    row, column, value = row[order], column[order], value[order]
-    counts = np.bincount(row, minlength=len(weights.indptr) - 1)
-    place = np.arange(len(row)) - (np.cumsum(counts) - counts)[row]
-    sets = -(-counts.max() // _SET)
-    shape = len(counts), _SET * sets
-    joints, values = np.zeros(shape, "<u2"), np.zeros(shape)
-    joints[row, place], values[row, place] = column, value
-    return list(zip(np.split(joints, sets, axis=1), np.split(values, sets, axis=1), strict=True))
-
-
-def _inverse_binds(writer, rig):
-    bind = np.tile(np.eye(4), (len(rig.joints), 1, 1))
-    bind[:, :3, :3], bind[:, :3, 3] = rig.frames, rig.joints
-    return writer.accessor(np.linalg.inv(bind))
-
-
-def _animate(writer, motion, values, times, body):
-    """Add the animation: a channel for all that changes, and for the root's rotation in any case, as there has to be one."""
-    at, samplers, channels = writer.accessor(times, bounds=True), [], []
-
-    def channel(node, path, output):
-        channels.append({"sampler": len(samplers), "target": {"node": node, "path": path}})
-        samplers.append({"input": at, "output": writer.accessor(output), "interpolation": "LINEAR"})
-
-    for (j, path), output in values.items():
-        if (j, path) == (motion.rig.root, "rotation") or (output != output[0]).any():
-            channel(j, path, output)
-    if motion.morphs is not None:
-        channel(body, "weights", np.eye(len(times)).ravel())
-    writer.add("animations", name="fits", samplers=samplers, channels=channels)
