@@ -49,7 +49,7 @@ def transfer(points, registration_a, registration_b, faces, *, snap_to=None):
 
     points = _checked_points("points", points)
     a = check_set("registration_a", registration_a)
-    b = check_set("registration_b", check_array("registration_b", registration_b, a.shape))
+    b = check_array("registration_b", check_set("registration_b", registration_b), a.shape)
     faces = _checked_faces(faces, len(a))
     snap_to = None if snap_to is None else _checked_points("snap_to", snap_to)
     if snap_to is not None and not len(snap_to):

@@ -115,7 +115,7 @@ def check_angles(argument, value, shape):
     return a
 
 
-def as_floats(argument, value, expected):
+def as_floats(argument, value, expected, remedy=None):
     """``value`` as an array of double precision, the input itself where it is one, or an InputError where it holds no numbers."""
     check_unmasked(argument, value)
     check_real(argument, value, expected)
@@ -124,12 +124,12 @@ def as_floats(argument, value, expected):
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", expected) from None
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(argument, type(value).__name__, expected, _own_words(value, error) or its_array(value)) from None
+        raise InputError(argument, type(value).__name__, expected, _own_words(value, error) or remedy) from None
 
 
-def its_array(value):
+def its_array(value, names=("points", "vertices")):
     """Where an object, such as a result, a scan or a mesh, has the points that it was taken for, in words; else None."""
-    names = [name for name in ("points", "vertices") if getattr(getattr(value, name, None), "ndim", 0) == 2]
+    names = [name for name in names if getattr(getattr(value, name, None), "ndim", 0) == 2]
     return f"Pass its {names[0]}: .{names[0]}" if names else None
 
 

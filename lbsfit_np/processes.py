@@ -74,8 +74,9 @@ def _spare():
 
 def _to_start():
     """What lets worker processes start, which read the script first."""
-    script = getattr(sys.modules.get("__main__"), "__file__", None)
-    if script is not None and not os.path.exists(script):  # such as <stdin>
+    main = sys.modules.get("__main__")
+    script, module = getattr(main, "__file__", None), getattr(main, "__spec__", None)
+    if script is not None and module is None and not os.path.exists(script):  # such as <stdin>
         return f"They cannot read the script {script}: save it to a file and run that, or pass n_jobs=1."
     return 'In a script, call this under `if __name__ == "__main__":`.'
 

@@ -148,7 +148,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
     except (ValueError, TypeError):
         rows = isinstance(points, (list, tuple)) or hasattr(points, "points") or hasattr(points, "__array__")
         got = "rows of different lengths or entries that are not numbers" if rows else f"a {type(points).__name__}"
-        raise InputError(argument, got, "numbers of shape (n, 3)", its_array(points)) from None
+        raise InputError(argument, got, "numbers of shape (n, 3)", its_array(points, ["vertices"])) from None
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", "numbers of shape (n, 3)") from None
     if points is None or given.dtype.kind not in "iuf":

@@ -10,7 +10,7 @@ import sys
 import threading
 import time
 import types
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +20,7 @@ from fit_checks import assert_same
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.write import atomic_path
-from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.batch import each_scan, fit_scans
 from lbsfit_np.processes import Workers
 
 POSIX = pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
@@ -92,6 +92,42 @@ def test_a_doubtful_fit_is_a_result_all_the_same(quick_fitter, clouds, alone, mo
 def test_what_is_no_fitter_is_named(tube_rig, clouds):
     with pytest.raises(InputError, match=r"fitter: got a Rig; expected an LBSFitter. Make one of a rig with LBSFitter\(rig\)"):
         fit_scans(tube_rig, clouds[:1])
+    with pytest.raises(InputError, match="fitter: got .*LBSFitter.*; expected an LBSFitter"):
+        fit_scans(lbs.LBSFitter, clouds[:1])
+
+
+def test_what_a_fitter_has_ready_is_used_and_kept(quick_fitter, clouds):
+    fitter = copy.copy(quick_fitter)
+    fit_scans(fitter, clouds[:1])
+    ready = fitter._ready
+    fit_scans(fitter, clouds[1:2])
+    assert fitter._ready is ready and ready
+
+
+@dataclass
+class _Counting:
+    """Anything that fits a scan: its points' mean, and how many there were before, in this process."""
+
+    n: int = 0
+
+    def fit_scan(self, scan):
+        if len(scan) < 2:
+            raise InputError("points", "one", "two")
+        self.n += 1
+        return types.SimpleNamespace(vertices=np.mean(scan, axis=0), n=self.n)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_anything_that_fits_a_scan_fits_many(jobs, clouds):
+    told = []
+    outcomes = each_scan(_Counting(), [clouds[0], clouds[1][:1], lambda: clouds[2]], n_jobs=jobs, on_result=told.append)
+    assert [o.error for o in outcomes] == [None, "points: got one; expected two.", None] and len(told) == 3
+    for k in (0, 2):
+        np.testing.assert_array_equal(outcomes[k].result.vertices, clouds[k].mean(axis=0))
+    with pytest.raises(InputError, match="n_jobs"):
+        each_scan(_Counting(), clouds, n_jobs=0)
+    with pytest.raises(InputError, match="finish: got what cannot be sent"):
+        each_scan(_Counting(), clouds, n_jobs=2, finish=lambda index, scan, result: result)
 
 
 def test_training_waits_for_a_scan_that_can_be_fitted(tube_rig, clouds):

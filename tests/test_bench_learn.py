@@ -178,7 +178,8 @@ def test_where_nothing_could_be_fitted_there_is_no_error(shared_rigs):
 @pytest.fixture
 def quick(monkeypatch):
     """Learning that takes no time: a fitter that has fitted nothing."""
-    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda self, **o: vars(self).update(segmenter_=None, _pretrained=None))
+    trained = {"segmenter_": None, "_pretrained": (None, None), "_pretrained_of": None, "_given": None}
+    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda self, **o: vars(self).update(trained))
     learned = {"history_": [], "results_": [], "template_": {}, "segmenter_": None, "failures_": {}}
     monkeypatch.setattr("lbsfit_np.LBSFitter.fit", lambda self, *a, **o: vars(self).update(learned))
     monkeypatch.setattr("lbsfit_np.bench.learn._measured", lambda *a: {"joint_error": 0.1})

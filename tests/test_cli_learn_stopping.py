@@ -185,7 +185,7 @@ def test_the_rest_of_the_results_after_ctrl_c(where, tubes, tmp_path, run, monke
     """Of one whose picture was being drawn the fit is there, and only its picture is made."""
     options, stop_in, method, stop_at = (), scan_results.Writer, "__call__", 2 * (where == "results")
     if where == "pictures":
-        options, stop_in, method, stop_at = ("--pictures", "--drop-invalid", "--samples", 300), outputs, "draw", 1
+        options, stop_in, method, stop_at = ("--pictures", "--drop-invalid", "--samples", 300), scan_results, "draw", 1
     how = (tubes, tmp_path, stop_at, monkeypatch, *options)
     line, scans = _stopped_among_results(run, *how, stop_in=stop_in, method=method)
     written, model, fits = (0 if where == "before" else 2), tmp_path / "m n.npz", tmp_path / "fi ts"

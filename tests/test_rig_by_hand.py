@@ -1,8 +1,9 @@
 """Rigs put together by hand, by ``dataclasses.replace``: what no rig can have is refused, and nobody can write to one."""
 
 import copy
+import json
 import pickle
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -20,12 +21,19 @@ from lbsfit_np.errors import InputError
         (lambda rig: {"vertices": rig.vertices[:10]}, ["faces", "0 to 9"]),
         (lambda rig: {"vertices": np.full(rig.vertices.shape, np.nan)}, ["vertices", "NaN"]),
         (lambda rig: {"weights": rig.weights[:5]}, ["weights", "(5, 4)"]),
-        (lambda rig: {"weights": rig.weights.toarray()}, ["weights", "ndarray", "sparse"]),
+        (lambda rig: {"weights": rig.weights.toarray()}, ["weights", "ndarray", "csr_array"]),
+        (lambda rig: {"weights": rig.weights.tocsc()}, ["weights", "csc_array", "csr_array"]),
         (lambda rig: {"regressor": rig.regressor[:1]}, ["regressor", "(4, "]),
         (lambda rig: {"joint_names": rig.joint_names[:2]}, ["parents", "(4,)", "(2,)"]),
+        (lambda rig: {"joint_names": list(rig.joint_names)}, ["joint_names", "a tuple of names"]),
+        (lambda rig: {"parents": np.array([-1, 0, 1, 4])}, ["parents", "[-1, 0, 1, 4]", "one tree"]),
+        (lambda rig: {"parents": np.array([-1, 2, 1, 0])}, ["parents", "one tree"]),
+        (lambda rig: {"parents": np.array([-1, -1, 1, 0])}, ["parents", "one tree"]),
+        (lambda rig: {"granularity": "fingers"}, ["granularity", "'fingers'", "joints"]),
         (lambda rig: {"locked": np.zeros(2, dtype=bool)}, ["locked", "(2,)", "4 joints"]),
         (lambda rig: {"metres_per_unit": "cm"}, ["metres_per_unit", "'cm'", "positive number"]),
         (lambda rig: {"up": "z"}, ["up", "'z'", "+z"]),
+        (lambda rig: {"up": ["+z"]}, ["up", "['+z']"]),
         (lambda rig: {"up": "+y", "forward": "-y"}, ["forward", "-y"]),
         (lambda rig: {"partitions": {"own": ["a"]}}, ["partitions", "mapping"]),
     ],
@@ -45,12 +53,14 @@ def test_other_limits_make_another_rig(tube_rig):
 @pytest.mark.parametrize("of", [lambda rig: rig, copy.copy, copy.deepcopy, lambda rig: pickle.loads(pickle.dumps(rig))])
 def test_nobody_can_write_to_one(of, tube_rig):
     rig = of(replace(tube_rig, poses={"bent": 0.5 * tube_rig.upper}, partitions={"all": {"one": tube_rig.joint_names}}))
-    with pytest.raises(TypeError):
-        rig.poses["more"] = np.zeros((4, 3))
-    with pytest.raises(TypeError):
-        rig.partitions["more"] = {}
-    with pytest.raises(TypeError):
-        rig.partitions["all"]["more"] = ()
+    for mapping in (rig.poses, rig.partitions, rig.partitions["all"]):
+        for write in (lambda m: m.update(more=()), lambda m: m.clear(), lambda m: m.pop("bent"), lambda m: m.setdefault("k", ())):
+            with pytest.raises(TypeError, match="dataclasses.replace"):
+                write(mapping)
+        with pytest.raises(TypeError, match="immutable"):
+            mapping["more"] = ()
+        with pytest.raises(TypeError, match="immutable"):
+            mapping |= {"more": ()}
     for array in (rig.vertices, rig.weights.data, rig.poses["bent"]):
         with pytest.raises(ValueError, match="read-only"):
             array[0] = 0.0
@@ -64,6 +74,17 @@ def test_what_a_rig_was_made_of_can_change_afterwards(tube_rig):
     poses.clear()
     np.testing.assert_array_equal(rig.poses["bent"], 0.5 * tube_rig.upper)
     assert dict(rig.partitions["all"]) == {"one": tube_rig.joint_names}
+
+
+def test_its_mappings_are_dicts_to_whoever_reads_them(tube_rig):
+    rig = replace(tube_rig, poses={"bent": 0.5 * tube_rig.upper}, partitions={"all": {"one": list(tube_rig.joint_names)}})
+    assert rig.partitions == {"all": {"one": tube_rig.joint_names}}  # tuples, which nobody can add to
+    assert json.loads(json.dumps(rig.partitions)) == {"all": {"one": list(tube_rig.joint_names)}}
+    for copied in (pickle.loads(pickle.dumps(rig.poses)), copy.copy(rig.poses)):
+        assert list(copied) == ["bent"] and type(copied) is type(rig.poses)
+    own = copy.deepcopy(rig.poses)
+    own["more"] = 0.0
+    assert asdict(rig)["poses"].keys() == {"bent"} and "more" not in rig.poses
 
 
 def test_a_scale_may_be_an_array_without_axes(tube_rig):

@@ -50,9 +50,6 @@ class Moved:
     def __init__(self, rig, shares):
         self.rig, self.shares = rig, iter(shares)
 
-    def _is_pretrained(self):
-        return True
-
     def fit_scan(self, points):
         share = next(self.shares)
         if share is None:
@@ -113,9 +110,6 @@ class Known:
 
     def pretrain(self, *, cache, progress):
         self.trained.append(self.rig.name)
-
-    def _is_pretrained(self):
-        return True
 
     def fit_scan(self, points):
         k, truth = next((k, s) for k, s in enumerate(self.truth) if s.points is points)

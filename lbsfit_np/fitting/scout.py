@@ -167,14 +167,16 @@ class Scout:
 
     def probability(self, found):
         """How likely the pose is right, by what is known of it before the full objective."""
-        if self._judged[0] is not found:
+        judged, probability = self._judged  # at once, as threads may share a fitter
+        if judged is not found:
             state = found.state
             known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
             known |= {"partial": self.settings.partial, "x_weights": found.problem.x_weights}
             # Without what the scan tells of single joints: a second look finds no points that it lacks.
             evidence, _ = evidence_of(self.model, self.model.deformed(state).vertices, found.problem.X, **known)
-            self._judged = found, probability_of(evidence)
-        return self._judged[1]
+            probability = probability_of(evidence)
+            self._judged = found, probability
+        return probability
 
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points

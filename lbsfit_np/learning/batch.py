@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from ..errors import InputError, LbsfitError, in_words, is_whole
+from ..errors import InputError, LbsfitError, brief, in_words, is_whole
 from ..interrupts import passing_interrupts
 from ..processes import Unsent, Workers
 from ..scan import check_points
@@ -81,14 +81,15 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     Raises
     ------
     InputError
-        ``n_jobs``, ``subjects`` or the fitter's parameters cannot be used; an argument that must be a function is not one; the
-        rig or the variant is not what the fitter learned with.
+        ``fitter`` is no LBSFitter; ``n_jobs``, ``subjects`` or its parameters cannot be used; an argument that must be a function
+        is not one; the rig or the variant is not what the fitter learned with.
     KeyboardInterrupt
         On Ctrl-C, once the workers have ended and ``on_result`` has been called for every finished scan.
     """
     check_callables(pretrain=(pretrain, (("fitter",),)))
-    if not hasattr(fitter, "_check_alone"):  # whose class cannot be imported here
-        raise InputError("fitter", f"a {type(fitter).__name__}", "an LBSFitter", "Make one of a rig with LBSFitter(rig).")
+    if isinstance(fitter, type) or not hasattr(fitter, "_check_alone"):  # the class itself cannot be imported here
+        got = brief(fitter) if isinstance(fitter, type) else f"a {type(fitter).__name__}"
+        raise InputError("fitter", got, "an LBSFitter", "Make one of a rig with LBSFitter(rig).")
     batch = _Batch(scans, n_jobs, finish, on_result)
     learned, n = getattr(fitter, "template_", None), len(batch.scans)
     subjects = [None] * n if subjects is None else as_subjects(subjects, n)
@@ -98,7 +99,7 @@ def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=
     subjects = known_subjects(learned, subjects, n)
     batch.check_sent()
     read = _pretrained(fitter, batch.scans, batch.report, pretrain)
-    return batch.fitted(_without_results(fitter), subjects, read)
+    return batch.fitted(fitter, subjects, read, sent=_without_results)
 
 
 def each_scan(method, scans, *, n_jobs=1, finish=None, on_result=None):
@@ -141,15 +142,15 @@ class _Batch:
         if self.on_result is not None:
             self.on_result(outcome)
 
-    def fitted(self, method, subjects, read):
-        """The outcomes of all; ``read`` are scans, by index, that have been read."""
+    def fitted(self, method, subjects, read, *, sent=lambda method: method):
+        """The outcomes of all; ``read`` are scans, by index, that have been read, ``sent`` makes what goes to other processes."""
         scans, n = self.scans, len(self.scans)
         todo = [i for i in range(n) if i not in self.outcomes]
         if self.n_jobs == 1 or len(todo) < 2:
             for i in todo:
                 self.report(_fit_one(method, self.finish, i, read.pop(i, scans[i]), subjects[i]))
         else:
-            _fit_by_workers(_Work(method, self.finish), scans, subjects, deque(todo), self.n_jobs, self.report)
+            _fit_by_workers(_Work(sent(method), self.finish), scans, subjects, deque(todo), self.n_jobs, self.report)
         return [self.outcomes[i] for i in range(n)]
 
 

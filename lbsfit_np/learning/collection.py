@@ -311,7 +311,7 @@ class Collection:
         self.warned.update(new)
         if new:
             words = f"{len(new)} of {self.n} scans cannot be used; scan {new[0]}: {self.failures[new[0]]}"
-            words += "; for all, see failures_" if len(new) > 1 else ""
+            words += "; failures_ will name them all" if len(new) > 1 else ""
             warnings.warn(words, stacklevel=stacklevel + 1)
         known = {*self.subjects, *(m.subject for m in self.taught.values())}
         lost = [s for s in self.asked if s not in known and s not in self.told_lost]

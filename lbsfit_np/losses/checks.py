@@ -5,7 +5,7 @@ from numbers import Real
 
 import numpy as np
 
-from ..errors import ONE_AT_A_TIME, InputError, as_array, as_floats, brief, check_unmasked, not_finite
+from ..errors import ONE_AT_A_TIME, InputError, as_array, as_floats, brief, check_unmasked, its_array, not_finite
 from ..neighbors import PointIndex
 
 __all__ = [
@@ -27,7 +27,7 @@ LARGEST = 1e150
 
 def check_set(argument, value, most=LARGEST):
     """A point set as a finite, non-empty (k, 3) float array, all below ``most``; the input itself where it is one."""
-    a = as_floats(argument, value, "numbers of shape (k, 3)")
+    a = as_floats(argument, value, "numbers of shape (k, 3)", its_array(value))
     if a.ndim != 2 or a.shape[1] != 3:
         remedy = ONE_AT_A_TIME if a.ndim == 3 and a.shape[2] == 3 else None
         raise InputError(argument, f"shape {a.shape}", "shape (k, 3), one point per row", remedy)

@@ -8,7 +8,9 @@ import numpy as np
 from scipy import sparse
 
 from ..errors import FileError, InputError, brief, counted, listed, not_finite
+from .chains import loose_joints
 from .frames import AXES
+from .partition import check_partition
 
 __all__ = [
     "Reporter",
@@ -227,7 +229,10 @@ def check_rig(rig):
 
     Only what costs next to nothing to see is looked at: ``build.build_rig`` checks all else, and says more.
     """
-    report, J = Reporter(None), len(rig.joint_names)
+    report = Reporter(None)
+    if not isinstance(rig.joint_names, tuple) or not all(isinstance(name, str) for name in rig.joint_names):
+        report.fail("joint_names", brief(rig.joint_names), "a tuple of names")
+    J = len(rig.joint_names)
     for name in ("vertices", "faces", "parents", "joints", "frames", "lower", "upper", "merged", "locked"):
         if not isinstance(value := getattr(rig, name), np.ndarray):
             report.fail(name, type(value).__name__, "a NumPy array")
@@ -240,13 +245,16 @@ def check_rig(rig):
     if rig.faces.size and not 0 <= rig.faces.min() <= rig.faces.max() < m:
         report.fail("faces", f"rows {rig.faces.min()} to {rig.faces.max()}", f"rows of the {m} vertices, 0 to {m - 1}")
     for name, shape in (("weights", (m, J)), ("regressor", (J, m))):
-        if not sparse.issparse(matrix := getattr(rig, name)) or matrix.shape != shape:
-            got = f"{type(matrix).__name__} of shape {np.shape(matrix)}"
-            report.fail(name, got, f"a sparse array of shape {shape}, as the rig has {m} vertices and {J} joints")
+        if getattr(matrix := getattr(rig, name), "format", None) != "csr" or matrix.shape != shape:
+            got = f"a {type(matrix).__name__} of shape {np.shape(matrix)}"
+            report.fail(name, got, f"a sparse csr_array of shape {shape}, as the rig has {m} vertices and {J} joints")
+    if not -1 <= rig.parents.min(initial=-1) <= rig.parents.max(initial=-1) < J or len(loose_joints(rig.parents)) != 1:
+        report.fail("parents", brief(rig.parents.tolist()), "one tree: -1 for the root, for each other joint the row of another")
     check_limits(report, rig.lower, rig.upper, rig.joint_names)
     for name in ("merged", "locked"):
         check_mask(report, name, getattr(rig, name), J)
     check_directions(report, rig.metres_per_unit, rig.up, rig.forward)
+    check_partition("granularity", rig.granularity, rig.partitions)
 
 
 def check_mask(report, field, value, J):
@@ -302,7 +310,7 @@ def check_directions(report, unit, up, forward, card=""):
     if unit is not None and not (isinstance(unit, Real) and not isinstance(unit, bool) and 0 < unit < np.inf):
         report.fail("metres_per_unit", repr(unit), "a positive number, or None where unknown")
     for field, value in (("up", up), ("forward", forward)):
-        if value is not None and value not in AXES:
+        if value is not None and not (isinstance(value, str) and value in AXES):
             report.fail(field, repr(value), f"one of {', '.join(AXES)}, or None where unknown")
     if up is not None and forward is not None and up[1] == forward[1]:
         remedy = f"See {card}." if card else None

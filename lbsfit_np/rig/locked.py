@@ -1,9 +1,26 @@
 """Arrays that nobody can write to any more: what makes rigs and their parts immutable."""
 
+from copy import deepcopy
+
 import numpy as np
 from scipy import sparse
 
-__all__ = ["locked"]
+__all__ = ["ReadOnly", "locked"]
+
+
+class ReadOnly(dict):
+    """A dict that nobody can write to; copies of it that are deep are plain dicts."""
+
+    def _refuse(self, *args, **more):
+        raise TypeError("rigs are immutable: make another one with dataclasses.replace")
+
+    __setitem__ = __delitem__ = __ior__ = clear = pop = popitem = setdefault = update = _refuse
+
+    def __reduce__(self):
+        return type(self), (dict(self),)
+
+    def __deepcopy__(self, memo):
+        return deepcopy(dict(self), memo)
 
 
 def locked(value, copy=True):

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from numbers import Real
-from types import MappingProxyType
 
 import numpy as np
 from scipy import sparse
@@ -12,7 +11,7 @@ from scipy import sparse
 from ..errors import InputError, brief, check_angles, check_array
 from .checks import Reporter, check_poses, check_rig
 from .digest import poses_digest, rig_digest
-from .locked import locked
+from .locked import ReadOnly, locked
 from .partition import check_partition, leading_joint, parts_of_joints, vertex_parts
 from .proportions import proportions
 from .regressor import exact_regressor
@@ -99,23 +98,17 @@ class Rig:
         given = {n: p for n, p in self.poses.items() if isinstance(p, np.ndarray) and p.dtype == float}  # need no copy if locked
         poses = {name: locked(pose) for name, pose in (poses | given).items()}
         self.__dict__.update({name: locked(value) for name, value in self.__dict__.items()})
-        self.__dict__.update(poses=MappingProxyType(poses), partitions=_read_only(self.partitions))
+        self.__dict__.update(poses=ReadOnly(poses), partitions=_read_only(self.partitions))
 
     def __repr__(self):
         m, J = self.weights.shape
         return f"<Rig {self.name!r}: {m} vertices, {J} joints ({int(self.moving.sum())} moving), {len(self.parts)} parts>"
-
-    def __getstate__(self):
-        """What is pickled: mappings that nobody can write to cannot be."""
-        partitions = {name: dict(groups) for name, groups in self.partitions.items()}
-        return self.__dict__ | {"poses": dict(self.poses), "partitions": partitions}
 
     def __setstate__(self, state):
         """Restore a pickled rig; NumPy's pickles forget that arrays were locked."""
         self.__dict__.update({name: locked(value, copy=False) for name, value in state.items()})
         for pose in self.poses.values():
             locked(pose, copy=False)
-        self.__dict__.update(poses=MappingProxyType(self.poses), partitions=_read_only(self.partitions))
 
     def __deepcopy__(self, memo):
         return self  # immutable: a copy would be the same rig
@@ -420,7 +413,7 @@ class Rig:
 
 def _read_only(partitions):
     """Name → part → joints as mappings that nobody can write to."""
-    return MappingProxyType({name: MappingProxyType(dict(groups)) for name, groups in partitions.items()})
+    return ReadOnly({name: ReadOnly({part: tuple(on) for part, on in of.items()}) for name, of in partitions.items()})
 
 
 def _checked_factor(factor):
