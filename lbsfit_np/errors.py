@@ -10,16 +10,19 @@ __all__ = [
     "LbsfitError",
     "MissingExtraError",
     "ONE_AT_A_TIME",
+    "as_array",
     "as_floats",
     "brief",
     "check_angles",
     "check_array",
+    "check_real",
     "check_unmasked",
     "counted",
     "did_you_mean",
     "in_words",
     "is_whole",
     "its_array",
+    "likeliest",
     "listed",
     "not_finite",
 ]
@@ -208,6 +211,15 @@ def brief(value, most=100):
 
 # A beginning of so many letters says which name was meant.
 _BEGINNING = 3
+
+
+def likeliest(name, names):
+    """The question whether one of some names was meant, of up to four that are like it or have it in them; else None."""
+    lowered = {n.lower(): n for n in reversed(names)}
+    close = [lowered[n] for n in get_close_matches(name.lower(), list(lowered), n=4, cutoff=0.5)]
+    if not close and name:
+        close = [n for n in names if name.lower() in n.lower() or n.lower() in name.lower()][:4]
+    return f"Did you mean {' or '.join(map(repr, close))}?" if close else None
 
 
 def did_you_mean(given, names):

@@ -17,12 +17,15 @@ from .skinning import skin
 __all__ = [
     "Synthesis",
     "SyntheticScan",
+    "make_settings",
     "natural_poses",
     "sample_surface",
     "synthesize",
     "synthesize_nth",
+    "synthesize_one",
     "training_poses",
     "uniform_poses",
+    "with_random_proportions",
 ]
 
 

@@ -4,6 +4,7 @@ import ast
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -197,6 +198,18 @@ def test_every_module_lists_what_it_offers(path):
     if path != PACKAGE / "__init__.py":
         assert set(offered) <= defined
     assert len(offered) == len(set(offered))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=NAMES)
+def test_what_is_imported_is_offered(path):
+    package, hidden = ["lbsfit_np", *path.relative_to(PACKAGE).parts[:-1]], []
+    for node in ast.walk(_tree(path)):
+        if not isinstance(node, ast.ImportFrom) or not node.level:
+            continue
+        home = import_module(".".join([*package[: len(package) - node.level + 1], *([node.module] if node.module else [])]))
+        if not hasattr(home, "__path__"):  # of packages, modules are imported
+            hidden += [f"{home.__name__}.{a.name}" for a in node.names if a.name not in home.__all__]
+    assert not hidden, "what others use is named in __all__"
 
 
 # ---- words ----

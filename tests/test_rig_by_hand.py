@@ -36,6 +36,8 @@ from lbsfit_np.errors import InputError
         (lambda rig: {"up": ["+z"]}, ["up", "['+z']"]),
         (lambda rig: {"up": "+y", "forward": "-y"}, ["forward", "-y"]),
         (lambda rig: {"partitions": {"own": ["a"]}}, ["partitions", "mapping"]),
+        (lambda rig: {"partitions": {"own": {"one": rig.joint_names[0]}}}, ["partition 'own'", "part 'one'", "names"]),
+        (lambda rig: {"partitions": {"own": {"one": ["nose"]}}}, ["partition 'own'", "'nose' in part 'one'"]),
     ],
 )
 def test_what_no_rig_can_have_is_one_clear_error(change, words, tube_rig):

@@ -11,7 +11,7 @@ from small_rigs import make_tube_data
 import lbsfit_np
 from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.rig.build import build_rig
-from lbsfit_np.rig.card import Card, card_text, matching, nearest, read_card, write_card
+from lbsfit_np.rig.card import Card, card_text, matching, read_card, write_card
 from lbsfit_np.rig.card_text import guessed_chains
 
 FULL = """
@@ -181,11 +181,14 @@ def test_matching_prefers_names_to_the_letter():
     assert matching("[ab]?", names, "x") == [1, 2, 3]
 
 
-def test_nearest_names():
+def test_a_name_that_is_none_is_answered_by_the_likeliest_or_by_all():
     names = ["LeftUpLeg", "LeftLeg", "RightUpLeg", "Head"]
-    assert "'LeftUpLeg'" in nearest("leftupleg", names)
-    assert nearest("zzz", names).startswith("There are: LeftUpLeg")
-    assert "and 8 more" in nearest("zzz", [f"q{k}" for k in range(20)])
+    with pytest.raises(InputError, match="Did you mean 'LeftUpLeg'"):
+        matching("leftupleg", names, "x")
+    with pytest.raises(InputError, match="There are: LeftUpLeg, LeftLeg"):
+        matching("zzz", names, "x")
+    with pytest.raises(InputError, match="and 8 more"):
+        matching("zzz", [f"q{k}" for k in range(20)], "x")
 
 
 # ---- writing ----

@@ -14,7 +14,7 @@ from .measure import joint_error, label_accuracy, recon, vertex_error
 from .resume import begun, check_same, checked_seeds, counted_by, described, renewed
 from .subjects import files_digest, scans_digest
 
-__all__ = ["BENCHES", "MEASURES", "ROWS", "Bench", "run_bench", "with_segmenter"]
+__all__ = ["BENCHES", "MEASURES", "ROWS", "TRAINING_SEED", "Bench", "run_bench", "with_segmenter"]
 
 # Of everything that the package learns; the test's seeds are others, and their streams have keys of their own besides.
 TRAINING_SEED = 0

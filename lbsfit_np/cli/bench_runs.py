@@ -14,7 +14,7 @@ from .scan_results import remove
 from .stopping import say_steps, terminable
 
 __all__ = [
-    *("RESULTS", "failures_code", "made_results", "numbers", "read_results"),
+    *("RESULTS", "checked_data", "failures_code", "made_results", "numbers", "read_results"),
     *("run_data", "run_learn", "run_roundtrip", "run_starts"),
 ]
 

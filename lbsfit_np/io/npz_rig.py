@@ -52,8 +52,7 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
-from ..errors import FileError, InputError, listed
-from ..rig.card import nearest
+from ..errors import FileError, InputError, likeliest, listed
 from ..rig.chains import loose_joints
 from ..rig.data import RigData
 from ..rig.frames import frames_along
@@ -293,7 +292,7 @@ def _shape_row(file, shape, n):
             shape_as_number = -1
     if not 0 <= shape_as_number < n:
         known = ", ".join(map(repr, names)) if names else "none by name"
-        remedy = nearest(shape, names) if isinstance(shape, str) and names else None
+        remedy = likeliest(shape, names) if isinstance(shape, str) else None
         raise InputError(
             "shape", repr(shape), f"one of the shapes of {file.path}: {known}, or a number from 0 to {n - 1}", remedy
         )

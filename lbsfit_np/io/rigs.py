@@ -7,9 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from ..bundled import bundled_files
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, likeliest
 from ..rig.build import build_rig
-from ..rig.card import nearest
 from ..rig.chains import loose_joints
 from ..rig.mirror import mirrored
 from .npz import MODEL_KEY, RESULT_KEY, npz_keys
@@ -177,10 +176,8 @@ def _found(path_or_name):
     if not os.path.isfile(path):  # os.path's tests, unlike Path's, raise for no name, be it too long or impossible
         names = bundled_rigs()
         expected = "the path of a rig file" + (f", or a bundled rig: {', '.join(names)}" if names else "")
-        remedy = nearest(str(path_or_name), names) if names and not path.suffix and len(path.parts) == 1 else None
-        raise FileError(
-            str(path_or_name), "no such file", expected, None if remedy and remedy.startswith("There are") else remedy
-        )
+        remedy = likeliest(str(path_or_name), names) if names and not path.suffix and len(path.parts) == 1 else None
+        raise FileError(str(path_or_name), "no such file", expected, remedy)
     return path
 
 

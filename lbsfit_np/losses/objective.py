@@ -9,7 +9,7 @@ from .checks import check_index, check_labels, check_number, check_same_length, 
 from .composite import composite_chamfer, composite_structured_chamfer
 from .laplacian import laplacian_offsets, laplacian_posed
 
-__all__ = ["BOTH", "PLAIN", "PRESETS", "STRUCTURED", "LossWeights", "objective"]
+__all__ = ["BOTH", "PLAIN", "PRESETS", "STRUCTURED", "LossWeights", "as_weights", "objective"]
 
 # Of weights.
 _LARGEST = 1e100

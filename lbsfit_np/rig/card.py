@@ -38,13 +38,12 @@ import secrets
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from difflib import get_close_matches
 from fnmatch import fnmatchcase
 from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, brief, did_you_mean, listed
+from ..errors import FileError, InputError, brief, did_you_mean, likeliest, listed
 from .frames import AXES
 from .units import METRES
 
@@ -175,20 +174,9 @@ def matching(pattern, names, where):
             where,
             f"{pattern!r}, which {'matches no joint' if is_glob else 'is no joint'} of the rig",
             "names or globs of its joints",
-            nearest(pattern.strip("*"), names),
+            likeliest(pattern.strip("*"), names) or f"There are: {listed(names, 12)}.",
         )
     return rows
-
-
-def nearest(name, names):
-    """A sentence that names the likeliest spellings, or all names if there are few."""
-    lowered = {n.lower(): n for n in reversed(names)}
-    close = [lowered[n] for n in get_close_matches(name.lower(), list(lowered), n=4, cutoff=0.5)]
-    if not close and name:
-        close = [n for n in names if name.lower() in n.lower() or n.lower() in name.lower()][:4]
-    if close:
-        return f"Did you mean {' or '.join(map(repr, close))}?"
-    return f"There are: {listed(names, 12)}."
 
 
 class _Parser:

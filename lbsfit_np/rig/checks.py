@@ -254,6 +254,12 @@ def check_rig(rig):
     for name in ("merged", "locked"):
         check_mask(report, name, getattr(rig, name), J)
     check_directions(report, rig.metres_per_unit, rig.up, rig.forward)
+    for name, parts in rig.partitions.items():
+        for part, members in parts.items():
+            unknown = [members] if isinstance(members, str) else [joint for joint in members if joint not in rig.joint_names]
+            if unknown:
+                got = f"{unknown[0]!r} in part {part!r}"
+                report.fail(f"partition {name!r}", got, "for each part a sequence of names of the rig's joints")
     check_partition("granularity", rig.granularity, rig.partitions)
 
 
