@@ -1,7 +1,7 @@
 """The last steps of a pose whose template's proportions are found along with it."""
 
 from ..optimize.gauss_newton import GaussNewton
-from ..optimize.state import Layout
+from ..optimize.state import free_angles
 
 __all__ = ["Proportioned", "step_options"]
 
@@ -25,7 +25,7 @@ class Proportioned:
     def __init__(self, model, settings, free):
         self._free, self._iterations = free, settings.polish
         self._steps = GaussNewton(model, **step_options(settings))
-        self.turning = Layout(model.rig, ("pose",), 0).turning
+        self.turning = free_angles(model.rig)
 
     def to_the_end(self, problem, state, *, labels=None, prior=None):
         """The state, and E with the ridge's and the prior's part; options of ``GaussNewton.pose``."""

@@ -15,7 +15,7 @@ from ..optimize.gauss_newton import GaussNewton
 from ..optimize.lbfgs import minimise
 from ..optimize.precision import joint_std, told_angles
 from ..optimize.problem import Problem
-from ..optimize.state import IN_UNIT, Layout, State
+from ..optimize.state import IN_UNIT, State, free_angles
 from ..optimize.surface import vertex_normals
 from ..optimize.visibility import shown
 from ..starts.limbs import LimbPoses
@@ -109,7 +109,7 @@ class Refit:
     @property
     def turning(self):
         """(J, 3) bool: the angles that turn."""
-        return Layout(self.model.rig, ("pose",), 0).turning
+        return free_angles(self.model.rig)
 
     def __call__(self, problem, states=(), *, poses=(), proba=None, labels_known=False, limbs=None, bend=True):
         """The best pose found.

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..losses.objective import BOTH, PLAIN, STRUCTURED
 from ..optimize.lbfgs import minimise
+from ..optimize.state import IN_UNIT
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
 from .labels import parts_of, refined_labels
@@ -45,7 +46,7 @@ class Search:
         if self.proba is None:
             theta0 = self.model.rest().theta if theta0 is None else theta0
             given = placed(self.model, self.problem, theta0, partial=self.settings.partial)
-            self.outcome = self._minimise(given, PLAIN, ("pose", "translation"), model)
+            self.outcome = self._minimise(given, PLAIN, IN_UNIT, model)
             return self
         if theta0 is None:
             start = start_from_parts(model, X, self.proba, x_weights=a)
@@ -53,7 +54,7 @@ class Search:
             given = self.model.rest().replace(theta=np.array(theta0, dtype=float))
             start = start_from_parts(model, X, self.proba, x_weights=a, state=given, free=("translation",))
         self.evaluations += start.evaluations
-        self.outcome = self._minimise(start.state, STRUCTURED, ("pose", "translation"), model)
+        self.outcome = self._minimise(start.state, STRUCTURED, IN_UNIT, model)
         return self
 
     def pose(self, others=()):

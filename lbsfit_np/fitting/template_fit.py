@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..optimize.state import IN_UNIT
 from .assemble import assemble
 from .confidence import shown_problem
 from .effort import EFFORTS
@@ -65,7 +66,7 @@ class TemplateFit:
         points,
         part,
         frame,
-        free=("pose", "translation"),
+        free=IN_UNIT,
         proba=None,
         labels_known=None,
         prior=None,

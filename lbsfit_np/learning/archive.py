@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import FileError, InputError
 from ..fitting.drawn import PosePrior
 from ..losses.objective import LossWeights
-from ..optimize.state import Layout
+from ..optimize.state import free_angles
 from ..rig.units import METRES
 from ..segmentation.segmenter import Segmenter
 from ..starts.library import PoseLibrary
@@ -189,7 +189,7 @@ def read_fitter(path, make):
         prior = None
         if header["pose_prior"]:
             prior = PosePrior(arrays["model_prior_mean"], arrays["model_prior_precision"])
-            t = int(Layout(rig, ("pose",), 0).turning.sum())
+            t = int(free_angles(rig).sum())
             if prior.mean.shape != rig.lower.shape or prior.precision.shape != (t, t):
                 raise ValueError("a prior of poses of another rig")
             if not (np.isfinite(prior.mean).all() and np.isfinite(prior.precision).all()):

@@ -22,7 +22,7 @@ import numpy as np
 from ..fitting.template import TemplateSettings
 from ..optimize.frame import nearest_root, turned_root
 from ..optimize.model import Model
-from ..optimize.state import Layout
+from ..optimize.state import free_angles
 from ..processes import kept_processes
 from ..scan import some_rows
 from ..segmentation.segmenter import Segmenter, train_segmenter
@@ -354,7 +354,7 @@ class Loop:
         tasks = [(m.subject, m.dense_X, m.state, m.index in asked) for m in self.collection.members]
         told, tasks = self._work(Told(models, partial), tasks, stage, slots("told"), (start, middle)), None  # all points of all
         known = [(state.theta, C) for state, _, C in told if C is not None]
-        self.pose_prior = pose_prior(*zip(*known), Layout(self.rig, ("pose",), 0).turning, self.rig.root) if known else None
+        self.pose_prior = pose_prior(*zip(*known), free_angles(self.rig), self.rig.root) if known else None
         tasks = [(m.subject, m.X, m.dense_X, *found[:2]) for m, found in zip(self.collection.members, told, strict=True)]
         work = Drawn(models, partial, self.pose_prior)
         answers = self._work(work, tasks, stage, slots("drawn", self.pose_prior), (middle, end))

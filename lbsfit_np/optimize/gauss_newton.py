@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 
 from .jacobian import vertex_motion
 from .pulling import Pulling, between
-from .state import MOST_PROPORTION, Layout
+from .state import IN_UNIT, MOST_PROPORTION, Layout
 from .surface import Surface
 from .visibility import shown
 
@@ -73,7 +73,7 @@ class GaussNewton:
         self._surface = model.surface if parts is None else Surface(model.rig.vertices, model.rig.faces, parts)
         self._pulling = Pulling(model, vertices)
 
-    def pose(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12, prior=None):
+    def pose(self, problem, state, *, free=IN_UNIT, labels=None, iterations=12, prior=None):
         """The pose of one scan, its template as it is.
 
         Parameters
@@ -99,7 +99,7 @@ class GaussNewton:
         return states[0], float(values[0])
 
     def shared(
-        self, problems, states, *, free=("pose", "translation"), labels=None, scan_weights=None, iterations=12, priors=None
+        self, problems, states, *, free=IN_UNIT, labels=None, scan_weights=None, iterations=12, priors=None
     ):
         """The poses of several scans of one subject together with the coefficients of their one template.
 
@@ -126,7 +126,7 @@ class GaussNewton:
         labels, priors = (each or [None] * len(problems) for each in (labels, priors))
         return self._minimise(problems, states, labels, weights / weights.sum(), free, True, iterations, priors)
 
-    def told_by_points(self, problem, state, *, free=("pose", "translation"), proba=None):
+    def told_by_points(self, problem, state, *, free=IN_UNIT, proba=None):
         """What the scan's points alone tell of a pose, by the curvature of E: where few of them hang on an unknown, little.
 
         Parameters
@@ -151,7 +151,7 @@ class GaussNewton:
         made = self._normal_equations(problem, state, None, layout, False, of_vertices=False, proba=proba)
         return made.H, made.value / max(made.weight, np.finfo(float).tiny), layout
 
-    def with_proportions(self, problem, state, *, free=("pose", "translation"), labels=None, iterations=12, prior=None):
+    def with_proportions(self, problem, state, *, free=IN_UNIT, labels=None, iterations=12, prior=None):
         """One scan's pose with coefficients of its own: (state, E with the ridge and the prior); options of :meth:`pose`."""
         (state,), (value,) = self._minimise([problem], [state], [labels], np.ones(1), free, True, iterations, [prior])
         return state, float(value) + self.ridge * float(state.coefficients @ state.coefficients)

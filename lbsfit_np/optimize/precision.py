@@ -3,6 +3,7 @@
 import numpy as np
 
 from .jacobian import joint_motion
+from .state import IN_UNIT
 
 __all__ = ["joint_std", "told_angles"]
 
@@ -16,7 +17,7 @@ _LEAST_NOISE = 0.002
 _ALL_ROUND, _ANYWHERE, _ANY_SCALE = 2 * np.pi, 1.0, 0.3
 
 
-def joint_std(steps, problem, state, *, free=("pose", "translation"), proba=None):
+def joint_std(steps, problem, state, *, free=IN_UNIT, proba=None):
     """The standard deviation of each posed joint's place, as the scan's points tell it where the pose is about right.
 
     P Σ Pᵀ, with Σ the unknowns' covariance and P = ∂joint/∂unknowns.
@@ -46,7 +47,7 @@ def joint_std(steps, problem, state, *, free=("pose", "translation"), proba=None
     return np.sqrt(np.maximum(np.einsum("jap,pq,jaq->j", P, C, P), 0.0))
 
 
-def told_angles(steps, problem, state, *, free=("pose", "translation")):
+def told_angles(steps, problem, state, *, free=IN_UNIT):
     """How precisely a scan tells the angles of a pose on a template that is known.
 
     Parameters

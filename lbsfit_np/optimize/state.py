@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-__all__ = ["IN_UNIT", "Layout", "MOST_PROPORTION", "SIZED", "State"]
+__all__ = ["IN_UNIT", "Layout", "MOST_PROPORTION", "SIZED", "State", "free_angles"]
 
 # The blocks of a pose where the scan's unit is known, and where it is not.
 IN_UNIT = ("pose", "translation")
@@ -35,6 +35,13 @@ class State:
         return replace(self, scale=self.scale / q, translation=self.translation / q)
 
 
+def free_angles(rig):
+    """(J, 3) bool: the angles of the block "pose", those that turn and the root's."""
+    turning = rig.turning.copy()
+    turning[rig.root] = True
+    return turning
+
+
 class Layout:
     """Which blocks of a State are free, and where they stand in the vector x.
 
@@ -51,9 +58,7 @@ class Layout:
     def __init__(self, rig, free, n_coefficients):
         self._free = frozenset(free)
         m = len(rig.vertices)
-        turning = rig.turning.copy()
-        turning[rig.root] = True
-        self.turning = turning
+        self.turning = turning = free_angles(rig)
         # One unit of each block changes the loss by a comparable amount, which is what L-BFGS starts from: a single
         # vertex counts for 1/m of the loss where an angle moves many.
         self._residual_unit = 0.25 * np.sqrt(m)

@@ -12,12 +12,13 @@ import numpy as np
 
 from ..optimize.lbfgs import minimise
 from ..optimize.problem import Evaluation
+from ..optimize.state import IN_UNIT
 from ..skinning import skin_adjoint
 
 __all__ = ["start_from_parts"]
 
 
-def start_from_parts(model, X, proba, *, state=None, free=("pose", "translation"), x_weights=None, pull=2e-3, max_iterations=60):
+def start_from_parts(model, X, proba, *, state=None, free=IN_UNIT, x_weights=None, pull=2e-3, max_iterations=60):
     """A State whose parts lie where the labels say.
 
     Parameters
