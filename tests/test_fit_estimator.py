@@ -5,13 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from fit_checks import assert_same
+from sklearn.base import clone
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning import pretraining
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.checkpoint import digest_of
-from lbsfit_np.learning.pretraining import pretrained_from
+from lbsfit_np.learning.pretraining import pretrained_from, share_pretraining, still_given
 from lbsfit_np.losses import PRESETS
 from lbsfit_np.segmentation import cache
 from lbsfit_np.synthesis import Synthesis
@@ -150,6 +151,16 @@ def test_where_up_is_matters_to_training_that_depends_on_it(training, anew, tube
     """To that alone: the rig's digest does not know of it."""
     made = [pretrained_from(lbs.LBSFitter(replace(tube_rig, up=up), training=training, random_state=0)) for up in ("+y", "-x")]
     assert (made[0] != made[1]) == anew
+
+
+def test_what_was_pretrained_is_shared_with_a_clone_until_it_no_longer_fits(tube_rig, tube_scan, fitter, small_segmenter):
+    fitter.pretrain(segmenter=small_segmenter)
+    other = clone(fitter).set_params(weights="paper")
+    share_pretraining(fitter, other)
+    assert other.segmenter_ is small_segmenter and other._is_pretrained() and still_given(other) is small_segmenter
+    assert other.fit_scan(tube_scan.points) is not None and other._pretrained is fitter._pretrained
+    other.set_params(training={"n_points": 120})
+    assert not other._is_pretrained() and fitter._is_pretrained()
 
 
 @pytest.mark.usefixtures("hurried")
