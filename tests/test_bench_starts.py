@@ -388,7 +388,7 @@ def test_rows_of_a_rig_with_other_poses_are_not_kept(tube_rig):
     assert module._row_entry(report, "tube", other, "0.3", condition)["fits"] == {}
 
 
-OTHER_CARDS = [{"up": "+z"}, {"forward": "-x"}, {"metres_per_unit": 0.01}, {"locked": np.ones(4, dtype=bool)}]
+OTHER_CARDS = [{"up": "+x"}, {"forward": "-x"}, {"metres_per_unit": 0.01}, {"locked": np.ones(4, dtype=bool)}]
 
 
 @pytest.mark.parametrize("change", OTHER_CARDS)

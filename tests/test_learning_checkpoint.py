@@ -174,7 +174,7 @@ def test_variants_have_first_fits_in_common_and_nothing_else(make_learner, point
 @pytest.mark.parametrize(
     "changes",
     [
-        {"up": "+z"},
+        {"up": "+x"},
         {"forward": "+x"},
         {"metres_per_unit": 0.5},
         {"locked": [0, 0, 1, 0]},

@@ -89,7 +89,7 @@ def test_fits_of_other_settings_or_scans_are_not_taken(pair_folder, fitter, tube
 @pytest.mark.parametrize(
     "change, words",
     [
-        ({"up": "+z"}, "rig's up [+]y; expected rig's up [+]z"),
+        ({"up": "+x"}, "rig's up [+]y; expected rig's up [+]x"),
         ({"forward": "-z"}, "rig's forward [+]z; expected rig's forward -z"),
         ({"metres_per_unit": 1.0}, "rig's metres per unit 0.25; expected rig's metres per unit 1.0"),
         ({"poses": {"wave": np.full((4, 3), 0.1)}}, "rig's poses .*; expected rig's poses "),

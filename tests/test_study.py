@@ -89,7 +89,7 @@ def test_reports_of_something_else_are_refused(coarse_hand, quick):
     with pytest.raises(InputError, match="results of 'h' with other poses"):
         study({"h": replace(coarse_hand, poses=dict(list(coarse_hand.poses.items())[:20]))}, before=report)
     still = np.arange(len(coarse_hand.parents)) == 1
-    cards = ({"up": "+z"}, {"forward": "-z"}, {"metres_per_unit": 0.5}, {"locked": still})
+    cards = ({"up": "+x"}, {"forward": "-z"}, {"metres_per_unit": 0.5}, {"locked": still})
     for card, what in zip(cards, ("up", "forward", "metres per unit", "joints that are still"), strict=True):
         with pytest.raises(InputError, match=f"results of 'h' with .*{what} than this run's"):
             study({"h": replace(coarse_hand, **card)}, before=report)
@@ -100,7 +100,7 @@ def test_reports_of_something_else_are_refused(coarse_hand, quick):
     assert study({"h": coarse_hand}, rows=("joint",), seeds=[1], before=older)["rigs"]["h"] == older["rigs"]["h"] and not quick
     both = joined(older, study({"h": coarse_hand}, rows=("joint",), seeds=[2]))
     assert both["rigs"]["h"]["seeds"].keys() == {"1", "2"}
-    assert joined(report, study({"h": replace(coarse_hand, up="+z")}, rows=("joint",), seeds=[2]))["rigs"] == report["rigs"]
+    assert joined(report, study({"h": replace(coarse_hand, up="+x")}, rows=("joint",), seeds=[2]))["rigs"] == report["rigs"]
     with pytest.raises(InputError, match="results of starts.*results of study"):
         study({"h": coarse_hand}, before={"benchmark": "starts"})
     meant = (("jiont",), "some of free-form.* Did you mean 'joint'")

@@ -27,6 +27,9 @@ from lbsfit_np.learning.fitter import LBSFitter
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.synthesis import synthesize
 
+# Of a fitter that was pretrained, to nothing.
+PRETRAINED = {"_pretrained": (None, None), "_pretrained_of": None, "_given": None}
+
 # ---- the oracle ----
 
 
@@ -160,7 +163,7 @@ def _learned(rig, size, monkeypatch, *, units, scales):
     for k, unit in units.items():
         U, joints = (in_rig_units(places, unit) for places in true["train"][k])
         templates[k] = SimpleNamespace(vertices=U, joints=joints)
-    own = {"template_": templates, "unit_": units, "history_": [], "segmenter_": None, "_pretrained": None, "rounds": 1}
+    own = {"template_": templates, "unit_": units, "history_": [], "segmenter_": None, **PRETRAINED, "rounds": 1}
     fitter = SimpleNamespace(**own, fit=lambda *given, **more: None, fit_scan=fit_scan)
     fitter.set_params = lambda **parameters: fitter
     monkeypatch.setattr("sklearn.base.clone", lambda fitter: fitter)
@@ -198,7 +201,7 @@ def test_labels_are_those_of_the_round_that_is_kept(tube_rig, monkeypatch):
     k = int(given.train_subjects[0])
     template = SimpleNamespace(vertices=tube_rig.vertices, joints=tube_rig.joints)
     history = [{"round": i, "kept": i == 1} for i in range(3)]
-    own = {"template_": {k: template}, "unit_": {k: 1.0}, "history_": history, "_pretrained": None, "rounds": 2}
+    own = {"template_": {k: template}, "unit_": {k: 1.0}, "history_": history, **PRETRAINED, "rounds": 2}
     fitter = SimpleNamespace(**own, fit=fit, fit_scan=fit_scan)
     fitter.set_params = lambda **parameters: fitter
     c = Context(tube_rig, given, size, 5, fitter, lambda: [0.5], lambda labels: labels[0], 1, lambda share: None)

@@ -98,7 +98,7 @@ def test_clutter_fills_a_box_around_the_scan(tube_rig):
 def test_a_floor_is_under_the_lowest_vertex(tube_rig, axis):
     from dataclasses import replace
 
-    rig = replace(tube_rig, up=axis)
+    rig = replace(tube_rig, up=axis, forward=None)
     up = {"+z": Z, "-y": -Y}.get(axis, Y)
     plain, standing = (lbs.synthesize(rig, 1, random_state=3, floor=share, **CLEAN)[0] for share in (0.0, 0.5))
     n = len(plain.points)

@@ -319,5 +319,5 @@ def check_directions(report, unit, up, forward, card=""):
         if value is not None and not (isinstance(value, str) and value in AXES):
             report.fail(field, repr(value), f"one of {', '.join(AXES)}, or None where unknown")
     if up is not None and forward is not None and up[1] == forward[1]:
-        remedy = f"See {card}." if card else None
+        remedy = f"See {card}." if card else "Give both, or None for one that is not known."
         report.fail("forward", f"{forward}, along the up axis {up}", "another axis than up", remedy)
