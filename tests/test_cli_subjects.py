@@ -4,7 +4,7 @@ import os
 
 import pytest
 
-from lbsfit_np.cli.subjects import check_no_table, read_subjects, who_words
+from lbsfit_np.cli.subjects import _ALIKE, _folders_likeness, check_no_table, read_subjects, who_words
 from lbsfit_np.errors import FileError, InputError
 
 SCANS = ["in/a1.ply", "in/a2.ply", "in/b 1.xyz"]
@@ -81,6 +81,7 @@ def test_empty_ids_and_other_scans_where_both_may_be(name, text, tmp_path):
         # Where each person has a folder, the row of another one's scan is none of these.
         ("ben/a1.ply,ben\n", "a file that names none of these scans: ", "Add them"),
         ("in2/a1.ply,ben\n", "a file that names none of these scans: ", "Add them"),  # numbers differ
+        ("/mnt/data/in/a1.ply,anna\n", "a file that names none of these scans: ", "If '/mnt/data/in/a1.ply' in line 1 means"),
         ("ben/a1.ply,ben\ninn/a1.ply,anna\n", "a file that names none of these scans: ", "If 'inn/a1.ply' in line 2 means"),
         ("anna,a1\nben,b 1\n", "a file that names none of these scans: ", "The columns seem to be swapped"),
         ("", "no id for 3 of 3 scans", "Add them"),
@@ -256,3 +257,19 @@ def test_whose_scans_they_are_is_said_before_work(ids, lines):
 def test_of_many_subjects_those_of_few_scans_are_named():
     (line,) = who_words([str(k) for k in range(40)] * 2 + ["3o"])
     assert line == f"41 subjects, with these numbers of scans: 3o 1, {', '.join(f'{k} 2' for k in range(11))}, …"
+
+
+@pytest.mark.parametrize(
+    "scan, name, alike",
+    [
+        ("scans/anna/1.ply", "/mnt/data/anna/1.ply", True),  # another root
+        ("/home/me/scans/anna/1.ply", "/data/scans/anna/1.ply", True),
+        ("scans/anna/1.ply", "/mnt/v2/anna/1.ply", True),
+        ("p1/raw/1.ply", "p2/raw/1.ply", False),  # another person's
+        ("data/p1/raw/1.ply", "p2/raw/1.ply", False),
+        ("anna/raw/1.ply", "ben/raw/1.ply", False),
+        ("scans/anna/1.ply", "/mnt/data/ben/1.ply", False),
+    ],
+)
+def test_paths_may_have_another_root_but_no_other_persons_folder(scan, name, alike):
+    assert (_folders_likeness(scan, name) >= _ALIKE) == alike

@@ -63,7 +63,6 @@ def test_poses_of_ones_own_are_checked(poses, words, tube_rig):
         replace(tube_rig, poses=poses)
 
 
-
 def test_templates_leave_their_givers_arrays_alone(tube_rig):
     vertices, joints, theta = tube_rig.vertices + 0.1, tube_rig.joints + 0.1, np.zeros((4, 3))
     rig = replace(tube_rig.with_template(vertices, joints), poses={"mine": theta})

@@ -37,6 +37,8 @@ from lbsfit_np.errors import InputError
         (lambda rig: {"up": "+y", "forward": "-y"}, ["forward", "-y"]),
         (lambda rig: {"partitions": {"own": ["a"]}}, ["partitions", "mapping"]),
         (lambda rig: {"partitions": {"own": {"one": rig.joint_names[0]}}}, ["partition 'own'", "part 'one'", "names"]),
+        (lambda rig: {"partitions": {"own": {"one": None}}}, ["partition 'own'", "None in part 'one'"]),
+        (lambda rig: {"weights": rig.weights * np.nan}, ["weights", "NaN"]),
         (lambda rig: {"partitions": {"own": {"one": ["nose"]}}}, ["partition 'own'", "'nose' in part 'one'"]),
     ],
 )

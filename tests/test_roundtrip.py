@@ -243,8 +243,9 @@ def test_usage(run, tmp_path, tube_rig):
     assert code == 2 and "different whole numbers" in err
     code, text, _ = run("--help")
     assert code == 0 and "(default: 40)" in " ".join(text.split()) and "lbsfit bench roundtrip hand" in text
-    with pytest.raises(InputError, match="seeds"):
-        roundtrip(["hand"], seeds=[])
+    for seeds in ([], [1, 1], [-1], [1.7], "12", 5, None):
+        with pytest.raises(InputError, match="seeds: got .*different numbers of at least 0"):
+            roundtrip(["hand"], seeds=seeds)
 
 
 def test_rigs_are_checked_before_anything_is_trained(monkeypatch, tube_rig):

@@ -161,8 +161,9 @@ def test_the_mesh_that_was_found_is_judged_with_its_proportions(tube_rig, monkey
 
     monkeypatch.setattr("lbsfit_np.fitting.scout.evidence_of", evidence_of)
     monkeypatch.setattr("lbsfit_np.fitting.scout.probability_of", lambda evidence: 0.5)
-    assert scout.probability(Found(Frame(np.zeros(3), 1.0), Problem(V), state, None, 0.0, ())) == 0.5
-    np.testing.assert_allclose(seen, [V], atol=1e-12)
+    found = Found(Frame(np.zeros(3), 1.0), Problem(V), state, None, 0.0, ())
+    assert scout.probability(found) == scout.probability(found) == 0.5
+    np.testing.assert_allclose(seen, [V], atol=1e-12)  # once
 
 
 def test_poses_are_told_apart_by_where_their_own_joints_are(tube_rig):

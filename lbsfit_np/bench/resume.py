@@ -1,9 +1,10 @@
 """Reports of runs that go on where an earlier one stopped."""
 
+from collections.abc import Iterable
 from copy import deepcopy
 from itertools import count
 
-from ..errors import InputError
+from ..errors import InputError, is_whole
 from ..learning.checkpoint import digest_of
 
 __all__ = ["REMEDY", "begun", "check_same", "checked_seeds", "counted_by", "described", "in_order", "renewed"]
@@ -65,10 +66,10 @@ def renewed(report, empty):
 
 def checked_seeds(seeds):
     """Seeds of scans as a list of numbers; InputError about ``seeds`` where they are none, twice the same, or below 0."""
-    seeds = [int(s) for s in seeds]
-    if not seeds or len(set(seeds)) < len(seeds) or min(seeds) < 0:
+    given = list(seeds) if isinstance(seeds, Iterable) else []
+    if not all(is_whole(s, 0) for s in given) or not 0 < len(set(given)) == len(given):
         raise InputError("seeds", repr(seeds), "one or more different numbers of at least 0")
-    return seeds
+    return [int(s) for s in given]
 
 
 def counted_by(on_scan):

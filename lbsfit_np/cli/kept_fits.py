@@ -84,7 +84,7 @@ def kept_entries(files, fitter, subjects, read):
         say(f"note: {counted(len(differ), 'kept fit')} {'was' if len(differ) == 1 else 'were'} {which}")
     if unread:
         first, error = unread[0]
-        why = f"{error.got}; expected {error.expected}" + f" ({first})" * (len(unread) > 1)
+        why = f"the first, {first}: " * (len(unread) > 1) + f"{error.got}; expected {error.expected}"
         which = f"not compared with {listed([source for source, _ in unread], 3)}, which cannot be read with these options: {why}"
         say(f"note: {counted(len(unread), 'kept fit')} {'was' if len(unread) == 1 else 'were'} {which}")
     return kept

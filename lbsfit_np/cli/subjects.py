@@ -160,9 +160,16 @@ def _likeness(missing, passed):
 
 
 def _folders_likeness(scan, name):
-    """How alike the folders of two paths are, from the last on, as far as both have any; 0 where these differ in numbers."""
-    a, b = ([f.casefold() for f in reversed(Path(path).parent.parts) if f.strip("./")] for path in (scan, name))
-    return min((SequenceMatcher(None, x, y).ratio() * (_numbers(x) == _numbers(y)) for x, y in zip(a, b)), default=1.0)
+    """How alike the folders of two paths are, from the last on, as far as both have any; 0 where these differ in numbers.
+
+    Where one is absolute or deeper, it may have another root: then of folders above the last those count that are alike but for
+    numbers.
+    """
+    a, b = ([f.casefold() for f in reversed(Path(path).parent.parts) if f.strip("./\\")] for path in (scan, name))
+    pairs = list(zip(a, b))
+    if len(a) != len(b) or Path(scan).is_absolute() != Path(name).is_absolute():
+        pairs = pairs[:1] + [(x, y) for x, y in pairs[1:] if re.sub("[0-9]+", "0", x) == re.sub("[0-9]+", "0", y)]
+    return min((SequenceMatcher(None, x, y).ratio() * (_numbers(x) == _numbers(y)) for x, y in pairs), default=1.0)
 
 
 def _numbers(name):

@@ -404,7 +404,8 @@ def _library(report, data, names, parents, root, turned, state, limits, notes):
         if turned is not None:
             theta = np.einsum("jab,jb->ja", turned, theta)
         theta[still] = 0.0
-        poses[name] = theta if own else nearest_rotvec(theta, sum(limits) / 2)  # a card may have other limits
+        inside = ((theta >= limits[0]) & (theta <= limits[1])).all(axis=1, keepdims=True)
+        poses[name] = theta if own else np.where(inside, theta, nearest_rotvec(theta, sum(limits) / 2))  # a card may have others
     return poses, rest
 
 

@@ -248,6 +248,8 @@ def check_rig(rig):
         if getattr(matrix := getattr(rig, name), "format", None) != "csr" or matrix.shape != shape:
             got = f"a {type(matrix).__name__} of shape {np.shape(matrix)}"
             report.fail(name, got, f"a sparse csr_array of shape {shape}, as the rig has {m} vertices and {J} joints")
+        if not np.isfinite(matrix.data).all():
+            report.fail(name, "numbers that are NaN or infinite", "finite numbers")
     if not -1 <= rig.parents.min(initial=-1) <= rig.parents.max(initial=-1) < J or len(loose_joints(rig.parents)) != 1:
         report.fail("parents", brief(rig.parents.tolist()), "one tree: -1 for the root, for each other joint the row of another")
     check_limits(report, rig.lower, rig.upper, rig.joint_names)
@@ -256,9 +258,10 @@ def check_rig(rig):
     check_directions(report, rig.metres_per_unit, rig.up, rig.forward)
     for name, parts in rig.partitions.items():
         for part, members in parts.items():
-            unknown = [members] if isinstance(members, str) else [joint for joint in members if joint not in rig.joint_names]
-            if unknown:
-                got = f"{unknown[0]!r} in part {part!r}"
+            listed_names = members if isinstance(members, (tuple, list)) else [members]
+            unknown = [joint for joint in listed_names if joint not in rig.joint_names]
+            if unknown or listed_names is not members:
+                got = f"{brief(unknown[0] if unknown else members)} in part {part!r}"
                 report.fail(f"partition {name!r}", got, "for each part a sequence of names of the rig's joints")
     check_partition("granularity", rig.granularity, rig.partitions)
 
