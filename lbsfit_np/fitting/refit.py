@@ -99,7 +99,8 @@ class Refit:
     def __init__(self, model, free=IN_UNIT, *, partial=False, bends=False, other_limbs=True):
         self.model, self.free, self.partial = model, free, partial
         near = {"reach": _NEAR, "tangential": 0.02, "partial": partial}
-        self._far = GaussNewton(model, reach=_FAR, vertices=_FAR_VERTICES, partial=partial)
+        fine, looks_far = model.is_fine, {"reach": _FAR, "vertices": _FAR_VERTICES, "partial": partial}
+        self._far = GaussNewton(model.coarse if fine else model, **looks_far, planes=fine)
         self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
         self._last = GaussNewton(model, **near)
         self._bends = None
@@ -263,7 +264,7 @@ class Refit:
 
     def from_parts(self, problem, proba, labels_known=False):
         """The State from inverse kinematics on the parts' centroids, then by the labels, ever closer."""
-        model, X = self.model.coarse, problem.X
+        model, X = self.model.coarse if labels_known else self.model.coarsest, problem.X
         state = start_from_parts(model, X, proba, x_weights=problem.x_weights).state
         labels = parts_of(proba)
         free = self.free

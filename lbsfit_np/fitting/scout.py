@@ -17,6 +17,7 @@ from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
 from ..rig.frames import up_axis
 from ..rotations import angle_between, matrix_from_rotvec
+from ..scan import some_rows
 from ..starts.limbs import LimbPoses
 from ..starts.scale import sizes_in, unit_scale
 from ..starts.turns import any_side_up
@@ -30,8 +31,8 @@ from .refit import LimbSearch, Refit, Runner, distinct
 __all__ = ["ALIKE", "Found", "Scout"]
 
 
-# Labels are read of so many points, under turns that are further apart than this, radians.
-_LABELLED, _ELSEWHERE = 900, LEANS
+# Labels are read of so many points, and lead so many of them, under turns that are further apart than this, radians.
+_LABELLED, _LED, _ELSEWHERE = 900, 500, LEANS
 # Poses whose joints are nearer than this on average, in half sizes, are one.
 ALIKE = 0.03
 # Without proportions, the right pose may leave this many times as much unexplained as a wrong one.
@@ -235,7 +236,7 @@ class Scout:
         problem = Problem(frame.inside(points), x_weights)
         few = problem.thinned(_LABELLED)
         proba = self.segmenter.predict_proba(few.X * self.model.half, scale=self.size, views=1)
-        return Runner(problem, self._refit.from_parts(few, proba), frame)
+        return Runner(problem, self._refit.from_parts(few.thinned(_LED), proba[some_rows(few.X, _LED)]), frame)
 
     def _seen(self, runner):
         """What the segmenter says of the points where a runner has come to."""

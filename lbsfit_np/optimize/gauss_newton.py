@@ -21,9 +21,9 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from .jacobian import vertex_motion
-from .pulling import Pulling, between
+from .pulling import Pulling, between, turned_normals
 from .state import IN_UNIT, MOST_PROPORTION, Layout
-from .surface import Surface
+from .surface import Closest, Surface
 from .visibility import shown
 
 __all__ = ["GaussNewton", "weight_matrix"]
@@ -63,14 +63,29 @@ class GaussNewton:
         Whether scans show one side only: vertices then do not pull whose nearest point lies on surface that faces another way.
     parts : (m,) int array, optional
         Of the vertices, for labelled points; the model's by default.
+    planes : bool, default False
+        Residuals are measured to planes at the nearest vertices, across the template's own normals as they turn, in place of the
+        surface: cheap, and near enough on a fine mesh for steps that look far; then it need not have faces.
     """
 
     def __init__(
-        self, model, *, tangential=0.05, reach=0.05, ridge=1e-5, vertices=1000, tolerance=1e-4, partial=False, parts=None
+        self,
+        model,
+        *,
+        tangential=0.05,
+        reach=0.05,
+        ridge=1e-5,
+        vertices=1000,
+        tolerance=1e-4,
+        partial=False,
+        parts=None,
+        planes=False,
     ):
         self.model, self.tangential, self.reach, self.ridge, self.tolerance = model, tangential, reach, ridge, tolerance
         self.partial, self._parts = partial, model.labels if parts is None else parts
-        self._surface = model.surface if parts is None else Surface(model.rig.vertices, model.rig.faces, parts)
+        self._surface = None
+        if not planes:
+            self._surface = model.surface if parts is None else Surface(model.rig.vertices, model.rig.faces, parts)
         self._pulling = Pulling(model, vertices)
 
     def pose(self, problem, state, *, free=IN_UNIT, labels=None, iterations=12, prior=None):
@@ -208,11 +223,11 @@ class GaussNewton:
         X, a = X[known], a[known]
         if proba is not None:
             a = a * np.where(proba.any(axis=1), proba[np.arange(len(X)), model.labels[nearest]], 1.0)
-        on = self._surface.closest(X, nearest, V, None if labels is None else labels[known])
+        on, N = self._on_mesh(X, nearest, posed, None if labels is None else labels[known])
         r, normals, weights, hangs = X - on.points, on.normals, a, [(on.corners, on.barycentric)]
         if labels is None and of_vertices:
             pulling = self._pulling
-            places, facing = pulling.of(V)
+            places, facing = pulling.of(V, N)
             to_X, pull = problem.x_index.nearest(places), pulling.weights
             if self.partial:
                 pull = np.where(shown(places, facing, X, on.normals, to_X), pull, 0.0)
@@ -237,6 +252,13 @@ class GaussNewton:
         nearest = PointIndex(V, self._parts, moving=True).nearest(X, labels)
         known = np.flatnonzero(nearest >= 0)
         return nearest[known], known
+
+    def _on_mesh(self, X, nearest, posed, labels):
+        """Where points lie on the mesh, as Closest, and the vertices' normals; of the surface None, which tells its own."""
+        if self._surface is not None:
+            return self._surface.closest(X, nearest, posed.vertices, labels), None
+        N = turned_normals(posed, self.model.normals)
+        return Closest(nearest[:, None], np.ones((len(X), 1)), posed.vertices[nearest], N[nearest]), N
 
     def _step(self, states, made, used, weights, layout, shared, damping, stretch):
         """All states after one step, ``stretch`` times as long as the damped equations say.

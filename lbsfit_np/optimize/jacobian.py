@@ -127,15 +127,16 @@ def vertex_motion(model, state, posed, rows, blocks, turning):
     -------
     VertexMotion
     """
+    weights = model.weights[rows]
     plain = {
         "translation": lambda: np.broadcast_to(_I, (len(rows), 3, 3)),
         "scale": lambda: _scaled(state, posed, posed.vertices[rows]),
-        "proportions": lambda: _family(model, posed, rows),
+        "proportions": lambda: _family(model, posed, rows, weights),
     }
     turning = turning if "pose" in blocks else np.zeros_like(turning)
     columns = [plain[block]() for block in blocks if block != "pose"]
     columns = np.concatenate(columns, axis=2) if columns else np.empty((len(rows), 3, 0))
-    return VertexMotion(*_turns(posed, posed.rig.weights[rows].toarray(), posed.rest[rows], turning), columns)
+    return VertexMotion(*_turns(posed, weights, posed.rest[rows], turning), columns)
 
 
 def joint_motion(state, posed, blocks, turning):
@@ -187,7 +188,8 @@ def _crossed(x, y):
     return np.stack([x[:, b] * y[:, c] - x[:, c] * y[:, b] for _, b, c in _CROSS], axis=1)
 
 
-def _family(model, posed, rows):
+def _family(model, posed, rows, weights):
+    """(n, 3, k): ∂/∂c of vertices, as they go with the blended rotation and with the joints that the family moves."""
     rig, A, k = posed.rig, posed.A, model.n_coefficients
     J = len(rig.parents)
     turn = posed.blended[rows, :9].reshape(-1, 3, 3) + _I
@@ -198,4 +200,4 @@ def _family(model, posed, rows):
     for level, up in rig.levels:
         place[level] = place[up] + np.einsum("jab,jbk->jak", A[up], joints[level] - joints[up])
     carried = (place - np.einsum("jab,jbk->jak", A, joints)).reshape(J, -1)
-    return posed.scale * (turn @ basis + (rig.weights[rows] @ carried).reshape(-1, 3, k))
+    return posed.scale * (turn @ basis + (weights @ carried).reshape(-1, 3, k))

@@ -10,12 +10,16 @@ from ..losses.laplacian import cotangent_matrix
 from ..skinning import skin
 from ..triangles import areas_around, inside_out
 from .state import State
-from .surface import Surface
+from .surface import Surface, vertex_normals
 
 __all__ = ["Model", "farthest_points"]
 
 # The pose stages look at no more vertices than this: a pose has some tens of unknowns, and time goes with vertices.
 _COARSE = 2500
+# And than this where they only look for a start.
+_COARSEST = 1000
+# Of a mesh of this many vertices without long triangles, planes at the vertices tell as much as triangles to steps that look far.
+_FINE = 1000
 
 
 class Model:
@@ -78,6 +82,21 @@ class Model:
         return Surface(self.rig.vertices, self.rig.faces, self.labels)
 
     @cached_property
+    def normals(self):
+        """(m, 3) unit normals of the template's vertices."""
+        return vertex_normals(self.rig.vertices, self.rig.faces)
+
+    @cached_property
+    def weights(self):
+        """(m, J) skinning weights, dense: steps take rows of them again and again, which takes long of sparse ones."""
+        return self.rig.weights.toarray()
+
+    @property
+    def is_fine(self):
+        """Whether planes at the vertices, be they fewer, tell as much as triangles to steps that look far."""
+        return len(self.rig.vertices) >= _FINE and self.surface.is_even
+
+    @cached_property
     def _farthest(self):
         """Rows of vertices, as many as the pose stages look at: the first of them are those that fewer would be."""
         return farthest_points(self.rig.vertices, min(len(self.rig.vertices), _COARSE))
@@ -92,10 +111,18 @@ class Model:
     @cached_property
     def coarse(self):
         """The model on evenly spread vertices, for stages without a residual; itself where the rig is small."""
+        return self._thinned(_COARSE)
+
+    @cached_property
+    def coarsest(self):
+        """The same on fewer, for starts that steps go on from."""
+        return self._thinned(_COARSEST)
+
+    def _thinned(self, most):
         m = len(self.rig.vertices)
-        if m <= _COARSE:
+        if m <= most:
             return self
-        rows = self.spread(_COARSE)
+        rows = self.spread(most)
         from scipy.spatial import cKDTree
 
         nearest = cKDTree(self.rig.vertices[rows]).query(self.rig.vertices)[1]
@@ -114,6 +141,7 @@ class Model:
         thin.basis = np.ascontiguousarray(self.basis.reshape(m, 3, -1)[rows].reshape(3 * len(rows), -1))
         thin._whole = False
         thin.__dict__["joint_basis"] = self.joint_basis
+        thin.__dict__["normals"] = self.normals[rows]
         thin.__dict__["areas"] = np.bincount(nearest, self.areas, minlength=len(rows))
         return thin
 

@@ -61,6 +61,11 @@ class Surface:
             corner = self._barycentric.argmax(axis=1)
             self._labels = None if labels is None else labels[faces[self._face, corner]]
 
+    @property
+    def is_even(self):
+        """Whether no triangle is long."""
+        return not len(self._face)
+
     def closest(self, X, nearest, V, labels=None):
         """The closest surface point of each query.
 
@@ -78,7 +83,7 @@ class Surface:
         -------
         Closest
         """
-        if not len(self._face) or not len(X):
+        if self.is_even or not len(X):
             return closest_on_mesh(X, nearest, V, self.faces, self._around)
         points = np.einsum("pk,pka->pa", self._barycentric, V[self.faces[self._face]])
         index = PointIndex(points, moving=True) if labels is None else PointIndex(points, self._labels, moving=True)
