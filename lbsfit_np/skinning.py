@@ -49,6 +49,10 @@ class Posed:
     unscaled_joints: np.ndarray  # (J, 3)
     blended: np.ndarray  # (m, 12) Σ_j w_ij [A_j − I | P_j − A_j J_j]
 
+    def turns(self, rows=slice(None)):
+        """(k, 3, 3) Σ_j w_ij A_j of vertices, by which what hangs on the skin turns, such as normals."""
+        return self.blended[rows, :9].reshape(-1, 3, 3) + _I
+
 
 def skin(rig, theta, *, translation=None, scale=1.0, offsets=None, joint_offsets=None, joints="follow"):
     """Pose the template: vertices = scale · M(Θ, U + offsets) + translation.

@@ -32,7 +32,7 @@ __all__ = ["LimbSearch", "Refit", "Runner", "distinct", "plain_chamfer"]
 _SIGMAS = (0.15, 0.07)
 _DOUBT = 0.8
 # The first steps look at so many points and vertices from so far; the best few starts go on with more points and a shorter
-# reach, the very best with all points.
+# reach, the very best with all points. Those that look far go by planes at vertices where the mesh is fine.
 _FEW, _FAR, _FAR_VERTICES, _FAR_STEPS = 400, 0.2, 300, 6
 _MORE, _NEAR, _NEAR_VERTICES, _NEAR_STEPS, _NEAR_ENOUGH = 900, 0.05, 600, 10, 1e-3
 _SURVIVORS = 3
@@ -262,9 +262,9 @@ class Refit:
             state, _ = steps.pose(problem, state, free=place, iterations=iterations)
         return state
 
-    def from_parts(self, problem, proba, labels_known=False):
-        """The State from inverse kinematics on the parts' centroids, then by the labels, ever closer."""
-        model, X = self.model.coarse if labels_known else self.model.coarsest, problem.X
+    def from_parts(self, problem, proba, labels_known=False, *, model=None):
+        """The State from inverse kinematics on the parts' centroids, then by the labels, ever closer; by the coarse model."""
+        model, X = model or self.model.coarse, problem.X
         state = start_from_parts(model, X, proba, x_weights=problem.x_weights).state
         labels = parts_of(proba)
         free = self.free

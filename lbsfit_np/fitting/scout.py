@@ -236,7 +236,8 @@ class Scout:
         problem = Problem(frame.inside(points), x_weights)
         few = problem.thinned(_LABELLED)
         proba = self.segmenter.predict_proba(few.X * self.model.half, scale=self.size, views=1)
-        return Runner(problem, self._refit.from_parts(few.thinned(_LED), proba[some_rows(few.X, _LED)]), frame)
+        led = some_rows(few.X, _LED)
+        return Runner(problem, self._refit.from_parts(few.at(led), proba[led], model=self.model.coarsest), frame)
 
     def _seen(self, runner):
         """What the segmenter says of the points where a runner has come to."""

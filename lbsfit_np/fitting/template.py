@@ -171,7 +171,7 @@ def _rows(model, U, J, h, normals, problem, state, reach):
     on = model.surface.closest(X, cKDTree(V).query(X)[1], V)
     r = np.einsum("na,na->n", X - on.points, on.normals)
     e2 = np.einsum("na,na->n", X - on.points, X - on.points)
-    turned = posed.scale * np.einsum("iab,ib->ia", posed.blended[:, :9].reshape(-1, 3, 3) + np.eye(3), normals)
+    turned = posed.scale * np.einsum("iab,ib->ia", posed.turns(), normals)
     slope = on.barycentric * np.einsum("nka,na->nk", turned[on.corners], on.normals)
     row = np.repeat(np.arange(len(X)), 3)
     A = sparse.csr_array((slope.ravel(), (row, on.corners.ravel())), shape=(len(X), len(U)))

@@ -8,7 +8,8 @@ scan points:
 r the residual vector, n the surface normal, of v halfway between its own and that at its scan point, τ small: points slide along
 the surface almost freely, as their true partners are unknown, and what lies further away than some s hardly counts. Near the
 optimum this takes some ten steps where L-BFGS on the Chamfer distance takes hundreds, and is more exact, as points are compared
-with triangles. Far from it L-BFGS is the better guide.
+with triangles. Far from it L-BFGS is the better guide. Steps that only look for a pose may take planes at the nearest vertices
+for the surface (``measured``).
 
 Closest points move with the mesh, which no derivative here knows of, so that steps fall short where points slide along the
 surface: there they go further than the equations say, each a little more than the last, until one of them does not help
@@ -21,9 +22,9 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from .jacobian import vertex_motion
-from .pulling import Pulling, between, turned_normals
+from .measured import ToPlanes, ToTriangles
+from .pulling import between
 from .state import IN_UNIT, MOST_PROPORTION, Layout
-from .surface import Closest, Surface
 from .visibility import shown
 
 __all__ = ["GaussNewton", "weight_matrix"]
@@ -64,8 +65,7 @@ class GaussNewton:
     parts : (m,) int array, optional
         Of the vertices, for labelled points; the model's by default.
     planes : bool, default False
-        Residuals are measured to planes at the nearest vertices, across the template's own normals as they turn, in place of the
-        surface: cheap, and near enough on a fine mesh for steps that look far; then it need not have faces.
+        Residuals are measured to planes at the nearest vertices in place of the surface; only without ``parts``.
     """
 
     def __init__(
@@ -83,10 +83,7 @@ class GaussNewton:
     ):
         self.model, self.tangential, self.reach, self.ridge, self.tolerance = model, tangential, reach, ridge, tolerance
         self.partial, self._parts = partial, model.labels if parts is None else parts
-        self._surface = None
-        if not planes:
-            self._surface = model.surface if parts is None else Surface(model.rig.vertices, model.rig.faces, parts)
-        self._pulling = Pulling(model, vertices)
+        self._mesh = ToPlanes(model, vertices) if planes else ToTriangles(model, vertices, parts)
 
     def pose(self, problem, state, *, free=IN_UNIT, labels=None, iterations=12, prior=None):
         """The pose of one scan, its template as it is.
@@ -223,18 +220,17 @@ class GaussNewton:
         X, a = X[known], a[known]
         if proba is not None:
             a = a * np.where(proba.any(axis=1), proba[np.arange(len(X)), model.labels[nearest]], 1.0)
-        on, N = self._on_mesh(X, nearest, posed, None if labels is None else labels[known])
+        on = self._mesh.closest(X, nearest, posed, None if labels is None else labels[known])
         r, normals, weights, hangs = X - on.points, on.normals, a, [(on.corners, on.barycentric)]
         if labels is None and of_vertices:
-            pulling = self._pulling
-            places, facing = pulling.of(V, N)
-            to_X, pull = problem.x_index.nearest(places), pulling.weights
+            places, facing = self._mesh.places(posed)
+            to_X, pull = problem.x_index.nearest(places), self._mesh.weights
             if self.partial:
                 pull = np.where(shown(places, facing, X, on.normals, to_X), pull, 0.0)
                 pull = pull / max(pull.sum(), np.finfo(float).tiny)
             r, weights = np.vstack([r, X[to_X] - places]), np.concatenate([weights, pull])
             normals = np.vstack([normals, between(facing, on.normals[to_X])])
-            hangs.append((pulling.corners, pulling.barycentric))
+            hangs.append((self._mesh.corners, self._mesh.barycentric))
 
         def motion():
             blocks = layout.blocks + (("proportions",) if shared else ())
@@ -252,13 +248,6 @@ class GaussNewton:
         nearest = PointIndex(V, self._parts, moving=True).nearest(X, labels)
         known = np.flatnonzero(nearest >= 0)
         return nearest[known], known
-
-    def _on_mesh(self, X, nearest, posed, labels):
-        """Where points lie on the mesh, as Closest, and the vertices' normals; of the surface None, which tells its own."""
-        if self._surface is not None:
-            return self._surface.closest(X, nearest, posed.vertices, labels), None
-        N = turned_normals(posed, self.model.normals)
-        return Closest(nearest[:, None], np.ones((len(X), 1)), posed.vertices[nearest], N[nearest]), N
 
     def _step(self, states, made, used, weights, layout, shared, damping, stretch):
         """All states after one step, ``stretch`` times as long as the damped equations say.

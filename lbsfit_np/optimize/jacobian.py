@@ -127,7 +127,7 @@ def vertex_motion(model, state, posed, rows, blocks, turning):
     -------
     VertexMotion
     """
-    weights = model.weights[rows]
+    weights = model.weights_of(rows)
     plain = {
         "translation": lambda: np.broadcast_to(_I, (len(rows), 3, 3)),
         "scale": lambda: _scaled(state, posed, posed.vertices[rows]),
@@ -192,7 +192,7 @@ def _family(model, posed, rows, weights):
     """(n, 3, k): ∂/∂c of vertices, as they go with the blended rotation and with the joints that the family moves."""
     rig, A, k = posed.rig, posed.A, model.n_coefficients
     J = len(rig.parents)
-    turn = posed.blended[rows, :9].reshape(-1, 3, 3) + _I
+    turn = posed.turns(rows)
     basis = model.basis.reshape(-1, 3, k)[rows]
     joints = model.joint_basis.reshape(J, 3, k)
     place = np.empty((J, 3, k))

@@ -10,16 +10,17 @@ from ..losses.laplacian import cotangent_matrix
 from ..skinning import skin
 from ..triangles import areas_around, inside_out
 from .state import State
-from .surface import Surface, vertex_normals
+from .surface import Surface, clear_vertices, vertex_normals
 
 __all__ = ["Model", "farthest_points"]
 
-# The pose stages look at no more vertices than this: a pose has some tens of unknowns, and time goes with vertices.
-_COARSE = 2500
-# And than this where they only look for a start.
-_COARSEST = 1000
-# Of a mesh of this many vertices without long triangles, planes at the vertices tell as much as triangles to steps that look far.
-_FINE = 1000
+# The pose stages, and steps that look far, look at no more vertices than this: a pose has some tens of unknowns, and time goes
+# with vertices. The other number is for starts from labels. Each part keeps so many, or all that it has.
+_COARSE, _COARSEST, _OF_A_PART = 2500, 1000, 4
+# A mesh is fine that has so many vertices, all but this share of them with triangles that face one way.
+_FINE, _UNCLEAR = 1000, 0.02
+# Dense weights of more numbers than this are not kept.
+_DENSE = 5_000_000
 
 
 class Model:
@@ -77,6 +78,11 @@ class Model:
         return share / max(share.sum(), np.finfo(float).tiny)
 
     @cached_property
+    def own_areas(self):
+        """(m,) the same; of a thinned model what its vertices stand for among all of the whole one."""
+        return self.areas
+
+    @cached_property
     def surface(self):
         """The template's triangles, and where to look for the closest one."""
         return Surface(self.rig.vertices, self.rig.faces, self.labels)
@@ -87,14 +93,23 @@ class Model:
         return vertex_normals(self.rig.vertices, self.rig.faces)
 
     @cached_property
-    def weights(self):
-        """(m, J) skinning weights, dense: steps take rows of them again and again, which takes long of sparse ones."""
-        return self.rig.weights.toarray()
+    def _dense_weights(self):
+        return self.rig.weights.toarray() if np.prod(self.rig.weights.shape) <= _DENSE else None
 
-    @property
+    def weights_of(self, rows):
+        """(r, J) skinning weights of some vertices, dense: steps ask again and again, which takes long of sparse ones."""
+        return self.rig.weights[rows].toarray() if self._dense_weights is None else self._dense_weights[rows]
+
+    @cached_property
     def is_fine(self):
-        """Whether planes at the vertices, be they fewer, tell as much as triangles to steps that look far."""
-        return len(self.rig.vertices) >= _FINE and self.surface.is_even
+        """Whether planes at the vertices of ``coarse`` tell as much as triangles to steps that look far.
+
+        There are many vertices, no triangle is long, and triangles at a vertex face one way: else its normal says nothing.
+        """
+        vertices, faces = self.rig.vertices, self.rig.faces
+        if len(vertices) < _FINE or self.surface.has_long:
+            return False
+        return bool(clear_vertices(vertices, faces).mean() >= 1.0 - _UNCLEAR)
 
     @cached_property
     def _farthest(self):
@@ -110,19 +125,19 @@ class Model:
 
     @cached_property
     def coarse(self):
-        """The model on evenly spread vertices, for stages without a residual; itself where the rig is small."""
+        """The model on evenly spread vertices, for stages and steps without a residual; itself where the rig is small."""
         return self._thinned(_COARSE)
 
     @cached_property
     def coarsest(self):
-        """The same on fewer, for starts that steps go on from."""
+        """The same on fewer vertices, for starts that steps go on from."""
         return self._thinned(_COARSEST)
 
     def _thinned(self, most):
         m = len(self.rig.vertices)
         if m <= most:
             return self
-        rows = self.spread(most)
+        rows = self._with_all_parts(self.spread(most))
         from scipy.spatial import cKDTree
 
         nearest = cKDTree(self.rig.vertices[rows]).query(self.rig.vertices)[1]
@@ -142,8 +157,17 @@ class Model:
         thin._whole = False
         thin.__dict__["joint_basis"] = self.joint_basis
         thin.__dict__["normals"] = self.normals[rows]
+        thin.__dict__["own_areas"] = self.areas[rows]
         thin.__dict__["areas"] = np.bincount(nearest, self.areas, minlength=len(rows))
         return thin
+
+    def _with_all_parts(self, rows):
+        """Rows, with more of parts that have hardly any, such as fingers of a body: points with their labels would be lost."""
+        count, more = np.bincount(self.labels[rows], minlength=len(self.rig.parts)), []
+        for part in np.flatnonzero(count < _OF_A_PART):
+            own = np.flatnonzero(self.labels == part)
+            more.append(own[farthest_points(self.rig.vertices[own], min(len(own), _OF_A_PART))])
+        return np.unique(np.concatenate([rows, *more])) if more else rows
 
     def rest(self):
         """The rest pose at the origin, moved inside the joint limits."""

@@ -57,9 +57,10 @@ class Problem:
 
     def thinned(self, most):
         """The problem on at most so many of its points, the same ones for the same n."""
-        if len(self.X) <= most:
-            return self
-        rows = some_rows(self.X, most)
+        return self if len(self.X) <= most else self.at(some_rows(self.X, most))
+
+    def at(self, rows):
+        """The problem on some of its points."""
         a = None if self.x_weights is None else self.x_weights[rows] / self.x_weights[rows].sum()
         return Problem(self.X[rows], a)
 

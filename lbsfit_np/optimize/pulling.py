@@ -13,7 +13,7 @@ from ..triangles import face_areas
 from .model import farthest_points
 from .surface import divided, faces_at, summed_normals
 
-__all__ = ["Pulling", "between", "turned_normals"]
+__all__ = ["Pulling", "between"]
 
 
 class Pulling:
@@ -50,14 +50,8 @@ class Pulling:
             self._at = faces_at(self._faces, rows)
         self.weights = areas / max(areas.sum(), np.finfo(float).tiny)
 
-    def of(self, V, N=None):
-        """Where they are on the posed vertices V (m, 3), and the unit normals there: two (v, 3) arrays.
-
-        Of vertices that were chosen the normals may be known already: those of all vertices are N (m, 3) then.
-        """
-        if N is not None:
-            rows = self.corners[:, 0]
-            return V[rows], N[rows]
+    def of(self, V):
+        """Where they are on the posed vertices V (m, 3), and the unit normals there: two (v, 3) arrays."""
         return np.einsum("vk,vka->va", self.barycentric, V[self.corners]), summed_normals(V, self._faces, self._at)
 
 
@@ -66,12 +60,6 @@ def between(normals, others):
     some = np.einsum("va,va->v", normals, others) > 0
     both = normals + np.where(some[:, None], others, 0.0)
     return both / np.maximum(np.linalg.norm(both, axis=1, keepdims=True), np.finfo(float).tiny)
-
-
-def turned_normals(posed, normals):
-    """(m, 3) unit normals of a posed template's vertices: the template's own as the blended rotations turn them."""
-    turned = normals + np.einsum("iab,ib->ia", posed.blended[:, :9].reshape(-1, 3, 3), normals)
-    return turned / np.maximum(np.sqrt(np.einsum("ia,ia->i", turned, turned)), np.finfo(float).tiny)[:, None]
 
 
 def _on_faces(vertices, faces, most):

@@ -6,7 +6,17 @@ import numpy as np
 
 from ..neighbors import PointIndex
 
-__all__ = ["Closest", "Surface", "closest_on_mesh", "divided", "faces_around", "faces_at", "summed_normals", "vertex_normals"]
+__all__ = [
+    "Closest",
+    "Surface",
+    "clear_vertices",
+    "closest_on_mesh",
+    "divided",
+    "faces_around",
+    "faces_at",
+    "summed_normals",
+    "vertex_normals",
+]
 
 # Where some triangle has a longer edge than this, half sizes, triangles are looked for by points on them, too, so far apart at
 # most; on each edge there are at most so many. On other meshes the triangles at the nearest vertex have the closest point but for
@@ -16,6 +26,8 @@ _LONG, _APART, _MOST = 0.22, 0.08, 20
 _TIE = 1e-10
 # What is no higher above a triangle is on its plane. A shorter sum of normals tells none.
 _ON, _CLEAR = 1e-9, 0.1
+# Triangles at a vertex face one way where their normals together are longer than this share of all their lengths.
+_FACING = 0.3
 
 
 @dataclass(frozen=True)
@@ -25,8 +37,9 @@ class Closest:
     Attributes
     ----------
     corners : (n, 3) int array
-        Vertices of its triangle.
+        Vertices of its triangle; (n, 1) the vertex where planes at vertices stand for triangles.
     barycentric : (n, 3) array
+        Or (n, 1).
     points : (n, 3) array
     normals : (n, 3) array
         Unit normals of the triangles, on edges and vertices of all of them together; 0 for triangles without area.
@@ -62,9 +75,9 @@ class Surface:
             self._labels = None if labels is None else labels[faces[self._face, corner]]
 
     @property
-    def is_even(self):
-        """Whether no triangle is long."""
-        return not len(self._face)
+    def has_long(self):
+        """Whether some triangle is long."""
+        return len(self._face) > 0
 
     def closest(self, X, nearest, V, labels=None):
         """The closest surface point of each query.
@@ -83,7 +96,7 @@ class Surface:
         -------
         Closest
         """
-        if self.is_even or not len(X):
+        if not self.has_long or not len(X):
             return closest_on_mesh(X, nearest, V, self.faces, self._around)
         points = np.einsum("pk,pka->pa", self._barycentric, V[self.faces[self._face]])
         index = PointIndex(points, moving=True) if labels is None else PointIndex(points, self._labels, moving=True)
@@ -231,6 +244,13 @@ def closest_on_mesh(queries, nearest, vertices, faces, around):
 def vertex_normals(vertices, faces):
     """(m, 3) unit normals, faces weighted by area; 0 at vertices without faces."""
     return summed_normals(vertices, faces, faces_at(faces, np.arange(len(vertices))))
+
+
+def clear_vertices(vertices, faces):
+    """(m,) bool: vertices whose triangles face one way, by and large: their normals sum up to more than a share of the areas."""
+    a, b, c = (vertices[corner] for corner in faces.T)
+    crosses, at = np.cross(b - a, c - a), faces_at(faces, np.arange(len(vertices)))
+    return np.linalg.norm(at @ crosses, axis=1) > _FACING * (at @ np.linalg.norm(crosses, axis=1))
 
 
 def faces_at(faces, rows):
