@@ -16,7 +16,7 @@ from lbsfit_np.learning.training import training_settings
 __all__ = ["RIGS", "SEED", "asked_for"]
 
 FOLDER = Path(__file__).parent / "trained"
-RIGS = ("hand", "hand-left", "body")
+RIGS = ("hand", "hand-left", "body", "body-coarse")
 SEED = 0  # of the commands and of ``lbs.fit_scan``, unless one is given
 
 

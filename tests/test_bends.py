@@ -224,9 +224,13 @@ def followed(tube_rig, monkeypatch):
         bends = Bends(model, FREE, to_the_end)
         theta = np.zeros((4, 3))
         theta[1:, 0] = start
-        monkeypatch.setattr(
-            bends, "_moved", lambda problem, state, n: steps.append((bend(state), n)) or (state, few.get(bend(state), 9.0))
-        )
+
+        def moved(problem, state, n):
+            steps.append((bend(state), n))
+            return state, few.get(bend(state), 9.0)
+
+        monkeypatch.setattr(bends, "_begun", moved)
+        monkeypatch.setattr(bends, "_moved", moved)
         state, left = bends(Problem(np.zeros((9, 3))), model.rest().replace(theta=theta), value)
         return bend(state), left, steps, ended
 
@@ -269,12 +273,22 @@ def test_three_go_to_the_end(followed):
 
 def test_eight_go_the_second_steps(rig, model, monkeypatch):
     bends, steps = Bends(model, FREE, lambda problem, state: (state, 9.0)), []
-    monkeypatch.setattr(bends, "_moved", lambda problem, state, n: steps.append(n) or (state, 0.9))
+    for moved in ("_begun", "_moved"):
+        monkeypatch.setattr(bends, moved, lambda problem, state, n: steps.append(n) or (state, 0.9))
     theta = np.zeros(rig.joints.shape)
     theta[[_joint(rig, f"{finger}2") for finger in ("index", "middle", "ring", "pinky")], 0] = 1.2
     bends(Problem(np.zeros((9, 3))), model.rest().replace(theta=theta), 1.0)
     moves = len(other_bends(rig, theta))
     assert moves > 9 and steps == [6, *[2] * moves, *[4] * 8]
+
+
+def test_first_steps_hold_the_template(model, short_fingers):
+    """Which halves their time; those that compare find its proportions, too."""
+    problem, true = short_fingers
+    bends, start = Bends(model, FREE, None), true.replace(coefficients=0.9 * true.coefficients, theta=0.95 * true.theta)
+    begun, gone_on = (how(problem, start, 2)[0] for how in (bends._begun, bends._moved))
+    assert np.array_equal(begun.coefficients, start.coefficients) and not np.array_equal(begun.theta, start.theta)
+    assert not np.array_equal(gone_on.coefficients, start.coefficients)
 
 
 def test_proportions_that_are_far_from_the_templates_cost(model, short_fingers):

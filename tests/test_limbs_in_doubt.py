@@ -194,8 +194,10 @@ def test_of_many_sweeps_the_likely_ones_go_on(rig, model, bends, folded, monkeyp
     monkeypatch.setattr(Exchanges, "of", lambda self, problem, state, doubted: [])
     monkeypatch.setattr(bends_module, "other_bends", lambda rig, theta: [])
     monkeypatch.setattr(bends_module, "swept", lambda rig, theta: [*wrong, right])
-    steps, moved = [], bends._moved
-    monkeypatch.setattr(bends, "_moved", lambda few, state, n: steps.append(n) or moved(few, state, n))
+    steps = []
+    for name in ("_begun", "_moved"):
+        how = getattr(bends, name)
+        monkeypatch.setattr(bends, name, lambda few, state, n, how=how: steps.append(n) or how(few, state, n))
     state, _ = bends(problem, stuck, value)
     assert _off(model, state, true).max() < 0.02
     once = steps[: steps.index(6, 1)] if 6 in steps[1:] else steps

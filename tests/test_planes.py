@@ -9,6 +9,7 @@ from scipy import sparse
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting import refit as refitting
+from lbsfit_np.fitting.bends import Bends
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Scout
@@ -103,7 +104,10 @@ def test_only_fine_meshes_go_by_planes(rig, fine, partial):
     assert refit._far.model is (model.coarse if fine else model)
     assert isinstance(refit._far._mesh, ToPlanes if fine else ToTriangles)
     assert refit._far.partial == partial
-    for steps in (refit._near, refit._last):
+    bends = Bends(model, ("pose",), None, partial=partial)
+    assert bends._first.model is refit._far.model and type(bends._first._mesh) is type(refit._far._mesh)
+    assert bends._first.partial == partial
+    for steps in (refit._near, refit._last, bends._steps):
         assert steps.model is model and isinstance(steps._mesh, ToTriangles)
 
 

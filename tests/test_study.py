@@ -230,6 +230,28 @@ def test_what_cannot_be_fitted_has_a_reason(coarse_hand, quick, tmp_path, monkey
     assert list(found.test.fitted) == [True, False, True] and found.failures == {1: "points: got some; expected others."}
 
 
+@pytest.mark.parametrize(
+    "given, rigs",
+    [
+        ([], ["hand", "body-coarse"]),
+        (["--size", "medium"], ["hand", "body"]),
+        (["--size", "paper"], ["hand", "body"]),
+        (["--rig", "hand-left"], ["hand-left"]),
+    ],
+)
+def test_each_size_has_its_rigs(given, rigs, tmp_path, monkeypatch):
+    """Fits of the full body would take too much of the small size's ten minutes."""
+    asked = []
+
+    def study(rigs, **options):
+        asked.extend(rigs)
+        raise InputError("here", "enough", "no more")
+
+    monkeypatch.setattr(run_module, "study", study)
+    assert run(["bench", "study", "--no-figures", "-o", str(tmp_path), *given]) == 2
+    assert asked == rigs
+
+
 def test_pictures_of_other_rigs_stay_on_the_page(coarse_hand, quick, tmp_path, monkeypatch, capsys):
     def draw(report, arrays, out, *, rigs, jobs):
         for name in rigs:

@@ -110,7 +110,7 @@ def test_the_fitter_knows_nothing_of_the_test_and_trains_with_one_seed(monkeypat
         assert np.array_equal(a.points, b.points)
 
 
-@pytest.mark.parametrize("name", ["hand", "body"])
+@pytest.mark.parametrize("name", ["hand", "body-coarse"])
 def test_a_small_size_begins_with_the_packages_segmenter(name, monkeypatch):
     monkeypatch.setattr("lbsfit_np.learning.pretraining.pretrain_library", lambda *made_of, **how: None)  # which takes long
     rig = load_rig(name)

@@ -219,7 +219,11 @@ def _add_study(benches):
     options = (
         Option("output", "folder to write to; created if needed", metavar="OUT", flag="-o"),
         Option("size", "how much of everything", default="small", choices=("small", "medium", "paper")),
-        Option("rig", "rigs, comma-separated: names of bundled ones, or files", str, "hand,body", "RIG,…"),
+        Option(
+            "rig",
+            "rigs, comma-separated: names of bundled ones, or files; by default hand,body-coarse, or hand,body for larger sizes",
+            metavar="RIG,…",
+        ),
         Option("rows", "which rows, comma-separated", _some_of(STUDY_NAMES), ",".join(STUDY_NAMES), "NAME,…"),
         Option(
             "seeds", "comma-separated seeds of the scans; by default 300, or 300,301,302 for larger sizes", _seeds, None, "N,N"

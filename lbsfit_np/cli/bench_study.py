@@ -23,7 +23,7 @@ _PAGE, _CELLS = "README.md", "cells"
 @kept_processes()
 def run_study(values):
     """The study; the exit code."""
-    from ..bench.study.data import kind_of
+    from ..bench.study.data import RIGS, kind_of
     from ..bench.study.making import cell_name
     from ..bench.study.page import console_table
     from ..bench.study.run import joined, study, with_rows
@@ -33,7 +33,7 @@ def run_study(values):
 
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT, such as docs/study.")
-    names = values["rig"].split(",")
+    names = RIGS[values["size"]] if values["rig"] is None else values["rig"].split(",")
     for name in names:
         say_model_as_rig(name)
     rigs = {Path(name).stem: load_rig(name) for name in names}

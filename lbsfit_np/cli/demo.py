@@ -27,7 +27,7 @@ _OPTIONS = (
 _DESCRIPTION = """\
 Make a scan of a rig, with noise, holes and uneven density, in a shape and pose that the fit does not know; fit it as
 `lbsfit fit` does; print the errors against the truth; and draw a picture. This takes some 20 seconds; with a coarse
-rig, one of your own, or another seed two to three minutes more, to train a segmenter. What it trains is kept for the next time.
+hand, a rig of your own, or another seed two to three minutes more, to train a segmenter. That is kept for the next time.
 """
 
 _EPILOG = """\

@@ -23,7 +23,8 @@ __all__ = ["Bends", "other_bends", "swept"]
 
 # A joint is bent from this angle on, radians.
 _BENT = 0.6
-# Other bends are compared on so many points and vertices: all after the first steps, the best few of them after the others.
+# Other bends are compared on so many points and vertices: all after the first steps, which hold the template and go by planes
+# where the mesh is fine, the best few of them after the others.
 _POINTS, _VERTICES, _FIRST_STEPS, _FEW, _OTHER_STEPS = 900, 300, 2, 8, 4
 # So many of those that come this near to the pose as it was go to the end.
 _NEAR, _FINALS = 1.02, 3
@@ -58,7 +59,9 @@ class Bends:
 
     def __init__(self, model, free, to_the_end, *, proportions=True, other_limbs=True, **options):
         self.model, self._free, self._to_the_end, self._proportions = model, free, to_the_end, proportions
-        self._steps = GaussNewton(model, vertices=_VERTICES, **options)
+        self._steps = self._first = GaussNewton(model, vertices=_VERTICES, **options)
+        if model.is_fine:
+            self._first = GaussNewton(model.coarse, vertices=_VERTICES, planes=True, **options)
         self._rounds = _ROUNDS if other_limbs else 0
         self._doubt, self._exchanges = Doubt(model), Exchanges(model, free)
 
@@ -100,8 +103,8 @@ class Bends:
         while moves:
             _, own = self._moved(few, state, _FIRST_STEPS + _OTHER_STEPS)
             if likely:
-                moves = sorted(moves, key=lambda move: self._moved(few, _changed(state, move), 0)[1])[:likely]
-            tried = [(*self._moved(few, _changed(state, move), _FIRST_STEPS), move) for move in moves]
+                moves = sorted(moves, key=lambda move: self._begun(few, _changed(state, move), 0)[1])[:likely]
+            tried = [(*self._begun(few, _changed(state, move), _FIRST_STEPS), move) for move in moves]
             tried = sorted(tried, key=lambda t: t[1])[:most]
             tried = [(*self._moved(few, s, _OTHER_STEPS), move) for s, _, move in tried]
             tried = sorted((t for t in tried if t[1] < near * own), key=lambda t: t[1])
@@ -113,6 +116,9 @@ class Bends:
                     moves = [move for _, _, move in tried[k + 1 :]]  # only what was near may be of use now
                     break
         return state, value
+
+    def _begun(self, problem, state, steps):
+        return self._first.pose(problem, state, free=self._free, iterations=steps)
 
     def _moved(self, problem, state, steps):
         steps_of = self._steps.with_proportions if self._proportions else self._steps.pose

@@ -15,7 +15,7 @@ from ...seeds import generator
 from ...synthesis import Synthesis, natural_poses, synthesize_one, uniform_poses
 from ..subjects import subject
 
-__all__ = ["NATURAL", "SCAN", "SIZES", "Scans", "Size", "StudySet", "kind_of", "part_groups", "sized", "study_set"]
+__all__ = ["NATURAL", "RIGS", "SCAN", "SIZES", "Scans", "Size", "StudySet", "kind_of", "part_groups", "sized", "study_set"]
 
 # Missing areas in every scan, uneven density, a little noise; the subject's own shape.
 SCAN = Synthesis(shape=0.0, holes=2, least_holes=1)
@@ -65,6 +65,8 @@ SIZES = {
     "medium": Size(60, 30, 3, 5, 400, 16000, 4, 3),
     "paper": Size(1500, 300, 30, 10, 4000, 16000, 4, 3),
 }
+# Rigs of each size by default. Fits of the full body would take a third of the small size's time.
+RIGS = {"small": ("hand", "body-coarse"), "medium": ("hand", "body"), "paper": ("hand", "body")}
 # Of poses, the share that is near the library's; the paper has 20,000 from motion and 3,000 bent ones.
 NATURAL = {"hand": 0.5, "body": 20 / 23, "other": 0.5}
 # Bodies have more vertices and joints, and the paper has more of them.
