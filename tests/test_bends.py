@@ -283,7 +283,7 @@ def test_eight_go_the_second_steps(rig, model, monkeypatch):
 
 
 def test_first_steps_hold_the_template(model, short_fingers):
-    """Which halves their time; those that compare find its proportions, too."""
+    """Which takes less time; those that compare find its proportions, too."""
     problem, true = short_fingers
     bends, start = Bends(model, FREE, None), true.replace(coefficients=0.9 * true.coefficients, theta=0.95 * true.theta)
     begun, gone_on = (how(problem, start, 2)[0] for how in (bends._begun, bends._moved))

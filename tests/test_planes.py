@@ -38,9 +38,10 @@ def body():
     return Model(lbs.load_rig("body"))
 
 
-@pytest.fixture(scope="module", params=["hand", "body"])
+@pytest.fixture(scope="module", params=["hand", "body", "body-coarse"])
 def model(request):
-    return request.getfixturevalue(request.param)
+    known = request.param in ("hand", "body")
+    return request.getfixturevalue(request.param) if known else Model(lbs.load_rig(request.param))
 
 
 # ---- what they are ----
@@ -90,13 +91,15 @@ def test_a_model_of_few_vertices_pulls_by_all(hand):
 
 
 def test_thinned_models_have_the_normals_of_the_whole(model):
-    np.testing.assert_array_equal(model.coarsest.normals, model.normals[model.spread(1000)])
-    assert len(model.coarsest.rig.vertices) == 1000 and not len(model.coarsest.rig.faces)
+    rows = model._with_all_parts(model.spread(1000))
+    np.testing.assert_array_equal(model.coarsest.normals, model.normals[rows])
+    np.testing.assert_array_equal(model.coarsest.rig.vertices, model.rig.vertices[rows])
+    assert 1000 <= len(rows) < 1010 and not len(model.coarsest.rig.faces)
     assert len(model.coarse.rig.vertices) == min(2500, len(model.rig.vertices))
 
 
 @pytest.mark.parametrize("partial", [False, True])
-@pytest.mark.parametrize("rig, fine", [("hand", True), ("body", True), ("hand-coarse", False)])
+@pytest.mark.parametrize("rig, fine", [("hand", True), ("body", True), ("body-coarse", True), ("hand-coarse", False)])
 def test_only_fine_meshes_go_by_planes(rig, fine, partial):
     model = Model(lbs.load_rig(rig))
     refit = Refit(model, partial=partial)
@@ -111,10 +114,11 @@ def test_only_fine_meshes_go_by_planes(rig, fine, partial):
         assert steps.model is model and isinstance(steps._mesh, ToTriangles)
 
 
-def test_meshes_with_long_triangles_are_not_fine(hand):
+@pytest.mark.parametrize("half, fine", [(0.9, False), (0.06, False), (0.03, True)])
+def test_meshes_with_long_triangles_are_not_fine(half, fine, hand):
     """However many vertices they have: a hand on a plate of two triangles."""
     rig = hand.rig
-    plate = 0.9 * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) - [0, 0, 0.5]
+    plate = half * np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) - [0, 0, 0.5]
     m, on_root = len(rig.vertices), np.eye(len(rig.parents))[[rig.root] * 4]
     plated = replace(
         rig,
@@ -123,7 +127,7 @@ def test_meshes_with_long_triangles_are_not_fine(hand):
         weights=sparse.csr_array(sparse.vstack([rig.weights, sparse.csr_array(on_root)])),
         regressor=sparse.csr_array(sparse.hstack([rig.regressor, np.zeros((len(on_root.T), 4))])),
     )
-    assert not Model(plated).is_fine
+    assert Model(plated).is_fine == fine
 
 
 def _two_sided(faces):

@@ -237,6 +237,7 @@ def test_what_cannot_be_fitted_has_a_reason(coarse_hand, quick, tmp_path, monkey
         (["--size", "medium"], ["hand", "body"]),
         (["--size", "paper"], ["hand", "body"]),
         (["--rig", "hand-left"], ["hand-left"]),
+        (["--page"], ["hand", "body-coarse", "body"]),  # of whatever size the results are
     ],
 )
 def test_each_size_has_its_rigs(given, rigs, tmp_path, monkeypatch):
@@ -247,7 +248,13 @@ def test_each_size_has_its_rigs(given, rigs, tmp_path, monkeypatch):
         asked.extend(rigs)
         raise InputError("here", "enough", "no more")
 
+    def to_go_on_with(before, size, rigs):
+        study(rigs)
+
     monkeypatch.setattr(run_module, "study", study)
+    monkeypatch.setattr(run_module, "to_go_on_with", to_go_on_with)
+    if "--page" in given:
+        (tmp_path / "results.json").write_text('{"rigs": {"hand": {}, "body-coarse": {}, "body": {}}}')
     assert run(["bench", "study", "--no-figures", "-o", str(tmp_path), *given]) == 2
     assert asked == rigs
 

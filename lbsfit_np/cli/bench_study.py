@@ -5,6 +5,7 @@ import time
 from contextlib import suppress
 from dataclasses import dataclass
 from importlib.util import find_spec
+from itertools import chain
 from pathlib import Path
 
 from ..errors import FileError, InputError, MissingExtraError, counted
@@ -23,7 +24,7 @@ _PAGE, _CELLS = "README.md", "cells"
 @kept_processes()
 def run_study(values):
     """The study; the exit code."""
-    from ..bench.study.data import RIGS, kind_of
+    from ..bench.study.data import kind_of
     from ..bench.study.making import cell_name
     from ..bench.study.page import console_table
     from ..bench.study.run import joined, study, with_rows
@@ -33,7 +34,7 @@ def run_study(values):
 
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT, such as docs/study.")
-    names = RIGS[values["size"]] if values["rig"] is None else values["rig"].split(",")
+    names = _names(values)
     for name in names:
         say_model_as_rig(name)
     rigs = {Path(name).stem: load_rig(name) for name in names}
@@ -127,6 +128,15 @@ def run_study(values):
     say(console_table(report, markdown=values["markdown"]))
     say(f"\n{written}")
     return failures_code(_failures(report))
+
+
+def _names(values):
+    """The rigs that are given, or those that the size has; a page of results that are there may be of any size."""
+    from ..bench.study.data import RIGS
+
+    if values["rig"] is not None:
+        return values["rig"].split(",")
+    return list(dict.fromkeys(chain.from_iterable(RIGS.values()))) if values["page"] else RIGS[values["size"]]
 
 
 def _page_alone(folder, rigs, values):

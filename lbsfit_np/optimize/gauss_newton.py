@@ -57,7 +57,8 @@ class GaussNewton:
     ridge : float, default 1e-5
         On the family's coefficients.
     vertices : int, default 1000
-        How many vertices, evenly spread, pull on the scan; on a mesh that has fewer, points on its faces.
+        How many vertices, evenly spread, pull on the scan; on a mesh that has fewer, points on its faces, or with ``planes``
+        all of them.
     tolerance : float, default 1e-4
         Steps end where one lowers E by less than this share.
     partial : bool, default False
@@ -65,7 +66,7 @@ class GaussNewton:
     parts : (m,) int array, optional
         Of the vertices, for labelled points; the model's by default.
     planes : bool, default False
-        Residuals are measured to planes at the nearest vertices in place of the surface; only without ``parts``.
+        Residuals are measured to planes at the nearest vertices in place of the surface; ``parts`` are not for these.
     """
 
     def __init__(

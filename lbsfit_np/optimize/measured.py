@@ -1,7 +1,7 @@
 """What residuals of the steps are measured to: triangles of the posed mesh, or planes at its vertices.
 
-Planes at the vertices of a fine mesh are near enough for steps that look far, and take half the time: normals turn with the skin,
-no triangle is looked for, and what a place hangs on is one vertex.
+Planes at the vertices of a fine mesh are near enough for steps that look far, and take two thirds of the time: normals turn with
+the skin, no triangle is looked for, and what a place hangs on is one vertex.
 """
 
 import numpy as np

@@ -14,11 +14,12 @@ from .surface import Surface, clear_vertices, vertex_normals
 
 __all__ = ["Model", "farthest_points"]
 
-# The pose stages, and steps that look far, look at no more vertices than this: a pose has some tens of unknowns, and time goes
-# with vertices. The other number is for starts from labels. Each part keeps so many, or all that it has.
+# The pose stages, and steps that look far, look at about so many vertices at most: a pose has some tens of unknowns, and time
+# goes with vertices. The second number is for starts from labels. Each part keeps as many as the third says, or all that it has.
 _COARSE, _COARSEST, _OF_A_PART = 2500, 1000, 4
-# A mesh is fine that has so many vertices, all but this share of them with triangles that face one way.
-_FINE, _UNCLEAR = 1000, 0.02
+# A mesh is fine that has so many vertices, no longer edge than this, half sizes (the longest of bundled rigs that are fine has
+# 0.09), and no larger share of vertices with triangles that face several ways.
+_FINE, _LONGEST_EDGE, _UNCLEAR = 1000, 0.1, 0.02
 # Dense weights of more numbers than this are not kept.
 _DENSE = 5_000_000
 
@@ -104,10 +105,11 @@ class Model:
     def is_fine(self):
         """Whether planes at the vertices of ``coarse`` tell as much as triangles to steps that look far.
 
-        There are many vertices, no triangle is long, and triangles at a vertex face one way: else its normal says nothing.
+        There are many vertices, no edge is long, and triangles at a vertex face one way: else its normal says nothing.
         """
         vertices, faces = self.rig.vertices, self.rig.faces
-        if len(vertices) < _FINE or self.surface.has_long:
+        edges = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
+        if len(vertices) < _FINE or np.linalg.norm(edges, axis=2).max() > _LONGEST_EDGE:
             return False
         return bool(clear_vertices(vertices, faces).mean() >= 1.0 - _UNCLEAR)
 

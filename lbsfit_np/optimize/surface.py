@@ -74,11 +74,6 @@ class Surface:
             corner = self._barycentric.argmax(axis=1)
             self._labels = None if labels is None else labels[faces[self._face, corner]]
 
-    @property
-    def has_long(self):
-        """Whether some triangle is long."""
-        return len(self._face) > 0
-
     def closest(self, X, nearest, V, labels=None):
         """The closest surface point of each query.
 
@@ -96,7 +91,7 @@ class Surface:
         -------
         Closest
         """
-        if not self.has_long or not len(X):
+        if not len(self._face) or not len(X):
             return closest_on_mesh(X, nearest, V, self.faces, self._around)
         points = np.einsum("pk,pka->pa", self._barycentric, V[self.faces[self._face]])
         index = PointIndex(points, moving=True) if labels is None else PointIndex(points, self._labels, moving=True)
