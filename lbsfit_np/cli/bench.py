@@ -79,7 +79,7 @@ true correspondences; cd, rand, pose-only and joint are the variants of lbsfit l
 true labels or true correspondences. README.md says more about each.
 
 With --jobs, several rows run at once where that is faster, one process each; at the medium size each process takes up to 5 GB.
---size small takes six to twelve minutes on two cores with --jobs 2, medium some hours per rig and seed, paper days.
+--size small takes five to ten minutes on two cores with --jobs 2, medium some hours per rig and seed, paper days.
 """
 
 _EPILOG = """\
