@@ -143,6 +143,7 @@ def test_meshes_whose_triangles_face_both_ways_are_not_fine(hand, wound):
     """Normals of their vertices say nothing: they are what rounding left of a sum that is 0, or any."""
     assert not Model(replace(hand.rig, faces=wound(hand.rig.faces))).is_fine
     assert Model(replace(hand.rig, faces=hand.rig.faces[:, ::-1])).is_fine
+    assert not hand.coarsest.is_fine  # there are none
 
 
 def test_no_part_is_lost_where_vertices_are_few(body):

@@ -109,7 +109,7 @@ class Model:
         """
         vertices, faces = self.rig.vertices, self.rig.faces
         edges = vertices[faces] - vertices[np.roll(faces, 1, axis=1)]
-        if len(vertices) < _FINE or np.linalg.norm(edges, axis=2).max() > _LONGEST_EDGE:
+        if len(vertices) < _FINE or np.linalg.norm(edges, axis=2).max(initial=0.0) > _LONGEST_EDGE:
             return False
         return bool(clear_vertices(vertices, faces).mean() >= 1.0 - _UNCLEAR)
 
