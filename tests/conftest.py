@@ -15,6 +15,25 @@ def pytest_configure(config):
         signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(scope="session", autouse=True)
+def kept_processes():
+    """Processes that have done a test's work wait for the next test's: to start them takes as long as much of that work."""
+    from lbsfit_np.processes import kept_processes
+
+    with kept_processes():
+        yield
+
+
+@pytest.fixture
+def own_processes(monkeypatch):
+    """For a test of what becomes of processes: none are there from other tests, and its own end as they do for users."""
+    from lbsfit_np import processes
+
+    while processes._SPARE:
+        processes._SPARE.pop().end()
+    monkeypatch.setattr(processes, "_SPARE", None)
+
+
 @pytest.fixture(scope="session")
 def shared_rigs():
     """The folder of real rigs, poses and motion; absent on a user's machine."""

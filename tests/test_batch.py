@@ -255,6 +255,7 @@ def test_the_death_of_a_worker_costs_its_scan_only(quick_fitter, clouds):
     assert "SIGKILL" in outcomes[1].error and "memory" in outcomes[1].error
 
 
+@pytest.mark.usefixtures("own_processes")
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_an_interrupt_ends_workers_and_passes_on(quick_fitter, clouds, jobs):
     seen = []
@@ -311,6 +312,7 @@ def test_a_script_that_workers_cannot_read_is_told_so(tmp_path):
     assert "save it to a file and run that, or pass n_jobs=1" in done.stderr and "__main__" not in done.stderr.splitlines()[-1]
 
 
+@pytest.mark.usefixtures("own_processes")
 @POSIX
 def test_workers_that_are_ended_in_the_middle_tidy_up(tmp_path):
     with Workers(_written, 2) as workers:

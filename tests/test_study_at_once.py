@@ -190,6 +190,7 @@ def test_rows_that_learn_from_labels_have_first_fits_in_common(rigs, tmp_path, m
     assert not any(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("own_processes")
 def test_a_run_that_is_stopped_goes_on(command, tmp_path, monkeypatch, capsys):
     """As by Ctrl-C while the first row is written: no process is left, the others' rows are made by the same command."""
     out = tmp_path / "out"
@@ -219,6 +220,7 @@ def test_first_fits_of_a_run_that_was_stopped_are_not_in_the_time_of_the_first_r
     assert told == {"cd": False, "rand": True, "joint": False} and not any(tmp_path.iterdir())
 
 
+@pytest.mark.usefixtures("own_processes")
 @pytest.mark.parametrize(
     "how, words", [("error", "points: got nothing"), ("killed", "n_jobs: got a worker process that ended .killed")]
 )
@@ -242,7 +244,7 @@ def test_what_goes_wrong_in_a_process_is_said_and_what_is_made_beside_it_is_kept
     assert not active_children() and there == ["free-form"]  # the two that weigh most came first
 
 
-@pytest.mark.usefixtures("patient")
+@pytest.mark.usefixtures("patient", "own_processes")
 def test_rows_that_were_made_as_a_run_is_stopped_are_kept(rigs, tmp_path, monkeypatch):
     """Ctrl-C comes as another row is taken up."""
     monkeypatch.setattr(at_once, "_Made", _Waiting)

@@ -22,6 +22,8 @@ from lbsfit_np.learning.loop import Loop
 from lbsfit_np.processes import Workers, kept_processes, tell
 from lbsfit_np.workers import as_they_may, beside, each
 
+pytestmark = pytest.mark.usefixtures("own_processes")
+
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_answers_come_in_the_order_of_the_tasks(jobs):
