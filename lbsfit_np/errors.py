@@ -22,6 +22,7 @@ __all__ = [
     "in_words",
     "is_whole",
     "its_array",
+    "own_words",
     "likeliest",
     "listed",
     "not_finite",
@@ -127,7 +128,7 @@ def as_floats(argument, value, expected, remedy=None):
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", expected) from None
     except (TypeError, ValueError, RuntimeError) as error:
-        raise InputError(argument, type(value).__name__, expected, _own_words(value, error) or remedy) from None
+        raise InputError(argument, type(value).__name__, expected, own_words(value, error) or remedy) from None
 
 
 def its_array(value, names=("points", "vertices")):
@@ -136,7 +137,7 @@ def its_array(value, names=("points", "vertices")):
     return f"Pass its {names[0]}: .{names[0]}" if names else None
 
 
-def _own_words(value, error):
+def own_words(value, error):
     """What an object that has an array to give, such as a tensor on a graphics card, says of how to come by it; else None."""
     return str(error) if hasattr(value, "__array__") and not isinstance(value, np.ndarray) else None
 
@@ -146,7 +147,7 @@ def as_array(argument, value, expected):
     try:
         return np.asarray(value)
     except (TypeError, ValueError, RuntimeError) as error:
-        words = _own_words(value, error)
+        words = own_words(value, error)
         raise InputError(argument, type(value).__name__ if words else "rows of different lengths", expected, words) from None
 
 

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .errors import InputError, as_array, brief, check_unmasked, counted, is_whole, its_array
+from .errors import InputError, as_array, brief, check_unmasked, counted, is_whole, its_array, own_words
 from .seeds import generator
 
 __all__ = ["Scan", "check_points", "count_distinct", "some_rows"]
@@ -15,6 +15,8 @@ __all__ = ["Scan", "check_points", "count_distinct", "some_rows"]
 _LOOKED_AT, _LAGS, _IN_ORDER = 4000, range(1, 9), 0.7
 
 _DENSER = "A denser scan is needed."
+_NO_ROWS = "rows of different lengths or entries that are not numbers"
+_LEFT_OUT = "Remove them, or read the file with load_scan(path, drop_invalid=True) (--drop-invalid), which leaves them out."
 # Points at a time where distinct ones are counted: nearly always the first ones are enough.
 _BLOCK = 1024
 
@@ -143,11 +145,16 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
     try:
         raw = getattr(points, "points", points)
         given = np.asarray(raw)
+    except (ValueError, TypeError, RuntimeError) as error:
+        words = own_words(raw, error)
+        got = type(raw).__name__ if words else _NO_ROWS
+        raise InputError(argument, got, "numbers of shape (n, 3)", words) from None
+    try:
         if given.dtype.kind == "O":
             given = given.astype(float)
     except (ValueError, TypeError):
         rows = isinstance(points, (list, tuple)) or hasattr(points, "points") or hasattr(points, "__array__")
-        got = "rows of different lengths or entries that are not numbers" if rows else f"a {type(points).__name__}"
+        got = _NO_ROWS if rows else f"a {type(points).__name__}"
         raise InputError(argument, got, "numbers of shape (n, 3)", its_array(points, ["vertices"])) from None
     except OverflowError:
         raise InputError(argument, "whole numbers beyond double precision", "numbers of shape (n, 3)") from None
@@ -171,7 +178,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
                 argument,
                 f"{count} of {len(array)} points with a coordinate that is NaN or infinite, the first at index {first}",
                 "finite numbers",
-                "Remove them, or read the file with load_scan(path, drop_invalid=True) (--drop-invalid), which leaves them out.",
+                "Check how the scan was made." if bad.all() else _LEFT_OUT,
             )
         array = array[~bad]
         dropped = f" after {count} with a coordinate that is NaN or infinite were left out"

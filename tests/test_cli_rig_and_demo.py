@@ -131,6 +131,30 @@ def test_demo(made, tmp_path, run):
     assert code == 2 and "never overwritten" in one_line(err)
 
 
+def test_a_demo_of_a_rig_that_needs_options(made, tmp_path, run, monkeypatch):
+    """Those that the errors of rigs name, as other commands take them."""
+    card, out = tmp_path / "other.toml", tmp_path / "out"
+    card.write_text('[limits]\nelbow = [[0.0, 0.0, 0.0], [0.7, 0.0, 0.0]]\n')
+    given = ("demo", "-o", out, "--rig", made / "tube.npz", "--parts", "arm and fingers", "--points", 500, *TRAINING)
+    code, _, err = run(*given, "--card", card)
+    assert (code, err) == (0, "")
+    rig = lbs.load_rig(out / "rig.npz")
+    assert rig.parts == ("arm", "fingers") and rig.upper[1].tolist() == [0.7, 0, 0]
+    with np.load(out / "truth.npz") as truth:
+        assert 0 <= truth["pose"][1, 0] <= 0.7 and set(truth["labels"]) == {0, 1}
+        assert (lbs.FitResult.load(out / "scan.fit.npz").labels == truth["labels"]).mean() > 0.85
+    (out / "demo.png").write_bytes(card.read_bytes())
+    code, _, err = run(*given, "--card", out / "demo.png", "--existing", "replace")
+    assert code == 2 and "never overwritten" in one_line(err)
+    taken = []
+    monkeypatch.setattr("lbsfit_np.io.rigs.load_rig", lambda path, **options: taken.append(options) or 1 / 0)
+    for flags in (("--normalize-weights",), ("--shape", "b"), ("--skin", "c")):
+        with pytest.raises(ZeroDivisionError):
+            run(*given, *flags)
+    wanted = [{"normalize_weights": True}, {"shape": "b"}, {"skin": "c"}]
+    assert all(options.items() >= those.items() for options, those in zip(taken, wanted, strict=True))
+
+
 @pytest.mark.parametrize("code, shown", [(1, True), (130, False)])
 def test_a_demo_shows_a_fit_that_has_failed_and_ends_where_it_is_stopped(code, shown, made, tmp_path, run, monkeypatch):
     monkeypatch.setattr(demo, "fit_files", lambda *given: fit_files(*given) or code)  # which is how it says so

@@ -93,7 +93,14 @@ def test_without_a_witness_the_node_that_the_pose_is_least_turned_against(tmp_pa
     posed = np.array([[0.2, 0.1, -0.2], [0.4, -0.2, 0.3], [-0.5, 0.3, 0.1], [0.2, 0.1, 1.9], [0.3, 0.3, 0.2]])
     data = read_gltf(save(write_arm(ARM, armature=armature, posed=posed), tmp_path))
     check_arm(data, armature, atol=1e-5)
-    assert "assumed to be placed in the scene like node 'Armature'" in data.notes[0]
+    assert "assumed to be placed in the scene like node 'Armature', from which the posed mesh is turned" in data.notes[0]
+
+
+def test_without_a_witness_the_scene_itself_is_called_so(tmp_path):
+    posed = np.array([[0.2, 0.1, -0.2], [0.4, -0.2, 0.3], [-0.5, 0.3, 0.1], [0.2, 0.1, 1.9], [0.3, 0.3, 0.2]])
+    data = read_gltf(save(write_arm(ARM, armature=np.eye(4), posed=posed), tmp_path))
+    check_arm(data, np.eye(4), atol=1e-5)
+    assert "the rest pose is the bind pose, assumed to be in the scene's own frame, from which the posed mesh" in data.notes[0]
 
 
 def test_a_majority_of_the_skin_decides_where_no_node_fits(tmp_path):

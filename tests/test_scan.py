@@ -102,6 +102,19 @@ def test_what_holds_rows_is_told_by_them(points):
         check_points({"points": points}, argument="cloud")
 
 
+@pytest.mark.parametrize("error", [TypeError, RuntimeError])
+def test_what_cannot_give_its_array_says_why(error):
+    """As a tensor on a graphics card, or one that wants a gradient."""
+
+    class Tensor:
+        def __array__(self, dtype=None, copy=None):
+            raise error("Use Tensor.cpu() to copy the tensor to host memory first.")
+
+    for points in (Tensor(), SimpleNamespace(points=Tensor())):
+        with pytest.raises(InputError, match=r"cloud: got Tensor; expected numbers of shape \(n, 3\)\. Use Tensor\.cpu\(\)"):
+            check_points(points, argument="cloud")
+
+
 def test_arrays_in_another_dress_are_taken():
     np.testing.assert_array_equal(check_points(_Frame(POINTS.tolist())), POINTS)
 
@@ -119,6 +132,8 @@ def test_check_points_counts_after_dropping():
         check_points([[1, 2, 3], [np.nan, 0, 0]], minimum=2, drop_invalid=True)
     with pytest.raises(InputError, match="an empty cloud .*at least 1 point of shape"):
         check_points([])
+    with pytest.raises(InputError, match="2 of 2 points with .*Check how the scan was made.$"):  # nothing would be left
+        check_points(np.full((2, 3), np.nan))
 
 
 @pytest.mark.parametrize("copies", [lambda p: np.repeat(p, 2000, axis=0), lambda p: np.tile(p, (2000, 1)), lambda p: p])

@@ -69,6 +69,8 @@ def test_other_axes_are_held_where_limits_hold_them(hand):
 def test_joints_that_are_not_there_or_do_not_turn_are_named(hand):
     with pytest.raises(InputError, match="joint: got 'indx1'; expected one of the 16 joints of 'hand-coarse'.*'index1'"):
         turn_picture(hand, "indx1")
+    with pytest.raises(InputError, match="They are wrist, .*index1"):
+        turn_picture(hand, "knee")
     locked, lower, upper = hand.locked.copy(), hand.lower.copy(), hand.upper.copy()
     j = hand.joint_names.index("index2")
     locked[j], lower[j], upper[j] = True, 0.0, 0.0

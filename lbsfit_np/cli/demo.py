@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..io.write import make_folder, remove_empty
-from .fit import OPTIONS, fit_files
+from .fit import OPTIONS, RIG_OPTIONS, fit_files, load_rig_with
 from .outputs import check_outputs
 from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import say
@@ -18,6 +18,7 @@ __all__ = ["add_parser"]
 _OPTIONS = (
     Option("output", "folder to write to (required); created if needed", metavar="OUT", flag="-o"),
     Option("rig", "a bundled rig or a rig file", default="hand", metavar="RIG"),
+    *RIG_OPTIONS,
     Option("seed", "seed of the scan and of the fit", natural, 0, metavar="N"),
     Option("points", "points of the scan", positive, 2500, metavar="N"),
     *(o for o in OPTIONS if o.name == "training-scans"),
@@ -63,7 +64,6 @@ def add_parser(commands):
 
 def _run(arguments):
     from ..fitting.result import FitResult
-    from ..io.rigs import load_rig
     from ..io.write import write_npz, write_points_ply
     from ..report.fit_picture import fit_picture
     from ..report.render import write_png
@@ -73,7 +73,7 @@ def _run(arguments):
     values = settings(arguments, _OPTIONS)
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder to write to", "Add -o demo.")
-    rig = load_rig(values["rig"])
+    rig = load_rig_with(values["rig"], values, quiet=True)  # what was noted is in the file that the fit reads, which says it
     out = Path(values["output"])
     paths = {
         "rig": out / "rig.npz",
@@ -86,7 +86,8 @@ def _run(arguments):
         "jobs": min(2, processors()),
     }  # fmt: skip
     fits = [out / f"scan.{ending}" for ending in ("fit.npz", "mesh.ply", "labels.ply")]
-    check_outputs([*paths.values(), *fits, out / SUMMARY], out, inputs=[values["rig"]], existing=values["existing"])
+    read = [values[k] for k in ("rig", "card") if values[k] not in (None, "none")]
+    check_outputs([*paths.values(), *fits, out / SUMMARY], out, inputs=read, existing=values["existing"])
     folders = make_folder(out)
     truth = _scan_with_truth(rig, values)
     remove(fits)  # of an earlier demo, which would pass for this one's

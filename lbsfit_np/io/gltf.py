@@ -28,7 +28,7 @@ from ..errors import InputError, is_whole, listed
 from ..rig.data import RigData
 from ..rotations import rotvec_from_matrix
 from .gltf_buffers import open_gltf
-from .gltf_frame import blend, nearest_rotations, place
+from .gltf_frame import SCENE, blend, nearest_rotations, place
 from .gltf_meshes import skinned_geometry
 from .gltf_nodes import NodeGraph
 
@@ -254,7 +254,7 @@ def _bind_space_candidates(graph, root_joints, joints, mesh_nodes):
     """Nodes as whose space exporters write bind space: those above the skeleton and above the mesh, and the scene itself."""
     nodes = [a for r in root_joints for a in graph.ancestors(r) if a not in joints]
     nodes += [n for m in mesh_nodes for n in (m, *graph.ancestors(m))]
-    return [("the scene", np.eye(4))] + [(f"node {graph.label(n)}", graph.worlds[n]) for n in dict.fromkeys(nodes)]
+    return [(SCENE, np.eye(4))] + [(f"node {graph.label(n)}", graph.worlds[n]) for n in dict.fromkeys(nodes)]
 
 
 # ---- the animations ----

@@ -25,7 +25,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["Placement", "blend", "nearest_rotations", "place"]
+__all__ = ["SCENE", "Placement", "blend", "nearest_rotations", "place"]
+
+# Of what may be bind space, what is no node.
+SCENE = "the scene"
 
 _AGREE = 2e-3  # of the mesh's size: above exporters' rounding (1e-6 to 1e-4), below any pose
 _WITNESSES = 0.1  # share of the skin's weight
@@ -110,7 +113,7 @@ def place(vertices, weights, skinning, joint_labels, roots, candidates):
             chosen = min(same, key=lambda c: np.abs((c[1] - chosen) @ corners.T).max())[1]
     elif witnessed:
         label, chosen, _ = max(witnessed, key=lambda c: (c[2] @ mass, c[2].sum()))
-        how = f"placed in the scene like {label}, as joints that are not posed confirm"
+        how = f"{_placed_like(label)}, as joints that are not posed confirm"
     elif scale > 0 and shares[best] >= _MAJORITY:
         chosen = _mean(skinning, mass * agree(skinning[best]))
         share = f"the {100 * shares[best]:.0f} % of the skin that moves with it"
@@ -120,7 +123,7 @@ def place(vertices, weights, skinning, joint_labels, roots, candidates):
         turned = nearest_rotations((_covariance(vertices, posed) * (-1.0 if mirrored else 1.0))[None])[0]
         label, chosen = _least_turned(fitting, turned, mirrored)
         if chosen is not None:
-            how = f"assumed to be placed in the scene like {label}, the node from which the posed mesh is turned the least"
+            how = f"assumed to be {_placed_like(label)}, from which the posed mesh is turned the least"
     if chosen is not None:
         if not all_agree:
             turn = _largest_turn(skinning, chosen, bearing, joint_labels)
@@ -159,6 +162,10 @@ def nearest_rotations(linear):
     u = u.copy()
     u[..., :, 2] *= sign[..., None]
     return u @ vt
+
+
+def _placed_like(label):
+    return "in the scene's own frame" if label == SCENE else f"placed in the scene like {label}"
 
 
 def _least_turned(fitting, turned, mirrored):

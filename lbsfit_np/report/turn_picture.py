@@ -40,7 +40,8 @@ def turn_picture(rig, joint, *, view="oblique", size=(320, 360)):
     """
     names = list(rig.joint_names)
     if joint not in names:
-        raise InputError("joint", repr(joint), f"one of the {len(names)} joints of {rig.name!r}", did_you_mean(joint, names))
+        remedy = did_you_mean(joint, names) or f"They are {', '.join(names)}."
+        raise InputError("joint", repr(joint), f"one of the {len(names)} joints of {rig.name!r}", remedy)
     j = names.index(joint)
     lower, upper = rig.lower[j], rig.upper[j]
     if not rig.moving[j]:
