@@ -36,6 +36,18 @@ def test_a_column_that_counts_the_rows_is_no_x(tmp_path):
         np.testing.assert_array_equal(load_scan(path).points, POINTS)
 
 
+@pytest.mark.parametrize("times", [[0, 0.01, 0.02, 0.03], [12.5, 12.51, 12.5203, 12.53], [12345.0, 12345.1, 12345.2, 12345.3]])
+def test_a_column_of_times_is_told_of(tmp_path, times):
+    scan = load_scan(write(tmp_path, "p.csv", rows(times, POINTS, sep=",")))
+    np.testing.assert_array_equal(scan.points[:, 0], times)
+    first = ", ".join(str(float(t)) for t in times[:3])
+    words = f"({first}, …) looks like times: leave it out, or name the columns in a header line (row x y z)."
+    assert scan.notes[0].endswith(words)
+    for x in ([0, 0.01, 0.03, 0.04], [0, 0.01, 0.02, 0.01], [0.5, 0.5, 0.5, 0.5]):
+        notes = load_scan(write(tmp_path, "p.csv", rows(x, POINTS, sep=","))).notes
+        assert len(notes) == 1 and notes[0].startswith("One further column")
+
+
 NUMBERS = [[1, 2, 3, 4], [0, 1, 2, 3], [1, 3, 4, 9]]
 
 

@@ -332,6 +332,8 @@ def _check_lengths(path, skip, delimiter, n):
                 raise FileError(str(path), got, f"one point per line, the same number of columns in each, here {n}")
 
 
+# How far steps from time to time may differ, as a share of them: times are rounded, and clocks jitter.
+_EVENLY = 0.1
 # What notes on columns without names advise: on row numbers, and on further columns.
 _IN_TABLES = (
     "leave it out, or name the columns in a header line (row x y z)",
@@ -350,9 +352,9 @@ def _unnamed(table, without_rows, with_names):
         cloud.notes.insert(0, "The first column, which counts the rows, was left out.")
         return cloud
     cloud = CloudData(table[:, :3])
-    if table.shape[1] > 3 and _looks_like_row_numbers(table):
-        first = ", ".join(f"{number:.0f}" for number in table[:3, 0])
-        cloud.notes.append(f"{ODD_X} ({first}, …) looks like row numbers: {without_rows}.")
+    if table.shape[1] > 3 and (kind := _no_coordinate(table)):
+        first = ", ".join(f"{number:{'' if kind == 'times' else '.0f'}}" for number in table[:3, 0])
+        cloud.notes.append(f"{ODD_X} ({first}, …) looks like {kind}: {without_rows}.")
     used = 3
     if table.shape[1] >= 6:
         length = np.linalg.norm(table[:, 3:6].astype(float), axis=1)
@@ -372,6 +374,16 @@ def _numbers_the_rows(table):
 def _counts_the_rows(table):
     """Whether the first column goes from 0 or 1 in steps of 1."""
     return len(table) > 3 and table[0, 0] in (0, 1) and np.array_equal(np.diff(table[:, 0]), np.ones(len(table) - 1))
+
+
+def _no_coordinate(table):
+    """What the first column looks like, where that is no coordinate; None where it may be one."""
+    if _looks_like_row_numbers(table):
+        return "row numbers"
+    steps = np.diff(table[:, 0])
+    # Points may be in the order of one of their coordinates, but are not evenly spaced along it then.
+    evenly = len(steps) > 2 and steps.min() > 0 and np.ptp(steps) < _EVENLY * steps.mean()
+    return "times" if evenly else None
 
 
 def _looks_like_row_numbers(table):
