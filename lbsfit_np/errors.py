@@ -22,10 +22,10 @@ __all__ = [
     "in_words",
     "is_whole",
     "its_array",
-    "own_words",
     "likeliest",
     "listed",
     "not_finite",
+    "own_words",
 ]
 
 

@@ -84,6 +84,11 @@ def test_an_array_has_no_header_line_to_name_its_columns(tmp_path):
     np.save(tmp_path / "p.npy", np.column_stack([[0, 1, 3, 4], POINTS]))
     odd, further = load_scan(tmp_path / "p.npy").notes
     assert odd.endswith("but the first (0, 1, 3, …) looks like row numbers: leave it out (array[:, 1:]).")
+    np.save(tmp_path / "t.npy", np.column_stack([[0.01, 0.02, 0.03, 0.04], POINTS]).astype(np.float32))
+    (odd, _) = load_scan(tmp_path / "t.npy").notes
+    assert odd.endswith("but the first (0.01, 0.02, 0.03, …) looks like times: leave it out (array[:, 1:]).")
+    np.save(tmp_path / "n.npy", np.array([[3, 1, 2, 0], [2, 1, 1, 0], [1, 4, 2, 0], [0, 2, 2, 0]], dtype=np.uint8))
+    assert len(load_scan(tmp_path / "n.npy").notes) == 1
     assert further.startswith("One further column") and "a structured array with fields (x, y, z, " in further
 
 

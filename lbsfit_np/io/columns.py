@@ -353,7 +353,7 @@ def _unnamed(table, without_rows, with_names):
         return cloud
     cloud = CloudData(table[:, :3])
     if table.shape[1] > 3 and (kind := _no_coordinate(table)):
-        first = ", ".join(f"{number:{'' if kind == 'times' else '.0f'}}" for number in table[:3, 0])
+        first = ", ".join(str(number) if kind == "times" else f"{number:.0f}" for number in table[:3, 0])
         cloud.notes.append(f"{ODD_X} ({first}, …) looks like {kind}: {without_rows}.")
     used = 3
     if table.shape[1] >= 6:
@@ -380,7 +380,7 @@ def _no_coordinate(table):
     """What the first column looks like, where that is no coordinate; None where it may be one."""
     if _looks_like_row_numbers(table):
         return "row numbers"
-    steps = np.diff(table[:, 0])
+    steps = np.diff(table[:, 0].astype(float))
     # Points may be in the order of one of their coordinates, but are not evenly spaced along it then.
     evenly = len(steps) > 2 and steps.min() > 0 and np.ptp(steps) < _EVENLY * steps.mean()
     return "times" if evenly else None
