@@ -16,6 +16,7 @@ _LOOKED_AT, _LAGS, _IN_ORDER = 4000, range(1, 9), 0.7
 
 _DENSER = "A denser scan is needed."
 _NO_ROWS = "rows of different lengths or entries that are not numbers"
+_NONE_LEFT = "Check how the scan was made: drop_invalid (--drop-invalid) would leave no point."
 _LEFT_OUT = "Remove them, or read the file with load_scan(path, drop_invalid=True) (--drop-invalid), which leaves them out."
 # Points at a time where distinct ones are counted: nearly always the first ones are enough.
 _BLOCK = 1024
@@ -178,7 +179,7 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
                 argument,
                 f"{count} of {len(array)} points with a coordinate that is NaN or infinite, the first at index {first}",
                 "finite numbers",
-                "Check how the scan was made." if bad.all() else _LEFT_OUT,
+                _NONE_LEFT if bad.all() else _LEFT_OUT,
             )
         array = array[~bad]
         dropped = f" after {count} with a coordinate that is NaN or infinite were left out"

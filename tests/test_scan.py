@@ -132,7 +132,7 @@ def test_check_points_counts_after_dropping():
         check_points([[1, 2, 3], [np.nan, 0, 0]], minimum=2, drop_invalid=True)
     with pytest.raises(InputError, match="an empty cloud .*at least 1 point of shape"):
         check_points([])
-    with pytest.raises(InputError, match="2 of 2 points with .*Check how the scan was made.$"):  # nothing would be left
+    with pytest.raises(InputError, match="2 of 2 points with .*numbers. Check how .* leave no point.$"):
         check_points(np.full((2, 3), np.nan))
 
 
