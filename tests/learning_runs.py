@@ -15,6 +15,8 @@ from lbsfit_np.optimize.gauss_newton import GaussNewton
 from lbsfit_np.optimize.lbfgs import minimise
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.segmentation.stage import Training
+from lbsfit_np.starts import parts
 from lbsfit_np.starts.turns import Facing
 from lbsfit_np.synthesis import Synthesis
 
@@ -22,8 +24,11 @@ SMALL = {"effort": "fast", "training_scans": 200, "training": {"n_points": 200},
 SCANS = {"n_points": 400, "holes": 1, "density": 0.3}
 HURRIED = Effort(2, 1, 1, 1, generations=0, parents=1, proposals=1, closer=False, bends=False)
 NAN = np.full((50, 3), np.nan)
-# Of a round, where learning is hurried.
+# Of a round, where what is trained in it has to be of some use all the same, and where learning is hurried.
 FEW = {"round_scans": 25, "library_scans": 30}
+FEWER = {"round_scans": 10, "library_scans": 20, "neighbours": 1, "training": Training(epochs=1, learning_rate=1e-3)}
+# Of steps that look for a pose, there: so few, on so few points and from so few vertices.
+SHORT = {"_FAR_STEPS": 5, "_NEAR_STEPS": 4, "_NEAR_VERTICES": 200, "_SIGMAS": (0.1,)}
 
 # What ``learned_people`` learned from: rows of ``people_scans``, and a scan that cannot be used.
 GIVEN = [0, 1, 2, "broken", 3, 4, 5, 6, 7, 8, 9]
@@ -37,12 +42,22 @@ def learning_is_hurried(patch, effort="fast", **more):
     All steps end earlier than else, and fits of one effort try less.
     """
     patch.setitem(EFFORTS, effort, HURRIED)
-    patch.setitem(GaussNewton.__init__.__kwdefaults__, "tolerance", 0.3)
-    for module in (refit, search):
+    for name, value in (("tolerance", 0.3), ("vertices", 200)):
+        patch.setitem(GaussNewton.__init__.__kwdefaults__, name, value)
+    patch.setitem(GaussNewton.pose.__kwdefaults__, "iterations", 5)
+    for name, value in SHORT.items():
+        patch.setattr(refit, name, value)
+    for module in (parts, refit, search):
         patch.setattr(module, "minimise", lambda *given, **more: minimise(*given, **more | {"tolerance": 0.1}))
     for module in (first_fits, second_look):  # such fits are in doubt, which would have each looked at for an arm
         patch.setattr(module, "may_go_on", lambda rig, settings: False)
-    quick = FEW | more
+    quick = FEWER | more
+    patch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**quick, **others))
+
+
+def rounds_are_short(patch, **more):
+    """Have rounds train on few scans, and take few turns; fits are as good as ever."""
+    quick = FEW | {"turns": 1} | more
     patch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**quick, **others))
 
 

@@ -18,10 +18,6 @@ from lbsfit_np.segmentation import cache
 from lbsfit_np.synthesis import Synthesis
 
 
-def test_the_same_again(tube_fitter, tube_scan, tube_result):
-    assert_same(tube_fitter.fit_scan(tube_scan.points), tube_result)
-
-
 def test_a_seed_decides_all(tube_rig, tube_scan):
     def fit(seed):
         small = {"effort": "fast", "training_scans": 4, "training": {"n_points": 300}, "max_points": 400}
@@ -39,9 +35,9 @@ def test_threads_change_nothing(tube_rig, tube_scan):
     results = []
     for threads in (1, 2):
         with threadpool_limits(threads):
-            small = {"effort": "fast", "training_scans": 20, "training": {"n_points": 400}}
+            small = {"effort": "fast", "training_scans": 8, "training": {"n_points": 400}}
             fitter = lbs.LBSFitter(tube_rig, random_state=0, **small).pretrain()
-            results.append(fitter.fit_scan(tube_scan.points[:600]))
+            results.append(fitter.fit_scan(tube_scan.points[:500]))
     assert_same(*results)
 
 

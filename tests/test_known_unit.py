@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from animated_files import Viewer
-from learning_runs import SMALL
+from learning_runs import SMALL, rounds_are_short
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
@@ -255,8 +255,9 @@ def kit_and_fox(make_learner, people_scans):
     for k in range(6):
         scans.append((0.5, 1.6)[k % 2] * CM * people_scans[k].points)
         subjects.append(("kit", "fox")[k % 2])
-    fitter = make_learner(unit="cm")
-    with warnings.catch_warnings():
+    fitter = make_learner(unit="cm", variant="cd")
+    with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
+        rounds_are_short(patch)
         warnings.filterwarnings("error", message=".*in another unit")
         return fitter.fit(scans, subjects)
 
@@ -328,9 +329,10 @@ def test_the_unit_is_part_of_what_was_learned(kit_and_fox):
     assert model_digest(other) != model_digest(kit_and_fox)
 
 
-def test_collections_of_the_rigs_size_may_have_it_fixed(tube_rig, unlearned, people_scans):
-    fitter = lbs.LBSFitter(tube_rig, **SMALL | {"unit": "cm", "scale": "fixed", "held_out": 0.0})
-    fitter.pretrain(segmenter=unlearned.segmenter_)
+@pytest.mark.usefixtures("hurried")
+def test_collections_of_the_rigs_size_may_have_it_fixed(tube_rig, small_segmenter, people_scans):
+    fitter = lbs.LBSFitter(tube_rig, **SMALL | {"unit": "cm", "scale": "fixed", "held_out": 0.0, "training_scans": 40})
+    fitter.pretrain(segmenter=small_segmenter)
     fitter.fit([CM * s.points for s in people_scans[:4:2]])
     assert list(fitter.unit_.values()) == [CM] and {r.scale for r in fitter.results_} == {CM}
     assert all("its size is fixed at the rig's" in r.message for r in fitter.results_)

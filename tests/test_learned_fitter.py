@@ -9,7 +9,6 @@ from enum import Enum
 
 import numpy as np
 import pytest
-from learning_runs import learning_is_hurried
 from sklearn.base import clone
 
 import lbsfit_np as lbs
@@ -24,6 +23,8 @@ from lbsfit_np.losses.objective import LossWeights
 QUICK = {"effort": "fast", "training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
 PREPARED = ("_ready", "_prepared")
 
+pytestmark = pytest.mark.usefixtures("hurried_learning")
+
 
 @pytest.fixture(scope="module")
 def clouds(tube_rig):
@@ -32,11 +33,16 @@ def clouds(tube_rig):
 
 
 @pytest.fixture(scope="module")
-def learned(tube_rig, clouds):
+def learned(tube_rig, clouds, hurried_learning):
     """Of two subjects; nobody changes it."""
-    with pytest.MonkeyPatch.context() as patch:
-        learning_is_hurried(patch)
-        return lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("ababab"))
+    return lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("ababab"))
+
+
+@pytest.fixture(scope="module")
+def by_itself(tube_rig, clouds):
+    """A fitter that has not learned, and its fit of the first scan."""
+    fitter = lbs.LBSFitter(tube_rig, **QUICK)
+    return fitter, fitter.fit_scan(clouds[0])
 
 
 @pytest.fixture(scope="module")
@@ -190,13 +196,6 @@ def test_new_scans_start_from_what_the_variant_allows(variant, nearest, own, clo
     assert seen == [nearest]
 
 
-def test_what_was_learned_is_a_line_each(learned_people):
-    assert re.fullmatch(r"<Segmenter: 4 parts, \d+ numbers per point, 2 stages>", repr(learned_people.segmenter_))
-    assert re.fullmatch(r"<PoseLibrary: 100 poses of 4 joints, f \d+ → .*\d → 12>", repr(learned_people.regressor_))
-    turning = int((learned_people.rig.upper > learned_people.rig.lower)[1:].sum())  # all but the root's
-    assert repr(learned_people.pose_prior_) == f"<PosePrior: 4 joints, {turning} angles>"
-
-
 @pytest.mark.parametrize("variant, learned_with_labels", [("joint", False), ("rand", False), ("cd", True)])
 def test_what_was_learned_with_labels_is_not_used_without(variant, learned_with_labels, own, clouds, tmp_path):
     """Nor the other way round."""
@@ -209,7 +208,6 @@ def test_what_was_learned_with_labels_is_not_used_without(variant, learned_with_
             use()
 
 
-@pytest.mark.usefixtures("hurried")
 def test_chamfer_alone_takes_no_labels(tube_rig, people_scans):
     scan = people_scans[0]
     with pytest.raises(InputError, match="labels: got known labels; expected None: the variant 'cd' does not use labels"):
@@ -238,7 +236,6 @@ def test_clones_have_learned_nothing(own, clouds):
 
 
 @pytest.mark.parametrize("loaded", [False, True])
-@pytest.mark.usefixtures("hurried")
 def test_a_fit_that_is_stopped_early_leaves_what_was_learned(loaded, own, clouds, tmp_path):
     """All of it: labels and starts of before learning do not go with learned templates."""
     if loaded:
@@ -261,7 +258,6 @@ def test_a_fit_that_is_stopped_early_leaves_what_was_learned(loaded, own, clouds
 
 
 @pytest.mark.parametrize("told", ["progress", "on_round"])
-@pytest.mark.usefixtures("hurried")
 def test_a_round_is_there_for_those_who_are_told_of_it(told, own, clouds):
     """Who stops the run then does not lose it."""
     fitter = clone(own)
@@ -296,9 +292,8 @@ def test_mappings_of_training_travel(own, tmp_path):
 # ---- the digest ----
 
 
-@pytest.mark.usefixtures("hurried")
-def test_results_say_whose_template_they_are_on(learned, tube_result, clouds, tmp_path):
-    assert [r.subject for r in learned.results_] == list("ababab") and tube_result.subject == ""
+def test_results_say_whose_template_they_are_on(learned, by_itself, clouds, tmp_path):
+    assert [r.subject for r in learned.results_] == list("ababab") and by_itself[1].subject == ""
     outcomes = fit_scans(learned, clouds[:3], subjects=["b", "a", None], n_jobs=2)
     assert [o.result.subject for o in outcomes][:2] == ["b", "a"]
     digests = [model_digest(learned, subject) for subject in ("b", "a", None)]
@@ -314,7 +309,6 @@ def test_results_say_whose_template_they_are_on(learned, tube_result, clouds, tm
 
 
 @pytest.mark.parametrize("ids, others", [((1, 2), ("1", "2")), (("1", "2"), (1, 2)), (("1", "2"), (np.int64(1), np.str_("2")))])
-@pytest.mark.usefixtures("hurried")
 def test_subjects_are_known_by_the_text_of_their_ids(ids, others, own, clouds):
     """The ids of results are text, and so are those that the command line learns with."""
     own.template_ = dict(zip(ids, own.template_.values()))
@@ -336,9 +330,9 @@ def test_subjects_are_known_by_the_text_of_their_ids(ids, others, own, clouds):
         own.transform(clouds[:2], [*others[:1], "3"])
 
 
-def test_results_say_which_model_they_were_made_with(learned, tube_fitter, tube_result, clouds, tmp_path):
-    digest = model_digest(learned)
-    assert len(digest) == 64 and model_digest(tube_fitter) == tube_result.model_digest == ""
+def test_results_say_which_model_they_were_made_with(learned, by_itself, clouds, tmp_path):
+    (unlearned, alone), digest = by_itself, model_digest(learned)
+    assert len(digest) == 64 and model_digest(unlearned) == alone.model_digest == ""
     found = learned.fit_scan(clouds[0])
     assert found.model_digest == digest
     of_learning = learned_digests(learned)  # its results stand for fits as their subject's as well as for fits as anybody's
@@ -346,12 +340,12 @@ def test_results_say_which_model_they_were_made_with(learned, tube_fitter, tube_
     assert found.settings["effort"] == learned.effort
     assert all(r.settings == found.settings | r.settings and r.settings["rounds"] == learned.rounds for r in learned.results_)
     assert len({digest, *of_learning.values(), *(model_digest(learned, s) for s in "ab")}) == 5
-    assert learned_digests(tube_fitter) == {}
+    assert learned_digests(unlearned) == {}
     assert learned.fit_scan(clouds[0], subject="a").model_digest == model_digest(learned, "a") != digest
     assert model_digest(learned, "a") != model_digest(learned, "b")
     found.save(tmp_path / "r.npz")
     assert lbs.FitResult.load(tmp_path / "r.npz").model_digest == digest
-    tube_result.save(tmp_path / "r.npz")
+    alone.save(tmp_path / "r.npz")
     assert lbs.FitResult.load(tmp_path / "r.npz").model_digest == ""
 
 
@@ -425,7 +419,6 @@ def test_a_fitter_of_another_variant_is_refused_before_any_scan(learned, clouds)
         fit_scans(fitter, clouds[:2])
 
 
-@pytest.mark.usefixtures("hurried")
 def test_what_was_learned_is_taken_whole_or_not_at_all(tube_rig, clouds, monkeypatch):
     """Ctrl-C comes while templates are made."""
     fitter = lbs.LBSFitter(tube_rig, **QUICK).pretrain()

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from learning_runs import GIVEN, IDS, WHOLE, collected, learning_is_hurried, loop_over, mean_gap
+from learning_runs import GIVEN, IDS, WHOLE, collected, learning_is_hurried, loop_over, mean_gap, rounds_are_short
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting import drawn
@@ -30,9 +30,11 @@ from lbsfit_np.starts.turns import Facing
 def test_many_scans_together_beat_each_by_itself(tube_rig, learned_people, unlearned, people_scans):
     truth = [people_scans[GIVEN[k]] for k in WHOLE]
     together = [learned_people.results_[k] for k in WHOLE]
-    single = [unlearned.fit_scan(s.points) for s in truth]
-    assert mean_gap(tube_rig, together, truth) < 0.6 * mean_gap(tube_rig, single, truth)
-    assert mean_gap(tube_rig, together, truth, "vertices") < 0.5 * mean_gap(tube_rig, single, truth, "vertices")
+    few = 6
+    single = [unlearned.fit_scan(s.points) for s in truth[:few]]
+    for what, share in (("joints", 0.6), ("vertices", 0.5)):
+        gap, alone = (mean_gap(tube_rig, found[:few], truth[:few], what) for found in (together, single))
+        assert gap < share * alone
     assert mean_gap(tube_rig, together, truth) < 0.025 and mean_gap(tube_rig, together, truth, "vertices") < 0.02
     labels = np.mean([(r.labels == s.labels).mean() for r, s in zip(together, truth)])
     assert labels > 0.9
@@ -108,11 +110,12 @@ def test_the_segmenter_goes_on_from_the_pretrained_one(learned_people, unlearned
         np.testing.assert_array_equal(own.mean, before.mean)  # which would be that of the round's scans otherwise
 
 
-def test_turned_scans_are_learned_from(tube_rig, make_learner, few_scans):
+def test_turned_scans_are_learned_from(tube_rig, make_learner, few_scans, monkeypatch):
     """Each turned in its own way: what is learned is the same person's template."""
-    turns = [matrix_from_rotvec(np.array([0.0, a, 0.0])) for a in (0.0, 1.0, 2.5, -2.0, -0.7)]
+    rounds_are_short(monkeypatch)
+    turns = [matrix_from_rotvec(np.array([0.0, a, 0.0])) for a in (0.0, 1.0, 2.5, -2.0)]
     fitter = make_learner(held_out=0).fit([s.points @ turn.T for s, turn in zip(few_scans, turns)])
-    for r, s, turn in zip(fitter.results_, few_scans, turns, strict=True):
+    for r, s, turn in zip(fitter.results_, few_scans[:4], turns, strict=True):
         assert np.linalg.norm(r.joints @ turn - s.joints, axis=1).mean() < 0.05 * tube_rig.size / 2
     person = tube_rig.subject(3, amount=1.5)
     found, before = (r.vertices - person.vertices for r in (fitter.template_[0], tube_rig))
@@ -150,17 +153,19 @@ def test_losses_of_first_fits_are_in_the_unit_that_all_have(tube_rig, unlearned)
 
 
 @pytest.mark.parametrize("size", [1.0, 1.2])
-def test_with_fixed_joints_another_size_is_another_unit(tube_rig, make_learner, size):
+def test_with_fixed_joints_another_size_is_another_unit(tube_rig, make_learner, size, monkeypatch):
     """Skin alone that grows about joints that stay would be nobody."""
+    rounds_are_short(monkeypatch)
     made = lbs.synthesize(tube_rig, 4, random_state=3, shape=0.0, holes=0, n_points=400)
-    fitter = make_learner(joints="fixed").fit([size * s.points for s in made])
+    fitter = make_learner(variant="cd", joints="fixed").fit([size * s.points for s in made])
     assert fitter.unit_[0] == (1.0 if size == 1.0 else pytest.approx(size, rel=0.02))
     for r, s in zip(fitter.results_, made, strict=True):
         assert np.linalg.norm(r.joints - size * s.joints, axis=1).mean() < 0.02 * size * tube_rig.size / 2
 
 
-def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans):
+def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans, monkeypatch):
     """Millimetres: the unit is found once, the template is in the rig's own."""
+    rounds_are_short(monkeypatch)
     fitter = make_learner(variant="cd").fit([250 * s.points for s in few_scans[:3]])
     assert fitter.unit_[0] == 250.0
     note = "; the scan seems to be in millimetres: one rig unit is 250 scan units"

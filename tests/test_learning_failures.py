@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from learning_runs import FEW
+from learning_runs import FEWER
 
 import lbsfit_np as lbs
 from lbsfit_np.learning import finish, first_fits, free_form, tasks
@@ -156,7 +156,7 @@ def after_turns(tube_rig, clouds):
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(VARIANTS, "cd", replace(VARIANTS["cd"], prior=True))
         for turns in (0, 1):
-            settings = partial(LoopSettings, turns=turns, **FEW)
+            settings = partial(LoopSettings, turns=turns, **FEWER)
             patch.setattr(LoopSettings, "for_training", lambda n, made=settings, **others: made(**others))
             found[turns] = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
     return found

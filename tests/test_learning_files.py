@@ -1,6 +1,7 @@
 """Models in files: what is saved and loaded fits the same, and every broken file gives one clear error."""
 
 import copy
+import re
 import zipfile
 from fractions import Fraction
 from pathlib import Path
@@ -51,6 +52,13 @@ def test_saved_and_loaded_fits_are_the_same(learned_people, saved, people_scans)
         assert set(x.files) == set(y.files) and all(np.array_equal(x[k], y[k]) for k in x.files)
 
 
+def test_what_was_learned_is_a_line_each(learned_people):
+    assert re.fullmatch(r"<Segmenter: 4 parts, \d+ numbers per point, 2 stages>", repr(learned_people.segmenter_))
+    assert re.fullmatch(r"<PoseLibrary: 100 poses of 4 joints, f \d+ → .*\d → 12>", repr(learned_people.regressor_))
+    turning = int((learned_people.rig.upper > learned_people.rig.lower)[1:].sum())  # all but the root's
+    assert repr(learned_people.pose_prior_) == f"<PosePrior: 4 joints, {turning} angles>"
+
+
 def test_the_file_holds_plain_arrays_and_is_a_rig(saved, learned_people):
     with np.load(saved, allow_pickle=False) as z:
         arrays = {k: z[k] for k in z.files}
@@ -76,6 +84,7 @@ def test_parameters_travel(learned_people, tmp_path, parameters):
     assert again.random_state is None
 
 
+@pytest.mark.usefixtures("hurried")
 def test_other_parts_of_the_rig_travel(tmp_path, people_scans):
     rig = build_rig(make_tube_data(), parts="arm and fingers")
     fitter = lbs.LBSFitter(rig, **SMALL | {"variant": "cd", "training_scans": 60}).fit([s.points for s in people_scans[:4]])

@@ -10,7 +10,6 @@ from unittest import mock
 
 import numpy as np
 import pytest
-from learning_runs import learning_is_hurried
 from segmenter_training import scans_of
 from sklearn.exceptions import NotFittedError
 from sklearn.utils.validation import check_is_fitted
@@ -29,6 +28,8 @@ from lbsfit_np.synthesis import Synthesis
 
 # Without a segmenter, learning takes a second or two.
 QUICK = {"effort": "fast", "training_scans": 40, "training": {"n_points": 200}, "rounds": 1, "random_state": 0, "variant": "cd"}
+
+pytestmark = pytest.mark.usefixtures("hurried_learning")
 
 
 @pytest.fixture(scope="module")
@@ -191,8 +192,7 @@ def test_an_interrupt_that_a_reader_makes_an_error_of_ends_learning(tube_rig, cl
         read_collection(tube_rig, [clouds[0], interrupted, *clouds[1:]], None, **options)
 
 
-def test_learning_goes_on_with_the_layers_of_a_given_segmenter(tube_rig, clouds, monkeypatch):
-    learning_is_hurried(monkeypatch)
+def test_learning_goes_on_with_the_layers_of_a_given_segmenter(tube_rig, clouds):
     training = Training(points_per_scan=60, hidden=(16,))
     given = train_segmenter(tube_rig, scans_of(tube_rig, 4), 4, training=training, random_state=0)
     fitter = lbs.LBSFitter(tube_rig, **QUICK | {"variant": "joint", "held_out": 0.0}).pretrain(segmenter=given).fit(clouds)
@@ -323,7 +323,7 @@ def test_training_within_bounds():
 
 
 @pytest.fixture(scope="module")
-def learned(tube_rig, clouds):
+def learned(tube_rig, clouds, hurried_learning):
     return lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
 
 

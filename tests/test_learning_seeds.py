@@ -2,25 +2,32 @@
 
 import numpy as np
 import pytest
-from learning_runs import FEW, learning_is_hurried
+from learning_runs import learning_is_hurried, rounds_are_short
 
 from lbsfit_np.learning.checkpoint import steps_in
-from lbsfit_np.learning.loop import LoopSettings
 
 
-def test_results_do_not_depend_on_the_number_of_processes(make_learner, few_scans, monkeypatch):
-    monkeypatch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**FEW, **others))
-    found = [make_learner(n_jobs=jobs).fit([s.points for s in few_scans[:3]]) for jobs in (1, 2)]
+@pytest.fixture(scope="module")
+def points(few_scans):
+    """Every other point: these tests ask whether fits are the same. Other processes know nothing of a hurry here."""
+    return [s.points[::2] for s in few_scans]
+
+
+def test_results_do_not_depend_on_the_number_of_processes(make_learner, points, monkeypatch):
+    rounds_are_short(monkeypatch)
+    found = [make_learner(n_jobs=jobs).fit(points[:3]) for jobs in (1, 2)]
     _assert_alike(*found)
     np.testing.assert_array_equal(found[0].template_[0].vertices, found[1].template_[0].vertices)
 
 
-def test_processes_find_what_one_has_kept(make_learner, few_scans, tmp_path):
+def test_processes_find_what_one_has_kept(make_learner, points, tmp_path, monkeypatch):
+    rounds_are_short(monkeypatch)
+
     def stop(stage, share, figures=None):
         if stage == "first fits" and share > 0:
             raise KeyboardInterrupt
 
-    points = [s.points for s in few_scans[:3]]
+    points = points[:3]
     with pytest.raises(KeyboardInterrupt):
         make_learner(variant="cd").fit(points, checkpoint=tmp_path, progress=stop)
     assert steps_in(tmp_path) == 1  # two are left to two processes
@@ -39,14 +46,15 @@ def _assert_alike(found, expected):
     assert h == g
 
 
-def test_a_seed_decides_all_and_other_kinds_of_seeds_work(make_learner, few_scans):
+def test_a_seed_decides_all_and_other_kinds_of_seeds_work(make_learner, few_scans, monkeypatch):
+    rounds_are_short(monkeypatch)
     points = [s.points for s in few_scans[:2]]
     first = make_learner(variant="cd", held_out=0, random_state=5).fit(points).results_[0].vertices
     for seed in (None, np.random.default_rng(0), np.int64(5)):
         fitter = make_learner(variant="cd", held_out=0, random_state=seed).fit(points)
         assert all(r.status == "ok" for r in fitter.results_)
     np.testing.assert_array_equal(fitter.results_[0].vertices, first)  # the last seed was 5 again
-    joint = make_learner(random_state=np.random.default_rng(1), held_out=0).fit(points)
+    joint = make_learner(random_state=np.random.default_rng(1), held_out=0, training_scans=40).fit(points)
     assert len(joint.results_) == 2 and joint.history_[0]["recon_held_out"] is None
     assert joint.fit_scan(few_scans[4].points).status == "ok"
 

@@ -1,11 +1,14 @@
 """The paper's variants of learning: what each of them does, learns and trains on."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from learning_runs import SMALL, collected, loop_over, mean_gap
+from learning_runs import HURRIED, SMALL, collected, learning_is_hurried, loop_over, mean_gap, rounds_are_short
 
 from lbsfit_np import LBSFitter
 from lbsfit_np.errors import InputError
+from lbsfit_np.fitting.effort import EFFORTS
 from lbsfit_np.learning import finish, pretraining
 from lbsfit_np.learning.batch import fit_scans
 from lbsfit_np.learning.tasks import Told, with_right_poses
@@ -46,6 +49,7 @@ def test_free_vertices_come_nearer_to_the_scan_than_stiff_ones(tube_rig, make_le
 
 @pytest.mark.parametrize("variant", ["pose-only", "rand", "cd", "free-form"])
 def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, variant, monkeypatch):
+    rounds_are_short(monkeypatch)
     few = few_scans[:4]
     if variant in ("cd", "free-form"):  # no labels anywhere: s is neither trained nor asked
         for name in ("learning.pretraining.train_segmenter", "learning.loop.train_segmenter"):
@@ -92,6 +96,7 @@ def test_no_labels_before_learning_either_where_there_are_none_in_learning(tube_
     assert np.linalg.norm(started.joints - s.joints @ pose.T, axis=1).mean() < 0.03 * tube_rig.size
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_fitter_that_was_pretrained_without_labels_can_be_given_another_variant(tube_rig, few_scans, monkeypatch):
     calls, train = [], pretraining.train_segmenter
     monkeypatch.setattr(pretraining, "train_segmenter", lambda *a, **k: calls.append(1) or train(*a, **k))
@@ -106,6 +111,8 @@ def test_a_fitter_that_was_pretrained_without_labels_can_be_given_another_varian
 
 
 def test_without_the_library_limbs_are_not_tried_in_its_poses(make_learner, few_scans, monkeypatch):
+    learning_is_hurried(monkeypatch)
+    monkeypatch.setitem(EFFORTS, "fast", replace(HURRIED, generations=1))
     monkeypatch.setattr("lbsfit_np.starts.limbs.LimbPoses.proposals", lambda *a, **k: pytest.fail("asked the library"))
     fitter = make_learner(variant="cd")
     fitter.segmenter_, fitter.regressor_ = None, fitter._pretrained[1]
@@ -114,6 +121,7 @@ def test_without_the_library_limbs_are_not_tried_in_its_poses(make_learner, few_
 
 
 @pytest.mark.parametrize("variant", ["cd", "joint"])
+@pytest.mark.usefixtures("hurried")
 def test_results_try_limbs_where_the_rounds_do(variant, make_learner, few_scans, monkeypatch):
     """Points are taken for those of a limb, of which Chamfer alone knows nothing."""
     tried, made = [], finish.TemplateFit

@@ -84,7 +84,7 @@ def test_a_start_that_is_right_is_not_lost_on_a_learned_template(model):
     """Nor on the way there: steps that look far bend fingers into their neighbours."""
     from lbsfit_np.learning.new_scan import _given
 
-    scans = lbs.synthesize(model.source, 6, poses="natural", random_state=3, n_points=600, shape=0.0, density=1.5)
+    scans = lbs.synthesize(model.source, 6, poses="natural", random_state=3, n_points=600, shape=0.0, density=1.5)[:3]
     fitter = lbs.LBSFitter(model.source, orientation="aligned", random_state=0)
     fitter.template_, fitter.unit_, fitter.segmenter_ = {0: model.source}, {0: 1.0}, None
     for s in scans:
