@@ -153,8 +153,9 @@ def test_templates_of_few_subjects_at_a_time_are_kept_ready(own):
     assert {key[0] for key in own._prepared} == {*ids[4:], ids[3]}  # those asked for last
 
 
-def test_templates_that_are_ready_are_looked_at_first(own, clouds, prepared):
+def test_templates_that_are_ready_are_looked_at_first(own, clouds, prepared, monkeypatch):
     """So that of many subjects no more than need be are made ready anew for a scan of nobody named."""
+    monkeypatch.setattr(new_scan, "_READY", 12)
     _as_many(own, new_scan._READY + 2)
     found = own.fit_scan(clouds[0])
     count = len(prepared)

@@ -43,7 +43,7 @@ def done(monkeypatch):
 
 @pytest.fixture(scope="module")
 def points(few_scans):
-    return [s.points for s in few_scans[:4]]
+    return [s.points[::2] for s in few_scans[:4]]
 
 
 @pytest.fixture(scope="module")
@@ -129,14 +129,15 @@ def test_a_library_made_beside_the_segmenter_is_kept_as_soon_as_it_is_there(make
         make_learner(n_jobs=2).fit(points, checkpoint=tmp_path)
     monkeypatch.undo()
     monkeypatch.setattr("lbsfit_np.learning.loop.build_library", lambda *given, **more: 1 / 0)  # not made again
-    make_learner().fit(points, checkpoint=tmp_path)
+    with pytest.raises(KeyboardInterrupt):
+        make_learner().fit(points, checkpoint=tmp_path, progress=_stop_at("labels", 0.0))
 
 
 def test_what_suits_other_scans_and_settings_is_taken_and_nothing_else(
     make_learner, few_scans, points, done, tmp_path, monkeypatch
 ):
     learning_is_hurried(monkeypatch, turns=0)
-    points, other = [p[::2] for p in points[:3]], few_scans[4].points[::2]
+    points, other = points[:3], few_scans[4].points[::2]
     make_learner(variant="cd").fit(points, checkpoint=tmp_path)
 
     def anew(scans=points, subjects=None, **parameters):
