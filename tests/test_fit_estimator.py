@@ -18,6 +18,7 @@ from lbsfit_np.segmentation import cache
 from lbsfit_np.synthesis import Synthesis
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_seed_decides_all(tube_rig, tube_scan):
     def fit(seed):
         small = {"effort": "fast", "training_scans": 4, "training": {"n_points": 300}, "max_points": 400}

@@ -123,15 +123,21 @@ def test_turned_scans_are_learned_from(tube_rig, make_learner, few_scans, monkey
     assert gaps[0] < 0.6 * gaps[1]
 
 
-def test_people_of_another_size_stay_where_they_are(tube_rig, unlearned):
-    """A scale near 1 goes into the template, which grows about the root joint, not about the origin."""
-    size = 1.2
+@pytest.fixture(scope="module")
+def first_fits_of_a_large_one(tube_rig, unlearned):
+    """Scans in the rig's own size, and the loop after first fits of them 1.2 times as large."""
     made = lbs.synthesize(tube_rig, 4, random_state=3, shape=0.0, holes=0, n_points=400)
-    collection = collected(tube_rig, [size * s.points for s in made])
+    collection = collected(tube_rig, [1.2 * s.points for s in made])
     loop = loop_over(tube_rig, collection, "joint", unlearned.segmenter_, unlearned.regressor_)
-    assert np.linalg.norm(loop.model.rig.joints[0]) > 0.5
     loop._first_fits()
-    for m, s in zip(collection.members, made):
+    return made, loop
+
+
+def test_people_of_another_size_stay_where_they_are(first_fits_of_a_large_one):
+    """A scale near 1 goes into the template, which grows about the root joint, not about the origin."""
+    size, (made, loop) = 1.2, first_fits_of_a_large_one
+    assert np.linalg.norm(loop.model.rig.joints[0]) > 0.5
+    for m, s in zip(loop.collection.members, made):
         assert m.unit == 1.0 and m.state.scale == 1.0
         posed = loop.shifting.pose(m.state.replace(coefficients=loop.coefficients[0]))[0]
         true = m.frame.inside(size * s.vertices)
@@ -140,13 +146,10 @@ def test_people_of_another_size_stay_where_they_are(tube_rig, unlearned):
     assert (c[: loop.model.n_proportions] > 0.05).all() and not c[loop.model.n_proportions :].any()
 
 
-def test_losses_of_first_fits_are_in_the_unit_that_all_have(tube_rig, unlearned):
+def test_losses_of_first_fits_are_in_the_unit_that_all_have(first_fits_of_a_large_one):
     """Each is found where its scan has the rig's size, and told where the next rounds tell theirs."""
-    made = lbs.synthesize(tube_rig, 4, random_state=3, shape=0.0, holes=0, n_points=400)
-    collection = collected(tube_rig, [1.2 * s.points for s in made])
-    loop = loop_over(tube_rig, collection, "joint", unlearned.segmenter_, unlearned.regressor_)
-    loop._first_fits()
-    for m in collection.members:
+    _, loop = first_fits_of_a_large_one
+    for m in loop.collection.members:
         c = loop.coefficients[0]
         here = Problem(m.X).evaluate(loop.shifting.coarse, m.state.replace(coefficients=c), PLAIN).value
         assert m.loss == pytest.approx(here, rel=0.05)  # 1.44 times as much as in their own; the proportions are other ones
@@ -245,9 +248,10 @@ def test_figures_of_a_round_are_means_of_roots():
     assert (loop.history[0]["recon"], loop.history[0]["recon_held_out"]) == (pytest.approx(0.2), pytest.approx(0.3))
 
 
-def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, few_scans, monkeypatch):
-    """The best round's state is what counts; of rounds that are level the later."""
+def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, few_scans, tmp_path, monkeypatch):
+    """The best round's state is what counts; of rounds that are level the later. All find the same, and once."""
     learning_is_hurried(monkeypatch)
+    scans, kept = [s.points for s in few_scans[:3]], {"checkpoint": tmp_path}
     values = iter([0.5, 0.4, 0.399, 0.3])
     noted, poses = Loop._note, {}
 
@@ -257,18 +261,18 @@ def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, f
         return 1.0 if k == 0 else next(values)
 
     monkeypatch.setattr(Loop, "_note", note)
-    fitter = make_learner(variant="cd", rounds=6).fit([s.points for s in few_scans[:3]])
+    fitter = make_learner(variant="cd", rounds=6).fit(scans, **kept)
     assert [h["round"] for h in fitter.history_] == [0, 1, 2, 3]  # 0.399 is no improvement on 0.4 worth a round
     assert [h["round"] for h in fitter.history_ if h["kept"]] == [3]
     for second, kept in ((0.4019, 2), (0.4021, 1)):
         values = iter([0.4, second])
-        fitter = make_learner(variant="cd", rounds=6).fit([s.points for s in few_scans[:3]])
+        fitter = make_learner(variant="cd", rounds=6).fit(scans, **kept)
         assert [h["round"] for h in fitter.history_ if h["kept"]] == [kept] and len(fitter.history_) == 3
     values = iter([0.4, 0.6])
     templates = []
     found = Loop._templates
     monkeypatch.setattr(Loop, "_templates", lambda *given: templates.append(found(*given)) or templates[-1])
-    fitter = make_learner(variant="cd", rounds=6).fit([s.points for s in few_scans[:3]])
+    fitter = make_learner(variant="cd", rounds=6).fit(scans, **kept)
     assert len(templates) == 6 and [h["kept"] for h in fitter.history_] == [False, True, False]
     (loop, best), (_, last) = poses[1], poses[2]
     assert all(np.array_equal(m.state.theta, theta) for m, theta in zip(loop.collection.members, best, strict=True))

@@ -47,8 +47,14 @@ def test_free_vertices_come_nearer_to_the_scan_than_stiff_ones(tube_rig, make_le
     np.testing.assert_array_equal(asked.vertices, loose.vertices)
 
 
+@pytest.fixture(scope="module")
+def in_common(tmp_path_factory):
+    """Where first fits are kept, which variants with labels have in common."""
+    return tmp_path_factory.mktemp("kept")
+
+
 @pytest.mark.parametrize("variant", ["pose-only", "rand", "cd", "free-form"])
-def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, variant, monkeypatch):
+def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, variant, in_common, monkeypatch):
     rounds_are_short(monkeypatch)
     few = few_scans[:4]
     if variant in ("cd", "free-form"):  # no labels anywhere: s is neither trained nor asked
@@ -56,7 +62,7 @@ def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, v
             monkeypatch.setattr(f"lbsfit_np.{name}", lambda *a, **k: pytest.fail("trained s"))
         monkeypatch.setattr("lbsfit_np.segmentation.segmenter.Segmenter.predict_proba", lambda *a, **k: pytest.fail("asked s"))
         monkeypatch.setattr("lbsfit_np.fitting.refit.start_from_parts", lambda *a, **k: pytest.fail("a start from parts"))
-    fitter = make_learner(variant=variant).fit([s.points for s in few])
+    fitter = make_learner(variant=variant).fit([s.points for s in few], checkpoint=in_common)
     assert list(fitter.template_) == [0] and all(r.status == "ok" for r in fitter.results_)
     # Without skinning the joints stay where the rest pose has them, which the results say.
     assert all((r.probability > 0) == bool(r.evidence) == (variant != "free-form") for r in fitter.results_)

@@ -289,7 +289,7 @@ def test_weights_of_points_count(tube_rig):
     lifted = []
     for person in (5, 6, 7, 8):
         subject = tube_rig.subject(person, amount=1.5)
-        case = Case(tube_rig, (subject.vertices, subject.joints))
+        case = Case(tube_rig, (subject.vertices, subject.joints), n=5)
         U = case.found()[0]
         light, heavy = [], []
         for p in case.problems:
