@@ -251,7 +251,7 @@ def test_figures_of_a_round_are_means_of_roots():
 def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, few_scans, tmp_path, monkeypatch):
     """The best round's state is what counts; of rounds that are level the later. All find the same, and once."""
     learning_is_hurried(monkeypatch)
-    scans, kept = [s.points for s in few_scans[:3]], {"checkpoint": tmp_path}
+    scans = [s.points for s in few_scans[:3]]
     values = iter([0.5, 0.4, 0.399, 0.3])
     noted, poses = Loop._note, {}
 
@@ -261,18 +261,18 @@ def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, f
         return 1.0 if k == 0 else next(values)
 
     monkeypatch.setattr(Loop, "_note", note)
-    fitter = make_learner(variant="cd", rounds=6).fit(scans, **kept)
+    fitter = make_learner(variant="cd", rounds=6).fit(scans, checkpoint=tmp_path)
     assert [h["round"] for h in fitter.history_] == [0, 1, 2, 3]  # 0.399 is no improvement on 0.4 worth a round
     assert [h["round"] for h in fitter.history_ if h["kept"]] == [3]
     for second, kept in ((0.4019, 2), (0.4021, 1)):
         values = iter([0.4, second])
-        fitter = make_learner(variant="cd", rounds=6).fit(scans, **kept)
+        fitter = make_learner(variant="cd", rounds=6).fit(scans, checkpoint=tmp_path)
         assert [h["round"] for h in fitter.history_ if h["kept"]] == [kept] and len(fitter.history_) == 3
     values = iter([0.4, 0.6])
     templates = []
     found = Loop._templates
     monkeypatch.setattr(Loop, "_templates", lambda *given: templates.append(found(*given)) or templates[-1])
-    fitter = make_learner(variant="cd", rounds=6).fit(scans, **kept)
+    fitter = make_learner(variant="cd", rounds=6).fit(scans, checkpoint=tmp_path)
     assert len(templates) == 6 and [h["kept"] for h in fitter.history_] == [False, True, False]
     (loop, best), (_, last) = poses[1], poses[2]
     assert all(np.array_equal(m.state.theta, theta) for m, theta in zip(loop.collection.members, best, strict=True))
