@@ -210,13 +210,14 @@ def test_learning_from_scans_that_are_fitted_wrongly_is_told_before_it_begins(wr
     assert len(said) == told and all(words.startswith(f"{len(wrong)} of 4 scans to learn from are") for words in said)
 
 
-def test_what_stands_on_its_head_is_fitted_wrongly(tube_rig, make_learner, few_scans):
+def test_what_stands_on_its_head_is_fitted_wrongly(tube_rig, unlearned, few_scans):
     """And the same scans as they stand are not."""
-    turn = matrix_from_rotvec(np.array([np.pi, 0.0, 0.0]))
+    turn, known = matrix_from_rotvec(np.array([np.pi, 0.0, 0.0])), (unlearned.segmenter_, unlearned.regressor_)
     for R, most in ((turn, True), (np.eye(3), False)):
-        learner = make_learner(orientation="aligned", rounds=1)
+        collection = collected(tube_rig, [s.points @ R.T for s in few_scans[:4]])
+        loop = loop_over(tube_rig, collection, "joint", *known, fit_settings=FitSettings(effort="fast"))
         with warnings.catch_warnings(record=True) as seen:
             warnings.simplefilter("always")
-            learner.fit([s.points @ R.T for s in few_scans[:4]])
+            wrong = loop._first_fits()
         assert any("all but certainly fitted wrongly" in str(w.message) for w in seen) == most
-        assert (2 * learner.history_[0]["failed"] > 4) == most
+        assert (2 * wrong > 4) == most

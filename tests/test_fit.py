@@ -41,11 +41,11 @@ def test_surface_points_with_known_labels_give_the_pose_back(tube_rig, fitter):
         assert abs(r.scale - 1) < 0.06
 
 
-def test_scans_of_other_shapes_with_all_their_flaws(tube_rig, tube_fitter):
+def test_scans_of_other_shapes_with_all_their_flaws(tube_rig, quick_fitter):
     joints, vertices, labels = [], [], []
     scans = lbs.synthesize(tube_rig, 6, random_state=8, n_points=1000)
     for s in scans:
-        r = tube_fitter.fit_scan(s.points)
+        r = quick_fitter.fit_scan(s.points)
         joints.append(mean_error(tube_rig, r.joints, s.joints))
         vertices.append(mean_error(tube_rig, r.vertices, s.vertices))
         labels.append((r.labels == s.labels).mean())

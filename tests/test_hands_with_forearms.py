@@ -22,8 +22,8 @@ def hand():
 
 @pytest.fixture(scope="module")
 def fitter(hand):
-    known = {"orientation": "aligned", "training_scans": 150, "training": {"n_points": 800}, "max_points": 600, "random_state": 0}
-    return lbs.LBSFitter(hand, **known).pretrain()
+    quick = {"training_scans": 60, "training": {"n_points": 500}, "max_points": 400}
+    return lbs.LBSFitter(hand, orientation="aligned", random_state=0, **quick).pretrain()
 
 
 def _with_an_arm(hand, i):
@@ -43,6 +43,7 @@ def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fit
     assert "(--effort balanced) looks further, also for what goes on beyond the rig" in alone.message
 
 
+@pytest.mark.study
 def test_hands_with_forearms_are_learned_from(hand, fitter, tmp_path, monkeypatch):
     """Their first fits find what lies beyond, and are not made again after a stop; in millimetres."""
     monkeypatch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**FEW, **others))

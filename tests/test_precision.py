@@ -148,7 +148,7 @@ def test_before_the_scan_is_looked_at_the_scale_is_known_to_a_share_of_itself(tu
 def test_a_fit_says_how_precisely_joints_are_told(tube_rig, tube_fitter, quick_fitter):
     """In the scan's unit; less so where the scan ends far below them."""
     (scan,) = lbs.synthesize(tube_rig, random_state=31, n_points=1500, holes=0)
-    fitter = copy.copy(quick_fitter).set_params(scale="fixed", partial=True, training_scans=100)
+    fitter = copy.copy(quick_fitter).set_params(scale="fixed", partial=True, training_scans=20)
     whole, cut = (fitter.fit_scan(points, theta0=scan.pose) for points in (scan.points, scan.points[scan.labels < 1]))
     assert (whole.joint_std < 0.02 * tube_rig.size).all() and "joint_std" not in whole.message
     assert cut.joint_std[3] > 2 * whole.joint_std[3] and cut.joint_std[3] > 1.5 * cut.joint_std[0]

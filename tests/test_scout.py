@@ -48,7 +48,8 @@ def test_the_unit_is_found_with_the_turn(tube_rig, make_scout, clean_scans, unit
 
 def test_a_hand_that_lies_anyhow_in_millimetres():
     rig = lbs.load_rig("hand-coarse")
-    fitter = lbs.LBSFitter(rig, orientation="any", training_scans=200, training={"n_points": 800}, random_state=0).pretrain()
+    quick = {"effort": "fast", "training_scans": 60, "training": {"n_points": 500}}
+    fitter = lbs.LBSFitter(rig, orientation="any", random_state=0, **quick).pretrain()
     for k, s in enumerate(lbs.synthesize(rig, 2, poses="natural", random_state=1, n_points=700, shape=0.03)):
         turn = any_turn(20 + k)
         r = fitter.fit_scan(1000 * s.points @ turn.T + [100.0, 0.0, -500.0])
