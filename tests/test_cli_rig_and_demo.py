@@ -39,6 +39,25 @@ def test_show_and_card_name_a_unit_alike_but_for_rounding(metres, name, shown, t
     assert line.split(maxsplit=1)[1] == shown
 
 
+def test_rig_mirror(made, tmp_path, run):
+    """With what a rig file may need; an angle gives the mirrored pose."""
+    (tmp_path / "c.toml").write_text('[lock]\njoints = ["short"]\n')
+    out = tmp_path / "other.npz"
+    code, text, err = run("rig", "mirror", made / "tube.npz", "-o", out, "--axis", "z", "--card", tmp_path / "c.toml")
+    assert (code, err) == (0, "") and text.endswith(f"{out} written: 'tube-mirrored'\n")
+    rig, mirrored = lbs.load_rig(made / "tube.npz", card=tmp_path / "c.toml"), lbs.load_rig(out)
+    theta = 0.1 * np.arange(12.0).reshape(4, 3)
+    np.testing.assert_allclose(mirrored.pose(theta), rig.pose(theta) * [1.0, 1.0, -1.0], atol=1e-12)
+    for arguments, words in (
+        ((made / "tube.npz",), "-o/--output: got nothing; expected the rig to write. Add -o NAME.npz."),
+        ((made / "tube.npz", "-o", out), "a file that exists already"),
+        ((made / "tube.npz", "-o", tmp_path / "other.glb"), "a name that ends in .npz"),
+        ((out, "-o", out, "--existing", "replace"), "which is the rig itself"),
+    ):
+        code, _, err = run("rig", "mirror", *arguments)
+        assert code == 2 and words in one_line(err)
+
+
 def test_rig_card(made, tmp_path, run):
     card = tmp_path / "tube.toml"
     assert run("rig", "card", made / "tube.npz", "-o", card)[0] == 0

@@ -1,4 +1,4 @@
-"""Hands with a forearm, which their rig has nothing of, fitted by themselves and learned from."""
+"""Hands with a forearm, which their rig has nothing of, fitted by themselves and learned from; left hands fitted as right ones."""
 
 import warnings
 from copy import copy
@@ -41,6 +41,14 @@ def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fit
     alone = copy(fitter).set_params(effort="fast").fit_scan(scan.points)
     assert alone.status != "ok" and "the scan seems to go on beyond the rig" not in alone.message
     assert "(--effort balanced) looks further, also for what goes on beyond the rig" in alone.message
+
+
+def test_a_left_hand_fails_and_is_asked_about(hand, fitter):
+    scan = condition_scan(hand, CONDITIONS["0.3"], 4, np.random.default_rng(4))
+    fitter = copy(fitter).set_params(effort="fast")
+    left, right = (fitter.fit_scan(points) for points in (scan.points * [-1.0, 1.0, 1.0], scan.points))
+    assert left.status != "ok" and "the mirror image of the scan fits" in left.message, left.message
+    assert right.status == "ok" and "mirror" not in right.message, right.message
 
 
 @pytest.mark.study

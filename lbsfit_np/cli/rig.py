@@ -1,4 +1,4 @@
-"""``lbsfit rig``: look at a rig, draw its joints' angles, write a card for it, list the rigs that come with the package."""
+"""``lbsfit rig``: look at a rig, draw its joints' angles, write a card or its mirror image, list the rigs of the package."""
 
 from pathlib import Path
 
@@ -24,6 +24,12 @@ _TURN_OPTIONS = (
     *RIG_OPTIONS,
     Option("existing", "what to do if PNG already exists", default="error", choices=("error", "replace")),
 )  # fmt: skip
+_MIRROR_OPTIONS = (
+    Option("output", "the rig to write (required), NAME.npz", metavar="NPZ", flag="-o"),
+    Option("axis", "which coordinate changes its sign", default="x", choices=("x", "y", "z")),
+    *RIG_OPTIONS,
+    Option("existing", "what to do if NPZ already exists", default="error", choices=("error", "replace")),
+)
 _SHOW_OPTIONS = (*RIG_OPTIONS, Option("degrees", "show limits in degrees instead of radians", bool, False))
 
 _CARD_EPILOG = """\
@@ -75,6 +81,18 @@ def add_parser(commands):
     turn.add_argument("joint", metavar="JOINT", help="the joint's name (see: lbsfit rig show FILE)")
     add_options(turn, _TURN_OPTIONS)
     turn.set_defaults(run=_turn)
+
+    mirror = actions.add_parser(
+        "mirror",
+        help="write the mirror image, such as a left hand of a right one",
+        description="Write a rig's mirror image, such as a left hand of a right one. The same angles give the mirrored pose;\n"
+        "left and right are exchanged in names.",
+        epilog="example:\n  lbsfit rig mirror right.glb -o left.npz\n",
+        formatter_class=formatter,
+    )
+    mirror.add_argument("file", metavar="FILE", help=rigs)
+    add_options(mirror, _MIRROR_OPTIONS)
+    mirror.set_defaults(run=_mirror)
 
     bundled = actions.add_parser(
         "list",
@@ -130,13 +148,7 @@ def _turn(arguments):
     from ..report.turn_picture import turn_picture
 
     values = settings(arguments, _TURN_OPTIONS)
-    path = values["output"]
-    if path is None:
-        raise InputError("-o/--output", "nothing", "the picture to write", "Add -o NAME.png.")
-    inputs = [(arguments.file, "the rig itself")] + [(values["card"], "the card")] * (values["card"] not in (None, "none"))
-    check_file(path, inputs=inputs, existing=values["existing"])
-    if not path.lower().endswith(".png"):
-        raise InputError("-o/--output", path, "a name that ends in .png", f"Call it {path}.png.")
+    path = _output(values, arguments.file, "the picture to write", ".png")
     rig = load_rig_with(arguments.file, values, quiet=True)
     write_png(path, turn_picture(rig, arguments.joint, view=values["view"]))
     j = rig.joint_names.index(arguments.joint)
@@ -149,6 +161,27 @@ def _turn(arguments):
         print("note: the rest pose is outside these limits")
     print(f"{path} written: rows x, y, z; from left to right the lower limit, the rest pose, the upper limit")
     return 0
+
+
+def _mirror(arguments):
+    values = settings(arguments, _MIRROR_OPTIONS)
+    path = _output(values, arguments.file, "the rig to write", ".npz")
+    mirrored = load_rig_with(arguments.file, values).mirrored(axis=values["axis"])
+    mirrored.save(path)
+    print(f"{path} written: {mirrored.name!r}")
+    return 0
+
+
+def _output(values, rig, what, suffix):
+    """The file that ``-o`` names, checked before any work: it is not what is read, and ends as it has to."""
+    path = values["output"]
+    if path is None:
+        raise InputError("-o/--output", "nothing", what, f"Add -o NAME{suffix}.")
+    inputs = [(rig, "the rig itself")] + [(values["card"], "the card")] * (values["card"] not in (None, "none"))
+    check_file(path, inputs=inputs, existing=values["existing"])
+    if not path.lower().endswith(suffix):
+        raise InputError("-o/--output", path, f"a name that ends in {suffix}", f"Call it {path}{suffix}.")
+    return path
 
 
 def _list(arguments):

@@ -22,6 +22,7 @@ from .assemble import assemble
 from .confidence import shown_problem
 from .drawn import drawn_by_itself
 from .labels import one_hot
+from .mirror_image import looked_at_in_the_mirror
 from .proportioned import Proportioned
 from .refit import Refit, Runner
 from .scout import Scout
@@ -156,15 +157,22 @@ class ScanFit:
         with one_thread():  # threads on arrays this small cost more than they give
             if part is not None:
                 return self._fit(points, theta0, labels, point_weights, part, started, found, once=once)
-            return looked_at_again(
+            rig, ups, given = self.model.source, self.facing.floors, given_names(theta0, labels)
+            result = looked_at_again(
                 lambda ups, among: self.taking_part(points, point_weights, random_state, ups=ups, labels=labels, among=among),
                 lambda part, once: self._fit(points, theta0, labels, point_weights, part, started, None, once=once),
                 points,
-                self.model.source,
-                ups=self.facing.floors,
+                rig,
+                ups=ups,
                 settings=self.settings,
-                given=given_names(theta0, labels),
+                given=given,
             )
+
+            def reflected(points):
+                part = self.taking_part(points, point_weights, random_state, ups=ups)
+                return self._fit(points, None, None, point_weights, part, started, None, once=True)
+
+            return looked_at_in_the_mirror(result, points, reflected, rig=rig, facing=self.facing, given=given)
 
     def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, labels=None, among=None):
         """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""

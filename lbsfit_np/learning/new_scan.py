@@ -10,6 +10,7 @@ from ..errors import InputError
 from ..fitting.confidence import SOMEBODY_ELSE
 from ..fitting.drawn import drawn_by_itself
 from ..fitting.effort import EFFORTS
+from ..fitting.mirror_image import looked_at_in_the_mirror
 from ..fitting.refit import Runner
 from ..fitting.scan_fit import (
     FitSettings,
@@ -75,17 +76,29 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
         seed, settings = fitter._seed(), fit_settings(fitter)
         limits = {"most": settings.max_points, "scale": settings.scale, "unit": settings.unit}
         limits |= {"point_weights": point_weights, "labels": labels}
-        return looked_at_again(
-            lambda ups, among: taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, among=among, **limits),
-            lambda part, once: _fit_new(
-                fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, once=once
-            ),
+        facing, given = _facing(fitter), given_names(theta0, labels)
+
+        def part_of(points, ups, among=None):
+            return taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, among=among, **limits)
+
+        def fitted(points, part, once):
+            known = theta0, labels, point_weights, anyone, settings, started
+            return _fit_new(fitter, points, part, subjects, *known, once=once)
+
+        result = looked_at_again(
+            lambda ups, among: part_of(points, ups, among),
+            lambda part, once: fitted(points, part, once),
             points,
             fitter.rig,
-            ups=_facing(fitter).floors,
+            ups=facing.floors,
             settings=settings,
-            given=given_names(theta0, labels),
+            given=given,
         )
+
+        def reflected(points):
+            return fitted(points, part_of(points, facing.floors), True)
+
+        return looked_at_in_the_mirror(result, points, reflected, rig=fitter.rig, facing=facing, given=given)
 
 
 def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, *, once):
