@@ -1,4 +1,4 @@
-"""Hands with a forearm, which their rig has nothing of, fitted by themselves and learned from; left hands fitted as right ones."""
+"""Hands with a forearm, which their rig has nothing of, fitted by themselves and learned from; left hands as right ones."""
 
 import warnings
 from copy import copy
