@@ -340,45 +340,42 @@ def pair_scans(pair_folder):
 
 
 @pytest.fixture(scope="session")
-def hands(tmp_path_factory):
-    """A folder of scans of two hands and their truth: anna0 … anna3, ben0 … ben2 (.ply), and who.csv."""
-    import numpy as np
-    from cli_runs import HAND
+def scans_of_two(tube_rig, people, tmp_path_factory):
+    """A folder of scans of two people and their truth: anna0 … anna3, ben0 … ben2 (.ply), who.csv, broken.ply, tube.npz."""
     from shared_by_workers import made_once
 
-    from lbsfit_np import load_rig, synthesize
+    from lbsfit_np import synthesize
     from lbsfit_np.io.write import write_points_ply
-    from lbsfit_np.synthesis import with_random_proportions
 
-    rig, truth = load_rig(HAND), {}
-    for k, (name, n) in enumerate((("anna", 4), ("ben", 3))):
-        template = with_random_proportions(rig, 0.08, np.random.default_rng(k))
-        scans = synthesize(rig, n, poses="natural", templates=[template], random_state=k, n_points=600)
+    truth = {}
+    for k, (name, n, person) in enumerate((("anna", 4, people["ann"]), ("ben", 3, people["bob"]))):
+        scans = synthesize(tube_rig, n, templates=[(person.vertices, person.joints)], random_state=k, n_points=400)
         truth |= {f"{name}{i}": s for i, s in enumerate(scans)}
 
     def make(folder):
+        tube_rig.save(folder / "tube.npz")
         for name, s in truth.items():
             write_points_ply(folder / f"{name}.ply", s.points)
         lines = [f"{name}.ply,{name[:-1]}" for name in truth]
         (folder / "who.csv").write_text("\n".join(["scan,subject", *lines, "broken.ply,ben"]) + "\n")
         (folder / "broken.ply").write_text("ply\nformat ascii 1.0\nelement vertex 9\n")
 
-    return made_once(tmp_path_factory, "hands", make), truth
+    return made_once(tmp_path_factory, "scans of two", make), truth
 
 
 @pytest.fixture(scope="session")
-def learned_hands(hands, cli_cache, tmp_path_factory):
-    """A model of the hands, made by a program of its own: path, folder of results, output, errors, truth."""
-    from cli_runs import HAND, program
+def learned_two(scans_of_two, tmp_path_factory):
+    """A model of the two, made by a program of its own in a hurry: path, folder of results, output, errors, truth."""
+    from cli_runs import program
     from shared_by_workers import made_once
 
-    folder, truth = hands
+    folder, truth = scans_of_two
 
     def make(out):
         scans = [*sorted(folder.glob("anna*.ply")), folder / "broken.ply", *sorted(folder.glob("ben*.ply"))]
         options = ("--training-scans", 100, "--effort", "fast", "--rounds", 1, "--subjects", folder / "who.csv")
         outputs = ("-o", out / "new" / "model.npz", "--results", out / "fits")
-        done = program("learn", HAND, *scans, *outputs, *options, cache=cli_cache)
+        done = program("learn", folder / "tube.npz", *scans, *outputs, *options, cache=out / "cache", hurried=True)
         assert done.returncode == 1, done.stderr
         (out / "output").write_text(done.stdout)
         (out / "errors").write_text(done.stderr)
@@ -402,15 +399,15 @@ def tubes(tube_rig, tmp_path_factory):
 
 @pytest.fixture(scope="session")
 def tube_model(tubes, cli_cache, tmp_path_factory):
-    """A model of the tubes, and the folder of results."""
+    """A model of the tubes, learned in a hurry, and the folder of results."""
     from cli_runs import QUICK_LEARNING
-    from learning_runs import assert_nothing_is_hurried
+    from learning_runs import learning_is_hurried
 
     from lbsfit_np.cli import main
 
-    assert_nothing_is_hurried()
     out = tmp_path_factory.mktemp("tube model")
     with pytest.MonkeyPatch.context() as patch:
+        learning_is_hurried(patch)
         patch.setenv("LBSFIT_CACHE", str(cli_cache))
         scans = sorted(map(str, tubes.glob("*.ply")))
         arguments = ["learn", tubes / "tube.npz", *scans, "-o", out / "m.npz", "--results", out / "fits", *QUICK_LEARNING]

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from cli_runs import ARRAYS, HAND, QUICK_LEARNING, one_line
+from cli_runs import ARRAYS, QUICK_LEARNING, one_line
 from docs_tables import needs_documents, summary_keys
 
 import lbsfit_np as lbs
@@ -18,34 +18,33 @@ from lbsfit_np.io.npz import MODEL_KEY
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
-def test_a_model_and_the_results_are_written(learned_hands):
-    model, results, _, _, truth = learned_hands
+def test_a_model_and_the_results_are_written(learned_two, tube_rig):
+    model, results, _, _, truth = learned_two
     fitter = lbs.LBSFitter.load(model)
     assert set(fitter.template_) == {"anna", "ben"} and len(fitter.history_) == 2
     kinds = ("fit.npz", "labels.ply", "mesh.ply")
     assert sorted(p.name for p in results.iterdir()) == sorted([*(f"{n}.{k}" for n in truth for k in kinds), "summary.json"])
     assert [p.name for p in model.parent.iterdir()] == ["model.npz"]
-    rig = lbs.load_rig(HAND)
     for name, s in truth.items():
         result = lbs.FitResult.load(results / f"{name}.fit.npz")
-        assert result.rig_digest == rig.digest and len(result.labels) == 600
-        assert np.linalg.norm(result.joints - s.joints, axis=1).mean() < 0.15 * rig.size  # it is this scan's fit, not another's
+        assert result.rig_digest == tube_rig.digest and len(result.labels) == 400
+        assert np.linalg.norm(result.joints - s.joints, axis=1).mean() < 0.15 * tube_rig.size  # it is this scan's fit, not another's
         np.testing.assert_array_equal(lbs.load_scan(results / f"{name}.labels.ply").points, s.points)
         np.testing.assert_array_equal(lbs.load_scan(results / f"{name}.mesh.ply").points, result.vertices)
 
 
-def test_templates_are_the_subjects_own(learned_hands):
-    model, results, _, _, truth = learned_hands
-    fitter, rig = lbs.LBSFitter.load(model), lbs.load_rig(HAND)
+def test_templates_are_the_subjects_own(learned_two, tube_rig):
+    model, results, _, _, truth = learned_two
+    fitter = lbs.LBSFitter.load(model)
     for name in truth:
         result = lbs.FitResult.load(results / f"{name}.fit.npz")
         own, other = name[:-1], {"anna": "ben", "ben": "anna"}[name[:-1]]
-        off = {s: np.abs(rig.vertices + result.offsets - fitter.template_[s].vertices).mean() for s in (own, other)}
+        off = {s: np.abs(tube_rig.vertices + result.offsets - fitter.template_[s].vertices).mean() for s in (own, other)}
         assert off[own] < 0.5 * off[other]
 
 
-def test_what_it_says_meanwhile(learned_hands):
-    _, _, text, err, _ = learned_hands
+def test_what_it_says_meanwhile(learned_two):
+    _, _, text, err, _ = learned_two
     assert len(err.splitlines()) == 1 and err.startswith("broken: failed: ") and "expected" in err
     said = r"each scan by itself, with its own proportions: recon 0\.\d+ on the scans learned from, 0\.\d+ on those held out; "
     assert re.search(said + r"took \d+ s", text)
@@ -59,7 +58,7 @@ def test_what_it_says_meanwhile(learned_hands):
     assert "warning" not in text + err and "\r" not in text
 
 
-def test_the_last_line_counts_scans_by_what_they_were_to_learning(learned_hands):
+def test_the_last_line_counts_scans_by_what_they_were_to_learning(learned_two):
     roles = ["learned from", "not learned from", "held out of learning", "not learned from", "learned from", None]
     history = [{"round": 0, "kept": False}, {"round": 1, "kept": True}]
     fitter = SimpleNamespace(roles_=roles, history_=history, template_={0: 0}, variant="joint", rounds=1)
@@ -77,12 +76,12 @@ def test_a_model_of_which_most_fits_have_failed_is_not_to_be_trusted(failed, unu
     assert ("most fits have failed: do not trust what was learned" in capsys.readouterr().out) == warns
 
 
-def test_the_summary_of_learning(learned_hands):
-    model, results, _, _, truth = learned_hands
+def test_the_summary_of_learning(learned_two):
+    model, results, _, _, truth = learned_two
     summary = json.loads((results / "summary.json").read_text())
     counts = summary["counts"]
     assert (counts["failed"], counts["kept"], counts["ok"] + counts["suspect"]) == (1, 0, 7)
-    assert counts["ok"] >= 5  # of 600 points and 100 training scans not every right fit is sure of itself
+    assert counts["ok"] >= 5  # of 400 points and 100 training scans not every right fit is sure of itself
     assert summary["not_done"] == [] and not summary["stopped"]
     assert summary["model"] == {"path": str(model), "rounds": 1, "subjects": ["anna", "ben"], "variant": "joint"}
     assert [entry["round"] for entry in summary["history"]] == [0, 1]
@@ -94,12 +93,13 @@ def test_the_summary_of_learning(learned_hands):
 
 
 @needs_documents
-def test_the_keys_of_the_summary_are_those_that_the_documents_list(learned_hands):
-    summary = json.loads((learned_hands[1] / "summary.json").read_text())
+def test_the_keys_of_the_summary_are_those_that_the_documents_list(learned_two):
+    summary = json.loads((learned_two[1] / "summary.json").read_text())
     scans = {s["name"]: set(s) for s in summary["scans"]}
     assert (set(summary), scans["anna1"], scans["broken"]) == summary_keys("learn")
 
 
+@pytest.mark.usefixtures("hurried")
 def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model, tube_rig, tmp_path, run):
     """Those of the joint variant from one process, and those of vertices that move freely, which take little, from two."""
     scans = sorted(tubes.glob("*.ply"))

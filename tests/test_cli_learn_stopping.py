@@ -54,11 +54,12 @@ def test_ctrl_c_before_the_first_round_ends_leaves_no_model(jobs, sent, code, tu
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a process is killed as POSIX does it")
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_run_that_was_killed_goes_on_with_the_same_command(jobs, tubes, tube_model, cli_cache, tmp_path, run, monkeypatch):
     folder, scans = tmp_path / "m.npz.unfinished", sorted(tubes.glob("*.ply"))
     arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *QUICK_LEARNING, "--jobs", jobs)
-    process = started(*arguments, cache=cli_cache)
+    process = started(*arguments, cache=cli_cache, hurried=True)
     while process.poll() is None and len(list(folder.glob("first-fit-*.npz"))) < 2:
         time.sleep(0.01)
     os.killpg(process.pid, signal.SIGKILL)
@@ -100,6 +101,7 @@ def _stopped_after(words, jobs, sent, tubes, cache, folder, wait=0.5):
         *("learn", tubes / "tube.npz", tubes / "t0.ply", tubes / "t1.ply", "-o", folder / "m.npz", "--results", folder / "fits"),
         *(*QUICK, "--rounds", 1000, "--held-out", 0, "--jobs", jobs),
         cache=cache,
+        hurried=True,
     )
     for line in process.stdout:
         if line.startswith(words) and "recon" in line:

@@ -15,8 +15,8 @@ from lbsfit_np.learning.batch import fit_scans
 pytestmark = pytest.mark.usefixtures("own_cache")
 
 
-def test_fit_with_a_model(learned_hands, hands, tmp_path, run):
-    model, folder = learned_hands[0], hands[0]
+def test_fit_with_a_model(learned_two, scans_of_two, tmp_path, run):
+    model, folder = learned_two[0], scans_of_two[0]
     names = ("anna1", "ben1")
     scans = [folder / f"{name}.ply" for name in names]
     code, text, err = run("fit", model, *scans, "-o", tmp_path, "--jobs", 2)
@@ -35,8 +35,8 @@ def test_fit_with_a_model(learned_hands, hands, tmp_path, run):
 
 
 @pytest.mark.parametrize("subject", ["anna", "ben"])
-def test_fit_with_one_subjects_template(subject, learned_hands, hands, tmp_path, run):
-    model, scan = learned_hands[0], hands[0] / "ben1.ply"
+def test_fit_with_one_subjects_template(subject, learned_two, scans_of_two, tmp_path, run):
+    model, scan = learned_two[0], scans_of_two[0] / "ben1.ply"
     code, out, err = run("fit", model, scan, "-o", tmp_path, "--subject", subject)
     assert (code, err) == (0, "") and "fitting 1 scan\n" in out
     ours = lbs.FitResult.load(tmp_path / "ben1.fit.npz")
@@ -47,12 +47,12 @@ def test_fit_with_one_subjects_template(subject, learned_hands, hands, tmp_path,
     assert json.loads((tmp_path / "summary.json").read_text())["model"]["subject"] == subject
 
 
-def test_fit_with_a_table_of_subjects(learned_hands, hands, tmp_path, run):
+def test_fit_with_a_table_of_subjects(learned_two, scans_of_two, tmp_path, run):
     """The table of all that was learned from, of which some are fitted; then with one of another subject."""
-    model, names = learned_hands[0], ("anna1", "ben1")
-    scans = [hands[0] / f"{name}.ply" for name in names]
+    model, names = learned_two[0], ("anna1", "ben1")
+    scans = [scans_of_two[0] / f"{name}.ply" for name in names]
     arguments = ("fit", model, *scans, "-o", tmp_path / "out", "--subjects")
-    code, _, err = run(*arguments, hands[0] / "who.csv", "--jobs", 2)
+    code, _, err = run(*arguments, scans_of_two[0] / "who.csv", "--jobs", 2)
     assert (code, err) == (0, "")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [s["subject"] for s in summary["scans"]] == ["anna", "ben"]
@@ -64,7 +64,7 @@ def test_fit_with_a_table_of_subjects(learned_hands, hands, tmp_path, run):
             np.testing.assert_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
         assert ours.subject == name[:-1] and ours.model_digest == theirs.model_digest
     (tmp_path / "other.csv").write_text("anna1,anna\nben1,anna\n")
-    code, text, _ = run(*arguments, hands[0] / "who.csv", "--existing", "skip")
+    code, text, _ = run(*arguments, scans_of_two[0] / "who.csv", "--existing", "skip")
     assert code == 0 and "kept existing fits of 2 of 2 scans\n" in text
     code, _, err = run(*arguments, tmp_path / "other.csv", "--existing", "skip")
     assert code == 2 and "ben1.fit.npz, a fit with this model as 'ben'; expected fits with" in one_line(err)
@@ -90,10 +90,10 @@ def test_a_table_of_subjects_among_the_scans(command, given, remedy, tube_model,
     assert not (tmp_path / "new.npz").exists()
 
 
-def test_tables_of_subjects_that_cannot_be_used(learned_hands, hands, tubes, tmp_path, run):
-    def said(table, *options, model=learned_hands[0]):
+def test_tables_of_subjects_that_cannot_be_used(learned_two, scans_of_two, tubes, tmp_path, run):
+    def said(table, *options, model=learned_two[0]):
         (tmp_path / "who.csv").write_text(table)
-        scan = hands[0] / "ben1.ply"
+        scan = scans_of_two[0] / "ben1.ply"
         code, _, err = run("fit", model, scan, "-o", tmp_path / "out", "--subjects", tmp_path / "who.csv", *options)
         assert code == 2 and not (tmp_path / "out").exists()
         return one_line(err)
@@ -102,18 +102,18 @@ def test_tables_of_subjects_that_cannot_be_used(learned_hands, hands, tubes, tmp
     assert said("scan,subject\nben1,carl").endswith(f"who.csv: {unknown}scans of other subjects.")
     assert said("ben1.ply,bne").endswith("got 'bne', the id of 'ben1.ply' in line 1; expected a learned subject: "
                                          "'anna', 'ben'. Did you mean 'ben'?")  # fmt: skip
-    assert f"got a file that names none of these scans: '{hands[0] / 'ben1.ply'}'; expected" in said("ben2,ben")
+    assert f"got a file that names none of these scans: '{scans_of_two[0] / 'ben1.ply'}'; expected" in said("ben2,ben")
     assert "who.csv together with --subject ben; expected one of the two" in said("ben1,ben", "--subject", "ben")
     assert "--subjects: got" in (line := said("ben1,ben", model=HAND)) and "which is a rig" in line
 
 
-def test_a_table_with_scans_of_whom_nobody_knows(learned_hands, hands, tmp_path, run):
+def test_a_table_with_scans_of_whom_nobody_knows(learned_two, scans_of_two, tmp_path, run):
     """An empty id is none: what ``fit_scans`` makes of None."""
-    scans = [hands[0] / f"{name}.ply" for name in ("ben1", "anna1")]
+    scans = [scans_of_two[0] / f"{name}.ply" for name in ("ben1", "anna1")]
     (tmp_path / "who.csv").write_text("scan,subject\nben1,ben\nanna1,\n")
-    code, _, err = run("fit", learned_hands[0], *scans, "-o", tmp_path, "--subjects", tmp_path / "who.csv")
+    code, _, err = run("fit", learned_two[0], *scans, "-o", tmp_path, "--subjects", tmp_path / "who.csv")
     assert (code, err) == (0, "")
-    outcomes = fit_scans(lbs.LBSFitter.load(learned_hands[0]), [lbs.load_scan(s) for s in scans], subjects=["ben", None])
+    outcomes = fit_scans(lbs.LBSFitter.load(learned_two[0]), [lbs.load_scan(s) for s in scans], subjects=["ben", None])
     for scan, outcome in zip(scans, outcomes):
         ours = lbs.FitResult.load(tmp_path / f"{scan.stem}.fit.npz")
         np.testing.assert_array_equal(ours.vertices, outcome.result.vertices)
@@ -175,8 +175,8 @@ def test_settled_options_in_a_configuration_file(tube_model, tubes, tmp_path, ru
     assert code == 2 and "--training-scans, --training with" in one_line(err)
 
 
-def test_unknown_subjects(learned_hands, hands, tube_model, tubes, tmp_path, run):
-    code, _, err = run("fit", learned_hands[0], hands[0] / "ben1.ply", "-o", tmp_path / "out", "--subject", "carl")
+def test_unknown_subjects(learned_two, scans_of_two, tube_model, tubes, tmp_path, run):
+    code, _, err = run("fit", learned_two[0], scans_of_two[0] / "ben1.ply", "-o", tmp_path / "out", "--subject", "carl")
     assert code == 2 and "--subject: got 'carl'; expected a learned subject: 'anna', 'ben'" in one_line(err)
     code, _, err = run("fit", tubes / "tube.npz", tubes / "t0.ply", "-o", tmp_path / "out", "--subject", "carl")
     assert code == 2 and "--subject: got 'carl' with" in one_line(err) and "which is a rig" in err and "Leave it out" in err
@@ -194,9 +194,9 @@ def test_an_unknown_subject_of_a_model_of_one_that_has_a_name(tube_model, tubes,
         assert code == 2 and one_line(err).endswith(f"--subject: got {got!r}; expected a learned subject: 'anna'{more}")
 
 
-def test_skip_does_not_take_fits_of_another_rig(learned_hands, hands, tube_model, tubes, tmp_path, run):
+def test_skip_does_not_take_fits_of_another_rig(learned_two, scans_of_two, tube_model, tubes, tmp_path, run):
     (tmp_path / "anna0.ply").write_bytes((tubes / "t0.ply").read_bytes())
-    for path in learned_hands[1].glob("anna0.*"):
+    for path in learned_two[1].glob("anna0.*"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
     code, _, err = run("fit", tube_model[0], tmp_path / "anna0.ply", "-o", tmp_path, "--existing", "skip")
     assert code == 2 and "a fit of another rig" in one_line(err)
@@ -245,38 +245,38 @@ def test_skip_does_not_take_fits_made_with_something_else(change, tube_model, tu
     assert (tmp_path / "t0.fit.npz").read_bytes() == before
 
 
-def test_skip_goes_by_the_subjects_in_use(learned_hands, hands, tmp_path, run):
+def test_skip_goes_by_the_subjects_in_use(learned_two, scans_of_two, tmp_path, run):
     """A fit of one subject stays one where only another's template changes, and is none of the other."""
-    arguments = (hands[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip", "--subject")
-    assert run("fit", learned_hands[0], *arguments, "ben")[0] == 0
-    fitter = lbs.LBSFitter.load(learned_hands[0])
+    arguments = (scans_of_two[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip", "--subject")
+    assert run("fit", learned_two[0], *arguments, "ben")[0] == 0
+    fitter = lbs.LBSFitter.load(learned_two[0])
     anna = fitter.template_["anna"]
     fitter.template_["anna"] = anna.with_template(1.01 * anna.vertices, anna.joints)
     fitter.save(tmp_path / "other.npz")
-    for model in (learned_hands[0], tmp_path / "other.npz"):
+    for model in (learned_two[0], tmp_path / "other.npz"):
         code, text, _ = run("fit", model, *arguments, "ben")
         assert code == 0 and "kept existing fits of 1 of 1 scan\n" in text
-    code, _, err = run("fit", learned_hands[0], *arguments, "anna")
+    code, _, err = run("fit", learned_two[0], *arguments, "anna")
     assert code == 2 and "with this model as 'ben'" in one_line(err)
 
 
-def test_skip_keeps_what_learning_left_with_and_without_the_subjects(learned_hands, hands, tmp_path, run):
-    for path in learned_hands[1].glob("*[01].*"):
+def test_skip_keeps_what_learning_left_with_and_without_the_subjects(learned_two, scans_of_two, tmp_path, run):
+    for path in learned_two[1].glob("*[01].*"):
         _copied(path.parent, path.name, tmp_path)
     names = ("anna0", "anna1", "ben0", "ben1")
-    scans = [hands[0] / f"{name}.ply" for name in names]
+    scans = [scans_of_two[0] / f"{name}.ply" for name in names]
     arguments = ("-o", tmp_path, "--existing", "skip")
-    for options in ((), ("--subjects", hands[0] / "who.csv")):
-        code, text, _ = run("fit", learned_hands[0], *scans, *arguments, *options)
+    for options in ((), ("--subjects", scans_of_two[0] / "who.csv")):
+        code, text, _ = run("fit", learned_two[0], *scans, *arguments, *options)
         assert code == 0 and "kept existing fits of 4 of 4 scans\n" in text
-    code, _, err = run("fit", learned_hands[0], *scans, *arguments, "--subject", "ben")
+    code, _, err = run("fit", learned_two[0], *scans, *arguments, "--subject", "ben")
     assert code == 2 and "anna0.fit.npz, a fit with this model as 'anna'; expected" in one_line(err)
     for name in (f"{name}.fit.npz" for name in names):
-        assert (tmp_path / name).read_bytes() == (learned_hands[1] / name).read_bytes()
+        assert (tmp_path / name).read_bytes() == (learned_two[1] / name).read_bytes()
 
 
-def test_skip_does_not_take_fits_that_another_subject_could_get(learned_hands, hands, tmp_path, run):
-    arguments = ("fit", learned_hands[0], hands[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip")
+def test_skip_does_not_take_fits_that_another_subject_could_get(learned_two, scans_of_two, tmp_path, run):
+    arguments = ("fit", learned_two[0], scans_of_two[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip")
     assert run(*arguments)[0] == 0
     code, _, err = run(*arguments, "--subject", "ben")
     line = one_line(err)
@@ -334,9 +334,9 @@ def test_models_without_labels_want_no_segmenter(variant, tubes, tmp_path, run, 
     np.testing.assert_array_equal(outcome.result.vertices, lbs.FitResult.load(tmp_path / "t0.fit.npz").vertices)
 
 
-def test_rig_show_of_a_model(learned_hands, run):
-    code, text, err = run("rig", "show", learned_hands[0])
-    assert (code, err) == (0, "") and text.startswith(f"Rig {HAND}\n")
+def test_rig_show_of_a_model(learned_two, run):
+    code, text, err = run("rig", "show", learned_two[0])
+    assert (code, err) == (0, "") and text.startswith("Rig tube\n")
     assert text.splitlines()[-1] == "The file is a learned model: 2 subjects (anna, ben), 1 round, variant 'joint'."
     assert "learned model" not in run("rig", "show", HAND)[1]
 
@@ -388,27 +388,27 @@ def test_learning_with_a_models_rig(tube_model, tubes, tmp_path, run, monkeypatc
     assert code == 130 and "; only its rig is used, not what it has learned" in text
 
 
-def test_skip_leaves_each_scan_its_own_subject(learned_hands, hands, tmp_path, run):
+def test_skip_leaves_each_scan_its_own_subject(learned_two, scans_of_two, tmp_path, run):
     """Where the first alone is kept, the second is still nobody else's."""
-    scans = [hands[0] / f"{name}.ply" for name in ("anna1", "ben1")]
-    arguments = ("-o", tmp_path, "--subjects", hands[0] / "who.csv")
-    assert run("fit", learned_hands[0], scans[0], *arguments)[0] == 0
-    code, text, _ = run("fit", learned_hands[0], *scans, *arguments, "--existing", "skip")
+    scans = [scans_of_two[0] / f"{name}.ply" for name in ("anna1", "ben1")]
+    arguments = ("-o", tmp_path, "--subjects", scans_of_two[0] / "who.csv")
+    assert run("fit", learned_two[0], scans[0], *arguments)[0] == 0
+    code, text, _ = run("fit", learned_two[0], *scans, *arguments, "--existing", "skip")
     assert code == 0 and "kept existing fits of 1 of 2 scans\n" in text
     entries = json.loads((tmp_path / "summary.json").read_text())["scans"]
     assert [(e["subject"], e["kept"]) for e in entries] == [("anna", True), ("ben", False)]
     assert lbs.FitResult.load(tmp_path / "ben1.fit.npz").subject == "ben"
 
 
-def test_a_card_beside_a_model_changes_nothing(learned_hands, tmp_path, run):
+def test_a_card_beside_a_model_changes_nothing(learned_two, tmp_path, run):
     """A model keeps its rig as it was when it was learned, in all commands; an edited card would make it another."""
     model = tmp_path / "m.npz"
-    model.write_bytes(learned_hands[0].read_bytes())
+    model.write_bytes(learned_two[0].read_bytes())
     card = tmp_path / "m.card.toml"
     code, text, _ = run("rig", "card", model, "-o", card)
     said = "the rig as the model keeps it; to change it, edit a card of the rig's own file, and learn again"
     assert (code, text) == (0, f"{card} written: {said}\n")
-    before = lbs.load_rig(learned_hands[0]).digest
+    before = lbs.load_rig(learned_two[0]).digest
     card.write_text(re.sub(r'"index1" = \[\[.*', '"index1" = [[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]', card.read_text()))
     rig = lbs.load_rig(model)
     assert rig.digest == before != lbs.load_rig(model, card=card).digest
