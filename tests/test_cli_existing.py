@@ -15,7 +15,7 @@ from lbsfit_np.cli.summary import counts_of, doubts_of
 from lbsfit_np.io.write import write_points_ply
 from lbsfit_np.report.render import write_png
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 
 def test_missing_scans_are_found_before_any_work(made, tmp_path, run):

@@ -5,13 +5,13 @@ import re
 
 import numpy as np
 import pytest
-from cli_runs import QUICK, one_line
+from cli_runs import QUICK, one_line, program
 from docs_tables import needs_documents, summary_keys
 
 import lbsfit_np as lbs
 from lbsfit_np.io.write import write_mesh_ply
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 # Of a scan that could not be read, in the summary; details are for errors that nobody foresaw.
 UNFITTED = {"name", "input", "status", "message", "seconds"}
@@ -60,10 +60,10 @@ def test_the_keys_of_the_summary_are_those_that_the_documents_list(fitted):
     assert (set(summary), set(summary["scans"][0]), UNFITTED) == summary_keys("fit")
 
 
-def test_jobs_do_not_change_the_results(fitted, made, tmp_path, run):
+def test_jobs_do_not_change_the_results(fitted, made, cli_cache, tmp_path):
     scans = [made / "one.ply", made / "two.xyz"]
-    code, _, err = run("fit", made / "tube.npz", *scans, "-o", tmp_path, "--jobs", 2, *QUICK)
-    assert (code, err) == (0, "")
+    done = program("fit", made / "tube.npz", *scans, "-o", tmp_path, "--jobs", 2, *QUICK, cache=cli_cache, hurried=True)
+    assert (done.returncode, done.stderr) == (0, "")
     for name in ("one", "two"):
         ours, theirs = (lbs.FitResult.load(folder / f"{name}.fit.npz") for folder in (tmp_path, fitted[0]))
         for field in ("pose", "translation", "scale", "offsets", "vertices", "joints", "labels", "confidence", "terms"):

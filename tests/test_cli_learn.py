@@ -28,7 +28,7 @@ def test_a_model_and_the_results_are_written(learned_two, tube_rig):
     for name, s in truth.items():
         result = lbs.FitResult.load(results / f"{name}.fit.npz")
         assert result.rig_digest == tube_rig.digest and len(result.labels) == 400
-        assert np.linalg.norm(result.joints - s.joints, axis=1).mean() < 0.15 * tube_rig.size  # it is this scan's fit, not another's
+        assert np.linalg.norm(result.joints - s.joints, axis=1).mean() < 0.15 * tube_rig.size  # this scan's fit
         np.testing.assert_array_equal(lbs.load_scan(results / f"{name}.labels.ply").points, s.points)
         np.testing.assert_array_equal(lbs.load_scan(results / f"{name}.mesh.ply").points, result.vertices)
 
@@ -104,11 +104,12 @@ def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model,
     """Those of the joint variant from one process, and those of vertices that move freely, which take little, from two."""
     scans = sorted(tubes.glob("*.ply"))
     out = tmp_path / "free"
-    options = ("--results", out, "--jobs", 2, "--variant", "free-form", *QUICK_LEARNING)
+    options = ("--results", out, "--jobs", 2, "--variant", "free-form", "--max-points", 100, *QUICK_LEARNING)
     code, _, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *options)
     assert (code, err) == (0, "")
-    for variant, model, folder in (("joint", *tube_model), ("free-form", tmp_path / "m.npz", out)):
-        fitter = lbs.LBSFitter(tube_rig, effort="fast", training_scans=40, rounds=1, variant=variant, random_state=0)
+    given = {"effort": "fast", "training_scans": 40, "rounds": 1, "random_state": 0}
+    for variant, more, model, folder in (("joint", {}, *tube_model), ("free-form", {"max_points": 100}, tmp_path / "m.npz", out)):
+        fitter = lbs.LBSFitter(tube_rig, variant=variant, **given, **more)
         fitter.fit([lbs.load_scan(p) for p in scans], cache=True)
         for scan, theirs in zip(scans, fitter.results_):
             ours = lbs.FitResult.load(folder / f"{scan.stem}.fit.npz")
@@ -121,6 +122,7 @@ def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model,
                 np.testing.assert_array_equal(ours[key], theirs[key], err_msg=key)
 
 
+@pytest.mark.usefixtures("hurried_free_form")
 @pytest.mark.parametrize("written", [False, True])
 @pytest.mark.parametrize("status, code", [("ok", 0), ("suspect", 0), ("failed", 1)])
 def test_the_statuses_of_all_fits_are_told_and_failed_ones_count(status, code, written, tubes, tmp_path, run, monkeypatch):
@@ -140,6 +142,7 @@ def test_the_statuses_of_all_fits_are_told_and_failed_ones_count(status, code, w
     assert (re.search(rf"t2 +{status} +0\.02 +part elbow does not fit\n", text) is not None) == (status != "ok")
 
 
+@pytest.mark.usefixtures("hurried_free_form")
 @pytest.mark.parametrize(
     "unit, options, words",
     [
@@ -188,6 +191,7 @@ UNUSED = {
 }  # fmt: skip
 
 
+@pytest.mark.usefixtures("hurried_free_form")
 def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, run):
     def learn(*options):
         out = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--existing", "replace", "--variant", "free-form")
@@ -236,6 +240,7 @@ def test_a_wall_is_left_out_without_skinning(tube_rig, tubes, tmp_path, run):
     assert max(learned[1:] + fitted[1:]) < 0.5 * min(learned[0], fitted[0]), (learned, fitted)
 
 
+@pytest.mark.usefixtures("hurried_free_form")
 def test_what_was_noted_about_a_scan_is_said_once(tubes, tmp_path, run):
     points = lbs.load_scan(tubes / "t0.ply").points
     np.savetxt(tmp_path / "rows.csv", np.column_stack([np.arange(len(points)), points]), delimiter=",")
@@ -251,6 +256,7 @@ def test_what_was_noted_about_a_scan_is_said_once(tubes, tmp_path, run):
         assert [bool(entry["notes"]) for entry in noted] == [True, True, False]
 
 
+@pytest.mark.usefixtures("hurried_free_form")
 @pytest.mark.parametrize("written", [False, True])
 @pytest.mark.parametrize("status", ["ok", "suspect", "failed", "not finite", "none"])
 def test_row_numbers_taken_for_x_are_why_a_fit_is_in_doubt(status, written, tubes, tmp_path, run, monkeypatch):
@@ -287,6 +293,7 @@ def test_row_numbers_taken_for_x_are_why_a_fit_is_in_doubt(status, written, tube
         assert entry["message"].startswith(why) == (status != "ok") and entry["message"].endswith("said by the fit")
 
 
+@pytest.mark.usefixtures("hurried_free_form")
 def test_pictures_of_results(tubes, tmp_path, run, monkeypatch):
     from lbsfit_np.report import fit_picture
 

@@ -11,7 +11,7 @@ from cli_runs import as_said
 import lbsfit_np as lbs
 from lbsfit_np.cli import stopped_learning
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 
 @pytest.fixture

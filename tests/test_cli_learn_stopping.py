@@ -13,6 +13,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cli_runs import QUICK, QUICK_LEARNING, as_said, one_line, started, stopped
+from registered_sets import result_of
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import learn, outputs, scan_results, stopped_learning
@@ -23,7 +24,7 @@ from lbsfit_np.io.write import make_folder
 from lbsfit_np.learning.checkpoint import steps_in
 from lbsfit_np.learning.first_fits import FirstFit
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried", "hurried_free_form")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
@@ -54,7 +55,6 @@ def test_ctrl_c_before_the_first_round_ends_leaves_no_model(jobs, sent, code, tu
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a process is killed as POSIX does it")
-@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_a_run_that_was_killed_goes_on_with_the_same_command(jobs, tubes, tube_model, cli_cache, tmp_path, run, monkeypatch):
     folder, scans = tmp_path / "m.npz.unfinished", sorted(tubes.glob("*.ply"))
@@ -236,12 +236,13 @@ def test_the_rest_of_the_results_where_those_of_the_same_learning_are(tubes, tmp
 
 
 @pytest.mark.parametrize("whole", [True, False])
-def test_the_scan_that_was_stopped_at_has_its_notes(whole, tubes, tmp_path, tube_result, monkeypatch):
+def test_the_scan_that_was_stopped_at_has_its_notes(whole, tubes, tube_rig, tmp_path, monkeypatch):
     """Where its files were written; those of the next may be of an earlier run."""
     monkeypatch.setattr(learn, "is_result_of", lambda fitter, files: whole)
     files = outputs.plan([str(tubes / f"t{i}.ply") for i in (0, 1)], tmp_path, inputs=[], existing="replace")
     reading, entries = SimpleNamespace(scans=[SimpleNamespace(notes=("odd",))] * 2), {}
-    learn._settle_the_rest(SimpleNamespace(results_=[tube_result] * 2), reading, files, entries)
+    results = [result_of(tube_rig, tube_rig.vertices, 400)] * 2
+    learn._settle_the_rest(SimpleNamespace(results_=results), reading, files, entries)
     assert {name: entry["notes"] for name, entry in entries.items()} == ({"t0": ["odd"]} if whole else {})
 
 

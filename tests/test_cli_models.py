@@ -2,10 +2,11 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_runs import ARRAYS, HAND, QUICK, QUICK_LEARNING, one_line
+from cli_runs import ARRAYS, HAND, QUICK, QUICK_LEARNING, one_line, program
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit
@@ -13,13 +14,15 @@ from lbsfit_np.io.npz import MODEL_KEY
 from lbsfit_np.learning.batch import fit_scans
 
 pytestmark = pytest.mark.usefixtures("own_cache")
+HURRIED = pytest.mark.usefixtures("hurried")
 
 
+@HURRIED
 def test_fit_with_a_model(learned_two, scans_of_two, tmp_path, run):
     model, folder = learned_two[0], scans_of_two[0]
     names = ("anna1", "ben1")
     scans = [folder / f"{name}.ply" for name in names]
-    code, text, err = run("fit", model, *scans, "-o", tmp_path, "--jobs", 2)
+    code, text, err = run("fit", model, *scans, "-o", tmp_path)
     assert (code, err) == (0, "")
     assert "is a learned model: 2 subjects (anna, ben), 1 round, variant 'joint'" in text and "2 of 2 scans fitted" in text
     summary = json.loads((tmp_path / "summary.json").read_text())
@@ -34,6 +37,7 @@ def test_fit_with_a_model(learned_two, scans_of_two, tmp_path, run):
             np.testing.assert_equal(getattr(ours, field), getattr(theirs, field), err_msg=field)
 
 
+@HURRIED
 @pytest.mark.parametrize("subject", ["anna", "ben"])
 def test_fit_with_one_subjects_template(subject, learned_two, scans_of_two, tmp_path, run):
     model, scan = learned_two[0], scans_of_two[0] / "ben1.ply"
@@ -47,13 +51,14 @@ def test_fit_with_one_subjects_template(subject, learned_two, scans_of_two, tmp_
     assert json.loads((tmp_path / "summary.json").read_text())["model"]["subject"] == subject
 
 
-def test_fit_with_a_table_of_subjects(learned_two, scans_of_two, tmp_path, run):
+@HURRIED
+def test_fit_with_a_table_of_subjects(learned_two, scans_of_two, cli_cache, tmp_path, run):
     """The table of all that was learned from, of which some are fitted; then with one of another subject."""
     model, names = learned_two[0], ("anna1", "ben1")
     scans = [scans_of_two[0] / f"{name}.ply" for name in names]
     arguments = ("fit", model, *scans, "-o", tmp_path / "out", "--subjects")
-    code, _, err = run(*arguments, scans_of_two[0] / "who.csv", "--jobs", 2)
-    assert (code, err) == (0, "")
+    done = program(*arguments, scans_of_two[0] / "who.csv", "--jobs", 2, cache=cli_cache, hurried=True)
+    assert (done.returncode, done.stderr) == (0, "")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [s["subject"] for s in summary["scans"]] == ["anna", "ben"]
     fitter = lbs.LBSFitter.load(model)
@@ -107,6 +112,7 @@ def test_tables_of_subjects_that_cannot_be_used(learned_two, scans_of_two, tubes
     assert "--subjects: got" in (line := said("ben1,ben", model=HAND)) and "which is a rig" in line
 
 
+@HURRIED
 def test_a_table_with_scans_of_whom_nobody_knows(learned_two, scans_of_two, tmp_path, run):
     """An empty id is none: what ``fit_scans`` makes of None."""
     scans = [scans_of_two[0] / f"{name}.ply" for name in ("ben1", "anna1")]
@@ -120,6 +126,7 @@ def test_a_table_with_scans_of_whom_nobody_knows(learned_two, scans_of_two, tmp_
         assert ours.model_digest == outcome.result.model_digest
 
 
+@HURRIED
 def test_a_number_as_the_subject(tube_model, tubes, tmp_path, run):
     assert run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path / "out", "--subject", "0")[0] == 0  # the id of one subject
     (tmp_path / "who.csv").write_text("t0,1\n")
@@ -129,6 +136,7 @@ def test_a_number_as_the_subject(tube_model, tubes, tmp_path, run):
     assert code == 2 and one_line(err).endswith(f"{words} template. Leave --subjects out, or learn with --subjects.")
 
 
+@HURRIED
 def test_a_models_settings_hold_unless_others_are_given(tube_model, tubes, tmp_path, run):
     arguments = ("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path, "--existing", "replace")
     assert run(*arguments)[0] == 0
@@ -194,11 +202,10 @@ def test_an_unknown_subject_of_a_model_of_one_that_has_a_name(tube_model, tubes,
         assert code == 2 and one_line(err).endswith(f"--subject: got {got!r}; expected a learned subject: 'anna'{more}")
 
 
-def test_skip_does_not_take_fits_of_another_rig(learned_two, scans_of_two, tube_model, tubes, tmp_path, run):
-    (tmp_path / "anna0.ply").write_bytes((tubes / "t0.ply").read_bytes())
-    for path in learned_two[1].glob("anna0.*"):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    code, _, err = run("fit", tube_model[0], tmp_path / "anna0.ply", "-o", tmp_path, "--existing", "skip")
+def test_skip_does_not_take_fits_of_another_rig(tube_model, tubes, tmp_path, run):
+    _copied(tube_model[1], "t0.*", tmp_path)
+    replace(lbs.FitResult.load(tmp_path / "t0.fit.npz"), rig_digest="of another").save(tmp_path / "t0.fit.npz")
+    code, _, err = run("fit", tube_model[0], tubes / "t0.ply", "-o", tmp_path, "--existing", "skip")
     assert code == 2 and "a fit of another rig" in one_line(err)
 
 
@@ -207,6 +214,7 @@ def _copied(folder, pattern, out):
         (out / path.name).write_bytes(path.read_bytes())
 
 
+@HURRIED
 def test_skip_keeps_fits_of_the_same_model(tube_model, tubes, tmp_path, run):
     model, results = tube_model
     _copied(results, "t0.*", tmp_path)  # written by lbsfit learn
@@ -220,6 +228,7 @@ def test_skip_keeps_fits_of_the_same_model(tube_model, tubes, tmp_path, run):
     assert code == 2 and "t1.fit.npz, a fit with this model and no subject named (template of '0')" in err
 
 
+@HURRIED
 @pytest.mark.parametrize("change", ["another model", "a rig", "a model"])
 def test_skip_does_not_take_fits_made_with_something_else(change, tube_model, tubes, tmp_path, run):
     model, results = tube_model
@@ -245,6 +254,7 @@ def test_skip_does_not_take_fits_made_with_something_else(change, tube_model, tu
     assert (tmp_path / "t0.fit.npz").read_bytes() == before
 
 
+@HURRIED
 def test_skip_goes_by_the_subjects_in_use(learned_two, scans_of_two, tmp_path, run):
     """A fit of one subject stays one where only another's template changes, and is none of the other."""
     arguments = (scans_of_two[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip", "--subject")
@@ -260,6 +270,7 @@ def test_skip_goes_by_the_subjects_in_use(learned_two, scans_of_two, tmp_path, r
     assert code == 2 and "with this model as 'ben'" in one_line(err)
 
 
+@HURRIED
 def test_skip_keeps_what_learning_left_with_and_without_the_subjects(learned_two, scans_of_two, tmp_path, run):
     for path in learned_two[1].glob("*[01].*"):
         _copied(path.parent, path.name, tmp_path)
@@ -275,6 +286,7 @@ def test_skip_keeps_what_learning_left_with_and_without_the_subjects(learned_two
         assert (tmp_path / name).read_bytes() == (learned_two[1] / name).read_bytes()
 
 
+@HURRIED
 def test_skip_does_not_take_fits_that_another_subject_could_get(learned_two, scans_of_two, tmp_path, run):
     arguments = ("fit", learned_two[0], scans_of_two[0] / "ben1.ply", "-o", tmp_path, "--existing", "skip")
     assert run(*arguments)[0] == 0
@@ -321,8 +333,8 @@ def test_subjects_on_the_command_line_win(in_file, table, given, tube_model, tub
 @pytest.mark.parametrize("variant", ["cd", "free-form"])
 def test_models_without_labels_want_no_segmenter(variant, tubes, tmp_path, run, monkeypatch):
     monkeypatch.setattr("lbsfit_np.learning.pretraining.pretrain_segmenter", None)
-    scans = sorted(tubes.glob("*.ply"))
-    options = ("--variant", variant, "--max-points", 300, "--seed", 6)
+    scans = sorted(tubes.glob("*.ply"))[:2]
+    options = ("--variant", variant, "--max-points", 300, "--seed", 6, "--held-out", 0)
     code, text, err = run("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *options, *QUICK_LEARNING)
     assert (code, err) == (0, "") and ("in 1 round" in text) == (variant == "cd")
     code, text, err = run("fit", tmp_path / "m.npz", scans[0], "-o", tmp_path)
@@ -388,6 +400,7 @@ def test_learning_with_a_models_rig(tube_model, tubes, tmp_path, run, monkeypatc
     assert code == 130 and "; only its rig is used, not what it has learned" in text
 
 
+@HURRIED
 def test_skip_leaves_each_scan_its_own_subject(learned_two, scans_of_two, tmp_path, run):
     """Where the first alone is kept, the second is still nobody else's."""
     scans = [scans_of_two[0] / f"{name}.ply" for name in ("anna1", "ben1")]
@@ -409,7 +422,7 @@ def test_a_card_beside_a_model_changes_nothing(learned_two, tmp_path, run):
     said = "the rig as the model keeps it; to change it, edit a card of the rig's own file, and learn again"
     assert (code, text) == (0, f"{card} written: {said}\n")
     before = lbs.load_rig(learned_two[0]).digest
-    card.write_text(re.sub(r'"index1" = \[\[.*', '"index1" = [[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]', card.read_text()))
+    card.write_text(re.sub(r'"elbow" = \[\[.*', '"elbow" = [[-0.1, 0.0, 0.0], [0.1, 0.0, 0.0]]', card.read_text()))
     rig = lbs.load_rig(model)
     assert rig.digest == before != lbs.load_rig(model, card=card).digest
     note = "the card m.card.toml beside the file was not used: a learned model keeps its rig as it was"

@@ -27,8 +27,9 @@ def _command(folder, out, *more):
     return ("bench", "pairs", folder, "--truth", folder / "truth.csv", "--rig", folder / "tube.npz", "-o", out, *more)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_run_that_learns_and_what_the_next_one_keeps(pair_folder, tmp_path, run, pair_meshes, tube_rig, monkeypatch):
-    """The one test that learns in earnest, some 10 s: what the loop leaves is what the benchmark takes."""
+    """The one test that learns, though in a hurry: what the loop leaves is what the benchmark takes."""
     code, out, err = run(*_command(pair_folder, tmp_path / "out", *QUICK_LEARNING, "--points", 50, "--pictures", 1))
     assert code in (0, 1), err  # so little training may end in a fit that says it failed
     assert "intra" in out and "inter" in out and "learned together" in out

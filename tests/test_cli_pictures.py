@@ -13,7 +13,7 @@ from lbsfit_np.cli import kept_fits, outputs, scan_results
 from lbsfit_np.errors import FileError
 from lbsfit_np.report.render import is_signed, write_png
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 PIXELS = np.zeros((4, 4, 3), dtype=np.uint8)
 

@@ -13,7 +13,7 @@ from lbsfit_np.cli.subjects import read_subjects
 from lbsfit_np.errors import FileError
 from lbsfit_np.report.render import write_png
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 
 @pytest.fixture

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cli_runs import TRAINING, one_line
+from learning_runs import learning_is_hurried
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
@@ -176,6 +177,7 @@ def test_a_demo_of_a_rig_that_needs_options(made, tmp_path, run, monkeypatch):
 
 @pytest.mark.parametrize("code, shown", [(1, True), (130, False)])
 def test_a_demo_shows_a_fit_that_has_failed_and_ends_where_it_is_stopped(code, shown, made, tmp_path, run, monkeypatch):
+    learning_is_hurried(monkeypatch, "balanced")
     monkeypatch.setattr(demo, "fit_files", lambda *given: fit_files(*given) or code)  # which is how it says so
     out = tmp_path / "demo"
     found, text, _ = run("demo", "-o", out, "--rig", made / "tube.npz", "--points", 500, *TRAINING)
@@ -184,6 +186,7 @@ def test_a_demo_shows_a_fit_that_has_failed_and_ends_where_it_is_stopped(code, s
 
 
 def test_a_demo_without_a_fit_leaves_nothing_in_the_way_of_the_next(made, tmp_path, run, monkeypatch):
+    learning_is_hurried(monkeypatch, "balanced")
     arguments = ("demo", "-o", tmp_path / "a demo", "--rig", made / "tube.npz", *TRAINING)
     code, text, _ = run(*arguments, "--points", 3)
     assert code == 1 and not (tmp_path / "a demo").exists() and "the scan was not fitted, so the demo's files in" in text

@@ -14,7 +14,7 @@ import lbsfit_np.io.write
 from lbsfit_np.cli import outputs, scan_results
 from lbsfit_np.cli.stopped_fits import named, settled
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
@@ -27,6 +27,7 @@ def test_ctrl_c_keeps_what_is_finished(jobs, sent, code, fitted, made, cli_cache
     process = started(
         *("fit", made / "tube.npz", *scans, "-o", out, "--jobs", jobs, *QUICK),
         cache=cli_cache,
+        hurried=True,
     )
     deadline = time.monotonic() + 120
     while not list(out.glob("*.fit.npz")) and process.poll() is None and time.monotonic() < deadline:

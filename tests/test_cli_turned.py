@@ -4,7 +4,7 @@ import json
 
 import numpy as np
 import pytest
-from cli_runs import one_line
+from cli_runs import TRAINING, one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.io.write import write_points_ply
@@ -12,7 +12,6 @@ from lbsfit_np.rotations import matrix_from_rotvec
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
-TRAINING = ("--training-scans", 200)
 MILLIMETRES = 250.0  # of the tube, whose unit is 25 cm
 SHIFT = np.array([400.0, 0.0, -90.0])
 TURNS = {"upright": matrix_from_rotvec(np.array([0.0, 2.3, 0.0])), "any": matrix_from_rotvec(np.array([1.0, -1.8, 0.9]))}
@@ -81,6 +80,7 @@ def test_what_is_said_of_the_orientation_holds(turned, tube_rig, tmp_path, run):
         assert _error(tube_rig, lbs.FitResult.load(tmp_path / "any.fit.npz"), truth["any"], "any") > 0.1
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_models_orientation_holds_unless_another_is_given(turned, tube_rig, tube_model, tmp_path, run):
     folder, truth = turned
     arguments = ("fit", tube_model[0], folder / "any.ply", "-o", tmp_path, "--existing", "replace")
@@ -94,9 +94,9 @@ def test_a_models_orientation_holds_unless_another_is_given(turned, tube_rig, tu
     for options, up in (((), "+z"), (("--orientation", "any"), None), (("--up=-x",), "-x")):
         assert run(*known, *options)[0] in (0, 1)
         assert json.loads((tmp_path / "z" / "summary.json").read_text())["settings"]["up"] == up
-    assert run(*arguments, "--orientation", "any", "--effort", "thorough")[0] == 0
+    assert run(*arguments, "--orientation", "any", "--effort", "balanced")[0] == 0
     settings = json.loads((tmp_path / "summary.json").read_text())["settings"]
-    assert (settings["orientation"], settings["effort"]) == ("any", "thorough")
+    assert (settings["orientation"], settings["effort"]) == ("any", "balanced")
     r = lbs.FitResult.load(tmp_path / "any.fit.npz")
     assert _error(tube_rig, r, truth["any"], "any") < 0.1 and r.scale == pytest.approx(MILLIMETRES, rel=0.15)
 
@@ -110,7 +110,7 @@ def test_an_up_axis_is_refused_with_any_orientation_of_a_model_too(turned, tube_
 def test_options_that_a_model_was_learned_with_are_its_own(turned, tubes, tmp_path, run):
     scans = sorted(tubes.glob("*.ply"))
     options = ("--orientation", "aligned", "--effort", "fast", "--partial", "--variant", "cd", "--rounds", 1, "--held-out", 0)
-    assert run("learn", tubes / "tube.npz", *scans[:2], "-o", tmp_path / "m.npz", *options, *TRAINING)[0] == 0
+    assert run("learn", tubes / "tube.npz", scans[0], "-o", tmp_path / "m.npz", *options, *TRAINING)[0] == 0
     fitter = lbs.LBSFitter.load(tmp_path / "m.npz")
     assert (fitter.orientation, fitter.effort, fitter.partial) == ("aligned", "fast", True)
     run("fit", tmp_path / "m.npz", scans[0], "-o", tmp_path / "fits", "--no-partial")
@@ -118,6 +118,7 @@ def test_options_that_a_model_was_learned_with_are_its_own(turned, tubes, tmp_pa
     assert (settings["orientation"], settings["effort"], settings["partial"]) == ("aligned", "fast", False)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_learning_from_turned_scans_in_millimetres(tube_rig, tmp_path, run):
     """Each scan of a person is turned in its own way."""
     person = tube_rig.subject(4, amount=1.0)

@@ -14,7 +14,7 @@ import lbsfit_np as lbs
 from lbsfit_np.cli.learn import _units
 from lbsfit_np.rig.build import build_rig
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 # One unit of the tube rig is 0.25 m; the kit is 0.4 times as large, which in centimetres looks like a tube in inches.
 CM, KIT = 25.0, 0.4
@@ -34,7 +34,7 @@ def kit_model(tubes, kits, cli_cache, tmp_path_factory):
     """A model of these scans that was told their unit, the folder of its results, and what was printed."""
     out = tmp_path_factory.mktemp("kit model")
     options = ("-o", out / "m.npz", "--results", out / "fits", "--unit", "cm", *QUICK_LEARNING)
-    done = program("learn", tubes / "tube.npz", *kits, *options, cache=cli_cache)
+    done = program("learn", tubes / "tube.npz", *kits, *options, cache=cli_cache, hurried=True)
     assert done.returncode == 0, done.stderr
     return out / "m.npz", out / "fits", done.stdout
 
@@ -54,10 +54,10 @@ def animated(run, rig, fit, path, *options):
     return out, length(Viewer(path).draw())
 
 
-def test_a_small_animal_in_centimetres(tubes, kits, cli_cache, tmp_path, run):
+def test_a_small_animal_in_centimetres(tubes, kits, tmp_path, run):
     rig = tubes / "tube.npz"
-    done = program("fit", rig, kits[0], "-o", tmp_path / "fits", *QUICK, "--unit", "cm", cache=cli_cache)
-    assert (done.returncode, done.stderr) == (0, "")
+    code, _, err = run("fit", rig, kits[0], "-o", tmp_path / "fits", *QUICK, "--unit", "cm")
+    assert (code, err) == (0, "")
     r = lbs.FitResult.load(tmp_path / "fits" / "t0.fit.npz")
     assert r.unit == "cm" and r.scale == pytest.approx(KIT * CM, rel=0.1)
     size = float(re.search(r"in centimetres, and the subject is ([\d.]+) times as large as the rig", r.message)[1])

@@ -80,11 +80,11 @@ def test_a_start_outside_the_limits_is_moved_inside(shared_rigs, tube_rig, fitte
 def test_a_rig_may_lie_anywhere(tube_rig, tube_scan, given):
     """Far from its own origin as a character may in its scene: scale and precision are what they are at the origin."""
     known = {"theta0": tube_scan.pose, "labels": tube_scan.labels}[given]
-    found = []
+    found, training = [], {"training_scans": 40, "training": {"n_points": 200}}
     for away in (0.0, 40.0):
         moved = {"vertices": tube_rig.vertices + away, "joints": tube_rig.joints + away}
         rig = replace(tube_rig, **moved, regressor=exact_regressor(tube_rig.regressor, moved["vertices"], moved["joints"]))
-        fitter = lbs.LBSFitter(rig, random_state=0, orientation="aligned", training_scans=40, training={"n_points": 200})
+        fitter = lbs.LBSFitter(rig, random_state=0, orientation="aligned", effort="fast", **training)
         found.append(fitter.fit_scan(1.4 * tube_scan.points, **{given: known}))
     here, there = found
     assert there.scale == pytest.approx(here.scale, rel=0.01) and here.scale == pytest.approx(1.4, rel=0.03)
@@ -116,6 +116,7 @@ def test_a_fit_on_next_to_nothing_is_not_believed():
     assert r.status != "ok" and r.evidence["sparse"] == 1.0
 
 
+@pytest.mark.usefixtures("hurried")
 def test_given_labels_are_kept(fitter, tube_scan):
     labels = np.random.default_rng(0).permutation(tube_scan.labels)
     given = labels.copy()
@@ -133,6 +134,7 @@ def test_a_start_that_is_right_is_not_lost_to_labels_that_are_wrong(tube_rig, tu
     assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.05
 
 
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("theta0", [False, True])
 @pytest.mark.parametrize("labels", [False, True])
 def test_a_fit_that_has_failed_names_what_was_given(theta0, labels, fitter, learned_people, tube_scan, monkeypatch):
@@ -157,19 +159,21 @@ def test_known_labels_are_nobody_elses(start, tube_rig, tube_fitter, learned_peo
         assert (last.pop() == s.labels).all() and not last
 
 
-def test_weights_of_0_leave_clutter_out(tube_rig, tube_fitter, tube_scan):
+@pytest.mark.usefixtures("hurried")
+def test_weights_of_0_leave_clutter_out(tube_rig, quick_fitter, tube_scan):
     rng = np.random.default_rng(0)
     clutter = rng.uniform(-3, 3, (1500, 3)) + [2.0, 0.0, 0.0]
     points = np.vstack([tube_scan.points[:1000], clutter])
     weights = np.r_[np.ones(1000), np.zeros(1500)]
-    alone = tube_fitter.fit_scan(tube_scan.points[:1000], point_weights=np.ones(1000))
-    with_clutter = tube_fitter.fit_scan(points, point_weights=weights)
+    alone = quick_fitter.fit_scan(tube_scan.points[:1000], point_weights=np.ones(1000))
+    with_clutter = quick_fitter.fit_scan(points, point_weights=weights)
     np.testing.assert_array_equal(with_clutter.pose, alone.pose)
     np.testing.assert_array_equal(with_clutter.vertices, alone.vertices)
     assert with_clutter.labels.shape == (2500,)
     np.testing.assert_array_equal(with_clutter.labels[:1000], alone.labels)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_weights_count_by_their_ratio(fitter, tube_scan):
     w = np.random.default_rng(0).random(len(tube_scan.points)) + 0.1
     a, b = (fitter.fit_scan(tube_scan.points, labels=tube_scan.labels, point_weights=f * w) for f in (1.0, 4.0))
@@ -178,6 +182,7 @@ def test_weights_count_by_their_ratio(fitter, tube_scan):
     assert not np.array_equal(a.vertices, c.vertices)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_nothing_that_is_given_is_changed(fitter, tube_scan):
     given = [tube_scan.points.copy(), tube_scan.labels.copy(), tube_scan.pose.copy(), np.ones(len(tube_scan.points))]
     kept = [a.copy() for a in given]
@@ -187,6 +192,7 @@ def test_nothing_that_is_given_is_changed(fitter, tube_scan):
         assert a.flags.writeable
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_scan_object_is_as_good_as_its_points(fitter, tube_scan):
     from lbsfit_np.scan import Scan
 
@@ -196,6 +202,7 @@ def test_a_scan_object_is_as_good_as_its_points(fitter, tube_scan):
     )
 
 
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("given", [("labels",), ("theta0",), ()])
 def test_surface_that_one_sided_scans_hide_takes_no_part_in_the_full_objective(given, tube_rig, tube_fitter, fitter, monkeypatch):
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=40, n_points=600, one_sided=True)
@@ -233,6 +240,7 @@ def test_few_known_labels_are_enough_to_tell_the_pose(tube_rig, tube_fitter, tub
     assert mean_error(tube_rig, r.joints, tube_scan.joints) < 0.05 and r.status == "ok" and "labelled" not in r.message
 
 
+@pytest.mark.usefixtures("hurried")
 def test_parts_that_no_label_names_are_named(tube_rig, fitter, tube_scan):
     """Nothing has looked for their pose; where all points are labelled, what is not named is not there."""
     some = np.where(tube_scan.labels < 2, tube_scan.labels, -1)
@@ -249,19 +257,19 @@ def test_labels_of_one_side_lead_nothing_to_the_hidden_side(start, mean, most):
     rig = lbs.load_rig("hand-coarse")
     fitter = lbs.LBSFitter(rig, partial=True, effort="fast", orientation="aligned", random_state=0)
     errors = []
-    for s in lbs.synthesize(rig, 6, random_state=11, one_sided=True, holes=0, noise=0.0, shape=0.0):
+    for s in lbs.synthesize(rig, 3, random_state=11, one_sided=True, holes=0, noise=0.0, shape=0.0):
         r = fitter.fit_scan(s.points, labels=s.labels, theta0=s.pose if start else None)
         away = np.linalg.norm(r.joints - s.joints, axis=1) / rig.size
         errors.append(away[r.joint_std < 0.02 * rig.size].mean())
     assert np.mean(errors) < mean and max(errors) < most
 
 
-def test_which_way_a_scan_stands_is_said_where_it_was_looked_for(tube_rig, tube_fitter, tube_scan):
+def test_which_way_a_scan_stands_is_said_where_it_was_looked_for(tube_fitter, quick_fitter, tube_scan):
     """With labels no axes were tried that an option would save."""
     lying = tube_scan.points[:, [2, 0, 1]]
     assert "stands along" in tube_fitter.fit_scan(lying).message
-    assert "stands along" not in tube_fitter.fit_scan(lying, labels=tube_scan.labels).message
-    told = copy.copy(tube_fitter).set_params(up="+y").fit_scan(lying, labels=tube_scan.labels)
+    assert "stands along" not in quick_fitter.fit_scan(lying, labels=tube_scan.labels).message
+    told = copy.copy(quick_fitter).set_params(up="+y").fit_scan(lying, labels=tube_scan.labels)
     assert "stands along its +z axis, though up says '+y'" in told.message
 
 

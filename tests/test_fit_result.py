@@ -49,6 +49,7 @@ def test_fields_and_shapes(tube_rig, tube_result, tube_scan):
     assert all(isinstance(v, float) for v in tube_result.terms.values())
 
 
+@pytest.mark.usefixtures("hurried")
 def test_a_result_knows_what_it_was_made_with(tube_rig, tube_scan, tmp_path):
     """By whichever way, as plain data; all parameters that a fit hangs on, and no others."""
     weights, rng = replace(PRESETS["paper"], lam=0.5), np.random.default_rng(0)
@@ -72,10 +73,11 @@ def test_a_result_knows_what_it_was_made_with(tube_rig, tube_scan, tmp_path):
     assert one_call.settings["random_state"] == 5 and one_call.settings["weights"] == "default"
 
 
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("joints", ["follow", "fixed"])
 @pytest.mark.parametrize("weights", ["default", "paper"])
 def test_vertices_are_the_pose_of_the_results_own_fields(tube_rig, tube_scan, joints, weights):
-    fitter = lbs.LBSFitter(tube_rig, joints=joints, weights=weights, random_state=0)
+    fitter = lbs.LBSFitter(tube_rig, joints=joints, weights=weights, effort="fast", random_state=0)
     r = fitter.fit_scan(100 * tube_scan.points + [5.0, 0.0, 1.0], labels=tube_scan.labels)
     arguments = r.pose, r.translation, r.scale, r.offsets
     np.testing.assert_array_equal(tube_rig.pose(*arguments, joints=r.rest_joints), r.vertices)
@@ -93,11 +95,12 @@ def test_vertices_are_the_pose_of_the_results_own_fields(tube_rig, tube_scan, jo
     assert np.abs(r.offsets).max() > 1e-4
 
 
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("orientation", ["aligned", "upright"])
 @pytest.mark.parametrize("weights", ["default", "paper"])
 def test_terms_are_the_losses_of_the_result(tube_rig, tube_scan, weights, orientation):
     """In half sizes of the posed rig, recomputed from what the result says, in whatever unit the scan is."""
-    fitter = lbs.LBSFitter(tube_rig, weights=weights, orientation=orientation, random_state=0)
+    fitter = lbs.LBSFitter(tube_rig, weights=weights, orientation=orientation, effort="fast", random_state=0)
     points = 1400.0 * tube_scan.points
     r, w = fitter.fit_scan(points, labels=tube_scan.labels), PRESETS[weights]
     unit = r.scale * tube_rig.size / 2
@@ -142,11 +145,12 @@ def test_a_result_says_which_points_it_is_of(tube_rig, tube_fitter, tube_scan):
     assert r.terms["recon"] == pytest.approx(np.sqrt(chamfer(X, V)[0]), rel=1e-9)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_results_are_for_the_rigs_original_vertices(tube_scan):
     rig = build_rig(_split(make_tube_data()))
     assert len(rig.vertices) == 1440 and len(rig.welded.vertices) == 242
-    split = lbs.LBSFitter(rig, random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels)
-    whole = lbs.LBSFitter(rig.welded, random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels)
+    split = lbs.LBSFitter(rig, effort="fast", random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels)
+    whole = lbs.LBSFitter(rig.welded, effort="fast", random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels)
     assert split.vertices.shape == split.offsets.shape == (1440, 3)
     np.testing.assert_array_equal(split.pose, whole.pose)
     np.testing.assert_array_equal(split.offsets, whole.offsets[rig.weld])
@@ -156,24 +160,26 @@ def test_results_are_for_the_rigs_original_vertices(tube_scan):
     np.testing.assert_array_equal(rig.pose(*place, joints=split.rest_joints), split.vertices)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_vertices_of_no_face_change_no_fit(tube_scan):
     """They are nothing that a scan shows, wherever they lie: known labels lead through all terms of the objective."""
     places = np.array([[0.0, 9, 0], [0.05, 0.1, 0], [-3, 0, 0]])
     rig = build_rig(with_loose_vertices(make_tube_data(), places))
     assert len(rig.vertices) == 245 and len(rig.welded.vertices) == 242
-    found, whole = (
-        lbs.LBSFitter(r, random_state=0).fit_scan(tube_scan.points, labels=tube_scan.labels) for r in (rig, rig.welded)
-    )
+    fitters = (lbs.LBSFitter(r, effort="fast", random_state=0) for r in (rig, rig.welded))
+    found, whole = (f.fit_scan(tube_scan.points, labels=tube_scan.labels) for f in fitters)
     np.testing.assert_array_equal(found.pose, whole.pose)
     np.testing.assert_array_equal(found.vertices[3:], whole.vertices)
     np.testing.assert_array_equal(found.offsets[:3], whole.offsets[rig.weld[:3]])  # of the nearest vertices
     assert found.terms == whole.terms and (found.status, found.probability) == (whole.status, whole.probability)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_results_keep_joints_that_do_not_move(tube_rig, tube_scan):
     data = make_tube_data()
     held = build_rig(replace(data, locked=np.array([False, False, False, True])))
-    r = lbs.LBSFitter(held, random_state=0).fit_scan(tube_scan.points, labels=np.minimum(tube_scan.labels, len(held.parts) - 1))
+    labels = np.minimum(tube_scan.labels, len(held.parts) - 1)
+    r = lbs.LBSFitter(held, effort="fast", random_state=0).fit_scan(tube_scan.points, labels=labels)
     assert r.pose.shape == (4, 3) and (r.pose[3] == 0).all() and r.joints.shape == (4, 3)
 
 

@@ -23,6 +23,7 @@ def restless():
     sys.setswitchinterval(before)
 
 
+@pytest.mark.usefixtures("hurried")
 def test_fits_in_threads_are_those_of_one_after_the_other(tube_rig, quick_fitter):
     scans = [s.points for s in lbs.synthesize(tube_rig, 4, random_state=3, n_points=300)]
     expected = [copy.copy(quick_fitter).fit_scan(points) for points in scans]

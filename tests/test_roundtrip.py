@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from cli_runs import content_with_few_starts
+from learning_runs import learning_is_hurried
 
 import lbsfit_np as lbs
 from lbsfit_np.bench import roundtrip as module
@@ -76,6 +77,7 @@ def test_figures_are_shares_of_the_size():
 
 def test_command(run, tmp_path, monkeypatch):
     content_with_few_starts(monkeypatch)
+    learning_is_hurried(monkeypatch)
     out = tmp_path / "out"
     code, text, err = run("hand-coarse", "-o", out, "--seeds", "3,4", *QUICK)
     assert (code, err) == (0, "")
