@@ -122,7 +122,8 @@ def test_options_that_a_model_was_learned_with_are_its_own(turned, tubes, tmp_pa
 def test_learning_from_turned_scans_in_millimetres(tube_rig, tmp_path, run):
     """Each scan of a person is turned in its own way."""
     person = tube_rig.subject(4, amount=1.0)
-    scans = lbs.synthesize(tube_rig, 4, templates=[(person.vertices, person.joints)], random_state=3, n_points=700)
+    clean = {"noise": 0.0, "holes": 0, "density": 0.0, "n_points": 700}  # few starts find the poses of these
+    scans = lbs.synthesize(tube_rig, 4, templates=[(person.vertices, person.joints)], random_state=3, **clean)
     tube_rig.save(tmp_path / "tube.npz")
     turns = [matrix_from_rotvec(np.array([0.0, a, 0.0])) for a in (0.4, 2.0, -2.5, -1.0)]
     for i, (s, turn) in enumerate(zip(scans, turns)):
