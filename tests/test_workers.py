@@ -5,8 +5,6 @@ import pickle
 import signal
 import subprocess
 import sys
-import threading
-import time
 from functools import partial
 from multiprocessing import active_children, connection
 from pathlib import Path
@@ -14,12 +12,27 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from worker_tasks import (
+    TwoWords,
+    a_lock,
+    inverse,
+    inverse_after_a_note,
+    inverse_later,
+    kills_itself,
+    makes_an_error_of_ctrl_c,
+    not_3,
+    own_number,
+    raises_two_words,
+    squared,
+    tells,
+    threads,
+)
 
 from lbsfit_np import processes
 from lbsfit_np.bench.study import run as study_run
 from lbsfit_np.errors import InputError, MissingExtraError
 from lbsfit_np.learning.loop import Loop
-from lbsfit_np.processes import Workers, kept_processes, tell
+from lbsfit_np.processes import Workers, kept_processes
 from lbsfit_np.workers import as_they_may, beside, each
 
 pytestmark = pytest.mark.usefixtures("own_processes")
@@ -28,53 +41,46 @@ pytestmark = pytest.mark.usefixtures("own_processes")
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_answers_come_in_the_order_of_the_tasks(jobs):
     shares = []
-    assert each(_squared, range(7), jobs=jobs, done=shares.append) == [0, 1, 4, 9, 16, 25, 36]
+    assert each(squared, range(7), jobs=jobs, done=shares.append) == [0, 1, 4, 9, 16, 25, 36]
     np.testing.assert_allclose(shares, np.arange(1, 8) / 7)
-    assert each(_squared, [], jobs=jobs) == [] and each(_squared, [3], jobs=jobs) == [9]
+    assert each(squared, [], jobs=jobs) == [] and each(squared, [3], jobs=jobs) == [9]
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_errors_of_tasks_pass_on(jobs):
     with pytest.raises(InputError, match="n: got 3; expected not 3") as error:
-        each(_not_3, range(6), jobs=jobs)
+        each(not_3, range(6), jobs=jobs)
     assert error.value.argument == "n"
     with pytest.raises(ZeroDivisionError):
-        each(_inverse, [1, 2, 0], jobs=jobs)
+        each(inverse, [1, 2, 0], jobs=jobs)
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
 def test_a_process_that_dies_is_said():
     words = "n_jobs: got a worker process that ended .*SIGKILL"
     with pytest.raises(InputError, match=words):
-        each(_killed, [1, 2, 3], jobs=2)
-    with beside(partial(_killed, 1)) as answer, pytest.raises(InputError, match=words):
+        each(kills_itself, [1, 2, 3], jobs=2)
+    with beside(partial(kills_itself, 1)) as answer, pytest.raises(InputError, match=words):
         answer()
-
-
-class _TwoWords(Exception):
-    """Pickles, and cannot be made again: its message is made of what pickle does not know."""
-
-    def __init__(self, one, two):
-        super().__init__(f"{one} and {two}")
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_errors_that_pickle_cannot_take_pass_on_in_words(jobs):
-    with pytest.raises(_TwoWords if jobs == 1 else RuntimeError, match="this and that"):
-        each(_raising_two_words, [1, 2], jobs=jobs)
+    with pytest.raises(TwoWords if jobs == 1 else RuntimeError, match="this and that"):
+        each(raises_two_words, [1, 2], jobs=jobs)
 
 
 def test_answers_that_pickle_cannot_take_are_said():
     words = "n_jobs: got more than 1 where an answer cannot be sent between processes .*lock.*n_jobs=1"
     with pytest.raises(InputError, match=words):
-        each(_a_lock, [1, 2], jobs=2)
-    with beside(partial(_a_lock, 1)) as answer, pytest.raises(InputError, match=words):
+        each(a_lock, [1, 2], jobs=2)
+    with beside(partial(a_lock, 1)) as answer, pytest.raises(InputError, match=words):
         answer()
 
 
 def test_answers_that_came_before_ctrl_c_are_given_at_the_end(monkeypatch):
     """It comes as the second of two answers is read."""
-    with Workers(_squared, 2) as work:
+    with Workers(squared, 2) as work:
         work.give(3)
         work.give(4)
         receive, calls = Workers._received, []
@@ -103,26 +109,26 @@ def test_a_task_waits_for_what_another_one_tells(tmp_path):
     def take():
         return (left[-1][0], left.pop()) if left and (left[-1][0] == "first" or "first has begun" in told) else None
 
-    as_they_may(_telling, take, jobs=2, answered=answers.__setitem__, heard=told.append)
+    as_they_may(tells, take, jobs=2, answered=answers.__setitem__, heard=told.append)
     assert not left and told[0] == "first has begun" and sorted(told[1:]) == ["first is done", "second is done"]
     assert set(answers) == {"first", "second"} and len(set(answers.values())) == 2 and not active_children()
 
 
 def test_errors_of_tasks_end_nothing_where_they_are_asked_for():
     take, answers, wrong = iter([(0, 0), (1, 1), (2, 2), *[None] * 3]).__next__, {}, {}
-    as_they_may(_inverse, take, jobs=2, answered=answers.__setitem__, failed=wrong.__setitem__)
+    as_they_may(inverse, take, jobs=2, answered=answers.__setitem__, failed=wrong.__setitem__)
     assert answers == {1: 1.0, 2: 0.5} and list(wrong) == [0] and isinstance(wrong[0], ZeroDivisionError)
 
 
 def test_an_unforeseen_error_says_where_in_the_other_process_it_came_from():
     with pytest.raises(ZeroDivisionError) as error:
-        each(_inverse, [0, 1], jobs=2)
-    assert "in _inverse" in str(error.value.__cause__)
+        each(inverse, [0, 1], jobs=2)
+    assert "in inverse" in str(error.value.__cause__)
     with pytest.raises(RuntimeError, match="this and that") as error:
-        each(_raising_two_words, [1, 2], jobs=2)
-    assert "in _raising_two_words" in str(error.value.__cause__)
+        each(raises_two_words, [1, 2], jobs=2)
+    assert "in raises_two_words" in str(error.value.__cause__)
     with pytest.raises(InputError) as error:  # which says itself what to do
-        each(_not_3, [3, 4], jobs=2)
+        each(not_3, [3, 4], jobs=2)
     assert error.value.__cause__ is None
 
 
@@ -145,7 +151,7 @@ def test_answers_that_have_come_are_given_when_all_ends(error, tmp_path):
             raise error
 
     with pytest.raises(error):
-        as_they_may(_telling, take, jobs=2, answered=answered, heard=told.append)
+        as_they_may(tells, take, jobs=2, answered=answered, heard=told.append)
     assert sorted(answers) == ["first", "second"] and not active_children()
     assert sorted(told) == ["first has begun", "first is done", "second is done"]
 
@@ -166,7 +172,7 @@ def test_what_goes_wrong_with_one_of_those_answers_is_not_what_ended_all(tmp_pat
             raise OSError(28, "No space left on device")
 
     with pytest.warns(UserWarning, match="could not be kept: OSError: .*No space left"), pytest.raises(KeyboardInterrupt):
-        as_they_may(_telling, take, jobs=2, answered=answered, heard=heard)
+        as_they_may(tells, take, jobs=2, answered=answered, heard=heard)
     assert sorted(answers) == ["first", "second"] and not active_children()
 
 
@@ -182,14 +188,14 @@ def test_another_ctrl_c_waits_until_what_has_come_is_taken_up(tmp_path, monkeypa
             raise ZeroDivisionError
 
     with pytest.raises(KeyboardInterrupt):
-        as_they_may(_telling, take, jobs=2, answered=answered)
+        as_they_may(tells, take, jobs=2, answered=answered)
     assert sorted(answers) == ["first", "second"] and not active_children()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
 def test_another_ctrl_c_waits_until_the_processes_have_ended(monkeypatch):
     _interrupt_joins(monkeypatch)
-    with pytest.raises(KeyboardInterrupt), Workers(_inverse_later, 2) as workers:
+    with pytest.raises(KeyboardInterrupt), Workers(inverse_later, 2) as workers:
         workers.give(100.0)
         workers.give(100.0)
     assert not active_children()
@@ -221,7 +227,7 @@ def test_a_process_that_is_killed_before_it_begins_costs_its_own_task_where_anot
     def take():  # the others wait until the first has begun
         return (len(begun), 2) if not begun or (begun[0].ready and len(begun) < 3) else None
 
-    as_they_may(_inverse_after_a_note, take, jobs=3, answered=answers.__setitem__, failed=wrong.__setitem__)
+    as_they_may(inverse_after_a_note, take, jobs=3, answered=answers.__setitem__, failed=wrong.__setitem__)
     assert answers == {0: 0.5, 2: 0.5} and list(wrong) == [1] and "killed by SIGKILL" in str(wrong[1])
 
 
@@ -231,7 +237,7 @@ def test_an_error_of_what_hears_ends_the_work(error):
         raise error
 
     with pytest.raises(error):
-        as_they_may(_telling, iter([(0, ("first", Path(__file__))), None, None]).__next__, jobs=2, answered=None, heard=heard)
+        as_they_may(tells, iter([(0, ("first", Path(__file__))), None, None]).__next__, jobs=2, answered=None, heard=heard)
     assert not active_children()
 
 
@@ -239,14 +245,14 @@ def test_an_error_of_what_hears_ends_the_work(error):
 def test_ctrl_c_is_no_failure_of_a_task():
     """Where a library makes an error of it, and the work has that for its answer."""
     with pytest.raises(KeyboardInterrupt):
-        each(_interrupted, [1, 2])
+        each(makes_an_error_of_ctrl_c, [1, 2])
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
 def test_a_kept_process_that_is_killed_before_it_takes_up_other_work_costs_its_task(monkeypatch):
     wrong = {}
     with kept_processes():
-        each(_squared, [2, 3], jobs=2)
+        each(squared, [2, 3], jobs=2)
         begin = processes._Worker.take_up
 
         def killed(self, payload):
@@ -254,17 +260,17 @@ def test_a_kept_process_that_is_killed_before_it_takes_up_other_work_costs_its_t
             begin(self, payload)
 
         monkeypatch.setattr(processes._Worker, "take_up", killed)
-        as_they_may(_squared, iter([(0, 2), None]).__next__, jobs=1, answered=None, failed=wrong.__setitem__)
+        as_they_may(squared, iter([(0, 2), None]).__next__, jobs=1, answered=None, failed=wrong.__setitem__)
     assert "killed by SIGKILL" in str(wrong[0])
 
 
 def test_notes_of_work_beside_other_work_are_left():
-    with beside(partial(_telling, ("first", Path(__file__)))) as answer:
+    with beside(partial(tells, ("first", Path(__file__)))) as answer:
         assert answer() != os.getpid()
 
 
 def test_notes_and_answers_come_in_their_order():
-    with Workers(_telling, 1) as workers:
+    with Workers(tells, 1) as workers:
         workers.give(("first", Path(__file__)))
         come = []
         while workers.busy:
@@ -272,21 +278,21 @@ def test_notes_and_answers_come_in_their_order():
     assert [word.what for _, word, _ in come[:2]] == ["first has begun", "first is done"] and len(come) == 3
     answers = []
     take = iter([(0, ("first", Path(__file__))), None, None]).__next__
-    as_they_may(_telling, take, jobs=1, answered=lambda *answer: answers.append(answer))
+    as_they_may(tells, take, jobs=1, answered=lambda *answer: answers.append(answer))
     assert len(answers) == 1  # what nobody hears is left
 
 
 def test_work_beside_other_work():
     with kept_processes():
-        with beside(partial(_process, None)) as answer:
-            others = set(each(_process, range(4), jobs=2))
+        with beside(partial(own_number, None)) as answer:
+            others = set(each(own_number, range(4), jobs=2))
             mine = answer()
             assert answer() == mine
         assert mine not in others | {os.getpid()}
-        assert mine in set(each(_process, range(6), jobs=3))  # kept for other work
-        with pytest.raises(ZeroDivisionError), beside(partial(_inverse, 0)) as answer:
+        assert mine in set(each(own_number, range(6), jobs=3))  # kept for other work
+        with pytest.raises(ZeroDivisionError), beside(partial(inverse, 0)) as answer:
             answer()
-        with pytest.raises(KeyError), beside(partial(_inverse_later, 100.0)):  # it need not be waited for
+        with pytest.raises(KeyError), beside(partial(inverse_later, 100.0)):  # it need not be waited for
             raise KeyError
         with pytest.raises(InputError, match="n_jobs: got more than 1 with work that cannot be sent"), beside(lambda: 0):
             pass
@@ -295,26 +301,26 @@ def test_work_beside_other_work():
 
 def test_processes_are_kept_for_other_work():
     with kept_processes():
-        first = set(each(_process, range(4), jobs=2))
-        assert each(_squared, [2, 3], jobs=2) == [4, 9]
+        first = set(each(own_number, range(4), jobs=2))
+        assert each(squared, [2, 3], jobs=2) == [4, 9]
         with kept_processes():
-            assert set(each(_process, range(4), jobs=2)) <= first
-        assert set(each(_process, range(4), jobs=2)) <= first
+            assert set(each(own_number, range(4), jobs=2)) <= first
+        assert set(each(own_number, range(4), jobs=2)) <= first
         with pytest.raises(ZeroDivisionError):
-            each(_inverse, [1, 2, 0, 3], jobs=2)
-        assert each(_inverse, [1, 2], jobs=2) == [1, 0.5]
+            each(inverse, [1, 2, 0, 3], jobs=2)
+        assert each(inverse, [1, 2], jobs=2) == [1, 0.5]
     assert not first & {child.pid for child in active_children()}
-    assert not first & set(each(_process, range(4), jobs=2))
+    assert not first & set(each(own_number, range(4), jobs=2))
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
 def test_a_process_that_dies_while_it_is_kept_is_replaced():
     with kept_processes():
-        for pid in set(each(_process, range(2), jobs=2)):
+        for pid in set(each(own_number, range(2), jobs=2)):
             os.kill(pid, signal.SIGKILL)
             _wait_for_end(pid)
         dead = list(processes._SPARE)
-        assert each(_squared, [2, 3], jobs=2) == [4, 9]
+        assert each(squared, [2, 3], jobs=2) == [4, 9]
         assert len(dead) == 2 and all(worker.connection.closed for worker in dead)
 
 
@@ -323,7 +329,7 @@ def test_all_steps_share_their_processes(whose, tube_rig, monkeypatch):
     used = []
 
     def steps(*given):
-        used.extend(set(each(_process, range(2), jobs=2)) for _ in range(2))
+        used.extend(set(each(own_number, range(2), jobs=2)) for _ in range(2))
         raise InterruptedError
 
     monkeypatch.setattr(study_run, "to_go_on_with", steps)
@@ -338,103 +344,34 @@ def test_all_steps_share_their_processes(whose, tube_rig, monkeypatch):
 def test_a_process_that_is_still_at_work_is_not_kept():
     with kept_processes():
         with pytest.raises(ZeroDivisionError):
-            each(_inverse_later, [0.8, 0.0, 0.8], jobs=2)
-        assert each(_squared, [2, 3], jobs=2) == [4, 9]
+            each(inverse_later, [0.8, 0.0, 0.8], jobs=2)
+        assert each(squared, [2, 3], jobs=2) == [4, 9]
 
 
 def test_a_process_that_never_got_its_task_is_not_kept():
     """What it says when it is ready would be taken for the next one's word."""
     with kept_processes():
-        with Workers(_squared, 2) as workers, pytest.raises((AttributeError, pickle.PicklingError)):
+        with Workers(squared, 2) as workers, pytest.raises((AttributeError, pickle.PicklingError)):
             workers.give(lambda: 0)
-        assert each(_squared, [2, 3], jobs=2) == [4, 9]
+        assert each(squared, [2, 3], jobs=2) == [4, 9]
 
 
 def test_processes_end_by_themselves_when_there_is_nothing_to_do(monkeypatch):
     killed = []
     monkeypatch.setattr("multiprocessing.process.BaseProcess.kill", killed.append)
-    assert each(_squared, [2, 3], jobs=2) == [4, 9] and not killed
+    assert each(squared, [2, 3], jobs=2) == [4, 9] and not killed
 
 
 def test_libraries_that_a_task_loads_have_one_thread_too(monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
-    assert each(_threads, range(3), jobs=2) == [{1}] * 3
-    code = "from lbsfit_np.workers import each; from test_workers import _threads; print(each(_threads, [0]))"
+    assert each(threads, range(3), jobs=2) == [{1}] * 3
+    code = "from lbsfit_np.workers import each; from worker_tasks import threads; print(each(threads, [0]))"
     path = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     run = subprocess.run([sys.executable, "-c", code], env=os.environ | {"PYTHONPATH": path}, capture_output=True, text=True)
     assert run.stdout.strip() == "[{1}]", run.stderr
-
-
-def _process(_):
-    return os.getpid()
 
 
 def _wait_for_end(pid):
     for child in active_children():
         if child.pid == pid:
             child.join(10)
-
-
-def _threads(_):
-    import scipy.linalg  # noqa: F401 (its BLAS is not NumPy's)
-    from threadpoolctl import threadpool_info
-
-    return {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
-
-
-def _raising_two_words(k):
-    raise _TwoWords("this", "that")
-
-
-def _a_lock(k):
-    return threading.Lock()
-
-
-def _interrupted(task):
-    assert task == 1
-    try:
-        os.kill(os.getpid(), signal.SIGINT)
-        time.sleep(1)
-    except KeyboardInterrupt:
-        return "a TypeError"
-
-
-def _telling(task):
-    which, begun = task
-    if which == "first":
-        tell("first has begun")
-        while not begun.exists():
-            time.sleep(0.01)
-    else:
-        begun.touch()
-    tell(f"{which} is done")
-    return os.getpid()
-
-
-def _squared(x):
-    return x * x
-
-
-def _not_3(n):
-    if n == 3:
-        raise InputError("n", "3", "not 3")
-    return n
-
-
-def _inverse_later(x):
-    time.sleep(x)
-    return 1.0 / x
-
-
-def _inverse_after_a_note(x):
-    tell("begun")
-    time.sleep(1)
-    return 1 / x
-
-
-def _inverse(x):
-    return 1 / x
-
-
-def _killed(x):
-    os.kill(os.getpid(), signal.SIGKILL)
