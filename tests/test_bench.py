@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 from cli_runs import content_with_few_starts
+from learning_runs import learning_is_hurried
 
 from lbsfit_np.bench import baseline as baseline_module
 from lbsfit_np.bench import run as run_module
@@ -18,10 +19,33 @@ from lbsfit_np.bench.table import table
 from lbsfit_np.cli import main
 from lbsfit_np.cli.bench import ROW_NAMES
 from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.optimize.lbfgs import minimise
 
-pytestmark = pytest.mark.usefixtures("own_cache")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried_fits")
 
 QUICK = ("--scans", "2", "--seeds", "7", "--training-scans", "60")
+
+
+class Own(run_module._Own):
+    """Of whose fits, in whichever process, nothing hangs on how near they are."""
+
+    def fit_scan(self, scan):
+        with pytest.MonkeyPatch.context() as patch:
+            learning_is_hurried(patch)
+            return super().fit_scan(scan)
+
+
+def _fits_are_hurried(patch):
+    """Those of all rows."""
+    learning_is_hurried(patch)
+    content_with_few_starts(patch)
+    patch.setattr(run_module, "_Own", Own)
+    patch.setattr(baseline_module, "minimise", lambda *given, **more: minimise(*given, **more | {"max_iterations": 5}))
+
+
+@pytest.fixture
+def hurried_fits(monkeypatch):
+    _fits_are_hurried(monkeypatch)
 
 
 @pytest.fixture
@@ -41,7 +65,7 @@ def ran(shared_rigs, cli_cache, tmp_path_factory):
     out = tmp_path_factory.mktemp("ran") / "out"
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LBSFIT_CACHE", str(cli_cache))
-        content_with_few_starts(patch)
+        _fits_are_hurried(patch)
         rows = ("--rows", ",".join(ROWS))
         code = main(["bench", "hand", "--data", str(shared_rigs), "-o", str(out), "--pictures", "2", *rows, *QUICK])
     return out, code, json.loads((out / "results.json").read_text(encoding="utf-8"))
@@ -86,9 +110,8 @@ def test_lengths_are_in_half_sizes_and_true_labels_help(ran, hand):
     assert 0.3 < scan["own"]["segmenter_labels"] < 1
 
 
-def test_another_run_gives_the_same_figures_whatever_the_jobs(ran, shared_rigs, monkeypatch):
+def test_another_run_gives_the_same_figures_whatever_the_jobs(ran, shared_rigs):
     report = ran[2]
-    content_with_few_starts(monkeypatch)
     again, fits = run_bench(BENCHES["hand"], shared_rigs, seeds=[7], n_scans=2, training_scans=60, jobs=2, rows=("own",))
     for a, b in zip(again["rows"]["own"]["seeds"]["7"]["scans"], report["rows"]["own"]["seeds"]["7"]["scans"], strict=True):
         assert {k: v for k, v in a.items() if k != "seconds"} == {k: v for k, v in b.items() if k != "seconds"}
@@ -126,8 +149,7 @@ def test_shown_are_worst_median_and_best():
     assert sorted(shown(fits, 9)) == [0, 1, 3, 4, 5]
 
 
-def test_results_are_not_overwritten_unless_asked(ran, run, shared_rigs, monkeypatch):
-    content_with_few_starts(monkeypatch)
+def test_results_are_not_overwritten_unless_asked(ran, run, shared_rigs):
     out = ran[0]
     before = (out / "results.json").read_bytes()
     code, _, err = run("hand", "--data", shared_rigs, "-o", out, *QUICK, "--scans", "3")
@@ -170,7 +192,6 @@ def run_stopped(monkeypatch):
 
 
 def test_a_run_that_is_stopped_goes_on_to_the_same_figures(ran, run_stopped, shared_rigs, tmp_path, monkeypatch, capsys):
-    content_with_few_starts(monkeypatch)
     out, fitted, fit_row = tmp_path / "out", [], run_module._fit_row
     rows = ("--pictures", "2", "--rows", ",".join(ROWS))
     command = ["bench", "hand", "--data", shared_rigs, "-o", out, *rows, *QUICK]
@@ -215,9 +236,8 @@ def test_seeds_and_rows_are_added_to_those_that_are_there(run, run_stopped, shar
     assert "; run the same command without --existing replace to continue" in capsys.readouterr().out
 
 
-def test_goals_and_measures_are_those_of_this_version(ran, shared_rigs, monkeypatch):
+def test_goals_and_measures_are_those_of_this_version(ran, shared_rigs):
     """Not of the one whose rows are kept; and in order, which files lack."""
-    content_with_few_starts(monkeypatch)
     old = ran[2] | {"aims": {"joint_error": 9.0}, "measures": {"joint_error": "of old"}, "rig_units_in_a_unit": 7.0}
     report, _ = run_bench(BENCHES["hand"], shared_rigs, seeds=[7], n_scans=2, training_scans=60, before=old, rows=tuple(ROWS))
     assert json.loads(json.dumps(report)) == ran[2] and list(report["aims"]) == list(BENCHES["hand"].aims)
@@ -240,7 +260,6 @@ def test_goals_and_measures_are_those_of_this_version(ran, shared_rigs, monkeypa
     ],
 )
 def test_results_of_something_else_are_not_gone_on_with(ran, shared_rigs, monkeypatch, kept, given, words):
-    content_with_few_starts(monkeypatch)
     monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained first"))
     options = {"seeds": [7, 8], "n_scans": 2, "training_scans": 60, "before": _changed(ran[2], kept)}
     with pytest.raises(InputError, match=f"before: got {words}.*--existing replace"):
@@ -255,8 +274,7 @@ def _changed(report, changes):
     return {key: value for key, value in out.items() if key not in changes or value is not None}
 
 
-def test_pictures_of_others_are_not_drawn_over_and_those_that_are_gone_are_named(ran, run, shared_rigs, tmp_path, monkeypatch):
-    content_with_few_starts(monkeypatch)
+def test_pictures_of_others_are_not_drawn_over_and_those_that_are_gone_are_named(ran, run, shared_rigs, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "seed-7.png").write_bytes(b"mine")
@@ -270,8 +288,7 @@ def test_pictures_of_others_are_not_drawn_over_and_those_that_are_gone_are_named
     assert "no picture" not in run(*command, "--pictures", "0")[1]
 
 
-def test_pictures_of_a_run_that_was_replaced_are_drawn_over(run, run_stopped, shared_rigs, tmp_path, monkeypatch):
-    content_with_few_starts(monkeypatch)
+def test_pictures_of_a_run_that_was_replaced_are_drawn_over(run, run_stopped, shared_rigs, tmp_path):
     out = tmp_path / "out"
     size = ("--scans", "1", "--seeds", "7,8", "--training-scans", "60")
     command = ("hand", "--data", shared_rigs, "-o", out, "--rows", "own", *size)
@@ -285,7 +302,6 @@ def test_pictures_of_a_run_that_was_replaced_are_drawn_over(run, run_stopped, sh
 
 @pytest.mark.parametrize("where", ["lbsfit_np.report.render.write_png", "lbsfit_np.bench.pictures.picture"])
 def test_no_figure_is_lost_for_a_picture(run, shared_rigs, tmp_path, monkeypatch, where):
-    content_with_few_starts(monkeypatch)
     out = tmp_path / "out"
     command = ("hand", "--data", shared_rigs, "-o", out, "--rows", "own,oracle", "--scans", "1", *QUICK[2:])
 
@@ -311,8 +327,7 @@ def test_places_of_pictures_are_checked_before_anything_is_fitted(run, shared_ri
         assert code == 2 and "seed-7.png: got a folder" in err and err.count("\n") == 1
 
 
-def test_pictures_of_another_number_of_fits_are_told(ran, run, shared_rigs, tmp_path, monkeypatch):
-    content_with_few_starts(monkeypatch)
+def test_pictures_of_another_number_of_fits_are_told(ran, run, shared_rigs, tmp_path):
     for name in ("results.json", "seed-7.png"):
         (tmp_path / name).write_bytes((ran[0] / name).read_bytes())
     command = ("hand", "--data", shared_rigs, "-o", tmp_path, *QUICK, "--pictures")
