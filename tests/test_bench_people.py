@@ -101,21 +101,21 @@ def test_a_scan_is_the_same_however_many_there_are(people, shared_rigs):
     assert not np.array_equal(other[0][2].points, fewer[0][2].points)
 
 
-def _command(shared_rigs, out, *more, kind="body"):
+def _command(shared_rigs, out, *more, kind="hand"):
     return ("bench", "people", kind, "--data", shared_rigs, "-o", out, "--people", 2, "--scans", 2, "--no-learn", *more)
 
 
 @pytest.fixture(scope="module")
 def same_rig(shared_rigs, tmp_path_factory):
-    """The rig that bodies are of, as a file."""
+    """The rig that hands are of, as a file."""
     path = tmp_path_factory.mktemp("rig") / "same.npz"
-    body_rig(shared_rigs).save(path)
+    hand_rig(shared_rigs).save(path)
     return path
 
 
-def _given(monkeypatch, shared_rigs, seed, n_people=2, kind="body"):
+def _given(monkeypatch, shared_rigs, seed, n_people=2):
     """Fits that are exact, and the scans."""
-    made, _ = people_scans(kind, shared_rigs, n_people=n_people, n_scans=2, seed=seed)
+    made, _ = people_scans("hand", shared_rigs, n_people=n_people, n_scans=2, seed=seed)
     return made, fits_are_given(monkeypatch, {name: scan.vertices for name, _, scan in made})
 
 
@@ -125,9 +125,9 @@ def test_the_command_measures_between_people(shared_rigs, same_rig, tmp_path, ru
     command = _command(shared_rigs, out, "--scan-seed", 7, "--rig", same_rig, "--points", 200, "--pictures", 1)
     code, text, err = run(*command)
     assert code == 0, err
-    assert text.count("scans of 2 bodies, 2 each, --scan-seed 7") == 1 and "Scans of 2 bodies" in text and "gallery.png" in text
+    assert text.count("scans of 2 hands, 2 each, --scan-seed 7") == 1 and "Scans of 2 hands" in text and "gallery.png" in text
     report = json.loads((out / "results.json").read_text())
-    whose = {"kind": "body", "people": 2, "scans": 2, "scan_seed": 7}
+    whose = {"kind": "hand", "people": 2, "scans": 2, "scan_seed": 7}
     assert report["benchmark"] == "people" and report["people"] == json.loads((out / "people.json").read_text()) == whose
     assert report["unit"] == "m" and report["cm_per_unit"] == 100
     assert len(report["pairs"]) == 12 and report["figures"]["inter"]["before"]["mean"] < 0.01  # noise alone
@@ -163,7 +163,7 @@ def test_other_people_are_not_mixed_with_those_of_before(shared_rigs, same_rig, 
     before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
     _given(monkeypatch, shared_rigs, 6)
     code, _, err = run(*_command(shared_rigs, out, "--scan-seed", 6, *options))
-    assert code == 2 and "3 bodies, 2 each, --scan-seed 5; expected scans of 2 bodies, 2 each, --scan-seed 6" in one_line(err)
+    assert code == 2 and "3 hands, 2 each, --scan-seed 5; expected scans of 2 hands, 2 each, --scan-seed 6" in one_line(err)
     assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
     code, text, err = run(*_command(shared_rigs, out, "--scan-seed", 6, *options, "--existing", "replace"))
     assert code == 0 and "left out" not in text, err

@@ -10,9 +10,9 @@ from dataclasses import replace
 from multiprocessing import active_children
 
 import pytest
-from study_sizes import small_is_few_and_fast
+from study_sizes import rows_are_hurried
 
-from lbsfit_np.bench.study import at_once, oracle
+from lbsfit_np.bench.study import at_once
 from lbsfit_np.bench.study import run as run_module
 from lbsfit_np.bench.study.at_once import Batch, batches, is_faster
 from lbsfit_np.bench.study.data import SIZES, Size
@@ -20,9 +20,7 @@ from lbsfit_np.bench.study.rows import ROWS
 from lbsfit_np.bench.study.run import study
 from lbsfit_np.cli import main as run
 from lbsfit_np.errors import InputError, in_words
-from lbsfit_np.learning import free_form
 from lbsfit_np.learning.checkpoint import state_of_the_code
-from lbsfit_np.optimize.lbfgs import minimise
 from lbsfit_np.processes import tell
 
 _SIZE = Size(train=3, test=2, train_subjects=1, test_subjects=2, pairs=2, training_scans=60, rounds=1, seeds=1)
@@ -34,20 +32,13 @@ class _Hurried(at_once._Made):
 
     def __call__(self, task):
         with pytest.MonkeyPatch.context() as patch:
-            _rows_are_hurried(patch)
+            rows_are_hurried(patch)
             return super().__call__(task)
-
-
-def _rows_are_hurried(patch):
-    """Figures are compared, good or not."""
-    small_is_few_and_fast(patch)
-    for module in (oracle, free_form):
-        patch.setattr(module, "minimise", lambda *given, **more: minimise(*given, **more | {"max_iterations": 5}))
 
 
 @pytest.fixture
 def rigs(tube_rig, monkeypatch):
-    _rows_are_hurried(monkeypatch)
+    rows_are_hurried(monkeypatch)
     monkeypatch.setitem(SIZES, "small", _SIZE)
     monkeypatch.setattr(at_once, "_Made", _Hurried)
     return {"tube": tube_rig}
@@ -288,7 +279,7 @@ def test_rows_that_were_made_as_a_run_is_stopped_are_kept(rigs, tmp_path, monkey
 def test_errors_say_of_which_row_they_are(at_once_too, before, command, monkeypatch, capsys):
     """And that other rows are kept, where there are some."""
     if before:
-        assert run([*command, "free-form-supervised"]) == 0
+        assert run([*command, "free-form-supervised", "--jobs", "1"]) == 0
         capsys.readouterr()
 
     def find(context):

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from study_sizes import small_is_few_and_fast
+from study_sizes import rows_are_hurried
 
 from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
@@ -24,8 +24,8 @@ from lbsfit_np.segmentation.segmenter import Segmenter
 @pytest.fixture
 def command(tube_rig, tmp_path, monkeypatch):
     """A study of a few small scans of the tube, one of them held out, without rows."""
-    small_is_few_and_fast(monkeypatch)
-    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], test=1, test_subjects=1))
+    rows_are_hurried(monkeypatch)
+    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], test=1, test_subjects=1, training_scans=20))
     tube_rig.save(tmp_path / "tube.npz")
     out = ["-o", str(tmp_path / "out")]
     return ["bench", "study", "--rig", str(tmp_path / "tube.npz"), "--seeds", "5", "--no-figures", *out, "--rows"]
@@ -174,7 +174,7 @@ def test_a_row_made_at_one_go_has_its_time(command, tmp_path):
 def test_steps_of_another_model_are_not_taken(command, run_stopped, tmp_path, monkeypatch):
     """With other training scans, what was fitted before is fitted again, as in a fresh folder."""
     assert run_stopped([*command, "cd"]) == 130
-    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], training_scans=90))
+    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], training_scans=30))
     for out in ("out", "fresh"):
         assert run([*command, "cd", "-o", str(tmp_path / out)]) == 0
     gone_on, fresh = (np.load(tmp_path / out / "cells" / "tube-5-cd.npz")["vertices"] for out in ("out", "fresh"))
