@@ -17,7 +17,10 @@ from lbsfit_np.cli import main as run
 from lbsfit_np.cli.bench import VARIANT_NAMES
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.bvh import read_bvh
+from lbsfit_np.learning import free_form
 from lbsfit_np.learning.checkpoint import Checkpoint, steps_in
+from lbsfit_np.learning.fitter import LBSFitter
+from lbsfit_np.optimize.lbfgs import minimise
 
 
 def test_the_scans_are_of_three_subjects_and_the_same_for_one_seed(shared_rigs):
@@ -40,8 +43,13 @@ def _nothing_learned(fitter, *a, **k):
     fitter.history_, fitter.failures_ = [], {}
 
 
-def test_a_run_measures_what_was_learned(shared_rigs, monkeypatch, own_cache):
+def test_a_run_measures_what_was_learned(shared_rigs, coarse_hand, monkeypatch, own_cache):
+    """Of a hand of fewer vertices, and fits that are hurried, those without skinning as well."""
     learning_is_hurried(monkeypatch, "balanced")
+    monkeypatch.setitem(LBSFitter.__init__.__kwdefaults__, "rounds", 1)
+    monkeypatch.setattr(free_form, "minimise", lambda *given, **more: minimise(*given, **more | {"max_iterations": 10}))
+    monkeypatch.setattr("lbsfit_np.bench.hand.hand_rig", lambda data: coarse_hand)
+    monkeypatch.setattr("lbsfit_np.bench.hand.natural_poses", lambda rig, data: np.array(list(rig.poses.values())))
     monkeypatch.setattr("lbsfit_np.bench.hand.SCAN", replace(SCAN, n_points=800))
     rows = []
     options = {"n_scans": 3, "seeds": (3,), "variants": ("cd", "free-form"), "training_scans": 40}
