@@ -18,18 +18,17 @@ def tube(tube_rig):
 
 def _brute(x, triangles):
     """The distance from x to the nearest of some triangles, each cut into its plane, its edges and its corners."""
-    best = np.inf
-    for a, b, c in triangles:
-        for p, q in ((a, b), (b, c), (c, a)):
-            length = (q - p) @ (q - p)
-            t = np.clip((x - p) @ (q - p) / length, 0, 1) if length > 0 else 0.0
-            best = min(best, np.linalg.norm(x - p - t * (q - p)))
-        n = np.cross(b - a, c - a)
-        if n @ n > 1e-20:
-            foot = x - ((x - a) @ n) / (n @ n) * n
-            if all(np.cross(q - p, foot - p) @ n >= 0 for p, q in ((a, b), (b, c), (c, a))):
-                best = min(best, np.linalg.norm(x - foot))
-    return best
+    p = np.asarray(triangles)
+    edge = np.roll(p, -1, axis=1) - p
+    length = (edge**2).sum(axis=2)
+    t = np.where(length > 0, np.clip(((x - p) * edge).sum(axis=2) / np.where(length > 0, length, 1), 0, 1), 0)
+    best = np.linalg.norm(x - p - t[:, :, None] * edge, axis=2).min()
+    n = np.cross(edge[:, 0], -edge[:, 2])
+    wide = (n**2).sum(axis=1) > 1e-20
+    p, edge, n = p[wide], edge[wide], n[wide]
+    foot = x - (((x - p[:, 0]) * n).sum(axis=1) / (n**2).sum(axis=1))[:, None] * n
+    over = ((np.cross(edge, foot[:, None] - p) * n[:, None]).sum(axis=2) >= 0).all(axis=1)
+    return min(best, np.linalg.norm(x - foot[over], axis=1).min(initial=np.inf))
 
 
 @pytest.mark.parametrize("lift", [0.0, 0.3])
