@@ -7,13 +7,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from learning_runs import learning_is_hurried
 
 import lbsfit_np as lbs
+from lbsfit_np.bench import baseline
 from lbsfit_np.bench import starts as module
 from lbsfit_np.bench.conditions import CONDITIONS, SEEN
 from lbsfit_np.bench.starts import AIM_AUC, AIM_CAUGHT, FITS, RIGS, starts_bench, starts_scan, starts_table
 from lbsfit_np.cli.bench import CONDITION_NAMES, FIT_NAMES
 from lbsfit_np.errors import InputError
+from lbsfit_np.optimize.lbfgs import minimise
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -295,7 +298,18 @@ def run(run):
     return partial(run, "bench", "starts")
 
 
-def test_command(run, tmp_path):
+class Hurried(module._OneScan):
+    """A fit, in whichever process, of which nothing hangs on how near it is."""
+
+    def __call__(self, i):
+        with pytest.MonkeyPatch.context() as patch:
+            learning_is_hurried(patch)
+            patch.setattr(baseline, "minimise", lambda *given, **more: minimise(*given, **more | {"max_iterations": 5}))
+            return super().__call__(i)
+
+
+def test_command(run, tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "_OneScan", Hurried)
     out = tmp_path / "out"
     arguments = ("hand-coarse", "--rows", "0.3,turned", "--scans", "2", "--training-scans", "60", "--effort", "fast", "-o", out)
     code, text, err = run(*arguments, "--fits", "own,plain,oracle")
