@@ -219,15 +219,6 @@ def hurried(monkeypatch):
     learning_is_hurried(monkeypatch)
 
 
-@pytest.fixture
-def hurried_free_form(monkeypatch):
-    """The same of fits without skinning."""
-    from lbsfit_np.learning import free_form
-
-    minimise = free_form.minimise
-    monkeypatch.setattr(free_form, "minimise", lambda *given, **more: minimise(*given, **more | {"tolerance": 0.1}))
-
-
 @pytest.fixture(scope="module")
 def hurried_learning():
     """For a module whose tests ask what becomes of fits, right or not: learning takes half the time."""

@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from lbsfit_np.fitting import refit, search, second_look
+from lbsfit_np.fitting import mirror_image, refit, search, second_look
 from lbsfit_np.fitting.effort import EFFORTS, Effort
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Found
-from lbsfit_np.learning import first_fits
+from lbsfit_np.learning import first_fits, free_form
 from lbsfit_np.learning.loop import Loop, LoopSettings
 from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.variants import as_variant
@@ -16,7 +16,6 @@ from lbsfit_np.optimize.lbfgs import minimise
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.segmentation.stage import Training
-from lbsfit_np.starts import parts
 from lbsfit_np.starts.turns import Facing
 from lbsfit_np.synthesis import Synthesis
 
@@ -47,10 +46,11 @@ def learning_is_hurried(patch, effort="fast", **more):
     patch.setitem(GaussNewton.pose.__kwdefaults__, "iterations", 5)
     for name, value in SHORT.items():
         patch.setattr(refit, name, value)
-    for module in (parts, refit, search):
+    for module in (free_form, refit, search):
         patch.setattr(module, "minimise", lambda *given, **more: minimise(*given, **more | {"tolerance": 0.1}))
     for module in (first_fits, second_look):  # such fits are in doubt, which would have each looked at for an arm
         patch.setattr(module, "may_go_on", lambda rig, settings: False)
+    patch.setattr(mirror_image, "one_sided", lambda rig: False)  # and in the mirror
     quick = FEWER | more
     patch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**quick, **others))
 

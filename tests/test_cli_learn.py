@@ -14,6 +14,7 @@ from docs_tables import needs_documents, summary_keys
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit, learn
 from lbsfit_np.io.npz import MODEL_KEY
+from lbsfit_np.optimize.lbfgs import minimise
 
 pytestmark = pytest.mark.usefixtures("own_cache")
 
@@ -100,8 +101,9 @@ def test_the_keys_of_the_summary_are_those_that_the_documents_list(learned_two):
 
 
 @pytest.mark.usefixtures("hurried")
-def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model, tube_rig, tmp_path, run):
+def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model, tube_rig, tmp_path, run, monkeypatch):
     """Those of the joint variant from one process, and those of vertices that move freely, which take little, from two."""
+    monkeypatch.setattr("lbsfit_np.learning.free_form.minimise", minimise)  # other processes know nothing of a hurry
     scans = sorted(tubes.glob("*.ply"))
     out = tmp_path / "free"
     options = ("--results", out, "--jobs", 2, "--variant", "free-form", "--max-points", 100, *QUICK_LEARNING)
@@ -122,7 +124,7 @@ def test_results_are_the_librarys_whatever_the_number_of_jobs(tubes, tube_model,
                 np.testing.assert_array_equal(ours[key], theirs[key], err_msg=key)
 
 
-@pytest.mark.usefixtures("hurried_free_form")
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("written", [False, True])
 @pytest.mark.parametrize("status, code", [("ok", 0), ("suspect", 0), ("failed", 1)])
 def test_the_statuses_of_all_fits_are_told_and_failed_ones_count(status, code, written, tubes, tmp_path, run, monkeypatch):
@@ -142,7 +144,7 @@ def test_the_statuses_of_all_fits_are_told_and_failed_ones_count(status, code, w
     assert (re.search(rf"t2 +{status} +0\.02 +part elbow does not fit\n", text) is not None) == (status != "ok")
 
 
-@pytest.mark.usefixtures("hurried_free_form")
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize(
     "unit, options, words",
     [
@@ -191,7 +193,7 @@ UNUSED = {
 }  # fmt: skip
 
 
-@pytest.mark.usefixtures("hurried_free_form")
+@pytest.mark.usefixtures("hurried")
 def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, run):
     def learn(*options):
         out = ("-o", tmp_path / "m.npz", "--results", tmp_path / "fits", "--existing", "replace", "--variant", "free-form")
@@ -240,7 +242,7 @@ def test_a_wall_is_left_out_without_skinning(tube_rig, tubes, tmp_path, run):
     assert max(learned[1:] + fitted[1:]) < 0.5 * min(learned[0], fitted[0]), (learned, fitted)
 
 
-@pytest.mark.usefixtures("hurried_free_form")
+@pytest.mark.usefixtures("hurried")
 def test_what_was_noted_about_a_scan_is_said_once(tubes, tmp_path, run):
     points = lbs.load_scan(tubes / "t0.ply").points
     np.savetxt(tmp_path / "rows.csv", np.column_stack([np.arange(len(points)), points]), delimiter=",")
@@ -256,7 +258,7 @@ def test_what_was_noted_about_a_scan_is_said_once(tubes, tmp_path, run):
         assert [bool(entry["notes"]) for entry in noted] == [True, True, False]
 
 
-@pytest.mark.usefixtures("hurried_free_form")
+@pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("written", [False, True])
 @pytest.mark.parametrize("status", ["ok", "suspect", "failed", "not finite", "none"])
 def test_row_numbers_taken_for_x_are_why_a_fit_is_in_doubt(status, written, tubes, tmp_path, run, monkeypatch):
@@ -293,7 +295,7 @@ def test_row_numbers_taken_for_x_are_why_a_fit_is_in_doubt(status, written, tube
         assert entry["message"].startswith(why) == (status != "ok") and entry["message"].endswith("said by the fit")
 
 
-@pytest.mark.usefixtures("hurried_free_form")
+@pytest.mark.usefixtures("hurried")
 def test_pictures_of_results(tubes, tmp_path, run, monkeypatch):
     from lbsfit_np.report import fit_picture
 

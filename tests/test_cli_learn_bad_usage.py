@@ -14,7 +14,7 @@ from lbsfit_np.errors import FileError
 from lbsfit_np.io.write import write_points_ply
 from lbsfit_np.learning.collection import HELD_OUT, LEARNED_FROM
 
-pytestmark = pytest.mark.usefixtures("own_cache", "hurried_free_form")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 
 @pytest.mark.parametrize(

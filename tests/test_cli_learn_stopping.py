@@ -24,7 +24,7 @@ from lbsfit_np.io.write import make_folder
 from lbsfit_np.learning.checkpoint import steps_in
 from lbsfit_np.learning.first_fits import FirstFit
 
-pytestmark = pytest.mark.usefixtures("own_cache", "hurried", "hurried_free_form")
+pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")

@@ -287,7 +287,7 @@ def fitted(request, tube_fitter, tube_result, monkeypatch):
     def one(part):
         fits.append(part)
         status, probability = outcomes[len(fits) - 1]
-        known = {"message": f"fit {len(fits)}", "evaluations": 10 * len(fits), "seconds": float(len(fits))}
+        known = {"message": f"fit {len(fits)}", "evaluations": 10 * len(fits), "seconds": float(len(fits)), "evidence": {}}
         return replace(tube_result, status=status, probability=probability, **known)
 
     def fit_of(points, ends, *, scale="estimate", **given):
@@ -350,7 +350,7 @@ def test_a_second_look_is_at_the_same_points(random_state, tube_rig, tube_result
         return taking_part(points, rig, rng=rng, **more)
 
     monkeypatch.setattr("lbsfit_np.fitting.scan_fit.taking_part", taking)
-    monkeypatch.setattr(fit, "_fit", lambda *given, once: replace(tube_result, status="suspect"))
+    monkeypatch.setattr(fit, "_fit", lambda *given, once: replace(tube_result, status="suspect", evidence={}))
     given = np.random.default_rng(5) if random_state == "a generator" else random_state
     for _ in range(2):
         fit.fit(points, random_state=given)

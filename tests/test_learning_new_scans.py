@@ -2,7 +2,7 @@
 
 import copy
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -44,6 +44,7 @@ class _Alone:
     seconds: float = 0.0
     status: str = "ok"
     subject: str = ""
+    evidence: dict = field(default_factory=dict)
 
 
 ASKS = "; if you know who it is, name the subject (--subject, --subjects)"
