@@ -34,7 +34,8 @@ def polygonised():
     return once
 
 
-@pytest.mark.parametrize("name", [pytest.param("body", marks=pytest.mark.study), "body-coarse"])
+@pytest.mark.study
+@pytest.mark.parametrize("name", ["body", "body-coarse"])
 def test_rebuilding_gives_the_shipped_file(name, polygonised, tmp_path, monkeypatch):
     path = _built_here(name)
     monkeypatch.setattr(build_body, "polygonise", polygonised)

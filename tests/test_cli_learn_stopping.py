@@ -46,7 +46,8 @@ def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
 @pytest.mark.parametrize("jobs, sent, code", [(1, signal.SIGINT, 130), (2, signal.SIGTERM, 143)])
 def test_ctrl_c_before_the_first_round_ends_leaves_no_model(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
-    text, err, returned = _stopped_after("each scan by itself, with", jobs, sent, tubes, cli_cache, tmp_path, wait=0.0)
+    how = {"wait": 0.0, "hurried": False}
+    text, err, returned = _stopped_after("each scan by itself, with", jobs, sent, tubes, cli_cache, tmp_path, **how)
     assert (returned, err) == (code, ""), err
     folder = tmp_path / "m.npz.unfinished"
     end = f"run the same command to continue from the steps kept in {folder}\n"
@@ -95,13 +96,16 @@ def test_what_a_cache_could_not_keep_is_not_said_to_be_kept(tubes, tmp_path, run
         assert text.endswith(f"stopped before the model was learned; {more if kept else 'run the same command to start again'}\n")
 
 
-def _stopped_after(words, jobs, sent, tubes, cache, folder, wait=0.5):
-    """What is said after a line that begins so, and the exit code, of a process that gets a signal then."""
+def _stopped_after(words, jobs, sent, tubes, cache, folder, *, wait=0.5, hurried=True):
+    """What is said after a line that begins so, and the exit code, of a process that gets a signal then.
+
+    Without a hurry what comes next takes longer than the signal does.
+    """
     process = started(
         *("learn", tubes / "tube.npz", tubes / "t0.ply", tubes / "t1.ply", "-o", folder / "m.npz", "--results", folder / "fits"),
         *(*QUICK, "--rounds", 1000, "--held-out", 0, "--jobs", jobs),
         cache=cache,
-        hurried=True,
+        hurried=hurried,
     )
     for line in process.stdout:
         if line.startswith(words) and "recon" in line:

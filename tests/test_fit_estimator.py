@@ -18,6 +18,10 @@ from lbsfit_np.segmentation import cache
 from lbsfit_np.synthesis import Synthesis
 
 
+def test_the_same_again(tube_fitter, tube_scan, tube_result):
+    assert_same(tube_fitter.fit_scan(tube_scan.points), tube_result)
+
+
 @pytest.mark.usefixtures("hurried")
 def test_a_seed_decides_all(tube_rig, tube_scan):
     def fit(seed):

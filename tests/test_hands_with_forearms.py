@@ -30,6 +30,7 @@ def _with_an_arm(hand, i):
     return condition_scan(hand, replace(CONDITIONS["0.3"], arm=True), i, np.random.default_rng(i))
 
 
+@pytest.mark.study
 def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fitter):
     scan = _with_an_arm(hand, 1)
     assert 1500 < (scan.labels < 0).sum() < 2500

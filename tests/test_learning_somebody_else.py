@@ -67,6 +67,7 @@ def test_scans_of_somebody_else_are_drawn_to_what_was_learned_of_poses_unless_la
     assert not told and held[-1] is None
 
 
+@pytest.mark.study
 def test_scans_of_somebody_else_are_nearer_to_the_truth_for_what_was_learned_of_poses(tube_rig, tube_fitter, monkeypatch):
     """Poses that vary little in all joints but one, for which few starts do; 150 noisy points each."""
     monkeypatch.setitem(EFFORTS, "fast", HURRIED)

@@ -146,6 +146,13 @@ def test_sides_change_places_in_names():
     assert mirrored(data).parts == "sides_r" and mirrored(data).joint_names == list(rig.joint_names)
 
 
+def test_notes_name_joints_as_they_are_then():
+    notes = ["1 joint locked: left_long", "left_longer and left_long_1 are left out, 'right_short' is right"]
+    data = replace(turned_tube(), joint_names=["root", "elbow", "left_long", "right_short"], partitions={}, notes=notes)
+    other = ["1 joint locked: right_long", "left_longer and left_long_1 are left out, 'left_short' is right"]
+    assert mirrored(data).notes == other and set(other) <= set(build_rig(data).mirrored().notes)
+
+
 @pytest.mark.parametrize(("name", "new"), [("tube", "tube-mirrored"), ("Left hand", "Right hand")])
 def test_default_name(name, new):
     assert build_rig(replace(make_tube_data(), name=name)).mirrored().name == new

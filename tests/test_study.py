@@ -55,6 +55,9 @@ def quick(monkeypatch):
     quick_rows = {name: replace(row, find=counted) for name, row in ROWS.items()}
     monkeypatch.setattr("lbsfit_np.bench.study.making.ROWS", quick_rows)
     monkeypatch.setitem(SIZES, "small", TINY)
+    along_path = local_optimum.along_path
+    for module in (local_optimum, run_module):
+        monkeypatch.setattr(module, "along_path", lambda rig: along_path(rig, steps=5))
     return made
 
 

@@ -41,8 +41,10 @@ example:
 
 def add_parser(commands):
     """Add ``lbsfit rig`` and its actions to the subparsers ``commands``."""
-    parser = commands.add_parser("rig", help="show a rig, write a card for it, list the bundled ones", formatter_class=formatter)
-    parser.description = "Look at rigs, and write cards: small text files that say what a rig's format cannot."
+    parser = commands.add_parser("rig", help="show a rig, write a card for it or its mirror image", formatter_class=formatter)
+    parser.description = (
+        "Look at rigs, write their mirror images, and write cards: small text files that say what a rig's format cannot."
+    )
     actions = parser.add_subparsers(metavar="ACTION", required=True, title="actions")
 
     show = actions.add_parser(

@@ -168,11 +168,13 @@ class ScanFit:
                 given=given,
             )
 
-            def reflected(points):
-                part = self.taking_part(points, point_weights, random_state, ups=ups)
-                return self._fit(points, None, None, point_weights, part, started, None, once=True)
+            def reflected(S):
+                every = self.taking_part(points, point_weights, random_state, ups=ups).every  # the rest takes time to label
+                x, a = points[every] @ S, None if point_weights is None else point_weights[every]
+                part = self.taking_part(x, a, random_state, ups=ups)
+                return self._fit(x, None, None, a, part, started, None, once=True)
 
-            return looked_at_in_the_mirror(result, points, reflected, rig=rig, facing=self.facing, given=given)
+            return looked_at_in_the_mirror(result, reflected, rig=rig, facing=self.facing, given=given)
 
     def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, labels=None, among=None):
         """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""

@@ -74,20 +74,18 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
     started = time.perf_counter()
     with one_thread():
         seed, settings = fitter._seed(), fit_settings(fitter)
-        limits = {"most": settings.max_points, "scale": settings.scale, "unit": settings.unit}
-        limits |= {"point_weights": point_weights, "labels": labels}
         facing, given = _facing(fitter), given_names(theta0, labels)
+        limits = {"most": settings.max_points, "scale": settings.scale, "unit": settings.unit}
 
-        def part_of(points, ups, among=None):
-            return taking_part(points, fitter.rig, rng=generator(seed, "thin"), ups=ups, among=among, **limits)
+        def part_of(x, a, ups, **more):
+            return taking_part(x, fitter.rig, rng=generator(seed, "thin"), ups=ups, point_weights=a, **limits, **more)
 
-        def fitted(points, part, once):
-            known = theta0, labels, point_weights, anyone, settings, started
-            return _fit_new(fitter, points, part, subjects, *known, once=once)
+        def fitted(x, a, part, once):
+            return _fit_new(fitter, x, part, subjects, theta0, labels, a, anyone, settings, started, once=once)
 
         result = looked_at_again(
-            lambda ups, among: part_of(points, ups, among),
-            lambda part, once: fitted(points, part, once),
+            lambda ups, among: part_of(points, point_weights, ups, among=among, labels=labels),
+            lambda part, once: fitted(points, point_weights, part, once),
             points,
             fitter.rig,
             ups=facing.floors,
@@ -95,10 +93,12 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
             given=given,
         )
 
-        def reflected(points):
-            return fitted(points, part_of(points, facing.floors), True)
+        def reflected(S):
+            every = part_of(points, point_weights, facing.floors).every  # the rest takes time to label
+            x, a = points[every] @ S, None if point_weights is None else point_weights[every]
+            return fitted(x, a, part_of(x, a, facing.floors), True)
 
-        return looked_at_in_the_mirror(result, points, reflected, rig=fitter.rig, facing=facing, given=given)
+        return looked_at_in_the_mirror(result, reflected, rig=fitter.rig, facing=facing, given=given, learned=True)
 
 
 def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, *, once):

@@ -37,7 +37,8 @@ def mirrored(rig, name=None, *, axis="x"):
     -------
     Rig or RigData
         Joints keep their rows, limits, weights and angles; names of joints, parts and poses have left and right exchanged.
-        Where that renames a joint, ``smpl_rest`` is left out: SMPL has its left joints before the right ones.
+        Where that renames a joint, ``smpl_rest`` is left out: SMPL has its left joints before the right ones. Notes name
+        joints as they are then.
     """
     if axis not in ("x", "y", "z"):
         raise InputError("axis", repr(axis), "'x', 'y' or 'z'")
@@ -71,6 +72,7 @@ def mirrored(rig, name=None, *, axis="x"):
         poses={other_side(pose): theta for pose, theta in rig.poses.items()},
         shapes=None if rig.shapes is None else rig.shapes.mapped(flip),
         smpl_rest=None if rig.smpl_rest is None or names != list(rig.joint_names) else _smpl_rest(rig.smpl_rest, sign),
+        notes=type(rig.notes)(_renamed(note, dict(zip(rig.joint_names, names, strict=True))) for note in rig.notes),
         **_granularity(rig),
     )
 
@@ -84,6 +86,12 @@ def other_side(name):
         return other.upper() if word.isupper() else other.capitalize() if word[0].isupper() else other
 
     return _SIDES.sub(exchange, name)
+
+
+def _renamed(note, names):
+    """A note with joints of other names; the longest first, as one may be part of another."""
+    old = "|".join(re.escape(name) for name in sorted(names, key=len, reverse=True))
+    return re.sub(rf"(?<!\w)(?:{old})(?!\w)", lambda match: names[match[0]], note)
 
 
 def _smpl_rest(rest, sign):
