@@ -37,16 +37,16 @@ def _looked_at(result, seen, rig, *, facing=None, **known):
 @pytest.mark.parametrize(
     "learned, forward, remedy",
     [
-        (False, "+z", "Fit it with the mirror image of the rig (lbsfit rig mirror, Rig.mirrored; "),
-        (False, "+x", "Fit it with the mirror image of the rig (lbsfit rig mirror --axis z, Rig.mirrored(axis='z'); "),
-        (True, "+z", "Mirror the scan, or learn with the mirror image of the rig (lbsfit rig mirror, Rig.mirrored; "),
+        (False, "+z", "Fit it with the mirror image of the rig (lbsfit rig mirror, Rig.mirrored"),
+        (False, "+x", "Fit it with the mirror image of the rig (lbsfit rig mirror --axis z, Rig.mirrored(axis='z')"),
+        (True, "+z", "Mirror the scan, or learn with the mirror image of the rig (lbsfit rig mirror, Rig.mirrored"),
     ],
 )
 def test_a_scan_whose_mirror_image_fits_is_asked_about(learned, forward, remedy, failed, coarse_hand):
     seen = replace(failed, status="ok", message="all well", probability=0.97, seconds=3.0, evaluations=5)
     found, (S,) = _looked_at(failed, seen, replace(coarse_hand, forward=forward), learned=learned)
     asks = f"the mirror image of the scan fits, with probability 0.97: {ASKS} "
-    assert found.message == f"{asks}{remedy}hand and hand-left are each other's); it does not fit"
+    assert found.message == f"{asks}{remedy}, or of hand and hand-left the other one); it does not fit"
     assert (found.status, found.probability, found.seconds, found.evaluations) == ("failed", 0.1, 3.0, 15)
     np.testing.assert_array_equal(found.vertices, failed.vertices)
     np.testing.assert_allclose(S, np.diag([-1.0, 1.0, 1.0] if forward == "+z" else [1.0, 1.0, -1.0]), atol=1e-12)

@@ -17,7 +17,8 @@ _SAME = 0.02
 _ASKS = "the mirror image of the scan fits, with probability {probability:.2g}: is it of the other side, such as a left hand? "
 _FIT = "Fit it with the mirror image of the rig"
 _LEARN = "Mirror the scan, or learn with the mirror image of the rig"
-_HOW = " (lbsfit rig mirror{flag}, Rig.mirrored{argument}; hand and hand-left are each other's)"
+# Without a semicolon, as these part the reasons of a message.
+_HOW = " (lbsfit rig mirror{flag}, Rig.mirrored{argument}, or of hand and hand-left the other one)"
 
 
 def looked_at_in_the_mirror(result, fit, *, rig, facing, given=(), learned=False):
