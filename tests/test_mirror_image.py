@@ -115,6 +115,25 @@ def test_the_reflection_is_from_side_to_side(orientation, up, forward, failed, c
         np.testing.assert_allclose(S @ turn @ direction, turn @ direction, atol=1e-12)
 
 
+@pytest.mark.parametrize("owner", [scan_fit, new_scan])
+def test_reflected_points_keep_their_weights_and_are_looked_at_once(owner, coarse_hand, failed, monkeypatch):
+    points = np.random.default_rng(0).uniform(-0.1, 0.1, (300, 3))
+    weights, fits, flip = 1.0 + np.arange(300), [], np.diag([-1.0, 1.0, 1.0])
+    fitter = lbs.LBSFitter(coarse_hand, effort="fast", random_state=0)
+    monkeypatch.setattr(owner, "looked_at_in_the_mirror", lambda result, fit, **known: fit(flip))
+    if owner is scan_fit:
+        fit = new_scan.scan_fit(fitter)
+        monkeypatch.setattr(fit, "_fit", lambda x, theta0, labels, a, *_, once: fits.append((x, a, once)) or failed)
+        fit.fit(points, point_weights=weights, random_state=0)
+    else:
+        known, fitter.regressor_ = {"theta0": None, "labels": None, "point_weights": weights}, object()
+        monkeypatch.setattr(new_scan, "_fit_new", lambda *given, once: fits.append((given[1], given[6], once)) or failed)
+        new_scan.fit_new(fitter, points, ("ann",), **known)
+    (_, a, once), (x, b, last) = fits
+    assert a is weights and (once, last) == (False, True) and len(x) > 200
+    np.testing.assert_array_equal(x, points[(b - 1).astype(int)] @ flip)
+
+
 @pytest.mark.parametrize("weighted", [False, True])
 @pytest.mark.parametrize("owner", [scan_fit, new_scan])
 def test_fits_with_and_without_what_was_learned_are_looked_at(
