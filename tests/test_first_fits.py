@@ -1,5 +1,6 @@
 """First fits of a collection's scans: what is looked at again, what takes part from then on, and what they depend on."""
 
+import re
 import warnings
 from dataclasses import fields, replace
 from types import SimpleNamespace
@@ -13,8 +14,8 @@ import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.result import FitResult
 from lbsfit_np.fitting.scan_fit import FitSettings
-from lbsfit_np.learning import finish
-from lbsfit_np.learning.checkpoint import digest_of
+from lbsfit_np.learning import finish, first_fits
+from lbsfit_np.learning.checkpoint import Checkpoint, digest_of, remove_checkpoint, steps_in
 from lbsfit_np.learning.collection import Member
 from lbsfit_np.learning.first_fits import FirstFit
 from lbsfit_np.learning.scales import check_scales
@@ -219,5 +220,38 @@ def test_what_stands_on_its_head_is_fitted_wrongly(tube_rig, unlearned, few_scan
         with warnings.catch_warnings(record=True) as seen:
             warnings.simplefilter("always")
             wrong = loop._first_fits()
-        assert any("all but certainly fitted wrongly" in str(w.message) for w in seen) == most
-        assert (2 * wrong > 4) == most
+        said = [str(w.message) for w in seen if "all but certainly fitted wrongly" in str(w.message)]
+        assert len(said) == most and (2 * wrong > 4) == most
+        alone = r"learned from right fits: scan \d alone is failed: .*points are not explained"
+        assert all(re.search(alone, words) for words in said), said
+
+
+@pytest.mark.parametrize(
+    "alone, told",
+    [
+        ({"status": "failed", "message": "it is on its head; else"}, "scan 1 alone is failed: it is on its head; else"),
+        ({"status": "suspect", "message": "it leans"}, "scan 1 alone is suspect: it leans"),
+        ({"status": "ok", "message": "it has been cleaned"}, "do scans stand as orientation and up say, is it"),
+        (ValueError("of whatever kind"), "do scans stand as orientation and up say, is it their rig? Fit one alone ("),
+    ],
+)
+def test_one_of_those_that_are_fitted_wrongly_is_fitted_alone(alone, told, tube_rig, tube_result, few_scans, tmp_path):
+    """Once, however often a run goes on; what it says is of the first that has failed and is learned from."""
+    members = collected(tube_rig, [s.points for s in few_scans[:4]], held_out=0).members
+    members[0].held_out, asked = True, []
+
+    def fit(member):
+        asked.append(member)
+        if isinstance(alone, Exception):
+            raise alone
+        return replace(tube_result, **alone)
+
+    work, kept = SimpleNamespace(alone=fit), Checkpoint(tmp_path / "steps").slot
+    for _ in range(2):
+        words = first_fits.most_have_failed(work, members, [True, True, False, True], kept)
+        assert words.startswith("2 of 3 scans to learn from are all but certainly fitted wrongly, and templates are learned ")
+        assert f" right fits: {told}" in words
+    failed = isinstance(alone, Exception)
+    assert asked == [members[1]] * (2 if failed else 1) and steps_in(tmp_path / "steps") == (0 if failed else 1)
+    remove_checkpoint(tmp_path / "steps")
+    assert not (tmp_path / "steps").exists()

@@ -1,5 +1,6 @@
 """The first fit of each scan of a collection, by itself, which may find that the scan goes on beyond the rig."""
 
+from contextlib import suppress
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
@@ -12,6 +13,7 @@ from ..fitting.result import FitResult
 from ..fitting.scan_fit import ScanFit
 from ..fitting.second_look import is_long, looked_at_again, may_go_on
 from ..optimize.model import Model
+from .collection import LEARNED_FROM
 from .tasks import finite, short
 
 __all__ = ["FirstFit", "most_have_failed"]
@@ -42,6 +44,10 @@ class FirstFit:
     def task(self, member):
         """What the answer for a scan depends on: the points that take part; all where some may lie beyond the rig."""
         return (member.points, member.part, member.ups) if may_go_on(self.model.source, self.settings) else (member.x,)
+
+    def alone(self, member):
+        """The FitResult of a member's scan as a fit of single scans makes it, to the end."""
+        return self._fit.fit(member.points, random_state=self.seed)
 
     def __call__(self, task):
         scout, (points, *more) = self._fit.scout, task
@@ -90,14 +96,39 @@ class FirstFit:
         return self._answer(scouted(whole, False))
 
 
-def most_have_failed(failed):
-    """What to say where most first fits of the scans to learn from have failed, a bool for each; "" where they have not."""
-    wrong, n = sum(failed), len(failed)
-    if 2 * wrong <= n:
+def most_have_failed(work, members, failed, kept):
+    """What to say where most first fits of the scans to learn from have failed; "" where they have not.
+
+    One of them is then fitted alone, with all that such a fit does, as it may tell what is wrong with all: that scans stand
+    otherwise, are of the other side, or show one side only.
+
+    Parameters
+    ----------
+    work : FirstFit
+    members : list of Member
+    failed : list of bool
+        Of each member, whether it has.
+    kept : callable (step, made_of) → slot
+        Where a checkpoint keeps that fit.
+
+    Returns
+    -------
+    str
+    """
+    learning = [(m, wrong) for m, wrong in zip(members, failed, strict=True) if m.role == LEARNED_FROM]
+    wrong, n = [m for m, wrong in learning if wrong], len(learning)
+    if 2 * len(wrong) <= n:
         return ""
-    words = f"{wrong} of {counted(n, 'scan')} to learn from {'is' if wrong == 1 else 'are'} all but certainly fitted wrongly"
-    words += ", and templates are learned from right fits"
-    return f"{words}: do scans stand as orientation and up say, is it their rig? Fit one alone (lbs.fit_scan, lbsfit fit) to see"
+    are = "is" if len(wrong) == 1 else "are"
+    words = f"{len(wrong)} of {counted(n, 'scan')} to learn from {are} all but certainly fitted wrongly, and templates are"
+    words += " learned from right fits"
+    tell = "do scans stand as orientation and up say, is it their rig? Fit one alone (lbs.fit_scan, lbsfit fit) to see"
+    slot = kept("round-0-alone", (wrong[0].points, wrong[0].part))
+    with suppress(Exception):  # what only tells more must not end the run
+        alone = slot.known(FitResult) or slot.keep(work.alone(wrong[0]))
+        if alone.status != "ok":
+            tell = f"scan {wrong[0].name} alone is {alone.status}: {alone.message}"
+    return f"{words}: {tell}"
 
 
 @dataclass(frozen=True, eq=False, repr=False)

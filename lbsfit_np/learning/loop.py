@@ -217,7 +217,7 @@ class Loop:
         tasks = [work.task(m) for m in self.collection.members]
         answers = self._work(work, tasks, "first fits", [self._first_kept.slot(FIRST_FIT, task) for task in tasks])
         scales, failed = {}, [wrong for *_, wrong in answers]
-        if words := most_have_failed([f for m, f in zip(self.collection.members, failed) if m.role == LEARNED_FROM]):
+        if words := most_have_failed(work, self.collection.members, failed, self._first_kept.slot):
             warnings.warn(words, stacklevel=2)
         for m, (frame, state, loss, proba, rivals, part, _) in zip(self.collection.members, answers, strict=True):
             if part is not None:
