@@ -111,11 +111,12 @@ def test_the_first_scans_of_each_subject(made):
     "gone, note",
     [
         ("training/registrations", "training/registrations: no such folder; errors cannot be measured"),
-        ("training/registrations/tr_reg_001.ply", "no registrations of 1 scans"),
+        ("training/registrations/tr_reg_001.ply", "registrations: no registrations of tr_scan_001, whose errors are not measured"),
         ("training/ground_truth_vertices", "ground_truth_vertices: no such folder; all vertices of the scans count"),
         ("training/ground_truth_vertices/tr_gt_001.txt", "no file for tr_scan_001; all vertices count there"),
         ("test/scans", "test/scans: no such folder; no files for the challenge"),
         ("test/scans/test_scan_020.ply", "1 of 1 inter-subject pairs"),
+        ("test/scans/test_scan_020.ply", "test/scans: no file for test_scan_020"),
         ("test/challenge_pairs", "test/challenge_pairs: no such folder"),
         ("test/challenge_pairs/intra_challenge.txt", "no intra_challenge.txt"),
         ("test", "test/challenge_pairs: no such folder"),
@@ -132,6 +133,17 @@ def test_what_is_missing_is_left_out_and_named(own, gone, note):
         assert [s.name[-3:] for s in found.test] == ["000", "001", "019", "020"]
     if gone.startswith("test/challenge_pairs"):
         assert len(found.challenges) == (gone != "test/challenge_pairs")
+
+
+@pytest.mark.parametrize("also", ["training/registrations/tr_reg_010.ply", "training/ground_truth_vertices/tr_gt_010.txt", None])
+@pytest.mark.parametrize("most", [None, 1])
+def test_training_scans_that_are_not_there_are_named(also, most, own):
+    """Their registrations or flags tell of them; those that are not asked for are not missing."""
+    for gone in ("training/scans/tr_scan_010.ply", *([also] if also else [])):
+        (own / gone).unlink()
+    found = read_faust(own, most=most)
+    assert [n for n in found.notes if "challenge" not in n] == [f"{own / 'training' / 'scans'}: no file for tr_scan_010"]
+    assert [s.name[-3:] for s in found.training] == (["000", "011"] if most else ["000", "001", "002", "011"])
 
 
 def test_without_training_scans_nothing_is_learned(own):

@@ -102,6 +102,7 @@ def read_faust(folder, *, most=None, learn=True):
             raise FileError(str(where), _nothing(where), "the scans to learn from, tr_scan_000.ply and so on", remedy)
         found.notes.append(f"{where}: {_nothing(where)}; only the challenge's files are written")
     else:
+        _name_absent(root / "training" / "scans", "tr_scan_", _told_by_truth(root / "training"), found)
         found.truth = _truth(root / "training", found)
     _read_test(root, found, most)
     if found.truth is None and not found.challenges:
@@ -138,6 +139,20 @@ def _number(path):
     return int(_NUMBER.search(path.stem)[1])
 
 
+def _name_absent(where, stem, numbers, found):
+    """Note which of the scans of these numbers are not there."""
+    there = {_number(path) for path in where.glob(f"{stem}*.ply") if _NUMBER.search(path.stem)}
+    absent = [f"{stem}{k:03d}" for k in sorted(set(numbers) - there)]
+    if absent:
+        found.notes.append(f"{where}: no file for {listed(absent, 5)}")
+
+
+def _told_by_truth(training):
+    """Numbers of the scans that there are registrations or flags of."""
+    files = [*(training / "registrations").glob("tr_reg_*.ply"), *(training / "ground_truth_vertices").glob("tr_gt_*.txt")]
+    return [_number(path) for path in files if _NUMBER.search(path.stem)]
+
+
 def _truth(training, found):
     where = training / "registrations"
     files = [where / f"tr_reg_{_number(s.path):03d}.ply" for s in found.training]
@@ -149,9 +164,9 @@ def _truth(training, found):
     if sum(path is not None for path in there) < 2:
         found.notes.append(f"{where}: a registration of one scan alone; errors are of pairs, and cannot be measured")
         return None
-    missing = sum(path is None for path in there)
+    missing = [scan.name for scan, path in zip(found.training, there, strict=True) if path is None]
     if missing:
-        found.notes.append(f"{where}: no registrations of {missing} scans, whose errors are not measured")
+        found.notes.append(f"{where}: no registrations of {listed(missing, 5)}, whose errors are not measured")
     found.files += [path for path in there if path is not None]
     vertices, faces = read_registrations(there, what="registrations of FAUST")
     flags = training / "ground_truth_vertices"
@@ -189,8 +204,9 @@ def _read_test(root, found, most):
         return
     found.files += lists.values()
     row = {_number(s.path): k for k, s in enumerate(found.test)}
-    for kind, path in lists.items():
-        pairs = _pairs(path)
+    asked = {kind: _pairs(path) for kind, path in lists.items()}
+    _name_absent(scans, "test_scan_", [k for pairs in asked.values() for pair in pairs for k in pair], found)
+    for kind, pairs in asked.items():
         found.challenges[kind] = [(row[a], row[b]) for a, b in pairs if a in row and b in row]
         found.complete[kind] = len(found.challenges[kind]) == len(pairs)
         if not found.complete[kind]:
