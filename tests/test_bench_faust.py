@@ -111,7 +111,7 @@ def test_the_first_scans_of_each_subject(made):
     "gone, note",
     [
         ("training/registrations", "training/registrations: no such folder; errors cannot be measured"),
-        ("training/registrations/tr_reg_001.ply", "registrations: no registrations of tr_scan_001, whose errors are not measured"),
+        ("training/registrations/tr_reg_001.ply", "registrations: no registrations of tr_scan_001, whose errors are not"),
         ("training/ground_truth_vertices", "ground_truth_vertices: no such folder; all vertices of the scans count"),
         ("training/ground_truth_vertices/tr_gt_001.txt", "no file for tr_scan_001; all vertices count there"),
         ("test/scans", "test/scans: no such folder; no files for the challenge"),
