@@ -310,15 +310,23 @@ def test_learned_sizes_are_converted_where_both_units_were_said(kit_and_fox):
         assert new_scan._unit(fitter, "kit", 3 * factor * learned, FitSettings(unit=now)) is None
 
 
-def test_a_fixed_scale_is_not_that_of_a_subject_of_another_size(kit_and_fox):
-    fixed, fitter = FitSettings(scale="fixed", unit="mm"), copy.copy(kit_and_fox)
-    words = r"^scale: got 'fixed', the rig's size, for subject 'kit', who is 0\.\d\d times as large"
-    with pytest.raises(InputError, match=words):
-        new_scan._unit(fitter, "kit", 1.0, fixed)
-    fitter.unit_ = {"kit": CM}
-    assert new_scan._unit(fitter, "kit", 1.0, fixed) == MM
-    fitter.unit_, fitter.learned_unit_ = kit_and_fox.unit_, None  # of what size nobody knows
-    assert new_scan._unit(fitter, "kit", 1.0, fixed) == MM
+def test_a_fixed_scale_is_not_that_of_a_subject_of_another_size(kit_and_fox, people_scans):
+    """Whose template is none for scans of anybody then, either; sizes are those that results tell."""
+    fitter = copy.copy(kit_and_fox).set_params(scale="fixed", unit="mm")
+    sizes = {s: fitter.unit_[s] / CM * fitter.template_[s].size / fitter.rig.size for s in ("kit", "fox")}
+    points, words = 10 * CM * people_scans[8].points, "^scale: got 'fixed', the rig's size, for "
+    with pytest.raises(InputError, match=f"{words}subject 'kit', who is {sizes['kit']:.2f} times as large"):
+        fitter.fit_scan(points, subject="kit")
+    low, high = sorted(sizes.values())
+    with pytest.raises(InputError, match=f"{words}the 2 subjects, who are {low:.2f} to {high:.2f} times as large"):
+        fitter.fit_scan(points)
+    fitter.unit_ = {"kit": CM, "fox": fitter.unit_["fox"]}
+    allowed = new_scan._of_a_size_allowed(fitter, ["fox", "kit"], FitSettings(scale="fixed", unit="mm"))
+    assert allowed == ["kit"] and new_scan._unit(fitter, "kit", 1.0, FitSettings(scale="fixed", unit="mm")) == MM
+    assert fitter.fit_scan(points).scale == pytest.approx(MM) and fitter.transform([points]).shape[0] == 1
+    fitter.learned_unit_ = None  # of what size nobody knows
+    for known in ({"scale": "fixed", "unit": "mm"}, {"scale": "fixed"}, {"unit": "mm"}):
+        assert new_scan._of_a_size_allowed(fitter, ["fox", "kit"], FitSettings(**known)) == ["fox", "kit"]
 
 
 def test_the_unit_is_part_of_what_was_learned(kit_and_fox):

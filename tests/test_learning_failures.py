@@ -226,13 +226,6 @@ def test_of_people_without_results_something_was_learned(tube_rig, clouds, monke
     assert [words[:28] for words in said] == ["1 of 4 scans cannot be used;"]
 
 
-def test_a_scan_that_cannot_be_smoothed_is_left_out(tube_rig, clouds, monkeypatch):
-    _failing(monkeypatch, tasks, "Held", 399)
-    with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
-        fitter = lbs.LBSFitter(tube_rig, **QUICK, sequence=True, smooth=1e-3).fit([clouds[0], clouds[1][:399], *clouds[2:]])
-    assert [r is None for r in fitter.results_] == [False, True, False, False]
-
-
 @pytest.mark.parametrize("module", [first_fits, tasks])
 def test_a_loss_that_is_not_finite_does_not_spoil_those_of_others(module, tube_rig, clouds, monkeypatch):
     answer, seen = module.finite, []

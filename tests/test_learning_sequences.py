@@ -10,7 +10,9 @@ import lbsfit_np as lbs
 from lbsfit_np.cli.sequences import order_note, takes_note
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
+from lbsfit_np.learning import loop, tasks
 from lbsfit_np.learning.collection import Collection
+from lbsfit_np.learning.sequence import poses_beside
 from lbsfit_np.optimize.frame import nearest_root
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.rotations import matrix_from_rotvec
@@ -42,14 +44,46 @@ def test_smooth_sequences_are_smoother_and_as_near(tube_rig, make_learner, walk,
     assert away[0] < 0.75 * away[1]
 
 
-def test_sequences_start_from_neighbours(tube_rig, few_scans):
+def test_smoothing_that_fails_leaves_what_was_found_before_it(make_learner, walk, tmp_path, monkeypatch):
+    """Of one scan, at the first sweep or later, or of all: it is the poses that have been found, and no scan is lost."""
+    rounds_are_short(monkeypatch)
+    points, learner, call = [s.points for s in walk], {"variant": "cd", "sequence": True, "held_out": 0}, tasks.Held.__call__
+
+    def poses(smooth=2e-3, sweeps=3, wrong=()):
+        calls = []
+
+        def careless(self, task):
+            calls.append(task)
+            if len(calls) in wrong:
+                raise ZeroDivisionError("nobody foresaw this")
+            return call(self, task)
+
+        with monkeypatch.context() as patch:
+            patch.setattr(loop, "_SWEEPS", sweeps)
+            patch.setattr(tasks.Held, "__call__", careless)
+            fitter = make_learner(**learner, smooth=smooth).fit(points, checkpoint=tmp_path)
+        assert not fitter.failures_ and fitter.roles_ == ["learned from"] * 7
+        return np.array([r.pose for r in fitter.results_])
+
+    rough, once = poses(smooth=0.0), poses(sweeps=1)
+    assert np.abs(rough - once).max() > 1e-3
+    for wrong, sweeps, expected in (([3], 0, rough), (range(1, 8), 0, rough), ([8 + 2], 1, once)):
+        with pytest.warns(UserWarning, match=f"^smoothing stopped after {sweeps} of 3 sweeps: .*nobody foresaw this"):
+            np.testing.assert_array_equal(poses(wrong=wrong), expected)
+
+
+def test_sequences_start_from_neighbours(tube_rig, few_scans, monkeypatch):
     collection = collected(tube_rig, [s.points for s in few_scans] * 2, [0, 1] * 5)
     for m in collection.members:
         m.state = type("State", (), {"theta": np.full((4, 3), float(m.index))})
-    in_order, unordered = (loop_over(tube_rig, collection, "cd", None, sequence=s) for s in (True, False))
-    beside = [[theta[1, 0] for theta in in_order._beside(m)] for m in collection.members]
+    beside = [[theta[1, 0] for theta in poses_beside(tube_rig, collection, m)] for m in collection.members]
     assert beside[:4] == [[2], [3], [0, 4], [1, 5]] and beside[-1] == [7]  # of one's own subject only
-    assert not any(unordered._beside(m) for m in collection.members)
+    asked = []
+    monkeypatch.setattr(Collection, "work", lambda self, work, given, **k: asked.extend(given) or [(t[2], 0.0, 0) for t in given])
+    for sequence in (True, False):
+        rounds = loop_over(tube_rig, collection, "cd", None, sequence=sequence)
+        rounds._refit(1, dict.fromkeys((0, 1), (tube_rig.vertices, tube_rig.joints)))
+    assert [[theta[1, 0] for theta in task[3]] for task in asked] == beside + [[]] * 10
 
 
 def test_neighbours_that_are_turned_otherwise_are_seen_in_ones_own_frame(tube_rig, few_scans):
@@ -57,9 +91,9 @@ def test_neighbours_that_are_turned_otherwise_are_seen_in_ones_own_frame(tube_ri
     for k, (m, s) in enumerate(zip(collection.members, few_scans)):
         m.state = type("State", (), {"theta": s.pose})
         m.use_frame(1.0, 1.0, matrix_from_rotvec(np.array([0.2, 1.3 * k, -0.1 * k])))
-    loop, pivot = loop_over(tube_rig, collection, "cd", None, sequence=True), tube_rig.joints[tube_rig.root]
+    pivot = tube_rig.joints[tube_rig.root]
     for m, beside in zip(collection.members[1:], collection.members):
-        before = loop._beside(m)[0]
+        before = poses_beside(tube_rig, collection, m)[0]
         outside = [(tube_rig.pose(t) - pivot) @ n.frame.turn.T for t, n in ((before, m), (beside.state.theta, beside))]
         np.testing.assert_allclose(*outside, atol=1e-12)
 
@@ -88,9 +122,9 @@ def test_smoothing_looks_at_turns_as_the_scan_itself_writes_them(tube_rig, few_s
     for k, m in enumerate(collection.members):
         m.state = lbs.LBSFitter(tube_rig)._model().rest()
         m.state.theta[0] = (3.0 if k % 2 else -3.2) * axis
-    loop, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
+    rounds, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
     monkeypatch.setattr(Collection, "work", lambda self, work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
-    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
+    rounds._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
     assert asked
     for _, _, state, (wanted, weight), _ in asked:
         assert weight == 1e-3 and np.linalg.norm(wanted[0] - state.theta[0]) < 0.1
@@ -102,9 +136,9 @@ def test_scans_that_are_not_learned_from_neither_smooth_nor_are_smoothed(tube_ri
         m.state = lbs.LBSFitter(tube_rig)._model().rest()
         m.state.theta[1:] = 0.1 * k
     collection.members[1].apart = True
-    loop, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
+    rounds, asked = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3), []
     monkeypatch.setattr(Collection, "work", lambda self, work, tasks, **k: asked.extend(tasks) or [t[2] for t in tasks])
-    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
+    rounds._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
     wanted = {round(state.theta[1, 0], 3): wanted and wanted[0][1, 0] for _, _, state, wanted, _ in asked}
     assert wanted[0.1] is None and collection.members[1].prior is None
     assert wanted[0.0] == pytest.approx(0.1) and wanted[0.2] == pytest.approx((0.2 + 0.0 + 0.3) / 3)
@@ -117,7 +151,7 @@ def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch
         m.state = lbs.LBSFitter(tube_rig)._model().rest()
         m.state.theta[1:] = s.pose[1:]
         m.use_frame(1.0, tube_rig.size / 2)
-    loop = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3, fit_settings=FitSettings(partial=True))
+    rounds = loop_over(tube_rig, collection, "cd", None, sequence=True, smooth=1e-3, fit_settings=FitSettings(partial=True))
     done = []
 
     def each(self, work, tasks, **options):
@@ -125,7 +159,7 @@ def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch
         return [state for *_, state in done[-len(tasks) :]]
 
     monkeypatch.setattr(Collection, "work", each)
-    loop._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
+    rounds._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
     model, X, state, prior, _, found = done[0]
     one_side, whole = (Refit(model, partial=p).polish(Problem(X), state, prior=prior).theta for p in (True, False))
     np.testing.assert_array_equal(found.theta, one_side)

@@ -198,12 +198,12 @@ class Collection:
 
     def as_it_is(self):
         """A callable that brings back the members there are now, also those that have failed since, and what is known of them."""
-        known = [(m, (m.state, m.loss, m.proba, m.noise)) for m in self.members]
+        known = [(m, (m.state, m.loss, m.proba, m.noise, m.prior)) for m in self.members]
 
         def bring_back():
             self.members = [m for m, _ in known]
             for m, found in known:
-                m.state, m.loss, m.proba, m.noise = found
+                m.state, m.loss, m.proba, m.noise, m.prior = found
                 self.failures.pop(m.index, None)
 
         return bring_back

@@ -20,7 +20,6 @@ from functools import partial
 import numpy as np
 
 from ..fitting.template import TemplateSettings
-from ..optimize.frame import nearest_root, turned_root
 from ..optimize.model import Model
 from ..optimize.state import free_angles
 from ..processes import kept_processes
@@ -37,6 +36,7 @@ from .first_fits import FirstFit, most_have_failed
 from .mixture import Mixture
 from .pose_prior import LEAST, looked_at, pose_prior
 from .scales import check_scales, scale_of, scale_warnings, size_and_unit, units_apart, use_unit
+from .sequence import drawn_to_neighbours, poses_beside
 from .tasks import Drawn, Held, Labels, Models, Pose, Template, Told, with_right_poses
 
 __all__ = ["Learned", "Loop", "LoopSettings"]
@@ -331,7 +331,9 @@ class Loop:
         members = self.collection.members
         neighbours = self.settings.neighbours if self.variant.library else 0
         work = Pose(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
-        tasks = [(m.subject, m.X, m.state, self._beside(m), m.proba if self.variant.labels else None) for m in members]
+        beside = [poses_beside(self.rig, self.collection, m) if self.sequence else [] for m in members]
+        proba = [m.proba if self.variant.labels else None for m in members]
+        tasks = [(m.subject, m.X, m.state, *known) for m, *known in zip(members, beside, proba, strict=True)]
         kept = [self._kept.slot(f"round-{k}-pose", m.index) for m in members]
         answers = self._work(work, tasks, "poses of scans", kept, (0.0, _SEARCH))
         won = 0
@@ -366,22 +368,27 @@ class Loop:
         """Templates from the poses, and poses on these without a search; the last ones. A turn that loses a scan is not taken."""
         stage = "templates and poses in turn"
 
-        def turn(start, end):
+        def turn(i, templates):
+            start, end = i / n, (i + 1) / n
             middle = start + _OF_A_TURN * (end - start)
             found = self._templates(k, stage, (start, middle))
             self._last_steps(k, found, stage, (middle, end))
             return found
 
-        for i in range(n := self.settings.turns):
+        n = self.settings.turns
+        return self._unless_lost(turn, n, templates, f"round {k}: the step '{stage}' stopped after {{}} of {n} turns")
+
+    def _unless_lost(self, step, n, found, stopped):
+        """What ``step(i, found)`` finds, n times over; the last that loses no scan, with a warning where one does."""
+        for i in range(n):
             known = self.coefficients, self.pose_prior
-            found, lost = self.collection.unless_lost(partial(turn, i / n, (i + 1) / n))
+            new, lost = self.collection.unless_lost(partial(step, i, found))
             if lost:
                 self.coefficients, self.pose_prior = known
-                words = f"round {k}: the step 'templates and poses in turn' stopped after {i} of {n} turns: {lost}"
-                warnings.warn(words, stacklevel=2)
+                warnings.warn(f"{stopped.format(i)}: {lost}", stacklevel=2)
                 break
-            templates = found
-        return templates
+            found = new
+        return found
 
     def _follow(self):
         """What is kept from here on depends on what fits have found, and for whom."""
@@ -389,20 +396,16 @@ class Loop:
 
     def _smooth(self, templates, pose_prior):
         """A few sweeps that draw each pose towards the mean of its neighbours' and its own, as the sweep before left them."""
-        models = self._models(templates)
-        for _ in range(_SWEEPS):
-            drawn = set()
-            for m in (m for m in self.collection.members if not m.apart):
-                if others := [nearest_root(theta, m.state.theta, self.rig.root) for theta in self._beside(m)]:
-                    mean = np.mean([m.state.theta, *others], axis=0)  # without its own, neighbours would swap places
-                    m.prior = mean, self.smooth
-                    drawn.add(m.index)
-            tasks = [
-                (m.subject, m.dense_X, m.state, m.prior if m.index in drawn else None, m.noise) for m in self.collection.members
-            ]
-            states = self._work(Held(models, self.fit_settings.partial, pose_prior), tasks, "smoothing")
+        work = Held(self._models(templates), self.fit_settings.partial, pose_prior)
+
+        def sweep(i, _):
+            wanted = drawn_to_neighbours(self.rig, self.collection, self.smooth)
+            tasks = [(m.subject, m.dense_X, m.state, wanted.get(m.index), m.noise) for m in self.collection.members]
+            states = self._work(work, tasks, "smoothing")
             for m, state in zip(self.collection.members, states, strict=True):
-                m.state = state
+                m.state, m.prior = state, wanted.get(m.index, m.prior)
+
+        self._unless_lost(sweep, _SWEEPS, None, f"smoothing stopped after {{}} of {_SWEEPS} sweeps")
 
     def _work(self, work, tasks, stage, kept=(), span=(0.0, 1.0)):
         """The members' answers; those who fail are members no more. The work takes this span of the stage's time."""
@@ -415,15 +418,6 @@ class Loop:
 
     def _models(self, templates):
         return Models({s: self.rig.with_template(*t) for s, t in templates.items()}, self.joints, self.model.half)
-
-    def _beside(self, member):
-        """Poses of the scans before and after, in a sequence."""
-        if not self.sequence:
-            return []
-        row = [m for m in self.collection.of(member.subject) if m is member or not m.apart]
-        at = row.index(member)
-        turned = [(member.frame.turn.T @ m.frame.turn, m.state.theta) for m in row[max(at - 1, 0) : at] + row[at + 1 : at + 2]]
-        return [turned_root(self.rig, theta, turn) for turn, theta in turned]
 
     def _learned(self, k, templates):
         """What is learned if round k is kept; without the subjects whose scans have all failed."""

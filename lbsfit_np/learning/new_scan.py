@@ -63,7 +63,7 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
     Raises
     ------
     InputError
-        A start or labels where there is no skinning that could use them.
+        A start or labels where there is no skinning that could use them; a fixed scale that suits no subject's learned size.
     """
     if subjects is None or fitter.regressor_ is None:
         for name, value in (("theta0", theta0), ("labels", labels)):
@@ -74,6 +74,7 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
     started = time.perf_counter()
     with one_thread():
         seed, settings = fitter._seed(), fit_settings(fitter)
+        subjects = _of_a_size_allowed(fitter, subjects, settings)
         facing, given = _facing(fitter), given_names(theta0, labels)
         limits = {"most": settings.max_points, "scale": settings.scale, "unit": settings.unit}
 
@@ -317,14 +318,25 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
 
 def _unit(fitter, subject, seen, settings):
     """Scan units in a rig unit where they are known: as learned, if what is seen of the scan allows that; else None."""
-    learned = _learned_unit(fitter, subject, settings)
     if settings.scale == "fixed":
-        fixed = unit_scale(fitter.rig, settings.unit) or 1.0
-        if settings.unit and fitter.learned_unit_ and not same_size(learned, fixed):
-            got = f"'fixed', the rig's size, for subject {subject!r}, who is {learned / fixed:.2f} times as large"
-            raise InputError("scale", got, "'estimate'", "Leave it out (--scale estimate): the size was learned.")
-        return fixed
+        return unit_scale(fitter.rig, settings.unit) or 1.0
+    learned = _learned_unit(fitter, subject, settings)
     return learned if same_size(seen, learned) else None
+
+
+def _of_a_size_allowed(fitter, subjects, settings):
+    """The subjects whose learned sizes, where these are known, a fixed scale allows."""
+    if subjects is None or settings.scale != "fixed" or not (settings.unit and fitter.learned_unit_):
+        return subjects
+    fixed = unit_scale(fitter.rig, settings.unit)
+    ratios = {s: _learned_unit(fitter, s, settings) / fixed for s in subjects}
+    if not (allowed := [s for s, ratio in ratios.items() if same_size(ratio, 1.0)]):
+        sizes = sorted(ratio * _size(fitter, s) for s, ratio in ratios.items())
+        low, high = f"{sizes[0]:.2f}", f"{sizes[-1]:.2f}"
+        who = f"subject {subjects[0]!r}, who is" if len(subjects) == 1 else f"the {len(subjects)} subjects, who are"
+        got = f"'fixed', the rig's size, for {who} {low if low == high else f'{low} to {high}'} times as large"
+        raise InputError("scale", got, "'estimate'", "Leave it out (--scale estimate): the size was learned.")
+    return allowed
 
 
 def _size(fitter, subject):
