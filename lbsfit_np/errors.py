@@ -212,6 +212,8 @@ def brief(value, most=100):
 
 # A beginning of so many letters says which name was meant.
 _BEGINNING = 3
+# Names of so few letters are like others only but for case.
+_SHORT = 2
 
 
 def likeliest(name, names):
@@ -234,7 +236,8 @@ def did_you_mean(given, names):
     bare = {name.lstrip("+-").casefold(): name for name in reversed(names)}  # signs and hyphens are no likeness
     alike = [name for name in names if name.casefold() == given.casefold()]
     bare_given = given.lstrip("+-").casefold()
-    alike += [bare[name] for name in get_close_matches(bare_given, bare, n=1)]
+    long = [name for name in bare if len(name) > _SHORT or name == bare_given]  # "km" is no misspelt "m"
+    alike += [bare[name] for name in get_close_matches(bare_given, long, n=1)]
     begun = [bare[name] for name in bare if name.startswith(bare_given)]
     alike += begun if len(begun) == 1 and len(bare_given) >= _BEGINNING else []
     return f"Did you mean {alike[0]!r}?" if alike else None

@@ -168,3 +168,4 @@ def test_a_place_that_cannot_be_written_to_is_said_before_any_work(command, made
     code, _, err = run(command, made / "tube.npz", made / "one.ply", "-o", out, *QUICK)
     words = "a folder that cannot be written to (Read-only file system); expected a folder to write to"
     assert code == 2 and words in one_line(err) and not (tmp_path / "new").exists()
+    assert one_line(err).startswith("lbsfit: error: -o/--output: got ")

@@ -5,11 +5,13 @@ import re
 
 import numpy as np
 import pytest
+import trimesh
 from cli_runs import QUICK, one_line, program
 from docs_tables import needs_documents, summary_keys
 
 import lbsfit_np as lbs
 from lbsfit_np.io.write import write_mesh_ply
+from lbsfit_np.report.colors import label_colors
 
 pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
@@ -31,6 +33,8 @@ def test_fit_writes_every_file(fitted, made, tube_rig):
     labelled = lbs.load_scan(out / "one.labels.ply")
     np.testing.assert_array_equal(labelled.points, scan.points)
     np.testing.assert_array_equal(labelled.labels, result.labels)
+    colors = label_colors(result.labels, result.confidence, 4)
+    np.testing.assert_array_equal(trimesh.load(out / "one.labels.ply").colors[:, :3], colors)
     header = (out / "one.labels.ply").read_bytes().split(b"end_header")[0].decode()
     assert "float confidence" in header and "uchar red" in header and "part 2 long" in header
     assert text.index("fitting 2 scans\n") < text.index("[1/2] one: fitted")

@@ -110,6 +110,9 @@ def test_whole_numbers_become_floats():
         ("1", [1, 2], None),  # written the same: a question would offer what was given
         (1, ["1", "10"], None),
         ("ann", ["ann", "anna"], None),
+        ("km", ["m", "cm", "mm"], None),  # following the question would put lengths wrong by a thousand
+        ("MM", ["m", "cm", "mm"], "Did you mean 'mm'?"),
+        ("z", ["+x", "-z"], "Did you mean '-z'?"),
     ],
 )
 def test_what_was_meant_is_not_what_was_given(given, names, words):

@@ -2,6 +2,7 @@
 
 import copy
 import json
+import re
 import zipfile
 from dataclasses import fields, replace
 from fractions import Fraction
@@ -140,6 +141,13 @@ def test_a_result_says_which_points_it_is_of(tube_rig, tube_fitter, tube_scan):
     assert "of a floor" in r.message and r.took_part.sum() <= 300 < (~r.left_out).sum()
     assert r.left_out[:50].all() and r.left_out[50:n].mean() < 0.1 and r.left_out[n:].mean() > 0.9
     assert not (r.left_out & r.took_part).any()
+    # Labels of what is none of the rig's say nothing, and the message counts all that was left out but points without weight.
+    off = r.left_out & (weights > 0)
+    assert not r.confidence[off].any() and r.confidence[:50].mean() > 0.5 < r.confidence[50:n].mean()
+    assert re.search(r"of a floor left out \(of \d+ examined\), (\d+) of all 1800", r.message)[1] == str(off.sum())
+    known = copy.copy(tube_fitter).fit_scan(points, labels=np.where(r.left_out, -1, r.labels))
+    assert "examined" not in known.message and not known.confidence[known.left_out].any()
+    assert (known.confidence[50:n] == 1).mean() > 0.9
     unit = r.scale * tube_rig.size / 2
     X, V = points[r.took_part] / unit, r.vertices / unit
     assert r.terms["recon"] == pytest.approx(np.sqrt(chamfer(X, V)[0]), rel=1e-9)

@@ -393,7 +393,8 @@ def test_transform_and_score(tube_rig, learned_people, people_scans):
     assert learned_people.score([s.points for s in people_scans[10:12]], ["bob", "ann"]) < score < 0
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert np.isnan(learned_people.score([NAN]))
+        with pytest.warns(UserWarning, match="^the score is NaN: no scan could be fitted$"):
+            assert np.isnan(learned_people.score([NAN]))
     with pytest.raises(InputError, match="subjects: got 1 id; expected 2"):
         learned_people.transform(given[:2], ["ann"])
 

@@ -9,7 +9,7 @@ from small_rigs import make_tube_data, with_loose_vertices
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
-from lbsfit_np.report.colors import part_colors
+from lbsfit_np.report.colors import label_colors, part_colors
 from lbsfit_np.report.fit_picture import fit_picture
 from lbsfit_np.report.render import (
     Mesh,
@@ -380,3 +380,9 @@ def test_points_of_a_floor_have_the_colour_of_no_part(tube_rig, tube_scan, tube_
     np.testing.assert_array_equal(drawn.colors[:n], part_colors(4)[tube_result.labels])
     assert (np.ptp(drawn.colors[n:], axis=1) == 0).all() and (drawn.colors[n:] > 150).all()
     assert np.ptp(how["frame"], axis=0).max() < 2.5 * np.ptp(tube_result.vertices, axis=0).max()
+
+
+def test_points_without_confidence_have_a_colour_of_no_part():
+    colors = label_colors(np.array([0, 1, 1, 0]), np.array([1.0, 0.0, 0.06, 0.04]), 2)
+    np.testing.assert_array_equal(colors[[0, 2]], part_colors(2))
+    np.testing.assert_array_equal(colors[[1, 3]], 205)

@@ -217,8 +217,8 @@ def test_single_precision_weights_are_not_worth_a_note():
 def test_joint_without_weight_below_is_locked():
     rig = build_rig(with_joint(make_tube_data()))
     np.testing.assert_array_equal(rig.locked, [False] * 4 + [True])
-    assert any("move no vertex: tip" in note for note in rig.notes)
-    assert any("carry no weight: tip" in note for note in rig.notes)
+    assert any("1 joint locked for moving no vertex: tip" in note for note in rig.notes)
+    assert any("1 joint without weight: tip" in note for note in rig.notes)
 
 
 def test_joint_that_turns_everything_is_locked_unless_a_card_limits_it():
@@ -276,7 +276,7 @@ def test_describe_shows_tree_limits_states_and_notes():
     assert "root" in lines["root"] and "-0.60..+0.60" in lines["root"]
     assert lines["elbow"].startswith("  elbow") or "  elbow" in text
     assert "merged" in lines["short"] and "locked" in lines["tip"]
-    assert "move no vertex: tip" in text
+    assert "moving no vertex: tip" in text
     assert "-11..+80" in describe(rig, degrees=True)
     assert "No anomalies." in describe(build_rig(make_tube_data()))
 

@@ -17,6 +17,11 @@ def test_card_gives_a_hierarchy_to_loose_joints():
     np.testing.assert_array_equal(build_rig(loose, card).parents, [-1, 0, 1, 1])
     by_table = Card(parents=(("elbow", "root"), ("*", "elbow")), root="root")  # the glob matches its own parent, too
     np.testing.assert_array_equal(build_rig(loose, by_table).parents, [-1, 0, 1, 1])
+    gives_way = replace(card, parents=(("elbow", "root"), ("*", "root")))
+    np.testing.assert_array_equal(build_rig(loose, gives_way).parents, [-1, 0, 1, 1])
+    for order in (1, -1):  # a name is meant where a glob matches it, too
+        both = Card(parents=(("short", "elbow"), ("long", "elbow"), ("*", "root"))[::order], root="root")
+        np.testing.assert_array_equal(build_rig(loose, both).parents, [-1, 0, 1, 1])
 
 
 def test_card_can_change_the_root():
@@ -31,7 +36,10 @@ def test_card_can_change_the_root():
     [
         (Card(chains=(("root", "elbow"),)), r"3 root joints: root, long, short.*card's \[hierarchy\]"),
         (Card(chains=(("root", "elbow"), ("long", "elbow"))), r"\[hierarchy\].*two parents for joint 'elbow': 'root' and 'long'"),
+        (Card(parents=(("elbow", "long"),), chains=(("root", "elbow"),)), "two parents for joint 'elbow': 'long' and 'root'"),
+        (Card(parents=(("elbow", "long"), ("elbow", "root"))), "two parents for joint 'elbow': 'long' and 'root'"),
         (Card(root="elbow", chains=(("root", "elbow"),)), "the root 'elbow' as a child of 'root'"),
+        (Card(root="elbow", parents=(("elbow", "root"),)), "the root 'elbow' as a child of 'root'.*nor parents put below"),
         (Card(chains=(("root", "elbw"),)), r"\[hierarchy\].*'elbw'.*no joint.*Did you mean 'elbow'"),
         (Card(chains=(("root", "elbow", "long", "root"),)), "cycle"),
         (Card(chains=(("root", "*o*"),)), "matches 4 joints.*one joint"),
@@ -56,7 +64,7 @@ def test_merging_moves_weights_up_and_keeps_the_rest_shape(tube_rig):
     assert (rig.lower[1:3] == 0).all() and (rig.upper[1:3] == 0).all()
     assert (rig.pose(np.zeros((4, 3))) == rig.vertices).all()
     assert rig.parts == ("root", "short")
-    assert any("2 joints merged" in note and "elbow, long" in note for note in rig.notes)
+    assert any("2 joints merged into parents" in note and "elbow, long" in note for note in rig.notes)
     # a merged joint moves as if it were stiff
     theta = np.zeros((4, 3))
     theta[[0, 3]] = [[0.3, 0.2, -0.5], [0.7, 0.1, 0.0]]
@@ -78,7 +86,7 @@ def test_locked_joints_keep_their_skin_and_never_turn():
     np.testing.assert_array_equal(rig.weights.toarray(), make_tube_data().weights.toarray())
     assert (rig.lower[3] == 0).all()
     assert rig.parts == ("root", "elbow", "long")
-    assert any("1 joints locked: short" in note for note in rig.notes)
+    assert any("1 joint locked: short" in note for note in rig.notes)
     both = build_rig(make_tube_data(), Card(lock=("short", "long"), merge=("short",)))
     assert both.locked.tolist() == [False, False, True, False] and both.merged.tolist() == [False, False, False, True]
 
@@ -86,7 +94,10 @@ def test_locked_joints_keep_their_skin_and_never_turn():
 def test_limits_of_a_joint_that_stays_still_are_noted():
     card = Card(lock=("long",), limits=(("*", (-1, -1, -1), (1, 1, 1)), ("long", (-1, 0, 0), (1, 0, 0))), path="a.toml")
     notes = [note for note in build_rig(make_tube_data(), card).notes if "no effect" in note]
-    assert notes == ["card a.toml, [limits]: limits of 'long' have no effect, because that joint is locked or merged"]
+    no_effect = "card a.toml, [limits]: limits of 'long' have no effect, because that joint is "
+    assert notes == [f"{no_effect}locked ([lock], or it moves no vertex)"]
+    merged = build_rig(make_tube_data(), replace(card, lock=(), merge=("long",))).notes
+    assert [note for note in merged if "no effect" in note] == [f"{no_effect}merged"]
     assert not any("no effect" in note for note in build_rig(make_tube_data(), replace(card, lock=())).notes)
     globs = replace(card, limits=(("lon*", (-1, 0, 0), (1, 0, 0)),))  # which mean no joint in particular
     assert not any("no effect" in note for note in build_rig(make_tube_data(), globs).notes)

@@ -129,11 +129,11 @@ def test_limits_by_name_free_joints_that_the_file_locks(tmp_path):
     assert locked()[0] == locked("*")[0] == ["root", "long", "tip"]
     names, freed = locked("root", "long")
     assert names == ["tip"] and np.array_equal(freed.upper[[0, 2]], np.full((2, 3), 0.1)) and freed.moving[[0, 2]].all()
-    assert any("2 joints that the file locks are free, as limits name them: root, long" in note for note in freed.notes)
+    assert any("2 joints locked in the file but free, as limits name them: root, long" in note for note in freed.notes)
     assert locked("root", "long", lock=("long",))[0] == ["long", "tip"]
     names, rig = locked("tip")  # which moves no vertex
-    assert names == ["root", "long", "tip"] and any("they move no vertex: tip" in note for note in rig.notes)
-    assert not any("are free, as limits name them" in note for note in rig.notes)
+    assert names == ["root", "long", "tip"] and any("1 joint locked for moving no vertex: tip" in note for note in rig.notes)
+    assert not any("free, as limits name them" in note for note in rig.notes)
     (tmp_path / "card.toml").write_text(card_text(freed))
     again = load_rig(tmp_path / "rig.npz", card=tmp_path / "card.toml")
     np.testing.assert_array_equal(again.locked, freed.locked)

@@ -426,7 +426,7 @@ def test_a_folder_that_cannot_be_made_is_told_before_any_work(quick, monkeypatch
     monkeypatch.setattr("lbsfit_np.bench.study.run.study", None)
     (tmp_path / "cells").write_text("not a folder")
     assert run(["bench", "study", "--rig", "hand-coarse", "--rows", "joint", "-o", str(tmp_path)]) == 2
-    assert "cells: got a file; expected a folder to write to" in capsys.readouterr().err
+    assert "cells, a file; expected a folder to write to" in capsys.readouterr().err
 
 
 def test_one_fit_has_no_correspondences(coarse_hand, quick, monkeypatch, tmp_path):

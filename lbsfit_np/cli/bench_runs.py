@@ -6,9 +6,8 @@ from pathlib import Path
 
 from ..errors import FileError, InputError, in_words
 from ..interrupts import held
-from ..io.write import make_folder
 from .earlier_results import drawn_by_others
-from .outputs import check_outputs
+from .outputs import check_outputs, out_folder
 from .progress import LearningProgress, Progress, bar, say
 from .scan_results import remove
 from .stopping import say_steps, terminable
@@ -337,7 +336,7 @@ def made_results(values):
         return None
     out = Path(values["output"])
     check_outputs([out / RESULTS], out, inputs=[], existing=values["existing"])
-    make_folder(out)
+    out_folder(out)
     return out / RESULTS
 
 

@@ -9,10 +9,11 @@ from itertools import chain
 from pathlib import Path
 
 from ..errors import FileError, InputError, MissingExtraError, counted
-from ..io.write import make_folder, remove_empty
+from ..io.write import remove_empty
 from ..processes import kept_processes
 from .bench_runs import RESULTS, failures_code, made_results, numbers, read_results
 from .models import say_model_as_rig
+from .outputs import out_folder
 from .progress import SILENCE, Progress, percentage_bar, say, span
 from .stopping import say_steps, terminable
 
@@ -55,7 +56,7 @@ def run_study(values):
     if values["figures"] and find_spec("matplotlib") is None:
         say(f"note: {MissingExtraError('matplotlib', 'viz', 'drawing the figures')}; everything else is done without it")
     progress = _StudyProgress()
-    made = make_folder(cells)  # before any work, as it may be impossible
+    made = out_folder(cells)  # before any work, as it may be impossible
 
     def steps(cell):
         return checkpoint_of(cells / f"{cell}.npz")

@@ -5,9 +5,9 @@ import time
 from pathlib import Path
 
 from ..errors import InputError
-from ..io.write import make_folder, remove_empty
+from ..io.write import remove_empty
 from .fit import OPTIONS, RIG_OPTIONS, fit_files, load_rig_with
-from .outputs import check_outputs
+from .outputs import check_outputs, out_folder
 from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import say
 from .scan_results import remove
@@ -88,7 +88,7 @@ def _run(arguments):
     fits = [out / f"scan.{ending}" for ending in ("fit.npz", "mesh.ply", "labels.ply")]
     read = [values[k] for k in ("rig", "card") if values[k] not in (None, "none")]
     check_outputs([*paths.values(), *fits, out / SUMMARY], out, inputs=read, existing=values["existing"])
-    folders = make_folder(out)
+    folders = out_folder(out)
     truth = _scan_with_truth(rig, values)
     remove(fits)  # of an earlier demo, which would pass for this one's
     try:

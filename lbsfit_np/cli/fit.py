@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from ..errors import FileError, InputError, brief, counted, did_you_mean
-from ..io.write import make_folder, remove_empty
+from ..io.write import remove_empty
 from ..rig.frames import AXES
 from ..rig.units import METRES
 from . import earlier_results, outputs, scan_results
@@ -263,7 +263,7 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     todo = tuple(f for f in files if f.name not in kept)
     if kept:
         say(f"kept existing fits of {of_all(len(kept), len(files))}")
-    folders = make_folder(out)
+    folders = outputs.out_folder(out)
     entries, before = dict(kept), named(todo)
     progress = Progress(len(todo))
 

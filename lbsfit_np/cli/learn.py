@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, LbsfitError, counted
-from ..io.write import make_folder, remove_empty
+from ..errors import InputError, LbsfitError, counted
+from ..io.write import remove_empty
 from ..learning.variants import VARIANTS, note_on, unused
-from . import earlier_results, scan_results
+from . import earlier_results, outputs, scan_results
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, check_training, load_rig_with, scan_options
 from .learned_files import checked_files
@@ -159,11 +159,11 @@ def learn_files(rig_path, scans, values, *, inputs=()):
         say(words)
     fitter = _fitter(rig, values)
     check_parameters(fitter)  # before a folder is made
-    folders = make_folder(model.parent)
+    folders = outputs.out_folder(model.parent)
     if files:
         try:
-            folders = make_folder(values["results"]) + folders
-        except FileError:
+            folders = outputs.out_folder(values["results"], "--results") + folders
+        except InputError:
             remove_empty(folders)
             raise
     checkpoint = checkpoint_of(model)

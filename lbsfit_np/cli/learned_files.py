@@ -77,7 +77,8 @@ def _check_steps(model):
     from ..io.write import check_folder
     from ..learning.checkpoint import Checkpoint, checkpoint_of
 
-    check_folder(model.parent)
+    with outputs.named_by("-o/--output"):
+        check_folder(model.parent)
     try:
         Checkpoint(checkpoint_of(model))
     except InputError as error:

@@ -1,15 +1,20 @@
 """What a run is to write, and where: names settled and checked before any work starts."""
 
 import os
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from ..errors import FileError, InputError, listed
+from ..io.write import make_folder
 from .earlier_results import ENDINGS, drawn_by_others
 from .same_files import Inputs, folded, same_file
 from .summary import SUMMARY, is_of_others
 
-__all__ = ["ScanFiles", "check_file", "check_outputs", "check_sources", "plan", "without_pictures_of_others"]
+__all__ = [
+    *("ScanFiles", "check_file", "check_outputs", "check_sources", "named_by", "out_folder", "plan"),
+    "without_pictures_of_others",
+]
 
 _FREE = "a folder without results of these names"
 _REPLACE = "--existing replace"
@@ -113,10 +118,26 @@ def without_pictures_of_others(files):
     return kept, notes
 
 
+@contextmanager
+def named_by(argument):
+    """What is said of a folder or file names the option that gave it."""
+    try:
+        yield
+    except FileError as error:
+        got, remedy = f"{error.argument}, {error.got}", error.remedy or "Choose another."
+        raise InputError(argument, got, error.expected, remedy) from None
+
+
+def out_folder(out, argument="-o/--output"):
+    """``io.write.make_folder``, whose errors name the option that gave the folder."""
+    with named_by(argument):
+        return make_folder(out)
+
+
 def check_outputs(paths, out, *, inputs, existing, argument="-o"):
     """Raise where files to write have names that are too long, are inputs, folders, or, with ``existing="error"``, there."""
     if os.path.exists(out) and not os.path.isdir(out):
-        raise FileError(str(out), "a file", "a folder to write to, or a name for a new one")
+        raise InputError(argument, f"{out}, a file", "a folder to write to, or a name for a new one", "Choose another.")
     read = Inputs(inputs)
     for path in paths:
         _check_length(path, "Rename the scan.")

@@ -5,12 +5,12 @@ import time
 from pathlib import Path
 
 from ..errors import InputError, LbsfitError, counted
-from ..io.write import make_folder, without_empty
+from ..io.write import without_empty
 from .bench_runs import RESULTS, failures_code
 from .fit import OPTIONS as FIT_OPTIONS
 from .fit import RIG_OPTIONS, load_rig_with
 from .learn import OPTIONS as LEARN_OPTIONS
-from .outputs import check_outputs
+from .outputs import check_outputs, out_folder
 from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import SILENCE, LearningProgress, Progress, bar, say
 from .stopping import exit_code, say_steps, terminable
@@ -152,7 +152,7 @@ def made_output(values, names, inputs, more=()):
     # What this benchmark has left may be gone on with, or replaced; what somebody else has, only where people say so.
     replaced = values["existing"] == "replace" or has_record(out)
     check_outputs(written, out, inputs=read, existing="replace" if replaced else "error")
-    make_folder(out)
+    out_folder(out)
     return out
 
 

@@ -257,7 +257,7 @@ def _help(option):
 
 
 def _pair(text):
-    name, _, value = text.partition("=")
+    name, equals, value = text.partition("=")
     if (word := value.strip().lower()) in ("true", "false"):
         return name.strip().replace("-", "_"), word == "true"
     for kind in (int, float):
@@ -267,7 +267,8 @@ def _pair(text):
                 return name.strip().replace("-", "_"), number
         except ValueError:
             continue
-    raise argparse.ArgumentTypeError(f"got {brief(text)}; expected NAME=VALUE, such as turn=3.14 or one_sided=true")
+    kind = ", VALUE a number, true or false" if equals else ""
+    raise argparse.ArgumentTypeError(f"got {brief(text)}; expected NAME=VALUE{kind}, such as turn=3.14 or one_sided=true")
 
 
 def _is_finite(number):

@@ -31,7 +31,7 @@ class Writer:
 
     def __call__(self, index, scan, result):
         from ..io.write import atomic_path, write_mesh_ply, write_points_ply
-        from ..report.colors import part_colors
+        from ..report.colors import label_colors, part_colors
 
         files, rig = self.files[index], self.rig
         if result.status != "ok":  # in the fit's own file, too, for runs that keep it
@@ -54,7 +54,7 @@ class Writer:
                 scan.points,
                 labels=result.labels,
                 confidence=result.confidence,
-                colors=colors[result.labels],
+                colors=label_colors(result.labels, result.confidence, len(rig.parts)),
                 normals=scan.normals,
                 part_names=rig.parts,
             )

@@ -121,6 +121,7 @@ def assemble(
         finite = bool(np.isfinite(np.square(V).sum()))  # distances to it, too
     terms = _terms(model, problem, state, weights, x_labels, pivot, frame.turn) if finite else {"total": np.nan, "recon": np.nan}
     finite = bool(np.isfinite(terms["total"]))
+    unknown = np.ones(len(points), dtype=bool) if labels is None else labels < 0
     if not finite and labels is None:
         labels, confidence = np.zeros(len(points), dtype=int), np.zeros(len(points))
     elif labels is None:
@@ -130,12 +131,11 @@ def assemble(
         )
     else:
         labels, confidence = labels.copy(), np.ones(len(points))
-        unknown = labels < 0
         if unknown.any() and finite:
             own = labels_from_mesh(points[unknown], frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit)
             labels[unknown], confidence[unknown] = own
-    if part.among is not None:  # labels of what lies beyond the end of the rig say nothing
-        confidence = np.where(part.among, confidence, 0.0)
+    left_out = part.left_out(points)
+    confidence = np.where(unknown & part.of_no_body(left_out), 0.0, confidence)
     took_part = np.zeros(len(points), dtype=bool)
     took_part[part.rows] = True
     term_labels = np.full(len(points), len(rig.parts))
@@ -186,13 +186,13 @@ def assemble(
         joint_std=std,
         labels=labels,
         confidence=confidence,
-        left_out=part.left_out(points),
+        left_out=left_out,
         took_part=took_part,
         term_labels=term_labels,
         terms=terms,
         converged=last.converged,
         status=status,
-        message="; ".join(filter(None, [reason, guessed, *notes, part.note, *found])),
+        message="; ".join(filter(None, [reason, guessed, *notes, part.told(left_out), *found])),
         probability=probability,
         evidence=evidence,
         evaluations=evaluations,

@@ -312,6 +312,8 @@ class LBSFitter(BaseEstimator):
         if not (scans := as_scans(scans)):
             raise InputError("scans", "none", "one or more scans")
         results = [r for r in self._fit_all(scans, subjects) if r is not None]
+        if not results:
+            warnings.warn("the score is NaN: no scan could be fitted", stacklevel=2)
         return -float(np.mean([r.terms["recon"] for r in results])) if results else float("nan")
 
     def save(self, path):

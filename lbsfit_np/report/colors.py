@@ -4,11 +4,14 @@ from functools import cache
 
 import numpy as np
 
-__all__ = ["part_colors"]
+__all__ = ["label_colors", "part_colors"]
 
 # The palette of Okabe and Ito, made to be told apart with any of the common kinds of colour vision; its yellow darker, for
 # white paper, and in an order that sets neighbours apart.
 _FIRST = [(0, 114, 178), (230, 159, 0), (0, 158, 115), (204, 121, 167), (86, 180, 233), (213, 94, 0), (222, 205, 40)]
+
+# Labels of less confidence are of points off the mesh or of no body: they have a colour of no part.
+_OFF, _OFF_COLOR = 0.05, (205, 205, 205)
 
 # Linear RGB as protanopes and deuteranopes see it (Viénot, Brettel and Mollon, 1999).
 _PROTAN = np.array([[0.11238, 0.88762, 0.0], [0.11238, 0.88762, 0.0], [0.00401, -0.00401, 1.0]])
@@ -49,6 +52,23 @@ def part_colors(n):
     """
     palette = _palette()
     return palette[np.arange(n) % len(palette)]
+
+
+def label_colors(labels, confidence, n):
+    """Colours of a scan's points by their parts, of ``n``; grey where the label is of no confidence: clutter, a floor.
+
+    Parameters
+    ----------
+    labels : (k,) int array
+    confidence : (k,) array
+    n : int
+
+    Returns
+    -------
+    (k, 3) uint8 array
+        RGB.
+    """
+    return np.where(confidence[:, None] < _OFF, np.array(_OFF_COLOR, np.uint8), part_colors(n)[labels])
 
 
 @cache

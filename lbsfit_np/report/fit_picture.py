@@ -5,7 +5,7 @@ import numpy as np
 from ..errors import InputError
 from ..optimize.frame import root_turn
 from ..scan import check_points, some_rows
-from .colors import part_colors
+from .colors import label_colors, part_colors
 from .render import Mesh, Points, montage, render
 
 __all__ = ["axes_of", "drawn_fit", "fit_picture"]
@@ -13,9 +13,8 @@ __all__ = ["axes_of", "drawn_fit", "fit_picture"]
 _VIEWS = ("front", "oblique")
 # Of a larger scan, so many points are drawn.
 _MOST_POINTS = 30_000
-# Labels of less confidence are of points off the mesh, such as a floor's: they have a colour of no part. The picture ends so far
-# from the mesh, as a share of its extent.
-_OFF, _OFF_COLOR, _ROOM = 0.05, (205, 205, 205), 0.6
+# The picture ends so far from the mesh, as a share of its extent.
+_ROOM = 0.6
 
 
 def axes_of(rig):
@@ -71,7 +70,7 @@ def drawn_fit(rig, points, result, more=()):
     Returns
     -------
     cloud : Points
-        The scan coloured by the parts found, grey where it is off the mesh; some of its points where there are very many.
+        The scan coloured by the parts found, grey where it is off the mesh or left out; of very many points some.
     mesh : Mesh
         The registered one, in the same colours.
     axes : dict
@@ -80,8 +79,7 @@ def drawn_fit(rig, points, result, more=()):
     turn, colors = root_turn(rig, result.pose), part_colors(len(rig.parts))
     rows = some_rows(points, _MOST_POINTS)
     found = rig.without_loose(result.vertices) @ turn
-    shown = np.where(result.confidence[rows, None] < _OFF, np.array(_OFF_COLOR, colors.dtype), colors[result.labels[rows]])
-    cloud = Points(points[rows] @ turn, shown)
+    cloud = Points(points[rows] @ turn, label_colors(result.labels[rows], result.confidence[rows], len(rig.parts)))
     # What of the scan lies off the mesh is to be seen, too, but for single wild points and all of a wide floor.
     around = np.clip(cloud.points, *np.percentile(cloud.points, [1, 99], axis=0))
     room = _ROOM * np.ptp(found, axis=0).max()

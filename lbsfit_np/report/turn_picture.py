@@ -47,7 +47,9 @@ def turn_picture(rig, joint, *, view="oblique", size=(320, 360)):
     if not rig.moving[j]:
         why = "merged" if rig.merged[j] else "locked" if rig.locked[j] else "without room between its limits"
         turning = [name for name, moves in zip(names, rig.moving) if moves]
-        raise InputError("joint", f"{joint!r}, which is {why} and never turns", f"one that turns, such as {turning[-1]!r}")
+        got, remedy = f"{joint!r}, which is {why} and never turns", "To have it turn, give it limits by name in a card"
+        remedy += ", and take it out of [merge] and [lock] there."
+        raise InputError("joint", got, f"one that turns, such as {turning[-1]!r}", remedy)
     poses, rest = {}, np.zeros_like(rig.lower)
     for axis in np.flatnonzero(upper > lower):
         for side, limit in enumerate((lower, upper)):

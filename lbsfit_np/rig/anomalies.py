@@ -83,12 +83,12 @@ def skin_notes(rig):
     carried = np.asarray(rig.weights[~rig.loose].sum(axis=0)).ravel()
     idle = [name for name, w, merged in zip(rig.joint_names, carried, rig.merged) if w == 0 and not merged]
     if idle:
-        notes.append(f"{len(idle)} joints carry no weight: {listed(idle)}")
+        notes.append(f"{counted(len(idle), 'joint')} without weight: {listed(idle)}")
     leads = np.unique(rig.leading_joint[~rig.loose])
     blind = [rig.joint_names[j] for j in np.flatnonzero(rig.moving) if j not in leads and carried[j] > 0]
     if blind:
         notes.append(
-            f"{len(blind)} moving joints have no part of their own, because no vertex belongs mostly to them: {listed(blind)}"
+            f"{counted(len(blind), 'moving joint')} without a part, as no vertex belongs mostly to any: {listed(blind)}"
         )
     for name, groups in rig.partitions.items():
         there = rig.with_parts(name).parts

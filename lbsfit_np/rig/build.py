@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, listed
+from ..errors import InputError, counted, listed
 from ..rotations import nearest_rotvec
 from ..triangles import face_areas
 from .anomalies import mesh_notes, size_notes, skin_notes
@@ -167,30 +167,32 @@ def _as_card(card):
 
 
 def _hierarchy(parents, names, card):
-    """The file's parents, overridden by the card's parents table, then by its chains; its root hangs on nothing."""
+    """The file's parents, overridden by globs in the card's parents, then by its chains and names; its root hangs on nothing."""
     parents = parents.copy()
     where = f"{card.where}, [hierarchy]"
-    by_chain = {}
+    by_name = {}
+
+    def put(j, up):
+        if by_name.setdefault(j, up) != up:
+            got = f"two parents for joint {names[j]!r}: {names[by_name[j]]!r} and {names[up]!r}"
+            raise InputError(where, got, "one parent for each joint", "Change its chain, or its line in parents.")
+        parents[j] = up
+
     for child, parent in card.parents:
         up = _one(parent, names, where)
         for j in matching(child, names, where):
-            if j != up:  # a glob may well match the parent itself
+            if child in names:
+                put(j, up)
+            elif j != up and j not in by_name:  # a glob may well match the parent itself
                 parents[j] = up
     for chain in card.chains:
-        rows = [_one(name, names, where) for name in chain]
-        for up, j in pairwise(rows):
-            if by_chain.setdefault(j, up) != up:
-                got = f"two parents for joint {names[j]!r}: {names[by_chain[j]]!r} and {names[up]!r}"
-                raise InputError(where, got, "chains that give each joint one parent")
-            parents[j] = up
+        for up, j in pairwise([_one(name, names, where) for name in chain]):
+            put(j, up)
     if card.root is not None:
         root = _one(card.root, names, where)
-        if root in by_chain:
-            raise InputError(
-                where,
-                f"the root {card.root!r} as a child of {names[by_chain[root]]!r}",
-                "a root that no chain puts below another joint",
-            )
+        if root in by_name:
+            got = f"the root {card.root!r} as a child of {names[by_name[root]]!r}"
+            raise InputError(where, got, "a root that neither chains nor parents put below another joint")
         parents[root] = -1
     return parents
 
@@ -282,23 +284,23 @@ def _states(report, data, weights, parents, root, names, card, notes):
             where = card.where if (card.merge or card.lock) else f"{word} joints"
             raise InputError(where, f"the root joint {names[root]!r} among the {word} joints", "any joint but the root", remedy)
     locked &= ~merged
-    for word, now in (("merged into their parents", merged & ~before), ("locked", locked & ~locked_before)):
+    for word, now in (("merged into parents", merged & ~before), ("locked", locked & ~locked_before)):
         if now.any():
-            notes.append(f"{np.count_nonzero(now)} joints {word}: {_named(names, now)}")
+            notes.append(f"{_counted(now)} {word}: {_named(names, now)}")
     free = ~merged & ~locked & (freed | (not ours))  # our own format has said of the others
     if free.any():
         idle, rootlike = _powerless(weights, parents, root)
         idle, rootlike = idle & free, rootlike & free & ~spoken_for
         if idle.any():
-            notes.append(f"{np.count_nonzero(idle)} joints locked because they move no vertex: {_named(names, idle)}")
+            notes.append(f"{_counted(idle)} locked for moving no vertex: {_named(names, idle)}")
         if rootlike.any():
             notes.append(
-                f"{np.count_nonzero(rootlike)} joints locked because they turn the whole mesh like the root: "
-                f"{_named(names, rootlike)} (to free them, give them limits by name in a card)"
+                f"{_counted(rootlike)} locked for turning the whole mesh like the root: {_named(names, rootlike)} "
+                "(freed by limits of their names in a card whose [lock] lacks them)"
             )
         locked |= idle | rootlike
     if (now := freed & ~merged & ~locked).any():
-        notes.append(f"{np.count_nonzero(now)} joints that the file locks are free, as limits name them: {_named(names, now)}")
+        notes.append(f"{_counted(now)} locked in the file but free, as limits name them: {_named(names, now)}")
     return _States(merged, merged & ~before, locked)
 
 
@@ -345,7 +347,8 @@ def _limits(report, data, parents, root, names, turned, state, card, notes):
     for pattern, low, high in card.limits:
         rows = matching(pattern, names, f"{card.where}, [limits]")
         if pattern in names and not moving[rows].any():
-            notes.append(f"{card.where}, [limits]: limits of {pattern!r} have no effect, because that joint is locked or merged")
+            why = "is merged" if state.merged[rows].any() else "is locked ([lock], or it moves no vertex)"
+            notes.append(f"{card.where}, [limits]: limits of {pattern!r} have no effect, because that joint {why}")
         lower[rows], upper[rows] = low, high
         of_card[rows] = True
     given = of_card & moving & (np.arange(J) != root)
@@ -431,6 +434,10 @@ def _partitions(report, data, names, card):
             expanded[part] = tuple(names[j] for j in members)
         out[partition] = expanded
     return out
+
+
+def _counted(mask):
+    return counted(np.count_nonzero(mask), "joint")
 
 
 def _named(names, mask, most=8):

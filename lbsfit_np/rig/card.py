@@ -116,7 +116,7 @@ def read_card(path):
     try:
         content = tomllib.loads(text)
     except tomllib.TOMLDecodeError as e:
-        raise FileError(str(path), f"text that is not TOML: {e}", "a rig card in TOML", "Put joint names in quotes.") from None
+        raise FileError(str(path), f"text that is not TOML: {e}", "a rig card in TOML", _toml_remedy(str(e))) from None
     except ValueError:  # what int says
         raise FileError(str(path), "a number of several thousand digits", "a rig card in TOML") from None
     except RecursionError:
@@ -231,7 +231,8 @@ class _Parser:
             return METRES[value]
         if _is_finite(value) and value > 0:
             return float(value)
-        self.fail(f"[rig] unit = {brief(value)}", f"one of {', '.join(map(repr, METRES))}, or the number of metres in one unit")
+        names = ", ".join(map(repr, METRES))
+        self.fail(f"[rig] unit = {brief(value)}", f"one of {names}, or the number of metres in one unit, above 0")
 
     def axis(self, rig, key):
         value = rig.get(key)
@@ -302,6 +303,13 @@ class _Parser:
                     self.fail(f"[parts.{name}] {part} = {brief(members)}", "a list of joint names or globs", remedy)
             out[name] = {part: self.names(members, f"[parts.{name}] {part}") for part, members in parts.items()}
         return out
+
+
+def _toml_remedy(words):
+    """What to do about text that is not TOML, of which tomllib says ``words``; None where these say it."""
+    if "overwrite" in words or "twice" in words or "mutate" in words:
+        return "Keep one of the lines or tables of that name."
+    return "Put joint names in quotes." if "key" in words or "Invalid" in words else None
 
 
 def _unquoted(name, value):

@@ -108,7 +108,8 @@ def _rig_table(rig):
 def _hierarchy_table(rig, names, parents, loose, root, guess):
     lines = [
         "[hierarchy]",
-        '# chains: each joint is a child of the one before it. parents = { "child" = "parent" } does the same for single joints.',
+        '# chains: each joint is a child of the one before it. parents = { "child" = "parent" } does the same for single joints,',
+        "# which then have no other parent in a chain.",
     ]
     if guess is None and isinstance(rig, RigData):
         return [*lines, "# The hierarchy comes from the file; lines here override it.", f"root = {_quote(root)}", ""]

@@ -74,6 +74,17 @@ class TakingPart:
             out[piece] = ~_of_the_same(points, self.rows, dropped, piece)
         return out
 
+    def of_no_body(self, left_out):
+        """(n,) bool: clutter, a floor, or beyond the end of the rig; points of weight 0 may be of the body all the same."""
+        none = left_out & (self.known != -2)
+        return none if self.among is None else none | ~self.among
+
+    def told(self, left_out):
+        """The note, and where not all of the scan was looked at, how many of all that are, as :meth:`left_out` says."""
+        if not self.note or not (self.known == -1).any():
+            return self.note
+        return f"{self.note}, {np.count_nonzero(left_out & (self.known != -2))} of all {len(left_out)}"
+
     @property
     def floor_elsewhere(self):
         """Whether a floor is left out below another axis than the likeliest; it may be a flat side of the body."""
