@@ -1,6 +1,7 @@
 """Other poses for limbs: where all but an arm or two fingers is right, their right poses are proposed first."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -386,3 +387,21 @@ def test_of_very_many_poses_limbs_are_tried_in_some_of_each_kind(tube, n):
         assert len(limb.angles) == 800
         if limb.hangs[1]:
             assert 0.4 < (limb.angles.max(axis=(1, 2)) == 1.0).mean() < 0.6
+
+
+def test_of_very_many_limbs_the_nearest_pairs_and_the_most_promising_proposals_are_tried(hand, monkeypatch):
+    """Bodies with the bones of a face have more than a thousand pairs of limbs: hands and bodies lose none."""
+    _, problem = hand.seen(hand.poses[3])
+    wrong = hand.model.rest().replace(theta=hand.poses[60])
+    every = hand.limbs.proposals(problem, wrong, 3)
+    tried = [SimpleNamespace(place=hand.rig.vertices[limb.skin][None]) for limb in hand.limbs._limbs]
+    pairs = hand.limbs._pairs(tried)
+    assert len(pairs) == 10 and 6 < len(every) < limbs_module._PROPOSALS
+    monkeypatch.setattr(limbs_module, "_PROPOSALS", 6)
+    np.testing.assert_array_equal(hand.limbs.proposals(problem, wrong, 3), every[:6])
+    monkeypatch.setattr(limbs_module, "_PAIRS", 3)
+    near = {frozenset(k) for k in hand.limbs._pairs(tried)}
+    names = [next(n for n, j in hand.row.items() if limb.hangs[j])[:-1] for limb in hand.limbs._limbs]
+    assert {frozenset(names[k] for k in pair) for pair in near} == {
+        frozenset(pair) for pair in (("index", "middle"), ("middle", "ring"), ("ring", "pinky"))
+    }

@@ -38,6 +38,9 @@ _POSES, _BLOCK, _AT_ONCE, _BEST = 800, 200, 8, 40
 # poses may seem worse; but two that cost less than the last number are where they should be. Each in the other's pose, they are
 # worth a try where that costs no more.
 _BETTER, _BETTER_PAIR, _UNLIKE, _FINE = 0.85, 3.0, 0.08, 1e-4
+# Of a rig with very many limbs, such as a body with the bones of a face, the pairs that are nearest for their lengths, and the
+# most promising proposals: bodies, hands and animals with some thirty joints have no more.
+_PAIRS, _PROPOSALS = 66, 64
 # Closer: from so many poses, no two nearer than this, come so many others with changes of these sizes, radians.
 _PARENTS, _SAME, _CHILDREN, _SIGMAS = 24, 0.03, 400, (0.4, 0.2, 0.1, 0.05)
 
@@ -113,7 +116,7 @@ class LimbPoses:
         Returns
         -------
         list of (J, 3) array
-            The most promising first; empty where no limb would be better off.
+            The most promising first, 64 at most; empty where no limb would be better off.
         """
         posed = self.model.deformed(state)
         X, weights = problem.X, problem.x_weights
@@ -142,9 +145,8 @@ class LimbPoses:
             order = np.argsort(cost, kind="stable")
             changes = [(cost[k] - cost[0], cost[k], ((limb, t, k),)) for k in order[:_BEST]]
             found += self._unlike(state, changes, cost[0], n, _BETTER)
-        for (a, s), (b, t) in combinations(zip(self._limbs, tried), 2):
-            if (a.hangs & b.hangs).any():
-                continue  # one hangs on the other
+        for row, other in self._pairs(tried):
+            (a, s), (b, t) = (self._limbs[row], tried[row]), (self._limbs[other], tried[other])
             rest = self._rest(away, ~(a.skin | b.skin))
             best_s, best_t = (np.argsort(x.away + mean(np.minimum(x.reach, rest)))[:_BEST] for x in (s, t))
             best_s, best_t = np.union1d(best_s, 0), np.union1d(best_t, 0)
@@ -166,7 +168,18 @@ class LimbPoses:
                 if swapped <= now:
                     changes.insert(0, (swapped - now, swapped, ((a, i, 1), (b, j, 1))))
             found += self._unlike(state, changes, now, n, _BETTER_PAIR)
-        return [theta for _, theta in sorted(found, key=lambda f: f[0])]
+        return [theta for _, theta in sorted(found, key=lambda f: f[0])[:_PROPOSALS]]
+
+    def _pairs(self, tried):
+        """Rows (i, k) of limbs of which neither hangs on the other; of very many pairs the nearest for their lengths."""
+        hangs = [limb.hangs for limb in self._limbs]
+        pairs = [(i, k) for i, k in combinations(range(len(hangs)), 2) if not (hangs[i] & hangs[k]).any()]
+        if len(pairs) <= _PAIRS:
+            return pairs
+        middle = [t.place[0].mean(axis=0) for t in tried]
+        length = [max(np.ptp(t.place[0], axis=0).max(), np.finfo(np.float32).tiny) for t in tried]
+        apart = {(i, k): np.linalg.norm(middle[i] - middle[k]) / min(length[i], length[k]) for i, k in pairs}
+        return sorted(pairs, key=apart.get)[:_PAIRS]
 
     def _within(self, limb, angles):
         """(1, j, 3): angles (j, 3) within a limb's limits."""
