@@ -20,6 +20,8 @@ _NONE_LEFT = "Check how the scan was made: drop_invalid (--drop-invalid) would l
 _LEFT_OUT = "Remove them, or read the file with load_scan(path, drop_invalid=True) (--drop-invalid), which leaves them out."
 # Points at a time where distinct ones are counted: nearly always the first ones are enough.
 _BLOCK = 1024
+# Tables of points have no more columns than this; depth images have.
+_COLUMNS = 64
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -264,6 +266,8 @@ def _short(point):
 def _reshaping(shape):
     if len(shape) == 2 and shape[0] == 3:
         return "Transpose it: points.T."
+    if len(shape) == 2 and shape[1] > _COLUMNS:
+        return "Turn a depth image into points by its camera's intrinsics first; of a table pass the coordinates: points[:, :3]."
     if len(shape) == 2 and shape[1] > 3:
         return "Pass the coordinates only: points[:, :3]."
     if len(shape) == 3 and shape[-1] == 3:

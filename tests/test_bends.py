@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
-from lbsfit_np.fitting.bends import Bends, other_bends
+from lbsfit_np.fitting import bends as bends_module
+from lbsfit_np.fitting.bends import Bends, other_bends, swept
 from lbsfit_np.optimize.gauss_newton import GaussNewton
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
@@ -296,3 +297,18 @@ def test_proportions_that_are_far_from_the_templates_cost(model, short_fingers):
     problem, true = short_fingers
     plain, dear = (Bends(model, FREE, None, tangential=0.02, ridge=ridge)._moved(problem, true, 0)[1] for ridge in (0.0, 1.0))
     assert dear - plain == pytest.approx(float(true.coefficients @ true.coefficients)) and dear > plain
+
+
+def test_of_very_many_joints_those_are_tried_that_points_can_tell(rig, model, monkeypatch):
+    """Of a body with the bones of a face; a hand's and a body's joints are all told."""
+    for known in (model, Model(lbs.load_rig("body-coarse"))):
+        bends, theta = Bends(known, FREE, None), np.where(known.rig.turning, known.rig.upper, 0.0)
+        for moves, most in ((other_bends(known.rig, theta), bends_module._BENDS), (swept(known.rig, theta), bends_module._SWEPT)):
+            assert len(moves) > 20 and bends._told(moves, most) is not moves and bends._told(moves, most) == moves
+    bends, moves = Bends(model, FREE, None), swept(rig, np.zeros(rig.joints.shape))
+    first = {rig.joint_names[joints[0]][:-1] for joints, _ in moves}
+    some = {rig.joint_names[joints[0]] for joints, _ in bends._told(moves, len(moves) // 4)}
+    assert len(first) == 5 and "index1" in some and not any(name.endswith("3") for name in some)  # tips move least
+    monkeypatch.setattr(bends_module, "_TOLD_BY", 1.01 * bends._moves[_joint(rig, "pinky3")])
+    left = {rig.joint_names[joints[0]] for joints, _ in bends._told(moves, len(moves))}
+    assert "pinky3" not in left and "index1" in left

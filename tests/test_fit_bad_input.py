@@ -23,6 +23,7 @@ def _with(points, row, value):
 BAD_FITS = [
     ({"points": None}, ["points: got None"]),
     ({"points": lambda p: p.T}, ["points", "(3, 1000)", "points.T"]),
+    ({"points": np.ones((424, 512))}, ["points", "(424, 512)", "Turn a depth image into points by its camera's intrinsics"]),
     ({"points": lambda p: p[:0]}, ["points", "empty", "at least 4"]),
     ({"points": lambda p: p[:3]}, ["points: got 3 points", "at least 4"]),
     ({"points": lambda p: np.repeat(p[:3], 100, axis=0)}, ["points: got 300 points, of which 3 are distinct", "least 4"]),

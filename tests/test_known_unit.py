@@ -12,6 +12,7 @@ from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError, InputError
+from lbsfit_np.fitting import assemble
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Scout
 from lbsfit_np.fitting.several import odd_scales, unit_of
@@ -351,3 +352,16 @@ def test_collections_without_skinning_have_units(tube_rig, few_scans):
     fitter = lbs.LBSFitter(tube_rig, **SMALL | {"unit": "cm", "variant": "free-form"}).fit(scans)
     assert [r.unit for r in fitter.results_] == ["cm"] * 3 and fitter.learned_unit_ == "cm"
     assert not any("Convert" in r.message or "inches" in r.message for r in fitter.results_)
+
+
+@pytest.mark.parametrize("unit, large, first", [("cm", 0.1, True), ("cm", 9.0, False), (None, 0.1, False)])
+def test_of_a_subject_that_would_be_too_large_is_asked_first_what_the_scan_shows(
+    unit, large, first, quick_fitter, tube_scan, monkeypatch
+):
+    """Rooms and people side by side are: their unit and how they stand may well be as was said."""
+    monkeypatch.setattr(assemble, "_LARGE", large)
+    points = CM * tube_scan.points / tube_scan.scale * [1.0, 1.0, -1.0]
+    points[::2] += 40.0
+    r = copy.copy(quick_fitter).set_params(unit=unit, effort="fast").fit_scan(points)
+    asked = next(words for words in r.message.split("; ") if "is it the right rig" in words)
+    assert r.status == "failed" and asked.startswith("does the scan show only the body") == first

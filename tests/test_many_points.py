@@ -7,6 +7,7 @@ import pytest
 from learning_runs import collected, learning_is_hurried, mean_gap
 
 import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
 from lbsfit_np.fitting import scan_fit
 from lbsfit_np.fitting.drawn import PosePrior
 from lbsfit_np.fitting.template import shared_template
@@ -52,6 +53,19 @@ def test_no_more_points_come_of_a_floor_or_from_elsewhere(tube_rig):
     left_out = part.left_out(points)
     assert left_out[:1000].all() and left_out[6000:].all() and not left_out[part.every].any()
     assert left_out[1000:3000].mean() < 0.1 and left_out[3000:6000].mean() > 0.98
+
+
+@pytest.mark.parametrize("usual", [1.0, 1e-300, 1e306])
+def test_points_of_next_to_no_weight_take_no_part(usual, tube_rig):
+    """In the search, and in what is found to be clean, they would count as others do."""
+    (scan,) = lbs.synthesize(tube_rig, random_state=1, n_points=500)
+    weights = np.full(500, usual)
+    weights[:100], weights[100:200], weights[200:203] = 0.009 * usual, 0.011 * usual, 50.0 * usual
+    part = _part(scan.points, tube_rig, point_weights=weights)
+    assert part.every.min() == 100 and len(part.every) == 400 and part.left_out(scan.points)[:100].all()
+    weights[:] = 0.0
+    with pytest.raises(InputError, match="point_weights: got all zeros"):
+        _part(scan.points, tube_rig, point_weights=weights)
 
 
 def test_points_that_were_not_looked_at_are_judged_by_those_that_were(tube_rig, monkeypatch):

@@ -7,6 +7,7 @@ import numpy as np
 from ..losses.chamfer import chamfer
 from ..losses.objective import objective
 from ..optimize.frame import turned_root
+from ..starts.scale import unit_scale
 from .confidence import AT_LIMITS, MISFIT, evidence_of, lacks_most, probability_of, verdict_of
 from .labels import labels_from_mesh
 from .result import FitResult
@@ -18,6 +19,8 @@ _HARDLY_REACHED = 0.1
 # A joint is a guess whose place is known to less than this, a share of the rig's size; so many are named.
 GUESS = 0.02
 _MOST_NAMED = 6
+# A subject that would be so many times as large as the rig, in a unit that was said, may be more than one, or a room.
+_LARGE = 2.0
 
 
 def assemble(
@@ -166,7 +169,9 @@ def assemble(
             helps = () if lacks_most(evidence, guessed_share) else further
             reason = "; ".join([reason, *helps])
         if status == "failed":
-            reason += f"; {_asked(given, evidence)}"
+            per = None if unit is None else unit_scale(rig, unit)  # of a known unit, as then the size is told
+            large = per is not None and scale / per * template.size / rig.size > _LARGE
+            reason += f"; {_asked(given, evidence, large)}"
         if not partial and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
             words = "if the scan shows one side only, pass partial (--partial)"
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
@@ -240,13 +245,13 @@ def _guessed(names):
     return f"the scan hardly tells where these joints are (see joint_std): {', '.join(names[:_MOST_NAMED])}{more}"
 
 
-def _asked(given, evidence):
-    """What may be wrong of a fit that has failed, as a question."""
+def _asked(given, evidence, large):
+    """What may be wrong of a fit that has failed, as a question; first of all of one whose subject would be too ``large``."""
     asked = ["is it the right rig"]
     if evidence["at_limits"] > AT_LIMITS:
         asked.append("do its limits let joints turn as they do in the scan")
-    if evidence["part_unexplained"] > MISFIT:  # these points may be of another thing
-        asked.append("does the scan show only the body, floors, walls and single points")
+    if large or evidence["part_unexplained"] > MISFIT:  # these points may be of another thing
+        asked.insert(0 if large else len(asked), "does the scan show only the body, floors, walls and single points")
     if given:
         asked.append(f"{'are' if 'labels' in given else 'is'} {' and '.join(given)} right")
     if "theta0" not in given:  # which says how the scan is turned

@@ -15,7 +15,7 @@ import copy
 import numpy as np
 
 from ..optimize.gauss_newton import GaussNewton
-from ..rig.chains import bones
+from ..rig.chains import bones, subtrees, vertex_bones
 from .doubt import Doubt
 from .exchanges import Exchanges
 
@@ -26,6 +26,10 @@ _BENT = 0.6
 # Other bends are compared on so many points and vertices: all after the first steps, which hold the template and go by planes
 # where the mesh is fine, the best few of them after the others.
 _POINTS, _VERTICES, _FIRST_STEPS, _FEW, _OTHER_STEPS = 900, 300, 2, 8, 4
+# A joint that moves fewer of these points than this, by its share of the surface, is left, as they cannot tell its bend; of very
+# many bends, and swept joints, those of joints that move most are tried. Bodies and hands have no more, but for those of a face
+# and of a body's fingers.
+_TOLD_BY, _BENDS, _SWEPT = 1, 120, 1200
 # So many of those that come this near to the pose as it was go to the end.
 _NEAR, _FINALS = 1.02, 3
 # What is kept leaves less than this share unexplained.
@@ -64,6 +68,8 @@ class Bends:
             self._first = GaussNewton(model.coarse, vertices=_VERTICES, planes=True, **options)
         self._rounds = _ROUNDS if other_limbs else 0
         self._doubt, self._exchanges = Doubt(model), Exchanges(model, free)
+        own = np.bincount(vertex_bones(model.rig), model.areas, len(model.rig.parents))
+        self._moves = _POINTS * ((subtrees(model.rig.parents) > 0) @ own)  # so many of these points move with each joint
 
     def __call__(self, problem, state, value):
         """The state, or one with other bends that leaves less unexplained.
@@ -86,17 +92,22 @@ class Bends:
         def best(moves, *limits):
             return self._best(problem, few, state, value, moves, *limits)
 
-        state, value = best(other_bends(self.model.rig, state.theta))
+        state, value = best(self._told(other_bends(self.model.rig, state.theta), _BENDS))
         for _ in range(self._rounds):
             doubted = self._doubt.of(problem, state) > _DOUBTED
             if not doubted.any():
                 break
             before = value
             state, value = best(self._exchanges.of(few, state, doubted), _NEAR_IN_DOUBT)
-            state, value = best(swept(self.model.rig, state.theta), _NEAR_IN_DOUBT, _MANY, _LIKELY)
+            state, value = best(self._told(swept(self.model.rig, state.theta), _SWEPT), _NEAR_IN_DOUBT, _MANY, _LIKELY)
             if value == before:
                 break
         return state, value
+
+    def _told(self, changes, most):
+        """Changes of joints whose bends points can tell; of very many those of the joints that move most."""
+        told = [change for change in changes if self._moves[change[0][0]] >= _TOLD_BY]
+        return told if len(told) <= most else sorted(told, key=lambda change: -self._moves[change[0][0]])[:most]
 
     def _best(self, problem, few, state, value, moves, near=_NEAR, most=_FEW, likely=None):
         """The state, or what came of moves if that leaves less unexplained; of the ``likely`` ones ``most`` go on."""

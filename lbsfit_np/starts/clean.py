@@ -18,6 +18,8 @@ _LEAST, _SHARE, _TIMES = 20, 0.005, 20
 _ENOUGH = 0.8
 # Points that are judged by others, at a time.
 _AT_ONCE = 200_000
+# Points that weigh less than this share of what is usual take no part.
+_HARDLY = 0.01
 # The last steps look at so many times as many points, where there are as many.
 _LAST = 4
 
@@ -107,7 +109,7 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     ups : sequence of (3,) arrays, optional
         As for :func:`clean_rows`.
     point_weights : (n,) array, optional
-        Points of weight 0 never take part.
+        Points of weight 0 never take part, nor those of less than 1 % of the usual weight, above which half of all weight is.
     labels : (n,) int array, optional
         Known parts: what has one is of no floor; −1 where one is not known.
     among : (n,) bool array, optional
@@ -123,7 +125,7 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
         Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed", or than
         ``unit``; fewer points than the rig has parts once some are left out; weights that are all 0.
     """
-    rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(point_weights > 0)
+    rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(_counts(point_weights))
     if not len(rows):
         raise InputError("point_weights", "all zeros", "at least one positive weight")
     rows, same = _in_places_of_their_own(points, rows)
@@ -153,6 +155,14 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     shown = None if parts is None else np.isin(rig.vertex_labels, parts)
     unit = reference_scale(points[kept], rig, scale, unit, whole=labels is None, shown=shown).scale
     return TakingPart(kept, more, words, unit, below, known, among)
+
+
+def _counts(weights):
+    """(n,) bool: which points count for enough to take part; the others would be seen, in the search for one, as if they did."""
+    w = weights / max(weights.max(), np.finfo(float).tiny)  # whose sum is finite
+    heaviest = np.sort(w)[::-1]
+    usual = heaviest[np.searchsorted(np.cumsum(heaviest), 0.5 * heaviest.sum())]  # heavier ones have half of the weight
+    return (w > 0) & (w >= _HARDLY * usual)
 
 
 def _of_the_body(points, drawn, *, among, **sides):

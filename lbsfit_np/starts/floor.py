@@ -17,6 +17,9 @@ _CLUTTER_BELOW, _SOMETHING = 0.04, 0.07
 _WIDER = 1.5
 # Share of the points that a floor has at least, and of them the share that lies where nothing is above.
 _LEAST, _BEYOND = 0.08, 0.4
+# Of all points a floor has at most the first share; more than the second, as that of a room has, only if what is above it is at
+# least so high, as a share of the extent: a flat side of a body has no such thing on it.
+_MOST, _MUCH, _HIGH = 0.98, 0.9, 0.15
 # Side of the squares that the plane is divided into, as a share of the extent.
 _SQUARE = 0.04
 
@@ -85,10 +88,11 @@ def _floor(x, up):
         n = n if ((x - origin) @ n).mean() > 0 else -n
     if up is not None and n @ up <= _UPRIGHT:
         return none
-    on = (x - origin) @ n < 1.5 * _THICK
-    if on.mean() < _LEAST or on.mean() > 0.9 or _share_beyond(x, on, n) < _BEYOND:
+    height = (x - origin) @ n
+    on = height < 1.5 * _THICK
+    if not _LEAST <= on.mean() <= _MOST or _share_beyond(x, on, n) < _BEYOND:
         return none
-    return on
+    return none if on.mean() > _MUCH and np.quantile(height[~on], 0.9) < _HIGH else on
 
 
 def _share_beyond(x, on, n):
