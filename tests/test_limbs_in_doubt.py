@@ -176,6 +176,7 @@ def test_rounds_go_on_from_what_helped_while_it_helps(rig, model, bends, folded,
     monkeypatch.setattr(Exchanges, "of", of_exchanges)
     monkeypatch.setattr(bends_module, "swept", of_sweeps)
     monkeypatch.setattr(bends, "_best", best)
+    monkeypatch.setattr(bends, "_told", lambda changes, most: changes)
     monkeypatch.setattr(bends._doubt, "of", lambda problem, state: np.full(len(rig.parents), 9.0))
     _, left = bends(problem, stuck, value)
     assert [name for name, _ in seen] == ["exchanges", "sweeps"] * rounds

@@ -138,7 +138,9 @@ def assemble(
             own = labels_from_mesh(points[unknown], frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit)
             labels[unknown], confidence[unknown] = own
     left_out = part.left_out(points)
-    confidence = np.where(unknown & part.of_no_body(left_out), 0.0, confidence)
+    confidence = np.where(unknown & part.is_clutter(left_out), 0.0, confidence)
+    if part.among is not None:  # labels of what lies beyond the end of the rig say nothing
+        confidence = np.where(part.among, confidence, 0.0)
     took_part = np.zeros(len(points), dtype=bool)
     took_part[part.rows] = True
     term_labels = np.full(len(points), len(rig.parts))

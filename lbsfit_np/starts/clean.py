@@ -76,16 +76,15 @@ class TakingPart:
             out[piece] = ~_of_the_same(points, self.rows, dropped, piece)
         return out
 
-    def of_no_body(self, left_out):
-        """(n,) bool: clutter, a floor, or beyond the end of the rig; points of weight 0 may be of the body all the same."""
-        none = left_out & (self.known != -2)
-        return none if self.among is None else none | ~self.among
+    def is_clutter(self, left_out):
+        """(n,) bool: clutter, or of a floor, by what :meth:`left_out` says; points of weight 0 may be of the body all the same."""
+        return left_out & (self.known != -2)
 
     def told(self, left_out):
         """The note, and where not all of the scan was looked at, how many of all that are, as :meth:`left_out` says."""
         if not self.note or not (self.known == -1).any():
             return self.note
-        return f"{self.note}, {np.count_nonzero(left_out & (self.known != -2))} of all {len(left_out)}"
+        return f"{self.note}, {np.count_nonzero(self.is_clutter(left_out))} of all {len(left_out)}"
 
     @property
     def floor_elsewhere(self):
@@ -133,7 +132,7 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     sides = {"ups": ups, "body": None if labels is None else labels >= 0, "among": among}
     body, note, below = _of_the_body(points, drawn, **sides)
     if len(drawn) < len(rows) and len(body) < _ENOUGH * most:
-        enough = min(len(rows), int(most * most / max(len(body), most // 10)))
+        enough = min(len(rows), int(most * most / max(len(body), most // 50)))
         drawn = np.sort(rng.choice(rows, enough, replace=False))
         body, note, below = _of_the_body(points, drawn, **sides)
     kept = body if len(body) <= most else np.sort(rng.choice(body, most, replace=False))
