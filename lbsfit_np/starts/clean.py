@@ -77,7 +77,7 @@ class TakingPart:
         return out
 
     def is_clutter(self, left_out):
-        """(n,) bool: clutter, or of a floor, by what :meth:`left_out` says; points of weight 0 may be of the body all the same."""
+        """(n,) bool: clutter, or of a floor, of what :meth:`left_out` says; points of weight 0 may be of the body."""
         return left_out & (self.known != -2)
 
     def told(self, left_out):
