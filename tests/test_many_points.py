@@ -63,9 +63,27 @@ def test_points_of_next_to_no_weight_take_no_part(usual, tube_rig):
     weights[:100], weights[100:200], weights[200:203] = 0.009 * usual, 0.011 * usual, 50.0 * usual
     part = _part(scan.points, tube_rig, point_weights=weights)
     assert part.every.min() == 100 and len(part.every) == 400 and part.left_out(scan.points)[:100].all()
+    assert part.note == "100 points of next to no weight left out" and not part.is_clutter(part.left_out(scan.points)).any()
+    weights[:] = usual
+    weights[:5] = 1e300 if usual == 1.0 else 300 * usual  # a few that weigh very much leave the others
+    assert len(_part(scan.points, tube_rig, point_weights=weights).every) == 500
+    weights[3:], weights[:3] = 1e-6 * usual, usual
+    assert len(_part(scan.points, tube_rig, point_weights=weights).every) == 500
     weights[:] = 0.0
     with pytest.raises(InputError, match="point_weights: got all zeros"):
         _part(scan.points, tube_rig, point_weights=weights)
+
+
+def test_all_that_is_left_out_is_counted_where_not_all_was_looked_at(tube_rig):
+    (scan,) = lbs.synthesize(tube_rig, random_state=1, n_points=2000, holes=0, density=0.0)
+    points, weights = np.vstack([scan.points, np.zeros((300, 3))]), np.ones(2300)
+    weights[:50] = 0.0
+    for among in (None, np.arange(2300) % 2 == 0):
+        part = _part(points, tube_rig, point_weights=weights, among=among)
+        out = part.left_out(points)
+        assert part.is_clutter(out).sum() == out.sum() - 50 and not part.is_clutter(out)[:50].any()
+        assert part.told(out) == f"{part.note}, {out.sum() - 50} of all 2300" and out[2000:].all()
+    assert _part(points[50:400], tube_rig).told(np.zeros(350, bool)) == ""  # all was looked at
 
 
 def test_points_that_were_not_looked_at_are_judged_by_those_that_were(tube_rig, monkeypatch):

@@ -91,6 +91,7 @@ BAD = {
     "names without quotes": ("[limits]\n*-tip = 1", "not TOML.*line 2.*in quotes"),
     "key twice": ("[rig]\nup = '+y'\nup = '+z'\n", "not TOML.*line 3.*Keep one of the lines or tables of that name"),
     "table twice": ("[rig]\n[lock]\n[rig]\n", "not TOML.*line 3.*Keep one"),
+    "name twice in a line": ('[hierarchy]\nparents = { "a" = "b", "a" = "c" }', "not TOML.*Keep one"),
     "bracket left open": ("[rig\n", r"not TOML: Expected.*line 1, column 5\); expected a rig card in TOML.$"),
     "unknown table": ("[limit]\nx = 1", r"unknown table 'limit'.*rig, hierarchy.*Did you mean 'limits'"),
     "unknown key": ("[merge]\nin_parent = []", r"unknown key 'in_parent' in \[merge\].*Did you mean 'into_parent'"),

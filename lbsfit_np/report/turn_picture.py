@@ -48,7 +48,9 @@ def turn_picture(rig, joint, *, view="oblique", size=(320, 360)):
         why = "merged" if rig.merged[j] else "locked" if rig.locked[j] else "without room between its limits"
         turning = [name for name, moves in zip(names, rig.moving) if moves]
         got, remedy = f"{joint!r}, which is {why} and never turns", "To have it turn, give it limits by name in a card"
-        remedy += ", and take it out of [merge] and [lock] there."
+        remedy += ", and take it out of [merge] and [lock] there." if rig.merged[j] or rig.locked[j] else "."
+        if not (subtrees(rig.parents)[j] @ np.asarray(rig.weights.sum(axis=0)).ravel()):
+            remedy = "It moves no vertex."
         raise InputError("joint", got, f"one that turns, such as {turning[-1]!r}", remedy)
     poses, rest = {}, np.zeros_like(rig.lower)
     for axis in np.flatnonzero(upper > lower):

@@ -307,7 +307,7 @@ class _Parser:
 
 def _toml_remedy(words):
     """What to do about text that is not TOML, of which tomllib says ``words``; None where these say it."""
-    if "overwrite" in words or "twice" in words or "mutate" in words:
+    if any(word in words for word in ("overwrite", "twice", "mutate", "Duplicate")):
         return "Keep one of the lines or tables of that name."
     return "Put joint names in quotes." if "key" in words or "Invalid" in words else None
 

@@ -18,8 +18,8 @@ _LEAST, _SHARE, _TIMES = 20, 0.005, 20
 _ENOUGH = 0.8
 # Points that are judged by others, at a time.
 _AT_ONCE = 200_000
-# Points that weigh less than this share of what is usual take no part.
-_HARDLY = 0.01
+# Points that weigh less than this share of what is usual take no part: the weight that a quarter of those with any reach.
+_HARDLY, _USUAL = 0.01, 0.75
 # The last steps look at so many times as many points, where there are as many.
 _LAST = 4
 
@@ -41,7 +41,8 @@ class TakingPart:
     below : int or None
         Which of the directions that may be up a floor lies below that is left out.
     known : (n,) int8 array
-        Of each point of the scan: 1 of the body, 0 looked at and left out, −1 not looked at, −2 never to take part.
+        Of each point of the scan: 1 of the body, 0 looked at and left out, −1 not looked at, −2 never to take part, −3 neither,
+        as it weighs next to nothing.
     among : (n,) bool array or None
         Which points of the scan may take part, where others lie beyond the end of the rig; None where all may.
     """
@@ -77,8 +78,8 @@ class TakingPart:
         return out
 
     def is_clutter(self, left_out):
-        """(n,) bool: clutter, or of a floor, of what :meth:`left_out` says; points of weight 0 may be of the body."""
-        return left_out & (self.known != -2)
+        """(n,) bool: none of the body's, of what :meth:`left_out` says; points without weight may be of the body."""
+        return left_out & (self.known != -3)
 
     def told(self, left_out):
         """The note, and where not all of the scan was looked at, how many of all that are, as :meth:`left_out` says."""
@@ -108,7 +109,7 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     ups : sequence of (3,) arrays, optional
         As for :func:`clean_rows`.
     point_weights : (n,) array, optional
-        Points of weight 0 never take part, nor those of less than 1 % of the usual weight, above which half of all weight is.
+        Points of weight 0 never take part, nor those of less than 1 % of the weight that a quarter of the others reach.
     labels : (n,) int array, optional
         Known parts: what has one is of no floor; −1 where one is not known.
     among : (n,) bool array, optional
@@ -124,20 +125,22 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
         Points without an extent that can be worked with, or in another unit than the rig's where the scale is "fixed", or than
         ``unit``; fewer points than the rig has parts once some are left out; weights that are all 0.
     """
-    rows = np.arange(len(points)) if point_weights is None else np.flatnonzero(_counts(point_weights))
+    heavy = np.ones(len(points), dtype=bool) if point_weights is None else _counts(point_weights)
+    rows = np.flatnonzero(heavy)
     if not len(rows):
         raise InputError("point_weights", "all zeros", "at least one positive weight")
+    light = 0 if point_weights is None else np.count_nonzero(point_weights) - len(rows)
     rows, same = _in_places_of_their_own(points, rows)
     drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
     sides = {"ups": ups, "body": None if labels is None else labels >= 0, "among": among}
     body, note, below = _of_the_body(points, drawn, **sides)
     if len(drawn) < len(rows) and len(body) < _ENOUGH * most:
-        enough = min(len(rows), int(most * most / max(len(body), most // 50)))
+        enough = min(len(rows), int(most * most / max(len(body), most // 50, 1)))
         drawn = np.sort(rng.choice(rows, enough, replace=False))
         body, note, below = _of_the_body(points, drawn, **sides)
     kept = body if len(body) <= most else np.sort(rng.choice(body, most, replace=False))
-    told = f"{same} identical points left out" if same else ""
-    words = "; ".join(filter(None, (told, note)))
+    told = f"{counted(light, 'point')} of next to no weight left out" if light else ""
+    words = "; ".join(filter(None, (told, f"{same} identical points left out" if same else "", note)))
     if words and len(kept) < len(rig.parts):
         got = f"{counted(len(kept), 'point')} that may be of the body ({words})"
         raise InputError("points", got, f"at least {len(rig.parts)} points, one for each part")
@@ -145,7 +148,7 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     others = np.setdiff1d(rows, np.union1d(kept, dropped), assume_unique=True)
     if among is not None:
         others = others[among[others]]
-    known = np.full(len(points), -2, np.int8)
+    known = np.where(heavy, -2, -3).astype(np.int8)
     known[others], known[dropped], known[body] = -1, 0, 1
     if labels is not None and labels[kept].min() >= 0:  # where steps go by labels, they go by all
         others = others[labels[others] >= 0]
@@ -158,10 +161,8 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
 
 def _counts(weights):
     """(n,) bool: which points count for enough to take part; the others would be seen, in the search for one, as if they did."""
-    w = weights / max(weights.max(), np.finfo(float).tiny)  # whose sum is finite
-    heaviest = np.sort(w)[::-1]
-    usual = heaviest[np.searchsorted(np.cumsum(heaviest), 0.5 * heaviest.sum())]  # heavier ones have half of the weight
-    return (w > 0) & (w >= _HARDLY * usual)
+    some = weights > 0
+    return some & (weights >= _HARDLY * np.quantile(weights[some], _USUAL)) if some.any() else some
 
 
 def _of_the_body(points, drawn, *, among, **sides):

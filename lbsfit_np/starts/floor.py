@@ -18,7 +18,7 @@ _WIDER = 1.5
 # Share of the points that a floor has at least, and of them the share that lies where nothing is above.
 _LEAST, _BEYOND = 0.08, 0.4
 # Of all points a floor has at most the first share; more than the second, as that of a room has, only if what is above it is at
-# least so high, as a share of the extent: a flat side of a body has no such thing on it.
+# least so high for how wide it is: a flat side of a body has but creases on it.
 _MOST, _MUCH, _HIGH = 0.98, 0.9, 0.15
 # Side of the squares that the plane is divided into, as a share of the extent.
 _SQUARE = 0.04
@@ -92,7 +92,11 @@ def _floor(x, up):
     on = height < 1.5 * _THICK
     if not _LEAST <= on.mean() <= _MOST or _share_beyond(x, on, n) < _BEYOND:
         return none
-    return none if on.mean() > _MUCH and np.quantile(height[~on], 0.9) < _HIGH else on
+    if on.mean() > _MUCH:
+        above = x[~on]
+        wide = np.ptp(np.quantile(above, [0.1, 0.9], axis=0), axis=0).max()
+        return on if np.quantile(height[~on], 0.9) > _HIGH * wide else none
+    return on
 
 
 def _share_beyond(x, on, n):

@@ -39,7 +39,7 @@ _POSES, _BLOCK, _AT_ONCE, _BEST = 800, 200, 8, 40
 # worth a try where that costs no more.
 _BETTER, _BETTER_PAIR, _UNLIKE, _FINE = 0.85, 3.0, 0.08, 1e-4
 # Of a rig with very many limbs, such as a body with the bones of a face, the pairs that are nearest for their lengths, and the
-# most promising proposals: bodies, hands and animals with some thirty joints have no more.
+# most promising proposals. Bodies and hands have no more.
 _PAIRS, _PROPOSALS = 66, 64
 # Closer: from so many poses, no two nearer than this, come so many others with changes of these sizes, radians.
 _PARENTS, _SAME, _CHILDREN, _SIGMAS = 24, 0.03, 400, (0.4, 0.2, 0.1, 0.05)
