@@ -81,7 +81,7 @@ def test_all_that_is_left_out_is_counted_where_not_all_was_looked_at(tube_rig):
     for among in (None, np.arange(2300) % 2 == 0):
         part = _part(points, tube_rig, point_weights=weights, among=among)
         out = part.left_out(points)
-        assert part.is_clutter(out).sum() == out.sum() - 50 and not part.is_clutter(out)[:50].any()
+        assert part.is_clutter(out)[2000:].all() and not part.is_clutter(out)[:50].any()
         assert part.told(out) == f"{part.note}, {out.sum() - 50} of all 2300" and out[2000:].all()
     assert _part(points[50:400], tube_rig).told(np.zeros(350, bool)) == ""  # all was looked at
 

@@ -78,14 +78,18 @@ class TakingPart:
         return out
 
     def is_clutter(self, left_out):
-        """(n,) bool: none of the body's, of what :meth:`left_out` says; points without weight may be of the body."""
-        return left_out & (self.known != -3)
+        """(n,) bool: none of the body's, of what :meth:`left_out` says; points without weight may be of the body.
+
+        So may those that were not looked at, where nothing was left out that they could be of, or only what lies beyond the rig.
+        """
+        unseen = self.among is None and bool((self.known == 0).any())
+        return left_out & (self.known != -3) & ((self.known != -1) | unseen)
 
     def told(self, left_out):
         """The note, and where not all of the scan was looked at, how many of all that are, as :meth:`left_out` says."""
         if not self.note or not (self.known == -1).any():
             return self.note
-        return f"{self.note}, {np.count_nonzero(self.is_clutter(left_out))} of all {len(left_out)}"
+        return f"{self.note}, {np.count_nonzero(left_out & (self.known != -3))} of all {len(left_out)}"
 
     @property
     def floor_elsewhere(self):
