@@ -124,10 +124,14 @@ def most_have_failed(work, members, failed, kept):
     words += " learned from right fits"
     tell = "do scans stand as orientation and up say, is it their rig? Fit one alone (lbs.fit_scan, lbsfit fit) to see"
     slot = kept("round-0-alone", (wrong[0].points, wrong[0].part))
-    with suppress(Exception):  # what only tells more must not end the run
-        alone = slot.known(FitResult) or slot.keep(work.alone(wrong[0]))
-        if alone.status != "ok":
-            tell = f"scan {wrong[0].name} alone is {alone.status}: {alone.message}"
+    alone = slot.known(FitResult)
+    if alone is None:
+        with suppress(Exception):  # what only tells more must not end the run
+            alone = work.alone(wrong[0])
+        if alone is not None:
+            slot.keep(alone)
+    if alone is not None and alone.status != "ok":
+        tell = f"scan {wrong[0].name} alone is {alone.status}: {alone.message}"
     return f"{words}: {tell}"
 
 
