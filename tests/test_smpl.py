@@ -151,10 +151,10 @@ def test_hands_mean_is_noted(tmp_path):
     assert any("flat hand" in note for note in rig.notes)
 
 
-@pytest.mark.parametrize("root", [-1, ROOT])
-def test_kintree_of_ids_in_any_order(tmp_path, root):
+@pytest.mark.parametrize("root, kind", [(-1, np.int64), (ROOT, np.int64), (2**64 - 1, np.uint64), (ROOT, float)])
+def test_kintree_of_ids_in_any_order(tmp_path, root, kind):
     content = model([ROOT, 0, 1])
-    content["kintree_table"] = np.array([[7, root, 9], [5, 7, 4]], dtype=np.int64)
+    content["kintree_table"] = np.array([[7, root, 9], [5, 7, 4]], dtype=kind)
     with pytest.raises(FileError, match="parent 9 of joint 4"):
         read_smpl(save(tmp_path, content, ".npz"))
     content["kintree_table"][0, 2] = 5

@@ -147,7 +147,7 @@ class _Model:
     def integers(self, key, shape):
         a = self._numbers(key, shape, "biuf")
         whole = a.astype(np.int64) if np.isfinite(a).all() else None
-        if whole is None or not np.array_equal(whole, a):
+        if whole is None or not np.array_equal(whole.astype(a.dtype), a):  # by its own type, in which -1 may be 2**64 - 1
             raise self.wrong(f"{key} with values that are not whole numbers", "integers")
         return whole
 
