@@ -1,5 +1,6 @@
 """Rig cards: reading, writing, and an error for everything that a person can mistype."""
 
+import os
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -310,6 +311,35 @@ def test_card_that_cannot_be_written(tmp_path, tube_rig):
             write_card(tube_rig, folder)
     write_card(tube_rig, tmp_path / ("c" * 250 + ".toml"))
     assert [len(p.name) for p in tmp_path.iterdir()] == [255]
+
+
+@pytest.mark.parametrize(
+    "error, words",
+    [(KeyboardInterrupt("pressed"), "pressed"), (OSError(28, "No space left"), r"cannot be written to \(No space left")],
+)
+def test_a_card_is_replaced_whole_or_not_at_all(tmp_path, tube_rig, monkeypatch, error, words):
+    def stop(*args):
+        raise error
+
+    path = tmp_path / "c.toml"
+    path.write_text("edited = true")
+    monkeypatch.setattr(os, "replace", stop)
+    with pytest.raises((KeyboardInterrupt, FileError), match=words):
+        write_card(tube_rig, path)
+    assert path.read_text() == "edited = true" and [p.name for p in tmp_path.iterdir()] == ["c.toml"]
+
+
+def test_a_card_is_on_the_disk_before_it_has_its_name(tmp_path, tube_rig, monkeypatch):
+    seen = []
+    monkeypatch.setattr(os, "fsync", lambda handle: seen.append((os.fstat(handle).st_size, (tmp_path / "c.toml").exists())))
+    write_card(tube_rig, tmp_path / "c.toml")
+    assert seen == [((tmp_path / "c.toml").stat().st_size, False)]
+
+
+@pytest.mark.parametrize("unit", [np.float64(0.45), np.float32(0.5)])
+def test_a_unit_may_be_a_number_of_numpys(tmp_path, tube_rig, unit):
+    write_card(replace(tube_rig, metres_per_unit=unit), tmp_path / "c.toml")
+    assert read_card(tmp_path / "c.toml").metres_per_unit == unit
 
 
 # ---- the project's own cards ----

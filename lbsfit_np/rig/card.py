@@ -31,12 +31,14 @@ Every table is optional; names may be globs (``*``, ``?``, ``[ab]``) wherever a 
     thumb = ["thumb-*"]
 """
 
+import errno
 import json
 import math
 import os
 import secrets
 import tomllib
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -144,13 +146,27 @@ def write_card(rig, path):
     try:
         final = Path(os.path.realpath(path))  # a link stays, and what it leads to is written
         scratch = final.with_name(f".{secrets.token_hex(6)}.tmp")
-        scratch.write_bytes(content)
+        _write_to_disk(scratch, content)  # before it has the name, so that a power cut leaves the old card or the new one
         os.replace(scratch, final)
-    except (OSError, ValueError) as e:
-        if scratch is not None and os.path.lexists(scratch):
-            scratch.unlink()
+    except BaseException as e:  # Ctrl-C, too
+        if scratch is not None:
+            with suppress(OSError, ValueError):  # which would hide what has happened
+                scratch.unlink(missing_ok=True)
+        if not isinstance(e, (OSError, ValueError)):
+            raise
         why = getattr(e, "strerror", None) or e
         raise FileError(str(path), f"a path that cannot be written to ({why})", "a path in an existing folder") from None
+
+
+def _write_to_disk(path, content):
+    with open(path, "xb") as file:
+        file.write(content)
+        file.flush()
+        try:
+            os.fsync(file.fileno())
+        except OSError as e:
+            if e.errno not in (errno.EINVAL, errno.ENOTSUP):  # what file systems say that cannot tell
+                raise
 
 
 def card_text(rig):

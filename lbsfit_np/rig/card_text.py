@@ -88,7 +88,7 @@ def guessed_chains(names, joints):
 def _rig_table(rig):
     unit = rig.metres_per_unit
     name = unit_name(unit)
-    named = f'"{name}"' if name else repr(unit)
+    named = f'"{name}"' if name else repr(unit and float(unit))  # NumPy's numbers have their type in repr
     granularity = getattr(rig, "granularity", None) or getattr(rig, "parts", None)
     use = granularity if isinstance(granularity, str) else None
     return [
