@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from scan_files import FACES, LABELS, NORMALS, POINTS, on_tetrahedron, rows, write
+from scan_files import FACES, LABELS, NORMALS, POINTS, ascii_ply, binary_ply, csv, on_tetrahedron, ply_header, rows, write
 
 from lbsfit_np.errors import FileError
-from lbsfit_np.io.scans import load_scan
+from lbsfit_np.io.scans import load_mesh, load_scan
 
 
 def test_columns_without_names(tmp_path):
@@ -375,6 +375,29 @@ def test_a_first_line_may_be_the_number_of_rows(name, sep, tmp_path):
         load_scan(write(tmp_path, name, "5\n" + body))
     with pytest.raises(FileError, match="the first row '4'; expected numbers x, y, z"):
         load_scan(write(tmp_path, name, "4\n5\n6\n7\n8\n"))
+
+
+@pytest.mark.parametrize(
+    "name, text",
+    [
+        ("a.csv", csv()),
+        ("b.csv", csv(sep=";")),
+        ("a.xyz", "# x y z nx ny nz label\n" + rows(POINTS, NORMALS, LABELS)),
+        ("a.pts", "4\n" + rows(POINTS, NORMALS)),
+        ("a.txt", "x y z nx ny nz label\n" + rows(POINTS, NORMALS, LABELS)),
+        ("a.ply", ascii_ply()),
+        ("b.ply", ply_header("binary_big_endian").replace(b"\n", b"\r") + binary_ply(">").partition(b"end_header\n")[2]),
+    ],
+)
+def test_lines_may_end_in_a_carriage_return_alone(name, text, tmp_path):
+    """As spreadsheets of old Macintoshes have them, and the first description of PLY."""
+    content = text if isinstance(text, bytes) else text.encode()
+    scan = load_scan(write(tmp_path, name, content if name == "b.ply" else content.replace(b"\n", b"\r")))
+    np.testing.assert_array_equal(scan.points, POINTS)
+    np.testing.assert_allclose(scan.normals, NORMALS, atol=1e-6)
+    assert name == "a.pts" or scan.labels.tolist() == LABELS.tolist()
+    if name.endswith(".ply"):
+        np.testing.assert_array_equal(load_mesh(tmp_path / name)[1], FACES)
 
 
 def test_pts_files_go_on_with_intensity_and_colour(tmp_path):

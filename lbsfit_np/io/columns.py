@@ -167,15 +167,14 @@ def _read_head(path):
     names, seen_comment, counted, notes = None, None, None, []
     with open(path, "rb") as file:
         start = file.read(4096)
-        if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            raise FileError(str(path), "text in UTF-16", "text in UTF-8 with one point per line", "Save it as CSV in UTF-8.")
-        if b"\0" in start:
-            raise FileError(str(path), "binary content", "a text file with one point per line", "Check the extension.")
-        file.seek(0)
+    if start.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise FileError(str(path), "text in UTF-16", "text in UTF-8 with one point per line", "Save it as CSV in UTF-8.")
+    if b"\0" in start:
+        raise FileError(str(path), "binary content", "a text file with one point per line", "Check the extension.")
+    with open(path, encoding="utf-8-sig", errors="replace") as file:  # as text: lines may end in a carriage return alone
         for skip in range(_HEAD_LINES):
             raw = file.readline(100_000)
-            line = raw.decode("utf-8-sig" if skip == 0 else "utf-8", "replace").strip("\r\n")
-            line = in_plain_numbers(line)
+            line = in_plain_numbers(raw.strip("\n"))
             if not raw:
                 return skip, names, None, None, None, notes
             if not line.strip():

@@ -20,7 +20,7 @@ _TYPES = {
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
 }  # fmt: skip
 _FORMATS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
-_HEADER_LINES = 10_000  # a header that goes on for longer is none
+_HEADER_LINES, _LINE = 10_000, 10_000  # a header that goes on for longer is none, and so is one with longer lines
 
 
 def read_ply(path):
@@ -66,11 +66,15 @@ def read_ply(path):
 
 def _read_header(file, path):
     """The byte order (None for ASCII) and element name → (count, properties), a property being (name, type, count type)."""
-    if file.readline(8).rstrip() != b"ply":
+    first = file.readline(8)
+    returns = first.startswith(b"ply\r") and b"\n" not in first
+    if returns:
+        file.seek(len(b"ply\r"))
+    elif first.rstrip() != b"ply":
         raise FileError(str(path), "content that does not start with 'ply'", "a PLY file", "Check the extension.")
     order, elements, properties = "", {}, None
     for _ in range(_HEADER_LINES):
-        line = file.readline(10_000)
+        line = _until_return(file) if returns else file.readline(_LINE)
         words = line.decode("latin-1").split()
         if not line:
             break
@@ -98,6 +102,14 @@ def _read_header(file, path):
             got = f"the header line {line[:80].decode('latin-1').strip()!r}"
             raise FileError(str(path), got, "a PLY header line (format, element, property, comment, end_header)") from None
     raise FileError(str(path), "a PLY header without 'end_header'", "a complete PLY file", "The file is truncated or damaged.")
+
+
+def _until_return(file):
+    """The next line of a header whose lines end in a carriage return alone, as the format was first described."""
+    line = b""
+    while len(line) < _LINE and not line.endswith(b"\r") and (byte := file.read(1)):
+        line += byte
+    return line
 
 
 def _count(word):
