@@ -385,3 +385,13 @@ def test_a_written_card_gives_axes_along_the_bones_that_a_body_file_does_not_say
     rig = load_rig(path, card=card)
     np.testing.assert_array_equal(rig.parents, whole.parents)
     np.testing.assert_allclose(rig.frames, whole.frames, atol=1e-9)
+
+
+def test_body_frames_follow_the_axes_of_a_card(tmp_path):
+    """Of a body that stands along z the same joints bend about the same axes of the body."""
+    turn = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
+    upright, data = load_rig(body(tmp_path)), dict(np.load(body(tmp_path)))
+    along_z = body(tmp_path, **{key: data[key] @ turn.T for key in ("verts", "joints", "tails")})
+    frames = load_rig(along_z, card=Card(up="+z", forward="-y")).frames
+    np.testing.assert_allclose(frames[1:], turn @ upright.frames[1:], atol=1e-6)
+    np.testing.assert_array_equal(frames[0], np.eye(3))

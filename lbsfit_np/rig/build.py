@@ -91,8 +91,8 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     if data.animated is not None and not np.array_equal(parents, data.parents):
         animated = report.array("animated", data.animated, (None, len(names), 3))
         data = replace(data, animated=under_other_parents(animated, frames, np.asarray(data.parents), parents))
-    if data.bones is not None and not np.array_equal(parents, data.parents):
-        frames = frames_along(data.bones, joints, parents, data.up, data.forward)
+    if data.bones is not None and ((up, forward) != (data.up, data.forward) or not np.array_equal(parents, data.parents)):
+        frames = frames_along(data.bones, joints, parents, up, forward)
     frames, turned = _frames(frames, joints, parents, names, card, up, forward)
     sound = proper(faces)  # what else there is of vertices says nothing of joints
     surface = np.unique(faces[sound] if sound.any() else faces)
