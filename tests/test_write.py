@@ -189,6 +189,11 @@ def test_arrays_that_do_not_fit_the_points(tmp_path, wrong, words):
             write_mesh_ply(tmp_path / "p.ply", POINTS, wrong)
     with pytest.raises(InputError, match="points: got complex numbers"):
         write_points_ply(tmp_path / "p.ply", POINTS * 1j)
+    for points, words in (([["a", "b", "c"]], "values of type <U1"), ([[1, 2, None]], "values of type object")):
+        with pytest.raises(InputError, match=f"points: got {words}; expected numbers"):
+            write_points_ply(tmp_path / "p.ply", points)
+    with pytest.raises(InputError, match="points: got a masked array with 1 of 40 rows masked"):
+        write_points_ply(tmp_path / "p.ply", np.ma.masked_array(POINTS, POINTS == POINTS[3, 1]))
     assert names(tmp_path) == []
 
 

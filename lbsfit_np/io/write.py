@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import FileError, InputError, as_array, check_real
+from ..errors import FileError, InputError, as_array, check_real, check_unmasked
 
 __all__ = [
     *("atomic_path", "check_folder", "check_npz_name", "make_folder", "remove_empty"),
@@ -272,10 +272,13 @@ _WHOLE = {"|u1": (0, 255), "<i4": (-(2**31), 2**31 - 1)}
 
 def _vertex_table(points, *, normals=None, colors=None, labels=None, confidence=None):
     """The vertex element as a structured array, one field per property."""
+    check_unmasked("points", points)
     points = as_array("points", points, "shape (n, 3)")
     if points.ndim != 2 or points.shape[1] != 3:
         raise InputError("points", f"an array of shape {points.shape}", "shape (n, 3)")
     check_real("points", points, "numbers of shape (n, 3)")
+    if points.dtype.kind not in "iuf":
+        raise InputError("points", f"values of type {points.dtype}", "numbers of shape (n, 3)")
     n = len(points)
     columns = [(("x", "y", "z"), "<f8", points)]
     for names, kind, argument, values, allowed in (
