@@ -377,6 +377,18 @@ def test_a_first_line_may_be_the_number_of_rows(name, sep, tmp_path):
         load_scan(write(tmp_path, name, "4\n5\n6\n7\n8\n"))
 
 
+@pytest.mark.parametrize("encoding", ["ascii", "binary"])
+def test_labels_in_whole_numbers_of_numpys_own_size_come_back_from_trimesh(tmp_path, encoding):
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.Trimesh(POINTS, FACES, process=False)
+    mesh.vertex_attributes |= {"label": LABELS.astype(np.int64), "heat": np.zeros(4, np.float16)}
+    mesh.export(tmp_path / "a.ply", encoding=encoding)
+    assert b"property int64 label" in (tmp_path / "a.ply").read_bytes()
+    scan = load_scan(tmp_path / "a.ply")
+    np.testing.assert_array_equal(scan.points, POINTS)
+    assert scan.labels.tolist() == LABELS.tolist()
+
+
 @pytest.mark.parametrize(
     "name, text",
     [

@@ -18,6 +18,7 @@ __all__ = ["read_ply"]
 _TYPES = {
     "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
     "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+    "int64": "i8", "uint64": "u8", "float16": "f2",  # which the format has not, but trimesh and meshio write
 }  # fmt: skip
 _FORMATS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
 _HEADER_LINES, _LINE = 10_000, 10_000  # a header that goes on for longer is none, and so is one with longer lines
@@ -100,7 +101,10 @@ def _read_header(file, path):
                 raise ValueError
         except (LookupError, ValueError, AttributeError):
             got = f"the header line {line[:80].decode('latin-1').strip()!r}"
-            raise FileError(str(path), got, "a PLY header line (format, element, property, comment, end_header)") from None
+            expected = "a PLY header line (format, element, property, comment, end_header)"
+            if words[0] == "property":
+                expected = f"property TYPE NAME, or property list TYPE TYPE NAME, with types of {' '.join(_TYPES)}"
+            raise FileError(str(path), got, expected) from None
     raise FileError(str(path), "a PLY header without 'end_header'", "a complete PLY file", "The file is truncated or damaged.")
 
 
