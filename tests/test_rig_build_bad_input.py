@@ -36,6 +36,7 @@ BAD = {
     "ragged vertices": (broken(vertices=[[1, 2, 3], [1, 2]]), "vertices.*array of numbers"),
     "infinite vertices": (broken(vertices=put((4, 1), np.inf)), r"vertices.*1 value that is NaN or infinite.*\[4, 1\]"),
     "vertices too large to square": (broken(vertices=lambda v: v * 1e160), r"vertices: got coordinates of .*at most 1e\+100"),
+    "joints too far away to square": (broken(joints=put((2, 0), 1e200)), r"joints: got coordinates of .*at most 1e\+100"),
     "masked vertices": (broken(vertices=lambda v: np.ma.masked_less(v, 0.1)), "vertices: got a masked array"),
     "all vertices at one point": (broken(vertices=lambda v: v * 0 + 1), "all at one point"),
     "no faces": (broken(faces=np.zeros((0, 3), dtype=int)), "no faces.*triangle"),

@@ -97,8 +97,7 @@ def check_mesh(report, vertices, faces):
     m = len(vertices)
     if m < 3:
         report.fail("vertices", f"{m} vertices", "at least 3")
-    if (most := np.abs(vertices).max()) > _LARGEST:
-        report.fail("vertices", f"coordinates of up to {most:.3g}", f"coordinates of at most {_LARGEST:.0e}")
+    _check_small(report, "vertices", vertices)
     if np.ptp(vertices, axis=0).max() == 0:
         report.fail("vertices", f"{m} vertices that are all at one point", "a mesh with some size")
     if len(faces) == 0:
@@ -111,6 +110,11 @@ def check_mesh(report, vertices, faces):
         got = f"{np.count_nonzero(out)} faces out of range; the first is face {first}, {faces[first].tolist()}"
         report.fail("faces", got, f"rows of the {m} vertices, 0 to {m - 1}")
     return vertices, faces
+
+
+def _check_small(report, field, positions):
+    if (most := np.abs(positions).max()) > _LARGEST:
+        report.fail(field, f"coordinates of up to {most:.3g}", f"coordinates of at most {_LARGEST:.0e}")
 
 
 def check_weights(report, weights, m, faces, joint_names, normalize, notes):
@@ -188,6 +192,7 @@ def check_joints(report, data):
         got = f"parent {parents[j]} of joint {names[j]!r}, out of range ({np.count_nonzero(out)} such)"
         report.fail("parents", got, f"rows of the {J} joints, 0 to {J - 1}, or -1 for a root")
     joints = report.array("joints", data.joints, (J, 3))
+    _check_small(report, "joints", joints)
     return names, parents, joints, check_rotations(report, "frames", data.frames, names)
 
 
