@@ -295,6 +295,28 @@ def test_ply_with_mixed_polygons(tmp_path, order):
 
 
 @pytest.mark.parametrize("order", ["<", ">", None])
+@pytest.mark.parametrize(
+    "strips",
+    [
+        [[0, 1, 2, 3, 0, 1]],
+        [[0, 1, 2, -1, 1, 3, 2, -1, 0, 2, 3, -1, 0, 3, 1, -1]],
+        [[], [0, 1, 2, 3, 0], [0], [3, 3, 0, 1, -1, 2]],  # corners twice in a row, and strips of no triangle
+    ],
+)
+def test_ply_with_triangle_strips(tmp_path, order, strips):
+    form = {"<": "binary_little_endian", ">": "binary_big_endian", None: "ascii"}[order]
+    head = f"ply\nformat {form} 1.0\nelement vertex 4\nproperty double x\nproperty double y\nproperty double z\n"
+    head += f"element tristrips {len(strips)}\nproperty list int int vertex_indices\nend_header\n"
+    if order:
+        body = POINTS.astype(f"{order}f8").tobytes() + b"".join(struct.pack(f"{order}{len(s) + 1}i", len(s), *s) for s in strips)
+    else:
+        body = (rows(POINTS) + "".join(" ".join(map(str, [len(s), *s])) + "\n" for s in strips)).encode()
+    faces = load_mesh(write(tmp_path, "strips.ply", head.encode() + body))[1]
+    from_least = [sorted(tuple(np.roll(f, -np.argmin(f)).tolist()) for f in some) for some in (faces, FACES)]
+    assert from_least[0] == from_least[1]
+
+
+@pytest.mark.parametrize("order", ["<", ">", None])
 @pytest.mark.parametrize("kind", ["material", "edge"])
 def test_ply_with_other_elements_before_its_faces(tmp_path, order, kind):
     form = {"<": "binary_little_endian", ">": "binary_big_endian", None: "ascii"}[order]

@@ -9,7 +9,7 @@ from ..errors import FileError, listed
 
 __all__ = [
     *("CloudData", "cloud_from_columns", "column_role", "columns_by_role", "fans"),
-    *("in_plain_numbers", "set_labels", "whole_numbers"),
+    *("in_plain_numbers", "set_labels", "strips", "whole_numbers"),
 ]
 
 
@@ -152,6 +152,30 @@ def fans(corners_of_faces, corners):
     first = np.repeat(start, triangles)
     step = np.arange(triangles.sum()) - np.repeat(np.cumsum(triangles) - triangles, triangles)
     return np.stack([corners[first], corners[first + step + 1], corners[first + step + 2]], axis=1)
+
+
+def strips(corners_of_strips, corners):
+    """Strips as triangles, every second one turned round so that all face one way; those with a corner twice only join others.
+
+    Parameters
+    ----------
+    corners_of_strips : (P,) int array
+        How many corners each strip has.
+    corners : (sum,) int array
+        Their corners, one strip after the other; −1 ends a strip within a row, and the next begins.
+
+    Returns
+    -------
+    (F, 3) int array
+    """
+    at, ends = np.arange(len(corners)), corners == -1
+    first = np.append(True, ends[:-1])[: len(at)]
+    first[(np.cumsum(corners_of_strips) - corners_of_strips)[corners_of_strips > 0]] = True
+    odd = (at - np.maximum.accumulate(np.where(first, at, 0))) % 2
+    whole = ~(ends[:-2] | ends[1:-1] | ends[2:] | first[1:-1] | first[2:])
+    a, odd = at[:-2][whole], odd[:-2][whole]
+    faces = np.stack([corners[a], corners[a + 1 + odd], corners[a + 2 - odd]], axis=1)
+    return faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]
 
 
 def _numbers(path, what, name, values):

@@ -11,7 +11,7 @@ from array import array
 import numpy as np
 
 from ..errors import FileError
-from .cloud import cloud_from_columns, columns_by_role, fans, in_plain_numbers
+from .cloud import cloud_from_columns, columns_by_role, fans, in_plain_numbers, strips
 
 __all__ = ["read_ply"]
 
@@ -21,6 +21,7 @@ _TYPES = {
     "int64": "i8", "uint64": "u8", "float16": "f2",  # which the format has not, but trimesh and meshio write
 }  # fmt: skip
 _FORMATS = {"ascii": None, "binary_little_endian": "<", "binary_big_endian": ">"}
+_SURFACES = {"face": fans, "tristrips": strips}  # the elements that list corners
 _HEADER_LINES, _LINE = 10_000, 10_000  # a header that goes on for longer is none, and so is one with longer lines
 
 
@@ -46,22 +47,22 @@ def read_ply(path):
             raise FileError(str(path), "a PLY file without an element 'vertex'", "a PLY file with vertices")
         if order is None:
             file = io.TextIOWrapper(file, "latin-1")
-        cloud, faces, missing = None, None, {"vertex", "face"} & set(elements)
+        cloud, faces, missing = None, [], {"vertex", *_SURFACES} & set(elements)
         for name, (count, properties) in elements.items():
-            wanted = _vertex_columns(properties) if name == "vertex" else _face_columns(properties) if name == "face" else []
+            wanted = _vertex_columns(properties) if name == "vertex" else _face_columns(properties) if name in _SURFACES else []
             if order is None:
                 columns = _read_ascii(file, path, name, count, properties, wanted)
             else:
                 columns = _read_binary(file, order, path, name, count, properties, wanted)
             if name == "vertex":
                 cloud = cloud_from_columns(path, "vertex properties", _scalar_names(properties), columns.__getitem__)
-            elif name == "face" and wanted:
-                faces = fans(*columns[wanted[0]])
+            elif wanted:
+                faces.append(_SURFACES[name](*columns[wanted[0]]))
             missing.discard(name)
             if not missing:
                 break  # edges, materials and the like, if they stand last: nothing here looks at them
-    if faces is not None:
-        cloud.faces = faces
+    if faces:
+        cloud.faces = np.concatenate(faces)
     return cloud
 
 
@@ -133,7 +134,7 @@ def _vertex_columns(properties):
 
 
 def _face_columns(properties):
-    """The property that lists a face's corners, if there is one."""
+    """The property that lists the corners of a face or strip, if there is one."""
     return [k for k, (name, _, length) in enumerate(properties) if length and name in ("vertex_indices", "vertex_index")][:1]
 
 
