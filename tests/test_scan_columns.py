@@ -193,6 +193,17 @@ def test_labels_beyond_64_bits_are_left_out_with_a_note(tmp_path):
     np.testing.assert_array_equal(load_scan(tmp_path / "b.npz").labels, [1, 2, 3, 4])
 
 
+@pytest.mark.parametrize("name, head, sep", [("a.csv", "x,y,z,label\n", ","), ("a.xyz", "# x y z label\n", " ")])
+def test_labels_in_text_that_a_float_would_change_are_left_out_with_a_note(tmp_path, name, head, sep):
+    def scan(*labels):
+        body = "".join(sep.join([*map(str, p), str(label)]) + "\n" for p, label in zip(POINTS, labels))
+        return load_scan(write(tmp_path, name, head + body))
+
+    assert scan(1, 2**53 - 1, 3, -(2**53) + 1).labels.tolist() == [1, 2**53 - 1, 3, -(2**53) + 1]
+    for label in (2**53 + 1, -(2**53) - 1):  # which are read as their neighbours
+        assert scan(1, 2, 3, label).labels is None and "53 in text" in scan(1, 2, 3, label).notes[0]
+
+
 def test_points_beside_what_a_rig_has_are_a_scan(tmp_path):
     """Of a rig, vertices alone would be read as one."""
     points = np.random.default_rng(0).random((9, 3))

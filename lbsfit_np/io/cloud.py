@@ -117,15 +117,16 @@ def set_labels(cloud, name, values):
     """Give a cloud its labels, or a note that says why not."""
     cloud.labels = whole_numbers(values)
     if cloud.labels is None:
-        cloud.notes.append(f"The values of {name!r} are not whole numbers of at most 64 bits: labels left out.")
+        what = "whole numbers of at most 64 bits (53 in text and floats)"
+        cloud.notes.append(f"The values of {name!r} are not {what}: labels left out.")
 
 
 def whole_numbers(values):
     """The values as integers, or None where that would change them."""
     values = np.asarray(values)
     if values.dtype.kind == "f":
-        # Not: a comparison with NaN is false. 2**63 is the first number that 64 bits do not hold.
-        if not ((values == np.rint(values)) & (np.abs(values) < 2.0**63)).all():
+        # Not: a comparison with NaN is false. From 2**53 on, a float may be another number than the one that was written.
+        if not ((values == np.rint(values)) & (np.abs(values) < 2.0**53)).all():
             return None
         return values.astype(np.int64)
     if values.dtype.kind == "u" and values.size and values.max() > np.iinfo(np.int64).max:
