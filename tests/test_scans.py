@@ -13,6 +13,7 @@ from scan_files import (
     LABELS,
     NORMALS,
     POINTS,
+    ascii_ply,
     ascii_stl,
     binary_ply,
     binary_stl,
@@ -359,6 +360,13 @@ def test_ply_vertices_with_lists(tmp_path, form, lengths, faces):
         assert on_tetrahedron(load_scan(path, n_samples=50).points) < 1e-6
     with pytest.raises(FileError, match="ends after 3 of 4 (vertex|face) rows|the (vertex|face) row 3"):
         load_scan(write(tmp_path, "cut.ply", path.read_bytes()[:-2]))
+
+
+def test_faces_of_a_ply_that_are_called_otherwise_are_told_of(tmp_path):
+    known = ascii_ply()
+    assert not load_scan(write(tmp_path, "a.ply", known)).notes
+    (note,) = load_scan(write(tmp_path, "b.ply", known.replace(b"vertex_indices", b"corners"))).notes
+    assert note == "The element 'face' has corners, material, not a list called vertex_indices: left out."
 
 
 def test_a_cloud_with_a_triangle_is_no_mesh_to_sample(tmp_path):

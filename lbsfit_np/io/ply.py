@@ -47,7 +47,7 @@ def read_ply(path):
             raise FileError(str(path), "a PLY file without an element 'vertex'", "a PLY file with vertices")
         if order is None:
             file = io.TextIOWrapper(file, "latin-1")
-        cloud, faces, missing = None, [], {"vertex", *_SURFACES} & set(elements)
+        cloud, faces, notes, missing = None, [], [], {"vertex", *_SURFACES} & set(elements)
         for name, (count, properties) in elements.items():
             wanted = _vertex_columns(properties) if name == "vertex" else _face_columns(properties) if name in _SURFACES else []
             if order is None:
@@ -58,11 +58,15 @@ def read_ply(path):
                 cloud = cloud_from_columns(path, "vertex properties", _scalar_names(properties), columns.__getitem__)
             elif wanted:
                 faces.append(_SURFACES[name](*columns[wanted[0]]))
+            elif name in _SURFACES and count:
+                named = ", ".join(p[0] for p in properties) or "nothing"
+                notes.append(f"The element {name!r} has {named}, not a list called vertex_indices: left out.")
             missing.discard(name)
             if not missing:
                 break  # edges, materials and the like, if they stand last: nothing here looks at them
     if faces:
         cloud.faces = np.concatenate(faces)
+    cloud.notes += notes
     return cloud
 
 
