@@ -67,6 +67,7 @@ BAD = {
     "short.obj": (lambda: b"v 1 2 3\nv 4 5", "line that cannot be read"),
     "short.stl": (lambda: binary_stl()[:-7], "announces 4 triangles.*truncated"),
     "tiny.stl": (lambda: b"abc", "a file of 3 bytes"),
+    "tiny34.stl": (lambda: b"solid".ljust(34), "a file of 34 bytes"),
     "asciishort.stl": (lambda: ascii_stl()[:-150], "without 'endsolid'"),
     "asciiword.stl": (lambda: ascii_stl().replace(b"1.5", b"one"), "'one'"),
     "lie.stl": (ascii_ply, "announces"),

@@ -96,7 +96,7 @@ def read_stl(path):
     count = int.from_bytes(data[80:84], "little") if len(data) >= 84 else -1
     text = (start := data[:4096].removeprefix(_BOM.encode("latin-1")).lstrip().lower()).startswith(b"solid") and b"facet" in start
     more = len(data) - 84 - 50 * count
-    if more == 0 or (count > 0 and 0 < more < 50 and not text):  # some programs write a few bytes behind the last triangle
+    if more == 0 <= count or (count > 0 and 0 < more < 50 and not text):  # some programs write a few bytes behind the last one
         corners = np.frombuffer(data, np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("extra", "<u2")]), count, 84)
         corners = corners["corners"].reshape(-1, 3)
     elif text:
