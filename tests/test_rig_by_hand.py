@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from lbsfit_np.errors import InputError
+from lbsfit_np.io.rigs import load_rig
 
 
 @pytest.mark.parametrize(
@@ -52,6 +53,17 @@ def test_other_limits_make_another_rig(tube_rig):
     narrow = replace(tube_rig, lower=0.5 * tube_rig.lower, upper=0.5 * tube_rig.upper)
     assert narrow.digest != tube_rig.digest
     np.testing.assert_array_equal(narrow.lower, 0.5 * tube_rig.lower)
+
+
+@pytest.mark.parametrize(
+    "name, kind",
+    [*((name, np.float32) for name in ("lower", "vertices", "joints", "regressor")), ("upper", int), ("joints", int)],
+)
+def test_a_rig_of_other_numbers_is_the_same_once_saved(name, kind, tube_rig, tmp_path):
+    """As what was fitted with it, and its segmenter, belong to its digest."""
+    rig = replace(tube_rig, **{name: (getattr(tube_rig, name) * 1.7).astype(kind)})
+    rig.save(tmp_path / "rig.npz")
+    assert load_rig(tmp_path / "rig.npz").digest == rig.digest != tube_rig.digest
 
 
 @pytest.mark.parametrize("of", [lambda rig: rig, copy.copy, copy.deepcopy, lambda rig: pickle.loads(pickle.dumps(rig))])
