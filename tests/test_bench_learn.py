@@ -90,6 +90,14 @@ def test_scans_that_could_not_be_fitted_are_counted(shared_rigs):
     assert entry["template_gap"] < 1e-12 and entry["template_gap_in_place"] == pytest.approx(0.25)
 
 
+def test_a_subject_of_whom_nothing_was_learned_counts_in_no_gap(shared_rigs):
+    rig, scans, subjects, _ = collection("hand", shared_rigs, 3, seed=3)
+    results = [None, *(SimpleNamespace(joints=s.joints, vertices=s.vertices) for s in scans[1:])]
+    templates = {k: SimpleNamespace(vertices=s.template + [0.0, 0.3, 0.4]) for k, s in enumerate(scans) if k}
+    entry = _measured(rig, results, templates, scans, subjects, 2.0)
+    assert entry["unfitted"] == 1 and entry["template_gap"] < 1e-12 and entry["template_gap_in_place"] == pytest.approx(0.25)
+
+
 def test_the_table_has_a_row_a_variant():
     entry = {"joint_error": 0.02, "vertex_error": 0.03, "template_gap": 0.01, "seconds": 5.0}
     report = {

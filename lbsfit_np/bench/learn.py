@@ -317,9 +317,12 @@ def _gaps(templates, scans, subjects):
     """Mean ‖U^d − U^gt‖ over vertices and subjects, in rig units, up to translation, and in place.
 
     Scans cannot show where a template stands: a shift of all its vertices and joints is a shift of each scan's translation.
+    Subjects none of whose scans could be used have no template, and do not count.
     """
     away = []
     for s, scan in dict(zip(subjects, scans)).items():
+        if s not in templates:
+            continue
         found, true = templates[s].vertices, scan.template
         shifted = vertex_error(found - found.mean(axis=0), true - true.mean(axis=0))
         away.append((shifted, vertex_error(found, true)))
