@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from cli_runs import ARRAYS, QUICK_LEARNING, one_line
 from docs_tables import needs_documents, summary_keys
+from registered_sets import result_of
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit, learn
@@ -75,6 +76,15 @@ def test_a_model_of_which_most_fits_have_failed_is_not_to_be_trusted(failed, unu
     entries = {k: {"name": f"s{k}", "status": "failed" if k < failed else "ok", "message": "odd"} for k in range(4)}
     learn._say_statuses(entries, [None] * unused + ["learned from"] * (4 - unused), None)
     assert ("most fits have failed: do not trust what was learned" in capsys.readouterr().out) == warns
+
+
+def test_fits_that_are_ok_but_not_surely_right_are_named_without_results_as_well(tube_rig, capsys):
+    sure, unsure = (replace(result_of(tube_rig, tube_rig.vertices, 9), probability=p, evidence={"rival": 0}) for p in (0.9, 0.6))
+    free = replace(sure, probability=0.0, evidence={})
+    fitter = SimpleNamespace(results_=[sure, unsure, free])
+    reading = SimpleNamespace(paths=list("abc"), name=lambda i: "abc"[i], why=None)
+    learn._say_statuses(learn._unwritten(fitter, reading), [None] * 3, None)
+    assert "note: 1 fit is ok, but right with a probability below 0.8 only: b (0.60)\n" in capsys.readouterr().out
 
 
 def test_the_summary_of_learning(learned_two):

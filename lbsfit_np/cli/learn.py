@@ -312,7 +312,8 @@ def _unwritten(fitter, reading):
             entries[path] = entry | {"status": "failed", "message": reading.why(i)}
         else:
             message = result.message if result.status == "ok" else reading.why(i, result.message)
-            entries[path] = entry | {"status": result.status, "message": message, "probability": result.probability}
+            known = {"probability": result.probability, "evidence": result.evidence}  # by which unsure ones are named
+            entries[path] = entry | {"status": result.status, "message": message, **known}
     return entries
 
 
