@@ -96,6 +96,11 @@ def test_a_subject_of_whom_nothing_was_learned_counts_in_no_gap(shared_rigs):
     templates = {k: SimpleNamespace(vertices=s.template + [0.0, 0.3, 0.4]) for k, s in enumerate(scans) if k}
     entry = _measured(rig, results, templates, scans, subjects, 2.0)
     assert entry["unfitted"] == 1 and entry["template_gap"] < 1e-12 and entry["template_gap_in_place"] == pytest.approx(0.25)
+    report = _rows(joint={3: 0.02}, cd={3: 0.03})
+    report["rows"]["joint"]["3"] |= {key: entry[key] for key in ("unfitted", "unlearned")}
+    lines = learn_table(report).splitlines()
+    assert "joint: of 1 of 3 subjects nothing was learned; these count in no template gap." in lines
+    assert not any(line.startswith("cd: of") for line in lines)
 
 
 def test_the_table_has_a_row_a_variant():

@@ -305,6 +305,7 @@ def _measured(rig, results, templates, scans, subjects, unit):
     vertices = [vertex_error(r.vertices, s.vertices) / unit for r, s in fitted]
     return {
         "unfitted": len(scans) - len(fitted),
+        "unlearned": len(set(subjects) - set(templates)),
         "joint_error": float(np.mean(joints)) if fitted else np.nan,
         "joint_error_median": float(np.median(joints)) if fitted else np.nan,
         "vertex_error": float(np.mean(vertices)) if fitted else np.nan,
@@ -377,6 +378,8 @@ def learn_table(report, *, markdown=False):
     for row, of in rows.items():
         if lost := sum(of[seed].get("unfitted", 0) for seed in seeds):
             legend += f"\n{row}: {lost} of {n * len(seeds)} scans could not be fitted, and count in no measure of fits."
+        if lost := sum(of[seed].get("unlearned", 0) for seed in seeds):  # in earlier reports not told
+            legend += f"\n{row}: of {lost} of {people * len(seeds)} subjects nothing was learned; these count in no template gap."
     legend += _of_rounds(rows, seeds)
     legend += of_states((f"{row} {seed}", entry) for row, of in rows.items() for seed, entry in of.items())
     return f"{layout(lines, markdown=markdown)}\n\n{legend}"
