@@ -43,6 +43,9 @@ def test_an_order_says_which_rows_lack_scans():
     report = report_of(joint={}, rand=[{"unfitted": 2}, {"unfitted": 1}], cd={})
     assert " Without scans that could not be fitted: rand 2." in page(report, {})
     assert "Without scans" not in page(report_of(joint={}, rand={}, cd={}), {})
+    known = {"kept_accuracy": 0.9, "unfitted": 2}  # the segmenter labels all scans
+    lines = [line for line in page(report_of(joint=known, rand=known), {}).splitlines() if ". Joint before rand" in line]
+    assert len(lines) == 4 and ["Without scans" in line for line in lines] == [True, True, True, False]
 
 
 def test_where_the_structured_distance_does_not_fall_all_the_way_the_page_says_so():

@@ -19,6 +19,8 @@ _ORDERED = (
     ("corre", "Corre.", ".4f"),
     ("label errors", "Label errors of the segmenter alone", ".4f"),
 )
+# Those that scans have without a fit, too.
+_WITHOUT_FITS = ("label errors",)
 _MEDIANS = {"pose": "pose_median", "corre": "corre median"}
 _ABLATIONS, _PAPERS_ORDER = ("joint", "pose-only", "rand", "cd"), ("joint", "rand", "cd")
 # What is nearer to each other than by this factor is level.
@@ -198,7 +200,8 @@ def _order(report, name, key, what, style):
         verdict += f" by the means, {middle} by the medians" if middle != verdict else ""
     scans = report["rigs"][name]["size"]["test"] * len(next(iter(rows.values())))
     few = f", of {scans} scans, which are few" if scans < _TELLING else ""
-    lacking = [f"{row} {lost}" for row, found in rows.items() if (lost := sum(c.get("unfitted", 0) for c in found))]
+    of_fits = {} if key in _WITHOUT_FITS else rows
+    lacking = [f"{row} {lost}" for row, found in of_fits.items() if (lost := sum(c.get("unfitted", 0) for c in found))]
     without = f" Without scans that could not be fitted: {', '.join(lacking)}." if lacking else ""
     return f"- {what}: {words}. {' before '.join(wanted).capitalize()}: {verdict}{few}.{without}"
 
