@@ -202,6 +202,11 @@ def test_what_is_broken_is_named(own, tmp_path, body):
     with pytest.raises(FileError, match="tr_reg_010.ply: .* registrations of FAUST of one mesh"):
         read_faust(own)
     shutil.rmtree(own / "training" / "registrations")
+    for kind in KINDS:  # pairs of scans that are not used are none
+        (own / "test" / "challenge_pairs" / f"{kind}_challenge.txt").write_text("000_001\n")
+    with pytest.raises(FileError, match="nor pairs of test scans among the first of each subject; .* Leave out --scans"):
+        read_faust(own, most=1)
+    assert read_faust(own).challenges["intra"] == [(0, 1)]
     shutil.rmtree(own / "test")
     with pytest.raises(FileError, match="neither registrations of training scans nor pairs of test scans"):
         read_faust(own)

@@ -105,9 +105,11 @@ def read_faust(folder, *, most=None, learn=True):
         _name_absent(root / "training" / "scans", "tr_scan_", _told_by_truth(root / "training"), found)
         found.truth = _truth(root / "training", found)
     _read_test(root, found, most)
-    if found.truth is None and not found.challenges:
-        got = "neither registrations of training scans nor pairs of test scans"
-        raise FileError(str(root), got, f"{root / 'training' / 'registrations'} or {root / 'test' / 'challenge_pairs'}")
+    if found.truth is None and not any(found.challenges.values()):
+        got, remedy = "neither registrations of training scans nor pairs of test scans", None
+        if most is not None:
+            got, remedy = f"{got} among the first of each subject", "Leave out --scans, or take more."
+        raise FileError(str(root), got, f"{root / 'training' / 'registrations'} or {root / 'test' / 'challenge_pairs'}", remedy)
     return found
 
 
