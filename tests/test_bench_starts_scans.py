@@ -133,3 +133,4 @@ def test_rigs_take_part_in_the_rows_that_are_for_them(hand, body):
     fistless = replace(hand, poses={"flat": hand.poses["flat"], "ok": hand.poses["ok"]})
     with pytest.raises(InputError, match="no fist"):
         starts_scan(fistless, "touching", 0, 0)
+    assert set(conditions_of(hand)) - set(conditions_of(fistless)) == {"touching"}  # before any row is fitted

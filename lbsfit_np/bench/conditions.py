@@ -55,6 +55,8 @@ class Condition:
         Whether scans go on beyond the end of the rig; only rigs that have one are in such a row.
     only : tuple of str
         Joint names that a rig needs for this row; any rig by default.
+    poses : str
+        What the name of one of the rig's natural poses must have in it; any by default.
     """
 
     what: str
@@ -67,6 +69,7 @@ class Condition:
     subjects: bool = False
     arm: bool = False
     only: tuple = ()
+    poses: str = ""
 
     @property
     def labelled(self):
@@ -78,8 +81,9 @@ def conditions_of(rig):
     """The rows that a rig can be in, in their order; raises InputError where it has no library of natural poses."""
     if not rig.poses:
         raise InputError("rig", f"{rig.name}, which has no library of natural poses", "a rig with one", "See: lbsfit rig list")
-    ends = end_of(rig) is not None
-    return [row for row, c in CONDITIONS.items() if set(c.only) <= set(rig.joint_names) and (ends or not c.arm)]
+    ends, names = end_of(rig) is not None, "\n".join(rig.poses)
+    suited = {row: c for row, c in CONDITIONS.items() if set(c.only) <= set(rig.joint_names) and c.poses in names}
+    return [row for row, c in suited.items() if ends or not c.arm]
 
 
 def starts_scan(rig, row, i, seed):
@@ -212,7 +216,7 @@ CONDITIONS = {
         fitter=_UPRIGHT | {"scale": "estimate"},
         unit=True,
     ),
-    "touching": Condition("touching fingers and fists", 0.95, _touching, only=("index1", "thumb1")),
+    "touching": Condition("touching fingers and fists", 0.95, _touching, only=("index1", "thumb1"), poses=_FIST),
     "partial": Condition(
         "one-sided view, any turn; joints whose part is seen",
         0.85,
