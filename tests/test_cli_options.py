@@ -202,6 +202,13 @@ def test_scans_may_stand_among_options(command, words):
     assert (found.rig, found.scans) == ("r", ["a", "b", "c", "d"])
 
 
+@pytest.mark.parametrize("command", ["roundtrip", "starts"])
+@pytest.mark.parametrize("words", ["a --jobs 3 b c", "--jobs 3 a b c", "a b --scans 2 c --jobs 1"])
+def test_rigs_of_a_benchmark_may_stand_among_options(command, words):
+    assert cli._parser().parse_args(["bench", command, *words.split()]).rigs == ["a", "b", "c"]
+    assert cli._parser().parse_args(["bench", command, "--jobs", "3"]).rigs == []
+
+
 @pytest.mark.parametrize("given", [("--up", "-z"), ("--up=-z",)])
 def test_an_axis_may_begin_with_a_hyphen(given):
     arguments = ["fit", "r", "--jobs", "2", *given, "-o", "o", "--", "s", "--up", "-x"]  # what follows -- are names

@@ -36,9 +36,9 @@ class Parser(argparse.ArgumentParser):
         self.set_defaults(parser=self)  # of a command, its own
 
     def parse_args(self, args=None, namespace=None):
-        """As argparse does it, but what a command does not know is said to be the command's, and files may follow options."""
+        """As argparse does it, but what a command does not know is said to be its own, and files and rigs may follow options."""
         found, unknown = self.parse_known_args(args, namespace)
-        several = [action.dest for action in found.parser._get_positional_actions() if action.nargs == "+"]
+        several = [action.dest for action in found.parser._get_positional_actions() if action.nargs in ("+", "*")]
         if several and not any(word.startswith("-") for word in unknown):
             getattr(found, several[-1]).extend(unknown)
             return found
