@@ -318,6 +318,16 @@ def test_a_motion_of_few_frames_is_named_before_any_training(shared_rigs, monkey
     assert most + most // 3 <= frames < most + 1 + (most + 1) // 3
 
 
+@pytest.mark.parametrize("command, most", [(("body",), 2751), (("learn", "body"), 2063)])
+def test_a_motion_of_few_frames_is_said_of_the_option(command, most, shared_rigs, monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained first"))
+    options = ["--data", str(shared_rigs), "-o", str(tmp_path / "out"), "--scans", "5000"]
+    plain = ["--rows", "plain"] if command == ("body",) else []
+    assert run(["bench", *command, *options, *plain]) == 2 and not (tmp_path / "out").exists()
+    words = f"--scans: got 5000, more than the motion has frames for; expected at most {most}."
+    assert capsys.readouterr().err == f"lbsfit: error: {words}\n"
+
+
 @pytest.mark.parametrize("name", ["hand", "body"])
 def test_too_few_scans_are_named_before_any_work(name, shared_rigs, monkeypatch, tmp_path, capsys):
     monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained first"))

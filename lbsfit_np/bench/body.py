@@ -29,7 +29,7 @@ def check_frames(motion, n, more=lambda n: 0):
     frames = len(motion.rotations) - 1
     if n + more(n) > frames:
         most = max(k for k in range(frames + 1) if k + more(k) <= frames)
-        raise InputError("scans", f"{n}, more than the motion has frames for", f"at most {most}")
+        raise InputError("n_scans", f"{n}, more than the motion has frames for", f"at most {most}")
 
 
 def body_scans(rig, data, n=20, *, seed):
