@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import signal
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -342,3 +343,21 @@ def test_neither_the_truth_nor_the_rig_is_overwritten(pair_folder, tmp_path, run
     code, _, err = run(*_command(pair_folder, tmp_path, "--no-learn", option, tmp_path / name))
     assert code == 2 and f"{name} is an input" in one_line(err) and "never overwritten" in err
     assert (tmp_path / name).read_bytes() == source.read_bytes()
+
+
+@pytest.mark.parametrize("name", ["model.npz", "fits/s0.npz"])
+def test_registrations_are_not_overwritten(pair_folder, tmp_path, run, pair_meshes, tube_rig, monkeypatch, name):
+    fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(pair_meshes)})
+    (tmp_path / "fits").mkdir()
+    truth = ["scan,registration"]
+    for i, there in enumerate((name, "others/s1.npz", "others/s2.npz")):
+        (tmp_path / there).parent.mkdir(exist_ok=True)
+        np.savez(tmp_path / there, vertices=pair_meshes[i], faces=tube_rig.faces)
+        truth.append(f"s{i},{there}")
+    (tmp_path / "truth.csv").write_text("\n".join(truth))
+    before = (tmp_path / name).read_bytes()
+    more = ("--no-learn", "--truth", tmp_path / "truth.csv", "--existing", "replace")
+    code, _, err = run(*_command(pair_folder, tmp_path, *more))
+    assert (tmp_path / name).read_bytes() == before
+    assert code == 2 and f"{Path(name).name} is an input" in one_line(err) and "never overwritten" in err
+    assert run(*_command(pair_folder, tmp_path / "out", *more))[0] == 0

@@ -164,11 +164,14 @@ class Registrations:
     faces : (F, 3) int array
     reliable : tuple of ((n,) bool array or None), optional
         Points of each scan where the registration can be relied on; None for all.
+    files : tuple of Path, optional
+        Where the registrations were read.
     """
 
     vertices: tuple
     faces: np.ndarray
     reliable: tuple = ()
+    files: tuple = ()
 
     what = "registrations"
 

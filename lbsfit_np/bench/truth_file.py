@@ -289,7 +289,7 @@ def _registrations(path, scans, entries):
         if not row["registration"]:
             raise FileError(str(path), f"no registration in line {line}", "a mesh for each scan")
         files.append(_registration(path, row))
-    return Registrations(*read_registrations(files))
+    return Registrations(*read_registrations(files), files=tuple(files))
 
 
 _MAKERS = {"order": _order, "vertex": _landmarks(_vertex), "xyz": _landmarks(_xyz), "registration": _registrations}

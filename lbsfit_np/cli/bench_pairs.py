@@ -67,7 +67,8 @@ def _run(folder, values):
     column = values["subject_column"]
     scans, truth, notes = read_truth(values["truth"], folder, subject_column=column, output=values["output"])
     fitter, digest = pair_runs.fitter_of(values), files_digest([Path(values["truth"])])
-    out = pair_runs.made_output(values, [s.name for s in scans], inputs=[*(s.path for s in scans), values["truth"]])
+    read = [*(s.path for s in scans), values["truth"], *getattr(truth, "files", ())]
+    out = pair_runs.made_output(values, [s.name for s in scans], inputs=read)
     for note in notes:
         say(f"note: {note}")
 
