@@ -60,6 +60,22 @@ def test_rounds_with_the_time_left(terminal, capsys):
         assert out.count("round 2 of at most 4: poses of scans\n") == 1 and "\ncomputing the results\n" in out
 
 
+def test_a_round_that_went_on_with_an_earlier_runs_steps_does_not_tell_the_time_left(capsys):
+    clock = _Clock()
+    progress = LearningProgress(4, terminal=False, clock=clock)
+    progress("first fits", 1.0)
+    progress("round", 1.0, _figures(0))
+    for k, first, passed, seconds in ((1, 1.0, 2, 60.0), (2, 1.0, 20, 20.0), (3, 0.0, 180, 180.0)):
+        progress("templates", first)
+        progress("poses of scans", 0.0)
+        clock.now += passed
+        progress("round", 1.0, _figures(k, seconds=seconds))
+    lines = [line for line in capsys.readouterr().out.splitlines() if "recon" in line]
+    assert lines[1].endswith("took 60 s; at most about 3 min left for the rounds")  # all of it was there, with its seconds
+    assert lines[2].endswith("took 20 s; at most about 2 min left for the rounds")  # two rounds like the first
+    assert lines[3].endswith("took 3 min; at most about 2 min left for the rounds")
+
+
 @pytest.mark.parametrize("n, words", [(1, "1 scan"), (3, "3 scans")])
 def test_scans_that_go_on_beyond_the_rig_are_told_of(n, words, capsys):
     LearningProgress(4, terminal=False)("round", 1.0, _figures(0, beyond=n))

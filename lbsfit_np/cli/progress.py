@@ -159,7 +159,7 @@ class LearningProgress:
         self.terminal = sys.stderr.isatty() if terminal is None else terminal
         self._clock = clock
         self._stage, self._bar, self._said = None, None, set()
-        self._began, self._took = None, []
+        self._began, self._took, self._went_on = None, [], False
         self._share, self._stage_began, self._first, self._told = 0.0, None, 0.0, None
 
     def __call__(self, stage, share, figures=None):
@@ -201,6 +201,7 @@ class LearningProgress:
     def _begin(self, stage, share):
         self.close()
         self._stage, self._share, self._first = stage, share, share  # what an earlier run has done takes no time
+        self._went_on |= share >= 1
         self._stage_began = self._told = self._clock()
         words = _STAGES.get(stage, stage)
         if stage in ("results", "smoothing"):
@@ -215,9 +216,11 @@ class LearningProgress:
     def _end_of_round(self, figures):
         self.close()
         now, k = self._clock(), figures["round"]
-        if k:
+        # Of a round that went on with an earlier run's steps, the seconds are of the rest; of one that was all done, of all.
+        rest = self._went_on and self._began is not None and figures["seconds"] < now - self._began + 1
+        if k and not rest:
             self._took.append(figures["seconds"])
-        self._began, self.round = now, k + 1
+        self._began, self.round, self._went_on = now, k + 1, False
         recon = f"recon {figures['recon']:.4f} on the scans learned from"
         if figures["recon_held_out"] is not None:
             recon += f", {figures['recon_held_out']:.4f} on those held out"
