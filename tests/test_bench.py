@@ -357,6 +357,19 @@ def test_states_of_the_code_in_words():
     assert libraries({"scipy": "2", "numpy": "1", "scikit-learn": "3"}) == "numpy 1, scipy 2, scikit-learn 3"
 
 
+def test_rows_of_changed_or_installed_code_are_told_by_the_code_itself(ran):
+    made = [(row, {"commit": "a+changes", "code": code}) for row, code in zip("abc", ("1" * 64, "2" * 64, "1" * 64), strict=True)]
+    assert commits(made) == {"a+changes (code 11111111)": ["a", "c"], "a+changes (code 22222222)": ["b"]}
+    installed = [(row, env | {"commit": None}) for row, env in made] + [("d", {})]
+    assert list(commits(installed)) == ["unknown (code 11111111)", "unknown (code 22222222)", "unknown (code not known)"]
+    assert commits([(row, env | {"commit": "a"}) for row, env in made]) == {"a": ["a", "b", "c"]}  # with other libraries
+    report = json.loads(json.dumps(ran[2]))
+    for row, content in report["rows"].items():  # as of an installed package
+        content["seeds"]["7"]["environment"] |= {"commit": None, "code": f"{row:x<8}"}
+    text = table(report)
+    assert "Rows are of several states of the code, by commit: unknown (code " in text and "(code plainxxx): plain 7" in text
+
+
 def test_scans_that_fail_are_named(run, shared_rigs, tmp_path, monkeypatch):
     fit = PlainChamfer.fit_scan
     count = iter(range(10))

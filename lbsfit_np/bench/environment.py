@@ -12,8 +12,9 @@ _LIBRARIES = ("numpy", "scipy", "scikit-learn")
 
 
 def environment():
-    """A dict of versions, the platform, the number of CPUs that may be used, and the commit (None outside a checkout)."""
+    """A dict of versions, the platform, the CPUs that may be used, the commit (None outside a checkout), the code's digest."""
     from .. import __version__
+    from ..learning.checkpoint import state_of_the_code
 
     return {
         "lbsfit_np": __version__,
@@ -23,6 +24,7 @@ def environment():
         "processor": _processor(),
         "cpus": processors(),
         "commit": _commit(),
+        "code": state_of_the_code(),
     }
 
 
@@ -44,6 +46,8 @@ def libraries(env):
 def commits(made):
     """Each state of the code, by the first letters of its commit → what was made in it; "": not known.
 
+    Where no commit is known, or the checkout differs from it, states are told by their digests as well if these differ.
+
     Parameters
     ----------
     made : iterable of (str, dict)
@@ -53,10 +57,16 @@ def commits(made):
     -------
     dict of str to list of str
     """
-    states = {}
+    of = {}
     for called, env in made:
         commit, *changes = (env.get("commit") or "").partition("+")
-        states.setdefault("".join((commit[:12], *changes)), []).append(called)
+        of.setdefault("".join((commit[:12], *changes)), []).append((called, (env.get("code") or "")[:8] or "not known"))
+    states = {}
+    for commit, rows in of.items():
+        by_code = (not commit or "+" in commit) and len({code for _, code in rows}) > 1
+        for called, code in rows:
+            state = f"{commit or 'unknown'} (code {code})" if by_code else commit
+            states.setdefault(state, []).append(called)
     return states
 
 

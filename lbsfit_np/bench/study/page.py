@@ -289,14 +289,8 @@ def _commits(report):
         for seed, rows in entry["seeds"].items()
         for row, c in rows.items()
     }
-    of = dict(sorted(commits((called, c["environment"]) for called, c in cells.items()).items()))
-    for commit, called in list(of.items()):
-        states = {}
-        for one in called:
-            states.setdefault(cells[one].get("code", "")[:8], []).append(one)
-        if len(states) > 1 and (not commit or commit.endswith("changes")):  # a commit tells less than the code itself
-            del of[commit]
-            of |= {f"{commit or 'unknown'} (code {code})": rows for code, rows in states.items()}
+    made = ((called, c["environment"] | {"code": c.get("code")}) for called, c in cells.items())
+    of = dict(sorted(commits(made).items()))
     return f"{several(of)} " if len(of) > 1 else "".join(f"Commit {commit}; " for commit in of if commit)
 
 
