@@ -144,6 +144,17 @@ def test_hidden_joints_do_not_count(known, monkeypatch):
     assert module._OneScan(rig, "turned", 3, "own", fitter)(0)["joint_error"] > 0.1
 
 
+def test_a_view_in_which_no_joint_counts_is_a_failure_that_stops_no_other(known, monkeypatch):
+    """As of a rig with so many parts that none has many points."""
+    scan = starts_scan(lbs.load_rig("body-coarse"), "partial", 0, 3)
+    empty = replace(scan, labels=np.full_like(scan.labels, -1))
+    monkeypatch.setattr(module, "starts_scan", lambda rig, row, i, seed: scan if i else empty)
+    known.truth = scan
+    figures = starts_bench(["body-coarse"], rows=["partial"], **QUICK)["rigs"]["body-coarse"]["rows"]["partial"]["fits"]["own"]
+    assert figures["failed"] == 1 and figures["scans"][0]["failed"] == "no joint counts: no part that moves has 20 points"
+    assert "joint_error" in figures["scans"][1]
+
+
 def test_true_labels_are_given_where_there_are_some(known):
     report = starts_bench(["hand-coarse"], rows=["0.3", "dirty"], fits=("oracle", "own", "plain"), **QUICK)
     rows = report["rigs"]["hand-coarse"]["rows"]

@@ -177,12 +177,14 @@ class _OneScan:
 
     def __call__(self, i):
         scan = starts_scan(self.rig, self.row, i, self.seed)
+        counted = counted_joints(self.rig, CONDITIONS[self.row], scan)
+        if not counted.any():
+            return {"scan": i, "failed": f"no joint counts: no part that moves has {SEEN} points", "seconds": 0.0}
         started = time.perf_counter()
         try:
             result = self._fitted(scan)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             return {"scan": i, "failed": in_words(error), "seconds": time.perf_counter() - started}
-        counted = counted_joints(self.rig, CONDITIONS[self.row], scan)
         return {
             "scan": i,
             "joint_error": joint_error(result.joints, scan.joints, counted) / (self.rig.size * scan.scale),
