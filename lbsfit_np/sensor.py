@@ -7,7 +7,7 @@ import numpy as np
 from .raster import Buffer, splat_triangles
 from .triangles import area_vectors, binary_extent, inside_out
 
-__all__ = ["View", "clutter", "floor", "sample_seen_surface", "sample_surface"]
+__all__ = ["View", "clutter", "floor", "sample_seen_surface", "sample_surface", "within_crop"]
 
 # The camera is up to this far above or below the horizon.
 _ELEVATION = np.radians(30.0)
@@ -136,6 +136,13 @@ class View:
         V = self._vertices - self._vertices.mean(axis=0)
         n = area_vectors(V, self._faces)
         return -n if inside_out(V, self._faces) else n
+
+
+def within_crop(points, most, rng):
+    """(n,) bool: the points on this side of a plane across a random direction; a random share, at most ``most``, is beyond it."""
+    direction = rng.standard_normal(3)
+    along = points @ (direction / np.linalg.norm(direction))
+    return along <= np.quantile(along, 1.0 - most * rng.random())
 
 
 def clutter(points, share, rng):

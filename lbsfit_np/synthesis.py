@@ -11,7 +11,7 @@ from .rig.frames import up_axis
 from .rig.locked import locked
 from .rotations import matrix_from_rotvec, nearest_rotvec, rotvec_from_matrix
 from .seeds import generator
-from .sensor import clutter, floor, sample_seen_surface, sample_surface
+from .sensor import clutter, floor, sample_seen_surface, sample_surface, within_crop
 from .skinning import skin
 
 __all__ = [
@@ -61,6 +61,9 @@ class Synthesis:
         does not say). It is 1.5 times as wide as the scan's bounding box, and its points have the scan's noise.
     one_sided : bool
         Keep only what a distant depth camera sees from a random side of the body, up to 30 degrees from above or below.
+    cropped : float
+        Scans end at a plane across a random direction, as where a picture or a box ends. This is the largest share of the points
+        that lie beyond it and are left out; the share is uniform.
     """
 
     n_points: int = 2500
@@ -76,6 +79,7 @@ class Synthesis:
     clutter: float = 0.0
     floor: float = 0.0
     one_sided: bool = False
+    cropped: float = 0.0
 
 
 # What settings may be: kind, least, most. Where nothing else says most, it is far beyond all that makes sense, and well within
@@ -93,6 +97,7 @@ _RANGES = {
     "density": (Real, 0, 10),
     "hole_radius": (Real, 0, 10),
     "scale": (Real, 0, 0.9),
+    "cropped": (Real, 0, 0.9),
     "one_sided": (bool, False, True),
 }
 
@@ -355,13 +360,16 @@ def synthesize_one(rig, pose, template, settings, rng):
     changed = _with_rest(rig, U, J)
     posed = skin(changed, pose, scale=scale)
     vertices, joints = posed.vertices, posed.joints
-    up, n, surface = up_axis(rig), _n_before_holes(settings), rig.without_loose(vertices)
+    up, n, surface = up_axis(rig), _n_drawn(settings), rig.without_loose(vertices)
     if settings.one_sided:
         points, triangle, bary = sample_seen_surface(surface, rig.faces, n, rng, up=up, density=settings.density)
         if not len(points):
             raise InputError("one_sided", "True for a rig without a visible surface", "triangles that have an area")
     else:
         points, triangle, bary = sample_surface(surface, rig.faces, n, rng, density=settings.density)
+    if settings.cropped:
+        within = within_crop(points, settings.cropped, rng)
+        points, triangle, bary = points[within], triangle[within], bary[within]
     labels = rig.vertex_labels[rig.faces[triangle, bary.argmax(axis=1)]]
     keep = _outside_holes(points, half * scale, settings, rng)
     keep = keep[: settings.n_points]
@@ -420,8 +428,10 @@ def _turned(rig, theta_root, most, rng):
     return rotvec_from_matrix(frame.T @ turn @ frame @ matrix_from_rotvec(theta_root))
 
 
-def _n_before_holes(settings):
-    return settings.n_points if not settings.holes else int(1.4 * settings.n_points) + 16
+def _n_drawn(settings):
+    """Points to draw, so that enough are left beside holes and within the crop."""
+    n = settings.n_points if not settings.holes else int(1.4 * settings.n_points) + 16
+    return n if not settings.cropped else int(np.ceil(n / (1.0 - settings.cropped)))
 
 
 def _outside_holes(points, half, settings, rng):

@@ -30,7 +30,7 @@ def asked_for():
     """
     out = {}
     for fitter in (LBSFitter(load_rig(name), partial=partial) for name in RIGS for partial in (False, True)):
-        made_of = fitter.rig, training_settings(fitter.training, one_sided=fitter.partial), fitter.training_scans
+        made_of = fitter.rig, training_settings(fitter.training, partial=fitter.partial), fitter.training_scans
         out[shipped_name_of(*made_of, random_state=SEED)] = made_of
     return out
 

@@ -225,6 +225,22 @@ CONDITIONS = {
         fitter=_UPRIGHT | {"partial": True},
         scan=replace(_SCAN, one_sided=True),
     ),
+    "cropped": Condition(
+        "up to half cut off, any turn; joints whose part is seen",
+        0.90,
+        _upright,
+        close=0.03,
+        fitter=_UPRIGHT | {"cropped": True},
+        scan=replace(_SCAN, cropped=0.5),
+    ),
+    "edge": Condition(
+        "one-sided view of which up to half is cut off, any turn; joints whose part is seen",
+        0.85,
+        _upright,
+        close=0.03,
+        fitter=_UPRIGHT | {"partial": True, "cropped": True},
+        scan=replace(_SCAN, one_sided=True, cropped=0.5),
+    ),
     "dirty": Condition(
         "10 % clutter, 1 % noise, holes; any turn",
         0.95,

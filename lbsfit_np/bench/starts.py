@@ -212,8 +212,8 @@ class _OneScan:
 
 
 def counted_joints(rig, condition, scan):
-    """(J,) bool: the joints that count: those that move, and of a one-sided view those whose part it shows."""
-    if not condition.scan.one_sided:
+    """(J,) bool: the joints that count: those that move, and of a scan that does not show all those whose part it shows."""
+    if not (condition.scan.one_sided or condition.scan.cropped):
         return rig.moving
     points = np.bincount(scan.labels[scan.labels >= 0], minlength=len(rig.parts))
     return rig.moving & (points[rig.part_of_joint] >= SEEN)

@@ -13,7 +13,9 @@ from .parsing import Option, add_options, formatter, natural, positive, settings
 __all__ = ["add_parser"]
 
 ROW_NAMES = ("own", "plain", "oracle", "paper")
-CONDITION_NAMES = ("0.3", "0.6", "1.0", "turned", "rotated", "unit", "touching", "partial", "dirty", "subjects", "arm")
+CONDITION_NAMES = (
+    *("0.3", "0.6", "1.0", "turned", "rotated", "unit", "touching", "partial", "cropped", "edge", "dirty", "subjects", "arm"),
+)
 FIT_NAMES = ("own", "plain", "oracle")
 VARIANT_NAMES = ("joint", "pose-only", "rand", "cd", "free-form")
 STUDY_NAMES = (
@@ -61,10 +63,11 @@ the scans has a mean joint error of at most 1.5 % (in some rows 3 %) of the rig'
 that, and whether joint_std tells which joints are wrong.
 
 Rows: 0.3, 0.6 and 1.0 rad per joint, facing known; natural poses under any turn about the up axis (turned) and any rotation
-(rotated), in an unknown unit and scale (unit), seen from one side (partial), with clutter, noise and holes (dirty); touching
-fingers and fists (touching; hands only); other people (subjects); an arm beyond the wrist (arm; hands only). Fits: as users get
-them (own); plain Chamfer from the rest pose (plain); with the true labels given (oracle). OUT gets results.json, rewritten
-after each row. Run the same command again to do only what is missing.
+(rotated), in an unknown unit and scale (unit), seen from one side (partial), cut off (cropped), seen from one side up to where
+the picture ends (edge), with clutter, noise and holes (dirty); touching fingers and fists (touching; hands only); other people
+(subjects); an arm beyond the wrist (arm; hands only). Fits: as users get them (own); plain Chamfer from the rest pose (plain);
+with the true labels given (oracle). OUT gets results.json, rewritten after each row. Run the same command again to do only what
+is missing.
 """
 
 _STUDY = """\

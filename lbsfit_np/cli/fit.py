@@ -62,6 +62,7 @@ OPTIONS = (
         choices=tuple(AXES),
     ),
     Option("partial", "scans show one side only, as single depth views do", bool, False),
+    Option("cropped", "scans end before the body does, as where a picture or a box ends", bool, False),
     Option("effort", "how many starts to follow, and how far", default="balanced", choices=("fast", "balanced", "thorough")),
     Option("weights", "weights of the objective", default="default", choices=("default", "paper")),
     Option("joints", "whether joints follow the changed template", default="follow", choices=("follow", "fixed")),
@@ -90,7 +91,10 @@ OPTIONS = (
         metavar="NAME=VALUE",
         table=True,
         check=lambda given: check_training(given),
-        refusals={"one_sided": "For scans that show one side only, set partial = true."},
+        refusals={
+            "one_sided": "For scans that show one side only, set partial = true.",
+            "cropped": "For scans that end before the body does, set cropped = true.",
+        },
     ),
     Option("seed", "seed of everything random, training included", natural, 0, metavar="N", parameter="random_state"),
     Option("jobs", "worker processes; the results do not depend on how many", positive, 1, metavar="N", parameter="n_jobs"),
@@ -112,8 +116,8 @@ Ctrl-C, run the same command with --existing skip to do the rest.
 
 A model keeps its rig, its segmenter and how these were made, so options about the rig (--card, --shape, --skin,
 --normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale, --unit,
---orientation, --up, --partial, --effort, --weights, --max-points and --seed are the model's unless you give them. If the
-model was told the unit of the scans it learned from, and the new scans are in another, give --unit.
+--orientation, --up, --partial, --cropped, --effort, --weights, --max-points and --seed are the model's unless you give them. If
+the model was told the unit of the scans it learned from, and the new scans are in another, give --unit.
 """
 
 _EPILOG = """\
@@ -328,6 +332,7 @@ def _fitter(rig_path, values, given):
         orientation=values["orientation"],
         up=values["up"],
         partial=values["partial"],
+        cropped=values["cropped"],
         effort=values["effort"],
         max_points=values["max_points"],
         training_scans=values["training_scans"],

@@ -29,8 +29,8 @@ __all__ = ["OPTIONS", "add_parser", "learn_files"]
 
 # Options that mean the same here as in lbsfit fit.
 _SHARED = (
-    *("scale", "unit", "orientation", "up", "partial", "effort", "weights", "joints", "samples", "drop-invalid", "max-points"),
-    *("training-scans", "training", "seed", "jobs"),
+    *("scale", "unit", "orientation", "up", "partial", "cropped", "effort", "weights", "joints", "samples", "drop-invalid"),
+    *("max-points", "training-scans", "training", "seed", "jobs"),
 )
 
 _TRAINING_SCANS = "synthetic scans to train the segmenter on, at first and in each round; the library of starts gets half as "
@@ -217,7 +217,8 @@ def _fitter(rig, values):
     from ..learning.fitter import LBSFitter
 
     check_training(values["training"])
-    names = ("weights", "joints", "scale", "orientation", "up", "partial", "effort", "max_points", "training_scans", "training")
+    names = ("weights", "joints", "scale", "orientation", "up", "partial", "cropped", "effort", "max_points")
+    names += ("training_scans", "training")
     return LBSFitter(
         rig,
         **{name: values[name] for name in (*names, "variant", "rounds", "held_out", "sequence", "smooth")},

@@ -7,6 +7,7 @@ import numpy as np
 from ..losses.chamfer import chamfer
 from ..losses.objective import objective
 from ..optimize.frame import turned_root
+from ..optimize.visibility import WHOLE
 from ..starts.scale import unit_scale
 from .confidence import AT_LIMITS, MISFIT, evidence_of, lacks_most, probability_of, verdict_of
 from .labels import labels_from_mesh
@@ -43,7 +44,7 @@ def assemble(
     joint_std=None,
     value=None,
     rivals=(),
-    partial=False,
+    coverage=WHOLE,
     proportions=0.0,
     judged=True,
     unit=None,
@@ -88,7 +89,7 @@ def assemble(
     value : float, optional
     rivals : sequence of float
         What the pose, and others that are not it, left unexplained, as in ``confidence.evidence_of``.
-    partial : bool
+    coverage : Coverage
     proportions : float
         As for ``confidence.evidence_of``.
     unit : str, optional
@@ -160,7 +161,7 @@ def assemble(
             rivals=rivals,
             value=value,
             theta=state.theta,
-            partial=partial,
+            coverage=coverage,
             x_weights=problem.x_weights,
             proportions=proportions,
         )
@@ -174,8 +175,9 @@ def assemble(
             per = None if unit is None else unit_scale(rig, unit)  # of a known unit, as then the size is told
             large = per is not None and scale / per * template.size / rig.size > _LARGE
             reason += f"; {_asked(given, evidence, large)}"
-        if not partial and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
+        if coverage.whole and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
             words = "if the scan shows one side only, pass partial (--partial)"
+            words += ", or if it ends before the body does, cropped (--cropped)"
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
     guessed = "" if status == "failed" else _guessed(guesses)  # it is of a pose that is about right
     if not finite:

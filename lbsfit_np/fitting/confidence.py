@@ -9,8 +9,7 @@ import numpy as np
 
 from ..neighbors import PointIndex
 from ..optimize.problem import Problem
-from ..optimize.surface import vertex_normals
-from ..optimize.visibility import shown
+from ..optimize.visibility import WHOLE, seen_vertices
 
 __all__ = [
     "AT_LIMITS",
@@ -68,7 +67,7 @@ _FLOOR = 1e-3
 
 
 def evidence_of(
-    model, vertices, X, *, proba=None, rivals=(), value=None, theta=None, partial=False, x_weights=None, proportions=0.0
+    model, vertices, X, *, proba=None, rivals=(), value=None, theta=None, coverage=WHOLE, x_weights=None, proportions=0.0
 ):
     """Measure a fit.
 
@@ -86,8 +85,8 @@ def evidence_of(
     value : float, optional
         The same of this pose.
     theta : (J, 3) array, optional
-    partial : bool
-        Whether the scan shows one side only.
+    coverage : Coverage, optional
+        What the scan shows.
     x_weights : (n,) array, optional
         How much each point counts.
     proportions : float, default 0
@@ -120,10 +119,7 @@ def evidence_of(
     w = without(w, third > _LONELY * np.median(third))
     spacing = 2.0 * float(np.median(third))  # how far apart points are where they are sparse
     back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing, _SPARSEST), 0.0) ** 2
-    seen = np.ones(len(vertices), dtype=bool)
-    if partial:
-        normals = vertex_normals(vertices, rig.faces)
-        seen = shown(vertices, normals, X, normals[on], to_X)
+    seen = seen_vertices(coverage, vertices, rig.faces, Problem(X), on, to_X)
     typical = float(np.sqrt(_median(away, w)))
     away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
     rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
@@ -155,8 +151,8 @@ def merged(X, w, proba):
     return places, np.bincount(of.ravel(), w), None if proba is None else proba[first]
 
 
-def shown_problem(model, problem, state, partial):
-    """The problem without what has no partner: points far from the mesh, surface far from the points or on a hidden side.
+def shown_problem(model, problem, state, coverage):
+    """The problem without what has no partner: points far from the mesh, surface far from the points or not shown.
 
     Parameters
     ----------
@@ -164,7 +160,7 @@ def shown_problem(model, problem, state, partial):
     problem : Problem
     state : State
         A pose that is about right.
-    partial : bool
+    coverage : Coverage
 
     Returns
     -------
@@ -175,10 +171,7 @@ def shown_problem(model, problem, state, partial):
     on, to_X = PointIndex(V).nearest(problem.X), problem.x_index.nearest(V)
     away, back = np.linalg.norm(problem.X - V[on], axis=1), np.linalg.norm(V - problem.X[to_X], axis=1)
     x_kept = away < max(_PARTNER, 4 * np.median(away))
-    v_kept = back < max(_PARTNER, 4 * np.median(back))
-    if partial:
-        normals = vertex_normals(V, model.rig.faces)
-        v_kept &= shown(V, normals, problem.X, normals[on], to_X)
+    v_kept = (back < max(_PARTNER, 4 * np.median(back))) & seen_vertices(coverage, V, model.rig.faces, problem, on, to_X)
     if (x_kept.all() and v_kept.all()) or model.areas[v_kept].sum() < LEAST_SEEN:
         return problem
     a = problem.shares * x_kept

@@ -8,7 +8,7 @@ __all__ = ["Proportioned", "step_options"]
 
 def step_options(settings):
     """How steps with proportions weigh, options of ``GaussNewton``."""
-    return {"ridge": settings.polish_ridge, "tangential": 0.02, "partial": settings.partial}
+    return {"ridge": settings.polish_ridge, "tangential": 0.02, "coverage": settings.coverage}
 
 
 class Proportioned:

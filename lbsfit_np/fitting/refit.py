@@ -16,8 +16,7 @@ from ..optimize.lbfgs import minimise
 from ..optimize.precision import joint_std, told_angles
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, State, free_angles
-from ..optimize.surface import vertex_normals
-from ..optimize.visibility import shown
+from ..optimize.visibility import WHOLE, seen_vertices
 from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
@@ -88,7 +87,7 @@ class Refit:
     model : Model
         Of the template.
     free : collection of {"pose", "translation", "scale"}, default pose and translation
-    partial : bool, default False
+    coverage : Coverage, optional
         Whether scans show one side only.
     bends : bool, default False
         Whether other bends of joints are tried in the end.
@@ -96,10 +95,10 @@ class Refit:
         As for ``Bends``.
     """
 
-    def __init__(self, model, free=IN_UNIT, *, partial=False, bends=False, other_limbs=True):
-        self.model, self.free, self.partial = model, free, partial
-        near = {"reach": _NEAR, "tangential": 0.02, "partial": partial}
-        fine, looks_far = model.is_fine, {"reach": _FAR, "vertices": _FAR_VERTICES, "partial": partial}
+    def __init__(self, model, free=IN_UNIT, *, coverage=WHOLE, bends=False, other_limbs=True):
+        self.model, self.free, self.coverage = model, free, coverage
+        near = {"reach": _NEAR, "tangential": 0.02, "coverage": coverage}
+        fine, looks_far = model.is_fine, {"reach": _FAR, "vertices": _FAR_VERTICES, "coverage": coverage}
         self._far = GaussNewton(model.coarse if fine else model, **looks_far, planes=fine)
         self._near = GaussNewton(model, vertices=_NEAR_VERTICES, tolerance=_NEAR_ENOUGH, **near)
         self._last = GaussNewton(model, **near)
@@ -248,7 +247,7 @@ class Refit:
 
     def placed(self, problem, theta, scale=1.0):
         """The State of a pose Θ of some scale put where the scan is."""
-        return placed(self.model, problem, theta, scale, partial=self.partial)
+        return placed(self.model, problem, theta, scale, coverage=self.coverage)
 
     def in_place(self, problem, theta):
         """The State of a pose Θ that is known, put where the scan is and then moved there as it is.
@@ -306,24 +305,23 @@ class Refit:
 
     def chamfer(self, problem, state):
         """L_c(X, V), squared half sizes, see :func:`plain_chamfer`."""
-        return plain_chamfer(self.model, problem, state, partial=self.partial)
+        return plain_chamfer(self.model, problem, state, coverage=self.coverage)
 
     def _mine(self, state):
         """A state of another model as one of this: its template is this model's."""
         return state.replace(coefficients=np.zeros(self.model.n_coefficients), residual=None)
 
 
-def plain_chamfer(model, problem, state, *, partial):
-    """L_c(X, V), squared half sizes; of a scan that shows one side only, with the mean over the vertices that this shows.
+def plain_chamfer(model, problem, state, *, coverage):
+    """L_c(X, V), squared half sizes; of a scan that does not show all, with the mean over the vertices that it can show.
 
     How far those on the hidden side are from its points, which is most of L_c, says nothing of the pose.
     """
-    if not partial:
+    if coverage.whole:
         return problem.evaluate(model.coarse, state, PLAIN).value
     V = model.deformed(state).vertices
-    normals, to_X = vertex_normals(V, model.rig.faces), problem.x_index.nearest(V)
     on = PointIndex(V).nearest(problem.X)
-    seen = shown(V, normals, problem.X, normals[on], to_X)
+    seen = seen_vertices(coverage, V, model.rig.faces, problem, on, problem.x_index.nearest(V))
     if model.areas[seen].sum() < LEAST_SEEN:  # no view of this pose: then the points alone say how far off it is
         seen[on] = True
     return Problem(problem.X, problem.x_weights, seen.astype(float)).evaluate(model, state, PLAIN).value

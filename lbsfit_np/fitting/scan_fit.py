@@ -11,6 +11,7 @@ from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
 from ..optimize.state import IN_UNIT, SIZED
+from ..optimize.visibility import Coverage
 from ..rig.frames import up_axis
 from ..seeds import generator, integer_seed
 from ..starts.beyond import end_of
@@ -54,8 +55,8 @@ class FitSettings:
         The scans', where it is known; the rig's is then known, too.
     effort : {"fast", "balanced", "thorough"}
         How many starts go how far.
-    partial : bool
-        Whether scans show one side only.
+    partial, cropped : bool
+        Whether scans show one side only, and whether only a part of the body.
     max_points : int
         Points that take part in the optimisation; a larger scan is thinned by the seed. The last steps of a pose and of
         proportions look at up to four times as many.
@@ -82,6 +83,7 @@ class FitSettings:
     unit: str | None = None
     effort: str = "balanced"
     partial: bool = False
+    cropped: bool = False
     max_points: int = 2500
     pose_iterations: int = 40
     plain_iterations: int = 100
@@ -92,6 +94,11 @@ class FitSettings:
     polish_ridge: float = 3e-5
     ridge: float = 1e-3
     doubt: float = 0.8
+
+    @property
+    def coverage(self):
+        """What scans show."""
+        return Coverage(self.partial, self.cropped)
 
 
 class ScanFit:
@@ -197,7 +204,7 @@ class ScanFit:
         every, dense = all_points(points, part, point_weights, frame, problem)
         if settings.polish:
             state, known = self._last_steps(problem, dense, state, None if labels is None else labels[every])
-        with_partner = shown_problem(model, problem, state, settings.partial)
+        with_partner = shown_problem(model, problem, state, settings.coverage)
         search = Search(model, with_partner, proba, labels is not None, settings).full(state)
         last = search.outcome
         if settings.polish:
@@ -226,7 +233,7 @@ class ScanFit:
             further=() if given else further_words(model.source, settings, self.facing),
             given=given,
             started=started,
-            partial=settings.partial,
+            coverage=settings.coverage,
             unit=settings.unit,
             **rivals,
         )
@@ -244,7 +251,7 @@ class ScanFit:
     @cached_property
     def _refit(self):
         free = IN_UNIT if self.settings.scale == "fixed" else SIZED
-        return Refit(self.model, free, partial=self.settings.partial)
+        return Refit(self.model, free, coverage=self.settings.coverage)
 
     @cached_property
     def _with_proportions(self):

@@ -100,7 +100,7 @@ class Scout:
         self.unit = (unit_scale(model.source, settings.unit) or 1.0) if settings.scale == "fixed" else unit
         self._sizes = {"unit": size * self.unit} if self.unit else sizes_in(model.source, settings.unit)  # as it sees them
         self._free = IN_UNIT if self.unit else SIZED
-        self._refit = Refit(model, self._free, partial=settings.partial)
+        self._refit = Refit(model, self._free, coverage=settings.coverage)
         up = up_axis(model.source)
         # About the up axis; where any rotation may be, about the other two axes as well.
         self._flips = [up] if facing.up is not None else [up, *np.eye(3)[up == 0]]
@@ -172,7 +172,7 @@ class Scout:
         if judged is not found:
             state = found.state
             known = {"proba": found.proba, "rivals": found.rivals, "value": found.value, "theta": state.theta}
-            known |= {"partial": self.settings.partial, "x_weights": found.problem.x_weights}
+            known |= {"coverage": self.settings.coverage, "x_weights": found.problem.x_weights}
             # Without what the scan tells of single joints: a second look finds no points that it lacks.
             evidence, _ = evidence_of(self.model, self.model.deformed(state).vertices, found.problem.X, **known)
             probability = probability_of(evidence)

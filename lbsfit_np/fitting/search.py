@@ -45,7 +45,7 @@ class Search:
         model, X, a = self.model.coarse, self.problem.X, self.problem.x_weights
         if self.proba is None:
             theta0 = self.model.rest().theta if theta0 is None else theta0
-            given = placed(self.model, self.problem, theta0, partial=self.settings.partial)
+            given = placed(self.model, self.problem, theta0, coverage=self.settings.coverage)
             self.outcome = self._minimise(given, PLAIN, IN_UNIT, model)
             return self
         if theta0 is None:
@@ -96,8 +96,8 @@ class Search:
             return states[0]
         steps = Proportioned(self.model, self.settings, ("pose", *self.place))
         labels = self.labels if self._all_known else None
-        if labels is not None and self.settings.partial:
-            # Until here, points of one side have drawn the hidden side to them, too; steps without labels know better.
+        if labels is not None and not self.settings.coverage.whole:
+            # Until here, points have drawn what the scan does not show to them, too; steps without labels know better.
             states = [*states, steps.to_the_end(self.problem, states[0])[0]]
         return min((steps.to_the_end(self.problem, state, labels=labels) for state in states), key=lambda found: found[1])[0]
 

@@ -19,6 +19,7 @@ from ..losses.laplacian import cotangent_matrix
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.precision import told_angles
 from ..optimize.surface import vertex_normals
+from ..optimize.visibility import WHOLE, Coverage
 from .labels import refined_labels
 
 __all__ = ["TemplateSettings", "likely_right", "shared_template"]
@@ -49,8 +50,8 @@ class TemplateSettings:
         λ and μ of the heights.
     rounds : int
         Solutions for the heights, each with new closest points.
-    partial : bool
-        Whether scans show one side only.
+    coverage : Coverage
+        What scans show.
     """
 
     shifts: float = 0.1
@@ -63,7 +64,7 @@ class TemplateSettings:
     smooth: float = 2e-4
     small: float = 2e-3
     rounds: int = 3
-    partial: bool = False
+    coverage: Coverage = WHOLE
 
 
 def likely_right(losses, worst=TemplateSettings.worst):
@@ -113,7 +114,7 @@ def shared_template(model, problems, states, losses, *, proba=None, dense=None, 
     keep = np.flatnonzero(likely_right(losses, settings.worst))
     dense = [(problems if dense is None else dense)[i] for i in keep]
     problems, states = [problems[i] for i in keep], [states[i] for i in keep]
-    steps = GaussNewton(model, reach=settings.reach, tangential=0.02, ridge=settings.ridge, partial=settings.partial)
+    steps = GaussNewton(model, reach=settings.reach, tangential=0.02, ridge=settings.ridge, coverage=settings.coverage)
     if proba is not None:
         for sigma in settings.sigmas:
             labels = [

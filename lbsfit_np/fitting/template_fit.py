@@ -34,7 +34,7 @@ class TemplateFit:
     def __init__(self, rig, model, settings, *, other_limbs=True):
         self.rig, self.model, self.settings = rig, model, settings
         bends = EFFORTS[settings.effort].bends
-        self.refit = Refit(model, partial=settings.partial, bends=bends, other_limbs=other_limbs)
+        self.refit = Refit(model, coverage=settings.coverage, bends=bends, other_limbs=other_limbs)
 
     @cached_property
     def _proportioned(self):
@@ -112,7 +112,7 @@ class TemplateFit:
         """
         started = time.perf_counter() if started is None else started
         model, settings = self.model, self.settings
-        with_partner = shown_problem(model, problem, state, settings.partial)
+        with_partner = shown_problem(model, problem, state, settings.coverage)
         search = Search(model, with_partner, proba, labels_known is not None, settings)
         search.full(state, free=("pose", "translation", "residual"))
         # The residual takes what the template lacks; the pose is better known by distances to the surface.
@@ -143,6 +143,6 @@ class TemplateFit:
             value=value,
             rivals=rivals,
             proportions=proportions,
-            partial=settings.partial,
+            coverage=settings.coverage,
             unit=settings.unit,
         )

@@ -59,7 +59,7 @@ class FirstFit:
         return self._answer(found) if scout.is_sure(found) else self._looked_at_again(points, part, ups, found, long)
 
     def _answer(self, found, part=None):
-        loss = plain_chamfer(self.model, found.problem, found.state, partial=self.settings.partial)
+        loss = plain_chamfer(self.model, found.problem, found.state, coverage=self.settings.coverage)
         rivals = tuple(value / max(found.value, np.finfo(float).tiny) for value in found.rivals)
         failed = bool(self._fit.scout.probability(found) < FAILED)
         return found.frame, found.state, finite(loss), short(found.proba), rivals, part, failed

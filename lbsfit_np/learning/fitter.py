@@ -51,6 +51,9 @@ class LBSFitter(BaseEstimator):
     partial : bool, default False
         Whether scans show one side only, as single depth views do. Training then uses such scans, and parts of the model for
         which a scan has no points do not pull.
+    cropped : bool, default False
+        Whether scans end before the body does, as where a picture or a box ends. Training then uses such scans, and parts of the
+        model that lie outside the scan's convex hull do not pull.
     effort : {"balanced", "fast", "thorough"}, default "balanced"
         How many starts are followed, and how far.
     max_points : int, default 2500
@@ -111,6 +114,7 @@ class LBSFitter(BaseEstimator):
         orientation="upright",
         up=None,
         partial=False,
+        cropped=False,
         effort="balanced",
         max_points=2500,
         training_scans=4000,
@@ -131,6 +135,7 @@ class LBSFitter(BaseEstimator):
         self.orientation = orientation
         self.up = up
         self.partial = partial
+        self.cropped = cropped
         self.effort = effort
         self.max_points = max_points
         self.training_scans = training_scans
@@ -421,7 +426,7 @@ class LBSFitter(BaseEstimator):
         check_learned(self)
 
     def _synthesis(self):
-        return training_settings(self.training, one_sided=bool(self.partial))
+        return training_settings(self.training, partial=self.partial, cropped=self.cropped)
 
     def _repeatable(self):
         """Whether the same seed comes again: nothing that another one decides is kept in the cache."""

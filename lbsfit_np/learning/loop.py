@@ -263,7 +263,7 @@ class Loop:
                     [m.proba for m in learning] if self.variant.labels else None,
                 )
             )
-        work = Template(self.shifting, self.fit_settings.partial, self.pose_prior)
+        work = Template(self.shifting, self.fit_settings.coverage, self.pose_prior)
         kept = [self._kept.slot(f"round-{k}-template", (s, self.pose_prior)) for s in subjects]
         found = self.collection.work_of_subjects(work, tasks, jobs=self.jobs, done=self._done(stage, span), kept=kept)
         self.coefficients = {s: c for s, (_, _, c) in found.items()}
@@ -346,7 +346,7 @@ class Loop:
     def _last_steps(self, k, templates, stage="poses of scans", span=(_SEARCH, 1.0)):
         """Every pose as its scan tells it by all its points, and where that leaves it open, as the others' poses do."""
         (start, end), middle = span, np.mean(span)
-        models, partial = self._models(templates), self.fit_settings.partial
+        models, coverage = self._models(templates), self.fit_settings.coverage
         learning = with_right_poses(self.collection.with_role(LEARNED_FROM), LEAST)
         asked = {learning[i].index for i in looked_at(len(learning))} if self.variant.prior else ()
 
@@ -354,11 +354,11 @@ class Loop:
             return [self._kept.slot(f"round-{k}-{step}", (m.index, *made_of)) for m in self.collection.members]
 
         tasks = [(m.subject, m.dense_X, m.state, m.index in asked) for m in self.collection.members]
-        told, tasks = self._work(Told(models, partial), tasks, stage, slots("told"), (start, middle)), None  # all points of all
+        told, tasks = self._work(Told(models, coverage), tasks, stage, slots("told"), (start, middle)), None  # all points of all
         known = [(state.theta, C) for state, _, C in told if C is not None]
         self.pose_prior = pose_prior(*zip(*known), free_angles(self.rig), self.rig.root) if known else None
         tasks = [(m.subject, m.X, m.dense_X, *found[:2]) for m, found in zip(self.collection.members, told, strict=True)]
-        work = Drawn(models, partial, self.pose_prior)
+        work = Drawn(models, coverage, self.pose_prior)
         answers = self._work(work, tasks, stage, slots("drawn", self.pose_prior), (middle, end))
         for m, (state, loss, noise) in zip(self.collection.members, answers, strict=True):
             m.state, m.loss, m.noise = state, loss, noise
@@ -396,7 +396,7 @@ class Loop:
 
     def _smooth(self, templates, pose_prior):
         """A few sweeps that draw each pose towards the mean of its neighbours' and its own, as the sweep before left them."""
-        work = Held(self._models(templates), self.fit_settings.partial, pose_prior)
+        work = Held(self._models(templates), self.fit_settings.coverage, pose_prior)
 
         def sweep(i, _):
             wanted = drawn_to_neighbours(self.rig, self.collection, self.smooth)

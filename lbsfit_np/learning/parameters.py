@@ -83,7 +83,7 @@ def check_parameters(fitter):
         value = getattr(fitter, name)
         if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= value <= most:
             raise InputError(name, brief(value), f"a number of at least 0 and at most {most:g}")
-    for name in ("sequence", "partial"):
+    for name in ("sequence", "partial", "cropped"):
         if not isinstance(getattr(fitter, name), (bool, np.bool_)):
             raise InputError(name, brief(getattr(fitter, name)), "True or False")
     if fitter.smooth and not fitter.sequence:
@@ -171,7 +171,8 @@ def fit_settings(fitter):
     free = isinstance(fitter.weights, str) and fitter.weights == "default" and not as_variant(fitter.variant).skinning
     given = {name: getattr(fitter, name) for name in ("scale", "unit", "effort", "max_points")}
     given["unit"] = plain(fitter.unit)  # as it becomes part of digests
-    return FitSettings(weights=LOOSE if free else as_weights(fitter.weights), partial=bool(fitter.partial), **given)
+    given |= {name: bool(getattr(fitter, name)) for name in ("partial", "cropped")}
+    return FitSettings(weights=LOOSE if free else as_weights(fitter.weights), **given)
 
 
 def check_scan(rig, variant, points, theta0, labels, point_weights):

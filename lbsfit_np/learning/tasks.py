@@ -62,12 +62,13 @@ class Template:
     """
 
     model: Model
-    partial: bool
+    coverage: object
     prior: object
 
     def __call__(self, task):
         points, dense, states, losses, proba = task
-        problems, known = [Problem(X) for X in points], {"settings": TemplateSettings(partial=self.partial), "prior": self.prior}
+        problems = [Problem(X) for X in points]
+        known = {"settings": TemplateSettings(coverage=self.coverage), "prior": self.prior}
         known["dense"] = [p if more is X else Problem(more) for p, X, more in zip(problems, points, dense)]
         if proba is not None:
             known["proba"] = proba
@@ -114,7 +115,7 @@ class Pose:
         model, limbs, effort = self.models[subject], None, EFFORTS[self.settings.effort]
         if self.other_limbs:
             limbs = LimbSearch(LimbPoses(model, self.library.poses), effort)
-        refit = Refit(model, partial=self.settings.partial, bends=effort.bends, other_limbs=self.other_limbs)
+        refit = Refit(model, coverage=self.settings.coverage, bends=effort.bends, other_limbs=self.other_limbs)
         return refit, limbs
 
     def __call__(self, task):
@@ -130,11 +131,11 @@ class Pose:
 @dataclass(frozen=True)
 class _LastSteps:
     models: Models
-    partial: bool
+    coverage: object
 
     @cached_property
     def _refit(self):
-        return lru_cache(READY)(lambda subject: Refit(self.models[subject], partial=self.partial))
+        return lru_cache(READY)(lambda subject: Refit(self.models[subject], coverage=self.coverage))
 
 
 @dataclass(frozen=True)

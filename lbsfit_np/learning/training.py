@@ -18,16 +18,18 @@ __all__ = ["StartScans", "TrainingScans", "training_settings"]
 
 # Beside Synthesis' own defaults: the reference scale is a guess, and people are not of the rig's size.
 _DEFAULTS = {"scale": 0.05}
+# The most that is cut off of scans of a part of the body.
+_CROPPED = 0.6
 
 
-def training_settings(training, **defaults):
+def training_settings(training, *, partial=False, cropped=False):
     """The settings of training scans.
 
     Parameters
     ----------
     training : None, mapping of fields of Synthesis, or Synthesis
-    **defaults
-        Fields for what a mapping does not say.
+    partial, cropped : bool, default False
+        Whether scans show one side only, or end before the body does, where a mapping does not say.
 
     Returns
     -------
@@ -38,7 +40,8 @@ def training_settings(training, **defaults):
     InputError
         A field that is not known, or out of its range.
     """
-    given = asdict(training) if isinstance(training, Synthesis) else _DEFAULTS | defaults | dict(training or {})
+    shows = {"one_sided": bool(partial), "cropped": _CROPPED * bool(cropped)}
+    given = asdict(training) if isinstance(training, Synthesis) else _DEFAULTS | shows | dict(training or {})
     try:
         return make_settings(given)
     except InputError as error:

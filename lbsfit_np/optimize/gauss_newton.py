@@ -25,7 +25,7 @@ from .jacobian import vertex_motion
 from .measured import ToPlanes, ToTriangles
 from .pulling import between
 from .state import IN_UNIT, MOST_PROPORTION, Layout
-from .visibility import shown
+from .visibility import WHOLE, shown, within_hull
 
 __all__ = ["GaussNewton", "weight_matrix"]
 
@@ -61,8 +61,8 @@ class GaussNewton:
         all of them.
     tolerance : float, default 1e-4
         Steps end where one lowers E by less than this share.
-    partial : bool, default False
-        Whether scans show one side only: vertices then do not pull whose nearest point lies on surface that faces another way.
+    coverage : Coverage, optional
+        What scans show, by default the whole body: what they cannot show does not pull.
     parts : (m,) int array, optional
         Of the vertices, for labelled points; the model's by default.
     planes : bool, default False
@@ -78,12 +78,12 @@ class GaussNewton:
         ridge=1e-5,
         vertices=1000,
         tolerance=1e-4,
-        partial=False,
+        coverage=WHOLE,
         parts=None,
         planes=False,
     ):
         self.model, self.tangential, self.reach, self.ridge, self.tolerance = model, tangential, reach, ridge, tolerance
-        self.partial, self._parts = partial, model.labels if parts is None else parts
+        self.coverage, self._parts = coverage, model.labels if parts is None else parts
         self._mesh = ToPlanes(model, vertices) if planes else ToTriangles(model, vertices, parts)
 
     def pose(self, problem, state, *, free=IN_UNIT, labels=None, iterations=12, prior=None):
@@ -226,8 +226,11 @@ class GaussNewton:
         if labels is None and of_vertices:
             places, facing = self._mesh.places(posed)
             to_X, pull = problem.x_index.nearest(places), self._mesh.weights
-            if self.partial:
+            if self.coverage.one_sided:
                 pull = np.where(shown(places, facing, X, on.normals, to_X), pull, 0.0)
+            if self.coverage.cropped:
+                pull = np.where(within_hull(places, problem.hull), pull, 0.0)
+            if not self.coverage.whole:
                 pull = pull / max(pull.sum(), np.finfo(float).tiny)
             r, weights = np.vstack([r, X[to_X] - places]), np.concatenate([weights, pull])
             normals = np.vstack([normals, between(facing, on.normals[to_X])])

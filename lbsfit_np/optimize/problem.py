@@ -14,6 +14,7 @@ from ..losses.objective import objective
 from ..neighbors import PointIndex
 from ..scan import some_rows
 from ..skinning import skin_adjoint
+from .visibility import hull_planes
 
 __all__ = ["Evaluation", "Problem"]
 
@@ -72,6 +73,11 @@ class Problem:
     def x_index(self):
         """The search structure over the points, without labels."""
         return PointIndex(self.X)
+
+    @cached_property
+    def hull(self):
+        """Planes about the points, see ``visibility.hull_planes``."""
+        return hull_planes(self.X)
 
     def part_index(self, labels):
         """The search structure for these labels, kept until other labels come."""

@@ -1,8 +1,12 @@
-"""What a scan of one side can show of a mesh: where its camera was, and what is behind what it has seen."""
+"""What a scan can show of a mesh: of one side what its camera has seen, of a cropped one what lies within the points' hull."""
+
+from dataclasses import dataclass
 
 import numpy as np
 
-__all__ = ["camera_direction", "shown"]
+from .surface import vertex_normals
+
+__all__ = ["WHOLE", "Coverage", "camera_direction", "hull_planes", "seen_vertices", "shown", "within_hull"]
 
 # A vertex whose normal is at more than about 70 degrees to the camera's direction, or to the surface at its nearest point, is
 # on a side that the scan does not show, or on the rim, where points are few and not its own.
@@ -11,6 +15,79 @@ _FACING = 0.35
 _LEAST_FACING, _STEPS = 0.3, 15
 # The camera has seen something else in a vertex's place where a point is so much nearer to it, and so near beside, half sizes.
 _BEFORE, _BESIDE = 0.08, 0.05
+# What lies no further outside a hull than this, half sizes, is within it: points lie beside what they are of.
+_OUTSIDE = 0.01
+# Vertices that are compared with the planes of a hull at a time.
+_AT_ONCE = 4096
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What scans show of a body.
+
+    Attributes
+    ----------
+    one_sided : bool
+        Only the side that a camera sees.
+    cropped : bool
+        Only a part, up to where a picture or a box ends. Of what lies outside the convex hull of the points nothing is known: the
+        scan may end there, or the body may.
+    """
+
+    one_sided: bool = False
+    cropped: bool = False
+
+    @property
+    def whole(self):
+        """Whether all of the body is shown."""
+        return not (self.one_sided or self.cropped)
+
+
+WHOLE = Coverage()
+
+
+def seen_vertices(coverage, V, faces, problem, on, to_X):
+    """(m,) bool: vertices of a posed mesh that a scan can show.
+
+    Parameters
+    ----------
+    coverage : Coverage
+    V : (m, 3) array
+        Half sizes.
+    faces : (F, 3) int array
+    problem : Problem
+        The scan, in the same frame.
+    on : (n,) int array
+        Each point's nearest vertex.
+    to_X : (m,) int array
+        Each vertex's nearest point.
+    """
+    seen = np.ones(len(V), dtype=bool)
+    if coverage.one_sided:
+        normals = vertex_normals(V, faces)
+        seen &= shown(V, normals, problem.X, normals[on], to_X)
+    if coverage.cropped:
+        seen &= within_hull(V, problem.hull)
+    return seen
+
+
+def hull_planes(X):
+    """(f, 4) rows (n, d): the convex hull of points is where all n · x + d ≤ 0; no rows where they lie in a plane."""
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        return np.unique(ConvexHull(X).equations, axis=0)  # a flat side has a row for each of its triangles
+    except (QhullError, ValueError):  # ValueError: fewer points than a triangle has
+        return np.empty((0, 4))
+
+
+def within_hull(V, planes):
+    """(v,) bool: which of V (v, 3) are within the hull of :func:`hull_planes`, or hardly outside; all where there are none."""
+    within = np.ones(len(V), dtype=bool)
+    for start in range(0, len(V) if len(planes) else 0, _AT_ONCE):
+        piece = slice(start, start + _AT_ONCE)
+        within[piece] = (V[piece] @ planes[:, :3].T + planes[:, 3]).max(axis=1) <= _OUTSIDE
+    return within
 
 
 def camera_direction(normals):

@@ -40,5 +40,5 @@ def _shipped(rig):
     from ...learning.training import training_settings
 
     default = LBSFitter(rig)
-    made_of = rig, training_settings(default.training, one_sided=default.partial), default.training_scans
+    made_of = rig, training_settings(default.training), default.training_scans
     return default.training_scans, shipped_path(*made_of, random_state=TRAINING_SEED)
