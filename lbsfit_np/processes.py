@@ -57,9 +57,10 @@ def kept_processes():
     try:
         yield
     finally:
-        spare, _SPARE = _SPARE, None
-        for worker in spare:
-            worker.end()
+        with held():
+            spare, _SPARE = _SPARE, None
+            for worker in spare:
+                worker.end()
 
 
 def _spare():
@@ -126,12 +127,19 @@ class Workers:
         """Have a process do ``task``, a new one while there are fewer than n."""
         worker = next((w for w in self._workers if w.task is None), None)
         if worker is None:
+            worker = self._another()
+            worker.take_up(self._payload)
+        worker.give(task)
+
+    def _another(self):
+        """One more process, without work."""
+        with held():  # until it is known here, nothing would end it
             worker = _spare()
             self._begun |= worker is not None  # as it has begun for others
             worker = worker or _Worker()
-            worker.take_up(self._payload)
+            worker.ready = False
             self._workers.append(worker)
-        worker.give(task)
+        return worker
 
     def answers(self):
         """Wait for some; a list of (task, answer, Unsent or Note, None), or (task, None, how its process died)."""
@@ -227,11 +235,10 @@ class _Worker:
         theirs.close()
         self.ready = False
         self.task = None
-        self._torn = False
+        self._torn = self._half_sent = False
 
     def take_up(self, payload):
         """Other work, of which it says when it is ready for tasks."""
-        self.ready = False
         self._send(payload)
 
     def give(self, task):
@@ -240,8 +247,10 @@ class _Worker:
         self._send(data)
 
     def _send(self, data):
+        self._half_sent = True  # until all of it is there, which waits for a process that is just starting
         try:
             self.connection.send_bytes(data)
+            self._half_sent = False
         except OSError:
             pass  # it has died: what is received next says so
 
@@ -255,7 +264,7 @@ class _Worker:
             return Unsent(False, in_words(error))
 
     def ask_to_end(self):
-        if self.task is None:
+        if self.task is None and not self._half_sent:
             self.give(None)
             self._send(_NOTHING)
         else:

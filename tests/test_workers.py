@@ -3,10 +3,13 @@
 import os
 import pickle
 import signal
+import struct
 import subprocess
 import sys
+from contextlib import nullcontext
 from functools import partial
 from multiprocessing import active_children, connection
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -209,6 +212,41 @@ def _interrupt_joins(monkeypatch):
         join(self)
 
     monkeypatch.setattr(processes._Worker, "join", interrupted)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
+@pytest.mark.parametrize("kept", [False, True])
+def test_ctrl_c_as_work_is_sent_leaves_no_process(kept, monkeypatch):
+    """Sending much takes as long as a process takes to start; it is not waited for that the rest of it comes."""
+    killed, kill = [], BaseProcess.kill
+    monkeypatch.setattr(BaseProcess, "kill", lambda self: (killed.append(self), kill(self)))
+    with kept_processes() if kept else nullcontext():
+        if kept:
+            each(squared, [2, 3], jobs=2)
+        with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt) as caught:  # as it holds what was there
+            patch.setattr(connection.Connection, "_send_bytes", _half_of_it)
+            each(squared, [2, 3], jobs=2)
+        assert len(active_children()) == (1 if kept else 0) and caught
+        assert each(squared, [2, 3], jobs=2) == [4, 9]
+    assert not killed
+
+
+def _half_of_it(self, data):
+    self._send(struct.pack("!i", len(data)) + data[: len(data) // 2])
+    signal.raise_signal(signal.SIGINT)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
+def test_ctrl_c_as_a_process_starts_leaves_none(monkeypatch):
+    def interrupted(self):
+        start(self)
+        signal.raise_signal(signal.SIGINT)
+
+    start = BaseProcess.start
+    monkeypatch.setattr(BaseProcess, "start", interrupted)
+    with pytest.raises(KeyboardInterrupt) as caught:  # as it holds what was there
+        each(squared, [2, 3], jobs=2)
+    assert not active_children() and caught
 
 
 @pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
