@@ -1,5 +1,6 @@
 """Scans that go on beyond the end of the rig, such as hands with a forearm: what is left out, and that the fit comes out."""
 
+import tracemalloc
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -81,6 +82,25 @@ def test_wild_points_do_not_upset_what_lies_beyond(hand, scans):
     with np.errstate(over="ignore"):
         again = beyond(np.vstack([scan.points, [[1e200, 0, 0], [-1e200, 1e180, 0]]]), hand, found)
     np.testing.assert_array_equal(again[:-2], past)
+
+
+def test_what_lies_beside_the_end_of_a_large_scan_fills_no_memory(hand, scans, monkeypatch):
+    """As of a hand and an arm of millions of points, where the fit in doubt has the wrist bent the wrong way."""
+    scan, found = scans[0], true_fit(hand, scans[0])
+    end, wrist = end_of(hand), scan.joints[hand.root]
+    direction = root_turn(hand, scan.pose) @ end.direction
+    aside = wrist - scan.joints[hand.joint_names.index("thumb3")]
+    aside -= aside @ direction * direction
+    arm = wrist + end.reach * direction + np.linspace(2.0, 9.0, 40_000)[:, None] * aside
+    points = np.concatenate([scan.points, arm])
+    tracemalloc.start()
+    past = beyond(points, hand, found)
+    tracemalloc.reset_peak()
+    monkeypatch.setattr("lbsfit_np.starts.beyond._AT_ONCE", 5000)
+    np.testing.assert_array_equal(beyond(points, hand, found), past)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert past[len(scan.points) :].mean() > 0.9 and peak < 30e6
 
 
 def test_a_point_that_a_finger_does_not_explain_does_not_lie_beyond(hand, scans):

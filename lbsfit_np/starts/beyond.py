@@ -28,6 +28,8 @@ _LONG, _SHORTEST = 1.25, 0.35
 _AWAY, _AT_THE_END = 0.1, 0.15
 # Points further from the mesh than this, half sizes, are as far away as that.
 _FAR = 1e3
+# Points whose closest places are looked for at a time: each takes some 2 KB then.
+_AT_ONCE = 50_000
 
 
 @dataclass(frozen=True)
@@ -163,11 +165,15 @@ def beyond(points, rig, result):
     direction, shown = root_turn(rig, result.pose) @ end.direction, rig.welded_from
     past = (points - result.joints[rig.root]) @ direction > end.reach * result.scale + _AWAY * half
     V = result.vertices[shown] / half
-    X = np.clip(points / half, V.min(axis=0) - _FAR, V.max(axis=0) + _FAR)  # squared distances of wild points have to be finite
-    surface = Surface(rig.welded.vertices / (rig.size / 2), rig.welded.faces)
-    nearest = PointIndex(V).nearest(X)
+    low, high = V.min(axis=0) - _FAR, V.max(axis=0) + _FAR  # squared distances of wild points have to be finite
+    surface, index = Surface(rig.welded.vertices / (rig.size / 2), rig.welded.faces), PointIndex(V)
     at_the_end = _at(end, (template[shown] - result.rest_joints[rig.root]) @ end.direction)
-    odd = np.flatnonzero(~past & at_the_end[nearest] & (np.linalg.norm(X - V[nearest], axis=1) > _AWAY))
-    on = surface.closest(X[odd], nearest[odd], V).points
-    past[odd] = np.linalg.norm(X[odd] - on, axis=1) > _AWAY
+    others = np.flatnonzero(~past)
+    for start in range(0, len(others), _AT_ONCE):
+        some = others[start : start + _AT_ONCE]
+        X = np.clip(points[some] / half, low, high)
+        nearest = index.nearest(X)
+        odd = np.flatnonzero(at_the_end[nearest] & (np.linalg.norm(X - V[nearest], axis=1) > _AWAY))
+        on = surface.closest(X[odd], nearest[odd], V).points
+        past[some[odd]] = np.linalg.norm(X[odd] - on, axis=1) > _AWAY
     return past
