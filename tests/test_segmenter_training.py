@@ -1,6 +1,7 @@
 """The training of a segmenter: what it learns, by seed, in one process or in several."""
 
 import os
+from functools import partial
 
 import numpy as np
 import pytest
@@ -239,6 +240,10 @@ def test_the_context_of_no_points_is_none():
     assert none.shape == (0, one.shape[1])
 
 
+def _with_scale(scale, points, labels):
+    return points, labels, scale
+
+
 @pytest.mark.parametrize(
     "change, words",
     [
@@ -248,12 +253,15 @@ def test_the_context_of_no_points_is_none():
         (lambda p, y: (p[:-1], y), "points of shape .* of scan 1"),
         (lambda p, y: (p[:, :2], y), "points of shape .* of scan 1"),
         (lambda p, y: (np.where(p > 0, np.nan, p), y), "points that are NaN or infinite, of scan 1"),
+        (lambda p, y: (p[:0], y[:0]), "no points of scan 1; expected one or more"),
+        (lambda p, y: (p.tolist(), (y + 4).tolist()), "labels from 4 to .* of scan 1"),
+        *((partial(_with_scale, s), f"the scale {s} of scan 1; .* positive number") for s in (0.0, -1, np.nan, None)),
     ],
 )
 def test_scans_that_cannot_be_learned_from_are_told_before_any_training(change, words, tube_rig, monkeypatch):
     monkeypatch.setattr("lbsfit_np.segmentation.segmenter.train_stage", None)
     scans = scans_of(tube_rig, 2).scans
     points, labels, scale = scans[1]
-    scan = Scans([scans[0], (*change(points, labels), scale)])
+    scan = Scans([scans[0], (*change(points, labels), scale)[:3]])
     with pytest.raises(InputError, match=f"^scan: got .*{words}"):
         train_segmenter(tube_rig, scan, 2, training=Training(points_per_scan=20, second=0.0), random_state=0)

@@ -279,7 +279,8 @@ class _Describe:
         X, y = [], []
         for i in map(int, indices):
             points, labels, scale = self.scan(i)
-            self._check(i, points, labels)
+            points, labels = np.asarray(points), np.asarray(labels)
+            self._check(i, points, labels, scale)
             points = points / (scale * self.half)
             rng = generator(self.random_state, "segmenter points", i)
             of_the_body = np.flatnonzero(labels >= 0)  # clutter and floor are there to be seen, not to be learned
@@ -288,15 +289,18 @@ class _Describe:
             y.append(labels[rows])
         return in_half_precision(np.concatenate(X)), np.concatenate(y)
 
-    def _check(self, i, points, labels):
+    def _check(self, i, points, labels, scale):
         """Raise InputError where a scan cannot be learned from; after the training of a stage would be late."""
-        points, labels = np.asarray(points), np.asarray(labels)
         if points.ndim != 2 or points.shape[1:] != (3,) or labels.shape != points.shape[:1] or labels.dtype.kind not in "iu":
             got = f"points of shape {points.shape} and {labels.dtype} labels of shape {labels.shape}"
             raise InputError("scan", f"{got} of scan {i}", "points of shape (n, 3) and n whole numbers")
+        if not len(points):
+            raise InputError("scan", f"no points of scan {i}", "one or more points")
+        if isinstance(scale, bool) or not isinstance(scale, Real) or not 0 < as_float(scale) < np.inf:
+            raise InputError("scan", f"the scale {brief(scale)} of scan {i}", "a positive number of scan units per rig unit")
         if not np.isfinite(points).all():
             raise InputError("scan", f"points that are NaN or infinite, of scan {i}", "finite points")
-        if len(labels) and not -1 <= int(labels.min()) <= int(labels.max()) < self.n_parts:
+        if not -1 <= int(labels.min()) <= int(labels.max()) < self.n_parts:
             got = f"labels from {labels.min()} to {labels.max()} of scan {i}"
             raise InputError("scan", got, f"labels from 0 to {self.n_parts - 1}, or −1 where none is known")
 
