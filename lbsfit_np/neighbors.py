@@ -8,6 +8,9 @@ __all__ = ["PointIndex"]
 
 # Parts are set apart along x by this many diameters, so that one tree serves all parts and never mixes them.
 _APART = 64.0
+# That takes digits off their coordinates: at most this share of the usual extent of so many points. Where it takes more, as where
+# one point lies very far from all others, each part is searched by itself.
+_LOST, _SOME = 1e-7, 64
 # Points in a leaf of the tree of a set that is rebuilt at every evaluation: of 500 to 7,000 vertices, building and searching it
 # take up to 15 % less time than with SciPy's 10, which other sets have.
 _LEAF = 24
@@ -50,6 +53,9 @@ class PointIndex:
             radius = np.abs(points - self._centre).max() if len(points) else 1.0
             self._gap = _APART * max(float(radius), 1e-100)  # points at one place: apart still, once squared
             self._present = np.bincount(labels) > 0
+            if self._gap * len(self._present) * np.finfo(float).eps > _LOST * _usual_extent(points):
+                self._tree = None
+                return
         self._tree = cKDTree(self._apart(points, labels), leafsize=_LEAF if moving else 10, balanced_tree=not moving)
 
     def nearest(self, queries, labels=None):
@@ -82,9 +88,9 @@ class PointIndex:
         index = np.full(len(queries), -1)
         if not known.any():
             return index
-        if np.abs(queries - self._centre).max() < self._gap / 4:
+        if self._tree is not None and np.abs(queries - self._centre).max() < self._gap / 4:
             index[known] = self._tree.query(self._apart(queries[known], labels[known]))[1]
-        else:  # a query so far away that the gaps could not keep the parts apart
+        else:  # a query, or a point, so far away that the gaps could not keep the parts apart
             for p in np.unique(labels[known]):
                 rows = np.flatnonzero(self.labels == p)
                 asked = np.flatnonzero(labels == p)
@@ -97,3 +103,9 @@ class PointIndex:
         shifted = np.asarray(points, dtype=float) - self._centre  # in single precision the gaps would leave no digits
         shifted[:, 0] += labels * self._gap
         return shifted
+
+
+def _usual_extent(points):
+    """How far apart, along an axis, the middle half of some of the points lie."""
+    some = np.sort(points[:: max(1, len(points) // _SOME)], axis=0)
+    return float((some[-1 - len(some) // 4] - some[len(some) // 4]).max()) if len(some) else 0.0

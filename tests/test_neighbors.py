@@ -91,6 +91,15 @@ def test_one_far_query_among_near_ones():
     _check(points, labels, queries, asked)
 
 
+@pytest.mark.parametrize("moving", [False, True])
+@pytest.mark.parametrize("far", [1e3, 1e6, 1e9, 1e12, 3e38, 1e145])
+def test_a_point_far_away_leaves_the_others_their_digits(far, moving):
+    """As a camera's largest number in place of no depth."""
+    points, labels, queries, asked = _sets(4, n=2000, k=200, parts=20)
+    points[7] = [far, -far, 0.0]
+    _check(points, labels, queries, asked, moving)
+
+
 @pytest.mark.parametrize("labelled", [False, True])
 @pytest.mark.parametrize("offset", [1e6, -1e6])
 def test_far_from_the_origin(labelled, offset):
