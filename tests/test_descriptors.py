@@ -6,6 +6,7 @@ from scipy.spatial import cKDTree
 from segmenter_training import describe
 
 import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
 from lbsfit_np.segmentation.descriptors import Descriptor, VoxelGrid, within_reach
 
 
@@ -80,3 +81,13 @@ def test_probes_are_looked_up_within_a_voxel(tube_rig, tube_scan):
     np.testing.assert_allclose(found, cKDTree(scan).query(queries)[0], atol=0.05 * 3**0.5)
     again = grid.distance(*queries[:104].T.astype(np.float32).reshape(3, 8, 13))
     np.testing.assert_array_equal(again.ravel(), found[:104])
+
+
+@pytest.mark.parametrize(
+    "name, value",
+    [("n_probes", 0), ("n_basis", 9.5), ("nearest", 0.0), ("farthest", 0.04), ("voxel", -0.05), ("voxel", 1e-4), ("voxel", True)],
+)
+def test_a_descriptor_that_cannot_be(name, value):
+    """Of voxels smaller still a grid would fill the memory."""
+    with pytest.raises(InputError, match=f"^{name}: got {value}; expected a .*number"):
+        Descriptor(**{name: value})

@@ -8,8 +8,11 @@ voxels, not points, so that uneven density does not move them.
 """
 
 from dataclasses import dataclass
+from numbers import Real
 
 import numpy as np
+
+from ..errors import InputError, brief, is_whole
 
 __all__ = ["Descriptor", "VoxelGrid", "directions", "within_reach"]
 
@@ -19,6 +22,8 @@ _MARGIN = 6
 _BLOCK = 128
 # Points further than this from the median (in half sizes of the rig) are clutter: they must not blow the grid up.
 _REACH = 3.0
+# Lengths that a descriptor may have, half sizes: grids of smaller voxels fill the memory.
+_LEAST, _MOST = 0.01, 10.0
 
 
 @dataclass(frozen=True)
@@ -41,6 +46,16 @@ class Descriptor:
     nearest: float = 0.05
     farthest: float = 1.2
     voxel: float = 0.05
+
+    def __post_init__(self):
+        """Raise InputError where a value is out of its range."""
+        for name in ("n_probes", "n_basis"):
+            if not is_whole(value := getattr(self, name), 1):
+                raise InputError(name, brief(value), "a whole number of at least 1")
+        for name, least in (("nearest", _LEAST), ("farthest", self.nearest), ("voxel", _LEAST)):
+            value = getattr(self, name)
+            if not isinstance(value, Real) or isinstance(value, bool) or not least <= value <= _MOST:
+                raise InputError(name, brief(value), f"a number from {least:g} to {_MOST:g}")
 
     @property
     def size(self):
