@@ -290,6 +290,9 @@ BROKEN = {
     "short looks": lambda arrays: arrays.update(library_looks=arrays["library_looks"][:, :-1]),
     "flat poses": lambda arrays: arrays.update(library_poses=arrays["library_poses"].reshape(N, -1)),
     "a long bias": lambda arrays: arrays.update(library_bias_1=np.zeros(7, np.float32)),
+    "a table of radii": lambda arrays: arrays.update(library_radii=arrays["library_radii"][:, None]),
+    "radii of 0": lambda arrays: arrays.update(library_radii=0 * arrays["library_radii"]),
+    "deviations of 0": lambda arrays: arrays.update(library_deviation=0 * arrays["library_deviation"]),
     "a mean of another length": lambda arrays: arrays.update(library_mean=np.zeros(3, np.float32)),
 }
 

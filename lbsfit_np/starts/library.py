@@ -78,7 +78,7 @@ class PoseLibrary:
     layers: tuple
 
     def __post_init__(self):
-        """Raise ValueError unless the arrays are finite and fit together."""
+        """Raise ValueError unless the arrays are finite and fit together, and what is divided by is positive."""
         arrays = self.looks, self.radii, self.poses, self.mean, self.deviation, *(a for layer in self.layers for a in layer)
         if not all(a.dtype.kind == "f" and np.isfinite(a).all() for a in arrays):
             raise ValueError("a library of poses with values that are not finite numbers")
@@ -87,6 +87,8 @@ class PoseLibrary:
         ends = self.mean.shape == self.deviation.shape == self.looks.shape[1:] and widths[-1] == (self.poses[0].size,)
         if not (fit and ends and self.poses.ndim == 3 and len(self.poses) == len(self.looks) == len(self.radii)):
             raise ValueError("a library of poses whose arrays do not fit together")
+        if self.radii.ndim != 1 or not (self.radii > 0).all() or not (self.deviation > 0).all():
+            raise ValueError("a library of poses with radii or deviations that are not positive")
 
     def __repr__(self):
         n, J = self.poses.shape[:2]
