@@ -138,11 +138,11 @@ class View:
         return -n if inside_out(V, self._faces) else n
 
 
-def within_crop(points, most, rng):
-    """(n,) bool: the points on this side of a plane across a random direction; a random share, at most ``most``, is beyond it."""
+def within_crop(points, beyond, rng):
+    """(n,) bool: the points on this side of a plane across a random direction, which a share of them is beyond."""
     direction = rng.standard_normal(3)
     along = points @ (direction / np.linalg.norm(direction))
-    return along <= np.quantile(along, 1.0 - most * rng.random())
+    return along <= np.quantile(along, 1.0 - beyond)
 
 
 def clutter(points, share, rng):

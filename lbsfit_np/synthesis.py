@@ -360,7 +360,8 @@ def synthesize_one(rig, pose, template, settings, rng):
     changed = _with_rest(rig, U, J)
     posed = skin(changed, pose, scale=scale)
     vertices, joints = posed.vertices, posed.joints
-    up, n, surface = up_axis(rig), _n_drawn(settings), rig.without_loose(vertices)
+    beyond = settings.cropped * rng.random() if settings.cropped else 0.0
+    up, n, surface = up_axis(rig), _n_drawn(settings, beyond), rig.without_loose(vertices)
     if settings.one_sided:
         points, triangle, bary = sample_seen_surface(surface, rig.faces, n, rng, up=up, density=settings.density)
         if not len(points):
@@ -368,7 +369,7 @@ def synthesize_one(rig, pose, template, settings, rng):
     else:
         points, triangle, bary = sample_surface(surface, rig.faces, n, rng, density=settings.density)
     if settings.cropped:
-        within = within_crop(points, settings.cropped, rng)
+        within = within_crop(points, beyond, rng)
         points, triangle, bary = points[within], triangle[within], bary[within]
     labels = rig.vertex_labels[rig.faces[triangle, bary.argmax(axis=1)]]
     keep = _outside_holes(points, half * scale, settings, rng)
@@ -428,10 +429,10 @@ def _turned(rig, theta_root, most, rng):
     return rotvec_from_matrix(frame.T @ turn @ frame @ matrix_from_rotvec(theta_root))
 
 
-def _n_drawn(settings):
-    """Points to draw, so that enough are left beside holes and within the crop."""
+def _n_drawn(settings, beyond):
+    """Points to draw, so that enough are left beside holes, and without the share beyond a crop."""
     n = settings.n_points if not settings.holes else int(1.4 * settings.n_points) + 16
-    return n if not settings.cropped else int(np.ceil(n / (1.0 - settings.cropped)))
+    return n if not beyond else int(np.ceil(n / (1.0 - beyond)))
 
 
 def _outside_holes(points, half, settings, rng):

@@ -18,6 +18,7 @@ from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.lbfgs import Outcome
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.visibility import Coverage
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rotations import matrix_from_rotvec, rotvec_from_matrix
 from lbsfit_np.starts.clean import TakingPart
@@ -157,10 +158,10 @@ def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
     problem, frame = Problem(X), Frame(np.zeros(3), 1.0, np.eye(3))
     more = {"sigma": 0.025, "evaluations": 1, "notes": (), "started": 0.0, "part": _all_of(X), "points": X}
     weights, outcome = PRESETS["default"], Outcome(state, 0.0, True, "", 1)
-    r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, partial=partial, **more)
+    r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, coverage=Coverage(partial), **more)
     assert r.status != "ok" and ("one side only" in r.message) != partial
     outcome = Outcome(state.replace(translation=np.array([0.0, 0.15, 0.0])), 0.0, True, "", 1)
-    r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, partial=partial, **more)
+    r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, coverage=Coverage(partial), **more)
     assert r.status == "ok" and r.message.startswith("much of the surface has no points near it: if the scan") != partial
     if not partial:
         more |= {"points": V, "part": _all_of(V)}
@@ -191,7 +192,7 @@ def test_labels_of_what_lies_beyond_the_rig_have_no_confidence(rigs, labels):
     np.testing.assert_array_equal(r.labels, whole.labels)
 
 
-@pytest.mark.parametrize("without", ["proba", "rivals", "value", "theta", "partial", "x_weights"])
+@pytest.mark.parametrize("without", ["proba", "rivals", "value", "theta", "coverage", "x_weights"])
 def test_the_evidence_is_of_all_that_is_known(rigs, without):
     """Points of one side, half of which weigh little, on a hand with its angles at their limits."""
     model = Model(rigs["hand"])
@@ -201,7 +202,7 @@ def test_the_evidence_is_of_all_that_is_known(rigs, without):
     X = V[side] + [0.05, 0.05, 0.0]
     weights = np.where(X[:, 1] > np.median(X[:, 1]), 1.0, 0.1)
     known = {"proba": np.eye(len(model.source.parts))[(model.labels[side] + (X[:, 1] > 0)) % 2], "rivals": (2.0,), "value": 1.0}
-    given = {**known, "partial": True, "x_weights": weights / weights.sum()}
+    given = {**known, "coverage": Coverage(one_sided=True), "x_weights": weights / weights.sum()}
     r = _at_rest(model, X, state=state, **given)
     given["theta"] = state.theta
     assert r.evidence == evidence_of(model, V, X, **given)[0]

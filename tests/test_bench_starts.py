@@ -32,6 +32,8 @@ def test_rows_and_goals_are_those_set_for_them():
         "unit": (0.97, 0.03),
         "touching": (0.95, 0.015),
         "partial": (0.85, 0.03),
+        "cropped": (0.90, 0.03),
+        "edge": (0.85, 0.03),
         "dirty": (0.95, 0.03),
         "subjects": (0.95, 0.03),
         "arm": (0.90, 0.015),
@@ -111,21 +113,23 @@ def test_fitters_are_told_what_the_row_is_about(known):
     orientation = {row: parameters.get("orientation") for row, parameters in told.items()}
     assert orientation == {
         **dict.fromkeys(("0.3", "0.6", "1.0", "subjects"), "aligned"),
-        **dict.fromkeys(("turned", "unit", "partial", "dirty", "arm"), "upright"),
+        **dict.fromkeys(("turned", "unit", "partial", "cropped", "edge", "dirty", "arm"), "upright"),
         "rotated": "any",
         "touching": None,
     }
-    assert [row for row, parameters in told.items() if parameters.get("partial")] == ["partial"]
+    for name, rows in (("partial", ["partial", "edge"]), ("cropped", ["cropped", "edge"])):
+        assert [row for row, parameters in told.items() if parameters.get(name)] == rows
 
 
-def test_of_one_sided_views_seen_joints_count(known):
-    report = starts_bench(["body-coarse"], rows=["partial"], **QUICK | {"n_scans": 3})
+@pytest.mark.parametrize("row", ["partial", "cropped", "edge"])
+def test_of_scans_that_do_not_show_all_seen_joints_count(row, known):
+    report = starts_bench(["body-coarse"], rows=[row], **QUICK | {"n_scans": 3})
     rig = lbs.load_rig("body-coarse")
-    for e in report["rigs"]["body-coarse"]["rows"]["partial"]["fits"]["own"]["scans"]:
-        labels = starts_scan(rig, "partial", e["scan"], 3).labels
+    for e in report["rigs"]["body-coarse"]["rows"][row]["fits"]["own"]["scans"]:
+        labels = starts_scan(rig, row, e["scan"], 3).labels
         seen = np.bincount(labels, minlength=len(rig.parts)) >= SEEN
         assert e["joints"] == seen.sum() <= 24
-        known.truth = starts_scan(rig, "partial", e["scan"], 3)
+        known.truth = starts_scan(rig, row, e["scan"], 3)
 
 
 def test_hidden_joints_do_not_count(known, monkeypatch):

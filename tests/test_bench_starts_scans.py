@@ -84,7 +84,7 @@ def _root_turns(rig, row, n=150):
     return poses, frame @ matrix_from_rotvec(poses[:, rig.root]) @ frame.T
 
 
-@pytest.mark.parametrize("row", ["turned", "unit", "partial", "dirty"])
+@pytest.mark.parametrize("row", ["turned", "unit", "partial", "cropped", "edge", "dirty"])
 def test_upright_rows_face_any_way_and_stand(hand, row):
     poses, turns = _root_turns(hand, row)
     assert (poses[:, 1:] >= hand.lower[1:]).all() and (poses[:, 1:] <= hand.upper[1:]).all()

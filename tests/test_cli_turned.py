@@ -109,13 +109,14 @@ def test_an_up_axis_is_refused_with_any_orientation_of_a_model_too(turned, tube_
 
 def test_options_that_a_model_was_learned_with_are_its_own(turned, tubes, tmp_path, run):
     scans = sorted(tubes.glob("*.ply"))
-    options = ("--orientation", "aligned", "--effort", "fast", "--partial", "--variant", "cd", "--rounds", 1, "--held-out", 0)
+    options = ("--orientation", "aligned", "--effort", "fast", "--partial", "--cropped", "--variant", "cd", "--rounds", 1)
+    options += ("--held-out", 0)
     assert run("learn", tubes / "tube.npz", scans[0], "-o", tmp_path / "m.npz", *options, *TRAINING)[0] == 0
     fitter = lbs.LBSFitter.load(tmp_path / "m.npz")
-    assert (fitter.orientation, fitter.effort, fitter.partial) == ("aligned", "fast", True)
+    assert (fitter.orientation, fitter.effort, fitter.partial, fitter.cropped) == ("aligned", "fast", True, True)
     run("fit", tmp_path / "m.npz", scans[0], "-o", tmp_path / "fits", "--no-partial")
     settings = json.loads((tmp_path / "fits" / "summary.json").read_text())["settings"]
-    assert (settings["orientation"], settings["effort"], settings["partial"]) == ("aligned", "fast", False)
+    assert [settings[name] for name in ("orientation", "effort", "partial", "cropped")] == ["aligned", "fast", False, True]
 
 
 @pytest.mark.usefixtures("hurried")

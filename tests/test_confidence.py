@@ -12,6 +12,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.confidence import EVIDENCE, evidence_of, logarithms, probability_of, shown_problem, verdict_of
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.visibility import WHOLE, Coverage
 from lbsfit_np.rig.build import build_rig
 
 PARTS = {"part_unexplained": "left_arm", "part_unreached": "right_arm"}
@@ -172,10 +173,10 @@ def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
     (scan,) = lbs.synthesize(model.source, 1, poses=theta[None], random_state=3, shape=0.0, one_sided=True)
     X = scan.points / model.half
     whole, _ = _evidence(model, state, X)
-    partial, _ = _evidence(model, state, X, partial=True)
+    partial, _ = _evidence(model, state, X, coverage=Coverage(one_sided=True))
     assert partial["unreached"] < 0.6 * whole["unreached"]
     assert partial["part_unreached"] < 0.5 * whole["part_unreached"]
-    problem = shown_problem(model, Problem(X), state, True)
+    problem = shown_problem(model, Problem(X), state, Coverage(one_sided=True))
     hidden = problem.v_weights == 0
     assert 0.3 < hidden.mean() < 0.9 and problem.v_weights.shape == (len(model.rig.vertices),)
 
@@ -183,12 +184,12 @@ def test_one_side_of_a_right_fit_is_enough_where_that_is_known(model, right):
 def test_clutter_has_no_partner_and_takes_no_part(model, right):
     state, X, _ = right
     away = X.mean(axis=0) + np.array([[0.0, 0.9, 0.3], [0.4, 0.8, 0.6]])
-    problem = shown_problem(model, Problem(np.vstack([X, away])), state, False)
+    problem = shown_problem(model, Problem(np.vstack([X, away])), state, WHOLE)
     assert (problem.x_weights[-2:] == 0).all() and problem.x_weights.sum() == pytest.approx(1)
     assert (problem.x_weights[:-2] > 0).mean() > 0.99
     far = state.replace(translation=state.translation + 3.0)
     same = Problem(X)
-    assert shown_problem(model, same, far, False) is same  # nothing fits: that is no reason to look away
+    assert shown_problem(model, same, far, WHOLE) is same  # nothing fits: that is no reason to look away
 
 
 def test_partners_are_looked_for_on_the_template_as_it_has_become(tube_rig):
@@ -198,7 +199,7 @@ def test_partners_are_looked_for_on_the_template_as_it_has_become(tube_rig):
     bump[:20] = [0.0, 0.0, 0.5]
     state = tube.rest().replace(residual=bump)
     same = Problem(tube.deformed(state).vertices)
-    assert shown_problem(tube, same, state, False) is same
+    assert shown_problem(tube, same, state, WHOLE) is same
 
 
 @pytest.mark.parametrize("of", ["points", "surface"])
@@ -210,10 +211,10 @@ def test_what_is_usual_in_a_scan_has_a_partner_however_far_that_is(model, of):
     usual = V + 0.05 * np.array([0.0, 0.0, 1.0])
     if of == "points":
         X = np.vstack([usual, V[tip] + 0.15 * out, V[tip] + 0.25 * out])
-        kept = shown_problem(model, Problem(X), state, False).x_weights[-2:] > 0
+        kept = shown_problem(model, Problem(X), state, WHOLE).x_weights[-2:] > 0
     else:  # the scan lacks what is around the tip
         away = np.linalg.norm(V - V[tip], axis=1)
-        back = [shown_problem(model, Problem(V[away > gap] + 0.05 * out), state, False) for gap in (0.12, 0.3)]
+        back = [shown_problem(model, Problem(V[away > gap] + 0.05 * out), state, WHOLE) for gap in (0.12, 0.3)]
         kept = np.array([p.v_weights is None or p.v_weights[tip] > 0 for p in back])
     assert list(kept) == [True, False]
 
@@ -223,16 +224,16 @@ def test_a_view_that_shows_next_to_nothing_hides_nothing(tube_rig):
     tube = Model(tube_rig)
     V = tube.pose(tube.rest())[0].vertices
     end = Problem(V[V[:, 1] < V[:, 1].min() + 0.02])
-    assert shown_problem(tube, end, tube.rest(), True) is end
+    assert shown_problem(tube, end, tube.rest(), Coverage(one_sided=True)) is end
     above = Problem(V[V[:, 2] > np.median(V[:, 2])])
-    shown = shown_problem(tube, above, tube.rest(), True).v_weights
+    shown = shown_problem(tube, above, tube.rest(), Coverage(one_sided=True)).v_weights
     assert 0.2 < shown.mean() < 0.5
     # It is surface that counts, however many vertices it has.
     tube.__dict__["areas"] = np.where(shown > 0, 0.1 / np.sum(shown > 0), 0.9 / np.sum(shown == 0))
-    assert shown_problem(tube, above, tube.rest(), True) is above
+    assert shown_problem(tube, above, tube.rest(), Coverage(one_sided=True)) is above
     few = V[:, 1] < V[:, 1].min() + 0.02
     tube.__dict__["areas"] = np.where(few, 0.9 / few.sum(), 0.1 / (~few).sum())
-    assert shown_problem(tube, end, tube.rest(), True).v_weights.mean() < 0.2
+    assert shown_problem(tube, end, tube.rest(), Coverage(one_sided=True)).v_weights.mean() < 0.2
 
 
 def test_a_rival_and_limits_count(model, right):

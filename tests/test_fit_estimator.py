@@ -70,7 +70,7 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
     parameters = fitter.get_params()
     assert parameters["rig"] is tube_rig and parameters["training_scans"] == 7
     names = {"rig", "weights", "joints", "scale", "max_points", "training_scans", "training", "n_jobs", "random_state"}
-    names |= {"orientation", "up", "partial", "effort", "unit"}
+    names |= {"orientation", "up", "partial", "cropped", "effort", "unit"}
     assert set(parameters) == names | {"variant", "rounds", "held_out", "sequence", "smooth"}
     copy = clone(fitter)
     assert copy is not fitter and copy.get_params() == parameters

@@ -16,6 +16,7 @@ from lbsfit_np.optimize.jacobian import VertexMotion
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import Layout
+from lbsfit_np.optimize.visibility import WHOLE, Coverage
 from lbsfit_np.rig.build import build_rig
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -356,8 +357,24 @@ def test_of_a_one_sided_scan_the_shown_vertices_pull_as_all_do_of_a_whole_one(tu
     V = tube.pose(state)[0].vertices
     front = Problem(V[V[:, 2] > np.median(V[:, 2])] + [0.0, 0.0, 50.0])
     for partial in (False, True):
-        value = GaussNewton(tube, partial=partial, reach=0.05).pose(front, state, iterations=0)[1]
+        value = GaussNewton(tube, coverage=Coverage(partial), reach=0.05).pose(front, state, iterations=0)[1]
         assert value == pytest.approx(2 * 0.05**2, rel=1e-3)
+
+
+@pytest.mark.parametrize("q", [1.0, 1.5])
+def test_of_a_cropped_scan_nothing_is_known_beyond_its_hull(q, tube):
+    """Neither where the body goes on there, nor how: what is within is fitted as if all were shown."""
+    truth = state_within(tube, 3).replace(scale=q, coefficients=np.zeros(tube.n_coefficients))
+    problem, labels = sampled(tube, truth)
+    cropped = Problem(problem.X[labels < 3])
+    start = near(tube, truth, 3)
+    whole, part = (GaussNewton(tube, coverage=coverage, reach=0.5) for coverage in (WHOLE, Coverage(cropped=True)))
+    assert part.pose(cropped, truth, iterations=0)[1] < 0.2 * whole.pose(cropped, truth, iterations=0)[1]
+    off = []
+    for steps in (whole, part):
+        found = tube.deformed(steps.pose(cropped, start, iterations=30)[0]).joints
+        off.append(np.linalg.norm(found - tube.deformed(truth).joints, axis=1)[:3].max())
+    assert off[1] < 0.02 and off[1] < 0.5 * off[0]
 
 
 def test_of_one_start_comes_one_answer(tube):
@@ -390,7 +407,7 @@ def test_vertices_pull_as_the_value_falls(tube, partial):
     """g = −½ ∂E/∂t of a translation t, which leaves normals as they are, where points lie on the surface and do not pull."""
     truth = state_within(tube, 3)
     problem, _ = sampled(tube, truth)
-    steps, layout = GaussNewton(tube, partial=partial), Layout(tube.rig, ("translation",), tube.n_coefficients)
+    steps, layout = GaussNewton(tube, coverage=Coverage(partial)), Layout(tube.rig, ("translation",), tube.n_coefficients)
 
     def made(t):
         state = truth.replace(translation=truth.translation + t)

@@ -15,6 +15,7 @@ from lbsfit_np.learning.collection import Collection
 from lbsfit_np.learning.sequence import poses_beside
 from lbsfit_np.optimize.frame import nearest_root
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.visibility import Coverage
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
@@ -161,7 +162,7 @@ def test_scans_of_one_side_are_smoothed_as_such(tube_rig, few_scans, monkeypatch
     monkeypatch.setattr(Collection, "work", each)
     rounds._smooth({0: (tube_rig.vertices, tube_rig.joints)}, None)
     model, X, state, prior, _, found = done[0]
-    one_side, whole = (Refit(model, partial=p).polish(Problem(X), state, prior=prior).theta for p in (True, False))
+    one_side, whole = (Refit(model, coverage=Coverage(p)).polish(Problem(X), state, prior=prior).theta for p in (True, False))
     np.testing.assert_array_equal(found.theta, one_side)
     assert np.abs(one_side - whole).max() > 1e-3
 

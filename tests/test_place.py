@@ -8,6 +8,8 @@ from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.learning.parameters import fit_settings
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.visibility import Coverage
+from lbsfit_np.starts import place
 from lbsfit_np.starts.place import placed
 
 pytestmark = pytest.mark.usefixtures("one_thread")
@@ -34,7 +36,7 @@ def _away(model, views, **options):
 
 
 def test_a_view_of_one_side_is_put_where_that_side_is(model, views):
-    whole, side = _away(model, views), _away(model, views, partial=True)
+    whole, side = _away(model, views), _away(model, views, coverage=Coverage(one_sided=True))
     assert np.median(whole) > 0.15
     assert np.median(side) < 0.4 * np.median(whole) and side.max() < 0.6 * whole.max()
 
@@ -45,7 +47,7 @@ def test_weights_and_order_of_points_are_minded(weighted, model, views):
     n, near = len(problem.X), np.repeat(problem.X, 3, axis=0) + [0.0, 0.0, 0.3]
     weights = np.r_[np.full(n, 1.0 / n), np.zeros(3 * n)] if weighted else None
     given = Problem(np.vstack([problem.X, near]) if weighted else problem.X[::-1], weights)
-    alone, found = (placed(model, p, theta, partial=True).translation for p in (problem, given))
+    alone, found = (placed(model, p, theta, coverage=Coverage(one_sided=True)).translation for p in (problem, given))
     np.testing.assert_allclose(found, alone, atol=1e-12)
 
 
@@ -59,7 +61,7 @@ def test_a_whole_scan_has_the_centroid_of_the_surface(scale, model):
 
 
 def test_a_known_pose_finds_its_place_in_a_view_of_one_side(model, views):
-    refit = Refit(model, partial=True)
+    refit = Refit(model, coverage=Coverage(one_sided=True))
     for problem, theta, where in views:
         state, _, which = refit(problem, poses=[theta])
         truth = model.rest().replace(theta=theta, translation=where)
@@ -91,3 +93,25 @@ def test_a_start_that_is_right_is_not_lost_on_a_learned_template(model):
         found = _given(fitter, 0, s.points, None, fit_settings(fitter), 1.0, s.pose, None)
         joints = found.frame.outside(model.deformed(found.state).joints)
         assert np.linalg.norm(joints - s.joints, axis=1).mean() / model.half < 0.01
+
+
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_a_cropped_scan_is_put_where_its_part_is(one_sided, model):
+    """The centroid of half a hand is a third of its size from the whole's."""
+    views, settings = [], {"poses": "natural", "random_state": 4, "n_points": 600, "shape": 0.0, "holes": 0, "cropped": 0.6}
+    for s in lbs.synthesize(model.source, 12, one_sided=one_sided, **settings):
+        views.append((Problem(s.points / model.half), s.pose, s.translation / model.half))
+    unsaid, said = (_away(model, views, coverage=Coverage(one_sided, cropped)) for cropped in (False, True))
+    assert np.median(said) < 0.6 * np.median(unsaid) and said.max() < 0.7 * unsaid.max()
+
+
+def test_centroids_of_what_crops_leave():
+    """Of a rod along x: with 40 % beyond, either end is left."""
+    V = np.column_stack([np.linspace(-1.0, 1.0, 201), np.zeros(201), np.zeros(201)])
+    found = place._centroids(V, np.full(201, 1 / 201), None, True)
+    assert len(found) == 1 + 26 * len(place._CROPS)
+    assert np.abs(found[:, 1:]).max() == 0 and found[0, 0] == pytest.approx(0.0, abs=1e-12)
+    for share in place._CROPS:
+        for side in (-share, share):
+            assert np.abs(found[:, 0] - side).min() < 0.01
+    assert np.abs(found[:, 0]).max() < max(place._CROPS) + 0.01

@@ -20,6 +20,7 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import Layout
 from lbsfit_np.optimize.surface import vertex_normals
+from lbsfit_np.optimize.visibility import Coverage
 from lbsfit_np.rotations import matrix_from_rotvec
 from lbsfit_np.scan import some_rows
 from lbsfit_np.starts.turns import Facing
@@ -102,14 +103,14 @@ def test_thinned_models_have_the_normals_of_the_whole(model):
 @pytest.mark.parametrize("rig, fine", [("hand", True), ("body", True), ("body-coarse", True), ("hand-coarse", False)])
 def test_only_fine_meshes_go_by_planes(rig, fine, partial):
     model = Model(lbs.load_rig(rig))
-    refit = Refit(model, partial=partial)
+    refit = Refit(model, coverage=Coverage(partial))
     assert model.is_fine == fine
     assert refit._far.model is (model.coarse if fine else model)
     assert isinstance(refit._far._mesh, ToPlanes if fine else ToTriangles)
-    assert refit._far.partial == partial
-    bends = Bends(model, ("pose",), None, partial=partial)
+    assert refit._far.coverage == Coverage(partial)
+    bends = Bends(model, ("pose",), None, coverage=Coverage(partial))
     assert bends._first.model is refit._far.model and type(bends._first._mesh) is type(refit._far._mesh)
-    assert bends._first.partial == partial
+    assert bends._first.coverage == Coverage(partial)
     for steps in (refit._near, refit._last, bends._steps):
         assert steps.model is model and isinstance(steps._mesh, ToTriangles)
 
@@ -191,7 +192,7 @@ def test_normal_equations_have_the_slope_of_the_value(model, partial):
     """g = −½ ∂E/∂t of a translation t, which leaves normals, and mostly the nearest, as they are."""
     truth, model = state_within(model, 3), model.coarse
     problem = sampled_on(model, truth)
-    steps = GaussNewton(model, planes=True, partial=partial, **FAR)
+    steps = GaussNewton(model, planes=True, coverage=Coverage(partial), **FAR)
     layout = Layout(model.rig, ("translation",), model.n_coefficients)
 
     def made(t):

@@ -15,6 +15,7 @@ from lbsfit_np.learning.tasks import Pose
 from lbsfit_np.losses import chamfer
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.visibility import Coverage
 from lbsfit_np.starts.limbs import LimbPoses
 from lbsfit_np.synthesis import uniform_poses
 
@@ -118,7 +119,7 @@ def test_poses_of_a_round_are_looked_for_as_settings_say(effort, partial, rig, m
         refit, limbs, more = asked[-1]
         assert more["proba"].dtype == np.float64
         assert refit.model is limbs.poses.model is models[subject]
-        assert refit._last.partial == partial and limbs.effort is EFFORTS[effort]
+        assert refit._last.coverage == Coverage(partial) and limbs.effort is EFFORTS[effort]
         assert (refit._bends is None) == (effort == "fast")
     assert asked[0][0] is asked[2][0] and asked[0][1] is asked[2][1]  # made ready once
 
@@ -126,7 +127,8 @@ def test_poses_of_a_round_are_looked_for_as_settings_say(effort, partial, rig, m
 @pytest.mark.parametrize("effort, partial", [("fast", True), ("balanced", False)])
 def test_fits_after_learning_try_other_bends_as_effort_says(effort, partial, rig, model):
     fit = TemplateFit(rig, model, FitSettings(effort=effort, partial=partial))
-    assert fit.refit.model is model and fit.refit._last.partial == partial and (fit.refit._bends is None) == (effort == "fast")
+    assert fit.refit.model is model and fit.refit._last.coverage == Coverage(partial)
+    assert (fit.refit._bends is None) == (effort == "fast")
 
 
 @pytest.mark.parametrize("left, generations", [(0.98, 3), (0.995, 1)])

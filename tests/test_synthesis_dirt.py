@@ -10,7 +10,7 @@ import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
 from lbsfit_np.segmentation.segmenter import train_segmenter
 from lbsfit_np.segmentation.stage import Training
-from lbsfit_np.sensor import View, sample_seen_surface, sample_surface
+from lbsfit_np.sensor import View, sample_seen_surface, sample_surface, within_crop
 from lbsfit_np.synthesis import Synthesis, make_settings
 
 CLEAN = {"noise": 0.0, "holes": 0, "density": 0.0}
@@ -50,7 +50,7 @@ def test_scans_of_older_settings_are_what_they_were(tube_rig):
     assert one.labels[:12].tolist() == [0, 1, 0, 0, 2, 0, 1, 0, 1, 0, 0, 3] and one.labels.sum() == 275
     assert two.points.sum() == pytest.approx(-45.708597671031065, rel=1e-12) and two.labels.sum() == 581
     assert two.scale == pytest.approx(0.9527724877179691, rel=1e-15)
-    again = lbs.synthesize(tube_rig, 1, random_state=5, clutter=0.0, floor=0.0, one_sided=False, **settings)[0]
+    again = lbs.synthesize(tube_rig, 1, random_state=5, clutter=0.0, floor=0.0, one_sided=False, cropped=0.0, **settings)[0]
     assert np.array_equal(again.points, one.points)
 
 
@@ -58,7 +58,7 @@ def test_flags_may_be_of_any_kind_of_truth():
     """The key of what is cached is made of their text."""
     made = make_settings({"one_sided": 1})
     assert made == make_settings({"one_sided": np.True_}) == Synthesis(one_sided=True)
-    assert repr(made).endswith("one_sided=True)")
+    assert "one_sided=True," in repr(made)
 
 
 @pytest.mark.parametrize(
@@ -196,6 +196,30 @@ def test_one_sided_scans_are_one_sided_and_as_full_as_others(tube_rig):
         assert _unseen(b) > 4 * _unseen(a) + 0.1
     again = lbs.synthesize(tube_rig, 2, random_state=2, n_points=600, one_sided=True, **CLEAN)[1]
     assert np.array_equal(again.points, half[1].points) and np.array_equal(again.labels, half[1].labels)
+
+
+@pytest.mark.parametrize("one_sided", [False, True])
+def test_cropped_scans_end_at_a_plane_and_are_as_full_as_others(one_sided, tube_rig):
+    """So much is left out as the setting says at most, along any direction."""
+    settings = {"random_state": 2, "n_points": 600, "noise": 0.0, "density": 0.0, "shape": 0.0, "one_sided": one_sided}
+    left = []
+    for scan in lbs.synthesize(tube_rig, 30, cropped=0.5, poses=np.zeros((1, 4, 3)), **settings):
+        assert len(scan.points) == len(scan.labels) == len(scan.triangle) == 600
+        on = np.einsum("nk,nka->na", scan.barycentric, scan.vertices[tube_rig.faces[scan.triangle]])
+        np.testing.assert_allclose(on, scan.points, atol=1e-12)
+        left.append(_unseen(scan))
+    whole = [_unseen(scan) for scan in lbs.synthesize(tube_rig, 30, poses=np.zeros((1, 4, 3)), **settings)]
+    more = np.array(left) - np.median(whole)
+    assert 0.1 < np.mean(more) < 0.35 and np.max(more) < 0.55 and np.min(more) < 0.1
+
+
+def test_what_is_beyond_a_crop_is_a_share_along_one_direction():
+    points, rng, same = np.random.default_rng(0).standard_normal((4000, 3)), np.random.default_rng(1), np.random.default_rng(1)
+    for beyond in (0.1, 0.5):
+        kept, direction = within_crop(points, beyond, rng), same.standard_normal(3)
+        assert kept.mean() == pytest.approx(1.0 - beyond, abs=1e-3)
+        assert (points[kept] @ direction).max() < (points[~kept] @ direction).min()
+    assert within_crop(points, 0.0, rng).all()
 
 
 def _unseen(scan):

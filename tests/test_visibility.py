@@ -1,4 +1,4 @@
-"""What one depth camera shows of a mesh: where it was, and what is behind what it has seen."""
+"""What scans show of a mesh: where a camera was, what is behind what it has seen, and what lies within a cropped scan's hull."""
 
 from dataclasses import replace
 
@@ -8,11 +8,20 @@ import pytest
 import lbsfit_np as lbs
 from lbsfit_np.fitting.refit import plain_chamfer
 from lbsfit_np.losses.objective import PLAIN
+from lbsfit_np.optimize import visibility
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.surface import vertex_normals
-from lbsfit_np.optimize.visibility import camera_direction, shown
+from lbsfit_np.optimize.visibility import (
+    WHOLE,
+    Coverage,
+    camera_direction,
+    hull_planes,
+    seen_vertices,
+    shown,
+    within_hull,
+)
 from lbsfit_np.sensor import View, sample_surface
 
 
@@ -52,7 +61,7 @@ def test_of_one_side_the_chamfer_distance_is_over_what_that_shows():
         wrong[middle, 0] = rig.lower[middle, 0] if s.pose[middle, 0] > 0.7 else rig.upper[middle, 0]
         right, wrong = (model.rest().replace(theta=theta, translation=place) for theta in (s.pose, wrong))
         both = (right, True), (wrong, True), (right, False)
-        found.append([plain_chamfer(model, problem, state, partial=partial) for state, partial in both])
+        found.append([plain_chamfer(model, problem, state, coverage=Coverage(partial)) for state, partial in both])
         assert found[-1][2] == problem.evaluate(model.coarse, right, PLAIN).value
     right, wrong, of_all = np.array(found).T
     assert right.max() < 1.6 * np.median(right) and np.median(wrong) > 3.0 * np.median(right)
@@ -131,3 +140,41 @@ def test_little_is_taken_for_shown_that_the_camera_does_not_see(which):
         missed.append((faced & ~found).sum() / faced.sum())
     assert np.mean(wrong) < 0.04
     assert np.mean(missed) < 0.15
+
+
+def test_what_is_outside_the_hull_of_a_cropped_scan_is_not_shown(monkeypatch):
+    box = np.array([[x, y, z] for x in (-1.0, 1.0) for y in (-1.0, 1.0) for z in (-1.0, 1.0)])
+    planes = hull_planes(np.vstack([box, 0.2 * box]))
+    assert len(planes) == 6  # each side once
+    V = np.array([[0.0, 0.0, 0.0], [1.005, 0.0, 0.0], [1.02, 0.0, 0.0], [0.9, 0.9, -0.9], [0.0, -3.0, 0.0]])
+    expected = [True, True, False, True, False]
+    assert within_hull(V, planes).tolist() == expected
+    monkeypatch.setattr(visibility, "_AT_ONCE", 2)
+    assert within_hull(V, planes).tolist() == expected
+
+
+@pytest.mark.parametrize("X", [np.zeros((1, 3)), np.eye(3), np.random.default_rng(0).random((40, 3)) * [1.0, 1.0, 0.0]])
+def test_points_without_a_hull_hide_nothing(X):
+    assert hull_planes(X).shape == (0, 4) and within_hull(np.full((3, 3), 9.0), hull_planes(X)).all()
+
+
+@pytest.mark.parametrize("coverage", [WHOLE, Coverage(cropped=True), Coverage(one_sided=True), Coverage(True, True)])
+def test_vertices_are_seen_that_neither_side_nor_hull_hides(coverage, tube_rig):
+    model = Model(tube_rig)
+    V = model.rig.vertices
+    problem = Problem(V[(V[:, 1] < 0.2) & (V[:, 2] > 0.0)])
+    near = np.linalg.norm(V[:, None] - problem.X, axis=2)
+    seen = seen_vertices(coverage, V, model.rig.faces, problem, near.argmin(axis=0), near.argmin(axis=1))
+    assert seen[V[:, 1] > 0.25].any() != coverage.cropped
+    assert seen[(V[:, 2] < -0.01) & (V[:, 1] < 0.0)].any() != (coverage.one_sided or coverage.cropped)
+    assert seen[near.min(axis=1) == 0.0].mean() > 0.5
+    assert coverage.whole == seen.all()
+
+
+@pytest.mark.parametrize("q", [1.0, 2.0])
+def test_a_hull_goes_with_its_frame(q):
+    problem = Problem(np.random.default_rng(0).standard_normal((50, 3)))
+    other = problem.in_unit(q)
+    out, same = ((2.0 * p.X @ p.hull[:, :3].T + p.hull[:, 3]).max(axis=1) for p in (problem, other))
+    np.testing.assert_allclose(same, out / q, atol=1e-12)
+    assert within_hull(other.X, other.hull).all()

@@ -48,12 +48,9 @@ class LBSFitter(BaseEstimator):
         any way. The turn is found by trying hypotheses; the less is left open, the surer and faster this is.
     up : {"+x", "-x", "+y", "-y", "+z", "-z"}, optional
         The scans' up axis, where it is known; by default the rig's, or another axis where the rig's does not suit a scan.
-    partial : bool, default False
-        Whether scans show one side only, as single depth views do. Training then uses such scans, and parts of the model for
-        which a scan has no points do not pull.
-    cropped : bool, default False
-        Whether scans end before the body does, as where a picture or a box ends. Training then uses such scans, and parts of the
-        model that lie outside the scan's convex hull do not pull.
+    partial, cropped : bool, default False
+        Whether scans show one side only, as single depth views do, and whether they end before the body does, as where a picture
+        ends. Training then uses such scans, and what of the model they cannot show does not pull.
     effort : {"balanced", "fast", "thorough"}, default "balanced"
         How many starts are followed, and how far.
     max_points : int, default 2500
@@ -85,10 +82,9 @@ class LBSFitter(BaseEstimator):
         s, set by :meth:`pretrain` or :meth:`fit_scan` and, as learned, by :meth:`fit`; None in variants without labels.
     regressor_ : PoseLibrary or None
         f and the poses it was trained on, in which starts are looked up; set by the same methods, and made anew by :meth:`fit`.
-    template_ : dict of id to Rig
-        Set by :meth:`fit`, like all below: the rig on each subject's own template. Ids are those given to it; 0 if none were.
-    unit_ : dict of id to float
-        Scan units per rig unit.
+    template_, unit_ : dict of id to Rig, and to float
+        Set by :meth:`fit`, like all below: the rig on each subject's own template, and scan units per rig unit. Ids are those
+        given to it; 0 if none were.
     learned_unit_ : str or None
         ``unit`` of the scans learned from; new scans may be in another.
     pose_prior_ : PosePrior or None

@@ -139,13 +139,14 @@ def vertex_motion(model, state, posed, rows, blocks, turning):
     return VertexMotion(*_turns(posed, weights, posed.rest[rows], turning), columns)
 
 
-def joint_motion(model, state, posed, blocks, turning):
+def joint_motion(state, posed, blocks, turning):
     """∂P/∂x of the posed joints.
 
     Parameters
     ----------
-    model, state, posed, blocks, turning
+    state, posed, turning
         As for :func:`vertex_motion`.
+    blocks : sequence of {"pose", "translation", "scale"}
 
     Returns
     -------
@@ -153,13 +154,9 @@ def joint_motion(model, state, posed, blocks, turning):
         Of J places.
     """
     n = len(posed.joints)
-    plain = {
-        "translation": lambda: np.broadcast_to(_I, (n, 3, 3)),
-        "scale": lambda: _scaled(state, posed, posed.joints),
-        "proportions": lambda: posed.scale * _joints_of_the_family(model, posed),
-    }
+    plain = {"translation": np.broadcast_to(_I, (n, 3, 3)), "scale": _scaled(state, posed, posed.joints)}
     turning = turning if "pose" in blocks else np.zeros_like(turning)
-    columns = np.concatenate([np.empty((n, 3, 0)), *(plain[block]() for block in blocks if block != "pose")], axis=2)
+    columns = np.concatenate([np.empty((n, 3, 0)), *(plain[block] for block in blocks if block != "pose")], axis=2)
     return VertexMotion(*_turns(posed, np.eye(n), posed.rest_joints, turning), columns)  # a joint hangs on itself alone
 
 
@@ -193,20 +190,14 @@ def _crossed(x, y):
 
 def _family(model, posed, rows, weights):
     """(n, 3, k): ∂/∂c of vertices, as they go with the blended rotation and with the joints that the family moves."""
-    A, k = posed.A, model.n_coefficients
-    J = len(A)
+    rig, A, k = posed.rig, posed.A, model.n_coefficients
+    J = len(rig.parents)
+    turn = posed.turns(rows)
     basis = model.basis.reshape(-1, 3, k)[rows]
     joints = model.joint_basis.reshape(J, 3, k)
-    carried = (_joints_of_the_family(model, posed) - np.einsum("jab,jbk->jak", A, joints)).reshape(J, -1)
-    return posed.scale * (posed.turns(rows) @ basis + (weights @ carried).reshape(-1, 3, k))
-
-
-def _joints_of_the_family(model, posed):
-    """(J, 3, k): ∂/∂c of the posed joints, unscaled."""
-    rig, A = posed.rig, posed.A
-    joints = model.joint_basis.reshape(len(A), 3, model.n_coefficients)
-    place = np.empty_like(joints)
+    place = np.empty((J, 3, k))
     place[rig.root] = joints[rig.root]
     for level, up in rig.levels:
         place[level] = place[up] + np.einsum("jab,jbk->jak", A[up], joints[level] - joints[up])
-    return place
+    carried = (place - np.einsum("jab,jbk->jak", A, joints)).reshape(J, -1)
+    return posed.scale * (turn @ basis + (weights @ carried).reshape(-1, 3, k))

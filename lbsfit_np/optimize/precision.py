@@ -43,7 +43,7 @@ def joint_std(steps, problem, state, *, free=IN_UNIT, proba=None):
     if not np.isfinite(posed.vertices).all():
         return np.full(len(posed.joints), np.nan)
     C, _, layout = _covariance(steps, problem, state, free, _INDEPENDENT, proba)
-    P = joint_motion(steps.model, state, posed, layout.blocks, layout.turning).dense()
+    P = joint_motion(state, posed, layout.blocks, layout.turning).dense()
     return np.sqrt(np.maximum(np.einsum("jap,pq,jaq->j", P, C, P), 0.0))
 
 
