@@ -1,0 +1,63 @@
+"""Scans that end before the body does, fitted as such: what they show comes as near as in whole ones."""
+
+import copy
+
+import numpy as np
+import pytest
+
+import lbsfit_np as lbs
+from lbsfit_np.errors import InputError
+
+pytestmark = pytest.mark.usefixtures("one_thread")
+
+
+@pytest.fixture(scope="module")
+def hand():
+    return lbs.load_rig("hand-coarse")
+
+
+def _scans(rig, n, **settings):
+    made = {"poses": "natural", "n_points": 1500, "holes": 0, "cropped": 0.5, "random_state": 11} | settings
+    return lbs.synthesize(rig, n, **made)
+
+
+def _off(rig, scan, result):
+    """How far each joint that moves is off whose part has points, in shares of the size."""
+    shown = np.bincount(scan.labels, minlength=len(rig.parts))[rig.part_of_joint] >= 20
+    return np.linalg.norm(result.joints - scan.joints, axis=1)[shown & rig.moving] / (rig.size * scan.scale)
+
+
+def test_with_known_labels_what_is_shown_is_right(hand):
+    fitter = lbs.LBSFitter(hand, cropped=True, orientation="aligned", random_state=0)
+    off = [_off(hand, s, fitter.fit_scan(s.points, labels=s.labels)) for s in _scans(hand, 3)]
+    assert max(o.mean() for o in off) < 0.01 and max(o.max() for o in off) < 0.03
+
+
+def test_a_start_that_is_right_stays_right_at_its_size(tube_rig, quick_fitter):
+    """Unless it is said, surface beyond the edge draws what is shown. Outside the hull too small a size costs nothing."""
+    off, sizes = [], []
+    for cropped in (False, True):
+        fitter = copy.copy(quick_fitter).set_params(cropped=cropped, training_scans=20)
+        for scan in _scans(tube_rig, 4, poses="uniform", shape=0.0):
+            result = fitter.fit_scan(scan.points, theta0=scan.pose)
+            off.append(_off(tube_rig, scan, result).max())
+            sizes.append(result.scale / scan.scale)
+    assert max(off[4:]) < 0.03 and np.median(off[4:]) < 0.5 * np.median(off[:4]), off
+    np.testing.assert_allclose(sizes[4:], 1.0, atol=0.05)
+
+
+def test_training_is_on_cropped_scans(tube_rig):
+    for given, share in (({"cropped": True}, 0.6), ({"cropped": True, "training": {"cropped": 0.2}}, 0.2), ({}, 0.0)):
+        assert lbs.LBSFitter(tube_rig, **given)._synthesis().cropped == share
+
+
+def test_what_is_no_flag_is_refused(tube_rig):
+    with pytest.raises(InputError, match="cropped: got 0.5; expected True or False"):
+        lbs.fit_scan(tube_rig, np.zeros((10, 3)), cropped=0.5)
+
+
+@pytest.mark.study
+def test_parts_of_hands_are_fitted_without_labels(hand):
+    fitter = lbs.LBSFitter(hand, cropped=True, training_scans=1000, random_state=0).pretrain()
+    off = [_off(hand, s, fitter.fit_scan(s.points)).mean() for s in _scans(hand, 6, holes=2)]
+    assert np.median(off) < 0.005 and sum(o < 0.03 for o in off) >= 5
