@@ -7,6 +7,8 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.starts.clean import taking_part
+from lbsfit_np.starts.scale import reference_scale
 
 pytestmark = pytest.mark.usefixtures("one_thread")
 
@@ -44,6 +46,22 @@ def test_a_start_that_is_right_stays_right_at_its_size(tube_rig, quick_fitter):
             sizes.append(result.scale / scan.scale)
     assert max(off[4:]) < 0.03 and np.median(off[4:]) < 0.5 * np.median(off[:4]), off
     np.testing.assert_allclose(sizes[4:], 1.0, atol=0.05)
+
+
+@pytest.mark.parametrize("scale", ["fixed", "estimate"])
+def test_a_small_part_may_be_in_the_rigs_unit(scale, tube_rig):
+    """Unless it is said, a quarter of the rig's extent is none that a scan may have."""
+    points = tube_rig.vertices[tube_rig.vertices[:, 1] < tube_rig.vertices[:, 1].min() + 0.25 * tube_rig.size]
+    assert reference_scale(points, tube_rig, scale, cropped=True).scale == 1.0
+    known = {"most": 100, "rng": np.random.default_rng(0), "scale": scale}
+    assert taking_part(points, tube_rig, cropped=True, **known).scale == 1.0
+    if scale == "fixed":
+        with pytest.raises(InputError, match="a scan in the rig's unit"):
+            reference_scale(points, tube_rig, scale)
+    else:
+        assert reference_scale(points, tube_rig, scale).scale != 1.0
+    with pytest.raises(InputError, match="scale: got 'fixed' for a scan whose extent is 0.03.* times the rig's"):
+        reference_scale(0.1 * points, tube_rig, "fixed", cropped=True)
 
 
 def test_training_is_on_cropped_scans(tube_rig):

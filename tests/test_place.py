@@ -98,9 +98,9 @@ def test_a_start_that_is_right_is_not_lost_on_a_learned_template(model):
 @pytest.mark.parametrize("one_sided", [False, True])
 def test_a_cropped_scan_is_put_where_its_part_is(one_sided, model):
     """The centroid of half a hand is a third of its size from the whole's."""
-    views, settings = [], {"poses": "natural", "random_state": 4, "n_points": 600, "shape": 0.0, "holes": 0, "cropped": 0.6}
-    for s in lbs.synthesize(model.source, 12, one_sided=one_sided, **settings):
-        views.append((Problem(s.points / model.half), s.pose, s.translation / model.half))
+    settings = {"poses": "natural", "random_state": 4, "n_points": 600, "shape": 0.0, "holes": 0, "cropped": 0.6}
+    scans = lbs.synthesize(model.source, 12, one_sided=one_sided, **settings)
+    views = [(Problem(s.points / model.half), s.pose, s.translation / model.half) for s in scans]
     unsaid, said = (_away(model, views, coverage=Coverage(one_sided, cropped)) for cropped in (False, True))
     assert np.median(said) < 0.6 * np.median(unsaid) and said.max() < 0.7 * unsaid.max()
 

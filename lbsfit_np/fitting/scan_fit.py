@@ -187,6 +187,7 @@ class ScanFit:
         """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
         known = {"point_weights": point_weights, "labels": labels, "among": among}
         limits = {"most": self.settings.max_points, "scale": self.settings.scale, "unit": self.settings.unit, "ups": ups}
+        limits["cropped"] = self.settings.cropped
         return taking_part(points, self.model.source, rng=generator(random_state, "thin"), **limits, **known)
 
     def _fit(self, points, theta0, labels, point_weights, part, started, found, *, once):

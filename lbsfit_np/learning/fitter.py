@@ -221,9 +221,9 @@ class LBSFitter(BaseEstimator):
             raise InputError("checkpoint", got, "a seed", "Pass a seed, such as random_state=0.")
         checkpoint = as_checkpoint(checkpoint)
         variant, seed, facing = as_variant(self.variant), self._seed(), facing_of(self.rig, self.orientation, self.up)
-        held_out = self.held_out if variant.skinning else 0.0
         known = {"scale": self.scale, "unit": self.unit, "ups": facing.floors, "max_points": self.max_points}
-        collection = read_collection(self.rig, scans, subjects, held_out=held_out, random_state=seed, **known)
+        known |= {"held_out": self.held_out if variant.skinning else 0.0, "cropped": self.cropped, "random_state": seed}
+        collection = read_collection(self.rig, scans, subjects, **known)
         collection.warn(stacklevel=2)
         progress = progress or (lambda stage, share, figures=None: None)
         settings, jobs = fit_settings(self), jobs_of(self.n_jobs, None)

@@ -77,6 +77,7 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
         subjects = _of_a_size_allowed(fitter, subjects, settings)
         facing, given = _facing(fitter), given_names(theta0, labels)
         limits = {"most": settings.max_points, "scale": settings.scale, "unit": settings.unit}
+        limits["cropped"] = settings.cropped
 
         def part_of(x, a, ups, **more):
             return taking_part(x, fitter.rig, rng=generator(seed, "thin"), ups=ups, point_weights=a, **limits, **more)

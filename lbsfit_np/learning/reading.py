@@ -47,7 +47,7 @@ def as_scans(scans):
     return scans
 
 
-def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state, unit=None, ups=None):
+def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random_state, unit=None, ups=None, cropped=False):
     """Read and check the scans of a collection.
 
     Parameters
@@ -63,6 +63,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     unit : str, optional
         The scans', where it is known: their extents may then differ as subjects' sizes do.
     ups : sequence of (3,) arrays, optional
+    cropped : bool, default False
         As for ``starts.clean.taking_part``.
     random_state : int
 
@@ -84,7 +85,7 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     collection, found = Collection(len(scans), asked=list(dict.fromkeys(subjects))), {}
 
     def looked_at(i, points, ups):
-        known = {"scale": scale, "unit": unit, "ups": ups}
+        known = {"scale": scale, "unit": unit, "ups": ups, "cropped": cropped}
         return taking_part(points, rig, most=max_points, rng=generator(random_state, "thin", i), **known)
 
     for i, (source, subject) in enumerate(zip(scans, subjects)):

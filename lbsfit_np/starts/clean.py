@@ -97,7 +97,9 @@ class TakingPart:
         return bool(self.below)
 
 
-def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_weights=None, labels=None, among=None):
+def taking_part(
+    points, rig, *, most, rng, scale, unit=None, ups=None, point_weights=None, labels=None, among=None, cropped=False
+):
     """What of a scan its fit looks at.
 
     Parameters
@@ -118,6 +120,8 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
         Known parts: what has one is of no floor; −1 where one is not known.
     among : (n,) bool array, optional
         Which points may take part, where others lie beyond the end of the rig; by default all.
+    cropped : bool, default False
+        As for :func:`~lbsfit_np.starts.scale.reference_scale`.
 
     Returns
     -------
@@ -159,7 +163,7 @@ def taking_part(points, rig, *, most, rng, scale, unit=None, ups=None, point_wei
     more = _alike(points, kept, dropped, others, (_LAST - 1) * most, rng)
     parts = None if labels is None or labels[kept].min() < 0 else np.unique(labels[kept])
     shown = None if parts is None else np.isin(rig.vertex_labels, parts)
-    unit = reference_scale(points[kept], rig, scale, unit, whole=labels is None, shown=shown).scale
+    unit = reference_scale(points[kept], rig, scale, unit, whole=labels is None, shown=shown, cropped=cropped).scale
     return TakingPart(kept, more, words, unit, below, known, among)
 
 

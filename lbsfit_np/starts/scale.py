@@ -30,8 +30,10 @@ _NEIGHBOURS, _LONELY = 6, 5.0
 
 # A pose can fold a body to a fraction of its rest extent but hardly stretch it: a ratio in this range is one unit for both.
 _SAME_UNIT = 0.4, 1.8
+# Of a cropped scan there may be as little as this.
+_CROPPED = 0.1
 # What else helps where scales are fixed and a scan is smaller than that.
-_PART = " If it shows a part of the body alone, give fit_scan its labels."
+_PART = " If it shows a part of the body alone, give fit_scan its labels, or pass cropped=True (--cropped)."
 # People of one unit differ by less than this factor.
 _PEOPLE = 1.6
 # Scans of one person, as fits find it, by less than this.
@@ -62,7 +64,7 @@ def sizes_in(rig, unit):
     return {} if unit is None else {"unit": unit_scale(rig, unit), "within": _SUBJECTS}
 
 
-def reference_scale(points, rig, mode, unit=None, *, whole=True, shown=None):
+def reference_scale(points, rig, mode, unit=None, *, whole=True, shown=None, cropped=False):
     """Scan units in a rig unit.
 
     Parameters
@@ -79,6 +81,8 @@ def reference_scale(points, rig, mode, unit=None, *, whole=True, shown=None):
     shown : (m,) bool array, optional
         The vertices on what the scan shows, where that is known: then it may be as small as these are in the rest pose. It may
         still be as large as the whole, as parts move apart.
+    cropped : bool, default False
+        Whether the scan may end before the body does, so that it may be smaller.
 
     Returns
     -------
@@ -94,40 +98,40 @@ def reference_scale(points, rig, mode, unit=None, *, whole=True, shown=None):
         subject is of such a size.
     """
     ratios = checked_extent(points) / np.array([_extent_of(rig, shown), _extent_of(rig, None)])
-    ratio = ratios[1]
+    ratio, least = ratios[1], _CROPPED if cropped else _SAME_UNIT[0]
     if unit is not None:
-        return _in_known_unit(ratios, rig, mode, unit, whole)
+        return _in_known_unit(ratios, rig, mode, unit, whole, least)
     if mode == "fixed":
-        if not _SAME_UNIT[0] * whole <= ratio <= _SAME_UNIT[1]:
+        if not least * whole <= ratio <= _SAME_UNIT[1]:
             got = f"'fixed' for a scan whose extent is {ratio:.3g} times the rig's"
             remedy = "Convert the scan, or pass scale='estimate' (--scale estimate), which finds the unit."
             raise InputError("scale", got, "a scan in the rig's unit", remedy + (_PART if ratio < 1 else ""))
         return ReferenceScale(1.0, "scale fixed at 1")
-    if _may_be(ratios):
+    if _may_be(ratios, least):
         return ReferenceScale(1.0, "scan and rig are in one unit")
     fitting = {}
     if rig.metres_per_unit is not None:
         fitting = {name: rig.metres_per_unit / METRES[name] for name in USUAL}
-        fitting = {name: unit for name, unit in fitting.items() if _may_be(ratios / unit)}
+        fitting = {name: unit for name, unit in fitting.items() if _may_be(ratios / unit, least)}
     if fitting:
         name, unit = min(fitting.items(), key=lambda item: abs(np.log(ratios[0] / item[1] / 0.9)))
         return ReferenceScale(unit, f"the scan seems to be in {WORDS[name]}: one rig unit is {unit:.6g} scan units")
-    guess = float(ratios[_telling(ratios)])
+    guess = float(ratios[_telling(ratios, least)])
     return ReferenceScale(guess, _guess(guess))
 
 
-def _may_be(sizes, factor=1.0):
+def _may_be(sizes, least, factor=1.0):
     """Whether a scan may be of the rig's size, up to a factor: by its extent in those of what it shows, and of the whole rig."""
-    return bool(_SAME_UNIT[0] / factor <= sizes[0] and sizes[1] <= _SAME_UNIT[1] * factor)
+    return bool(least / factor <= sizes[0] and sizes[1] <= _SAME_UNIT[1] * factor)
 
 
-def _telling(sizes):
+def _telling(sizes, least):
     """Of a scan that is not of the rig's size, which of the two says by how much."""
-    return 0 if sizes[0] < _SAME_UNIT[0] else 1
+    return 0 if sizes[0] < least else 1
 
 
-def _in_known_unit(ratios, rig, mode, unit, whole):
-    scale, (least, most) = unit_scale(rig, unit), _SAME_UNIT
+def _in_known_unit(ratios, rig, mode, unit, whole, least):
+    scale, most = unit_scale(rig, unit), _SAME_UNIT[1]
     sizes = ratios / scale
     size = sizes[1]
     if mode == "fixed":
@@ -135,8 +139,8 @@ def _in_known_unit(ratios, rig, mode, unit, whole):
             got = f"'fixed' for a scan in {unit!r} whose extent is {size:.3g} times the rig's"
             remedy = "Check unit (--unit), or pass scale='estimate' (--scale estimate), which finds the size."
             raise InputError("scale", got, "a scan of the rig's size", remedy + (_PART if size < 1 else ""))
-    elif not _may_be(sizes, _SUBJECTS):
-        k = _telling(sizes)
+    elif not _may_be(sizes, least, _SUBJECTS):
+        k = _telling(sizes, least)
         whose = "the rig's" if k or ratios[0] == ratios[1] else "that of the rig's parts that it shows"
         raise InputError(
             "unit",
@@ -144,8 +148,8 @@ def _in_known_unit(ratios, rig, mode, unit, whole):
             f"the scan's unit, in which it is {least / _SUBJECTS:g} to {most * _SUBJECTS:g} times the rig's",
             "Pass the scan's unit, or None (--unit auto) to have it found; or correct the rig's unit in a card.",
         )
-    same = mode == "fixed" or _may_be(sizes)
-    return ReferenceScale(scale if same else float(ratios[_telling(sizes)]), f"the scan is in {WORDS[unit]}")
+    same = mode == "fixed" or _may_be(sizes, least)
+    return ReferenceScale(scale if same else float(ratios[_telling(sizes, least)]), f"the scan is in {WORDS[unit]}")
 
 
 def _guess(ratio):
