@@ -136,10 +136,10 @@ def test_of_a_scan_that_is_all_but_a_plane_nothing_is_left_out(n_above, goes):
     assert _kept(points).all() != goes
 
 
-@pytest.mark.parametrize("high, goes", [(0.02, False), (0.6, True)])
-def test_of_a_wide_flat_thing_what_stands_on_it_tells_whether_it_is_a_floor(high, goes):
-    """A flat side of a body has little above it: thumbs and creases of a palm."""
-    points = _on_a_table(100)
+@pytest.mark.parametrize("n_above, high, goes", [(100, 0.02, False), (100, 0.6, True), (400, 0.02, True)])
+def test_of_a_wide_flat_thing_what_stands_on_it_tells_whether_it_is_a_floor(n_above, high, goes):
+    """A flat side of a body has little above it: thumbs and creases of a palm. Where there is more above, it may lie flat."""
+    points = _on_a_table(n_above)
     points[2000:, 1] = 0.04 + high * (points[2000:, 1] - points[2000:, 1].min())
     assert _kept(points, ups=[UP])[:2000].any() != goes
 

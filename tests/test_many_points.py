@@ -1,5 +1,6 @@
 """Scans of more points than take part in the search: which of the others the last steps look at, and what that brings."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -17,7 +18,7 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import Layout
 from lbsfit_np.starts import clean
-from lbsfit_np.starts.clean import taking_part
+from lbsfit_np.starts.clean import TakingPart, taking_part
 
 MOST = 400
 
@@ -84,6 +85,18 @@ def test_all_that_is_left_out_is_counted_where_not_all_was_looked_at(tube_rig):
         assert part.is_clutter(out)[2000:].all() and not part.is_clutter(out)[:50].any()
         assert part.told(out) == f"{part.note}, {out.sum() - 50} of all 2300" and out[2000:].all()
     assert _part(points[50:400], tube_rig).told(np.zeros(350, bool)) == ""  # all was looked at
+
+
+def test_of_points_that_were_not_looked_at_some_may_be_of_the_body():
+    """Unless some that were are none of it; what lies beyond the rig is left out by where it is, and tells nothing of others."""
+    left_out, known = np.array([False, True, True, True]), np.array([1, -1, -3, -2], np.int8)
+    part = TakingPart(np.array([0]), np.empty(0, int), "", 1.0, None, known)
+    assert part.is_clutter(left_out).tolist() == [False, False, False, True]
+    known = np.append(known, 0).astype(np.int8)
+    left_out = np.append(left_out, True)
+    assert replace(part, known=known).is_clutter(left_out).tolist() == [False, True, False, True, True]
+    beyond = replace(part, known=known, among=np.array([True, True, True, True, False]))
+    assert beyond.is_clutter(left_out).tolist() == [False, False, False, True, True]
 
 
 def test_points_that_were_not_looked_at_are_judged_by_those_that_were(tube_rig, monkeypatch):
