@@ -353,7 +353,7 @@ def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):
         *("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "--config", config, "--rounds", 3, "--variant", "rand"),
         *("--weights", "paper", "--joints", "fixed", "--scale", "fixed", "--max-points", 300, "--samples", 350, "--seed", 4),
         *("--training-scans", 50, "--training", "turn=3.14", "--jobs", 2, "--parts", "arm and fingers"),
-        *("--orientation", "any", "--effort", "fast", "--partial"),
+        *("--orientation", "any", "--effort", "fast", "--partial", "--cropped"),
     )
     assert code == 130 and "stopped before the model was learned" in text and not (tmp_path / "m.npz").exists()
     assert seen.pop("rig").granularity == "arm and fingers"
@@ -361,7 +361,7 @@ def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):
         "subjects": ["a", "b", "a", "7"], "cache": True, "points": [350] * 4, "held_out": 0.25, "sequence": True,
         "smooth": 1e-5, "rounds": 3, "variant": "rand", "weights": "paper", "joints": "fixed", "scale": "fixed",
         "max_points": 300, "random_state": 4, "training_scans": 50, "training": {"turn": 3.14}, "n_jobs": 2,
-        "orientation": "any", "up": None, "effort": "fast", "partial": True, "unit": None,
+        "orientation": "any", "up": None, "effort": "fast", "partial": True, "cropped": True, "unit": None,
     }  # fmt: skip
 
 
@@ -372,7 +372,7 @@ def test_defaults_are_the_librarys():
         if option.key in parameters and option.key != "training":
             assert option.default == parameters[option.key].default, option.name
             checked += 1
-    assert checked == 15
+    assert checked == 16
     same = {option.key: option for option in fit.OPTIONS}
-    for key in ("orientation", "up", "partial", "effort"):
+    for key in ("orientation", "up", "partial", "cropped", "effort"):
         assert next(option for option in learn.OPTIONS if option.key == key) is same[key]

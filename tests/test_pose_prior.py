@@ -11,6 +11,7 @@ from lbsfit_np.learning.tasks import Held
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import Layout
+from lbsfit_np.optimize.visibility import WHOLE
 
 TURNING = np.array([[1, 1, 1], [1, 0, 1], [0, 1, 0], [0, 0, 0]], dtype=bool)
 ROOT = 0
@@ -101,7 +102,7 @@ def test_smoothing_holds_what_all_poses_tell_as_well(tube_rig):
     wanted = state.theta + 0.2, 1e-3
     refit = Refit(model)
     for noise in (0.0, 1e-3):
-        found = Held({0: model}, False, prior)((0, X, state, wanted, noise))
+        found = Held({0: model}, WHOLE, prior)((0, X, state, wanted, noise))
         expected = refit.polish(Problem(X), state, prior=prior_of(prior, noise, turning, wanted))
         np.testing.assert_array_equal(found.theta, expected.theta)
     assert np.abs(found.theta - refit.polish(Problem(X), state, prior=wanted).theta).max() > 1e-3

@@ -16,6 +16,7 @@ from lbsfit_np.fitting.scout import Found, Scout
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
+from lbsfit_np.optimize.visibility import Coverage
 from lbsfit_np.segmentation.segmenter import Segmenter
 from lbsfit_np.starts.library import PoseLibrary, Start
 from lbsfit_np.starts.turns import facing_of
@@ -327,10 +328,11 @@ def test_bends_are_tried_under_what_is_known(tube_rig):
     scout = _untrained(tube_rig)
     scout = Scout(scout.model, scout.library, scout.facing, None, FitSettings(**known))
     assert scout._bends._free == scout._free == ("pose", "translation")
-    last = scout._to_the_end.__self__._steps
-    assert scout._bends._steps.partial and last.partial and scout._bends._steps.ridge == last.ridge == 7e-5
+    last, side = scout._to_the_end.__self__._steps, Coverage(one_sided=True)
+    assert scout._bends._steps.coverage == last.coverage == side and scout._bends._steps.ridge == last.ridge == 7e-5
     scout = Scout(scout.model, scout.library, scout.facing, None, FitSettings(**known), proportions=False)
-    assert scout._to_the_end == scout._refit.to_the_end and scout._bends._steps.partial and not scout._bends._proportions
+    assert scout._to_the_end == scout._refit.to_the_end
+    assert scout._bends._steps.coverage == side and not scout._bends._proportions
     problem, start = sampled(scout.model, scout.model.rest(), 3000)[0], scout.model.rest().replace(translation=np.full(3, 0.02))
     (state, value), (end, left) = scout._to_the_end(problem, start), scout._refit.to_the_end(problem, start)
     np.testing.assert_array_equal(state.theta, end.theta)
