@@ -160,6 +160,7 @@ def test_of_one_side_it_is_said_how_to_tell_the_fit(rigs, partial):
     weights, outcome = PRESETS["default"], Outcome(state, 0.0, True, "", 1)
     r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, coverage=Coverage(partial), **more)
     assert r.status != "ok" and ("one side only" in r.message) != partial
+    assert ("if it ends before the body does, cropped (--cropped)" in r.message) != partial
     outcome = Outcome(state.replace(translation=np.array([0.0, 0.15, 0.0])), 0.0, True, "", 1)
     r = assemble(rig, model, problem, outcome, frame=frame, weights=weights, coverage=Coverage(partial), **more)
     assert r.status == "ok" and r.message.startswith("much of the surface has no points near it: if the scan") != partial

@@ -7,6 +7,7 @@ import pytest
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
+from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.starts.clean import taking_part
 from lbsfit_np.starts.scale import reference_scale
 
@@ -62,6 +63,31 @@ def test_a_small_part_may_be_in_the_rigs_unit(scale, tube_rig):
         assert reference_scale(points, tube_rig, scale).scale != 1.0
     with pytest.raises(InputError, match="scale: got 'fixed' for a scan whose extent is 0.03.* times the rig's"):
         reference_scale(0.1 * points, tube_rig, "fixed", cropped=True)
+
+
+def test_what_takes_part_is_looked_at_as_of_a_part(tube_rig, quick_fitter):
+    """Everywhere: in fits of single scans, in collections, and after learning; not where vertices move freely."""
+    points = tube_rig.vertices[tube_rig.vertices[:, 1] < tube_rig.vertices[:, 1].min() + 0.25 * tube_rig.size]
+    fixed = {"scale": "fixed", "training_scans": 20, "effort": "fast", "rounds": 1, "held_out": 0}
+    fitter = copy.copy(quick_fitter).set_params(cropped=True, **fixed)
+    whole = lbs.synthesize(tube_rig, 3, random_state=3, n_points=300, shape=0.0)
+    assert np.isfinite(fitter.fit_scan(points).vertices).all()
+    learned = fitter.fit([*(s.points for s in whole), points])
+    assert learned.failures_ == {} and np.isfinite(learned.fit_scan(points).vertices).all()
+    with pytest.raises(InputError, match="scale: got 'fixed'"):
+        copy.copy(quick_fitter).set_params(cropped=False, **fixed).fit_scan(points)
+    with pytest.raises(InputError, match="scale: got 'fixed'"):
+        lbs.LBSFitter(tube_rig, cropped=True, variant="free-form", scale="fixed").fit_scan(points)
+
+
+def test_scans_of_parts_are_not_taken_for_those_in_another_unit(tube_rig):
+    low = tube_rig.vertices[:, 1].min()
+    scans = [tube_rig.vertices[tube_rig.vertices[:, 1] < low + share * tube_rig.size] for share in (1.0, 1.0, 1.0, 0.15)]
+    known = {"max_points": 300, "held_out": 0.0, "scale": "estimate", "random_state": 0}
+    with pytest.raises(InputError, match="different units"):
+        read_collection(tube_rig, [s * size for s, size in zip(scans, (7.0, 1.0, 7.0, 1.0))], None, **known)
+    found = read_collection(tube_rig, scans, None, cropped=True, **known)
+    assert found.failures == {} and len({m.unit for m in found.members}) == 1
 
 
 def test_training_is_on_cropped_scans(tube_rig):

@@ -159,7 +159,7 @@ def test_scans_that_no_fit_takes_are_refused_before_training(seed, tube_rig, tub
 def test_one_call_has_the_names_of_all_parameters_and_tells_of_training(tube_rig, tube_scan, tmp_path, monkeypatch):
     monkeypatch.setenv("LBSFIT_CACHE", str(tmp_path))
     names = list(signature(lbs.fit_scan).parameters)
-    assert names[:2] == ["rig", "points"] and {"effort", "partial", "n_jobs", "theta0", "progress"} < set(names)
+    assert names[:2] == ["rig", "points"] and {"effort", "partial", "cropped", "n_jobs", "theta0", "progress"} < set(names)
     assert len(names) == len(set(names)) and not {"self", "parameters"} & set(names)
     shares, few = [], {"training_scans": 2, "training": {"n_points": 100}, "effort": "fast"}
     lbs.fit_scan(tube_rig, tube_scan.points, progress=shares.append, **few)

@@ -126,6 +126,7 @@ CHANGES = [
     {"random_state": 5},
     {"training_scans": 30},
     {"partial": True},
+    {"cropped": True},
     {"training": {"noise": 0.05}},
     {"rig": lambda rig: replace(rig, poses={"bent": np.clip(np.full(rig.lower.shape, 0.3), rig.lower, rig.upper)})},
 ]

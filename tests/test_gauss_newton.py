@@ -377,6 +377,16 @@ def test_of_a_cropped_scan_nothing_is_known_beyond_its_hull(q, tube):
     assert off[1] < 0.02 and off[1] < 0.5 * off[0]
 
 
+def test_of_a_cropped_scan_what_is_within_pulls_as_all_does_of_a_whole_one(tube):
+    """A scan that is a box about the lower half, far from all: beyond its reach each residual counts s²."""
+    V = tube.rig.vertices
+    low, high = V.min(axis=0) - 5.0, np.append(V.max(axis=0)[:2] + 5.0, 0.0)[[0, 2, 1]] + [0.0, V[:, 1].mean(), 5.0]
+    corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+    for coverage in (WHOLE, Coverage(cropped=True)):
+        value = GaussNewton(tube, coverage=coverage, reach=0.05).pose(Problem(corners), tube.rest(), iterations=0)[1]
+        assert value == pytest.approx(2 * 0.05**2, rel=1e-3)
+
+
 def test_of_one_start_comes_one_answer(tube):
     truth = state_within(tube, 8)
     problem, _ = sampled(tube, truth)

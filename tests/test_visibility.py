@@ -178,3 +178,19 @@ def test_a_hull_goes_with_its_frame(q):
     out, same = ((2.0 * p.X @ p.hull[:, :3].T + p.hull[:, 3]).max(axis=1) for p in (problem, other))
     np.testing.assert_allclose(same, out / q, atol=1e-12)
     assert within_hull(other.X, other.hull).all()
+
+
+@pytest.mark.parametrize("cropped, least", [(False, 0.2), (True, 0.05)])
+def test_a_cropped_scan_may_show_little(cropped, least):
+    assert [Coverage(side, cropped).least for side in (False, True)] == [least] * 2
+
+
+def test_round_scans_of_many_points_fill_no_memory(monkeypatch):
+    """A clean sphere has two planes for each point."""
+    X = np.random.default_rng(0).standard_normal((1000, 3))
+    planes = hull_planes(X / np.linalg.norm(X, axis=1, keepdims=True))
+    assert len(planes) == 1996
+    V = np.random.default_rng(1).standard_normal((3000, 3))
+    all_at_once = within_hull(V, planes)
+    monkeypatch.setattr(visibility, "_AT_ONCE", 7 * len(planes))
+    assert np.array_equal(within_hull(V, planes), all_at_once)

@@ -91,10 +91,7 @@ OPTIONS = (
         metavar="NAME=VALUE",
         table=True,
         check=lambda given: check_training(given),
-        refusals={
-            "one_sided": "For scans that show one side only, set partial = true.",
-            "cropped": "For scans that end before the body does, set cropped = true.",
-        },
+        refusals={"one_sided": "For scans that show one side only, set partial = true."},
     ),
     Option("seed", "seed of everything random, training included", natural, 0, metavar="N", parameter="random_state"),
     Option("jobs", "worker processes; the results do not depend on how many", positive, 1, metavar="N", parameter="n_jobs"),

@@ -15,7 +15,7 @@ from .result import FitResult
 
 __all__ = ["GUESS", "assemble"]
 
-# Of the surface, where more than this share is far from all points, they may be of one side only.
+# Of the surface, where more than this share is far from all points, they may be of one side only, or of a part.
 _HARDLY_REACHED = 0.1
 # A joint is a guess whose place is known to less than this, a share of the rig's size; so many are named.
 GUESS = 0.02

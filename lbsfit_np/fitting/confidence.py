@@ -15,7 +15,6 @@ __all__ = [
     "AT_LIMITS",
     "EVIDENCE",
     "FAILED",
-    "LEAST_SEEN",
     "MISFIT",
     "REGRESSED",
     "SOMEBODY_ELSE",
@@ -58,8 +57,6 @@ _LONELY, _LEAST_KEPT = 4.0, 0.7
 _ODD, _LONELY_ODD, _POINTS_PER_K, _MOST_K = 0.05, 2.8, 400, 6
 # Points and surface with no partner nearer than this, in half sizes, have none.
 _PARTNER = 0.08
-# A one-sided view that would leave less of the surface than this share is no view of this pose.
-LEAST_SEEN = 0.2
 # Parts with less than this share of the surface are too small to be judged by themselves.
 _PART = 0.01
 # Evidence below this is as good as none.
@@ -172,7 +169,7 @@ def shown_problem(model, problem, state, coverage):
     away, back = np.linalg.norm(problem.X - V[on], axis=1), np.linalg.norm(V - problem.X[to_X], axis=1)
     x_kept = away < max(_PARTNER, 4 * np.median(away))
     v_kept = (back < max(_PARTNER, 4 * np.median(back))) & seen_vertices(coverage, V, model.rig.faces, problem, on, to_X)
-    if (x_kept.all() and v_kept.all()) or model.areas[v_kept].sum() < LEAST_SEEN:
+    if (x_kept.all() and v_kept.all()) or model.areas[v_kept].sum() < coverage.least:
         return problem
     a = problem.shares * x_kept
     return Problem(problem.X, a / a.sum(), v_kept.astype(float))

@@ -21,7 +21,6 @@ from ..starts.limbs import LimbPoses
 from ..starts.parts import start_from_parts
 from ..starts.place import placed
 from .bends import Bends
-from .confidence import LEAST_SEEN
 from .effort import Effort
 from .labels import parts_of, refined_labels
 
@@ -88,7 +87,7 @@ class Refit:
         Of the template.
     free : collection of {"pose", "translation", "scale"}, default pose and translation
     coverage : Coverage, optional
-        Whether scans show one side only.
+        What scans show, by default all.
     bends : bool, default False
         Whether other bends of joints are tried in the end.
     other_limbs : bool, default True
@@ -234,7 +233,7 @@ class Refit:
         return self._last.pose(problem, state, free=self.free, **options)
 
     def left(self, problem, state):
-        """What a pose leaves unexplained, E of ``optimize.gauss_newton``; of one side, of what that shows."""
+        """What a pose leaves unexplained, E of ``optimize.gauss_newton``; of what the scan can show."""
         return self.to_the_end(problem, state, iterations=0)[1]
 
     def joint_std(self, problem, state, proba=None):
@@ -324,7 +323,7 @@ def plain_chamfer(model, problem, state, *, coverage):
     V = model.deformed(state).vertices
     on = PointIndex(V).nearest(problem.X)
     seen = seen_vertices(coverage, V, model.rig.faces, problem, on, problem.x_index.nearest(V))
-    if model.areas[seen].sum() < LEAST_SEEN:  # no view of this pose: then the points alone say how far off it is
+    if model.areas[seen].sum() < coverage.least:  # no view of this pose: then the points alone say how far off it is
         seen[on] = True
     return Problem(problem.X, problem.x_weights, seen.astype(float)).evaluate(model, state, PLAIN).value
 

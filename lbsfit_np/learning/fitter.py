@@ -222,11 +222,11 @@ class LBSFitter(BaseEstimator):
         checkpoint = as_checkpoint(checkpoint)
         variant, seed, facing = as_variant(self.variant), self._seed(), facing_of(self.rig, self.orientation, self.up)
         known = {"scale": self.scale, "unit": self.unit, "ups": facing.floors, "max_points": self.max_points}
-        known |= {"held_out": self.held_out if variant.skinning else 0.0, "cropped": self.cropped, "random_state": seed}
+        settings, jobs = fit_settings(self), jobs_of(self.n_jobs, None)
+        known |= {"held_out": self.held_out if variant.skinning else 0.0, "cropped": settings.cropped, "random_state": seed}
         collection = read_collection(self.rig, scans, subjects, **known)
         collection.warn(stacklevel=2)
         progress = progress or (lambda stage, share, figures=None: None)
-        settings, jobs = fit_settings(self), jobs_of(self.n_jobs, None)
         if not variant.skinning:
             units = {s: collection.of(s)[0].unit for s in collection.subjects}
             kept = checkpoint.narrowed(self._made_of(seed))

@@ -168,10 +168,11 @@ def check_learned(fitter):
 
 def fit_settings(fitter):
     """The FitSettings of a fitter."""
-    free = isinstance(fitter.weights, str) and fitter.weights == "default" and not as_variant(fitter.variant).skinning
+    skinning = as_variant(fitter.variant).skinning
+    free = isinstance(fitter.weights, str) and fitter.weights == "default" and not skinning
     given = {name: getattr(fitter, name) for name in ("scale", "unit", "effort", "max_points")}
     given["unit"] = plain(fitter.unit)  # as it becomes part of digests
-    given |= {name: bool(getattr(fitter, name)) for name in ("partial", "cropped")}
+    given |= {"partial": bool(fitter.partial), "cropped": bool(fitter.cropped) and skinning}
     return FitSettings(weights=LOOSE if free else as_weights(fitter.weights), **given)
 
 

@@ -23,6 +23,8 @@ __all__ = ["as_scans", "mixed_units", "odd_ones", "read_collection"]
 
 # A pose folds or stretches a body by less than this; scans whose extents differ by more are in different units.
 _ONE_UNIT = 6.0
+# And crops make of it, as ``starts.scale`` has it.
+_OF_PARTS = 18.0
 # At most this share of the scans is left out where they differ by more; where it is more, nobody knows which are right.
 _FEW = 0.1
 
@@ -112,7 +114,8 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     if not collection.members:
         first = next(iter(collection.failures.values()))
         raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be used")
-    _set_units(collection, rig.size / 2, _common_unit(collection) if unit is None else unit_scale(rig, unit))
+    apart = _OF_PARTS if cropped else _ONE_UNIT
+    _set_units(collection, rig.size / 2, _common_unit(collection, apart) if unit is None else unit_scale(rig, unit))
     _hold_out(collection, held_out, random_state)
     return collection
 
@@ -153,10 +156,10 @@ def mixed_units(got, others="", *, of_one=False):
     return InputError("scans", f"different units: {got}", "scans of one collection in one unit", remedy)
 
 
-def _common_unit(collection):
+def _common_unit(collection, apart):
     """The unit that most members are in; a few that are in another are left out, and a mixture is refused."""
     extents = np.array([extent(m.x) for m in collection.members])
-    odd = odd_ones(extents, _ONE_UNIT)
+    odd = odd_ones(extents, apart)
     others = np.median(np.delete(extents, odd))
     if len(odd) > _FEW * len(extents):
         at = ", ".join(collection.members[i].name for i in odd[:5]) + ", …" * (len(odd) > 5)

@@ -15,10 +15,12 @@ _FACING = 0.35
 _LEAST_FACING, _STEPS = 0.3, 15
 # The camera has seen something else in a vertex's place where a point is so much nearer to it, and so near beside, half sizes.
 _BEFORE, _BESIDE = 0.08, 0.05
+# Shares of the surface, below which ``Coverage.least`` lies.
+_LEAST, _LEAST_CROPPED = 0.2, 0.05
 # What lies no further outside a hull than this, half sizes, is within it: points lie beside what they are of.
 _OUTSIDE = 0.01
-# Vertices that are compared with the planes of a hull at a time.
-_AT_ONCE = 4096
+# Distances of vertices from the planes of a hull that are made at a time.
+_AT_ONCE = 2**21
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,11 @@ class Coverage:
     def whole(self):
         """Whether all of the body is shown."""
         return not (self.one_sided or self.cropped)
+
+    @property
+    def least(self):
+        """A view that would show less of the surface than this share is no view of a pose."""
+        return _LEAST_CROPPED if self.cropped else _LEAST
 
 
 WHOLE = Coverage()
@@ -84,8 +91,9 @@ def hull_planes(X):
 def within_hull(V, planes):
     """(v,) bool: which of V (v, 3) are within the hull of :func:`hull_planes`, or hardly outside; all where there are none."""
     within = np.ones(len(V), dtype=bool)
-    for start in range(0, len(V) if len(planes) else 0, _AT_ONCE):
-        piece = slice(start, start + _AT_ONCE)
+    rows = max(1, _AT_ONCE // max(len(planes), 1))
+    for start in range(0, len(V) if len(planes) else 0, rows):
+        piece = slice(start, start + rows)
         within[piece] = (V[piece] @ planes[:, :3].T + planes[:, 3]).max(axis=1) <= _OUTSIDE
     return within
 

@@ -16,6 +16,8 @@ _SIDES = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-
 _SIDES /= np.linalg.norm(_SIDES, axis=1, keepdims=True)
 _CROPS, _ACROSS = (0.2, 0.4, 0.6), 0.5
 _POINTS, _REACH = 250, 0.2
+# Where there are more places than this to compare, such as sides and what crops leave of them, fewer points choose so many first.
+_MANY, _FEW = 100, 40
 
 
 def placed(model, problem, theta, scale=1.0, *, coverage=WHOLE):
@@ -44,11 +46,18 @@ def placed(model, problem, theta, scale=1.0, *, coverage=WHOLE):
     centre, seen = X.mean(axis=0) if a is None else a @ X, model.areas @ V
     if not coverage.whole:
         sides = _centroids(V, model.areas, vertex_normals(V, model.rig.faces) if coverage.one_sided else None, coverage.cropped)
-        rows = some_rows(X, _POINTS)
-        on_side = (X[rows] - centre + sides[:, None]).reshape(-1, 3)
-        away = np.linalg.norm(on_side - V[PointIndex(V).nearest(on_side)], axis=1).reshape(len(sides), -1)
-        weights = None if a is None else a[rows] + np.finfo(float).tiny
-        seen = sides[np.average(np.minimum(away, _REACH) ** 2, axis=1, weights=weights).argmin()]
+        index = PointIndex(V)
+
+        def best(sides, points, n):
+            """The n under which so many points lie closest to the surface, the best first."""
+            rows = some_rows(X, points)
+            on_side = (X[rows] - centre + sides[:, None]).reshape(-1, 3)
+            away = np.linalg.norm(on_side - V[index.nearest(on_side)], axis=1).reshape(len(sides), -1)
+            weights = None if a is None else a[rows] + np.finfo(float).tiny
+            cost = np.average(np.minimum(away, _REACH) ** 2, axis=1, weights=weights)
+            return sides[np.argsort(cost, kind="stable")[:n]]
+
+        seen = best(sides if len(sides) <= _MANY else best(sides, _FEW, _MANY), _POINTS, 1)[0]
     return state.replace(translation=centre - seen)
 
 

@@ -105,7 +105,7 @@ def reference_scale(points, rig, mode, unit=None, *, whole=True, shown=None, cro
         if not least * whole <= ratio <= _SAME_UNIT[1]:
             got = f"'fixed' for a scan whose extent is {ratio:.3g} times the rig's"
             remedy = "Convert the scan, or pass scale='estimate' (--scale estimate), which finds the unit."
-            raise InputError("scale", got, "a scan in the rig's unit", remedy + (_PART if ratio < 1 else ""))
+            raise InputError("scale", got, "a scan in the rig's unit", remedy + (_PART if ratio < 1 and not cropped else ""))
         return ReferenceScale(1.0, "scale fixed at 1")
     if _may_be(ratios, least):
         return ReferenceScale(1.0, "scan and rig are in one unit")
@@ -138,7 +138,7 @@ def _in_known_unit(ratios, rig, mode, unit, whole, least):
         if not least * whole <= size <= most:
             got = f"'fixed' for a scan in {unit!r} whose extent is {size:.3g} times the rig's"
             remedy = "Check unit (--unit), or pass scale='estimate' (--scale estimate), which finds the size."
-            raise InputError("scale", got, "a scan of the rig's size", remedy + (_PART if size < 1 else ""))
+            raise InputError("scale", got, "a scan of the rig's size", remedy + (_PART if size < 1 and least != _CROPPED else ""))
     elif not _may_be(sizes, least, _SUBJECTS):
         k = _telling(sizes, least)
         whose = "the rig's" if k or ratios[0] == ratios[1] else "that of the rig's parts that it shows"
