@@ -37,7 +37,7 @@ def test_with_known_labels_what_is_shown_is_right(hand):
 
 
 def test_a_start_that_is_right_stays_right_at_its_size(tube_rig, quick_fitter):
-    """Unless it is said, surface beyond the edge draws what is shown. Outside the hull too small a size costs nothing."""
+    """Unless it is said, surface beyond the edge draws what is shown."""
     off, sizes = [], []
     for cropped in (False, True):
         fitter = copy.copy(quick_fitter).set_params(cropped=cropped, training_scans=20)

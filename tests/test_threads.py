@@ -11,7 +11,7 @@ from threadpoolctl import threadpool_info, threadpool_limits
 from lbsfit_np.bench.baseline import PlainChamfer
 from lbsfit_np.bench.study import free_form
 from lbsfit_np.bench.study.oracle import OracleFit
-from lbsfit_np.fitting.scan_fit import ScanFit
+from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
 from lbsfit_np.learning import new_scan
 from lbsfit_np.learning.loop import Loop
 from lbsfit_np.segmentation.segmenter import Segmenter
@@ -57,7 +57,7 @@ def _new_scan(monkeypatch):
     monkeypatch.setattr(new_scan, "taking_part", lambda *of, **more: None)
     monkeypatch.setattr(new_scan, "_fit_new", _look)
     monkeypatch.setattr(new_scan, "_facing", lambda fitter: SimpleNamespace(floors=None))
-    settings = SimpleNamespace(max_points=1, scale="fixed", unit=None, effort="fast")
+    settings = FitSettings(max_points=1, scale="fixed", effort="fast")
     monkeypatch.setattr(new_scan, "fit_settings", lambda fitter: settings)
     fitter = SimpleNamespace(regressor_=1, rig=None, _seed=lambda: 0)
     return new_scan.fit_new(fitter, None, ("ann",), None, None, None)

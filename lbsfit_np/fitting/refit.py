@@ -255,8 +255,6 @@ class Refit:
         may lead away from a pose that is right.
         """
         place, state = tuple(block for block in self.free if block != "pose"), self.placed(problem, theta)
-        if self.coverage.cropped:  # surface that is put outside the hull no longer pulls: until it stands, its size is held
-            state, _ = self._far.pose(problem, state, free=("translation",), iterations=2 * _FAR_STEPS)
         # Steps that look far are drawn aside by what a hole leaves without points; those that look near are not.
         for steps, iterations in ((self._far, 2 * _FAR_STEPS), (self._near, _NEAR_STEPS)):
             state, _ = steps.pose(problem, state, free=place, iterations=iterations)
