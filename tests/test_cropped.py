@@ -101,7 +101,7 @@ def test_what_is_no_flag_is_refused(tube_rig):
 
 
 @pytest.mark.study
-def test_parts_of_hands_are_fitted_without_labels(hand):
+def test_parts_of_other_peoples_hands_are_fitted_without_labels(hand):
     fitter = lbs.LBSFitter(hand, cropped=True, training_scans=1000, random_state=0).pretrain()
     off = [_off(hand, s, fitter.fit_scan(s.points)).mean() for s in _scans(hand, 6, holes=2)]
-    assert np.median(off) < 0.005 and sum(o < 0.03 for o in off) >= 5
+    assert np.median(off) < 0.01 and max(off) < 0.03
