@@ -184,6 +184,18 @@ def test_the_objective_is_the_sum_of_its_terms(weights, leave_out):
     assert L.value == pytest.approx(sum(factor[name] * value for name, value in expected.items()), rel=1e-12)
 
 
+@pytest.mark.parametrize("x_empty, v_empty", [(3, 1), (0, 0), (None, 2)])
+def test_the_objective_knows_parts_that_one_side_lacks(x_empty, v_empty):
+    """Both Chamfer terms are made of one search: where that finds another part, the structured one looks again or has nothing."""
+    x_labels, v_labels = np.where(S.x_labels == x_empty, 2, S.x_labels), np.where(S.v_labels == v_empty, 3, S.v_labels)
+    L = objective(S.X, S.Vd, S.V, weights=LossWeights(lam=0.2, lam_lap=0.0), x_labels=x_labels, v_labels=v_labels)
+    value, grad_Vd, grad_V = composite_structured_chamfer(S.X, S.Vd, S.V, x_labels, v_labels, lam=0.2)
+    plain = composite_chamfer(S.X, S.Vd, S.V, lam=0.2)
+    assert L.terms["structured"] == pytest.approx(value, rel=1e-14) and L.terms["chamfer"] == pytest.approx(plain[0], rel=1e-14)
+    np.testing.assert_allclose(L.grad_Vd, plain[1] + grad_Vd, atol=1e-15)
+    np.testing.assert_allclose(L.grad_V, plain[2] + grad_V, atol=1e-15)
+
+
 def test_weights_are_values():
     w = LossWeights().replace(lam_s=3.0)
     assert w.lam_s == 3.0 and LossWeights().lam_s == 1.0

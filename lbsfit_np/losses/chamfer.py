@@ -5,7 +5,7 @@ import numpy as np
 from ..neighbors import PointIndex
 from .checks import check_index, check_set, check_weights
 
-__all__ = ["chamfer", "one_sided_terms"]
+__all__ = ["chamfer", "neighbors", "one_sided_terms"]
 
 
 def chamfer(X, V, *, x_weights=None, v_weights=None, x_index=None):
@@ -38,12 +38,14 @@ def chamfer(X, V, *, x_weights=None, v_weights=None, x_index=None):
     """
     X, V = check_set("X", X), check_set("V", V)
     x_weights, v_weights = check_weights("x_weights", x_weights, len(X)), check_weights("v_weights", v_weights, len(V))
-    if x_index is None:
-        x_index = PointIndex(X)
-    check_index("x_index", x_index, X)
-    to_V = PointIndex(V, moving=True).nearest(X)
-    to_X = x_index.nearest(V)
-    return one_sided_terms(X, V, to_V, to_X, x_weights, v_weights)
+    if x_index is not None:
+        check_index("x_index", x_index, X)
+    return one_sided_terms(X, V, *neighbors(X, V, x_index), x_weights, v_weights)
+
+
+def neighbors(X, V, x_index=None):
+    """Rows of the vertices nearest to the points, (n,), and of the points nearest to the vertices, (m,)."""
+    return PointIndex(V, moving=True).nearest(X), (x_index or PointIndex(X)).nearest(V)
 
 
 def one_sided_terms(X, V, to_V, to_X, x_weights=None, v_weights=None):

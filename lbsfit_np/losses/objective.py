@@ -5,9 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..errors import InputError, did_you_mean
-from .checks import check_index, check_labels, check_number, check_same_length, check_set
-from .composite import composite_chamfer, composite_structured_chamfer
+from .chamfer import neighbors, one_sided_terms
+from .checks import check_index, check_labels, check_number, check_same_length, check_set, check_weights
 from .laplacian import laplacian_offsets, laplacian_posed
+from .structured import neighbors_in_parts
 
 __all__ = ["BOTH", "PLAIN", "PRESETS", "STRUCTURED", "LossWeights", "as_weights", "objective"]
 
@@ -150,25 +151,30 @@ def objective(
     if v_labels is not None and x_labels is None:
         remedy = "Leave both out to do without the structured term."
         raise InputError("x_labels", "None", "the part of each point, where v_labels are given", remedy)
-    sides = {"x_weights": x_weights, "v_weights": v_weights}
+    sides = check_weights("x_weights", x_weights, len(X)), check_weights("v_weights", v_weights, len(V))
+    if weights.chamfer and x_index is not None:
+        check_index("x_index", x_index, X)
+    labels = None
+    if weights.lam_s and x_labels is not None:
+        labels = check_labels("x_labels", x_labels, len(X)), check_labels("v_labels", v_labels, len(V))
+        if x_part_index is not None:
+            check_index("x_part_index", x_part_index, X, labels[0])
+    deformed = _data_terms(X, Vd, weights, labels, sides, x_index, x_part_index)
+    undeformed = {}  # searching costs the same whatever λ
+    if weights.lam:
+        undeformed = deformed if V is Vd else _data_terms(X, V, weights, labels, sides, x_index, x_part_index)
     terms = {}
     value = 0.0
     grad_Vd, grad_V, grad_offsets = np.zeros_like(V), np.zeros_like(V), np.zeros_like(V)
-    if weights.chamfer:
-        terms["chamfer"], g_d, g = composite_chamfer(X, Vd, V, lam=weights.lam, **sides, x_index=x_index)
-        value += weights.chamfer * terms["chamfer"]
-        grad_Vd += weights.chamfer * g_d
-        grad_V += weights.chamfer * g
-    if weights.lam_s and x_labels is not None:
-        if x_part_index is not None:  # the loss would call it x_index
-            x_labels = check_labels("x_labels", x_labels, len(X))
-            check_index("x_part_index", x_part_index, X, x_labels)
-        terms["structured"], g_d, g = composite_structured_chamfer(
-            X, Vd, V, x_labels, v_labels, lam=weights.lam, **sides, x_index=x_part_index
-        )
-        value += weights.lam_s * terms["structured"]
-        grad_Vd += weights.lam_s * g_d
-        grad_V += weights.lam_s * g
+    for name, weight in (("chamfer", weights.chamfer), ("structured", weights.lam_s)):
+        if name in deformed:
+            terms[name], g = deformed[name]
+            grad_Vd += weight * g
+            if name in undeformed:
+                second, g = undeformed[name]
+                terms[name] += weights.lam * second
+                grad_V += weight * (weights.lam * g)
+            value += weight * terms[name]
     if weights.lam_lap and K is not None:
         if weights.laplacian == "posed":
             terms["laplacian"], g = laplacian_posed(Vd, K, squared=weights.squared)
@@ -182,3 +188,17 @@ def objective(
             grad_offsets += weights.lam_lap * g
         value += weights.lam_lap * terms["laplacian"]
     return ObjectiveValue(value, terms, grad_Vd, grad_V, grad_offsets)
+
+
+def _data_terms(X, V, weights, labels, sides, x_index, x_part_index):
+    """L_c and L_s of one template with their gradients, by name, where they have a weight: the composites' summands.
+
+    They are made together, as most points of both have the same neighbours.
+    """
+    found, of_all = {}, None
+    if weights.chamfer:
+        of_all = neighbors(X, V, x_index)
+        found["chamfer"] = one_sided_terms(X, V, *of_all, *sides)
+    if labels is not None:
+        found["structured"] = one_sided_terms(X, V, *neighbors_in_parts(X, V, *labels, x_part_index, of_all=of_all), *sides)
+    return found

@@ -187,11 +187,15 @@ class Model:
     def pose(self, state):
         """(V^d, V): the posed deformed and undeformed templates, as Posed; one object where there are no offsets."""
         V = skin(self.rig, state.theta, translation=state.translation, scale=state.scale)
-        return V if self.offsets(state) is None else self.deformed(state), V
+        offsets = self.offsets(state)
+        return V if offsets is None else self._deformed(state, offsets), V
 
     def deformed(self, state):
         """V^d alone: the posed deformed template, as Posed."""
-        offsets, place = self.offsets(state), {"translation": state.translation, "scale": state.scale}
+        return self._deformed(state, self.offsets(state))
+
+    def _deformed(self, state, offsets):
+        place = {"translation": state.translation, "scale": state.scale}
         if offsets is None:
             return skin(self.rig, state.theta, **place)
         return skin(self.rig, state.theta, **place, offsets=offsets, joint_offsets=self.joint_offsets(state))
