@@ -85,6 +85,8 @@ def test_all_that_is_left_out_is_counted_where_not_all_was_looked_at(tube_rig):
         assert part.is_clutter(out)[2000:].all() and not part.is_clutter(out)[:50].any()
         assert part.told(out) == f"{part.note}, {out.sum() - 50} of all 2300" and out[2000:].all()
     assert _part(points[50:400], tube_rig).told(np.zeros(350, bool)) == ""  # all was looked at
+    part = _part(scan.points, tube_rig, point_weights=np.where(np.arange(2000) < 50, 1e-6, 1.0))
+    assert (part.known == -1).any() and part.told(part.left_out(scan.points)) == "50 points of next to no weight left out"
 
 
 def test_of_points_that_were_not_looked_at_some_may_be_of_the_body():

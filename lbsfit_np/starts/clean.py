@@ -86,8 +86,11 @@ class TakingPart:
         return left_out & (self.known != -3) & ((self.known != -1) | unseen)
 
     def told(self, left_out):
-        """The note, and where not all of the scan was looked at, how many of all that are, as :meth:`left_out` says."""
-        if not self.note or not (self.known == -1).any():
+        """The note, and where not all of the scan was looked at, how many of all that are, as :meth:`left_out` says.
+
+        Not where the note is of points without weight alone, all of which it counts.
+        """
+        if not self.note or not (self.known == -1).any() or not np.isin(self.known, (0, -2)).any():
             return self.note
         return f"{self.note}, {np.count_nonzero(left_out & (self.known != -3))} of all {len(left_out)}"
 
