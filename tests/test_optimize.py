@@ -122,6 +122,13 @@ def test_farthest_points_are_far_along_each_axis(axis):
     np.testing.assert_array_equal(farthest_points(points, 3), [0, 8, 4])  # both ends, then the middle
 
 
+def test_no_vertex_is_taken_twice_where_several_are_at_one_place():
+    """As of two sheets that touch: each copy of a row would pull once more."""
+    points = np.tile(np.random.default_rng(5).standard_normal((30, 3)), (2, 1))
+    rows = farthest_points(points, 50)
+    assert len(np.unique(rows)) == 50 and len(np.unique(rows[:30] % 30)) == 30  # each place before any second time
+
+
 def test_a_large_rig_is_thinned_for_its_poses(body):
     coarse = body.coarse
     assert len(coarse.rig.vertices) == 2500 and len(body.rig.vertices) == 13380

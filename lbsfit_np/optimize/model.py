@@ -239,12 +239,13 @@ def _shifts(rig, size):
 
 
 def farthest_points(points, n):
-    """(n,) rows of points spread evenly: row 0, and each next one the farthest from those before it."""
+    """(n,) rows of points spread evenly, none twice: row 0, and each next one the farthest from those before it."""
     rows = np.zeros(n, dtype=int)
     x, y, z = np.ascontiguousarray(points.T)
     d2 = np.full(len(points), np.inf)
     for k in range(1, n):
         at = rows[k - 1]
         np.minimum(d2, (x - x[at]) ** 2 + (y - y[at]) ** 2 + (z - z[at]) ** 2, out=d2)
+        d2[at] = -1.0  # below that of others at the same place, such as on sheets that touch
         rows[k] = d2.argmax()
     return rows
