@@ -176,4 +176,4 @@ def _checked_faces(faces, m):
     if faces.min() < 0 or faces.max() >= m:
         got = f"vertices {faces.min()} to {faces.max()}"
         raise InputError("faces", got, f"rows of the registrations, 0 to {m - 1}", "Pass the faces of the rig that was fitted.")
-    return faces
+    return faces.astype(np.intp, copy=False)

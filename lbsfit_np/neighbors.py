@@ -46,6 +46,7 @@ class PointIndex:
             if len(labels) and labels.min() < 0:
                 remedy = "Give points without a part one that the other side never has, such as len(rig.parts)."
                 raise InputError("labels", f"{labels.min()} at index {labels.argmin()}", "whole numbers of at least 0", remedy)
+            labels = labels.astype(np.intp, copy=False)  # NumPy 2.0 counts no unsigned ones
         self.points = points
         self.labels = labels
         if labels is not None:

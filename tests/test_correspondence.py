@@ -139,6 +139,13 @@ def test_one_point_and_none(tube_rig, poses):
     assert lbs.transfer(np.empty((0, 3)), *poses, tube_rig.faces).shape == (0, 3)
 
 
+@pytest.mark.parametrize("kind", ["uint8", "uint64", "int16"])
+def test_faces_of_any_kind_of_whole_numbers(tube_rig, poses, kind):
+    A, B = poses
+    found = lbs.transfer(A[:20], A, B, tube_rig.faces.astype(kind))
+    np.testing.assert_array_equal(found, lbs.transfer(A[:20], A, B, tube_rig.faces))
+
+
 def test_wild_points_spoil_no_others(tube_rig, poses):
     """Such as programs write for no depth: fits leave them out, and whoever carries a whole scan has them among the others."""
     most = np.finfo(float).max

@@ -163,3 +163,10 @@ def test_labels_are_of_both_sides_or_of_none():
         PointIndex(points, labels).nearest(queries)
     index = PointIndex(points, labels)
     np.testing.assert_array_equal(index.nearest(queries.tolist(), asked.tolist()), index.nearest(queries, asked))
+
+
+@pytest.mark.parametrize("kind", ["uint8", "uint64", "int16"])
+def test_labels_of_any_kind_of_whole_numbers(kind):
+    points, labels, queries, asked = _sets(5)
+    found = PointIndex(points, labels.astype(kind)).nearest(queries, np.maximum(asked, 0).astype(kind))
+    np.testing.assert_array_equal(found, PointIndex(points, labels).nearest(queries, np.maximum(asked, 0)))
