@@ -49,8 +49,8 @@ class FitResult:
     confidence : (n,) array
         Confidence of each label, in [0, 1].
     left_out : (n,) bool array
-        Which points are of nothing that the rig models, such as floors, clutter and very many points at one place, or have no
-        weight: the fit did not look at them.
+        Which points are of nothing that the rig models, such as floors, clutter and very many points at one place, or have next
+        to no weight: the fit did not look at them.
     took_part : (n,) bool array
         Which points the objective, and so ``terms``, is of: all that are not left out, or some of them where there are very many
         (``max_points``).
