@@ -1,6 +1,8 @@
 """Models in files: what is saved and loaded fits the same, and every broken file gives one clear error."""
 
 import copy
+import json
+import math
 import re
 import zipfile
 from fractions import Fraction
@@ -132,6 +134,20 @@ def test_a_model_that_lacks_something_is_one_clear_error(saved, tmp_path, lost):
         ("model_library_looks", lambda a: a[:, :7]),
         ("model_library_bias_0", lambda a: a[:3]),
         ("lbsfit_np_model", lambda a: np.array(str(a).replace('"format": ', '"format": 9'))),
+        *(
+            ("lbsfit_np_model", lambda a, changes=changes: np.array(json.dumps(json.loads(str(a)) | changes)))
+            for changes in (
+                {"units": [0.0, 1.0]},
+                {"units": [1.0, math.nan]},
+                {"units": [1.0, -1.0]},
+                {"units": [1.0]},
+                {"subjects": ["ann", "ann"]},
+                {"subjects": ["ann", 0.5]},
+                {"subjects": "ab"},
+                {"library": False},
+            )
+        ),
+        ("lbsfit_np_model", lambda a: np.array(str(a).replace('"segmenter"', '"another"'))),
         ("lbsfit_np_model", lambda a: np.array("{")),
         ("lbsfit_np_model", lambda a: np.array(str(a).replace('"joint"', '"joyful"'))),
         ("lbsfit_np_model", lambda a: np.array("[1, 2]")),

@@ -20,6 +20,8 @@ from ..rig.units import METRES
 from ..segmentation.segmenter import Segmenter
 from ..starts.library import PoseLibrary
 from .plain import plain
+from .subjects import check_ids
+from .variants import as_variant
 
 __all__ = [
     "learned_arrays",
@@ -176,7 +178,8 @@ def read_fitter(path, make):
         parameters = dict(header["parameters"])
         if isinstance(parameters["weights"], dict):
             parameters["weights"] = LossWeights(**parameters["weights"])
-        subjects = header["subjects"]
+        subjects, units = header["subjects"], [float(unit) for unit in header["units"]]
+        _check_subjects(subjects, units)
         U, J = arrays["model_vertices"], arrays["model_joints"]
         if U.shape != (len(subjects), *rig.vertices.shape) or J.shape != (len(subjects), *rig.joints.shape):
             raise ValueError("templates that do not fit the rig")
@@ -196,18 +199,31 @@ def read_fitter(path, make):
                 raise ValueError("a prior of poses with values that are not finite")
         fields = {
             "template_": {s: rig.with_template(u, j) for s, u, j in zip(subjects, U, J, strict=True)},
-            "unit_": dict(zip(subjects, map(float, header["units"]), strict=True)),
+            "unit_": dict(zip(subjects, units, strict=True)),
             "learned_unit_": _known_unit(header["learned_unit"]),
             "segmenter_": segmenter,
             "regressor_": library,
             "pose_prior_": prior,
             "history_": header["history"],
         }
-        return make(rig, parameters, fields)
+        fitter = make(rig, parameters, fields)
+        variant = as_variant(fitter.variant)
+        if (segmenter is not None, library is not None) != (variant.labels, variant.skinning):
+            raise ValueError(f"a segmenter or a library that the variant {variant.name!r} has not, or none where it has one")
+        return fitter
     except FileError:
         raise
     except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError, OverflowError) as error:
         raise FileError(str(path), f"a model whose content does not fit ({error})", _EXPECTED, "Learn it again.") from None
+
+
+def _check_subjects(subjects, units):
+    """Raise ValueError unless there are subjects, each once, and a unit of each: no broken file is to fail later, or to fit."""
+    check_ids(subjects)
+    if not isinstance(subjects, list) or not subjects or len(set(subjects)) != len(subjects):
+        raise ValueError("no subjects, or one of them twice")
+    if not all(np.isfinite(unit) and unit > 0 for unit in units):
+        raise ValueError("units of subjects that are not positive")
 
 
 def _known_unit(name):
