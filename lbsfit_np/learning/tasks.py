@@ -69,7 +69,7 @@ class Template:
         points, dense, states, losses, proba = task
         problems = [Problem(X) for X in points]
         known = {"settings": TemplateSettings(coverage=self.coverage), "prior": self.prior}
-        known["dense"] = [p if more is X else Problem(more) for p, X, more in zip(problems, points, dense)]
+        known["dense"] = [Problem(more) for more in dense]
         if proba is not None:
             known["proba"] = proba
         return shared_template(self.model, problems, states, losses, **known)
