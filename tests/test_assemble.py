@@ -218,6 +218,24 @@ def test_a_wrong_pose_of_a_whole_scan_is_not_taken_for_one_side(rigs):
     theta[model.source.joint_names.index("index1"), 0] -= 0.9
     r = _at_rest(model, scan.points / model.half, state=model.rest().replace(theta=theta))
     assert r.status != "ok" and "part index3 has no points" in r.message and "partial" not in r.message
+    assert "cropped" not in r.message
+
+
+@pytest.mark.parametrize("coverage", [Coverage(), Coverage(one_sided=True), Coverage(cropped=True)], ids=str)
+@pytest.mark.parametrize("status", ["ok", "suspect", "failed"])
+def test_a_part_without_points_may_be_cut_off(rigs, status, coverage, monkeypatch):
+    """Where some joints are guesses, and little of the surface is far from all points."""
+    measured = {"distance": 0.1, "unreached": 0.05, "part_unexplained": 0.1, "part_unreached": 0.6, "at_limits": 0.0}
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.evidence_of", lambda *a, **k: (measured, {}))
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.probability_of", lambda *a: 0.3)
+    monkeypatch.setattr("lbsfit_np.fitting.assemble.verdict_of", lambda *a: (status, "" if status == "ok" else "odd"))
+    model = Model(rigs["tube"])
+    V = model.pose(model.rest())[0].vertices
+    said = {}
+    for guesses in (False, True):
+        std = np.full(len(model.rig.parents), 0.2 if guesses else 0.001)
+        said[guesses] = "--cropped" in _at_rest(model, V, coverage=coverage, joint_std=std).message
+    assert said == {False: False, True: status != "ok" and not coverage.cropped}
 
 
 @pytest.mark.parametrize("status", ["ok", "suspect", "failed"])
@@ -307,6 +325,8 @@ def test_a_fit_that_has_failed_asks_about_other_things(rigs, monkeypatch):
     beside = V[:60] + [1.0, 0.0, 0.0]
     for points, asks in ((V, False), (np.vstack([V, beside]), True)):
         assert ("does the scan show only the body" in _at_rest(model, points).message) == asks
+    part = replace(_all_of(V), note="600 points of a floor left out")  # of a floor and a wall, the wall is still there
+    assert "does the scan show only the body, one floor or wall, and single points" in _at_rest(model, V, part=part).message
 
 
 @pytest.mark.parametrize("status", ["ok", "suspect", "failed"])

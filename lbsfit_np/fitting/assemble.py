@@ -9,7 +9,7 @@ from ..losses.objective import objective
 from ..optimize.frame import turned_root
 from ..optimize.visibility import WHOLE
 from ..starts.scale import unit_scale
-from .confidence import AT_LIMITS, MISFIT, evidence_of, lacks_most, probability_of, verdict_of
+from .confidence import AT_LIMITS, MISFIT, NO_POINTS, evidence_of, lacks_most, probability_of, verdict_of
 from .labels import labels_from_mesh
 from .result import FitResult
 
@@ -174,10 +174,8 @@ def assemble(
         if status == "failed":
             per = None if unit is None else unit_scale(rig, unit)  # of a known unit, as then the size is told
             large = per is not None and scale / per * template.size / rig.size > _LARGE
-            reason += f"; {_asked(given, evidence, large)}"
-        if coverage.whole and evidence["unreached"] > _HARDLY_REACHED:  # right fits, too, find a wrong scale then
-            words = "if the scan shows one side only, pass partial (--partial)"
-            words += ", or if it ends before the body does, cropped (--cropped)"
+            reason += f"; {_asked(given, evidence, large, floor='of a floor' in part.note)}"
+        if words := _incomplete(status, evidence, coverage, guesses):
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
     guessed = "" if status == "failed" else _guessed(guesses)  # it is of a pose that is about right
     if not finite:
@@ -249,13 +247,29 @@ def _guessed(names):
     return f"the scan hardly tells where these joints are (see joint_std): {', '.join(names[:_MOST_NAMED])}{more}"
 
 
-def _asked(given, evidence, large):
-    """What may be wrong of a fit that has failed, as a question; first of all of one whose subject would be too ``large``."""
+def _incomplete(status, evidence, coverage, guesses):
+    """What to pass if the scan does not show all of the body, in words; empty where nothing speaks for that.
+
+    A right fit, too, finds a wrong scale where much is missing. Limbs that are cut off may be laid on what is shown: then little
+    of the surface is far from points, but a part has none, and where some joints are is a guess.
+    """
+    if coverage.whole and evidence["unreached"] > _HARDLY_REACHED:
+        words = "if the scan shows one side only, pass partial (--partial)"
+        return words + ", or if it ends before the body does, cropped (--cropped)"
+    cut = status != "ok" and not coverage.cropped and guesses and evidence["part_unreached"] > NO_POINTS
+    return f"if the scan ends before the body does, pass cropped{'' if coverage.whole else ', too'} (--cropped)" if cut else ""
+
+
+def _asked(given, evidence, large, floor):
+    """What may be wrong of a fit that has failed, as a question; first of all of one whose subject would be too ``large``.
+
+    Where a ``floor`` was left out there may be a wall as well: one plane alone is looked for.
+    """
     asked = ["is it the right rig"]
     if evidence["at_limits"] > AT_LIMITS:
         asked.append("do its limits let joints turn as they do in the scan")
-    if large or evidence["part_unexplained"] > MISFIT:  # these points may be of another thing
-        asked.insert(0 if large else len(asked), "does the scan show only the body, floors, walls and single points")
+    if large or floor or evidence["part_unexplained"] > MISFIT:  # these points may be of another thing
+        asked.insert(0 if large else len(asked), "does the scan show only the body, one floor or wall, and single points")
     if given:
         asked.append(f"{'are' if 'labels' in given else 'is'} {' and '.join(given)} right")
     if "theta0" not in given:  # which says how the scan is turned

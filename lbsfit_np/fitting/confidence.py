@@ -16,6 +16,7 @@ __all__ = [
     "EVIDENCE",
     "FAILED",
     "MISFIT",
+    "NO_POINTS",
     "REGRESSED",
     "SOMEBODY_ELSE",
     "SUSPECT",
@@ -43,6 +44,8 @@ REGRESSED = EVIDENCE[:-1]
 SOMEBODY_ELSE = 0.3
 # From where on a part does not fit, of "part_unexplained".
 MISFIT = 0.15
+# From where on a part has no points, of "part_unreached".
+NO_POINTS = 0.4
 # s of ρ(d²) = d² / (d² + s²): distances of about this count half, in half sizes of the rig.
 _SCALE = 0.05
 # Of noise, distances up to so many medians are no fault of the pose; of sparse points, surface that is nearer than their spacing
@@ -344,7 +347,7 @@ _WORDS = {
     "unexplained": (0.03, "points are not explained (mean misfit {value:.0%})"),
     "unreached": (0.12, "surface is not reached by points (mean misfit {value:.0%})"),
     "part_unexplained": (MISFIT, "part {part} does not fit"),
-    "part_unreached": (0.4, "part {part} has no points"),
+    "part_unreached": (NO_POINTS, "part {part} has no points"),
     "disagreement": (0.35, "labels and mesh disagree ({value:.0%} on average)"),
     "rival": (0.6, "another pose explains the scan nearly as well"),
     "at_limits": (AT_LIMITS, "{value:.0%} of the angles are at their limits"),
