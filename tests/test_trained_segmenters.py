@@ -6,6 +6,7 @@ from rebuilt_rigs import rig_module
 
 import lbsfit_np as lbs
 from lbsfit_np.bundled import bundled_files
+from lbsfit_np.cli import fit
 from lbsfit_np.learning import pretraining
 from lbsfit_np.learning.training import TrainingScans
 from lbsfit_np.rig.card import Card
@@ -28,6 +29,11 @@ def nothing_is_trained(empty_cache, monkeypatch):
 def test_those_that_are_there_are_those_that_are_asked_for():
     """Where this fails: python -m rigs.train, and commit what it writes."""
     assert sorted(bundled_files("trained/*.npz")) == sorted(ASKED_FOR)
+
+
+def test_the_help_names_their_rigs():
+    *others, last = train.RIGS
+    assert f"{', '.join(others)} and {last} bring a segmenter" in " ".join(fit._EPILOG.split())
 
 
 @pytest.mark.parametrize("cache", [False, True])

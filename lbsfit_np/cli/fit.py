@@ -135,7 +135,7 @@ examples:
       training = { noise = 0.01, scale = 0.2 }
 
 The segmenter and the library of starts trained for a rig are kept in $LBSFIT_CACHE, or else in the user's cache folder; hand,
-hand-left and body bring a segmenter for the default training and seed 0.
+hand-left, body and body-coarse bring a segmenter for the default training and seed 0, of whole scans and of one side.
 Each fit has a status: ok; suspect, if something speaks against it; or failed, if it is almost certainly wrong (its files are
 still written). The summary and the table at the end put failed and suspect fits first, with what speaks against them. Fits
 kept by --existing skip have the status in their files, and "kept": true in the summary.
