@@ -37,9 +37,9 @@ class MadeFits:
         self.hand, self.scan, self.arm = rig, scan, scan.labels < 0
         self.ends, self.of, self.once = ends, [], []
 
-    def taking_part(self, ups, among):
+    def taking_part(self, among, sure):
         rows = np.arange(len(self.scan.points))
-        return SimpleNamespace(rows=rows if among is None else rows[among], among=among, floor_elsewhere=False)
+        return SimpleNamespace(rows=rows if among is None else rows[among], among=among, doubtful=None)
 
     def fit(self, part, once):
         self.of.append(self._of(part.among))
@@ -70,5 +70,5 @@ class MadeFits:
         return found
 
     def __call__(self, *, given=(), **settings):
-        known = {"ups": None, "settings": FitSettings(**settings), "given": given}
+        known = {"settings": FitSettings(**settings), "given": given}
         return looked_at_again(self.taking_part, self.fit, self.scan.points, self.hand, **known)

@@ -223,10 +223,10 @@ def test_an_end_that_cannot_be_worked_with_takes_no_fit_away(hand, long_scan):
     fits = MadeFits(hand, long_scan, all=("turned", 0.3), **_sure_of("true"))
     whole = fits.taking_part
 
-    def taking_part(ups, among):
+    def taking_part(among, sure):
         if fits._of(among) == "arm_end":
             raise InputError("points", "some", "others")
-        return whole(ups, among)
+        return whole(among, sure)
 
     fits.taking_part = taking_part
     assert fits().probability == 0.9 and "arm_end" not in fits.of

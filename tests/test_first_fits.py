@@ -61,7 +61,7 @@ class _Scout:
 
 def _first_fit(hand, fits, *, sure, **settings):
     """A first fit whose fits are made ones, and its scout."""
-    work, scout = FirstFit(Model(hand), FitSettings(**settings), None, None, Facing(), True, 0), _Scout(sure)
+    work, scout = FirstFit(Model(hand), FitSettings(**settings), None, None, Facing(up=UPS[0]), True, 0), _Scout(sure)
 
     def fit(points, *, part, found):
         n, once = found.state
@@ -69,8 +69,9 @@ def _first_fit(hand, fits, *, sure, **settings):
         known = vars(fits.fit(SimpleNamespace(among=part.among), once))
         return FitResult(**dict.fromkeys((f.name for f in fields(FitResult)), None) | known)
 
-    def taking(points, point_weights, seed, *, ups, among):
-        assert ups is UPS
+    def taking(points, point_weights, seed, *, ups, sure, among):
+        np.testing.assert_array_equal(ups, UPS)
+        assert sure
         rows = np.flatnonzero(among)
         return TakingPart(rows, rows[:0], "", 1.0, None, np.where(among, 1, -2).astype(np.int8), among)
 
@@ -78,13 +79,13 @@ def _first_fit(hand, fits, *, sure, **settings):
     return work, scout
 
 
-# The likeliest up axis is the last one's other way: below the second one a floor has been left out.
-UPS = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+# What its scans are asked for: floors below this axis, and no other flat sides.
+UPS = np.array([[0.0, 1.0, 0.0]])
 
 
 def _member(scan):
     rows = np.arange(len(scan.points))
-    return Member(0, scan.points, replace(TakingPart.only(rows, len(rows)), below=1), None, "ann", ups=UPS)
+    return Member(0, scan.points, replace(TakingPart.only(rows, len(rows)), doubtful=1), None, "ann", sure=True)
 
 
 @pytest.mark.parametrize("turn, rival", [(0.0, 1 / 1.25), (0.02, 1 / 1.25), (1.0, 0.0)])
@@ -157,7 +158,7 @@ def test_a_first_fit_depends_on_what_takes_part_and_where_a_rig_ends_on_all(hand
     member = _member(short_scan)
     (work, _), (fast, _) = (_first_fit(hand, None, sure=True, effort=effort) for effort in ("balanced", "fast"))
     further = np.concatenate([member.points, [[0.0, 0.0, 0.0]]])
-    others = [{"points": further}, {"ups": UPS[:1]}, {"part": replace(member.part, below=None)}]
+    others = [{"points": further}, {"sure": False}, {"part": replace(member.part, doubtful=None)}]
     for change in others:
         other = replace(member, **change)
         assert digest_of(fast.task(other)) == digest_of(fast.task(member))

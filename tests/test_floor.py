@@ -27,10 +27,10 @@ def hand():
 
 
 def _kept(points, **options):
-    rows, dropped, _ = off_floor(points, np.arange(len(points)), **options)
+    rows, dropped, _, walls = off_floor(points, np.arange(len(points)), **options)
     kept = np.zeros(len(points), dtype=bool)
     kept[rows] = True
-    assert dropped == (~kept).sum()
+    assert dropped + walls == (~kept).sum()
     return kept
 
 
@@ -96,7 +96,7 @@ def test_a_wall_is_found_where_any_side_may_be_down(hand):
     turned = scan.points @ matrix_from_rotvec(np.array([1.4, 0.2, -0.5])).T
     kept, body = _kept(turned), scan.labels >= 0
     assert kept[body].mean() > 0.94 and kept[~body].mean() < 0.05
-    assert _kept(turned, ups=[UP]).all()  # where up is known, walls are not looked for
+    assert _kept(turned, ups=[UP]).all()  # where up is known, a wall alone is not looked for
 
 
 @pytest.mark.parametrize("degrees, stays", [(0, False), (15, False), (35, True), (50, True)])
@@ -146,7 +146,7 @@ def test_of_a_wide_flat_thing_what_stands_on_it_tells_whether_it_is_a_floor(n_ab
 
 def test_given_rows_are_kept_to(hand):
     (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1, floor=1.0)
-    rows, dropped, _ = off_floor(scan.points, np.arange(0, len(scan.points), 2), ups=[UP])
+    rows, dropped, *_ = off_floor(scan.points, np.arange(0, len(scan.points), 2), ups=[UP])
     assert dropped > 1000 and (rows % 2 == 0).all()
 
 
@@ -165,25 +165,6 @@ def test_where_up_is_but_likely_a_floor_may_be_below_another_axis(axis, hand):
         assert off_floor(scan.points @ turn.T, np.arange(len(body)), ups=facing.floors)[2] == axis
         kept_below_up = _kept(scan.points @ turn.T, ups=facing.floors[:1])
         assert kept_below_up.all() == (axis > 0)
-
-
-def test_a_floor_below_the_likely_axis_is_taken_before_a_wall_and_the_larger_of_two_walls(hand):
-    (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1)
-    low, high = scan.points.min(axis=0), scan.points.max(axis=0)
-    rng, middle = np.random.default_rng(0), (low + high) / 2
-
-    def plane(axis, n):
-        x = middle + 1.5 * np.ptp(scan.points, axis=0).max() * rng.uniform(-0.5, 0.5, (n, 3))
-        x[:, axis] = low[axis] - 0.01 * hand.size
-        return x[(x > low - 0.011 * hand.size).all(axis=1)]  # above the other planes
-
-    floor, small, large = plane(1, 3000), plane(0, 3000), plane(2, 6000)
-    sides = facing_of(hand, "upright").floors
-    for planes, gone in (((small, floor), floor), ((small, large), large)):
-        points = np.vstack([scan.points, *planes])
-        kept = _kept(points, ups=sides)
-        ends = np.cumsum([len(scan.points), *map(len, planes)])
-        assert [part.mean() < 0.1 for part in np.split(kept, ends[:-1])[1:]] == [plane is gone for plane in planes]
 
 
 def test_clean_rows_says_what_it_left_out(hand):
@@ -230,7 +211,7 @@ class _Told(BaseException):
 def test_floors_are_looked_for_where_down_is_told(fitter, tube_scan, what, up, orientation, sides, monkeypatch):
     points, labels = tube_scan.points, tube_scan.labels
 
-    def spy(points, rows, *, ups=None, body=None):
+    def spy(points, rows, *, ups=None, sure=False, body=None):
         raise _Told(ups)
 
     monkeypatch.setattr("lbsfit_np.starts.clean.clean_rows", spy)
@@ -322,14 +303,14 @@ def _before_a_wall(rig, axis=2, width=2.0):
     return np.vstack([scan.points, wall]), len(scan.points)
 
 
-KEPT = "a flat side that might be a floor is kept, as the fit is more probable with it"
+KEPT = "a flat side that might be a floor or wall is kept, as the fit is more probable with it"
 
 
 @pytest.mark.parametrize(
     "ends, tries, kept, said",
     [
         ([("failed", 0.1), ("ok", 0.9)], 2, 2, f"; {KEPT}"),
-        ([("suspect", 0.5), ("suspect", 0.2)], 2, 1, "; with the points of that floor, the fit is no more probable"),
+        ([("suspect", 0.5), ("suspect", 0.2)], 2, 1, "; with the points of that floor or wall, the fit is no more probable"),
         ([("ok", 0.9), ("ok", 0.99)], 1, 1, ""),
     ],
 )
@@ -341,10 +322,10 @@ def test_a_floor_below_another_axis_may_be_a_side_of_the_body(given, ends, tries
     result, fits = fitted(points, ends, **{name: known[name] for name in given})
     assert len(fits) == tries and result.message == f"fit {kept}{said}" and result.probability == ends[kept - 1][1]
     assert (result.seconds, result.evaluations) == ((2.0, 30) if tries == 2 else (1.0, 10))
-    assert "of a floor below +z left out" in fits[0].note and fits[0].floor_elsewhere
+    assert "of a floor or wall on the -z side left out" in fits[0].note and fits[0].doubtful
     assert tries == 1 or fits[1].note == ""
     result, fits = fitted(_before_a_wall(tube_rig, axis=1)[0], ends)
-    assert len(fits) == 1 and "of a floor left out" in fits[0].note and not fits[0].floor_elsewhere and result.message == "fit 1"
+    assert len(fits) == 1 and "of a floor left out" in fits[0].note and fits[0].doubtful is None and result.message == "fit 1"
 
 
 @pytest.mark.parametrize("random_state", [5, None, "a generator"])

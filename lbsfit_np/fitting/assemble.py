@@ -174,7 +174,7 @@ def assemble(
         if status == "failed":
             per = None if unit is None else unit_scale(rig, unit)  # of a known unit, as then the size is told
             large = per is not None and scale / per * template.size / rig.size > _LARGE
-            reason += f"; {_asked(given, evidence, large, floor='of a floor' in part.note)}"
+            reason += f"; {_asked(given, evidence, large)}"
         if words := _incomplete(status, evidence, coverage, guesses):
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
     guessed = "" if status == "failed" else _guessed(guesses)  # it is of a pose that is about right
@@ -260,16 +260,13 @@ def _incomplete(status, evidence, coverage, guesses):
     return f"if the scan ends before the body does, pass cropped{'' if coverage.whole else ', too'} (--cropped)" if cut else ""
 
 
-def _asked(given, evidence, large, floor):
-    """What may be wrong of a fit that has failed, as a question; first of all of one whose subject would be too ``large``.
-
-    Where a ``floor`` was left out there may be a wall as well: one plane alone is looked for.
-    """
+def _asked(given, evidence, large):
+    """What may be wrong of a fit that has failed, as a question; first of all of one whose subject would be too ``large``."""
     asked = ["is it the right rig"]
     if evidence["at_limits"] > AT_LIMITS:
         asked.append("do its limits let joints turn as they do in the scan")
-    if large or floor or evidence["part_unexplained"] > MISFIT:  # these points may be of another thing
-        asked.insert(0 if large else len(asked), "does the scan show only the body, one floor or wall, and single points")
+    if large or evidence["part_unexplained"] > MISFIT:  # these points may be of another thing
+        asked.insert(0 if large else len(asked), "does the scan show only the body, floors, walls and single points")
     if given:
         asked.append(f"{'are' if 'labels' in given else 'is'} {' and '.join(given)} right")
     if "theta0" not in given:  # which says how the scan is turned

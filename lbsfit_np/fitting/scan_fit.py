@@ -164,13 +164,13 @@ class ScanFit:
         with one_thread():  # threads on arrays this small cost more than they give
             if part is not None:
                 return self._fit(points, theta0, labels, point_weights, part, started, found, once=once)
-            rig, ups, given = self.model.source, self.facing.floors, given_names(theta0, labels)
+            rig, given, ups = self.model.source, given_names(theta0, labels), self.facing.floors
+            known = {"ups": ups, "labels": labels}
             result = looked_at_again(
-                lambda ups, among: self.taking_part(points, point_weights, random_state, ups=ups, labels=labels, among=among),
+                lambda among, sure: self.taking_part(points, point_weights, random_state, **known, among=among, sure=sure),
                 lambda part, once: self._fit(points, theta0, labels, point_weights, part, started, None, once=once),
                 points,
                 rig,
-                ups=ups,
                 settings=self.settings,
                 given=given,
             )
@@ -183,9 +183,9 @@ class ScanFit:
 
             return looked_at_in_the_mirror(result, reflected, rig=rig, facing=self.facing, given=given)
 
-    def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, labels=None, among=None):
+    def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, sure=False, labels=None, among=None):
         """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
-        known = {"point_weights": point_weights, "labels": labels, "among": among}
+        known = {"point_weights": point_weights, "labels": labels, "among": among, "sure": sure}
         limits = {"most": self.settings.max_points, "scale": self.settings.scale, "unit": self.settings.unit, "ups": ups}
         limits["cropped"] = self.settings.cropped
         return taking_part(points, self.model.source, rng=generator(random_state, "thin"), **limits, **known)

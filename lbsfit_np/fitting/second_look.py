@@ -8,9 +8,9 @@ from .assemble import GUESS
 
 __all__ = ["is_long", "looked_at_again", "may_go_on"]
 
-# Of a plane below another axis than the likeliest that was taken for a floor at first.
-_FLOOR = "with the points of that floor, the fit is no more probable"
-_NO_FLOOR = "a flat side that might be a floor is kept, as the fit is more probable with it"
+# Of what was taken for a floor or walls at first, and may be a flat side of the body.
+_FLOOR = "with the points of that floor or wall, the fit is no more probable"
+_NO_FLOOR = "a flat side that might be a floor or wall is kept, as the fit is more probable with it"
 # From this share of a scan's points on it is worth a fit to leave out what is beyond the rig, and up to this one.
 _LEAST, _MOST = 0.03, 0.85
 # A long scan whose first fit is right with this probability is looked at no further.
@@ -20,19 +20,17 @@ _SURE = 0.8
 _STILL, _GUESSES = 0.9, 0.4
 
 
-def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=()):
+def looked_at_again(taking_part, fit, points, rig, *, settings, given=()):
     """The fit of a scan; where it is in doubt, the likeliest of those with and without what may be no part of the body.
 
     Parameters
     ----------
-    taking_part : callable (ups, among) → TakingPart
-        ``among`` as for ``starts.clean.taking_part``.
+    taking_part : callable (among, sure) → TakingPart
+        Arguments as for ``starts.clean.taking_part``.
     fit : callable (TakingPart, bool) → FitResult
         Where the second argument is true without a second look for the pose. Seconds go on from where the first fit began.
     points : (n, 3) array
     rig : Rig
-    ups : (k, 3) array or None
-        Directions that may be up where there is a floor, the likeliest first; None where any may.
     settings : FitSettings
         With ``effort`` "fast" nothing is looked for beyond the rig.
     given : sequence of {"theta0", "labels"}
@@ -43,10 +41,10 @@ def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=()):
     FitResult
         With the seconds and the evaluations of all.
     """
-    part = taking_part(ups, None)
+    part = taking_part(None, False)
     look = None
     if "labels" not in given and may_go_on(rig, settings):
-        look = _Look(lambda among: taking_part(ups, among), fit, part, points, rig, settings)
+        look = _Look(lambda among: taking_part(among, False), fit, part, points, rig, settings)
         if not given and is_long(points, part, rig, settings):  # what is given is fitted at once
             first = look.at_all(once=True)
             # Without skinning nothing speaks for a fit or against it.
@@ -55,9 +53,9 @@ def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=()):
             within = look.within_the_rig(first)
             if within is not None and within.status == "ok" and within.probability >= first.probability:
                 return within
-            whole = _with_floor_or_without(part, taking_part, fit, ups)
+            whole = _with_floor_or_without(part, taking_part, fit)
             return look.with_costs(whole if within is None else max(whole, within, key=_probability), whole)
-    result = _with_floor_or_without(part, taking_part, fit, ups)
+    result = _with_floor_or_without(part, taking_part, fit)
     if look is None or result.status == "ok":
         return result
     look.count(result)
@@ -65,16 +63,16 @@ def looked_at_again(taking_part, fit, points, rig, *, ups, settings, given=()):
     return look.with_costs(result if within is None else max(result, within, key=_probability))
 
 
-def _with_floor_or_without(part, taking_part, fit, ups):
+def _with_floor_or_without(part, taking_part, fit):
     """The fit of a part; where it is in doubt, with what may be no floor taking part, too, and the likelier of the two.
 
-    A floor below another axis than the likeliest may be a flat side of the body, such as a palm that faces the camera.
+    What lies below another axis than the likeliest, and walls, may be flat sides of the body, such as a palm facing the camera.
     """
     result = fit(part, False)
-    if result.status == "ok" or not part.floor_elsewhere:
+    if result.status == "ok" or part.doubtful is None:
         return result
     try:
-        whole = taking_part(ups[:1], None)
+        whole = taking_part(None, True)
     except InputError:  # of a wide wall: with it the scan is none that can be worked with
         return result
     other = fit(whole, False)

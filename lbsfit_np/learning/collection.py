@@ -41,8 +41,8 @@ class Member:
         Scan units in a rig unit, as far as is known.
     name : str
         What errors call it: the file where it came from one, else the index.
-    ups : sequence of (3,) arrays or None
-        As for ``starts.clean.taking_part``.
+    sure : bool
+        As for ``starts.clean.taking_part``: its flat sides are the body's.
     held_out : bool
         Held out of learning, to tell when to stop.
     X : (k, 3) array or None
@@ -76,7 +76,7 @@ class Member:
     subject: object
     unit: float = 1.0
     name: str = ""
-    ups: object = None
+    sure: bool = False
     held_out: bool = False
     X: np.ndarray = None
     proba: np.ndarray = None

@@ -43,7 +43,7 @@ class FirstFit:
 
     def task(self, member):
         """What the answer for a scan depends on: the points that take part; all where some may lie beyond the rig."""
-        return (member.points, member.part, member.ups) if may_go_on(self.model.source, self.settings) else (member.x,)
+        return (member.points, member.part, member.sure) if may_go_on(self.model.source, self.settings) else (member.x,)
 
     def alone(self, member):
         """The FitResult of a member's scan as a fit of single scans makes it, to the end."""
@@ -53,10 +53,10 @@ class FirstFit:
         scout, (points, *more) = self._fit.scout, task
         if not more:
             return self._answer(scout(points))
-        part, ups = more
+        part, sure = more
         long = is_long(points, part, self.model.source, self.settings)
         found = scout(points[part.rows], once=long)
-        return self._answer(found) if scout.is_sure(found) else self._looked_at_again(points, part, ups, found, long)
+        return self._answer(found) if scout.is_sure(found) else self._looked_at_again(points, part, sure, found, long)
 
     def _answer(self, found, part=None):
         loss = plain_chamfer(self.model, found.problem, found.state, coverage=self.settings.coverage)
@@ -64,17 +64,19 @@ class FirstFit:
         failed = bool(self._fit.scout.probability(found) < FAILED)
         return found.frame, found.state, finite(loss), short(found.proba), rivals, part, failed
 
-    def _looked_at_again(self, points, part, ups, found, long):
+    def _looked_at_again(self, points, part, sure, found, long):
         """The answer for what lies within the rig, where a likelier fit that is "ok" finds something beyond; else for all.
 
         ``found`` is what the scout said of all, where ``long`` at a first look.
         """
-        whole = replace(part, below=None)  # whether a floor is one is told by the whole collection, and has been
+        whole = replace(part, doubtful=None)  # whether a floor is one is told by the whole collection, and has been
         looks = {long: found}  # at the whole, by whether once
 
-        def taking_part(ups, among):
+        known = {"ups": self.facing.floors, "sure": sure}
+
+        def taking_part(among, _):
             # Points are drawn by the seed alone: the answer hangs on nothing but the scan.
-            return whole if among is None else self._fit.taking_part(points, None, self.seed, ups=ups, among=among)
+            return whole if among is None else self._fit.taking_part(points, None, self.seed, **known, among=among)
 
         def scouted(part, once):
             if part is not whole:
@@ -88,7 +90,7 @@ class FirstFit:
             result = self._fit.fit(points, part=part, found=seen)
             return _Fitted(**{f.name: getattr(result, f.name) for f in fields(result)}, part=part, seen=seen)
 
-        best = looked_at_again(taking_part, fit, points, self.model.source, ups=ups, settings=self.settings)
+        best = looked_at_again(taking_part, fit, points, self.model.source, settings=self.settings)
         if best.part is whole:
             return self._answer(best.seen)
         if best.status == "ok":  # what is left out here takes no part in learning, whatever comes later

@@ -77,28 +77,27 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
         subjects = _of_a_size_allowed(fitter, subjects, settings)
         facing, given = _facing(fitter), given_names(theta0, labels)
         limits = {"most": settings.max_points, "scale": settings.scale, "unit": settings.unit}
-        limits["cropped"] = settings.cropped
+        limits |= {"cropped": settings.cropped, "ups": facing.floors}
 
-        def part_of(x, a, ups, **more):
-            return taking_part(x, fitter.rig, rng=generator(seed, "thin"), ups=ups, point_weights=a, **limits, **more)
+        def part_of(x, a, **more):
+            return taking_part(x, fitter.rig, rng=generator(seed, "thin"), point_weights=a, **limits, **more)
 
         def fitted(x, a, part, once):
             return _fit_new(fitter, x, part, subjects, theta0, labels, a, anyone, settings, started, once=once)
 
         result = looked_at_again(
-            lambda ups, among: part_of(points, point_weights, ups, among=among, labels=labels),
+            lambda among, sure: part_of(points, point_weights, among=among, sure=sure, labels=labels),
             lambda part, once: fitted(points, point_weights, part, once),
             points,
             fitter.rig,
-            ups=facing.floors,
             settings=settings,
             given=given,
         )
 
         def reflected(S):
-            every = part_of(points, point_weights, facing.floors).every  # the rest takes time to label
+            every = part_of(points, point_weights).every  # the rest takes time to label
             x, a = points[every] @ S, None if point_weights is None else point_weights[every]
-            return fitted(x, a, part_of(x, a, facing.floors), True)
+            return fitted(x, a, part_of(x, a), True)
 
         return looked_at_in_the_mirror(result, reflected, rig=fitter.rig, facing=facing, given=given, learned=True)
 

@@ -86,8 +86,8 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
     check_ids(subjects)
     collection, found = Collection(len(scans), asked=list(dict.fromkeys(subjects))), {}
 
-    def looked_at(i, points, ups):
-        known = {"scale": scale, "unit": unit, "ups": ups, "cropped": cropped}
+    def looked_at(i, points, sure):
+        known = {"scale": scale, "unit": unit, "ups": ups, "sure": sure, "cropped": cropped}
         return taking_part(points, rig, most=max_points, rng=generator(random_state, "thin", i), **known)
 
     for i, (source, subject) in enumerate(zip(scans, subjects)):
@@ -97,20 +97,20 @@ def read_collection(rig, scans, subjects, *, max_points, held_out, scale, random
                 points = check_points(scan, minimum=len(rig.parts))
                 if callable(source):  # all are read before any is worked with, and a reader may use one array again
                     points = points.copy()
-                part = looked_at(i, points, ups)
+                part = looked_at(i, points, False)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             collection.failures[i] = in_words(error)
             continue
         path = getattr(scan, "path", None)
         found[i] = points, subject, f"{i}" if path is None else f"{path}", part
-    below = Counter(part.below for *_, part in found.values())
+    doubtful = Counter(part.doubtful for *_, part in found.values())
     for i, (points, subject, name, part) in found.items():
-        may_be_up = ups
-        if part.floor_elsewhere and 2 * below[part.below] < len(found):  # too few: flat sides of bodies, such as palms
+        sure = False
+        if part.doubtful is not None and 2 * doubtful[part.doubtful] < len(found):  # too few: flat sides of bodies, such as palms
             with suppress(InputError):  # a wide wall, with which the scan is none that can be worked with
-                part, may_be_up = looked_at(i, points, ups[:1]), ups[:1]
+                part, sure = looked_at(i, points, True), True
         frame = Frame(points[part.rows].mean(axis=0), part.scale * rig.size / 2)
-        collection.members.append(Member(i, points, part, frame, subject, part.scale, name=name, ups=may_be_up))
+        collection.members.append(Member(i, points, part, frame, subject, part.scale, name=name, sure=sure))
     if not collection.members:
         first = next(iter(collection.failures.values()))
         raise InputError("scans", f"{len(scans)}, none of which can be used (the first: {first})", "scans that can be used")

@@ -38,8 +38,9 @@ class TakingPart:
         Which do not, in words.
     scale : float
         How many of the scan's units a rig unit seems to have.
-    below : int or None
-        Which of the directions that may be up a floor lies below that is left out.
+    doubtful : int, "walls" or None
+        What is left out that may be a flat side of the body, such as a palm that faces the camera: what lies below which of the
+        directions that may be up, but for the likeliest; or walls on a floor. None where nothing is.
     known : (n,) int8 array
         Of each point of the scan: 1 of the body, 0 looked at and left out, −1 not looked at, −2 never to take part, −3 neither,
         as it weighs next to nothing.
@@ -51,7 +52,7 @@ class TakingPart:
     more: np.ndarray
     note: str
     scale: float
-    below: int | None
+    doubtful: int | str | None
     known: np.ndarray
     among: np.ndarray | None = None
 
@@ -94,14 +95,9 @@ class TakingPart:
             return self.note
         return f"{self.note}, {np.count_nonzero(left_out & (self.known != -3))} of all {len(left_out)}"
 
-    @property
-    def floor_elsewhere(self):
-        """Whether a floor is left out below another axis than the likeliest; it may be a flat side of the body."""
-        return bool(self.below)
-
 
 def taking_part(
-    points, rig, *, most, rng, scale, unit=None, ups=None, point_weights=None, labels=None, among=None, cropped=False
+    points, rig, *, most, rng, scale, unit=None, ups=None, sure=False, point_weights=None, labels=None, among=None, cropped=False
 ):
     """What of a scan its fit looks at.
 
@@ -115,7 +111,7 @@ def taking_part(
     scale : {"estimate", "fixed"}
     unit : str, optional
         As for :func:`~lbsfit_np.starts.scale.reference_scale`.
-    ups : sequence of (3,) arrays, optional
+    ups, sure
         As for :func:`clean_rows`.
     point_weights : (n,) array, optional
         Points of weight 0 never take part, nor those of less than 1 % of the weight that a quarter of the others reach.
@@ -143,12 +139,12 @@ def taking_part(
     light = 0 if point_weights is None else np.count_nonzero(point_weights) - len(rows)
     rows, same = _in_places_of_their_own(points, rows)
     drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
-    sides = {"ups": ups, "body": None if labels is None else labels >= 0, "among": among}
-    body, note, below = _of_the_body(points, drawn, **sides)
+    sides = {"ups": ups, "sure": sure, "body": None if labels is None else labels >= 0, "among": among}
+    body, note, doubtful = _of_the_body(points, drawn, **sides)
     if len(drawn) < len(rows) and len(body) < _ENOUGH * most:
         enough = min(len(rows), int(most * most / max(len(body), most // 50, 1)))
         drawn = np.sort(rng.choice(rows, enough, replace=False))
-        body, note, below = _of_the_body(points, drawn, **sides)
+        body, note, doubtful = _of_the_body(points, drawn, **sides)
     kept = body if len(body) <= most else np.sort(rng.choice(body, most, replace=False))
     told = f"{counted(light, 'point')} of next to no weight left out" if light else ""
     words = "; ".join(filter(None, (told, f"{same} identical points left out" if same else "", note)))
@@ -167,7 +163,7 @@ def taking_part(
     parts = None if labels is None or labels[kept].min() < 0 else np.unique(labels[kept])
     shown = None if parts is None else np.isin(rig.vertex_labels, parts)
     unit = reference_scale(points[kept], rig, scale, unit, whole=labels is None, shown=shown, cropped=cropped).scale
-    return TakingPart(kept, more, words, unit, below, known, among)
+    return TakingPart(kept, more, words, unit, doubtful, known, among)
 
 
 def _counts(weights):
@@ -178,13 +174,13 @@ def _counts(weights):
 
 def _of_the_body(points, drawn, *, among, **sides):
     """:func:`clean_rows`, without what lies beyond the end of the rig, which is told as well."""
-    body, note, below = clean_rows(points, drawn, **sides)
+    body, note, doubtful = clean_rows(points, drawn, **sides)
     if among is None:
-        return body, note, below
+        return body, note, doubtful
     within = body[among[body]]
     share = 1.0 - len(within) / max(len(body), 1)
     ends = f"the scan seems to go on beyond the rig: {share:.0%} of its points left out"
-    return within, "; ".join(filter(None, (ends, note))), below
+    return within, "; ".join(filter(None, (ends, note))), doubtful
 
 
 def _alike(points, kept, dropped, others, most, rng):
@@ -226,14 +222,14 @@ def _in_places_of_their_own(points, rows):
     return rows[~there], int(there.sum())
 
 
-def clean_rows(points, rows, *, ups=None, body=None):
+def clean_rows(points, rows, *, ups=None, sure=False, body=None):
     """Rows of a scan that take part in a fit.
 
     Parameters
     ----------
     points : (n, 3) array
     rows : (k,) int array
-    ups, body
+    ups, sure, body
         As for :func:`~lbsfit_np.starts.floor.off_floor`.
 
     Returns
@@ -241,8 +237,8 @@ def clean_rows(points, rows, *, ups=None, body=None):
     rows : int array
     note : str
         What was left out, in words; empty where all take part.
-    below : int or None
-        As :func:`~lbsfit_np.starts.floor.off_floor` says of a floor.
+    doubtful : int, "walls" or None
+        As in :class:`TakingPart`.
 
     Raises
     ------
@@ -252,8 +248,9 @@ def clean_rows(points, rows, *, ups=None, body=None):
     checked_extent(points[rows])
     looked_at = f" (of {len(rows)} examined)" if len(rows) < len(points) else ""
     rows, wild = near_rows(points, rows)
-    rows, floor, below = off_floor(points, rows, ups=ups, body=body)
-    under = f" below {axis_name(ups[below])}" if below else ""  # another axis than is taken for up, which may be wrong
-    told = (wild, "far from all others"), (floor, f"of a floor{under}")
+    rows, floor, below, walls = off_floor(points, rows, ups=ups, sure=sure, body=body)
+    # Below another axis than is taken for up, which may be wrong, it may be either.
+    where = f"of a floor or wall on the {axis_name(-ups[below])} side" if below else "of a floor"
+    told = (wild, "far from all others"), (floor, where), (walls, "of walls")
     notes = [f"{counted(n, 'point')} {where} left out" for n, where in told if n]
-    return rows, "; ".join(notes) + (looked_at if notes else ""), below
+    return rows, "; ".join(notes) + (looked_at if notes else ""), below or ("walls" if walls else None)

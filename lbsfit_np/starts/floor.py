@@ -1,4 +1,4 @@
-"""Points of a floor, a table or a wall in a scan: a plane with the body on one side of it, which goes on beyond the body."""
+"""Points of a floor, a table or walls in a scan: planes with the body on one side of them, which go on beyond the body."""
 
 import numpy as np
 
@@ -8,8 +8,10 @@ __all__ = ["off_floor"]
 
 # Planes tried; how thick a floor is, and from how far below it on few points may be, as shares of the scan's extent.
 _TRIES, _THICK, _BELOW = 300, 0.012, 0.03
-# Cosine of how far a floor may be from level, where up is known.
-_UPRIGHT = np.cos(np.radians(20))
+# Cosine of how far a floor may be from level, where up is known; the sine is of how far walls may lean against it.
+_UPRIGHT, _LEANING = np.cos(np.radians(20)), np.sin(np.radians(20))
+# Further planes that are looked for: of a corner two, and one more, such as a table's edge.
+_WALLS = 3
 # As clutter may be anywhere: the share of the points that may lie below, and how many points make a square one with something
 # above, as a share of how many there are around the middle one of the points above.
 _CLUTTER_BELOW, _SOMETHING = 0.04, 0.07
@@ -20,12 +22,14 @@ _LEAST, _BEYOND = 0.08, 0.4
 # Of all points a floor has at most the first share; more than the second, as that of a room has, only if what is above it is at
 # least so high for how wide it is: a flat side of a body has but creases on it.
 _MOST, _MUCH, _HIGH = 0.98, 0.9, 0.15
+# In fewer points nothing is looked for.
+_FEWEST = 50
 # Side of the squares that the plane is divided into, as a share of the extent.
 _SQUARE = 0.04
 
 
-def off_floor(points, rows, *, ups=None, body=None):
-    """Rows of a scan without those of a floor.
+def off_floor(points, rows, *, ups=None, sure=False, body=None):
+    """Rows of a scan without those of a floor, and of the walls that stand on it.
 
     Parameters
     ----------
@@ -34,6 +38,8 @@ def off_floor(points, rows, *, ups=None, body=None):
     ups : sequence of (3,) arrays, optional
         Unit vectors that may be up: only planes below all else and within 20 degrees of the horizontal are looked for, by the
         first one, then by the others, of whose planes the largest is taken. By default planes on any side.
+    sure : bool, default False
+        Look no further than below the first of these, and for no walls: what else is flat may be a side of the body.
     body : (n,) bool array, optional
         Points that are known to be none of a floor's.
 
@@ -42,30 +48,54 @@ def off_floor(points, rows, *, ups=None, body=None):
     rows : int array
         All where there is no such plane.
     dropped : int
+        Of the first plane.
     below : int or None
-        Which of ``ups`` the plane lies below; None without a plane, and where it may lie anywhere.
+        Which of ``ups`` it lies below; None without a plane, and where it may lie anywhere.
+    walls : int
+        Further points, of planes within 20 degrees of a right angle to the first.
     """
-    x = points[rows]
-    size = np.ptp(np.percentile(x, [2, 98], axis=0), axis=0).max()
-    if len(x) < 50 or not size > 0:
-        return rows, 0, None
-    x = (x - np.median(x, axis=0)) / size
-    on, below = _floor(x, None if ups is None else ups[0]), 0
+    x, ups = _measured(points[rows]), ups[:1] if sure and ups is not None else ups
+    if x is None:
+        return rows, 0, None, 0
+    (on, normal), below = _plane(x, up=None if ups is None else ups[0]), 0
     if ups is not None and not on.any():
-        others = [(k, _floor(x, up)) for k, up in enumerate(ups)][1:]
-        below, on = max(others, key=lambda other: np.count_nonzero(other[1]), default=(0, on))
-    if body is not None:
-        on &= ~body[rows]
-    return rows[~on], int(on.sum()), below if ups is not None and on.any() else None
+        others = [(k, _plane(x, up=up)) for k, up in enumerate(ups)][1:]
+        below, (on, normal) = max(others, key=lambda other: np.count_nonzero(other[1][0]), default=(0, (on, normal)))
+    on = on if body is None else on & ~body[rows]
+    dropped, rows = int(on.sum()), rows[~on]
+    if not dropped:
+        return rows, 0, None, 0
+    left = len(rows)
+    for _ in range(0 if sure else _WALLS):
+        x = _measured(points[rows])
+        on = np.zeros(len(rows), dtype=bool) if x is None else _plane(x, stands_on=normal)[0]
+        on = on if body is None else on & ~body[rows]
+        if not on.any():
+            break
+        rows = rows[~on]
+    return rows, dropped, None if ups is None else below, left - len(rows)
 
 
-def _floor(x, up):
-    """(k,) bool: which points of a scan, of extent 1 about the origin, are of a floor below ``up``, or on any side."""
-    none = np.zeros(len(x), dtype=bool)
+def _measured(x):
+    """Points about their median in units of their extent; None where they are too few, or have none."""
+    size = np.ptp(np.percentile(x, [2, 98], axis=0), axis=0).max() if len(x) >= _FEWEST else 0.0
+    return (x - np.median(x, axis=0)) / size if size > 0 else None
+
+
+def _plane(x, *, up=None, stands_on=None):
+    """Points of a scan, of extent 1 about the origin, on a plane: below ``up``, at right angles to another, or on any side.
+
+    Returns
+    -------
+    on : (k,) bool array
+    normal : (3,) array or None
+        Towards the body; None without a plane.
+    """
+    none = np.zeros(len(x), dtype=bool), None
     rng = np.random.default_rng(0)  # the same planes for the same points
     some = x if up is None else x[x @ up <= np.quantile(x @ up, 0.5)]
     a, b, c = (some[rng.integers(len(some), size=_TRIES)] for _ in range(3))
-    normal = np.cross(b - a, c - a)
+    normal = np.cross(b - a, c - a if stands_on is None else stands_on)
     length = np.linalg.norm(normal, axis=1)
     kept = length > 1e-4
     normal, a = normal[kept] / length[kept, None], a[kept]
@@ -86,7 +116,7 @@ def _floor(x, up):
         origin = x[on].mean(axis=0)
         n = np.linalg.svd(x[on] - origin, full_matrices=False)[2][2]
         n = n if ((x - origin) @ n).mean() > 0 else -n
-    if up is not None and n @ up <= _UPRIGHT:
+    if (up is not None and n @ up <= _UPRIGHT) or (stands_on is not None and abs(n @ stands_on) >= _LEANING):
         return none
     height = (x - origin) @ n
     on = height < 1.5 * _THICK
@@ -95,8 +125,8 @@ def _floor(x, up):
     if on.mean() > _MUCH:
         above = x[~on]
         wide = np.ptp(np.quantile(above, [0.1, 0.9], axis=0), axis=0).max()
-        return on if np.quantile(height[~on], 0.9) > _HIGH * wide else none
-    return on
+        return (on, n) if np.quantile(height[~on], 0.9) > _HIGH * wide else none
+    return on, n
 
 
 def _share_beyond(x, on, n):
