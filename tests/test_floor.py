@@ -44,6 +44,30 @@ def test_a_floor_goes_and_the_body_stays(hand, share):
     assert found >= 9
 
 
+@pytest.mark.parametrize("noise", [0.0, 0.001, 0.004])
+def test_feet_stay_but_for_their_soles(noise):
+    """Near the body a floor is as thick as it is elsewhere: as its noise, of a drawn one hardly at all."""
+    rig = lbs.load_rig("body-coarse")
+    for i, scan in enumerate(lbs.synthesize(rig, 4, poses="natural", random_state=1, noise=0.002)):
+        rng, (low, size) = np.random.default_rng(i), (scan.points[:, 1].min(), np.ptp(scan.points, axis=0).max())
+        floor = 3 * size * rng.uniform(-0.5, 0.5, (6000, 3))
+        floor[:, 1] = low + noise * size * rng.standard_normal(6000)
+        kept = _kept(np.vstack([scan.points, floor]), ups=[UP])
+        n = len(scan.points)
+        assert kept[:n].mean() > 0.98 and kept[n:].sum() < 0.005 * n
+        assert kept[:n][scan.points[:, 1] > low + (0.015 + 4 * noise) * size].all()
+
+
+def test_a_floor_as_thin_as_rounding_goes_below_the_body_too():
+    (scan,) = lbs.synthesize(lbs.load_rig("body-coarse"), 1, poses="natural", random_state=1)
+    low, size = scan.points[:, 1].min(), np.ptp(scan.points, axis=0).max()
+    floor = 3 * size * np.random.default_rng(0).uniform(-0.5, 0.5, (6000, 3))
+    floor[:, 1] = low - 0.05 * size  # a body in the air, nothing of which is taken for a part of the plane
+    tilted = np.vstack([scan.points, floor]) @ matrix_from_rotvec(np.array([0.1, 0.0, 0.05])).T
+    kept = _kept(tilted, ups=[UP])
+    assert kept[: len(scan.points)].all() and not kept[len(scan.points) :].any()
+
+
 def test_squares_and_those_around_are_counted():
     """Against a count of all pairs; at the borders, too."""
     rng = np.random.default_rng(0)

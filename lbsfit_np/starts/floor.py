@@ -22,6 +22,9 @@ _LEAST, _BEYOND = 0.08, 0.4
 # Of all points a floor has at most the first share; more than the second, as that of a room has, only if what is above it is at
 # least so high for how wide it is: a flat side of a body has but creases on it.
 _MOST, _MUCH, _HIGH = 0.98, 0.9, 0.15
+# Near the body a plane is thinner than that: so many times its points' median distance from its middle, which is four standard
+# deviations of noise, but not less than this share of the extent.
+_SPREADS, _THINNEST = 6.0, 0.002
 # In fewer points nothing is looked for.
 _FEWEST = 50
 # Side of the squares that the plane is divided into, as a share of the extent.
@@ -120,24 +123,29 @@ def _plane(x, *, up=None, stands_on=None):
         return none
     height = (x - origin) @ n
     on = height < 1.5 * _THICK
-    if not _LEAST <= on.mean() <= _MOST or _share_beyond(x, on, n) < _BEYOND:
+    if not _LEAST <= on.mean() <= _MOST:
+        return none
+    free = _free(x, on, n)
+    if free[on].mean() < _BEYOND:
         return none
     if on.mean() > _MUCH:
         above = x[~on]
         wide = np.ptp(np.quantile(above, [0.1, 0.9], axis=0), axis=0).max()
-        return (on, n) if np.quantile(height[~on], 0.9) > _HIGH * wide else none
-    return on, n
+        if np.quantile(height[~on], 0.9) <= _HIGH * wide:
+            return none
+    thick = max(_SPREADS * np.median(np.abs(height[on & free])), _THINNEST)
+    return on & (free | (height < thick)), n  # feet that stand on it stay but for their soles
 
 
-def _share_beyond(x, on, n):
-    """Share of the plane's points whose square has no more than clutter above it."""
+def _free(x, on, n):
+    """(k,) bool: which points' squares have no more than clutter above them; none where a plane is hardly wider than a body."""
     axes = np.linalg.svd(n[None])[2][1:]
     square = np.floor(x @ axes.T / _SQUARE).astype(int)
     around = _around(square, on)
     free = around <= _SOMETHING * np.median(around[~on])
     if len(np.unique(square[on], axis=0)) < _WIDER * len(np.unique(square[~on & ~free], axis=0)):
-        return 0.0
-    return float(free[on].mean())
+        return np.zeros(len(x), dtype=bool)
+    return free
 
 
 def _around(square, on):
