@@ -58,16 +58,6 @@ def test_feet_stay_but_for_their_soles(noise):
         assert kept[:n][scan.points[:, 1] > low + (0.015 + 4 * noise) * size].all()
 
 
-def test_a_floor_as_thin_as_rounding_goes_below_the_body_too():
-    (scan,) = lbs.synthesize(lbs.load_rig("body-coarse"), 1, poses="natural", random_state=1)
-    low, size = scan.points[:, 1].min(), np.ptp(scan.points, axis=0).max()
-    floor = 3 * size * np.random.default_rng(0).uniform(-0.5, 0.5, (6000, 3))
-    floor[:, 1] = low - 0.05 * size  # a body in the air, nothing of which is taken for a part of the plane
-    tilted = np.vstack([scan.points, floor]) @ matrix_from_rotvec(np.array([0.1, 0.0, 0.05])).T
-    kept = _kept(tilted, ups=[UP])
-    assert kept[: len(scan.points)].all() and not kept[len(scan.points) :].any()
-
-
 def test_squares_and_those_around_are_counted():
     """Against a count of all pairs; at the borders, too."""
     rng = np.random.default_rng(0)
