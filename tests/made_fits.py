@@ -71,4 +71,4 @@ class MadeFits:
 
     def __call__(self, *, given=(), **settings):
         known = {"settings": FitSettings(**settings), "given": given}
-        return looked_at_again(self.taking_part, self.fit, self.scan.points, self.hand, **known)
+        return looked_at_again(self.taking_part(None, False), self.taking_part, self.fit, self.scan.points, self.hand, **known)

@@ -159,7 +159,7 @@ def test_bends_are_tried_on_templates_unless_all_are_of_other_people_and_the_fit
     monkeypatch.setattr(new_scan, "scan_fit", lambda *made_of: by_itself)
     monkeypatch.setattr(new_scan, "_begun", lambda fitter, s, *known: SimpleNamespace(subject=s, left=1.0))
     monkeypatch.setattr(new_scan, "_gone_on", lambda fitter, begun, seen, settings: seen)
-    monkeypatch.setattr(new_scan, "looked_at_again", lambda taking_part, fit, *a, **k: fit(taking_part(None, False), False))
+    monkeypatch.setattr(new_scan, "looked_at_again", lambda part, taking_part, fit, *a, **k: fit(part, False))
     monkeypatch.setattr(new_scan, "_template_fit", Fit)
     found = new_scan.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None).message
     assert bent == ["ann", "bob"] * (effort != "fast" and (status != "ok" or own == "ann"))  # on both, or on none

@@ -24,6 +24,7 @@ from .confidence import shown_problem
 from .drawn import drawn_by_itself
 from .labels import one_hot
 from .mirror_image import looked_at_in_the_mirror
+from .one_thing import APART, looked_at_apart
 from .proportioned import Proportioned
 from .refit import Refit, Runner
 from .scout import Scout
@@ -165,15 +166,20 @@ class ScanFit:
             if part is not None:
                 return self._fit(points, theta0, labels, point_weights, part, started, found, once=once)
             rig, given, ups = self.model.source, given_names(theta0, labels), self.facing.floors
-            known = {"ups": ups, "labels": labels}
-            result = looked_at_again(
-                lambda among, sure: self.taking_part(points, point_weights, random_state, **known, among=among, sure=sure),
-                lambda part, once: self._fit(points, theta0, labels, point_weights, part, started, None, once=once),
-                points,
-                rig,
-                settings=self.settings,
-                given=given,
-            )
+            known = {"settings": self.settings, "given": given}
+
+            def some_of_it(among, **how):
+                return self.taking_part(points, point_weights, random_state, ups=ups, labels=labels, among=among, **how)
+
+            def fit(part, once=True):
+                return self._fit(points, theta0, labels, point_weights, part, started, None, once=once)
+
+            part = some_of_it(None)
+
+            def whole():
+                return looked_at_again(part, lambda among, sure: some_of_it(among, sure=sure), fit, points, rig, **known)
+
+            result = looked_at_apart(part, whole, lambda among: some_of_it(among, why=APART), fit, points, **known)
 
             def reflected(S):
                 every = self.taking_part(points, point_weights, random_state, ups=ups).every  # the rest takes time to label
@@ -183,11 +189,10 @@ class ScanFit:
 
             return looked_at_in_the_mirror(result, reflected, rig=rig, facing=self.facing, given=given)
 
-    def taking_part(self, points, point_weights=None, random_state=None, *, ups=None, sure=False, labels=None, among=None):
-        """What of a scan its fit looks at, see ``starts.clean.taking_part``; arguments as for :meth:`fit`."""
-        known = {"point_weights": point_weights, "labels": labels, "among": among, "sure": sure}
-        limits = {"most": self.settings.max_points, "scale": self.settings.scale, "unit": self.settings.unit, "ups": ups}
-        limits["cropped"] = self.settings.cropped
+    def taking_part(self, points, point_weights=None, random_state=None, **known):
+        """What of a scan its fit looks at, see ``starts.clean.taking_part``, whose other arguments may be given."""
+        limits = {"most": self.settings.max_points, "scale": self.settings.scale, "unit": self.settings.unit}
+        limits |= {"cropped": self.settings.cropped, "point_weights": point_weights}
         return taking_part(points, self.model.source, rng=generator(random_state, "thin"), **limits, **known)
 
     def _fit(self, points, theta0, labels, point_weights, part, started, found, *, once):

@@ -20,11 +20,13 @@ _SURE = 0.8
 _STILL, _GUESSES = 0.9, 0.4
 
 
-def looked_at_again(taking_part, fit, points, rig, *, settings, given=()):
+def looked_at_again(part, taking_part, fit, points, rig, *, settings, given=()):
     """The fit of a scan; where it is in doubt, the likeliest of those with and without what may be no part of the body.
 
     Parameters
     ----------
+    part : TakingPart
+        Of the scan, without either argument of:
     taking_part : callable (among, sure) → TakingPart
         Arguments as for ``starts.clean.taking_part``.
     fit : callable (TakingPart, bool) → FitResult
@@ -41,7 +43,6 @@ def looked_at_again(taking_part, fit, points, rig, *, settings, given=()):
     FitResult
         With the seconds and the evaluations of all.
     """
-    part = taking_part(None, False)
     look = None
     if "labels" not in given and may_go_on(rig, settings):
         look = _Look(lambda among: taking_part(among, False), fit, part, points, rig, settings)

@@ -76,7 +76,7 @@ class FirstFit:
 
         def taking_part(among, _):
             # Points are drawn by the seed alone: the answer hangs on nothing but the scan.
-            return whole if among is None else self._fit.taking_part(points, None, self.seed, **known, among=among)
+            return self._fit.taking_part(points, None, self.seed, **known, among=among)
 
         def scouted(part, once):
             if part is not whole:
@@ -90,7 +90,7 @@ class FirstFit:
             result = self._fit.fit(points, part=part, found=seen)
             return _Fitted(**{f.name: getattr(result, f.name) for f in fields(result)}, part=part, seen=seen)
 
-        best = looked_at_again(taking_part, fit, points, self.model.source, settings=self.settings)
+        best = looked_at_again(whole, taking_part, fit, points, self.model.source, settings=self.settings)
         if best.part is whole:
             return self._answer(best.seen)
         if best.status == "ok":  # what is left out here takes no part in learning, whatever comes later

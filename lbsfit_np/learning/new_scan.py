@@ -11,6 +11,7 @@ from ..fitting.confidence import SOMEBODY_ELSE
 from ..fitting.drawn import drawn_by_itself
 from ..fitting.effort import EFFORTS
 from ..fitting.mirror_image import looked_at_in_the_mirror
+from ..fitting.one_thing import APART, looked_at_apart
 from ..fitting.refit import Runner
 from ..fitting.scan_fit import (
     FitSettings,
@@ -82,17 +83,22 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
         def part_of(x, a, **more):
             return taking_part(x, fitter.rig, rng=generator(seed, "thin"), point_weights=a, **limits, **more)
 
+        def some_of_it(among, **how):
+            return part_of(points, point_weights, labels=labels, among=among, **how)
+
         def fitted(x, a, part, once):
             return _fit_new(fitter, x, part, subjects, theta0, labels, a, anyone, settings, started, once=once)
 
-        result = looked_at_again(
-            lambda among, sure: part_of(points, point_weights, among=among, sure=sure, labels=labels),
-            lambda part, once: fitted(points, point_weights, part, once),
-            points,
-            fitter.rig,
-            settings=settings,
-            given=given,
-        )
+        def fit(part, once=True):
+            return fitted(points, point_weights, part, once)
+
+        known = {"settings": settings, "given": given}
+        part = some_of_it(None)
+
+        def whole():
+            return looked_at_again(part, lambda among, sure: some_of_it(among, sure=sure), fit, points, fitter.rig, **known)
+
+        result = looked_at_apart(part, whole, lambda among: some_of_it(among, why=APART), fit, points, **known)
 
         def reflected(S):
             every = part_of(points, point_weights).every  # the rest takes time to label

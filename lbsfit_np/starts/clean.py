@@ -9,13 +9,15 @@ from .floor import off_floor
 from .scale import checked_extent, near_rows, reference_scale
 from .turns import axis_name
 
-__all__ = ["TakingPart", "clean_rows", "taking_part"]
+__all__ = ["BEYOND", "TakingPart", "clean_rows", "taking_part"]
 
 # So many points in one place, as a share of all and against what is usual in the scan, are no surface: cameras write pixels
 # without depth as zeros, and programs fill a cloud up with its first point.
 _LEAST, _SHARE, _TIMES = 20, 0.005, 20
 # Where fewer of the points that were drawn are of the body than this share of those wanted, more are drawn.
 _ENOUGH = 0.8
+# Why points are not ``among`` those that may take part.
+BEYOND = "the scan seems to go on beyond the rig"
 # Points that are judged by others, at a time.
 _AT_ONCE = 200_000
 # Points that weigh less than this share of what is usual take no part: the weight that a quarter of those with any reach.
@@ -45,7 +47,7 @@ class TakingPart:
         Of each point of the scan: 1 of the body, 0 looked at and left out, −1 not looked at, −2 never to take part, −3 neither,
         as it weighs next to nothing.
     among : (n,) bool array or None
-        Which points of the scan may take part, where others lie beyond the end of the rig; None where all may.
+        Which points of the scan may take part, where others lie beyond the end of the rig, or apart; None where all may.
     """
 
     rows: np.ndarray
@@ -97,7 +99,20 @@ class TakingPart:
 
 
 def taking_part(
-    points, rig, *, most, rng, scale, unit=None, ups=None, sure=False, point_weights=None, labels=None, among=None, cropped=False
+    points,
+    rig,
+    *,
+    most,
+    rng,
+    scale,
+    unit=None,
+    ups=None,
+    sure=False,
+    point_weights=None,
+    labels=None,
+    among=None,
+    why=BEYOND,
+    cropped=False,
 ):
     """What of a scan its fit looks at.
 
@@ -118,7 +133,9 @@ def taking_part(
     labels : (n,) int array, optional
         Known parts: what has one is of no floor; −1 where one is not known.
     among : (n,) bool array, optional
-        Which points may take part, where others lie beyond the end of the rig; by default all.
+        Which points may take part, where others lie beyond the end of the rig, or apart from the body; by default all.
+    why : str
+        Why the others may not, in words.
     cropped : bool, default False
         As for :func:`~lbsfit_np.starts.scale.reference_scale`.
 
@@ -139,7 +156,7 @@ def taking_part(
     light = 0 if point_weights is None else np.count_nonzero(point_weights) - len(rows)
     rows, same = _in_places_of_their_own(points, rows)
     drawn = rows if len(rows) <= most else np.sort(rng.choice(rows, most, replace=False))
-    sides = {"ups": ups, "sure": sure, "body": None if labels is None else labels >= 0, "among": among}
+    sides = {"ups": ups, "sure": sure, "body": None if labels is None else labels >= 0, "among": among, "why": why}
     body, note, doubtful = _of_the_body(points, drawn, **sides)
     if len(drawn) < len(rows) and len(body) < _ENOUGH * most:
         enough = min(len(rows), int(most * most / max(len(body), most // 50, 1)))
@@ -172,15 +189,15 @@ def _counts(weights):
     return some & (weights >= _HARDLY * np.quantile(weights[some], _USUAL)) if some.any() else some
 
 
-def _of_the_body(points, drawn, *, among, **sides):
-    """:func:`clean_rows`, without what lies beyond the end of the rig, which is told as well."""
+def _of_the_body(points, drawn, *, among, why, **sides):
+    """:func:`clean_rows`, without what is not ``among``, which is told as well."""
     body, note, doubtful = clean_rows(points, drawn, **sides)
     if among is None:
         return body, note, doubtful
     within = body[among[body]]
     share = 1.0 - len(within) / max(len(body), 1)
-    ends = f"the scan seems to go on beyond the rig: {share:.0%} of its points left out"
-    return within, "; ".join(filter(None, (ends, note))), doubtful
+    others = f"{why}: {share:.0%} of its points left out"
+    return within, "; ".join(filter(None, (others, note))), doubtful
 
 
 def _alike(points, kept, dropped, others, most, rng):

@@ -1,0 +1,48 @@
+"""Things that stand apart in a scan, of which one may be the body: other people, furniture."""
+
+import numpy as np
+
+__all__ = ["things_apart"]
+
+# Points further from each other than so many times as most are from their third neighbour, and than this share of the extent, are
+# not of one thing, unless others lead from one to the next. Density may vary tenfold, threefold in distance.
+_GAP, _MOST, _OF_THE_EXTENT = 3.0, 0.95, 0.02
+# Things with less than this share of the points are none to be fitted, and no more than so many are.
+_LEAST, _THINGS = 0.1, 4
+
+
+def things_apart(points, rows):
+    """Parts of a scan that no points lead between, the largest first.
+
+    Parameters
+    ----------
+    points : (n, 3) array
+    rows : (k,) int array
+        Points that take part.
+
+    Returns
+    -------
+    list of (n,) bool arrays
+        For each thing, which points may be of it: those of ``rows``, and others that lie nearest to one of these. Empty where no
+        two are large enough.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+    from scipy.spatial import cKDTree
+
+    x = points[rows]
+    if len(x) < 10:
+        return []
+    tree = cKDTree(x)
+    third = np.quantile(tree.query(x, k=[4])[0], _MOST)
+    size = np.ptp(np.percentile(x, [2, 98], axis=0), axis=0).max()
+    pairs = tree.query_pairs(max(_GAP * third, _OF_THE_EXTENT * size), output_type="ndarray")
+    linked = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(x), len(x)))
+    thing = connected_components(linked, directed=False)[1]
+    count = np.bincount(thing)
+    large = np.argsort(-count, kind="stable")[:_THINGS]
+    large = large[count[large] >= _LEAST * len(x)]
+    if len(large) < 2:
+        return []
+    of = thing[tree.query(points)[1]]
+    return [of == k for k in large]
