@@ -55,7 +55,8 @@ def off_floor(points, rows, *, ups=None, sure=False, body=None):
     below : int or None
         Which of ``ups`` it lies below; None without a plane, and where it may lie anywhere.
     walls : int
-        Further points, of planes within 20 degrees of a right angle to the first.
+        Further points, of planes at a right angle to the first. They are looked for upright: of those that lean by
+        up to 20 degrees, only such as have enough points near an upright one are found.
     """
     x, ups = _measured(points[rows]), ups[:1] if sure and ups is not None else ups
     if x is None:
