@@ -99,12 +99,22 @@ def test_where_only_what_is_sure_to_be_a_floor_goes_walls_stay(hand):
     assert not _kept(wall, ups=sides)[of[of != 0] == 1].any() and _kept(wall, ups=sides, sure=True).all()
 
 
-@pytest.mark.parametrize("degrees, stays", [(0, False), (10, False), (35, True)])
-def test_what_leans_is_no_wall(hand, degrees, stays):
+@pytest.mark.parametrize("degrees, n, stays", [(0, 2500, False), (10, 2500, False), (35, 2500, True), (25, 5000, True)])
+def test_what_leans_is_no_wall(hand, degrees, n, stays):
+    """By however many points, of which enough lie near an upright plane, too."""
     (scan,) = lbs.synthesize(hand, 1, poses="natural", random_state=1)
-    points, of = _in_a_room(scan.points, np.random.default_rng(0), ["floor", "back"], turn=0.7, lean=-np.radians(degrees))
+    points, of = _in_a_room(scan.points, np.random.default_rng(0), ["floor", "back"], turn=0.7, n=n, lean=-np.radians(degrees))
     kept = _kept(points, ups=facing_of(hand, "upright").floors)
     assert kept[of == 0].mean() < 0.05 and (kept[of == 1].mean() > 0.5 if stays else kept[of == 1].mean() < 0.05)
+
+
+def test_small_walls_go_as_they_are_known_to_stand_upright(hand):
+    """Three points of one are rarely drawn together: with these, 10 of the 20 are found, with two 15."""
+    gone = []
+    for i, scan in enumerate(lbs.synthesize(hand, 20, poses="natural", random_state=5)):
+        points, of = _in_a_room(scan.points, np.random.default_rng(i), ["floor", "back"], turn=0.4 + i, n=600)
+        gone.append(_kept(points, ups=facing_of(hand, "upright").floors)[of == 1].mean() < 0.05)
+    assert sum(gone) >= 13
 
 
 @pytest.mark.parametrize("name", ["hand-coarse", "body-coarse"])
@@ -139,6 +149,9 @@ def test_a_note_counts_them_and_says_that_they_are_doubtful(hand):
         assert "points of a floor left out; " in note and note.endswith("points of walls left out") and doubtful == "walls"
         _, note, doubtful = clean_rows(points, rows, ups=ups, sure=True)
         assert "walls" not in note and doubtful is None
+    # Below another axis than the likeliest the floor itself is in doubt, whatever stands on it.
+    _, note, doubtful = clean_rows(points[:, [2, 0, 1]], rows, ups=facing_of(hand, "upright").floors)
+    assert "points of a floor or wall on the -z side left out; " in note and note.endswith("of walls left out") and doubtful == 4
 
 
 # ---- fits and collections ----
@@ -182,6 +195,7 @@ def test_walls_that_most_scans_of_a_collection_lack_are_sides_of_bodies(tube_rig
     members = collected(tube_rig, clouds, held_out=0.0, ups=facing_of(tube_rig, "upright").floors).members
     assert ["of walls" in m.part.note for m in members] == [gone and i < n for i in range(4)]
     assert all("of a floor" in m.part.note for m in members)
+    assert [m.sure for m in members] == [not gone and i < n for i in range(4)]  # what its first fit goes by
 
 
 def test_they_say_nothing_of_the_unit(hand):
