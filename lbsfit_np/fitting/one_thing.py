@@ -9,13 +9,14 @@ __all__ = ["APART", "looked_at_apart"]
 
 # Why the points of the others take no part.
 APART = "the scan seems to show several things that stand apart"
-# Where the second of them has this share of the points it is no limb that a view shows by itself. Then things are fitted before a
-# pose of all is looked for at length, and one that is right with the probability _SURE is looked at no further.
-_NO_LIMB, _SURE = 0.2, 0.8
+# A fit that is right with this probability is looked at no further.
+_SURE = 0.8
 
 
 def looked_at_apart(part, whole, taking_part, fit, points, *, settings, given=()):
     """The fit of a scan, or where that is in doubt, the likeliest of single things that stand apart in it, if that is right.
+
+    Things are fitted before a pose of all is looked for at length.
 
     Parameters
     ----------
@@ -29,7 +30,7 @@ def looked_at_apart(part, whole, taking_part, fit, points, *, settings, given=()
         Without a second look. Seconds go on from where the first fit began, as those of ``whole`` do.
     points : (n, 3) array
     settings : FitSettings
-        With ``effort`` "fast" nothing is looked for.
+        With ``effort`` "fast" nothing is looked for, nor where scans are cropped: what is left of a body may be in pieces.
     given : sequence of {"theta0", "labels"}
         What the caller knows. Labels say what is of the body: then nothing is looked for either.
 
@@ -38,24 +39,18 @@ def looked_at_apart(part, whole, taking_part, fit, points, *, settings, given=()
     FitResult
         With the seconds and the evaluations of all.
     """
-    things = [] if settings.effort == "fast" or "labels" in given else things_apart(points, part.rows)
+    no_need = settings.effort == "fast" or settings.cropped or "labels" in given
+    things = [] if no_need else things_apart(points, part.rows)
     if not things:
         return whole()
-    fits, best = [], None
-    if things[1][part.rows].mean() >= _NO_LIMB:
-        fits.append(fit(part))
-        if fits[0].probability >= _SURE or not fits[0].evidence:  # without skinning nothing speaks for a fit or against it
-            return fits[0]
-        best = _likeliest(things, taking_part, fit, fits)
-        if best is not None and best.probability >= _SURE:
-            return _with_costs(best, fits)
-    fits.append(whole())
-    result = fits[-1]
-    if result.status != "ok" and result.evidence and best is None:
-        best = _likeliest(things, taking_part, fit, fits)
-    if best is not None and result.status != "ok":
-        result = best
-    return _with_costs(result, fits)
+    fits = [fit(part)]
+    if fits[0].probability >= _SURE or not fits[0].evidence:  # without skinning nothing speaks for a fit or against it
+        return fits[0]
+    best = _likeliest(things, taking_part, fit, fits)
+    if best is None or best.probability < _SURE:
+        fits.append(whole())
+        best = fits[-1] if best is None or fits[-1].status == "ok" else best
+    return replace(best, seconds=fits[-1].seconds, evaluations=sum(one.evaluations for one in fits))
 
 
 def _likeliest(things, taking_part, fit, fits):
@@ -69,7 +64,3 @@ def _likeliest(things, taking_part, fit, fits):
         found.append(fit(part))
     fits += found
     return max((one for one in found if one.status == "ok"), key=lambda one: one.probability, default=None)
-
-
-def _with_costs(result, fits):
-    return replace(result, seconds=fits[-1].seconds, evaluations=sum(one.evaluations for one in fits))

@@ -7,8 +7,8 @@ __all__ = ["things_apart"]
 # Points further from each other than so many times as most are from their third neighbour, and than this share of the extent, are
 # not of one thing, unless others lead from one to the next. Density may vary tenfold, threefold in distance.
 _GAP, _MOST, _OF_THE_EXTENT = 3.0, 0.95, 0.02
-# Things with less than this share of the points are none to be fitted, and no more than so many are.
-_LEAST, _THINGS = 0.1, 4
+# Things with less than this share of the points may be limbs that a view shows by themselves.
+_LEAST = 0.2
 
 
 def things_apart(points, rows):
@@ -40,7 +40,7 @@ def things_apart(points, rows):
     linked = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(x), len(x)))
     thing = connected_components(linked, directed=False)[1]
     count = np.bincount(thing)
-    large = np.argsort(-count, kind="stable")[:_THINGS]
+    large = np.argsort(-count, kind="stable")[: int(1 / _LEAST)]
     large = large[count[large] >= _LEAST * len(x)]
     if len(large) < 2:
         return []
