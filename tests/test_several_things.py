@@ -58,13 +58,14 @@ class _Fits:
         self.ends = {"once": once, "whole": whole} | {f"thing {k}": end for k, end in enumerate(things)}
         rng, n = np.random.default_rng(0), (500, 100 if few else 400)
         self.points = np.vstack([rng.random((m, 3)) + [4.0 * k, 0, 0] for k, m in enumerate(n)])
+        self.evidence = {"unexplained": 0.1}
         self.part, self.of, self.broken = SimpleNamespace(rows=np.arange(len(self.points)), among=None), [], broken
 
     def result(self, name):
         self.of.append(name)
         p = self.ends[name]
         status = "ok" if p >= 0.5 else "suspect"
-        return _Result(name, status, p, {"unexplained": 0.1}, float(len(self.of)), 10)
+        return _Result(name, status, p, self.evidence, float(len(self.of)), 10)
 
     def fit(self, part):
         return self.result("once" if part.among is None else f"thing {int(not part.among[0])}")
@@ -106,6 +107,13 @@ def test_the_likeliest_thing_is_kept_where_the_whole_is_in_doubt(fits, kept, tri
 def test_nothing_is_looked_for_in_haste_or_where_labels_say_what_is_of_the_body_or_that_may_be_in_pieces(how):
     fits = _Fits(0.2, 0.3, 0.9, 0.9)
     assert fits(**how).name == "whole" and fits.of == ["whole"]
+
+
+def test_a_fit_that_nothing_speaks_for_or_against_is_kept():
+    """As one without skinning, which lays the mesh on all."""
+    fits = _Fits(0.0, 0.0, 0.9, 0.9)
+    fits.evidence = {}
+    assert fits().name == "once" and fits.of == ["once"]
 
 
 @pytest.mark.parametrize("learned", [False, True])
