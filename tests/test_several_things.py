@@ -48,6 +48,16 @@ def test_other_points_are_of_the_nearest_thing_and_small_ones_are_none():
     assert things_apart(np.zeros((50, 3)), np.arange(50)) == []
 
 
+def test_points_that_are_there_several_times_are_as_far_apart_as_their_places():
+    rng = np.random.default_rng(0)
+    x = rng.normal(size=(600, 3))
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    points = np.repeat(np.vstack([x[:300], x[300:] + [3.0, 0, 0]]), 6, axis=0)  # as triangles have them
+    first, second = things_apart(points, np.arange(len(points)))
+    np.testing.assert_array_equal(first, np.arange(len(points)) < 1800)
+    np.testing.assert_array_equal(second, ~first)
+
+
 # ---- which is fitted ----
 
 

@@ -31,10 +31,11 @@ def things_apart(points, rows):
     from scipy.spatial import cKDTree
 
     x = points[rows]
-    if len(x) < 10:
+    places = np.unique(x, axis=0)  # triangles that share no vertices have each of theirs several times
+    if len(places) < 10:
         return []
+    third = np.quantile(cKDTree(places).query(places, k=[4])[0], _MOST)
     tree = cKDTree(x)
-    third = np.quantile(tree.query(x, k=[4])[0], _MOST)
     size = np.ptp(np.percentile(x, [2, 98], axis=0), axis=0).max()
     pairs = tree.query_pairs(max(_GAP * third, _OF_THE_EXTENT * size), output_type="ndarray")
     linked = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(x), len(x)))
