@@ -58,6 +58,15 @@ def test_points_that_are_there_several_times_are_as_far_apart_as_their_places():
     np.testing.assert_array_equal(second, ~first)
 
 
+def test_of_very_many_points_some_are_linked(monkeypatch):
+    monkeypatch.setattr("lbsfit_np.starts.apart._LINKED", 500)
+    rng = np.random.default_rng(0)
+    points = rng.random((4000, 3)) + np.where(np.arange(4000) < 2400, 0.0, 4.0)[:, None]
+    first, second = things_apart(points, np.arange(len(points)))
+    np.testing.assert_array_equal(first, np.arange(len(points)) < 2400)
+    np.testing.assert_array_equal(second, ~first)
+
+
 # ---- which is fitted ----
 
 

@@ -2,6 +2,8 @@
 
 import numpy as np
 
+from ..scan import some_rows
+
 __all__ = ["things_apart"]
 
 # Points further from each other than so many times as most are from their third neighbour, and than this share of the extent, are
@@ -9,6 +11,8 @@ __all__ = ["things_apart"]
 _GAP, _MOST, _OF_THE_EXTENT = 3.0, 0.95, 0.02
 # Things with less than this share of the points may be limbs that a view shows by themselves.
 _LEAST = 0.2
+# Points that are linked at most: how many pairs there are grows by the square.
+_LINKED = 20_000
 
 
 def things_apart(points, rows):
@@ -18,7 +22,7 @@ def things_apart(points, rows):
     ----------
     points : (n, 3) array
     rows : (k,) int array
-        Points that take part.
+        Points that take part; of very many, some are looked at.
 
     Returns
     -------
@@ -31,6 +35,7 @@ def things_apart(points, rows):
     from scipy.spatial import cKDTree
 
     x = points[rows]
+    x = x[some_rows(x, _LINKED)]
     places = np.unique(x, axis=0)  # triangles that share no vertices have each of theirs several times
     if len(places) < 10:
         return []
