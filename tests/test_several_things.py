@@ -1,7 +1,7 @@
 """Of things that stand apart in a scan, one is fitted, where a fit of all is in doubt."""
 
 import copy
-from dataclasses import make_dataclass
+from dataclasses import make_dataclass, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -12,6 +12,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.one_thing import APART, looked_at_apart
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.starts.apart import things_apart
+from lbsfit_np.starts.clean import TakingPart
 
 # ---- what stands apart ----
 
@@ -65,6 +66,14 @@ def test_of_very_many_points_some_are_linked(monkeypatch):
     first, second = things_apart(points, np.arange(len(points)))
     np.testing.assert_array_equal(first, np.arange(len(points)) < 2400)
     np.testing.assert_array_equal(second, ~first)
+
+
+def test_a_floor_that_was_not_looked_at_is_clutter_beside_one_of_several_things():
+    known = np.array([1, 0, -1, -2, -3], dtype=np.int8)  # of the body, a floor, not looked at, another thing, without weight
+    part = TakingPart(np.array([0]), np.zeros(0, int), "", 1.0, None, known, known != -2)
+    assert part.is_clutter(known != 1).tolist() == [False, True, True, True, False]
+    part = replace(part, among=np.array([True, False, True, False, True]))  # only what is of another thing was left out
+    assert part.is_clutter(known != 1).tolist() == [False, True, False, True, False]
 
 
 # ---- which is fitted ----

@@ -83,9 +83,10 @@ class TakingPart:
     def is_clutter(self, left_out):
         """(n,) bool: none of the body's, of what :meth:`left_out` says; points without weight may be of the body.
 
-        So may those that were not looked at, where nothing was left out that they could be of, or only what lies beyond the rig.
+        So may those that were not looked at, where nothing was left out that they could be of, or only what lies
+        beyond the rig, or apart.
         """
-        unseen = self.among is None and bool((self.known == 0).any())
+        unseen = bool(((self.known == 0) & (True if self.among is None else self.among)).any())
         return left_out & (self.known != -3) & ((self.known != -1) | unseen)
 
     def told(self, left_out):
