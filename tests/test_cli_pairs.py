@@ -361,3 +361,9 @@ def test_registrations_are_not_overwritten(pair_folder, tmp_path, run, pair_mesh
     assert (tmp_path / name).read_bytes() == before
     assert code == 2 and f"{Path(name).name} is an input" in one_line(err) and "never overwritten" in err
     assert run(*_command(pair_folder, tmp_path / "out", *more))[0] == 0
+
+
+@pytest.mark.parametrize("option, value", [("--rounds", 5), ("--held-out", 0.3)])
+def test_options_of_learning_without_learning(pair_folder, tmp_path, run, option, value):
+    code, _, err = run(*_command(pair_folder, tmp_path / "out", "--no-learn", option, value))
+    assert code == 2 and f"{option}: got {value} with --no-learn" in one_line(err) and not (tmp_path / "out").exists()

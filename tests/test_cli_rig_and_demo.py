@@ -199,5 +199,11 @@ def test_a_demo_without_a_fit_leaves_nothing_in_the_way_of_the_next(made, tmp_pa
     assert code == 0 and again in text  # with what the segmenter was trained with
 
 
+def test_a_demo_of_a_learned_model_says_what_it_takes_of_it(tube_model, tmp_path, run, monkeypatch):
+    monkeypatch.setattr(demo, "fit_files", lambda *given: 1)
+    _, text, _ = run("demo", "-o", tmp_path / "demo", "--rig", tube_model[0])
+    assert f"of the learned model {tube_model[0]}, the demo takes the rig alone" in text
+
+
 def test_the_demos_default_is_the_bundled_hand():
     assert {o.name: o.default for o in demo._OPTIONS}["rig"] in lbs.io.rigs.bundled_rigs()

@@ -7,6 +7,7 @@ from pathlib import Path
 from ..errors import InputError
 from ..io.write import remove_empty
 from .fit import OPTIONS, RIG_OPTIONS, fit_files, load_rig_with
+from .models import is_model
 from .outputs import check_outputs, out_folder
 from .parsing import Option, add_options, formatter, natural, positive, settings
 from .progress import say
@@ -74,6 +75,8 @@ def _run(arguments):
     if values["output"] is None:
         raise InputError("-o/--output", "nothing", "a folder to write to", "Add -o demo.")
     rig = load_rig_with(values["rig"], values, quiet=True)  # what was noted is in the file that the fit reads, which says it
+    if is_model(values["rig"]):
+        say(f"note: of the learned model {values['rig']}, the demo takes the rig alone; for all of it: lbsfit fit MODEL SCAN")
     out = Path(values["output"])
     paths = {
         "rig": out / "rig.npz",

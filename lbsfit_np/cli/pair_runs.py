@@ -66,6 +66,10 @@ def add_command(benches, name, run, own, *, help, description, epilog, argument,
         values = settings(arguments, options)
         if values["output"] is None:
             raise InputError("-o/--output", "nothing", "a folder", "Add -o OUT.")
+        for option in () if values["learn"] else (o for o in LEARN_OPTIONS if o.name in _OF_LEARNING):
+            if values[option.key] != option.default:
+                given, expected = f"{values[option.key]} with --no-learn", f"--{option.name} only where the loop learns"
+                raise InputError(f"--{option.name}", given, expected, "Leave one of the two out.")
         with without_empty(Path(values["output"]) / "fits"):  # nothing of a run that was refused
             return run(arguments.what, values)
 
