@@ -74,11 +74,11 @@ def test_rig_card(made, tmp_path, run):
         code, text, _ = run("rig", "card", rig, "-o", tmp_path / name)
         assert code == 0 and words in text
         assert ("note: the card describes tube.npz without tube.card.toml, which was not read" in text) == (name == "a.toml")
-    assert "tube.card.toml beside the file was used" in run("rig", "show", rig)[1]
+    assert "tube.card.toml beside tube.npz was used" in run("rig", "show", rig)[1]
     (tmp_path / "tube.card.toml").rename(tmp_path / "Tube.card.toml")
     if not (tmp_path / "tube.card.toml").exists():  # as it does where capitals make no difference
         shown = run("rig", "show", rig)[1]
-        assert "Tube.card.toml beside the file was not used: a card of this rig is called tube.card.toml" in shown
+        assert "Tube.card.toml beside tube.npz was not used: a card of this rig is called tube.card.toml" in shown
     (tmp_path / "Tube.card.toml").rename(tmp_path / "tube.card.toml")
     code, _, err = run("rig", "card", rig, "-o", rig, "--existing", "replace")
     assert code == 2 and "which is the rig itself" in one_line(err) and rig.read_bytes() == (made / "tube.npz").read_bytes()

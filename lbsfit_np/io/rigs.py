@@ -69,13 +69,14 @@ def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weight
         card = None
     elif card is None and data.path is not None:
         beside = data.path.with_name(data.path.stem + CARD_SUFFIX)
+        name = data.path.name  # models have these notes, too: "the file" would be theirs
         if os.path.isfile(beside) and _is_model(data.path):
-            data.notes.append(f"the card {beside.name} beside the file was not used: a learned model keeps its rig as it was")
+            data.notes.append(f"the card {beside.name} beside {name} was not used: a learned model keeps its rig as it was")
         elif os.path.isfile(beside):
             card = beside
-            data.notes.append(f"the card {beside.name} beside the file was used")
+            data.notes.append(f"the card {beside.name} beside {name} was used")
         elif other := _of_another_case(beside):
-            data.notes.append(f"{other} beside the file was not used: a card of this rig is called {beside.name}")
+            data.notes.append(f"{other} beside {name} was not used: a card of this rig is called {beside.name}")
     return build_rig(data, card, normalize_weights=normalize_weights, parts=parts)
 
 

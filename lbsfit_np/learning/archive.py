@@ -167,7 +167,7 @@ def read_fitter(path, make):
     if MODEL_KEY not in keys:
         got = "the result of a fit" if RESULT_KEY in keys else f"an NPZ without the key {MODEL_KEY}"
         raise FileError(str(path), got, _EXPECTED, _OTHERS)
-    rig = load_rig(path, card="none")
+    rig = load_rig(path)  # of a model, without a card that lies beside it
     arrays = read_npz(path)
     try:
         header = json.loads(str(arrays[MODEL_KEY]))
