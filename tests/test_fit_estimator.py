@@ -95,6 +95,15 @@ def test_numbers_of_numpy_are_those_of_python(tube_rig, monkeypatch):
     assert digest_of([3, 0.5]) == digest_of((np.int64(3), np.float64(0.5))) != digest_of((3, 0.6))
 
 
+@pytest.mark.parametrize("shows, n", [({}, 20), ({"one_sided": True}, 20), ({"one_sided": True, "cropped": 0.5}, 80)])
+def test_the_library_has_more_scans_where_these_differ_by_more_than_poses(tube_rig, monkeypatch, shows, n):
+    made = []
+    monkeypatch.setattr(pretraining, "build_library", lambda scans, n_scans, **options: made.append(n_scans))
+    options = {"random_state": 0, "jobs": 1, "cache": False, "progress": None}
+    pretraining.pretrain_library(tube_rig, Synthesis(**shows), 40, **options)
+    assert made == [n]
+
+
 def test_the_constructor_only_stores(tube_scan):
     fitter = lbs.LBSFitter("no rig", weights="none", training_scans=-1)
     assert fitter.rig == "no rig" and fitter.training_scans == -1

@@ -50,6 +50,16 @@ def test_effort_is_the_number_of_starts(tube_rig, make_scout, clean_scans, effor
     assert error_of(tube_rig, found, clean_scans[0], turn) < 0.03
 
 
+@pytest.mark.parametrize("partial", [False, True])
+@pytest.mark.parametrize("cropped", [False, True])
+def test_views_that_are_cropped_have_more_starts(tube_rig, partial, cropped, clean_scans, monkeypatch):
+    scout, asked = _untrained(tube_rig), []
+    scout.settings, answer = FitSettings(partial=partial, cropped=cropped), scout.library.starts
+    monkeypatch.setattr(scout.library, "starts", lambda points, turns, k, **unit: asked.append(k) or answer(points, turns, k))
+    scout._runners(clean_scans[0].points, None)
+    assert asked == [EFFORTS["balanced"].starts * (3 if partial and cropped else 1)]
+
+
 @pytest.mark.parametrize("effort", EFFORTS)
 def test_only_a_thorough_look_looks_at_limbs_closer(make_scout, clean_scans, effort, monkeypatch):
     scout, told = make_scout(settings=FitSettings(effort=effort)), []

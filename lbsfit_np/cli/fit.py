@@ -78,7 +78,7 @@ OPTIONS = (
     Option("segmenter", "a segmenter saved by Segmenter.save, instead of the rig's own", metavar="FILE", is_path=True),
     Option(
         "training-scans",
-        "synthetic scans to train the segmenter on; the library of starts gets half as many",
+        "synthetic scans to train the segmenter on; the library of starts gets half as many, with --partial --cropped twice",
         positive,
         4000,
         metavar="N",

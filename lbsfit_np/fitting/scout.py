@@ -35,6 +35,8 @@ __all__ = ["ALIKE", "Found", "Scout"]
 _LABELLED, _LED, _ELSEWHERE = 900, 500, LEANS
 # Poses whose joints are nearer than this on average, in half sizes, are one.
 ALIKE = 0.03
+# Of views of one side that are cropped, so many times as many poses go the first steps: how alike they look tells less there.
+_MORE_STARTS = 3
 # Without proportions, the right pose may leave this many times as much unexplained as a wrong one.
 _RIVAL = 2.0
 # A pose that is right with less than this probability is worth a second look.
@@ -181,7 +183,9 @@ class Scout:
 
     def _runners(self, points, x_weights):
         centre = points.mean(axis=0) if x_weights is None else x_weights @ points
-        starts = self.library.starts(points, self.facing.turns, self.effort.starts, **self._sizes)
+        shows = self.settings.coverage
+        most = self.effort.starts * (_MORE_STARTS if shows.one_sided and shows.cropped else 1)
+        starts = self.library.starts(points, self.facing.turns, most, **self._sizes)
         starts = [replace(s, scale=s.scale / self.size) for s in starts]
 
         def regressed(start):

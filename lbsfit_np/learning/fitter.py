@@ -56,7 +56,7 @@ class LBSFitter(BaseEstimator):
     max_points : int, default 2500
         Number of a scan's points that take part in the optimisation; all points are labelled.
     training_scans : int, default 4000
-        Number of synthetic scans to train the segmenter on; the library of starts takes half as many, in addition to these.
+        Number of synthetic scans to train the segmenter on. The library of starts has half as many others (``pretrain_library``).
     variant : {"joint", "pose-only", "rand", "cd", "free-form"}, default "joint"
         What :meth:`fit` learns from, as in the paper's ablations. "joint": everything. "pose-only": the segmenter learns from the
         fits' poses but not their templates. "rand": the segmenter learns from uniform poses only. "cd": no labels at all.

@@ -29,6 +29,8 @@ _LIBRARY_TIME = 0.1
 
 # Enough for a look.
 _LIBRARY_POINTS = 1000
+# Views of one side that end somewhere look more different, by where the camera is and where they end, than poses do.
+_VIEWS = 4
 
 
 def pretrained(rig, synthesis, n_scans, *, segmenter, labels, random_state, n_jobs, cache, progress):
@@ -54,7 +56,7 @@ def pretrained(rig, synthesis, n_scans, *, segmenter, labels, random_state, n_jo
     if labels and segmenter is None:
         segmenter = _shipped_segmenter(*made_of, random_state=random_state)
     train = labels and segmenter is None
-    share = _LIBRARY_TIME if train else 1.0
+    share = _LIBRARY_TIME * _views(synthesis) if train else 1.0
     library = pretrain_library(*made_of, jobs=jobs_of(n_jobs, None), progress=lambda p: progress(share * p), **options)
     if train:
         options |= {"n_jobs": n_jobs, "progress": lambda p: progress(share + (1 - share) * p)}
@@ -116,7 +118,9 @@ def _segmenter_key(rig, synthesis, n_scans, seed):
 
 
 def pretrain_library(rig, synthesis, n_scans, *, random_state, jobs, cache, progress):
-    """The library of starts with f: half as many scans, of fewer points, and half of them in natural poses where there are any.
+    """The library of starts with f: scans of fewer points, half of them in natural poses where there are any.
+
+    There are half as many as for s, or of views of one side that are cropped twice as many.
 
     Parameters
     ----------
@@ -131,13 +135,18 @@ def pretrain_library(rig, synthesis, n_scans, *, random_state, jobs, cache, prog
     PoseLibrary
     """
     rig, seed = rig.welded, random_state
-    synthesis, n = replace(synthesis, n_points=_LIBRARY_POINTS), max(1, int(n_scans) // 2)
+    synthesis, n = replace(synthesis, n_points=_LIBRARY_POINTS), max(1, int(n_scans) // 2) * _views(synthesis)
 
     def train():
         return build_library(StartScans(rig, synthesis, seed), n, random_state=seed, jobs=jobs, progress=progress)
 
     key = rig.digest, rig.poses_digest, synthesis, n, int(seed), *_seen_from(rig, synthesis)
     return cached("library", key, train, PoseLibrary.load) if cache else train()
+
+
+def _views(synthesis):
+    """How many times as many scans the library has as for scans that show all, or one side of all, or all of a part."""
+    return _VIEWS if synthesis.one_sided and synthesis.cropped else 1
 
 
 def pretrained_from(fitter):
