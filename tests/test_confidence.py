@@ -9,10 +9,10 @@ from small_rigs import make_tube_data
 import lbsfit_np as lbs
 from lbsfit_np.bench.calibrate import regression
 from lbsfit_np.errors import InputError
-from lbsfit_np.fitting.confidence import EVIDENCE, evidence_of, logarithms, probability_of, shown_problem, verdict_of
+from lbsfit_np.fitting.confidence import EVIDENCE, REGRESSED, evidence_of, logarithms, probability_of, shown_problem, verdict_of
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
-from lbsfit_np.optimize.visibility import WHOLE, Coverage
+from lbsfit_np.optimize.visibility import WHOLE, Coverage, hull_planes, within_hull
 from lbsfit_np.rig.build import build_rig
 
 PARTS = {"part_unexplained": "left_arm", "part_unreached": "right_arm"}
@@ -383,9 +383,26 @@ def test_the_verdict_names_reasons():
     assert "misfit 1%)" in verdict_of(NOTHING | {"unexplained": 0.0051}, 0.3)[1]
     for none in (0.005, 0.0049):  # percent of which none is left
         assert " 0%)" not in verdict_of(NOTHING | {"unexplained": none}, 0.3)[1]
-    every = {name: 0.02 for name in EVIDENCE if name not in ("distance", "proportions")}
-    for name in every:
+    for name in REGRESSED[1:]:  # distances alone are noise
         assert "above all " in verdict_of(NOTHING | {name: 0.02}, 0.3, PARTS)[1]
+
+
+def test_a_pose_by_which_the_scan_shows_next_to_nothing_is_not_believed(model, right):
+    """Whatever lies on the few points that there would be: all else is hidden or cut off, and not compared with anything."""
+    state, X, _ = right
+    V, areas = model.pose(state)[0].vertices, model.areas
+    for few in (0.5, 0.03):
+        shown = X[X[:, 1] <= np.quantile(X[:, 1], few)]
+        assert _evidence(model, state, shown)[0]["hidden"] == 0  # the scan is said to be of the whole
+        evidence = _evidence(model, state, shown, coverage=Coverage(cropped=True))[0]
+        assert evidence["hidden"] == pytest.approx(1 - areas[within_hull(V, hull_planes(shown))].sum() / areas.sum())
+        assert (evidence["hidden"] > 0.9) == (few < 0.1)
+    assert probability_of(NOTHING | {"hidden": 0.89}) == probability_of(NOTHING) > 0.9
+    p = probability_of(NOTHING | {"hidden": 0.91})
+    assert p == 0.25 and verdict_of(NOTHING | {"hidden": 0.912}, p) == (
+        "suspect",
+        "of this pose the scan would show next to nothing (91% of the surface hidden or cut off)",
+    )
 
 
 def test_regression_finds_what_tells_and_gives_nothing_a_good_word():

@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from sklearn.neural_network import MLPRegressor
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError
@@ -143,6 +144,15 @@ def test_f_is_the_network_that_was_trained(library, scans):
     spread = library.poses.var(axis=0).mean()
     assert own < 0.2 * spread
     assert len(library.layers) == 3 and library.layers[0][0].shape[0] == library.looks.shape[1] == LOOK_SIZE
+
+
+@pytest.mark.parametrize("most, epochs", [(40, 60), (20, 30), (10, 15), (0.1, 1)])
+def test_f_takes_no_more_steps_for_more_scans(scans, monkeypatch, most, epochs):
+    taken, fit = [], MLPRegressor.fit
+    monkeypatch.setattr(MLPRegressor, "fit", lambda f, *given: taken.append(f) or fit(f, *given))
+    monkeypatch.setattr("lbsfit_np.starts.library._SO_MANY", most)
+    assert build_library(Kept(scans[:40]), 40, random_state=0).layers
+    assert [f.n_iter_ for f in taken] == [epochs]
 
 
 def test_f_does_not_depend_on_unit_or_place(library, scans):

@@ -23,7 +23,7 @@ __all__ = ["PoseLibrary", "Start", "build_library"]
 
 _ARRAYS = ("looks", "radii", "poses", "mean", "deviation")
 _HIDDEN = (256, 128)
-# Of more scans than these f takes no more steps: with 8,000 a fourth of the epochs, in a fourth of the time, leaves the same error
+# Of more scans than these f takes no more steps: of 8,000 a fourth of the epochs, in a fourth of the time, leaves the same error
 # on others (joints of one-sided, cropped bodies: 0.281 half sizes either way; of whole hands: 0.109, after all epochs 0.107).
 _EPOCHS, _SO_MANY = 60, 2000
 # Much, as scans are few beside the looks' 384 numbers: with a thousandth of it f learns its scans by heart and errs by nearly
