@@ -40,8 +40,8 @@ class Scan:
         The name that results of this scan are given.
     path : Path, optional
         The file it came from.
-    notes : tuple of str
-        What was noticed or decided while reading.
+    notes : tuple of str, or str
+        What was noticed or decided while reading; one text is one note.
 
     Raises
     ------
@@ -74,7 +74,7 @@ class Scan:
             if labels.dtype.kind == "u" and labels.max() > np.iinfo(np.int64).max:
                 raise InputError("labels", f"{labels.max()}", "whole numbers of at most 63 bits")
             object.__setattr__(self, "labels", _frozen(labels, np.int64))
-        object.__setattr__(self, "notes", tuple(self.notes))
+        object.__setattr__(self, "notes", (self.notes,) if isinstance(self.notes, str) else tuple(self.notes))
 
     def __setstate__(self, state):
         self.__dict__.update(state)

@@ -251,3 +251,8 @@ def test_of_points_that_stand_in_an_order_rows_are_drawn(cameras, n):
 @pytest.mark.parametrize("points", [np.zeros((50, 3)), np.full((50, 3), 1e150), np.eye(3), np.zeros((21, 3))])
 def test_some_rows_of_points_at_one_place(points):
     assert len(some_rows(points, 20)) == min(len(points), 20) and len(some_rows(points, 2)) == 2
+
+
+@pytest.mark.parametrize("notes, kept", [("turned by hand", ("turned by hand",)), (["a", "b"], ("a", "b")), ((), ())])
+def test_one_text_is_one_note(notes, kept):
+    assert Scan(POINTS, notes=notes).notes == kept
