@@ -109,7 +109,10 @@ def test_all_figures_are_drawn_twice_the_same(viz, rig, report, cells, tmp_path)
         assert len(caption) > 60 and caption.endswith(".") and "\n" not in caption
 
 
-def test_figures_whose_rows_are_missing_are_left_out(viz, rig, report, cells, tmp_path, monkeypatch):
+def test_figures_whose_rows_are_missing_are_left_out(viz, drawn, rig, report, cells, tmp_path, monkeypatch):
+    along = charts.along_path(rig, steps=41)
+    monkeypatch.setattr(charts, "along_path", lambda rig, steps: along)  # as it is for each of these
+    monkeypatch.setattr(charts, "_N_POSES", 80)
     assert list(draw(report, lambda cell: None, tmp_path / "none", rigs={NAME: rig})) == [*ALWAYS, "accuracy.png"]
     rows = report["rigs"][NAME]["seeds"][str(SEED)]
     partly = {"rigs": {NAME: report["rigs"][NAME] | {"seeds": {str(SEED): {"joint": rows["joint"]}}}}}
