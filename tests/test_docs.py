@@ -15,6 +15,7 @@ from docs_tables import ROOT, codes, document, listed_keys, table_rows
 from learning_runs import learning_is_hurried
 from scipy import sparse
 from small_rigs import make_tube_data
+from study_sizes import small_is_few_and_fast
 
 import lbsfit_np as lbs
 from lbsfit_np.rig.build import build_rig
@@ -45,7 +46,9 @@ def demo(tmp_path_factory):
     (folder / "demo").mkdir()
     rig = lbs.load_rig("hand")
     scan = lbs.synthesize(rig, 1, random_state=0, n_points=800)[0]
-    result = lbs.LBSFitter(rig, random_state=0).fit_scan(scan.points, labels=scan.labels)
+    with pytest.MonkeyPatch.context() as patch:
+        learning_is_hurried(patch)
+        result = lbs.LBSFitter(rig, effort="fast", random_state=0).fit_scan(scan.points, labels=scan.labels)
     rig.save(folder / "demo" / "rig.npz")
     write_points_ply(folder / "demo" / "scan.ply", scan.points)
     write_mesh_ply(folder / "demo" / "scan.mesh.ply", result.vertices, rig.faces, vertex_labels=rig.vertex_labels)
@@ -55,10 +58,12 @@ def demo(tmp_path_factory):
 
 @pytest.mark.parametrize("path", WITH_SNIPPETS, ids=lambda path: path.name)
 def test_snippets_run(path, demo, monkeypatch):
-    """All ```python blocks of a document one after the other, as a reader would; with few training scans, and in a hurry."""
+    """All ```python blocks of a document one after the other, as a reader would; with few small scans, and in a hurry."""
     from lbsfit_np.learning.fitter import LBSFitter
 
-    learning_is_hurried(monkeypatch, "balanced")
+    small_is_few_and_fast(monkeypatch)  # "balanced", as fits of documents are
+    learning_is_hurried(monkeypatch)
+    monkeypatch.setitem(LBSFitter.__init__.__kwdefaults__, "training", {"n_points": 200})
     monkeypatch.chdir(demo)
     monkeypatch.setenv("LBSFIT_CACHE", str(demo / "cache"))
     pretrain = LBSFitter.pretrain
