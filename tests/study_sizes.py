@@ -1,6 +1,8 @@
 """Sizes of the study that are done in seconds."""
 
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from zlib import crc32
 
 import numpy as np
@@ -9,6 +11,7 @@ from registered_sets import result_of
 
 from lbsfit_np.bench.study import oracle
 from lbsfit_np.bench.study.data import SCAN, SIZES, Size
+from lbsfit_np.bench.study.local_optimum import along_path
 from lbsfit_np.learning import free_form
 from lbsfit_np.learning.archive import model_digest
 from lbsfit_np.learning.fitter import LBSFitter
@@ -16,6 +19,13 @@ from lbsfit_np.optimize.lbfgs import minimise
 
 TINY = Size(4, 3, 2, 1, 6, 50, 2, 1)
 _FEW = Size(train=3, test=3, train_subjects=2, test_subjects=2, pairs=4, training_scans=60, rounds=1, seeds=1)
+
+_along_path = cache(along_path)  # of rigs that are the same object
+
+
+def few_steps_along_path(rig):
+    """The way out of a rig's local optimum, found once."""
+    return deepcopy(_along_path(rig, steps=5))
 
 
 def small_is_few_and_fast(patch):

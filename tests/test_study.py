@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from study_sizes import TINY
+from study_sizes import TINY, few_steps_along_path
 
 from lbsfit_np.bench.environment import installed
 from lbsfit_np.bench.run import TRAINING_SEED
@@ -29,6 +29,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.io.npz import read_npz
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.io.write import write_npz
+from lbsfit_np.learning.fitter import LBSFitter
 
 
 def _true(c):
@@ -55,9 +56,9 @@ def quick(monkeypatch):
     quick_rows = {name: replace(row, find=counted) for name, row in ROWS.items()}
     monkeypatch.setattr("lbsfit_np.bench.study.making.ROWS", quick_rows)
     monkeypatch.setitem(SIZES, "small", TINY)
-    along_path = local_optimum.along_path
+    monkeypatch.setitem(LBSFitter.__init__.__kwdefaults__, "training", {"n_points": 100})  # no row asks what was pretrained
     for module in (local_optimum, run_module):
-        monkeypatch.setattr(module, "along_path", lambda rig: along_path(rig, steps=5))
+        monkeypatch.setattr(module, "along_path", few_steps_along_path)
     return made
 
 
