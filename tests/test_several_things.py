@@ -145,15 +145,13 @@ def test_a_fit_that_nothing_speaks_for_or_against_is_kept():
 
 
 @pytest.mark.parametrize("learned", [False, True])
-def test_one_of_two_bodies_is_fitted(tube_rig, fitter, tube_scan, learned):
+def test_one_of_two_bodies_is_fitted(tube_rig, fitter, tube_scan, learned_people, people_scans, learned):
     """The message says so; points of the other are left out."""
+    fitter, one = (learned_people, people_scans[12].points) if learned else (fitter, tube_scan.points)
     fitter = copy.copy(fitter).set_params(effort="balanced")
-    one = tube_scan.points
     points = np.vstack([one, _beside(one, 0.97 * one[::2], 0.5 * np.ptp(one, axis=0).max())])
-    if learned:
-        fitter.set_params(variant="pose-only", rounds=1, held_out=0)
-        fitter.fit([one, tube_scan.points + 1.0])
-    r, alone = fitter.fit_scan(points), fitter.fit_scan(one)
+    known = {"subject": "ann"} if learned else {}
+    r, alone = fitter.fit_scan(points, **known), fitter.fit_scan(one, **known)
     assert alone.status == "ok"
     assert r.status == "ok" and APART in r.message
     other = r.left_out[: len(one)].mean() > 0.5  # either may be fitted
