@@ -36,12 +36,13 @@ def test_with_known_labels_what_is_shown_is_right(hand):
     assert max(o.mean() for o in off) < 0.01 and max(o.max() for o in off) < 0.03
 
 
-def test_a_start_that_is_right_stays_right_at_its_size(tube_rig, quick_fitter):
+def test_a_start_that_is_right_stays_right_at_its_size(tube_rig, tube_fitter, fitter):
     """Unless it is said, surface beyond the edge draws what is shown."""
     off, sizes = [], []
+    fitter.segmenter_, fitter.regressor_ = tube_fitter.segmenter_, tube_fitter.regressor_
     for cropped in (False, True):
-        fitter = copy.copy(quick_fitter).set_params(cropped=cropped, training_scans=20)
-        for scan in _scans(tube_rig, 4, poses="uniform", shape=0.0):
+        fitter.set_params(cropped=cropped)
+        for scan in _scans(tube_rig, 4, poses="uniform", n_points=700, shape=0.0):
             result = fitter.fit_scan(scan.points, theta0=scan.pose)
             off.append(_off(tube_rig, scan, result).max())
             sizes.append(result.scale / scan.scale)
