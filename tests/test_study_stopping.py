@@ -176,9 +176,9 @@ def test_a_row_made_at_one_go_has_its_time(command, tmp_path):
 def test_steps_of_another_model_are_not_taken(command, run_stopped, tmp_path, monkeypatch):
     """With other training scans, what was fitted before is fitted again, as in a fresh folder."""
     monkeypatch.setattr(LBSFitter, "fit_scan", FIT_SCAN)
-    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], training_scans=60))
+    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], training_scans=10))
     assert run_stopped([*command, "cd"]) == 130
-    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], training_scans=90))
+    monkeypatch.setitem(SIZES, "small", replace(SIZES["small"], training_scans=20))
     for out in ("out", "fresh"):
         assert run([*command, "cd", "-o", str(tmp_path / out)]) == 0
     gone_on, fresh = (np.load(tmp_path / out / "cells" / "tube-5-cd.npz")["vertices"] for out in ("out", "fresh"))
