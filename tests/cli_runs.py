@@ -5,9 +5,11 @@ import shlex
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import lbsfit_np as lbs
+from lbsfit_np.bench import hand
 
 TRAINING = ("--training-scans", "40")  # enough for the four parts of the tube
 QUICK = (*TRAINING, "--effort", "fast")
@@ -52,6 +54,11 @@ def stopped(process, sent):
 def content_with_few_starts(patch):
     """Have all fitters that are made in this process be so, those of benchmarks too, which take no effort."""
     patch.setitem(lbs.LBSFitter.__init__.__kwdefaults__, "effort", "fast")
+
+
+def scans_of_hands_are_small(patch):
+    """Have the benchmark of the hand, in this process, look at a quarter of the points; for what becomes of its fits."""
+    patch.setattr(hand, "SCAN", replace(hand.SCAN, n_points=hand.SCAN.n_points // 4))
 
 
 def as_said(line, scans):

@@ -5,7 +5,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from cli_runs import content_with_few_starts
+from cli_runs import content_with_few_starts, scans_of_hands_are_small
 from learning_runs import learning_is_hurried
 
 from lbsfit_np.bench import baseline as baseline_module
@@ -215,7 +215,8 @@ def test_a_run_that_is_stopped_goes_on_to_the_same_figures(ran, run_stopped, sha
     assert table(report | {"aims": BENCHES["hand"].aims}) in capsys.readouterr().out
 
 
-def test_seeds_and_rows_are_added_to_those_that_are_there(run, run_stopped, shared_rigs, tmp_path, capsys):
+def test_seeds_and_rows_are_added_to_those_that_are_there(run, run_stopped, shared_rigs, tmp_path, capsys, monkeypatch):
+    scans_of_hands_are_small(monkeypatch)
     out = tmp_path / "out"
     command = ["hand", "--data", shared_rigs, "-o", out, "--scans", "1", "--rows"]
 
@@ -288,7 +289,8 @@ def test_pictures_of_others_are_not_drawn_over_and_those_that_are_gone_are_named
     assert "no picture" not in run(*command, "--pictures", "0")[1]
 
 
-def test_pictures_of_a_run_that_was_replaced_are_drawn_over(run, run_stopped, shared_rigs, tmp_path):
+def test_pictures_of_a_run_that_was_replaced_are_drawn_over(run, run_stopped, shared_rigs, tmp_path, monkeypatch):
+    scans_of_hands_are_small(monkeypatch)
     out = tmp_path / "out"
     size = ("--scans", "1", "--seeds", "7,8", "--training-scans", "60")
     command = ("hand", "--data", shared_rigs, "-o", out, "--rows", "own", *size)
@@ -302,6 +304,7 @@ def test_pictures_of_a_run_that_was_replaced_are_drawn_over(run, run_stopped, sh
 
 @pytest.mark.parametrize("where", ["lbsfit_np.report.render.write_png", "lbsfit_np.bench.pictures.picture"])
 def test_no_figure_is_lost_for_a_picture(run, shared_rigs, tmp_path, monkeypatch, where):
+    scans_of_hands_are_small(monkeypatch)
     out = tmp_path / "out"
     command = ("hand", "--data", shared_rigs, "-o", out, "--rows", "own,oracle", "--scans", "1", *QUICK[2:])
 
