@@ -2,6 +2,7 @@
 
 import time
 import warnings
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 
 import numpy as np
@@ -72,6 +73,9 @@ def _stop_at(stage, share):
     return progress
 
 
+_POSED = _stop_at("poses of scans", 0.8)  # they have all been looked for
+
+
 def test_a_run_that_is_stopped_again_and_again_does_nothing_twice(make_learner, points, uninterrupted, done, tmp_path):
     n = len(points)
     for stage, share, so_far in (
@@ -124,6 +128,8 @@ def test_a_library_made_beside_the_segmenter_is_kept_as_soon_as_it_is_there(make
             time.sleep(0.05)
         raise KeyboardInterrupt(len(there))
 
+    with pytest.raises(KeyboardInterrupt):  # in this process, as others know nothing of a hurry
+        make_learner().fit(points, checkpoint=tmp_path, progress=_stop_at("templates", 1.0))
     monkeypatch.setattr("lbsfit_np.learning.loop.train_segmenter", stopped)
     with pytest.raises(KeyboardInterrupt, match="1"):
         make_learner(n_jobs=2).fit(points, checkpoint=tmp_path)
@@ -140,23 +146,27 @@ def test_what_suits_other_scans_and_settings_is_taken_and_nothing_else(
     points, other = points[:3], few_scans[4].points[::2]
     make_learner(variant="cd").fit(points, checkpoint=tmp_path)
 
-    def anew(scans=points, subjects=None, **parameters):
+    def anew(scans=points, subjects=None, stop=_POSED, **parameters):
+        """(First fits, poses) that are made; what comes after these is not waited for."""
         done.update(dict.fromkeys(done, 0))
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), suppress(KeyboardInterrupt):
             warnings.simplefilter("ignore")
-            make_learner(**({"variant": "cd"} | parameters)).fit(scans, subjects, checkpoint=tmp_path)
+            make_learner(**({"variant": "cd"} | parameters)).fit(scans, subjects, checkpoint=tmp_path, progress=stop)
         return done["FirstFit"], done["Pose"]
 
+    def first_fits(scans=points, **parameters):
+        return anew(scans, stop=_stop_at("first fits", 1.0), **parameters)[0]
+
     n = len(points)
-    assert anew() == (0, 0)
-    assert anew(n_jobs=1, rounds=2, held_out=0.1) == (0, n * (done["Template"] > 0))  # another round, if it is made
+    assert anew(stop=None) == (0, 0)
+    assert anew(stop=None, n_jobs=1, rounds=2, held_out=0.1) == (0, n * (done["Template"] > 0))  # another round, if it is made
     assert anew([*points, other]) == (1, n + 1)  # of a larger collection the first fits are known
     assert anew(held_out=0) == (0, n) and anew(subjects=list("aab")) == (0, n)
-    assert anew(points[::-1])[0] == 0 and anew(sequence=True) == (0, n)
-    assert anew(random_state=1)[0] == anew(max_points=150)[0] == anew(joints="fixed")[0] == n
-    assert anew([p + 1e-9 for p in points])[0] == n
-    assert anew([*points, other], max_points=150)[0] == 1
-    assert anew([other, *points], max_points=150)[0] == n + 1  # points are drawn by the scans' numbers
+    assert first_fits(points[::-1]) == 0 and anew(sequence=True) == (0, n)
+    assert first_fits(random_state=1) == first_fits(max_points=150) == first_fits(joints="fixed") == n
+    assert first_fits([p + 1e-9 for p in points]) == n
+    assert first_fits([*points, other], max_points=150) == 1
+    assert first_fits([other, *points], max_points=150) == n + 1  # points are drawn by the scans' numbers
 
 
 def test_variants_have_first_fits_in_common_and_nothing_else(make_learner, points, uninterrupted, done, tmp_path):
@@ -165,7 +175,9 @@ def test_variants_have_first_fits_in_common_and_nothing_else(make_learner, point
     for variant, first, poses in (("rand", n, n), ("joint", 0, n), ("cd", n, n)):
         done.update(dict.fromkeys(done, 0))
         checkpoint = Checkpoint(tmp_path / "own", first_fits=tmp_path / "common") if variant != "cd" else tmp_path / "common"
-        found = make_learner(variant=variant).fit(points, checkpoint=checkpoint)
+        stop = None if variant == "joint" else _POSED  # the others' results are not asked for
+        with pytest.raises(KeyboardInterrupt) if stop else nullcontext():
+            found = make_learner(variant=variant).fit(points, checkpoint=checkpoint, progress=stop)
         assert (done["FirstFit"], done["Pose"]) == (first, poses), variant
         if variant == "joint":
             _assert_same(found, uninterrupted)
@@ -234,6 +246,8 @@ def test_a_fit_that_fails_is_tried_again(make_learner, points, done, tmp_path, m
 
 def test_what_followed_from_a_fit_that_failed_is_not_taken(make_learner, points, tmp_path, monkeypatch):
     """Templates and poses of the second round of a run that had lost a scan in the first."""
+    learning_is_hurried(monkeypatch, turns=0)
+    points = points[:3]
     parameters = {"variant": "cd", "rounds": 2, "held_out": 0}
     expected, call, failed = make_learner(**parameters).fit(points), loop.Pose.__call__, []
 
@@ -265,7 +279,10 @@ def test_what_followed_from_labels_that_failed_is_not_taken(make_learner, points
     _assert_same(make_learner().fit(points, checkpoint=tmp_path), uninterrupted)
 
 
-def test_stopped_in_the_second_round_labels_are_those_of_the_segmenter_that_is_kept(make_learner, points, done, tmp_path):
+def test_stopped_in_the_second_round_labels_are_those_of_the_segmenter_that_is_kept(
+    make_learner, points, done, tmp_path, monkeypatch
+):
+    learning_is_hurried(monkeypatch, turns=0)
     points, parameters, rounds = points[:2], {"rounds": 2, "held_out": 0}, []
     expected = make_learner(**parameters).fit(points)
 
