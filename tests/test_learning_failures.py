@@ -1,5 +1,6 @@
 """Scans, templates and turns that fail while learning goes on: what is left out, what is lost, and what stays."""
 
+import shutil
 import types
 import warnings
 from dataclasses import replace
@@ -7,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pytest
-from learning_runs import FEWER
+from learning_runs import FEWER, collected, learning_is_hurried
 
 import lbsfit_np as lbs
 from lbsfit_np.learning import finish, first_fits, free_form, tasks
@@ -60,9 +61,9 @@ def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube
 
 
 def test_where_only_what_was_held_out_is_left_it_is_learned_from(tube_rig, clouds, monkeypatch):
-    held = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds[:3]).roles_.index("held out of learning")
+    held = [m.role for m in collected(tube_rig, clouds[:3]).members].index("held out of learning")
     given = [cloud if k == held else cloud[:399] for k, cloud in enumerate(clouds[:3])]
-    assert lbs.LBSFitter(tube_rig, **QUICK).fit(given).roles_.index("held out of learning") == held
+    assert [m.role for m in collected(tube_rig, given).members].index("held out of learning") == held
     _failing(monkeypatch, first_fits, "FirstFit", 399)
     with pytest.warns(UserWarning, match="2 of 3 scans cannot be used"):
         fitter = lbs.LBSFitter(tube_rig, **QUICK).fit(given)
@@ -150,28 +151,37 @@ def test_a_template_that_fails_in_a_turn_costs_nothing_that_the_round_has_found(
 
 
 @pytest.fixture(scope="module")
-def after_turns(tube_rig, clouds):
-    """Turns → a fitter that has learned with so many of them; without labels, which take time, but with a prior of poses."""
+def after_turns(tube_rig, clouds, tmp_path_factory):
+    """Turns → a fitter that has learned with so many of them, and its checkpoint.
+
+    Without labels, which take time, but with a prior of poses.
+    """
     found = {}
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(VARIANTS, "cd", replace(VARIANTS["cd"], prior=True))
         for turns in (0, 1):
             settings = partial(LoopSettings, turns=turns, **FEWER)
             patch.setattr(LoopSettings, "for_training", lambda n, made=settings, **others: made(**others))
-            found[turns] = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
+            kept = tmp_path_factory.mktemp(f"after {turns} turns")
+            found[turns] = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, checkpoint=kept), kept
     return found
 
 
 @pytest.mark.parametrize("turns", [0, 1])
 @pytest.mark.parametrize("name, k", [("Template", 1), ("Told", 4), ("Drawn", 1), ("Drawn", 3)])
-def test_a_turn_that_fails_leaves_what_was_found_before_it(tube_rig, clouds, after_turns, monkeypatch, turns, name, k):
-    """Also where it loses all scans, as where the one subject has no template; from the k-th task of the turn on."""
-    before = (1 + turns) * (1 if name == "Template" else len(clouds))
+def test_a_turn_that_fails_leaves_what_was_found_before_it(
+    tube_rig, clouds, after_turns, tmp_path, monkeypatch, turns, name, k
+):
+    """Also where it loses all scans, as where the one subject has no template; from the k-th task of the turn on.
+
+    The turn is the first thing that is not known. Results are made anew.
+    """
+    expected, kept = after_turns[turns]
+    shutil.copytree(kept, tmp_path, dirs_exist_ok=True, ignore=shutil.ignore_patterns("result*"))
     monkeypatch.setitem(VARIANTS, "cd", replace(VARIANTS["cd"], prior=True))
-    _failing_from(before + k, name, monkeypatch)
+    _failing_from(k, name, monkeypatch)
     with pytest.warns(UserWarning, match=f"in turn' stopped after {turns} of 2 turns: .*nobody foresaw this"):
-        found = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds)
-    expected = after_turns[turns]
+        found = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, checkpoint=tmp_path)
     assert not found.failures_ and None not in found.results_
     np.testing.assert_array_equal(found.pose_prior_.mean, expected.pose_prior_.mean)
     np.testing.assert_array_equal(found.template_[0].vertices, expected.template_[0].vertices)
@@ -196,6 +206,7 @@ def test_the_round_after_a_turn_that_lost_a_subject_has_that_again(tube_rig, clo
 
 
 def test_a_template_that_fails_later_costs_nothing_of_the_round_that_is_kept(tube_rig, clouds, monkeypatch):
+    learning_is_hurried(monkeypatch, turns=0)
     values = iter([1.0, 0.5, 0.6])  # of the first fits and two rounds
 
     def note(loop, k, began, more):
@@ -203,7 +214,7 @@ def test_a_template_that_fails_later_costs_nothing_of_the_round_that_is_kept(tub
         return next(values)
 
     monkeypatch.setattr("lbsfit_np.learning.loop.Loop._note", note)
-    _without_templates_from(4, monkeypatch)  # the first of the second round
+    _without_templates_from(2, monkeypatch)  # that of the second round
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         fitter = lbs.LBSFitter(tube_rig, **QUICK | {"rounds": 2}).fit(clouds, list("abaa"))
@@ -211,6 +222,7 @@ def test_a_template_that_fails_later_costs_nothing_of_the_round_that_is_kept(tub
     assert [entry["round"] for entry in fitter.history_ if entry["kept"]] == [1]
     assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and None not in fitter.roles_
     monkeypatch.undo()
+    learning_is_hurried(monkeypatch, turns=0)
     once = lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abaa"))
     for found, expected in zip(fitter.results_, once.results_, strict=True):
         np.testing.assert_array_equal(found.vertices, expected.vertices)
