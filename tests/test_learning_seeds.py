@@ -47,7 +47,7 @@ def _assert_alike(found, expected):
 
 
 def test_a_seed_decides_all_and_other_kinds_of_seeds_work(make_learner, few_scans, monkeypatch):
-    rounds_are_short(monkeypatch)
+    learning_is_hurried(monkeypatch)
     points = [s.points for s in few_scans[:2]]
     first = make_learner(variant="cd", held_out=0, random_state=5).fit(points).results_[0].vertices
     for seed in (None, np.random.default_rng(0), np.int64(5)):

@@ -4,7 +4,7 @@ import os
 
 import numpy as np
 import pytest
-from learning_runs import collected, loop_over, mean_gap, rounds_are_short
+from learning_runs import collected, learning_is_hurried, loop_over, mean_gap, rounds_are_short
 
 import lbsfit_np as lbs
 from lbsfit_np.cli.sequences import order_note, takes_note
@@ -47,7 +47,7 @@ def test_smooth_sequences_are_smoother_and_as_near(tube_rig, make_learner, walk,
 
 def test_smoothing_that_fails_leaves_what_was_found_before_it(make_learner, walk, tmp_path, monkeypatch):
     """Of one scan, at the first sweep or later, or of all: it is the poses that have been found, and no scan is lost."""
-    rounds_are_short(monkeypatch)
+    learning_is_hurried(monkeypatch, turns=0)
     points, learner, call = [s.points for s in walk], {"variant": "cd", "sequence": True, "held_out": 0}, tasks.Held.__call__
 
     def poses(smooth=2e-3, sweeps=3, wrong=()):
