@@ -29,13 +29,13 @@ pytestmark = pytest.mark.usefixtures("hurried_learning")
 @pytest.fixture(scope="module")
 def clouds(tube_rig):
     templates = [(s.vertices, s.joints) for s in (tube_rig.subject(3), tube_rig.subject(4))]
-    return [s.points for s in lbs.synthesize(tube_rig, 6, templates=templates, random_state=1, n_points=400)]
+    return [s.points for s in lbs.synthesize(tube_rig, 4, templates=templates, random_state=1, n_points=400)]
 
 
 @pytest.fixture(scope="module")
 def learned(tube_rig, clouds, hurried_learning):
     """Of two subjects; nobody changes it."""
-    return lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("ababab"))
+    return lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, list("abab"))
 
 
 @pytest.fixture(scope="module")
@@ -244,6 +244,7 @@ def test_a_fit_that_is_stopped_early_leaves_what_was_learned(loaded, own, clouds
         own = lbs.LBSFitter.load(tmp_path / "m.npz")
     else:
         own.set_params(training_scans=41)  # so that it pretrains anew
+    own.set_params(held_out=0)
     before = own.regressor_, own.template_["a"], own.history_
 
     def stop(stage, share, figures=None):
@@ -251,26 +252,26 @@ def test_a_fit_that_is_stopped_early_leaves_what_was_learned(loaded, own, clouds
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        own.fit(clouds[:4], list("abab"), progress=stop)
+        own.fit(clouds[:2], list("ab"), progress=stop)
     assert own._pretrained[1] is not before[0]
     assert own.regressor_ is before[0] and own.template_["a"] is before[1] and own.history_ is before[2]
-    own.fit(clouds[:4], list("abab"))
+    own.fit(clouds[:2], list("ab"))
     assert own.regressor_ is not before[0] and own.template_["a"] is not before[1]
 
 
 @pytest.mark.parametrize("told", ["progress", "on_round"])
 def test_a_round_is_there_for_those_who_are_told_of_it(told, own, clouds):
     """Who stops the run then does not lose it."""
-    fitter = clone(own)
+    fitter = clone(own).set_params(held_out=0)
 
     def stop(*about):
         if about[0] == 1 or (about[0] == "round" and about[2]["round"] == 1):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fitter.fit(clouds[:4], list("abab"), **{told: stop})
+        fitter.fit(clouds[:2], list("ab"), **{told: stop})
     assert [entry["round"] for entry in fitter.history_] == [0, 1] and list(fitter.template_) == ["a", "b"]
-    assert fitter.results_ == [None] * 4
+    assert fitter.results_ == [None] * 2
 
 
 def test_a_free_form_fit_that_is_stopped_leaves_nothing(own, clouds):
@@ -294,7 +295,7 @@ def test_mappings_of_training_travel(own, tmp_path):
 
 
 def test_results_say_whose_template_they_are_on(learned, by_itself, clouds, tmp_path):
-    assert [r.subject for r in learned.results_] == list("ababab") and by_itself[1].subject == ""
+    assert [r.subject for r in learned.results_] == list("abab") and by_itself[1].subject == ""
     outcomes = fit_scans(learned, clouds[:3], subjects=["b", "a", None], n_jobs=2)
     assert [o.result.subject for o in outcomes][:2] == ["b", "a"]
     digests = [model_digest(learned, subject) for subject in ("b", "a", None)]
@@ -337,7 +338,7 @@ def test_results_say_which_model_they_were_made_with(learned, by_itself, clouds,
     found = learned.fit_scan(clouds[0])
     assert found.model_digest == digest
     of_learning = learned_digests(learned)  # its results stand for fits as their subject's as well as for fits as anybody's
-    assert [r.model_digest for r in learned.results_] == [of_learning[s] for s in "ababab"]
+    assert [r.model_digest for r in learned.results_] == [of_learning[s] for s in "abab"]
     assert found.settings["effort"] == learned.effort
     assert all(r.settings == found.settings | r.settings and r.settings["rounds"] == learned.rounds for r in learned.results_)
     assert len({digest, *of_learning.values(), *(model_digest(learned, s) for s in "ab")}) == 5
@@ -422,7 +423,7 @@ def test_a_fitter_of_another_variant_is_refused_before_any_scan(learned, clouds)
 
 def test_what_was_learned_is_taken_whole_or_not_at_all(tube_rig, clouds, monkeypatch):
     """Ctrl-C comes while templates are made."""
-    fitter = lbs.LBSFitter(tube_rig, **QUICK).pretrain()
+    fitter = lbs.LBSFitter(tube_rig, **QUICK, held_out=0).pretrain()
     library, make = fitter.regressor_, type(tube_rig).with_template
 
     def stopped(*given):
@@ -436,5 +437,5 @@ def test_what_was_learned_is_taken_whole_or_not_at_all(tube_rig, clouds, monkeyp
     take_all = lbs.LBSFitter._take
     monkeypatch.setattr(lbs.LBSFitter, "_take", take)
     with pytest.raises(KeyboardInterrupt):
-        fitter.fit(clouds[:4], list("abab"))
+        fitter.fit(clouds[:2], list("ab"))
     assert fitter.regressor_ is library and getattr(fitter, "template_", None) is None
