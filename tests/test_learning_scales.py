@@ -131,28 +131,22 @@ def test_subjects_in_different_units_are_told(scales, words):
 
 
 def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans, monkeypatch):
+    """Of three, the two that are right are measured by each other."""
     rounds_are_short(monkeypatch)
-    points = [s.points for s in few_scans[:4]]
+    points = [s.points for s in few_scans[:3]]
     points[1] = 2.54 * points[1]
     odd = r"2\.\d+ times the scale of its subject's other scans: is it in another unit\? "
     odd += "Convert it and learn again; not learned from"
-    with pytest.warns(UserWarning, match=f"scan 1: its first fit has {odd}"):
+    with pytest.warns(UserWarning, match=f"scan 1: its first fit has {odd}") as told:
         fitter = make_learner(held_out=0, rounds=1).fit(points)
-    assert re.match(f"it has {odd}; the scan is in another unit", fitter.results_[1].message)
-    assert [r.message.startswith("learned from; scan and rig are in one unit") for r in fitter.results_] == [1, 0, 1, 1]
-    joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
-    assert joints < 0.03 * 2.54 * tube_rig.size / 2 and fitter.results_[1].scale == pytest.approx(2.54, rel=0.1)
-    assert all(entry["recon"] < 0.08 for entry in fitter.history_)  # of the others alone, which have 0.065
-
-
-def test_of_three_scans_the_one_in_another_unit_is_in_doubt_alone(make_learner, few_scans, monkeypatch):
-    rounds_are_short(monkeypatch)
-    scans = [few_scans[0].points, few_scans[1].points, 2.54 * few_scans[2].points]
-    with pytest.warns(UserWarning, match=r"scan 2: .* times the scale .*; not learned from") as told:
-        fitter = make_learner(variant="cd", held_out=0, rounds=1).fit(scans)
     assert sum("first fit" in str(w.message) for w in told) == 1
-    assert ["times the scale" in r.message for r in fitter.results_] == [False, False, True]
-    assert [r.scale for r in fitter.results_] == [1.0, 1.0, pytest.approx(2.54, rel=0.05)]
+    assert re.match(f"it has {odd}; the scan is in another unit", fitter.results_[1].message)
+    assert [r.message.startswith("learned from; scan and rig are in one unit") for r in fitter.results_] == [1, 0, 1]
+    assert ["times the scale" in r.message for r in fitter.results_] == [False, True, False]
+    assert [r.scale for r in fitter.results_] == [1.0, pytest.approx(2.54, rel=0.05), 1.0]
+    joints = np.linalg.norm(fitter.results_[1].joints - 2.54 * few_scans[1].joints, axis=1).mean()
+    assert joints < 0.03 * 2.54 * tube_rig.size / 2
+    assert all(entry["recon"] < 0.08 for entry in fitter.history_)  # of the others alone, which have 0.065
 
 
 def test_a_scan_of_another_size_than_its_subjects_others_is_told_so_and_fitted_in_that(
@@ -320,7 +314,7 @@ def test_all_scans_of_a_subject_in_doubt_are_measured_on_its_template(jobs, tube
     collection.members[1].own = 1.4, np.zeros((4, 3)), None
     others, measured = finish._others, []
     monkeypatch.setattr(finish, "_others", lambda members, sizes: measured.extend(sizes) or others(members, sizes))
-    told, settings = [], FitSettings(full_iterations=1)
+    told, settings = [], FitSettings(effort="fast", full_iterations=1)
     given = tube_rig, {"a": tube_rig, "b": tube_rig}, "follow", collection, settings, Facing(), None
     results = finish.results_of(*given, other_limbs=True, jobs=jobs, progress=lambda stage, share: told.append((stage, share)))
     assert [size is not None for size in measured] == [True, True, True, False]
@@ -338,7 +332,7 @@ def test_a_result_hangs_on_the_scales_of_its_subjects_others(tube_rig, few_scans
     call = finish._Finish.__call__
     monkeypatch.setattr(finish._Finish, "__call__", lambda self, task: made.append(task[0].index) or call(self, task))
     subject = collection.members[0].subject
-    given = tube_rig, {subject: tube_rig}, "follow", collection, FitSettings(full_iterations=1), Facing(), None
+    given = tube_rig, {subject: tube_rig}, "follow", collection, FitSettings(effort="fast", full_iterations=1), Facing(), None
     options = {"jobs": 1, "progress": lambda stage, share: None, "checkpoint": Checkpoint(tmp_path)}
     for others, anew in (([1.0, 1.0, 1.0], [0, 1, 2]), ([1.0, 1.0, 1.0], []), ([1.0, 1.4, 1.0], [1])):
         made.clear()
