@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli_runs import ARRAYS, HAND, QUICK, QUICK_LEARNING, one_line, program
+from cli_runs import ARRAYS, HAND, QUICK, QUICK_LEARNING, one_line
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit
@@ -52,13 +52,13 @@ def test_fit_with_one_subjects_template(subject, learned_two, scans_of_two, tmp_
 
 
 @HURRIED
-def test_fit_with_a_table_of_subjects(learned_two, scans_of_two, cli_cache, tmp_path, run):
+def test_fit_with_a_table_of_subjects(learned_two, scans_of_two, tmp_path, run):
     """The table of all that was learned from, of which some are fitted; then with one of another subject."""
     model, names = learned_two[0], ("anna1", "ben1")
     scans = [scans_of_two[0] / f"{name}.ply" for name in names]
     arguments = ("fit", model, *scans, "-o", tmp_path / "out", "--subjects")
-    done = program(*arguments, scans_of_two[0] / "who.csv", "--jobs", 2, cache=cli_cache, hurried=True)
-    assert (done.returncode, done.stderr) == (0, "")
+    code, _, err = run(*arguments, scans_of_two[0] / "who.csv")
+    assert (code, err) == (0, "")
     summary = json.loads((tmp_path / "out" / "summary.json").read_text())
     assert [s["subject"] for s in summary["scans"]] == ["anna", "ben"]
     fitter = lbs.LBSFitter.load(model)
