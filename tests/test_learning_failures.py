@@ -27,6 +27,12 @@ def clouds(tube_rig):
     return [s.points for s in lbs.synthesize(tube_rig, 4, random_state=1, n_points=400)]
 
 
+@pytest.fixture
+def no_turns(monkeypatch):
+    """For tests of what comes before templates and poses are found in turn, or after it."""
+    learning_is_hurried(monkeypatch, turns=0)
+
+
 def _failing(monkeypatch, module, name, bad):
     """Have a step of the loop fail for the scan ``bad``, of a number of points of its own."""
     step = getattr(module, name)
@@ -43,6 +49,7 @@ def _failing(monkeypatch, module, name, bad):
     monkeypatch.setattr(step, "__call__", careless)
 
 
+@pytest.mark.usefixtures("no_turns")
 @pytest.mark.parametrize("module, name", [(first_fits, "FirstFit"), (tasks, "Pose"), (finish, "_Finish")])
 def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube_rig, clouds, monkeypatch):
     _failing(monkeypatch, module, name, 399)
@@ -60,6 +67,7 @@ def test_a_scan_that_fails_on_the_way_is_left_out_of_the_rest(module, name, tube
     assert fitter.fit_scan(clouds[0]).status != "failed"
 
 
+@pytest.mark.usefixtures("no_turns")
 def test_where_only_what_was_held_out_is_left_it_is_learned_from(tube_rig, clouds, monkeypatch):
     held = [m.role for m in collected(tube_rig, clouds[:3]).members].index("held out of learning")
     given = [cloud if k == held else cloud[:399] for k, cloud in enumerate(clouds[:3])]
@@ -94,6 +102,7 @@ def test_free_form_fits_that_are_stopped_leave_the_fitter_as_it_was(tube_rig, cl
     assert fitter.results_ is before and fitter.roles_ == ["learned from"] * 2 and list(fitter.template_) == [0]
 
 
+@pytest.mark.usefixtures("no_turns")
 def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds, monkeypatch, tmp_path):
     _failing(monkeypatch, tasks, "Pose", 399)
     with pytest.warns(UserWarning, match="scan 1: ZeroDivisionError"):
@@ -105,6 +114,7 @@ def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds
     assert list(lbs.LBSFitter.load(tmp_path / "m.npz").template_) == ["a"]
 
 
+@pytest.mark.usefixtures("no_turns")
 def test_a_subject_without_a_template_is_left_out(tube_rig, clouds, monkeypatch):
     call = tasks.Template.__call__
 
@@ -238,6 +248,7 @@ def test_of_people_without_results_something_was_learned(tube_rig, clouds, monke
     assert [words[:28] for words in said] == ["1 of 4 scans cannot be used;"]
 
 
+@pytest.mark.usefixtures("no_turns")
 @pytest.mark.parametrize("module", [first_fits, tasks])
 def test_a_loss_that_is_not_finite_does_not_spoil_those_of_others(module, tube_rig, clouds, monkeypatch):
     answer, seen = module.finite, []
