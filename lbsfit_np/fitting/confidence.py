@@ -140,7 +140,7 @@ def evidence_of(
         # 1 ÷ Σw² points that weigh the same are as good. The root's three angles are to be found by all means.
         "sparse": float(min(1.0, max(_bending(rig).sum(), 3) * (w**2).sum())),
         "proportions": float(np.clip(proportions, 0.0, 1.0)),
-        "hidden": 0.0 if seen.all() else float(1.0 - a.sum() / max(of_all, 1e-12)),
+        "hidden": 0.0 if seen.all() else float(max(0.0, 1.0 - a.sum() / max(of_all, 1e-12))),  # rounding is no evidence
     }
     return out, {"part_unexplained": of_points[1], "part_unreached": of_surface[1]}
 
