@@ -22,9 +22,13 @@ _PACKAGE_PARENT = str(Path(lbs.__file__).resolve().parents[1])
 _HEAVY = ("scipy", "sklearn", "trimesh", "tqdm", "matplotlib", "multiprocessing")
 
 
-def program(*arguments, cache, start=subprocess.run, hurried=False, **options):
-    """``hurried``: as ``learning_is_hurried`` has it, for what becomes of fits, right or not."""
-    environment = os.environ | {"LBSFIT_CACHE": str(cache), "PYTHONPATH": _PACKAGE_PARENT}
+def program(*arguments, cache, start=subprocess.run, hurried=False, before=(), **options):
+    """``hurried``: as ``learning_is_hurried`` has it, for what becomes of fits, right or not.
+
+    ``before``: folders in which modules are looked for first.
+    """
+    path = os.pathsep.join([*map(str, before), _PACKAGE_PARENT])
+    environment = os.environ | {"LBSFIT_CACHE": str(cache), "PYTHONPATH": path}
     which = (str(Path(__file__).with_name("hurried_program.py")),) if hurried else ("-m", "lbsfit_np")
     command = [sys.executable, *which, *map(str, arguments)]
     if start is subprocess.run:

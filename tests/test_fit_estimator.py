@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import sklearn.utils
 from fit_checks import assert_same
 from sklearn.base import clone
 
@@ -61,8 +62,6 @@ def test_other_kinds_of_seeds_work(tube_rig, tube_scan, seed):
 
 
 def test_sklearns_conventions(tube_rig, tube_fitter):
-    from sklearn.base import clone
-
     fitter = lbs.LBSFitter(tube_rig, training_scans=7, training={"turn": 0.5}, weights=PRESETS["paper"], random_state=3)
     parameters = fitter.get_params()
     assert parameters["rig"] is tube_rig and parameters["training_scans"] == 7
@@ -74,9 +73,14 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
     fresh = clone(tube_fitter)
     assert not hasattr(fresh, "segmenter_") and fresh.rig is tube_rig
     assert fitter.set_params(scale="fixed").scale == "fixed"
-    assert "training_scans=7" in repr(fitter)
-    with pytest.raises(ValueError, match="speed"):
-        fitter.set_params(speed=2)
+    words = repr(fitter)
+    assert words.startswith("LBSFitter(rig=<Rig ") and "training_scans=7" in words and "scale='fixed'" in words
+    assert "effort" not in words  # which is the default
+    with pytest.raises(ValueError, match="sped: got an unknown argument; expected one of rig, .*") as error:
+        fitter.set_params(joints="fixed", sped=2)
+    assert fitter.joints == "follow" and isinstance(error.value, InputError)
+    tags = getattr(sklearn.utils, "get_tags", lambda estimator: None)(fitter)  # which scikit-learn has since 1.6
+    assert tags is None or tags.requires_fit
 
 
 def test_numbers_of_numpy_are_those_of_python(tube_rig, monkeypatch):

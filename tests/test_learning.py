@@ -103,7 +103,7 @@ def test_rounds_train_on_as_many_scans_as_pretraining(training_scans, round_scan
 
 def test_the_segmenter_goes_on_from_the_pretrained_one(learned_people, unlearned):
     assert learned_people.segmenter_ is not unlearned.segmenter_
-    own, before = (s.stages[0].classifier.coefs_[0] for s in (learned_people.segmenter_, unlearned.segmenter_))
+    own, before = (s.stages[0].layers[0][0] for s in (learned_people.segmenter_, unlearned.segmenter_))
     away = np.linalg.norm(own - before) / np.linalg.norm(before)
     assert 0 < away < 0.5
     for own, before in zip(learned_people.segmenter_.stages, unlearned.segmenter_.stages):

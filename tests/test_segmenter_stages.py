@@ -1,16 +1,18 @@
 """The segmenter's two stages, and the context that the second one sees."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from segmenter_training import describe, scans_of
+from sklearn.neural_network import MLPClassifier
 
 import lbsfit_np as lbs
 from lbsfit_np.segmentation.context import CONTEXT_POINTS, context, context_size
 from lbsfit_np.segmentation.descriptors import Descriptor
 from lbsfit_np.segmentation.segmenter import Segmenter, train_segmenter
-from lbsfit_np.segmentation.stage import Stage, Training, train_stage
+from lbsfit_np.segmentation.stage import Stage, Training, in_half_precision, train_stage
 
 # ---- the two stages ----
 
@@ -73,10 +75,28 @@ def test_a_stage_of_one_part_is_sure():
     X = np.random.default_rng(0).standard_normal((20, 3)).astype(np.float32)
     seen = []
     stage = train_stage(X, np.full(20, 2), 4, Training(), 0, "test", seen.append)
-    assert stage.classifier is None and seen == [1.0]
+    assert stage.layers == () and seen == [1.0]
     np.testing.assert_array_equal(stage.predict_proba(X[:5]), np.tile([0.0, 0, 1, 0], (5, 1)))
     again = Stage.from_arrays(stage.arrays("s"), "s", 4)
     np.testing.assert_array_equal(again.predict_proba(X[:5]), np.tile([0.0, 0, 1, 0], (5, 1)))
+
+
+@pytest.mark.parametrize("parts", [[1, 3], [0, 1, 3]])
+def test_a_stage_answers_as_scikit_learns_classifier(parts):
+    rng = np.random.default_rng(0)
+    X = in_half_precision(rng.standard_normal((600, 5)))
+    y = np.array(parts)[rng.integers(0, len(parts), 600)]
+    stage = train_stage(X, y, 4, Training(hidden=(16, 8)), 0, "test", lambda share: None)
+    assert stage.hidden == (16, 8) and stage.classes.tolist() == parts
+    theirs = MLPClassifier(stage.hidden, max_iter=1, batch_size=3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # one step is no convergence
+        theirs.fit(X[:3].astype(np.float32), parts if len(parts) == 3 else [*parts, parts[0]])
+    for (w, b), own_w, own_b in zip(stage.layers, theirs.coefs_, theirs.intercepts_, strict=True):
+        own_w[...], own_b[...] = w, b
+    found = stage.predict_proba(X.astype(np.float32))
+    np.testing.assert_array_equal(found[:, parts], theirs.predict_proba((X.astype(np.float32) - stage.mean) / stage.deviation))
+    assert not np.delete(found, parts, axis=1).any()
 
 
 # ---- context ----

@@ -133,7 +133,7 @@ def test_weights_are_averaged_over_the_later_epochs(tube_rig, average_from):
         return train_stage(X.copy(), y, 2, training, 0, "test", lambda share: None)
 
     stage = train(epochs=2, average_from=average_from)
-    same = np.array_equal(stage.classifier.coefs_[0], train(epochs=2, average_from=1).classifier.coefs_[0])
+    same = np.array_equal(stage.layers[0][0], train(epochs=2, average_from=1).layers[0][0])
     assert same == (average_from >= 1)
     long = train(epochs=30, average_from=average_from)
     assert (long.predict_proba(X.copy()).argmax(axis=1) == y).mean() > 0.95
@@ -210,7 +210,7 @@ def test_labels_may_be_bytes(tube_rig):
     few = scans_of(tube_rig, 2)
     short = Scans([(p, y.astype(np.uint8), k) for p, y, k in few.scans])
     one, two = (train_segmenter(tube_rig, s, 2, training=Training(points_per_scan=20), random_state=0) for s in (few, short))
-    np.testing.assert_array_equal(one.stages[0].classifier.coefs_[0], two.stages[0].classifier.coefs_[0])
+    np.testing.assert_array_equal(one.stages[0].layers[0][0], two.stages[0].layers[0][0])
 
 
 def test_scans_without_a_label_are_refused(tube_rig):

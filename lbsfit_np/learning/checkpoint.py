@@ -191,10 +191,9 @@ def remove_checkpoint(folder):
 @cache
 def state_of_the_code():
     """Digest of the package and of the libraries whose numbers hang on their versions."""
-    import scipy
-    import sklearn
+    from importlib.metadata import version
 
-    h = hashlib.sha256(repr((np.__version__, scipy.__version__, sklearn.__version__)).encode())
+    h = hashlib.sha256(repr([version(name) for name in ("numpy", "scipy", "scikit-learn")]).encode())
     for path in sorted(Path(__file__).parents[1].rglob("*.py")):
         h.update(path.read_bytes())
     return h.hexdigest()

@@ -3,7 +3,6 @@
 import warnings
 
 import numpy as np
-from sklearn.base import BaseEstimator
 
 from ..errors import InputError, brief, is_whole
 from ..interrupts import held
@@ -14,6 +13,7 @@ from ..starts.turns import facing_of
 from .archive import learned_arrays, read_fitter, write_fitter
 from .batch import fit_scans
 from .checkpoint import as_checkpoint
+from .estimator import Estimator
 from .finish import results_of
 from .free_form import fit_free_form
 from .loop import Loop, LoopSettings
@@ -29,7 +29,7 @@ from .variants import as_variant
 __all__ = ["LBSFitter"]
 
 
-class LBSFitter(BaseEstimator):
+class LBSFitter(Estimator):
     """Fit a rig to point clouds, following scikit-learn's estimator conventions.
 
     Parameters
@@ -447,4 +447,4 @@ class LBSFitter(BaseEstimator):
         self._synthesis()
 
     def __getstate__(self):  # pickles and copies are without what was made ready for fits, which is large and soon made again
-        return {k: v for k, v in super().__getstate__().items() if k not in ("_ready", "_prepared")}
+        return {k: v for k, v in vars(self).items() if k not in ("_ready", "_prepared")}

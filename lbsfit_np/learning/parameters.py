@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from numbers import Real
 
 import numpy as np
-from sklearn.exceptions import NotFittedError
 
 from ..errors import InputError, as_array, brief, check_array, check_unmasked, counted, did_you_mean, is_whole
 from ..fitting.effort import EFFORTS
@@ -25,7 +24,6 @@ from .plain import plain
 from .variants import as_variant
 
 __all__ = [
-    "NotLearnedError",
     "check_callables",
     "check_learned",
     "check_names",
@@ -145,13 +143,11 @@ def learned_with(fitter):
     return fitter.rig.digest, variant.skinning, variant.labels
 
 
-class NotLearnedError(InputError, NotFittedError):
-    """A fitter was asked, before ``fit``, for what only comes after it."""
-
-
 def check_learned(fitter):
     """Raise InputError unless a fitter has learned, with the rig and the kind of variant that it now has."""
     if getattr(fitter, "template_", None) is None:
+        from .not_learned import NotLearnedError
+
         raise NotLearnedError("fitter", "one that has not learned", "one that has learned", "Call fit(scans) first.")
     learned, (rig, skinning, labels) = fitter._learned_with, learned_with(fitter)
     if rig != learned[0]:

@@ -111,9 +111,9 @@ def _name(kind, *of):
 
 
 def _versions():
-    import sklearn
+    from importlib.metadata import version
 
-    return __version__, sklearn.__version__
+    return __version__, version("scikit-learn")  # which is imported where something is trained alone
 
 
 def _recipe():

@@ -1,4 +1,4 @@
-"""Stage: one standardised scikit-learn classifier, kept as arrays so that saving it needs no pickle."""
+"""Stage: one standardised classifier that scikit-learn trains, kept as arrays so that neither a file nor an answer needs it."""
 
 import warnings
 from dataclasses import dataclass, replace
@@ -70,89 +70,97 @@ LARGEST = 6e4
 
 @dataclass(frozen=True)
 class Stage:
-    """A classifier of standardised descriptions.
+    """A classifier of standardised descriptions: a multilayer perceptron with rectified units, as scikit-learn has trained it.
+
+    It answers by itself, with the very numbers of MLPClassifier: to import scikit-learn takes longer than to label a scan.
 
     Attributes
     ----------
     mean, deviation : (d,) arrays
-    classifier : sklearn.neural_network.MLPClassifier or None
-        None where all points are of one part.
+    layers : tuple of ((d_in, d_out) array, (d_out,) array)
+        None where all points are of one part. Two parts have one output, the logit of the second.
+    classes : (m,) int array
+        The parts of the outputs.
     n_parts : int
-    only : int
-        That part.
     """
 
     mean: np.ndarray
     deviation: np.ndarray
-    classifier: object
+    layers: tuple
+    classes: np.ndarray
     n_parts: int
-    only: int = 0
 
     def __post_init__(self):
         """Raise ValueError unless the arrays are finite and fit together: no broken file is to fail later, far from its name."""
-        layers = () if self.classifier is None else (*self.classifier.coefs_, *self.classifier.intercepts_)
-        if not all(a.dtype.kind == "f" and np.isfinite(a).all() for a in (self.mean, self.deviation, *layers)):
+        if not all(a.dtype.kind == "f" and np.isfinite(a).all() for a in (self.mean, self.deviation, *self._weights())):
             raise ValueError("values that are not finite numbers")
         if self.mean.ndim != 1 or self.mean.shape != self.deviation.shape or not (self.deviation > 0).all():
             raise ValueError("a mean and deviations that do not fit together")
-        if self.classifier is None:
-            if not 0 <= self.only < self.n_parts:
-                raise ValueError("a part that does not exist")
-            return
         width = len(self.mean)
-        for w, b in zip(self.classifier.coefs_, self.classifier.intercepts_, strict=True):
+        for w, b in self.layers:
             if w.ndim != 2 or w.shape[0] != width or b.shape != w.shape[1:]:
                 raise ValueError("layers that do not fit together")
             width = w.shape[1]
-        classes = np.asarray(self.classifier.classes_)
-        outputs = width if width > 1 else 2
+        outputs = (width if width > 1 else 2) if self.layers else 1
+        classes = self.classes
         if classes.dtype.kind not in "iu" or classes.shape != (outputs,) or classes.min() < 0 or classes.max() >= self.n_parts:
             raise ValueError("classes that do not fit the parts")
+
+    def _weights(self):
+        return [array for layer in self.layers for array in layer]
 
     @property
     def hidden(self):
         """Sizes of the hidden layers; None without a classifier."""
-        return None if self.classifier is None else tuple(w.shape[1] for w in self.classifier.coefs_[:-1])
+        return tuple(len(b) for _, b in self.layers[:-1]) if self.layers else None
 
     def predict_proba(self, X):
         """(k, n_parts) probabilities of (k, d) float32 descriptions."""
         proba = np.zeros((len(X), self.n_parts))
-        if self.classifier is None:
-            proba[:, self.only] = 1.0
+        if not self.layers:
+            proba[:, self.classes] = 1.0
             return proba
         X = in_half_precision(X).astype(np.float32)  # as in training: what is constant there must be the same here
         X -= self.mean
         X /= self.deviation
-        proba[:, self.classifier.classes_] = self.classifier.predict_proba(X)
+        for k, (w, b) in enumerate(self.layers):
+            X = X @ w
+            X += b
+            if k + 1 < len(self.layers):
+                np.maximum(X, 0, out=X)
+        proba[:, self.classes] = _softmax(X) if X.shape[1] > 1 else _logistic(X)
         return proba
 
     def arrays(self, prefix):
         """The stage as named arrays; :meth:`from_arrays` reads them back."""
-        out = {f"{prefix}_mean": self.mean, f"{prefix}_deviation": self.deviation, f"{prefix}_only": np.array(self.only)}
-        if self.classifier is not None:
-            out[f"{prefix}_classes"] = self.classifier.classes_
-            for k, (w, b) in enumerate(zip(self.classifier.coefs_, self.classifier.intercepts_, strict=True)):
+        out = {f"{prefix}_mean": self.mean, f"{prefix}_deviation": self.deviation}
+        out[f"{prefix}_only"] = np.array(0 if self.layers else int(self.classes[0]))
+        if self.layers:
+            out[f"{prefix}_classes"] = self.classes
+            for k, (w, b) in enumerate(self.layers):
                 out[f"{prefix}_coefs_{k}"], out[f"{prefix}_intercepts_{k}"] = w, b
         return out
 
     @classmethod
     def from_arrays(cls, arrays, prefix, n_parts):
         """A stage from what :meth:`arrays` gave."""
-        from sklearn.neural_network import MLPClassifier
+        n = sum(k.startswith(f"{prefix}_coefs_") for k in arrays)
+        layers = tuple((arrays[f"{prefix}_coefs_{k}"], arrays[f"{prefix}_intercepts_{k}"]) for k in range(n))
+        classes = arrays[f"{prefix}_classes"] if n else np.array([int(arrays[f"{prefix}_only"])])
+        return cls(arrays[f"{prefix}_mean"], arrays[f"{prefix}_deviation"], layers, classes, n_parts)
 
-        classifier = None
-        n_layers = sum(k.startswith(f"{prefix}_coefs_") for k in arrays)
-        if n_layers:
-            coefs = [arrays[f"{prefix}_coefs_{k}"] for k in range(n_layers)]
-            classifier = MLPClassifier(tuple(w.shape[1] for w in coefs[:-1]))
-            classifier.coefs_ = coefs
-            classifier.intercepts_ = [arrays[f"{prefix}_intercepts_{k}"] for k in range(n_layers)]
-            classifier.classes_ = arrays[f"{prefix}_classes"]
-            classifier.n_features_in_ = coefs[0].shape[0]
-            classifier.n_layers_ = n_layers + 1
-            classifier.n_outputs_ = coefs[-1].shape[1]
-            classifier.out_activation_ = "softmax" if len(classifier.classes_) > 2 else "logistic"
-        return cls(arrays[f"{prefix}_mean"], arrays[f"{prefix}_deviation"], classifier, n_parts, int(arrays[f"{prefix}_only"]))
+
+def _softmax(X):
+    X = np.exp(X - X.max(axis=1)[:, None])
+    X /= X.sum(axis=1)[:, None]
+    return X
+
+
+def _logistic(X):
+    from scipy.special import expit
+
+    second = expit(X)
+    return np.hstack([1 - second, second])
 
 
 @one_thread()  # the result must not depend on the number of threads, and a second one gains little
@@ -189,13 +197,13 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
         raise InputError("scan", "scans without a point that has a label", "labels from 0 to the number of parts")
     mean, deviation = _moments(X)
     classes = np.unique(y)
-    if start is not None and not (start.classifier is not None and np.isin(classes, start.classifier.classes_).all()):
+    if start is not None and not (start.layers and np.isin(classes, start.classes).all()):
         start = None
     if start is not None:
-        mean, deviation, classes = start.mean, start.deviation, start.classifier.classes_
+        mean, deviation, classes = start.mean, start.deviation, start.classes
     if len(classes) == 1:
         progress(1.0)
-        return Stage(mean, deviation, None, n_parts, int(classes[0]))
+        return Stage(mean, deviation, (), classes, n_parts)
 
     def standardised(rows):
         x = X[rows].astype(np.float32)
@@ -212,8 +220,8 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
     if start is not None:  # scikit-learn makes its optimiser with the weights, so they are written into what it made
         some = slice(classifier.batch_size)
         _fit_chunk(classifier, standardised(some), y[some], classes)
-        for own, given in zip(classifier.coefs_ + classifier.intercepts_, start.classifier.coefs_ + start.classifier.intercepts_):
-            own[...] = given
+        for w, b, (given_w, given_b) in zip(classifier.coefs_, classifier.intercepts_, start.layers, strict=True):
+            w[...], b[...] = given_w, given_b
     rng = generator(random_state, name, "order")
     averaged, count = None, 0
     for epoch in range(training.epochs):
@@ -229,8 +237,7 @@ def train_stage(X, y, n_parts, training, random_state, name, progress, *, start=
                 else:
                     averaged = [a + (w - a) / count for a, w in zip(averaged, now, strict=True)]
     n = len(classifier.coefs_)
-    classifier.coefs_, classifier.intercepts_ = averaged[:n], averaged[n:]
-    return Stage(mean, deviation, classifier, n_parts)
+    return Stage(mean, deviation, tuple(zip(averaged[:n], averaged[n:], strict=True)), classes, n_parts)
 
 
 def in_half_precision(X):
