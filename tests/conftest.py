@@ -7,16 +7,12 @@ import time
 from pathlib import Path
 
 import pytest
+from slow_tests import leave_out_slow_tests, pytest_addoption, pytest_collection_modifyitems  # noqa: F401 (hooks)
 
 
 def pytest_configure(config):
-    """Ctrl-C is tested, also where the tests run in a shell's background, which has its processes ignore it.
-
-    Slow studies run where they are asked for: by ``-m study`` (``-m "study or not study"`` has all), or by name.
-    """
-    config.addinivalue_line("markers", "study: takes long; run by -m study")
-    if not config.option.markexpr and not any("::" in a for a in config.args):
-        config.option.markexpr = "not study"
+    """Ctrl-C is tested, also where the tests run in a shell's background, which has its processes ignore it."""
+    leave_out_slow_tests(config)
     if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
         signal.signal(signal.SIGINT, signal.default_int_handler)
 

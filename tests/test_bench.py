@@ -191,6 +191,7 @@ def run_stopped(monkeypatch):
     return stopped
 
 
+@pytest.mark.slow
 def test_a_run_that_is_stopped_goes_on_to_the_same_figures(ran, run_stopped, shared_rigs, tmp_path, monkeypatch, capsys):
     out, fitted, fit_row = tmp_path / "out", [], run_module._fit_row
     rows = ("--pictures", "2", "--rows", ",".join(ROWS))
@@ -289,6 +290,7 @@ def test_pictures_of_others_are_not_drawn_over_and_those_that_are_gone_are_named
     assert "no picture" not in run(*command, "--pictures", "0")[1]
 
 
+@pytest.mark.slow
 def test_pictures_of_a_run_that_was_replaced_are_drawn_over(run, run_stopped, shared_rigs, tmp_path, monkeypatch):
     scans_of_hands_are_small(monkeypatch)
     out = tmp_path / "out"
@@ -397,8 +399,7 @@ def test_data_that_are_not_there(run, tmp_path, name):
     code, _, err = run(name, "--data", tmp_path / "nowhere", "-o", tmp_path / "out")
     assert code == 2 and err.count("\n") == 1 and "nowhere" in err and "no such folder" in err
     code, _, err = run(name, "--data", tmp_path, "-o", tmp_path / "out")
-    assert code == 2 and err.count("\n") == 1
-    assert all(f in err for f in BENCHES[name].files)
+    assert code == 2 and err.count("\n") == 1 and all(f in err for f in BENCHES[name].files)
     (tmp_path / "file").write_text("")
     code, _, err = run(name, "--data", tmp_path / "file", "-o", tmp_path / "out")
     assert code == 2 and "a file" in err and not (tmp_path / "out").exists()
@@ -427,8 +428,7 @@ def test_data_that_lack_one_thing(tmp_path):
 def test_usage(run, shared_rigs, tmp_path, arguments, words):
     places = {"DATA": shared_rigs, "OUT": tmp_path / "out"}
     code, _, err = run("body", *(places.get(a, a) for a in arguments))
-    assert code == 2 and err.count("\n") == 1 and words in err
-    assert not (tmp_path / "out").exists()
+    assert code == 2 and err.count("\n") == 1 and words in err and not (tmp_path / "out").exists()
 
 
 def test_help_shows_defaults_and_an_example(run):

@@ -275,6 +275,7 @@ def test_a_scan_without_a_fit_is_missing_everywhere(made, truth, tmp_path, run, 
     assert not (tmp_path / "challenge-intra.zip").exists() and (tmp_path / "challenge-inter.zip").exists()
 
 
+@pytest.mark.slow
 def test_a_challenge_of_which_scans_are_left_out_has_no_archive(made, truth, tmp_path, run, monkeypatch):
     fits_are_given(monkeypatch, truth)
     (tmp_path / "challenge-intra").mkdir()
@@ -294,6 +295,7 @@ def test_without_registrations_the_challenge_is_written_all_the_same(own, truth,
     assert (tmp_path / "out" / "challenge-intra.zip").exists()
 
 
+@pytest.mark.slow
 def test_only_training_scans_are_learned_from(made, truth, tmp_path, run, monkeypatch):
     """What learning leaves is fitted as its subject's; test scans have numbers of subjects, too, but are other people."""
     fits_are_given(monkeypatch, truth)
@@ -379,6 +381,7 @@ def test_the_table_without_pairs_of_a_kind():
     assert "0 intra pairs (3 missing)" in text
 
 
+@pytest.mark.slow
 def test_all_of_it_with_fits_of_its_own(tube_rig, tmp_path, run, monkeypatch):
     """Learning, fits, errors and what the challenge asks for, of people as simple as can be, and in a hurry."""
     learning_is_hurried(monkeypatch)
@@ -392,7 +395,7 @@ def test_all_of_it_with_fits_of_its_own(tube_rig, tmp_path, run, monkeypatch):
     assert sorted(e["name"] for e in report["scans"]) == sorted(names) and not any("failed" in e for e in report["scans"])
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_fits_of_its_own_are_near(own, tmp_path, run):
     """Nobody has said where anything is."""
     for gone in ("training/scans/tr_scan_002.ply", "training/scans/tr_scan_011.ply", "test/scans/test_scan_019.ply"):

@@ -43,6 +43,7 @@ def _nothing_learned(fitter, *a, **k):
     fitter.history_, fitter.failures_ = [], {}
 
 
+@pytest.mark.slow
 def test_a_run_measures_what_was_learned(shared_rigs, coarse_hand, monkeypatch, own_cache):
     """Of a hand of fewer vertices, and fits that are hurried, those without skinning as well."""
     learning_is_hurried(monkeypatch, "balanced")
@@ -208,6 +209,7 @@ def quick(monkeypatch):
     monkeypatch.setattr("lbsfit_np.learning.batch.fit_scans", lambda *a, **o: [])
 
 
+@pytest.mark.slow
 def test_complete_is_a_report_whose_seeds_have_the_same_variants(shared_rigs, quick):
     def run(seeds, variants, before=None):
         return learn_bench("hand", shared_rigs, n_scans=3, seeds=seeds, variants=variants, before=before)
@@ -218,6 +220,7 @@ def test_complete_is_a_report_whose_seeds_have_the_same_variants(shared_rigs, qu
     assert run((3, 4), ("joint", "cd"), report)["complete"]
 
 
+@pytest.mark.slow
 def test_results_of_another_rig_or_other_poses_are_not_gone_on_with(shared_rigs, quick, monkeypatch):
     options = {"n_scans": 3, "seeds": (3,), "variants": ("joint",)}
     report = learn_bench("hand", shared_rigs, **options)
@@ -309,6 +312,7 @@ def test_steps_of_a_seed_are_kept_until_it_is_done(shared_rigs, quick, monkeypat
     assert "finished work is kept in" not in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_motion_of_few_frames_is_named_before_any_training(shared_rigs, monkeypatch):
     monkeypatch.setattr("lbsfit_np.LBSFitter.pretrain", lambda *a, **k: pytest.fail("trained first"))
     with pytest.raises(InputError, match=r"scans: got 5000, more than the motion has frames for; .*at most \d+") as error:

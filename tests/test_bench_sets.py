@@ -157,6 +157,7 @@ def test_training_never_sees_the_tests_poses_or_shapes(hand, shared_rigs):
             assert np.linalg.norm(a.template - b.template, axis=1).mean() > 0.002 * hand.size
 
 
+@pytest.mark.slow
 def test_body_scans_are_other_people_in_poses_of_the_motion(body, shared_rigs):
     scans, again = body_scans(body, shared_rigs, 4, seed=7), body_scans(body, shared_rigs, 4, seed=7)
     people = [body_rig(shared_rigs, shape) for shape in SHAPES]

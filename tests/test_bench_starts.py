@@ -323,6 +323,7 @@ class Hurried(module._OneScan):
             return super().__call__(i)
 
 
+@pytest.mark.slow
 def test_command(run, tmp_path, monkeypatch):
     monkeypatch.setattr(module, "_OneScan", Hurried)
     out = tmp_path / "out"

@@ -34,7 +34,7 @@ def polygonised():
     return once
 
 
-@pytest.mark.study
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["body", "body-coarse"])
 def test_rebuilding_gives_the_shipped_file(name, polygonised, tmp_path, monkeypatch):
     path = _built_here(name)
@@ -43,6 +43,7 @@ def test_rebuilding_gives_the_shipped_file(name, polygonised, tmp_path, monkeypa
     assert_rebuilt(tmp_path / f"{name}.npz", path)
 
 
+@pytest.mark.slow
 def test_the_shipped_file_is_what_its_surface_gives(tmp_path, monkeypatch):
     """Weights, regressor and shapes of the shipped surface, whose edges are as long as asked for.
 

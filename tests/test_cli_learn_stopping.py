@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from cli_runs import QUICK, QUICK_LEARNING, as_said, one_line, started, stopped
 from registered_sets import result_of
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import learn, outputs, scan_results, stopped_learning
@@ -28,7 +29,7 @@ pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
-@pytest.mark.parametrize("jobs, sent, code", [(2, signal.SIGINT, 130), (1, signal.SIGTERM, 143)])
+@pytest.mark.parametrize("jobs, sent, code", [slow(2, signal.SIGINT, 130), (1, signal.SIGTERM, 143)])
 def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
     text, err, returned = _stopped_after("round 1 of", jobs, sent, tubes, cli_cache, tmp_path)
     assert (returned, err) == (code, ""), err
@@ -44,7 +45,7 @@ def test_ctrl_c_leaves_what_a_finished_round_has_learned(jobs, sent, code, tubes
 
 
 @pytest.mark.skipif(os.name != "posix", reason="Ctrl-C is sent as a POSIX signal")
-@pytest.mark.parametrize("jobs, sent, code", [(1, signal.SIGINT, 130), (2, signal.SIGTERM, 143)])
+@pytest.mark.parametrize("jobs, sent, code", [(1, signal.SIGINT, 130), slow(2, signal.SIGTERM, 143)])
 def test_ctrl_c_before_the_first_round_ends_leaves_no_model(jobs, sent, code, tubes, tube_model, cli_cache, tmp_path):
     how = {"wait": 0.0, "hurried": False}
     text, err, returned = _stopped_after("each scan by itself, with", jobs, sent, tubes, cli_cache, tmp_path, **how)
@@ -56,7 +57,7 @@ def test_ctrl_c_before_the_first_round_ends_leaves_no_model(jobs, sent, code, tu
 
 
 @pytest.mark.skipif(os.name != "posix", reason="a process is killed as POSIX does it")
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [1, slow(2)])
 def test_a_run_that_was_killed_goes_on_with_the_same_command(jobs, tubes, tube_model, cli_cache, tmp_path, run, monkeypatch):
     folder, scans = tmp_path / "m.npz.unfinished", sorted(tubes.glob("*.ply"))
     arguments = ("learn", tubes / "tube.npz", *scans, "-o", tmp_path / "m.npz", *QUICK_LEARNING, "--jobs", jobs)

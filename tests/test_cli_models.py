@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from cli_runs import ARRAYS, HAND, QUICK, QUICK_LEARNING, one_line
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import fit
@@ -330,7 +331,7 @@ def test_subjects_on_the_command_line_win(in_file, table, given, tube_model, tub
     assert code == 2 and "together with --subject 0; expected one of the two" in one_line(err)
 
 
-@pytest.mark.parametrize("variant", ["cd", "free-form"])
+@pytest.mark.parametrize("variant", [slow("cd"), "free-form"])
 def test_models_without_labels_want_no_segmenter(variant, tubes, tmp_path, run, monkeypatch):
     monkeypatch.setattr("lbsfit_np.learning.pretraining.pretrain_segmenter", None)
     scans = sorted(tubes.glob("*.ply"))[:2]

@@ -29,6 +29,7 @@ def _command(folder, out, *more):
 
 
 @pytest.mark.usefixtures("hurried")
+@pytest.mark.slow
 def test_a_run_that_learns_and_what_the_next_one_keeps(pair_folder, tmp_path, run, pair_meshes, tube_rig, monkeypatch):
     """The one test that learns, though in a hurry: what the loop leaves is what the benchmark takes."""
     code, out, err = run(*_command(pair_folder, tmp_path / "out", *QUICK_LEARNING, "--points", 50, "--pictures", 1))
@@ -121,6 +122,7 @@ def test_the_options_reach_what_they_are_for(pair_folder, pair_scans, tmp_path, 
     assert asked == ["s0", "s1", "s2", "s3"]
 
 
+@pytest.mark.slow
 def test_fits_are_told_the_unit(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     """And are not taken for others', as lengths and scales are judged by it."""
     fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(pair_meshes)})
@@ -133,6 +135,7 @@ def test_fits_are_told_the_unit(pair_folder, tmp_path, run, pair_meshes, monkeyp
     assert code == 1 and "unit: got 'mm', in which the scan's extent" in err
 
 
+@pytest.mark.slow
 def test_a_run_that_begins_anew_keeps_no_fits_of_others(pair_folder, tmp_path, run, pair_meshes, monkeypatch):
     fits_are_given(monkeypatch, {f"s{i}": v for i, v in enumerate(pair_meshes)})
     assert run(*_command(pair_folder, tmp_path / "out", "--no-learn"))[0] == 0

@@ -151,6 +151,7 @@ def test_demo(made, tmp_path, run):
     assert code == 2 and "never overwritten" in one_line(err)
 
 
+@pytest.mark.slow
 def test_a_demo_of_a_rig_that_needs_options(made, tmp_path, run, monkeypatch):
     """Those that the errors of rigs name, as other commands take them."""
     card, out = tmp_path / "other.toml", tmp_path / "out"

@@ -121,6 +121,7 @@ def test_options_that_a_model_was_learned_with_are_its_own(turned, tubes, tmp_pa
 
 
 @pytest.mark.usefixtures("hurried")
+@pytest.mark.slow
 def test_learning_from_turned_scans_in_millimetres(tube_rig, tmp_path, run):
     """Each scan of a person is turned in its own way."""
     person = tube_rig.subject(4, amount=1.0)

@@ -36,6 +36,7 @@ def test_with_known_labels_what_is_shown_is_right(hand):
     assert max(o.mean() for o in off) < 0.01 and max(o.max() for o in off) < 0.03
 
 
+@pytest.mark.slow
 def test_a_start_that_is_right_stays_right_at_its_size(tube_rig, tube_fitter, fitter):
     """Unless it is said, surface beyond the edge draws what is shown."""
     off, sizes = [], []
@@ -68,6 +69,7 @@ def test_a_small_part_may_be_in_the_rigs_unit(scale, tube_rig):
 
 @pytest.mark.usefixtures("hurried")
 @pytest.mark.filterwarnings("ignore:.*fit:UserWarning")  # in a hurry most are wrong
+@pytest.mark.slow
 def test_what_takes_part_is_looked_at_as_of_a_part(tube_rig, quick_fitter):
     """Everywhere: in fits of single scans, in collections, and after learning; not where vertices move freely."""
     points = tube_rig.vertices[tube_rig.vertices[:, 1] < tube_rig.vertices[:, 1].min() + 0.25 * tube_rig.size]
@@ -103,7 +105,7 @@ def test_what_is_no_flag_is_refused(tube_rig):
         lbs.fit_scan(tube_rig, np.zeros((10, 3)), cropped=0.5)
 
 
-@pytest.mark.study
+@pytest.mark.slow
 @pytest.mark.parametrize("shape, most", [(0.0, 0.005), (0.08, 0.03)])
 def test_parts_of_hands_are_fitted_without_labels(shape, most, hand):
     """Of the rig's own shape, and of other people's."""

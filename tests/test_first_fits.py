@@ -212,6 +212,7 @@ def test_learning_from_scans_that_are_fitted_wrongly_is_told_before_it_begins(wr
     assert len(said) == told and all(words.startswith(f"{len(wrong)} of 4 scans to learn from are") for words in said)
 
 
+@pytest.mark.slow
 def test_what_stands_on_its_head_is_fitted_wrongly(tube_rig, unlearned, few_scans):
     """And the same scans as they stand are not."""
     turn, known = matrix_from_rotvec(np.array([np.pi, 0.0, 0.0])), (unlearned.segmenter_, unlearned.regressor_)

@@ -254,6 +254,7 @@ def test_parts_that_no_label_names_are_named(tube_rig, fitter, tube_scan):
 
 
 @pytest.mark.parametrize("start, mean, most", [(True, 0.002, 0.004), (False, 0.004, 0.01)])
+@pytest.mark.slow
 def test_labels_of_one_side_lead_nothing_to_the_hidden_side(start, mean, most):
     """Neither a start that is right nor, without one, the scale."""
     rig = lbs.load_rig("hand-coarse")

@@ -30,7 +30,7 @@ def _with_an_arm(hand, i):
     return condition_scan(hand, replace(CONDITIONS["0.3"], arm=True), i, np.random.default_rng(i))
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fitter):
     scan = _with_an_arm(hand, 1)
     assert 1500 < (scan.labels < 0).sum() < 2500
@@ -44,6 +44,7 @@ def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fit
     assert "(--effort balanced) looks further, also for what goes on beyond the rig" in alone.message
 
 
+@pytest.mark.slow
 def test_a_left_hand_fails_and_is_asked_about(hand, fitter):
     scan = condition_scan(hand, CONDITIONS["0.3"], 4, np.random.default_rng(4))
     fitter = copy(fitter).set_params(effort="fast")
@@ -52,7 +53,7 @@ def test_a_left_hand_fails_and_is_asked_about(hand, fitter):
     assert right.status == "ok" and "mirror" not in right.message, right.message
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_hands_with_forearms_are_learned_from(hand, fitter, tmp_path, monkeypatch):
     """Their first fits find what lies beyond, and are not made again after a stop; in millimetres."""
     monkeypatch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**FEW, **others))

@@ -294,6 +294,7 @@ def test_mappings_of_training_travel(own, tmp_path):
 # ---- the digest ----
 
 
+@pytest.mark.slow
 def test_results_say_whose_template_they_are_on(learned, by_itself, clouds, tmp_path):
     assert [r.subject for r in learned.results_] == list("abab") and by_itself[1].subject == ""
     outcomes = fit_scans(learned, clouds[:3], subjects=["b", "a", None], n_jobs=2)

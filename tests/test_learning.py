@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from learning_runs import GIVEN, IDS, WHOLE, collected, learning_is_hurried, loop_over, mean_gap, rounds_are_short
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting import drawn
@@ -110,6 +111,7 @@ def test_the_segmenter_goes_on_from_the_pretrained_one(learned_people, unlearned
         np.testing.assert_array_equal(own.mean, before.mean)  # which would be that of the round's scans otherwise
 
 
+@pytest.mark.slow
 def test_turned_scans_are_learned_from(tube_rig, make_learner, few_scans, monkeypatch):
     """Each turned in its own way: what is learned is the same person's template."""
     rounds_are_short(monkeypatch)
@@ -155,7 +157,7 @@ def test_losses_of_first_fits_are_in_the_unit_that_all_have(first_fits_of_a_larg
         assert m.loss == pytest.approx(here, rel=0.05)  # 1.44 times as much as in their own; the proportions are other ones
 
 
-@pytest.mark.parametrize("size", [1.0, 1.2])
+@pytest.mark.parametrize("size", [1.0, slow(1.2)])
 def test_with_fixed_joints_another_size_is_another_unit(tube_rig, make_learner, size, monkeypatch):
     """Skin alone that grows about joints that stay would be nobody."""
     rounds_are_short(monkeypatch)
@@ -166,6 +168,7 @@ def test_with_fixed_joints_another_size_is_another_unit(tube_rig, make_learner, 
         assert np.linalg.norm(r.joints - size * s.joints, axis=1).mean() < 0.02 * size * tube_rig.size / 2
 
 
+@pytest.mark.slow
 def test_scans_in_another_unit_learn_the_same(tube_rig, make_learner, few_scans, monkeypatch):
     """Millimetres: the unit is found once, the template is in the rig's own."""
     rounds_are_short(monkeypatch)
@@ -280,6 +283,7 @@ def test_rounds_end_when_the_loss_on_scans_held_out_ends_falling(make_learner, f
     np.testing.assert_array_equal(fitter.template_[0].vertices, templates[2][0][0])  # the last of the round
 
 
+@pytest.mark.slow
 def test_what_is_kept_of_a_scan_grows_by_little_more_than_its_points(tube_rig, unlearned, few_scans, monkeypatch):
     """Thousands of bodies fit into memory: probabilities are of half precision, search structures are made when needed."""
     learning_is_hurried(monkeypatch, FitSettings().effort)
@@ -292,6 +296,7 @@ def test_what_is_kept_of_a_scan_grows_by_little_more_than_its_points(tube_rig, u
         assert m.proba.dtype == np.float16 and m.problem is not m.problem
 
 
+@pytest.mark.slow
 def test_what_poses_tell_of_each_is_of_those_that_teach_and_of_the_round_that_is_kept(make_learner, few_scans, monkeypatch):
     """Poses of scans held out are drawn, too, but tell nothing; a round that is not kept leaves nothing behind."""
     learning_is_hurried(monkeypatch)

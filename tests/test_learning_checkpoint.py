@@ -103,6 +103,7 @@ def test_a_run_that_is_stopped_again_and_again_does_nothing_twice(make_learner, 
     _assert_same(again, uninterrupted)
 
 
+@pytest.mark.slow
 def test_what_was_made_without_a_subject_is_not_taken_with_it(make_learner, points, tmp_path, monkeypatch):
     """One whose template could not be found once, for want of memory."""
     call, whose = loop.Template.__call__, [0, 1, 0, 0]
@@ -139,6 +140,7 @@ def test_a_library_made_beside_the_segmenter_is_kept_as_soon_as_it_is_there(make
         make_learner().fit(points, checkpoint=tmp_path, progress=_stop_at("labels", 0.0))
 
 
+@pytest.mark.slow
 def test_what_suits_other_scans_and_settings_is_taken_and_nothing_else(
     make_learner, few_scans, points, done, tmp_path, monkeypatch
 ):
@@ -169,6 +171,7 @@ def test_what_suits_other_scans_and_settings_is_taken_and_nothing_else(
     assert first_fits([other, *points], max_points=150) == n + 1  # points are drawn by the scans' numbers
 
 
+@pytest.mark.slow
 def test_variants_have_first_fits_in_common_and_nothing_else(make_learner, points, uninterrupted, done, tmp_path):
     """Where all of them begin with labels; results are as without the others."""
     n = len(points)
@@ -244,6 +247,7 @@ def test_a_fit_that_fails_is_tried_again(make_learner, points, done, tmp_path, m
     assert done["FirstFit"] == len(points)
 
 
+@pytest.mark.slow
 def test_what_followed_from_a_fit_that_failed_is_not_taken(make_learner, points, tmp_path, monkeypatch):
     """Templates and poses of the second round of a run that had lost a scan in the first."""
     learning_is_hurried(monkeypatch, turns=0)
@@ -263,6 +267,7 @@ def test_what_followed_from_a_fit_that_failed_is_not_taken(make_learner, points,
     _assert_same(make_learner(**parameters).fit(points, checkpoint=tmp_path), expected)
 
 
+@pytest.mark.slow
 def test_what_followed_from_labels_that_failed_is_not_taken(make_learner, points, uninterrupted, tmp_path, monkeypatch):
     """A library and poses of a round that had lost a scan among its labels."""
     call, failed = loop.Labels.__call__, []
@@ -279,6 +284,7 @@ def test_what_followed_from_labels_that_failed_is_not_taken(make_learner, points
     _assert_same(make_learner().fit(points, checkpoint=tmp_path), uninterrupted)
 
 
+@pytest.mark.slow
 def test_stopped_in_the_second_round_labels_are_those_of_the_segmenter_that_is_kept(
     make_learner, points, done, tmp_path, monkeypatch
 ):
@@ -298,6 +304,7 @@ def test_stopped_in_the_second_round_labels_are_those_of_the_segmenter_that_is_k
     assert (done["FirstFit"], done["train_segmenter"], done["build_library"], done["Pose"]) == (0, 0, 1, len(points))
 
 
+@pytest.mark.slow
 def test_poses_drawn_to_what_fewer_scans_told_are_not_taken(make_learner, points, uninterrupted, tmp_path, monkeypatch):
     """Those of a round that had lost a scan once its poses were found, before what all tell was known."""
     call, failed = loop.Told.__call__, []

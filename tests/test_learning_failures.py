@@ -208,6 +208,7 @@ def test_what_a_caller_raises_in_a_turn_ends_learning(tube_rig, clouds):
         lbs.LBSFitter(tube_rig, **QUICK).fit(clouds, progress=progress)
 
 
+@pytest.mark.slow
 def test_the_round_after_a_turn_that_lost_a_subject_has_that_again(tube_rig, clouds, monkeypatch):
     _failing_from(2, "Template", monkeypatch, lambda task: len(task[0]) == 1, until=2)
     with pytest.warns(UserWarning, match="round 1: the step 'templates and poses in turn' stopped after 0 of 2 turns"):
@@ -215,6 +216,7 @@ def test_the_round_after_a_turn_that_lost_a_subject_has_that_again(tube_rig, clo
     assert list(fitter.template_) == ["a", "b"] and not fitter.failures_ and len(fitter.history_) == 3
 
 
+@pytest.mark.slow
 def test_a_template_that_fails_later_costs_nothing_of_the_round_that_is_kept(tube_rig, clouds, monkeypatch):
     learning_is_hurried(monkeypatch, turns=0)
     values = iter([1.0, 0.5, 0.6])  # of the first fits and two rounds

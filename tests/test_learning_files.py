@@ -89,6 +89,7 @@ def test_parameters_travel(learned_people, tmp_path, parameters):
 
 
 @pytest.mark.usefixtures("hurried")
+@pytest.mark.slow
 def test_other_parts_of_the_rig_travel(tmp_path, people_scans):
     rig = build_rig(make_tube_data(), parts="arm and fingers")
     fitter = lbs.LBSFitter(rig, **SMALL | {"variant": "cd", "training_scans": 60}).fit([s.points for s in people_scans[:4]])

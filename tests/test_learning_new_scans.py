@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from learning_runs import NAN, SMALL, found_at_the_truth, mean_gap
 from sklearn.exceptions import NotFittedError
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -324,6 +325,7 @@ def test_the_subjects_unit_is_a_scans_where_its_size_allows_that(factor, known):
     assert new_scan._unit(fitter, "anna", factor * learned, FitSettings(scale="fixed")) == 1.0
 
 
+@pytest.mark.slow
 def test_what_fit_scan_takes_counts_after_learning_too(tube_rig, learned_people, people_scans):
     s = people_scans[12]
     known = learned_people.fit_scan(s.points, labels=s.labels, subject="ann")
@@ -352,7 +354,7 @@ def test_a_new_scan_in_another_unit(tube_rig, learned_people, people_scans):
     assert np.linalg.norm(r.joints - [5.0, 0, 0] - 1000 * s.joints, axis=1).mean() < 1000 * 0.03 * tube_rig.size / 2
 
 
-@pytest.mark.parametrize("unit", [1.0, 1000.0])
+@pytest.mark.parametrize("unit", [slow(1.0), 1000.0])
 def test_a_new_scan_that_is_turned(tube_rig, learned_people, people_scans, unit):
     """Found under its turn, and again from the pose that was found."""
     s, turn = people_scans[12], matrix_from_rotvec(np.array([0.0, 2.0, 0.0]))
@@ -399,6 +401,7 @@ def test_transform_and_score(tube_rig, learned_people, people_scans):
         learned_people.transform(given[:2], ["ann"])
 
 
+@pytest.mark.slow
 def test_several_processes_transform_alike(learned_people, people_scans, monkeypatch):
     """Scans that cannot be sent to them, and fits without a seed, too."""
     given, fitter, asked = [s.points[::2] for s in people_scans[12:14]], copy.copy(learned_people), []

@@ -130,6 +130,7 @@ def test_subjects_in_different_units_are_told(scales, words):
 # ---- in learning ----
 
 
+@pytest.mark.slow
 def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig, make_learner, few_scans, monkeypatch):
     """Of three, the two that are right are measured by each other."""
     rounds_are_short(monkeypatch)
@@ -149,6 +150,7 @@ def test_a_scan_in_another_unit_is_fitted_in_that_but_not_learned_from(tube_rig,
     assert all(entry["recon"] < 0.08 for entry in fitter.history_)  # of the others alone, which have 0.065
 
 
+@pytest.mark.slow
 def test_a_scan_of_another_size_than_its_subjects_others_is_told_so_and_fitted_in_that(
     tube_rig, make_learner, few_scans, monkeypatch
 ):

@@ -13,6 +13,7 @@ def points(few_scans):
     return [s.points[::2] for s in few_scans]
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_number_of_processes(make_learner, points, monkeypatch):
     rounds_are_short(monkeypatch)
     found = [make_learner(n_jobs=jobs).fit(points[:3]) for jobs in (1, 2)]
@@ -20,6 +21,7 @@ def test_results_do_not_depend_on_the_number_of_processes(make_learner, points, 
     np.testing.assert_array_equal(found[0].template_[0].vertices, found[1].template_[0].vertices)
 
 
+@pytest.mark.slow
 def test_processes_find_what_one_has_kept(make_learner, points, tmp_path, monkeypatch):
     rounds_are_short(monkeypatch)
 
@@ -46,6 +48,7 @@ def _assert_alike(found, expected):
     assert h == g
 
 
+@pytest.mark.slow
 def test_a_seed_decides_all_and_other_kinds_of_seeds_work(make_learner, few_scans, monkeypatch):
     learning_is_hurried(monkeypatch)
     points = [s.points for s in few_scans[:2]]

@@ -34,6 +34,7 @@ def _roughness(results):
     return np.abs(np.diff(poses, n=2, axis=0)).mean()
 
 
+@pytest.mark.slow
 def test_smooth_sequences_are_smoother_and_as_near(tube_rig, make_learner, walk, tmp_path, monkeypatch):
     """What comes before smoothing does not depend on it, and is made once."""
     rounds_are_short(monkeypatch)
@@ -45,6 +46,7 @@ def test_smooth_sequences_are_smoother_and_as_near(tube_rig, make_learner, walk,
     assert away[0] < 0.75 * away[1]
 
 
+@pytest.mark.slow
 def test_smoothing_that_fails_leaves_what_was_found_before_it(make_learner, walk, tmp_path, monkeypatch):
     """Of one scan, at the first sweep or later, or of all: it is the poses that have been found, and no scan is lost."""
     learning_is_hurried(monkeypatch, turns=0)

@@ -19,6 +19,7 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.state import Layout
 
 
+@pytest.mark.slow
 def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_people):
     """One that is thicker than the rig and both people, and longer in its upper half."""
     changed = tube_rig.vertices * [1.45, 1.0, 1.45], tube_rig.joints
@@ -67,7 +68,7 @@ def test_scans_of_somebody_else_are_drawn_to_what_was_learned_of_poses_unless_la
     assert not told and held[-1] is None
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_scans_of_somebody_else_are_nearer_to_the_truth_for_what_was_learned_of_poses(tube_rig, tube_fitter, monkeypatch):
     """Poses that vary little in all joints but one, for which few starts do; 150 noisy points each."""
     monkeypatch.setitem(EFFORTS, "fast", HURRIED)
@@ -83,6 +84,7 @@ def test_scans_of_somebody_else_are_nearer_to_the_truth_for_what_was_learned_of_
     assert gaps[1] < 0.95 * gaps[0]
 
 
+@pytest.mark.slow
 def test_several_people_that_pass_for_one_are_noticed(make_learner, learned_people, people_scans, monkeypatch):
     """Their joints are worse than with subjects; the results say that they are doubtful, and a warning says what to do."""
     rounds_are_short(monkeypatch)

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from learning_runs import HURRIED, SMALL, collected, learning_is_hurried, loop_over, mean_gap, rounds_are_short
+from slow_tests import slow
 
 from lbsfit_np import LBSFitter
 from lbsfit_np.errors import InputError
@@ -53,7 +54,7 @@ def in_common(tmp_path_factory):
     return tmp_path_factory.mktemp("kept")
 
 
-@pytest.mark.parametrize("variant", ["pose-only", "rand", "cd", "free-form"])
+@pytest.mark.parametrize("variant", ["cd", "free-form", *(slow(v) for v in ("pose-only", "rand"))])
 def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, variant, in_common, monkeypatch):
     rounds_are_short(monkeypatch)
     few = few_scans[:3]  # all learned from: of fewer, poses would tell nothing of each other

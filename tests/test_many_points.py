@@ -118,6 +118,7 @@ def test_points_that_were_not_looked_at_are_judged_by_those_that_were(tube_rig, 
         np.testing.assert_array_equal(part.left_out(points), expected)
 
 
+@pytest.mark.slow
 def test_more_points_tell_the_pose_better(tube_rig, fitter, monkeypatch):
     """Scans of 4,000 noisy points, of which 400 take part in the search; it begins at the truth, as only its end is asked for."""
     scans = lbs.synthesize(tube_rig, 4, random_state=5, n_points=4000, noise=0.02, shape=0.0)
@@ -132,7 +133,7 @@ def test_more_points_tell_the_pose_better(tube_rig, fitter, monkeypatch):
     assert mean_gap(tube_rig, with_all, scans) < 0.85 * mean_gap(tube_rig, without, scans)
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_more_points_tell_the_proportions_better(monkeypatch):
     """Of single scans of other people, labels known: with the last steps of proportions, and without."""
     rig = lbs.load_rig("body-coarse")

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -135,7 +136,7 @@ def test_reflected_points_keep_their_weights_and_are_looked_at_once(owner, coars
 
 
 @pytest.mark.parametrize("weighted", [False, True])
-@pytest.mark.parametrize("owner", [scan_fit, new_scan])
+@pytest.mark.parametrize("owner", [scan_fit, slow(new_scan)])
 def test_fits_with_and_without_what_was_learned_are_looked_at(
     owner, weighted, quick_fitter, learned_people, people_scans, monkeypatch
 ):

@@ -82,6 +82,7 @@ def test_a_known_pose_is_moved_to_where_it_is_before_joints_bend(model):
     assert max(near) < 0.01 and (np.array(near) < 0.3 * np.array(off)).all()
 
 
+@pytest.mark.slow
 def test_a_start_that_is_right_is_not_lost_on_a_learned_template(model):
     """Nor on the way there: steps that look far bend fingers into their neighbours."""
     from lbsfit_np.learning.new_scan import _given

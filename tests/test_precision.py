@@ -145,6 +145,7 @@ def test_before_the_scan_is_looked_at_the_scale_is_known_to_a_share_of_itself(tu
     assert 0.1 * scale < np.sqrt(C[-1, -1]) < 1.001 * precision._ANY_SCALE * scale
 
 
+@pytest.mark.slow
 def test_a_fit_says_how_precisely_joints_are_told(tube_rig, tube_fitter, quick_fitter):
     """In the scan's unit; less so where the scan ends far below them."""
     (scan,) = lbs.synthesize(tube_rig, random_state=31, n_points=1500, holes=0)

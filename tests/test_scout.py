@@ -46,6 +46,7 @@ def test_the_unit_is_found_with_the_turn(tube_rig, make_scout, clean_scans, unit
     assert 1 / 3 < found.state.scale < 3
 
 
+@pytest.mark.slow
 def test_a_hand_that_lies_anyhow_in_millimetres():
     rig = lbs.load_rig("hand-coarse")
     quick = {"effort": "fast", "training_scans": 60, "training": {"n_points": 500}}

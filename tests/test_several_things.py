@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -144,7 +145,7 @@ def test_a_fit_that_nothing_speaks_for_or_against_is_kept():
     assert fits().name == "once" and fits.of == ["once"]
 
 
-@pytest.mark.parametrize("learned", [False, True])
+@pytest.mark.parametrize("learned", [False, slow(True)])
 def test_one_of_two_bodies_is_fitted(tube_rig, fitter, tube_scan, learned_people, people_scans, learned):
     """The message says so; points of the other are left out."""
     fitter, one = (learned_people, people_scans[12].points) if learned else (fitter, tube_scan.points)

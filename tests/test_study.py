@@ -263,6 +263,7 @@ def test_each_size_has_its_rigs(given, rigs, tmp_path, monkeypatch):
     assert asked == rigs
 
 
+@pytest.mark.slow
 def test_pictures_of_other_rigs_stay_on_the_page(coarse_hand, quick, tmp_path, monkeypatch, capsys):
     def draw(report, arrays, out, *, rigs, jobs):
         for name in rigs:

@@ -161,6 +161,7 @@ def test_folders_of_rows_that_had_no_time_to_begin_do_not_stay(kept, rigs, tmp_p
     assert (tmp_path / "tube-5-rand").exists() == kept and (tmp_path / "tube-5-joint").exists()
 
 
+@pytest.mark.slow
 def test_figures_are_those_of_rows_one_after_the_other(rigs, monkeypatch):
     one_by_one, shares, there = study(rigs, rows=_QUICK, seeds=[5]), [], []
     monkeypatch.setattr(run_module, "made", None)
@@ -176,11 +177,13 @@ def test_figures_are_those_of_rows_one_after_the_other(rigs, monkeypatch):
     assert of_all == sorted(of_all) and of_all[-1] == pytest.approx(1)
 
 
+@pytest.mark.slow
 def test_with_fewer_rows_than_processes_each_has_them_all(rigs):
     report = study(rigs, rows=("oracle-fit", "free-form-supervised"), seeds=[5], jobs=3)
     assert {(cell["jobs"], cell["at_once"]) for cell in report["rigs"]["tube"]["seeds"]["5"].values()} == {(3, 1)}
 
 
+@pytest.mark.slow
 def test_rows_that_learn_from_labels_have_first_fits_in_common(rigs, tmp_path, monkeypatch):
     """The second begins when they are there, and makes none; they are gone in the end."""
     events = []
@@ -203,6 +206,7 @@ def test_rows_that_learn_from_labels_have_first_fits_in_common(rigs, tmp_path, m
 
 
 @pytest.mark.usefixtures("own_processes")
+@pytest.mark.slow
 def test_a_run_that_is_stopped_goes_on(command, tmp_path, monkeypatch, capsys):
     """As by Ctrl-C while the first row is written: no process is left, the others' rows are made by the same command."""
     out = tmp_path / "out"
@@ -220,6 +224,7 @@ def test_a_run_that_is_stopped_goes_on(command, tmp_path, monkeypatch, capsys):
     assert "with 1 process each, 2 rows at once." in (out / "README.md").read_text()
 
 
+@pytest.mark.slow
 def test_first_fits_of_a_run_that_was_stopped_are_not_in_the_time_of_the_first_row(rigs, tmp_path, monkeypatch):
     """But in nobody else's: what others wait for has not been timed as a whole."""
     folder = tmp_path / "tube-5-first-fits"
@@ -257,6 +262,7 @@ def test_what_goes_wrong_in_a_process_is_said_and_what_is_made_beside_it_is_kept
 
 
 @pytest.mark.usefixtures("patient", "own_processes")
+@pytest.mark.slow
 def test_rows_that_were_made_as_a_run_is_stopped_are_kept(rigs, tmp_path, monkeypatch):
     """Ctrl-C comes as another row is taken up."""
     monkeypatch.setattr(at_once, "_Made", _Waiting)

@@ -91,6 +91,7 @@ def viz():
     pytest.importorskip("matplotlib", reason="the extra viz is not installed")
 
 
+@pytest.mark.slow
 def test_all_figures_are_drawn_twice_the_same(viz, rig, report, cells, tmp_path):
     from matplotlib.image import imread
 
@@ -109,6 +110,7 @@ def test_all_figures_are_drawn_twice_the_same(viz, rig, report, cells, tmp_path)
         assert len(caption) > 60 and caption.endswith(".") and "\n" not in caption
 
 
+@pytest.mark.slow
 def test_figures_whose_rows_are_missing_are_left_out(viz, drawn, rig, report, cells, tmp_path, monkeypatch):
     along = charts.along_path(rig, steps=41)
     monkeypatch.setattr(charts, "along_path", lambda rig, steps: along)  # as it is for each of these

@@ -349,6 +349,7 @@ def test_what_nobody_foresaw_of_one_scan_is_its_failure_and_of_all_an_error(tmp_
 # ---- all of them ----
 
 
+@pytest.mark.slow
 def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     """All of them, as the command runs them, on few scans, those without pretraining first."""
     rows_are_hurried(monkeypatch)
@@ -398,7 +399,7 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     assert not any(np.array_equal(labels[a], labels[b]) for a, b in combinations(("joint", "pose-only", "rand"), 2))
 
 
-@pytest.mark.study
+@pytest.mark.slow
 def test_the_oracle_fit_is_the_best_of_all_rows_and_the_whole_loop_better_than_fits_without_skinning(tube_rig, monkeypatch):
     small_is_few_and_fast(monkeypatch)
     cells = study({"tube": tube_rig}, seeds=[5])["rigs"]["tube"]["seeds"]["5"]

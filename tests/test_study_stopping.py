@@ -86,6 +86,7 @@ def test_a_row_that_is_stopped_goes_on(command, run_stopped, tube_rig, tmp_path,
     assert [path.name for path in (out / "cells").iterdir()] == ["tube-5-joint.npz"]
 
 
+@pytest.mark.slow
 def test_rows_that_learn_from_labels_have_first_fits_and_first_labels_in_common(command, tmp_path, monkeypatch):
     done, out = {"fits": 0, "labels": 0}, tmp_path / "out"
 
@@ -108,6 +109,7 @@ def test_rows_that_learn_from_labels_have_first_fits_and_first_labels_in_common(
     assert {path.name for path in (out / "cells").iterdir()} == {"tube-5-rand.npz", "tube-5-joint.npz"}
 
 
+@pytest.mark.slow
 def test_first_fits_stay_while_a_row_that_is_begun_has_nothing_else(command, run_stopped, tmp_path, monkeypatch):
     """Whatever is run meanwhile. A row that takes them has no time of its own; what learns without labels has no part in them."""
     cells, fitted, call = tmp_path / "out" / "cells", [], loop_module.FirstFit.__call__
@@ -173,6 +175,7 @@ def test_a_row_made_at_one_go_has_its_time(command, tmp_path):
     assert " min for all rows, " in (tmp_path / "out" / "README.md").read_text()
 
 
+@pytest.mark.slow
 def test_steps_of_another_model_are_not_taken(command, run_stopped, tmp_path, monkeypatch):
     """With other training scans, what was fitted before is fitted again, as in a fresh folder."""
     monkeypatch.setattr(LBSFitter, "fit_scan", FIT_SCAN)
@@ -223,6 +226,7 @@ def test_steps_of_a_row_that_has_to_be_made_again_stay(command, run_stopped, tmp
     assert steps and run([*command, "oracle-fit"]) == 0 and steps_in(cells / "tube-5-cd.npz.unfinished") == steps
 
 
+@pytest.mark.slow
 def test_what_is_replaced_is_gone_before_anything_is_stopped(command, run_stopped, tmp_path, monkeypatch, capsys):
     """So that the command that goes on does the new, not what was to be replaced; also of another size."""
     out = tmp_path / "out"

@@ -88,6 +88,7 @@ def tube_case(tube_rig):
     return Case(tube_rig, (subject.vertices, subject.joints))
 
 
+@pytest.mark.slow
 def test_joints_that_hardly_bend_stay_where_the_skin_says():
     """No scan shows then where they are, and noise would shift them."""
     rig, away = lbs.load_rig("hand-coarse"), {TemplateSettings().shifts: [], 0.3: []}
@@ -284,6 +285,7 @@ def test_the_same_again_and_nothing_given_is_changed(tube_case):
         np.testing.assert_array_equal(p.X, x)
 
 
+@pytest.mark.slow
 def test_weights_of_points_count(tube_rig):
     """Points without weight, beside the surface, do not lift it."""
     lifted = []

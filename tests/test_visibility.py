@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.refit import plain_chamfer
@@ -123,7 +124,7 @@ def test_sides_that_look_away_are_not_shown():
     assert not shown(plate, up, plate, fold, np.zeros(len(plate), dtype=int)).any()
 
 
-@pytest.mark.parametrize("which", ["hand-coarse", "body-coarse"])
+@pytest.mark.parametrize("which", ["hand-coarse", slow("body-coarse")])
 def test_little_is_taken_for_shown_that_the_camera_does_not_see(which):
     rig = lbs.load_rig(which)
     wrong, missed = [], []
