@@ -27,7 +27,7 @@ def fit_scan(rig, points, *, theta0=None, labels=None, point_weights=None, progr
     FitResult
     """
     own = ("theta0", "labels", "point_weights", "progress")
-    check_names(parameters, [*own, *(name for name in LBSFitter._get_param_names() if name != "rig")])
+    check_names(parameters, [*own, *(name for name in LBSFitter._defaults() if name != "rig")])
     fitter = LBSFitter(rig, random_state=random_state, **parameters)
     return fitter._fit_scan(points, theta0, labels, point_weights, cache=True, progress=progress)
 

@@ -146,7 +146,8 @@ class Stage:
         """A stage from what :meth:`arrays` gave."""
         n = sum(k.startswith(f"{prefix}_coefs_") for k in arrays)
         layers = tuple((arrays[f"{prefix}_coefs_{k}"], arrays[f"{prefix}_intercepts_{k}"]) for k in range(n))
-        classes = arrays[f"{prefix}_classes"] if n else np.array([int(arrays[f"{prefix}_only"])])
+        only = np.array([int(arrays[f"{prefix}_only"])])
+        classes = arrays[f"{prefix}_classes"] if n else only
         return cls(arrays[f"{prefix}_mean"], arrays[f"{prefix}_deviation"], layers, classes, n_parts)
 
 
