@@ -13,11 +13,11 @@ def pytest_addoption(parser):
 
 
 def leave_out_slow_tests(config):
-    """Unless they are asked for: by ``-m slow`` (``-m "slow or not slow"`` has all tests), by ``--share``, or by name."""
-    config.addinivalue_line("markers", "slow: takes long; run by -m slow, and some of them by --share")
-    named = any("::" in a for a in config.args)
-    if not (config.option.markexpr or config.option.share or named):
-        config.option.markexpr = "not slow"
+    """Unless they are asked for: by ``-m`` (``-m "slow or not slow"`` has all), by name or, some of them, by ``--share``."""
+    config.addinivalue_line("markers", "slow: takes some five seconds or more; run by -m slow, and some of them by --share")
+    config.addinivalue_line("markers", "study: takes ten seconds to minutes; run by -m study")
+    if not (config.option.markexpr or any("::" in a for a in config.args)):
+        config.option.markexpr = "not study" if config.option.share else "not slow and not study"
 
 
 def pytest_collection_modifyitems(config, items):

@@ -395,7 +395,7 @@ def test_all_of_it_with_fits_of_its_own(tube_rig, tmp_path, run, monkeypatch):
     assert sorted(e["name"] for e in report["scans"]) == sorted(names) and not any("failed" in e for e in report["scans"])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_fits_of_its_own_are_near(own, tmp_path, run):
     """Nobody has said where anything is."""
     for gone in ("training/scans/tr_scan_002.ply", "training/scans/tr_scan_011.ply", "test/scans/test_scan_019.ply"):

@@ -34,7 +34,7 @@ def polygonised():
     return once
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("name", ["body", "body-coarse"])
 def test_rebuilding_gives_the_shipped_file(name, polygonised, tmp_path, monkeypatch):
     path = _built_here(name)

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from rebuilt_rigs import assert_rebuilt, rig_module
+from slow_tests import slow
 
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.npz import read_npz
@@ -332,8 +333,7 @@ def test_the_file_is_what_its_sources_say(hand, hand_file):
     assert np.array_equal(hand.poses["fist"], hand_file[1]["poses_theta"][names.index("fist")])
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["hand", "hand-coarse"])
+@pytest.mark.parametrize("name", [pytest.param("hand", marks=pytest.mark.study), slow("hand-coarse")])
 def test_rebuilding_gives_the_shipped_file(name, tmp_path):
     pytest.importorskip("skimage", reason="building rigs needs the extra 'build'")
     build_hand = rig_module("build_hand")

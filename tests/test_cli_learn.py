@@ -229,6 +229,7 @@ def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, r
     assert found == ["any", None, False, "balanced", 300]
 
 
+@pytest.mark.slow
 def test_a_wall_is_left_out_without_skinning(tube_rig, tubes, tmp_path, run):
     """Where scans may lie in any way, or may have another up axis; aligned ones stand on floors."""
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=5, n_points=400, shape=0.0)

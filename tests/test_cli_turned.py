@@ -108,6 +108,7 @@ def test_an_up_axis_is_refused_with_any_orientation_of_a_model_too(turned, tube_
 
 
 @pytest.mark.usefixtures("hurried")
+@pytest.mark.slow
 def test_options_that_a_model_was_learned_with_are_its_own(turned, tubes, tmp_path, run):
     scans = sorted(tubes.glob("*.ply"))
     options = ("--orientation", "aligned", "--effort", "fast", "--partial", "--cropped", "--variant", "cd", "--rounds", 1)

@@ -30,6 +30,7 @@ def _off(rig, scan, result):
     return np.linalg.norm(result.joints - scan.joints, axis=1)[shown & rig.moving] / (rig.size * scan.scale)
 
 
+@pytest.mark.slow
 def test_with_known_labels_what_is_shown_is_right(hand):
     fitter = lbs.LBSFitter(hand, cropped=True, orientation="aligned", random_state=0)
     off = [_off(hand, s, fitter.fit_scan(s.points, labels=s.labels)) for s in _scans(hand, 3)]
@@ -105,7 +106,7 @@ def test_what_is_no_flag_is_refused(tube_rig):
         lbs.fit_scan(tube_rig, np.zeros((10, 3)), cropped=0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("shape, most", [(0.0, 0.005), (0.08, 0.03)])
 def test_parts_of_hands_are_fitted_without_labels(shape, most, hand):
     """Of the rig's own shape, and of other people's."""

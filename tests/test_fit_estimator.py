@@ -43,6 +43,7 @@ def test_threads_change_nothing(tube_rig, tube_scan):
     assert_same(*results)
 
 
+@pytest.mark.slow
 def test_one_scan_does_not_change_the_next(tube_rig, tube_fitter, tube_scan, tube_result):
     """Fitted again, it has the same result."""
     tube_fitter.fit_scan(lbs.synthesize(tube_rig, 1, random_state=1, n_points=400)[0].points)
@@ -176,6 +177,7 @@ def test_what_was_pretrained_is_shared_with_a_clone_until_it_no_longer_fits(tube
 
 
 @pytest.mark.usefixtures("hurried")
+@pytest.mark.slow
 def test_learning_does_not_use_what_was_pretrained_with_other_parameters_either(tube_rig, fitter):
     small = {"training_scans": 2, "training": {"n_points": 100}, "random_state": 9}
     own = lbs.LBSFitter(tube_rig, **small).pretrain().segmenter_

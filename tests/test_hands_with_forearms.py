@@ -30,7 +30,7 @@ def _with_an_arm(hand, i):
     return condition_scan(hand, replace(CONDITIONS["0.3"], arm=True), i, np.random.default_rng(i))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_hand_with_a_forearm_is_fitted_and_what_was_left_out_is_said(hand, fitter):
     scan = _with_an_arm(hand, 1)
     assert 1500 < (scan.labels < 0).sum() < 2500
@@ -53,7 +53,7 @@ def test_a_left_hand_fails_and_is_asked_about(hand, fitter):
     assert right.status == "ok" and "mirror" not in right.message, right.message
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_hands_with_forearms_are_learned_from(hand, fitter, tmp_path, monkeypatch):
     """Their first fits find what lies beyond, and are not made again after a stop; in millimetres."""
     monkeypatch.setattr(LoopSettings, "for_training", lambda n, **others: LoopSettings(**FEW, **others))

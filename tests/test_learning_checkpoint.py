@@ -122,6 +122,7 @@ def test_what_was_made_without_a_subject_is_not_taken_with_it(make_learner, poin
     _assert_same(found, make_learner(variant="cd").fit(points, whose))
 
 
+@pytest.mark.slow
 def test_a_library_made_beside_the_segmenter_is_kept_as_soon_as_it_is_there(make_learner, points, tmp_path, monkeypatch):
     def stopped(*given, **more):
         until = time.monotonic() + 120

@@ -346,6 +346,7 @@ def test_starts_and_labels_where_vertices_move_freely(when, tube_rig, scans, clo
 # ---- scale ----
 
 
+@pytest.mark.slow
 def test_a_fixed_scale_is_1_whatever_was_learned(tube_rig, learned, scans, clouds):
     other = lbs.LBSFitter(tube_rig, **QUICK)
     vars(other).update({k: v for k, v in vars(learned).items() if k.endswith("_") or k == "_learned_with"})

@@ -36,6 +36,7 @@ def test_a_scan_of_somebody_else_gets_proportions_of_its_own(tube_rig, learned_p
 
 
 @pytest.mark.usefixtures("hurried")
+@pytest.mark.slow
 def test_scans_of_somebody_else_are_drawn_to_what_was_learned_of_poses_unless_labels_are_known(
     tube_rig, learned_people, people_scans, monkeypatch
 ):
@@ -68,7 +69,7 @@ def test_scans_of_somebody_else_are_drawn_to_what_was_learned_of_poses_unless_la
     assert not told and held[-1] is None
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_scans_of_somebody_else_are_nearer_to_the_truth_for_what_was_learned_of_poses(tube_rig, tube_fitter, monkeypatch):
     """Poses that vary little in all joints but one, for which few starts do; 150 noisy points each."""
     monkeypatch.setitem(EFFORTS, "fast", HURRIED)

@@ -292,7 +292,7 @@ def test_limbs_of_other_numbers_of_joints_have_no_pose_to_exchange(body):
     bare.proposals(problem, truth.replace(theta=body.poses[1]), 2)  # none fails
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_steps_from_what_is_proposed_bring_two_exchanged_fingers_home(hand):
     """At once or, as the hand that they have pulled along moves back, the next time: most. Without, they stay: all."""
     refit, home = Refit(hand.model), {}

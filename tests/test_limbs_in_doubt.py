@@ -129,6 +129,7 @@ def test_doubt_is_of_points_each_once_and_of_no_unit(rig, model, folded):
 
 
 @pytest.mark.parametrize("way", ["exchanges", "sweeps"])
+@pytest.mark.slow
 def test_a_folded_knee_comes_out_of_the_fold(model, bends, to_the_end, folded, way, monkeypatch):
     problem, true, stuck, value = folded
     monkeypatch.setattr(bends_module, "other_bends", lambda rig, theta: [])  # which would straighten it, too

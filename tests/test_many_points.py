@@ -133,7 +133,7 @@ def test_more_points_tell_the_pose_better(tube_rig, fitter, monkeypatch):
     assert mean_gap(tube_rig, with_all, scans) < 0.85 * mean_gap(tube_rig, without, scans)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_more_points_tell_the_proportions_better(monkeypatch):
     """Of single scans of other people, labels known: with the last steps of proportions, and without."""
     rig = lbs.load_rig("body-coarse")
@@ -234,6 +234,7 @@ def test_scans_of_a_collection_have_more_points_in_their_frame(tube_rig):
     np.testing.assert_allclose(m.dense_X[np.searchsorted(m.part.every, m.part.rows)], m.X)
 
 
+@pytest.mark.slow
 def test_templates_and_last_poses_of_learning_and_after_it_see_more_points(make_learner, few_scans, monkeypatch):
     learning_is_hurried(monkeypatch)
     seen = {}

@@ -75,6 +75,7 @@ def test_figures_are_shares_of_the_size():
     assert nothing["median"] is None and nothing["close"] == 0.0
 
 
+@pytest.mark.slow
 def test_command(run, tmp_path, monkeypatch):
     content_with_few_starts(monkeypatch)
     learning_is_hurried(monkeypatch)

@@ -146,6 +146,7 @@ def test_without_a_segmenter_scans_are_found_as_well(tube_rig, make_scout, clean
         assert error_of(tube_rig, make_scout(segmenter=False)(s.points @ turn.T), s, turn) < 0.03
 
 
+@pytest.mark.slow
 def test_weights_of_points_count(tube_rig, make_scout, clean_scans):
     """Half of the points are beside the body, and count for nothing."""
     s, rng = clean_scans[0], np.random.default_rng(0)

@@ -144,6 +144,7 @@ def test_fits_and_rounds_take_one_view(tube_fitter, tube_rig, tube_scan, monkeyp
     assert at_once >= 2 and set(asked) == {1} and len(asked) == at_once + 1
 
 
+@pytest.mark.slow
 def test_views_are_worth_their_while(tube_fitter, tube_rig):
     scans = lbs.synthesize(tube_rig, 32, random_state=79, n_points=400)
     said = [[tube_fitter.segmenter_.predict(scan.points, views=views) == scan.labels for scan in scans] for views in (1, 4)]

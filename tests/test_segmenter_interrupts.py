@@ -102,6 +102,7 @@ if __name__ == "__main__":
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
+@pytest.mark.slow
 def test_ctrl_c_ends_the_processes_without_their_tracebacks(tmp_path):
     script = tmp_path / "script.py"
     script.write_text(_SCRIPT)

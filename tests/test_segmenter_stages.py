@@ -30,6 +30,7 @@ def test_the_first_stage_sees_descriptors_and_the_second_their_context(tube_rig,
     assert np.abs(expected - proba).max() > 0.01
 
 
+@pytest.mark.slow
 def test_the_second_stage_is_worth_its_while(tube_fitter, tube_rig):
     second = tube_fitter.segmenter_
     first = replace(second, stages=second.stages[:1])

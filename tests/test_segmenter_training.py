@@ -102,6 +102,7 @@ class Drawn:
         return s.points, s.labels, 1.0
 
 
+@pytest.mark.slow
 def test_a_generator_is_never_copied_into_processes(tube_rig, tube_scan):
     training = Training(points_per_scan=20, hidden=(16,))
 

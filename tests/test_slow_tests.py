@@ -32,10 +32,10 @@ def test_each_slow_test_is_in_one_share(n):
 
 def test_slow_tests_run_where_they_are_asked_for():
     for given, expected in (
-        (config("tests"), "not slow"),
+        (config("tests"), "not slow and not study"),
         (config("tests", markexpr="slow"), "slow"),
         (config("tests/test_fit.py::test_one"), ""),
-        (config("tests", share="1/2"), ""),
+        (config("tests", share="1/2"), "not study"),
     ):
         leave_out_slow_tests(given)
         assert given.option.markexpr == expected

@@ -292,6 +292,7 @@ def test_the_objective_of_the_oracle_has_the_gradient_that_it_says(tiny_study):
     assert (ends[0] - ends[1]) / (2 * h) == pytest.approx(e.scale, rel=1e-5)
 
 
+@pytest.mark.slow
 def test_free_form_explains_the_scan_and_the_taught_one_starts_near_the_truth(tiny_study):
     scan = tiny_study.train[1]
     found = FromTemplate(tiny_study.rig)(scan.points)
@@ -399,7 +400,7 @@ def test_every_row_does_what_it_says(tube_rig, monkeypatch):
     assert not any(np.array_equal(labels[a], labels[b]) for a, b in combinations(("joint", "pose-only", "rand"), 2))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_the_oracle_fit_is_the_best_of_all_rows_and_the_whole_loop_better_than_fits_without_skinning(tube_rig, monkeypatch):
     small_is_few_and_fast(monkeypatch)
     cells = study({"tube": tube_rig}, seeds=[5])["rigs"]["tube"]["seeds"]["5"]

@@ -216,6 +216,7 @@ def test_steps_are_announced_for_rows_that_are_to_be_done(command, run_stopped, 
     assert run([*command, "cd,oracle-fit"]) == 0 and f"found {steps} saved steps of an interrupted run" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_steps_of_a_row_that_has_to_be_made_again_stay(command, run_stopped, tmp_path):
     """One that the report has, but whose registrations are not there any more."""
     cells = tmp_path / "out" / "cells"

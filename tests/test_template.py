@@ -167,6 +167,7 @@ def test_a_subject_that_the_family_does_not_hold(hand_case):
     assert case.gap(U, case.U) < case.gap(without_heights, case.U)
 
 
+@pytest.mark.slow
 def test_a_fat_palm_leaves_the_knuckles_where_they_are():
     """People are wide of flesh as well as of bone; were their joints to move along, knuckles would lie beside the fingers."""
     rig = lbs.load_rig("hand-coarse")
