@@ -125,6 +125,8 @@ class Workers:
 
     def give(self, task):
         """Have a process do ``task``, a new one while there are fewer than n."""
+        for w in [w for w in self._workers if w.task is None and not w.process.is_alive()]:
+            self._leave(w)  # it has died without work, which costs none
         worker = next((w for w in self._workers if w.task is None), None)
         if worker is None:
             worker = self._another()
@@ -200,14 +202,18 @@ class Workers:
             self._come += w.last_words()
             w.connection.close()
 
+    def _leave(self, worker):
+        """Have no more to do with a process that has died."""
+        self._workers.remove(worker)
+        worker.join()
+        worker.connection.close()
+
     def _received(self, worker):
         task = worker.task
         try:
             answer = worker.receive()
         except (EOFError, OSError):
-            self._workers.remove(worker)
-            worker.join()
-            worker.connection.close()
+            self._leave(worker)
             self._unbegun = self._unbegun if worker.ready else worker.death
             return [(task, None, worker.death)]
         if not worker.ready:

@@ -302,6 +302,19 @@ def test_a_kept_process_that_is_killed_before_it_takes_up_other_work_costs_its_t
     assert "killed by SIGKILL" in str(wrong[0])
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
+def test_a_process_that_is_killed_without_work_costs_none():
+    with Workers(own_number, 1) as workers:
+        came = []
+        for k in range(2):
+            workers.give(k)
+            while workers.busy:
+                came += workers.answers()
+            os.kill(came[-1][1], signal.SIGKILL)
+            assert workers._workers[0].process.join(20) is None and workers.idle
+    assert len({number for _, number, death in came if death is None}) == 2
+
+
 def test_notes_of_work_beside_other_work_are_left():
     with beside(partial(tells, ("first", Path(__file__)))) as answer:
         assert answer() != os.getpid()
