@@ -16,7 +16,8 @@ class Estimator:
     @classmethod
     def _defaults(cls):
         """Each parameter's default, by name; ``inspect.Parameter.empty`` where it has none."""
-        return {p.name: p.default for p in inspect.signature(cls).parameters.values()}
+        parameters = inspect.signature(cls).parameters.values()
+        return {p.name: p.default for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}
 
     def get_params(self, deep=True):
         """Get the parameters by name; ``deep`` changes nothing, as none of them is an estimator."""

@@ -78,7 +78,7 @@ class Stage:
     ----------
     mean, deviation : (d,) arrays
     layers : tuple of ((d_in, d_out) array, (d_out,) array)
-        None where all points are of one part. Two parts have one output, the logit of the second.
+        Empty where all points are of one part. Of two parts there is one output, the logit of the second.
     classes : (m,) int array
         The parts of the outputs.
     n_parts : int
