@@ -80,6 +80,13 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
     with pytest.raises(ValueError, match="sped: got an unknown argument; expected one of rig, .*") as error:
         fitter.set_params(joints="fixed", sped=2)
     assert fitter.joints == "follow" and isinstance(error.value, InputError)
+
+    class Own(lbs.LBSFitter):
+        def __init__(self, rig, *, speed=1, **others):
+            super().__init__(rig, **others)
+            self.speed = speed
+
+    assert Own(tube_rig, speed=2).get_params() == {"rig": tube_rig, "speed": 2}
     tags = getattr(sklearn.utils, "get_tags", lambda estimator: None)(fitter)  # which scikit-learn has since 1.6
     assert tags is None or tags.requires_fit
 
