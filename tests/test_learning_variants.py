@@ -65,7 +65,7 @@ def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, v
         monkeypatch.setattr("lbsfit_np.fitting.refit.start_from_parts", lambda *a, **k: pytest.fail("a start from parts"))
     fitter = make_learner(variant=variant, held_out=0).fit([s.points for s in few], checkpoint=in_common)
     assert list(fitter.template_) == [0] and all(r.status == "ok" for r in fitter.results_)
-    # Without skinning the joints stay where the rest pose has them, which the results say.
+    # Without skinning angles stay those of the rest pose, which the results say.
     assert all((r.probability > 0) == bool(r.evidence) == (variant != "free-form") for r in fitter.results_)
     error = mean_gap(tube_rig, fitter.results_, few)
     new = fitter.fit_scan(people_scans[12].points)
@@ -76,7 +76,9 @@ def test_every_variant_learns(tube_rig, make_learner, few_scans, people_scans, v
         assert all((r.pose[1:] == np.clip(0.0, tube_rig.lower, tube_rig.upper)[1:]).all() for r in fitter.results_)
         assert 0.1 < error < 0.5  # the rest pose, put where the scan is
         for r in (new, *fitter.results_):  # of which nothing is said that goes by parts or joints
-            assert r.message == "free-form, no skinning: joints stay at rest; scan and rig are in one unit"
+            assert r.message == "free-form, no skinning: joint angles are not fitted; scan and rig are in one unit"
+            np.testing.assert_allclose(r.rest_joints, tube_rig.regressor @ (tube_rig.vertices + r.offsets), rtol=0, atol=1e-12)
+            assert r.terms["chamfer"] == pytest.approx(r.terms["recon"] ** 2)  # no term of the undeformed template
     else:
         assert error < 0.05 and mean_gap(tube_rig, [new], [people_scans[12]]) < 0.06
         assert (fitter.segmenter_ is None) == (variant == "cd") and len(fitter.history_) == 2

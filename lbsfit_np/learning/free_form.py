@@ -69,7 +69,7 @@ def free_form(model, settings, problem, points, part, frame, started):
     grown = outcome.state.scale * (model.rig.vertices + outcome.state.residual)
     outcome = replace(outcome, state=outcome.state.replace(scale=1.0, residual=grown - model.rig.vertices))
     unit = unit_note(frame.unit / model.half, model.source, settings.scale, guessed=True, unit=settings.unit)
-    # Vertices that move freely explain any scan, and say nothing of the joints, which stay at rest.
+    # Vertices that move freely explain any scan, and say nothing of the angles, which stay at rest.
     return assemble(
         model.source,
         model,
@@ -81,7 +81,7 @@ def free_form(model, settings, problem, points, part, frame, started):
         sigma=settings.refinements[-1],
         weights=weights,
         evaluations=place_only.evaluations + outcome.evaluations,
-        notes=["free-form, no skinning: joints stay at rest"],
+        notes=["free-form, no skinning: joint angles are not fitted"],
         found=(unit,),
         started=started,
         judged=False,
