@@ -1,5 +1,6 @@
 """The errors that users see: each says what was wrong, what came, what was expected, and what to do."""
 
+import warnings
 from difflib import get_close_matches
 
 import numpy as np
@@ -33,6 +34,8 @@ __all__ = [
 ONE_AT_A_TIME = "Pass one at a time: loop over the first axis."
 # Radians. Of larger angles rounding is more than other errors are.
 _MOST_ANGLE = 1e6
+# Eight turns.
+_ODD_ANGLE = 50.0
 
 
 class LbsfitError(Exception):
@@ -112,10 +115,17 @@ def check_array(argument, value, shape, what="", *, finite=True):
 
 
 def check_angles(argument, value, shape):
-    """``check_array`` of rotation vectors in radians, none of so many turns that no digit tells where they end."""
+    """``check_array`` of rotation vectors in radians, none of so many turns that no digit tells where they end.
+
+    Of more turns than a body makes, as degrees would be, it warns.
+    """
     a = check_array(argument, value, shape)
-    if a.size and np.abs(a).max() > _MOST_ANGLE:
-        raise InputError(argument, f"an angle of {np.abs(a).max():.3g}", f"radians, of at most {_MOST_ANGLE:.0e}")
+    most = np.abs(a).max() if a.size else 0.0
+    if most > _MOST_ANGLE:
+        raise InputError(argument, f"an angle of {most:.3g}", f"radians, of at most {_MOST_ANGLE:.0e}")
+    if most > _ODD_ANGLE:
+        words = f"{argument}: got an angle of {most:.3g} rad, which is {most / (2 * np.pi):.0f} turns. Are these degrees?"
+        warnings.warn(words, stacklevel=4)
     return a
 
 

@@ -1,5 +1,6 @@
 """M(Θ, U) and its adjoint, against a slow reference and against finite differences."""
 
+import warnings
 from fractions import Fraction
 from pathlib import Path
 
@@ -346,3 +347,14 @@ def test_a_pose_found_from_matrices_poses_the_same(tube_rig):
     theta = _pose(tube_rig, 20, far=True)
     again = rotvec_from_matrix(Rotation.from_rotvec(theta).as_matrix())
     np.testing.assert_allclose(tube_rig.pose(again), tube_rig.pose(theta), atol=1e-14)
+
+
+def test_angles_of_more_turns_than_a_body_makes_are_asked_about(tube_rig):
+    theta = np.zeros((4, 3))
+    theta[1, 0] = 90.0
+    for call in (tube_rig.pose, tube_rig.pose_joints, lambda t: lbsfit_np.synthesize(tube_rig, 1, poses=t[None], random_state=0)):
+        with pytest.warns(UserWarning, match="got an angle of 90 rad, which is 14 turns. Are these degrees?"):
+            call(theta)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        tube_rig.pose(theta / 2)
