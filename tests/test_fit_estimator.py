@@ -1,5 +1,6 @@
 """The fitter as an estimator: conventions, seeds, and the same result each time."""
 
+import copy
 from dataclasses import replace
 
 import numpy as np
@@ -69,8 +70,8 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
     names = {"rig", "weights", "joints", "scale", "max_points", "training_scans", "training", "n_jobs", "random_state"}
     names |= {"orientation", "up", "partial", "cropped", "effort", "unit"}
     assert set(parameters) == names | {"variant", "rounds", "held_out", "sequence", "smooth"}
-    copy = clone(fitter)
-    assert copy is not fitter and copy.get_params() == parameters
+    another = clone(fitter)
+    assert another is not fitter and another.get_params() == parameters
     fresh = clone(tube_fitter)
     assert not hasattr(fresh, "segmenter_") and fresh.rig is tube_rig
     assert fitter.set_params(scale="fixed").scale == "fixed"
@@ -89,6 +90,31 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
     assert Own(tube_rig, speed=2).get_params() == {"rig": tube_rig, "speed": 2}
     tags = getattr(sklearn.utils, "get_tags", lambda estimator: None)(fitter)  # which scikit-learn has since 1.6
     assert tags is None or tags.requires_fit
+
+
+class Own(lbs.LBSFitter):
+    """One that takes no other parameters, and has another."""
+
+    def __init__(self, rig, *, speed=1, random_state=None):
+        super().__init__(rig, random_state=random_state, effort="fast", max_points=300)
+        self.speed = speed
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_subclass_may_settle_parameters(tube_rig, tube_fitter, tube_scan, learned_people, tmp_path):
+    own = Own(tube_rig, speed=2, random_state=0)
+    share_pretraining(tube_fitter, own)
+    settings = own.fit_scan(tube_scan.points).settings
+    assert settings["speed"] == 2 and settings["max_points"] == 300 and settings["weights"] == "default"
+    slow = Own(tube_rig, random_state=0)
+    slow.max_points = 200
+    assert digest_of(slow._made_of(0)) != digest_of(Own(tube_rig, random_state=0)._made_of(0))
+    learned = copy.copy(learned_people)
+    learned.__class__, learned.speed, learned.max_points = Own, 3, 250
+    learned.save(tmp_path / "own.npz")
+    again = Own.load(tmp_path / "own.npz")
+    assert (again.speed, again.max_points, again.rounds) == (3, 250, learned_people.rounds)
+    assert set(again.template_) == set(learned_people.template_)
 
 
 def test_numbers_of_numpy_are_those_of_python(tube_rig, monkeypatch):

@@ -75,7 +75,7 @@ def write_fitter(fitter, path):
 
 def plain_parameters(fitter):
     """A fitter's parameters by their names, but for the rig and the processes."""
-    parameters = {k: v for k, v in fitter.get_params(deep=False).items() if k not in ("rig", "n_jobs")}
+    parameters = {k: v for k, v in fitter._all_params().items() if k not in ("rig", "n_jobs")}
     if isinstance(parameters["weights"], LossWeights):
         parameters["weights"] = asdict(parameters["weights"])
     training = parameters["training"]

@@ -19,6 +19,15 @@ class Estimator:
         parameters = inspect.signature(cls).parameters.values()
         return {p.name: p.default for p in parameters if p.kind not in (p.VAR_POSITIONAL, p.VAR_KEYWORD)}
 
+    @classmethod
+    def _settled(cls):
+        """Names of the parameters of base classes that the constructor does not take, but settles."""
+        return {name for kind in cls.__mro__ if issubclass(kind, Estimator) for name in kind._defaults()} - {*cls._defaults()}
+
+    def _all_params(self):
+        """The parameters by name, with those that the constructor settles: all that a fit depends on."""
+        return self.get_params() | {name: getattr(self, name) for name in sorted(self._settled())}
+
     def get_params(self, deep=True):
         """Get the parameters by name; ``deep`` changes nothing, as none of them is an estimator."""
         return {name: getattr(self, name) for name in sorted(self._defaults())}

@@ -269,7 +269,7 @@ class LBSFitter(Estimator):
     def _made_of(self, seed, segmenter=None, library=None):
         """What all steps of learning depend on; what only some do, the scans among it, comes with these."""
         some = ("rig", "n_jobs", "variant", "rounds", "held_out", "sequence", "smooth", "random_state", "training")
-        parameters = {name: value for name, value in self.get_params(deep=False).items() if name not in some}
+        parameters = {name: value for name, value in self._all_params().items() if name not in some}
         pretrained = learned_arrays(segmenter, library)
         return self.rig.digest, self.rig, parameters, self._synthesis(), seed, pretrained  # the first knows the parts' order
 
@@ -332,9 +332,9 @@ class LBSFitter(Estimator):
         """
 
         def make(rig, parameters, fields):
+            settled = {name: parameters.pop(name) for name in cls._settled() & {*parameters}}
             fitter = cls(rig, **parameters)
-            for name, value in fields.items():
-                setattr(fitter, name, value)
+            vars(fitter).update(settled | fields)
             fitter._learned_with = learned_with(fitter)
             fitter._check()
             return fitter
