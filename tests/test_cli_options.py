@@ -224,6 +224,14 @@ def test_choices_that_begin_otherwise_are_left_as_they_are(monkeypatch):
     assert given[-1] == ["r", "--effort", "fast", "--up", "+z", "--up=-z", "-o", "o", "s"]  # the command's own
 
 
+def test_a_configured_path_may_begin_at_home(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    (tmp_path / "fit.toml").write_text('output = "~/fits"\ncard = "a ~/ü.toml"\n')
+    arguments = cli._parser().parse_args(["fit", "r", "s", "--config", str(tmp_path / "fit.toml")])
+    found = settings(arguments, fit.OPTIONS, arguments.config)
+    assert (found["output"], found["card"]) == (str(tmp_path / "home" / "fits"), str(tmp_path / "a ~/ü.toml"))
+
+
 def test_a_nul_in_a_configured_path_is_one_clear_error(made, tmp_path, run):
     (tmp_path / "fit.toml").write_text('output = "a\\u0000b"\n')
     code, _, err = run("fit", made / "tube.npz", made / "one.ply", "--config", tmp_path / "fit.toml")

@@ -2,6 +2,7 @@
 
 import argparse
 import math
+import os
 import sys
 import textwrap
 import tomllib
@@ -342,7 +343,9 @@ def _checked(value, option, path):
     if option.kind is str:
         if not isinstance(value, str) or not value:
             raise FileError(str(path), f"{option.name} = {brief(value)}", "text in quotes" + " that is not empty" * (value == ""))
-        return str(Path(path).parent / value) if option.is_path and value != "none" else value
+        if not option.is_path or value == "none":
+            return value
+        return str(Path(path).parent / (os.path.expanduser(value) if value.startswith("~/") else value))  # no shell does it here
     whole = option.kind in (natural, positive)
     if type(value) not in ((int,) if whole else (int, float)) or not _is_finite(value):
         raise FileError(str(path), f"{option.name} = {brief(value)}", "a whole number" if whole else "a number")
