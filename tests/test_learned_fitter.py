@@ -274,7 +274,7 @@ def test_a_round_is_there_for_those_who_are_told_of_it(told, own, clouds):
     assert fitter.results_ == [None] * 2
 
 
-def test_a_free_form_fit_that_is_stopped_leaves_nothing(own, clouds):
+def test_a_free_form_fit_that_is_stopped_leaves_nothing_or_all(own, clouds, monkeypatch):
     fitter = clone(own).set_params(variant="free-form")
 
     def stop(stage, share):
@@ -284,6 +284,10 @@ def test_a_free_form_fit_that_is_stopped_leaves_nothing(own, clouds):
     with pytest.raises(KeyboardInterrupt):
         fitter.fit(clouds, progress=stop)
     assert not any(name in vars(fitter) for name in ("template_", "history_", "results_", "segmenter_"))
+    monkeypatch.setattr("lbsfit_np.learning.fitter.as_learned", None)  # an error once all is fitted
+    with pytest.raises(TypeError):
+        own.set_params(variant="free-form").fit(clouds[:3])
+    assert own.results_ == [None] * 3 and own.roles_ == ["learned from"] * 3 and list(own.template_) == [0]
 
 
 def test_mappings_of_training_travel(own, tmp_path):

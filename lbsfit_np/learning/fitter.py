@@ -16,7 +16,7 @@ from .checkpoint import as_checkpoint
 from .estimator import Estimator
 from .finish import results_of
 from .free_form import fit_free_form
-from .loop import Loop, LoopSettings
+from .loop import Learned, Loop, LoopSettings
 from .made_with import as_fitted, as_learned
 from .new_scan import fit_new, scan_fit
 from .parameters import check_callables, check_learned, check_parameters, check_scan, check_segmenter, fit_settings, learned_with
@@ -231,10 +231,9 @@ class LBSFitter(Estimator):
             units = {s: collection.of(s)[0].unit for s in collection.subjects}
             kept = checkpoint.narrowed(self._made_of(seed))
             results = fit_free_form(self._model(), collection, settings, jobs=jobs, progress=progress, checkpoint=kept)
-            self.segmenter_ = self.regressor_ = self.pose_prior_ = None
             units = {s: units[s] for s in collection.subjects}  # of others no scan could be fitted
-            self.template_, self.unit_ = dict.fromkeys(units, self.rig), units
-            self.history_, self._learned_with, self.learned_unit_ = [], learned_with(self), settings.unit
+            nothing = {"segmenter": None, "library": None, "pose_prior": None, "history": []}
+            self._take(Learned(dict.fromkeys(units), units, **nothing), collection)
             return self._finished(collection, results)
         segmenter, library = getattr(self, "_pretrained", None) or (None, None)
         if library is None or (variant.labels and segmenter is None) or is_stale(self):
@@ -275,7 +274,7 @@ class LBSFitter(Estimator):
 
     def _take(self, learned, collection):
         """Have what was learned, as yet without results: what a round has learned stays where a later one is stopped."""
-        templates = {s: self.rig.with_template(*t) for s, t in learned.templates.items()}
+        templates = {s: self.rig if t is None else self.rig.with_template(*t) for s, t in learned.templates.items()}
         with held():  # all of it, or nothing
             self.segmenter_, self.regressor_, self.pose_prior_ = learned.segmenter, learned.library, learned.pose_prior
             self.template_, self.unit_, self.history_ = templates, learned.units, learned.history

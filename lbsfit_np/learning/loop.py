@@ -91,8 +91,8 @@ class Learned:
 
     Attributes
     ----------
-    templates : dict of id to (vertices (m, 3), joints (J, 3))
-        In rig units, the rig's own vertices.
+    templates : dict of id to (vertices (m, 3), joints (J, 3)), or to None
+        In rig units, the rig's own vertices; None where it is the rig's own template, without skinning.
     units : dict of id to float
         Scan units in a rig unit.
     segmenter : Segmenter or None
