@@ -170,7 +170,8 @@ def check_points(points, *, argument="points", minimum=1, drop_invalid=False):
         raise InputError(argument, f"an array of shape {given.shape}", "shape (n, 3), one point per row", _reshaping(given.shape))
     of_array = ": points[~np.ma.getmaskarray(points).any(axis=1)]" if isinstance(raw, np.ma.MaskedArray) else ""
     check_unmasked(argument, raw, rows="points", remedy=f"Leave masked points out{of_array}.")
-    array = given.astype(np.float64, copy=False)
+    with np.errstate(invalid="ignore"):  # of NaN whose bits signal, which is told below
+        array = given.astype(np.float64, copy=False)
     finite = np.isfinite(array)
     dropped = ""
     if not finite.all():

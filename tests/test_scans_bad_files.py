@@ -267,3 +267,16 @@ def test_a_depth_image_is_no_table_of_points(tmp_path, shape, kind):
     for shape in ((400, 70), (47, 47)):  # points with many features
         np.save(tmp_path / "d.npy", rng.random(shape))
         assert len(load_scan(tmp_path / "d.npy").points) == shape[0]
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("name", ["a.npy", "a.pcd"])
+def test_nan_whose_bits_signal_is_told_by_the_error_alone(tmp_path, name):
+    points = np.arange(30, dtype="<f4").reshape(10, 3)
+    points.view("<u4")[3, 1] = 0x7F800001
+    head = b"FIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nWIDTH 10\nPOINTS 10\nDATA binary\n"
+    np.save(tmp_path / "a.npy", points)
+    (tmp_path / "a.pcd").write_bytes(head + points.tobytes())
+    with pytest.raises(FileError, match="1 of 10 points with a coordinate that is NaN or infinite, the first at index 3"):
+        load_scan(tmp_path / name)
+    assert len(load_scan(tmp_path / name, drop_invalid=True)) == 9

@@ -195,7 +195,8 @@ def _read(path, shown):
             raise FileError(shown, "a folder", "a file")
         if path.stat().st_size == 0:
             raise FileError(shown, "an empty file (0 bytes)", "a file with points")
-        return _READERS[suffix](path)
+        with np.errstate(invalid="ignore"):  # of NaN whose bits signal, which is told later
+            return _READERS[suffix](path)
     except LbsfitError:
         raise
     except FileNotFoundError:
