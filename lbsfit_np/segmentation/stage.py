@@ -11,7 +11,7 @@ from ..interrupts import passing_interrupts
 from ..seeds import generator, integer_seed
 from ..threads import one_thread
 
-__all__ = ["LARGEST", "Stage", "Training", "in_half_precision", "train_stage"]
+__all__ = ["LARGEST", "Stage", "Training", "forward", "in_half_precision", "train_stage"]
 
 
 @dataclass(frozen=True)
@@ -123,11 +123,7 @@ class Stage:
         X = in_half_precision(X).astype(np.float32)  # as in training: what is constant there must be the same here
         X -= self.mean
         X /= self.deviation
-        for k, (w, b) in enumerate(self.layers):
-            X = X @ w
-            X += b
-            if k + 1 < len(self.layers):
-                np.maximum(X, 0, out=X)
+        X = forward(X, self.layers)
         proba[:, self.classes] = _softmax(X) if X.shape[1] > 1 else _logistic(X)
         return proba
 
@@ -149,6 +145,16 @@ class Stage:
         only = np.array([int(arrays[f"{prefix}_only"])])
         classes = arrays[f"{prefix}_classes"] if n else only
         return cls(arrays[f"{prefix}_mean"], arrays[f"{prefix}_deviation"], layers, classes, n_parts)
+
+
+def forward(X, layers):
+    """(k, d_out): what a multilayer perceptron with rectified units makes of (k, d_in) inputs, before any softmax."""
+    for k, (w, b) in enumerate(layers):
+        X = X @ w
+        X += b
+        if k + 1 < len(layers):
+            np.maximum(X, 0, out=X)
+    return X
 
 
 def _softmax(X):

@@ -15,6 +15,7 @@ import numpy as np
 from ..errors import FileError
 from ..interrupts import passing_interrupts
 from ..seeds import integer_seed
+from ..segmentation.stage import forward
 from ..threads import one_thread
 from ..workers import each
 from .look import look
@@ -143,11 +144,7 @@ class PoseLibrary:
 
     def regress(self, points):
         """(J, 3): f(X), the pose that the regressor sees in ``points``, which face the rig's way."""
-        x = (look(points).vectors - self.mean) / self.deviation
-        for k, (weights, bias) in enumerate(self.layers):
-            x = x @ weights + bias
-            if k + 1 < len(self.layers):
-                x = np.maximum(x, 0.0)
+        x = forward((look(points).vectors - self.mean) / self.deviation, self.layers)
         return x.reshape(self.poses.shape[1:]).astype(float)
 
     def arrays(self, prefix):
