@@ -121,6 +121,8 @@ def assemble(
     pose = turned_root(rig, state.theta, frame.turn)
     place = pose, translation, scale, offsets
     V, nothing = model.deformed(state).vertices, np.full(rig.vertices.shape, np.nan)
+    # Brought onto the scan, the skin of a wrong pose explains it, too: a fit is judged by what it was before.
+    bare = V if state.displacement is None else model.deformed(state.replace(displacement=None)).vertices
     with np.errstate(over="ignore"):
         finite = bool(np.isfinite(np.square(V).sum()))  # distances to it, too
     terms = _terms(model, problem, state, weights, x_labels, pivot, frame.turn) if finite else {"total": np.nan, "recon": np.nan}
@@ -155,7 +157,7 @@ def assemble(
     elif finite:
         evidence, worst = evidence_of(
             model,
-            V,
+            bare,
             problem.X,
             proba=proba,
             rivals=rivals,

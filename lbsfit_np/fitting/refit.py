@@ -308,7 +308,7 @@ class Refit:
 
     def _mine(self, state):
         """A state of another model as one of this: its template is this model's."""
-        return state.replace(coefficients=np.zeros(self.model.n_coefficients), residual=None)
+        return state.replace(coefficients=np.zeros(self.model.n_coefficients), residual=None, displacement=None)
 
 
 def plain_chamfer(model, problem, state, *, coverage):

@@ -10,6 +10,7 @@ from ..errors import InputError, listed
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
+from ..optimize.registration import Registration
 from ..optimize.state import IN_UNIT, SIZED
 from ..optimize.visibility import Coverage
 from ..rig.frames import up_axis
@@ -213,9 +214,11 @@ class ScanFit:
         with_partner = shown_problem(model, problem, state, settings.coverage)
         search = Search(model, with_partner, proba, labels is not None, settings).full(state)
         last = search.outcome
+        pose = last.state
         if settings.polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
-            last = replace(last, state=self._refit.polish(dense, last.state, **known))
+            pose = self._refit.polish(dense, pose, **known)
+            last = replace(last, state=self._registration(dense, pose))
         searched = not given or (theta0 is None and self.facing.told)  # of labels only what contradicts is to be said
         stands = stands_words(self.facing, model.source, frame, last.state.theta) if searched else ""
         unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale, unit=settings.unit)
@@ -232,7 +235,7 @@ class ScanFit:
             x_labels=search.labels,
             proba=proba,
             labels=labels,
-            joint_std=self._refit.joint_std(with_partner, last.state, proba),
+            joint_std=self._refit.joint_std(with_partner, pose, proba),
             evaluations=before + search.evaluations,
             notes=[_parts_without_labels(model.source, labels, rows) if theta0 is None else ""],
             found=(unit, stands),
@@ -258,6 +261,10 @@ class ScanFit:
     def _refit(self):
         free = IN_UNIT if self.settings.scale == "fixed" else SIZED
         return Refit(self.model, free, coverage=self.settings.coverage)
+
+    @cached_property
+    def _registration(self):
+        return Registration(self.model, self.settings.coverage)
 
     @cached_property
     def _with_proportions(self):

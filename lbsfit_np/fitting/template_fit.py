@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from ..optimize.registration import Registration
 from ..optimize.state import IN_UNIT
 from .assemble import assemble
 from .confidence import shown_problem
@@ -35,6 +36,10 @@ class TemplateFit:
         self.rig, self.model, self.settings = rig, model, settings
         bends = EFFORTS[settings.effort].bends
         self.refit = Refit(model, coverage=settings.coverage, bends=bends, other_limbs=other_limbs)
+
+    @cached_property
+    def _registration(self):
+        return Registration(self.model, self.settings.coverage)
 
     @cached_property
     def _proportioned(self):
@@ -119,7 +124,7 @@ class TemplateFit:
         every, last = (part.rows, problem) if dense is None else dense
         known = None if labels_known is None or labels_known[every].min() < 0 else labels_known[every]
         pose = self.refit.polish(last, search.outcome.state, labels=known, prior=prior)
-        outcome = replace(search.outcome, state=pose)
+        outcome = replace(search.outcome, state=self._registration(last, pose) if settings.polish else pose)
         return assemble(
             self.rig,
             model,

@@ -180,9 +180,10 @@ class Model:
     def offsets(self, state):
         """(m, 3) U^d − U of a state; None where it is 0."""
         bones = (self.basis @ state.coefficients).reshape(-1, 3) if state.coefficients.any() else None
-        if state.residual is None:
+        rest = state.residual if state.displacement is None else state.displacement
+        if rest is None:
             return bones
-        return state.residual if bones is None else bones + state.residual
+        return rest if bones is None else bones + rest
 
     def pose(self, state):
         """(V^d, V): the posed deformed and undeformed templates, as Posed; one object where there are no offsets."""

@@ -17,7 +17,8 @@ MOST_PROPORTION = 0.5
 class State:
     """A pose of a changed template, in the normalised frame of a :class:`~lbsfit_np.optimize.problem.Problem`.
 
-    The deformed template is U^d = U + Σ_k c_k b_k + residual: proportions and girths of the rig's bones, and the rest.
+    The deformed template is U^d = U + Σ_k c_k b_k + residual: proportions and girths of the rig's bones, and the rest. Where
+    there is a displacement, the skin has that in place of the residual; the joints stay where the residual has them.
     """
 
     theta: np.ndarray  # (J, 3)
@@ -25,6 +26,7 @@ class State:
     scale: float  # relative to the problem's reference scale
     coefficients: np.ndarray  # (k,) c, of the model's family: proportions, girths, shifts of joints
     residual: np.ndarray | None  # (m, 3); None for 0
+    displacement: np.ndarray | None = None  # (m, 3), of ``optimize.registration``
 
     def replace(self, **changes):
         """The same state but for some fields."""
