@@ -103,6 +103,39 @@ def test_a_changed_template_is_what_labels_and_distances_are_measured_from(rigs)
     assert (r.labels == rigs["tube"].vertex_labels).mean() > 0.97
 
 
+def test_a_fit_is_judged_by_its_mesh_before_the_skin_was_brought_onto_the_scan(rigs):
+    """That of a wrong pose would come near the points, too."""
+    rig = rigs["tube"]
+    model = Model(rig)
+    state, X = model.rest(), 0.9 * model.deformed(model.rest()).vertices
+    skin = 0.1 * np.random.default_rng(0).standard_normal(X.shape)
+    frame, weights = Frame(np.zeros(3), rig.size / 2, np.eye(3)), PRESETS["default"]
+    moved = state.replace(residual=0.01 * skin, displacement=skin)
+    results = [
+        assemble(
+            rig,
+            model,
+            Problem(X),
+            Outcome(s, 0.0, True, "", 1),
+            points=frame.outside(X),
+            part=_all_of(X),
+            frame=frame,
+            sigma=0.025,
+            weights=weights,
+            evaluations=1,
+            started=time.perf_counter(),
+        )
+        for s in (moved.replace(displacement=None), moved)
+    ]
+    bare, brought = results
+    assert bare.evidence == brought.evidence and bare.probability == brought.probability
+    assert bare.terms["recon"] != brought.terms["recon"]
+    np.testing.assert_array_equal(bare.rest_joints, brought.rest_joints)  # which no displacement moves
+    np.testing.assert_allclose(brought.vertices, frame.outside(model.rig.vertices + skin)[rig.weld], atol=1e-9 * rig.size)
+    place = brought.pose, brought.translation, brought.scale, brought.offsets
+    np.testing.assert_array_equal(rig.pose(*place, joints=brought.rest_joints), brought.vertices)
+
+
 @pytest.mark.parametrize("turn", TURNS)
 def test_templates_of_subjects_turn_about_their_own_root(rigs, turn):
     rig = rigs["hand"]

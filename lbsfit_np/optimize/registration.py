@@ -161,7 +161,7 @@ class _Measured:
         e2 = self.away**2 + _ACROSS * np.einsum("ka,ka->k", r, r)
         near, w = 1.0 / (1.0 + e2 / _REACH**2), np.concatenate([shares, pull])
         self.value, self.weights, self.u = float(w @ (e2 * near)), w * near**2, u
-        self.variance = max(_OF_SIGMA * float(np.median(np.abs(self.away[: len(shares)]))), _EXACT) ** 2
+        self.variance = max(_OF_SIGMA * _median(np.abs(self.away[: len(shares)]), shares), _EXACT) ** 2
         self.of_mean = self.variance * float(shares @ shares)
         self._hangs, self._normals, self._turns = hangs, normals, turns
 
@@ -188,6 +188,12 @@ class _Measured:
             out += np.bincount(corners.ravel(), w.ravel(), minlength=len(out))
             start += len(corners)
         return out
+
+
+def _median(values, weights):
+    """The least value up to which half of the weight lies."""
+    order = np.argsort(values, kind="stable")
+    return float(values[order[np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())]])
 
 
 class _Preconditioner:
