@@ -17,7 +17,6 @@ Posed vertices are linear in u: each step is one sparse linear system, solved by
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import LinearOperator, cg, splu
 
 from ..neighbors import PointIndex
 from ..triangles import areas_around
@@ -109,6 +108,8 @@ class Registration:
         return float(np.vdot(u, self._smooth @ u))
 
     def _step(self, made, kappa, solved):
+        from scipy.sparse.linalg import LinearOperator, cg
+
         m, J, W = len(made.u), made.J, made.weights
         across = J.T.tocsr()
 
@@ -200,6 +201,8 @@ class _Preconditioner:
     """The equations as if the distances did not go by directions: one system for each coordinate."""
 
     def __init__(self, smooth, area, made, kappa):
+        from scipy.sparse.linalg import splu
+
         self.kappa = kappa
         held = made.on_vertices / 3 + _FIRM * area / area.sum()
         A = sparse.csc_array(self.kappa * smooth + sparse.diags_array(held))
