@@ -10,6 +10,7 @@ from lbsfit_np.learning import first_fits, free_form
 from lbsfit_np.learning.loop import Loop, LoopSettings
 from lbsfit_np.learning.reading import read_collection
 from lbsfit_np.learning.variants import as_variant
+from lbsfit_np.optimize import registration
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.gauss_newton import GaussNewton
 from lbsfit_np.optimize.lbfgs import minimise
@@ -46,6 +47,8 @@ def learning_is_hurried(patch, effort="fast", **more):
     patch.setitem(GaussNewton.pose.__kwdefaults__, "iterations", 5)
     for name, value in SHORT.items():
         patch.setattr(refit, name, value)
+    patch.setattr(registration, "_STEPS", 1)
+    patch.setattr(registration, "_PLACES", 1000)
     for module in (free_form, refit, search):
         patch.setattr(module, "minimise", lambda *given, **more: minimise(*given, **more | {"tolerance": 0.1}))
     for module in (first_fits, second_look):  # such fits are in doubt, which would have each looked at for an arm

@@ -25,7 +25,7 @@ from .jacobian import vertex_motion
 from .measured import ToPlanes, ToTriangles
 from .pulling import between
 from .state import IN_UNIT, MOST_PROPORTION, Layout
-from .visibility import WHOLE, shown, within_hull
+from .visibility import WHOLE, pulling_weights
 
 __all__ = ["GaussNewton", "weight_matrix"]
 
@@ -226,12 +226,7 @@ class GaussNewton:
         if labels is None and of_vertices:
             places, facing = self._mesh.places(posed)
             to_X, pull = problem.x_index.nearest(places), self._mesh.weights
-            if self.coverage.one_sided:
-                pull = np.where(shown(places, facing, X, on.normals, to_X), pull, 0.0)
-            if self.coverage.cropped:
-                pull = np.where(within_hull(places, problem.hull), pull, 0.0)
-            if not self.coverage.whole:
-                pull = pull / max(pull.sum(), np.finfo(float).tiny)
+            pull = pulling_weights(self.coverage, pull, places, facing, problem, on.normals, to_X)
             r, weights = np.vstack([r, X[to_X] - places]), np.concatenate([weights, pull])
             normals = np.vstack([normals, between(facing, on.normals[to_X])])
             hangs.append((self._mesh.corners, self._mesh.barycentric))

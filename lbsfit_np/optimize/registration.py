@@ -22,7 +22,7 @@ from ..neighbors import PointIndex
 from ..triangles import areas_around
 from .measured import ToTriangles
 from .pulling import between
-from .visibility import WHOLE, shown, within_hull
+from .visibility import WHOLE, pulling_weights
 
 __all__ = ["Registration"]
 
@@ -129,12 +129,7 @@ class Registration:
         on = self._mesh.closest(X, PointIndex(V).nearest(X), posed)
         places, facing = self._mesh.places(posed)
         to_X, pull = problem.x_index.nearest(places), self._mesh.weights
-        if self.coverage.one_sided:
-            pull = np.where(shown(places, facing, X, on.normals, to_X), pull, 0.0)
-        if self.coverage.cropped:
-            pull = np.where(within_hull(places, problem.hull), pull, 0.0)
-        if not self.coverage.whole:
-            pull = pull / max(pull.sum(), np.finfo(float).tiny)
+        pull = pulling_weights(self.coverage, pull, places, facing, problem, on.normals, to_X)
         r = np.vstack([X - on.points, X[to_X] - places])
         n = np.vstack([on.normals, between(facing, on.normals[to_X])])
         hangs = (on.corners, on.barycentric), (self._mesh.corners, self._mesh.barycentric)

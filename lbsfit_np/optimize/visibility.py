@@ -6,7 +6,7 @@ import numpy as np
 
 from .surface import vertex_normals
 
-__all__ = ["WHOLE", "Coverage", "camera_direction", "hull_planes", "seen_vertices", "shown", "within_hull"]
+__all__ = ["WHOLE", "Coverage", "camera_direction", "hull_planes", "pulling_weights", "seen_vertices", "shown", "within_hull"]
 
 # A vertex whose normal is at more than about 70 degrees to the camera's direction, or to the surface at its nearest point, is
 # on a side that the scan does not show, or on the rim, where points are few and not its own.
@@ -76,6 +76,30 @@ def seen_vertices(coverage, V, faces, problem, on, to_X):
     if coverage.cropped:
         seen &= within_hull(V, problem.hull)
     return seen
+
+
+def pulling_weights(coverage, weights, places, normals, problem, at_points, to_X):
+    """(v,) weights of the places of a mesh that pull on a scan, with 0 for those that it cannot show; of the others shares.
+
+    Parameters
+    ----------
+    coverage : Coverage
+    weights : (v,) array
+        Of the places, which sum to 1.
+    places, normals : (v, 3) arrays
+        Half sizes.
+    problem : Problem
+        The scan, in the same frame.
+    at_points : (n, 3) array
+        Normals of the mesh where the scan's points lie on it.
+    to_X : (v,) int array
+        Each place's nearest point.
+    """
+    if coverage.one_sided:
+        weights = np.where(shown(places, normals, problem.X, at_points, to_X), weights, 0.0)
+    if coverage.cropped:
+        weights = np.where(within_hull(places, problem.hull), weights, 0.0)
+    return weights if coverage.whole else weights / max(weights.sum(), np.finfo(float).tiny)
 
 
 def hull_planes(X):
