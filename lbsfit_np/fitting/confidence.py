@@ -9,6 +9,7 @@ import numpy as np
 
 from ..neighbors import PointIndex
 from ..optimize.problem import Problem
+from ..optimize.registration import weighted_median
 from ..optimize.visibility import WHOLE, seen_vertices
 
 __all__ = [
@@ -121,7 +122,7 @@ def evidence_of(
     spacing = 2.0 * float(np.median(third))  # how far apart points are where they are sparse
     back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing, _SPARSEST), 0.0) ** 2
     seen = seen_vertices(coverage, vertices, rig.faces, Problem(X), on, to_X)
-    typical = float(np.sqrt(_median(away, w)))
+    typical = float(np.sqrt(weighted_median(away, w)))
     away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
     rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
     w = without(w, lonely_odd(X, away))
@@ -178,12 +179,6 @@ def shown_problem(model, problem, state, coverage):
         return problem
     a = problem.shares * x_kept
     return Problem(problem.X, a / a.sum(), v_kept.astype(float))
-
-
-def _median(values, weights):
-    """The least value up to which half of the weight lies."""
-    order = np.argsort(values)
-    return values[order[np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())]]
 
 
 def _neighbour(of, among, k):

@@ -24,7 +24,7 @@ from .measured import ToTriangles
 from .pulling import between
 from .visibility import WHOLE, pulling_weights
 
-__all__ = ["Registration"]
+__all__ = ["Registration", "weighted_median"]
 
 # β and μ of the text. Three times as much of both leaves bodies of other rigs half as far again from their scans, a third of both
 # leaves vertices of hands a few percent further from the truth.
@@ -157,7 +157,7 @@ class _Measured:
         e2 = self.away**2 + _ACROSS * np.einsum("ka,ka->k", r, r)
         near, w = 1.0 / (1.0 + e2 / _REACH**2), np.concatenate([shares, pull])
         self.value, self.weights, self.u = float(w @ (e2 * near)), w * near**2, u
-        self.variance = max(_OF_SIGMA * _median(np.abs(self.away[: len(shares)]), shares), _EXACT) ** 2
+        self.variance = max(_OF_SIGMA * weighted_median(np.abs(self.away[: len(shares)]), shares), _EXACT) ** 2
         self.of_mean = self.variance * float(shares @ shares)
         self._hangs, self._normals, self._turns = hangs, normals, turns
 
@@ -186,7 +186,7 @@ class _Measured:
         return out
 
 
-def _median(values, weights):
+def weighted_median(values, weights):
     """The least value up to which half of the weight lies."""
     order = np.argsort(values, kind="stable")
     return float(values[order[np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())]])
