@@ -14,7 +14,8 @@ def pytest_addoption(parser):
 
 def leave_out_slow_tests(config):
     """Unless they are asked for: by ``-m`` (``-m "slow or not slow"`` has all), by name or, some of them, by ``--share``."""
-    config.addinivalue_line("markers", "slow: takes some five seconds or more; run by -m slow, and some of them by --share")
+    slow = "slow: takes some five seconds, or asks of more values what quick tests ask; run by -m slow, some by --share"
+    config.addinivalue_line("markers", slow)
     config.addinivalue_line("markers", "study: takes ten seconds to minutes; run by -m study")
     if not (config.option.markexpr or any("::" in a for a in config.args)):
         config.option.markexpr = "not study" if config.option.share else "not slow and not study"

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting import bends as bends_module
@@ -76,7 +77,7 @@ def short_fingers(rig, model):
     return _scan(rig, model, theta, np.where(np.isin(family.owner, short) & family.length, -0.2, 0.0))
 
 
-@pytest.mark.parametrize("fingers", [["index"], ["ring"], ["index", "ring"]])
+@pytest.mark.parametrize("fingers", [slow(["index"]), slow(["ring"]), ["index", "ring"]])
 def test_folded_tips_come_out_of_the_fold(rig, model, bends, short_fingers, fingers):
     problem, true = short_fingers
     tips = [_joint(rig, f"{finger}3") for finger in fingers]

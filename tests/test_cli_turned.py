@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pytest
 from cli_runs import TRAINING, one_line
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.io.write import write_points_ply
@@ -37,7 +38,7 @@ def _error(rig, result, truth, name):
     return np.linalg.norm(result.joints - _moved(truth.joints, name), axis=1).mean() / (MILLIMETRES * rig.size / 2)
 
 
-@pytest.mark.parametrize("name", TURNS)
+@pytest.mark.parametrize("name", [slow("upright"), "any"])
 def test_turned_scans_in_millimetres(name, turned, tube_rig, tmp_path, run):
     folder, truth = turned
     options = () if name == "upright" else ("--orientation", name)
@@ -80,6 +81,7 @@ def test_what_is_said_of_the_orientation_holds(turned, tube_rig, tmp_path, run):
         assert _error(tube_rig, lbs.FitResult.load(tmp_path / "any.fit.npz"), truth["any"], "any") > 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("hurried")
 def test_a_models_orientation_holds_unless_another_is_given(turned, tube_rig, tube_model, tmp_path, run):
     folder, truth = turned

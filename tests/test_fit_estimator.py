@@ -7,6 +7,7 @@ import pytest
 import sklearn.utils
 from fit_checks import assert_same
 from sklearn.base import clone
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -31,6 +32,7 @@ def test_a_seed_decides_all(tube_rig, tube_scan):
     assert not np.array_equal(a.vertices, c.vertices)
 
 
+@pytest.mark.slow
 def test_threads_change_nothing(tube_rig, tube_scan):
     from threadpoolctl import threadpool_limits
 
@@ -170,7 +172,7 @@ CHANGES = [
 
 
 @pytest.mark.parametrize("changed", CHANGES, ids=lambda changed: next(iter(changed)))
-@pytest.mark.parametrize("given", [False, True])
+@pytest.mark.parametrize("given", [False, slow(True)])
 @pytest.mark.usefixtures("hurried")
 def test_what_was_pretrained_with_other_parameters_is_not_used(changed, given, tube_rig, tube_scan, fitter):
     """But for a segmenter that was given, which is used as it is."""

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from fit_checks import assert_same, mean_error
+from slow_tests import slow
 from small_rigs import make_tube_rig
 
 import lbsfit_np as lbs
@@ -76,7 +77,7 @@ def test_a_start_outside_the_limits_is_moved_inside(shared_rigs, tube_rig, fitte
     assert (r.pose[bounded] >= rig.lower[bounded]).all() and (r.pose[bounded] <= rig.upper[bounded]).all()
 
 
-@pytest.mark.parametrize("given", ["theta0", "labels"])
+@pytest.mark.parametrize("given", [slow("theta0"), "labels"])
 def test_a_rig_may_lie_anywhere(tube_rig, tube_scan, given):
     """Far from its own origin as a character may in its scene: scale and precision are what they are at the origin."""
     known = {"theta0": tube_scan.pose, "labels": tube_scan.labels}[given]
@@ -93,7 +94,7 @@ def test_a_rig_may_lie_anywhere(tube_rig, tube_scan, given):
     assert mean_error(tube_rig, there.joints, 1.4 * tube_scan.joints) < 0.1
 
 
-@pytest.mark.parametrize("given", [("labels",), ("labels", "theta0")])
+@pytest.mark.parametrize("given", [slow(("labels",)), ("labels", "theta0")])
 def test_what_speaks_for_a_fit_is_the_same_in_any_unit(fitter, tube_scan, given):
     """Also where the scan's extent passes for that of the rig's unit, though it is not in it."""
     rng = np.random.default_rng(0)

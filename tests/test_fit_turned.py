@@ -4,6 +4,7 @@ import copy
 
 import numpy as np
 import pytest
+from slow_tests import slow
 from turned_scans import any_turn, upright
 
 import lbsfit_np as lbs
@@ -12,7 +13,7 @@ pytestmark = pytest.mark.usefixtures("one_thread")
 
 
 @pytest.mark.parametrize("orientation", ["upright", "any"])
-@pytest.mark.parametrize("unit", [1.0, 25.4])
+@pytest.mark.parametrize("unit", [slow(1.0), 25.4])
 def test_a_fit_of_a_turned_scan_is_the_turned_fit(tube_rig, tube_fitter, clean_scans, orientation, unit):
     fitter = lbs.LBSFitter(tube_rig, orientation=orientation, random_state=0)
     fitter.segmenter_, fitter.regressor_ = tube_fitter._pretrained
@@ -45,7 +46,7 @@ def test_a_known_start_says_how_the_scan_is_turned(tube_rig, quick_fitter, lying
         assert np.linalg.norm(again.joints - first.joints, axis=1).mean() / (tube_rig.size / 2) < 0.03
 
 
-@pytest.mark.parametrize("angle", [0.0, 1.5, np.pi, -2.0])
+@pytest.mark.parametrize("angle", [1.5, *map(slow, (0.0, np.pi, -2.0))])
 def test_known_labels_tell_the_turn(tube_rig, clean_scans, angle):
     fitter = lbs.LBSFitter(tube_rig, random_state=0)
     turn = upright(angle)

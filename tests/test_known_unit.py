@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from animated_files import Viewer
 from learning_runs import SMALL, rounds_are_short
+from slow_tests import slow
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
@@ -149,7 +150,7 @@ def test_without_a_unit_sizes_in_those_that_are_near_are_told(tube_rig, scale, m
 # ---- fits ----
 
 
-@pytest.mark.parametrize("size", [0.5, 2.5])
+@pytest.mark.parametrize("size", [0.5, slow(2.5)])
 def test_the_size_is_found_in_the_unit_that_was_said(tube_rig, quick_fitter, tube_scan, size, tmp_path):
     points = size * MM * tube_scan.points
     plain = quick_fitter.fit_scan(points)
@@ -168,6 +169,7 @@ def test_the_size_is_found_in_the_unit_that_was_said(tube_rig, quick_fitter, tub
     assert lengths[0] == pytest.approx(lengths[1] / 1000, rel=0.05)
 
 
+@pytest.mark.slow
 def test_a_fixed_scale_is_the_conversion(quick_fitter, tube_scan):
     fitter = copy.copy(quick_fitter).set_params(unit="cm", scale="fixed")
     r = fitter.fit_scan(CM / tube_scan.scale * tube_scan.points)
@@ -311,6 +313,7 @@ def test_learned_sizes_are_converted_where_both_units_were_said(kit_and_fox):
         assert new_scan._unit(fitter, "kit", 3 * factor * learned, FitSettings(unit=now)) is None
 
 
+@pytest.mark.slow
 def test_a_fixed_scale_is_not_that_of_a_subject_of_another_size(kit_and_fox, people_scans):
     """Whose template is none for scans of anybody then, either; sizes are those that results tell."""
     fitter = copy.copy(kit_and_fox).set_params(scale="fixed", unit="mm")

@@ -10,6 +10,7 @@ from enum import Enum
 import numpy as np
 import pytest
 from sklearn.base import clone
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -315,7 +316,9 @@ def test_results_say_whose_template_they_are_on(learned, by_itself, clouds, tmp_
         fit_scans(learned, clouds[:2], subjects=["a"])
 
 
-@pytest.mark.parametrize("ids, others", [((1, 2), ("1", "2")), (("1", "2"), (1, 2)), (("1", "2"), (np.int64(1), np.str_("2")))])
+@pytest.mark.parametrize(
+    "ids, others", [((1, 2), ("1", "2")), slow(("1", "2"), (1, 2)), slow(("1", "2"), (np.int64(1), np.str_("2")))]
+)
 def test_subjects_are_known_by_the_text_of_their_ids(ids, others, own, clouds):
     """The ids of results are text, and so are those that the command line learns with."""
     own.template_ = dict(zip(ids, own.template_.values()))

@@ -232,6 +232,7 @@ def test_free_form_fits_are_kept_whole(make_learner, points, tmp_path):
     _assert_same(found, expected)
 
 
+@pytest.mark.slow
 def test_a_fit_that_fails_is_tried_again(make_learner, points, done, tmp_path, monkeypatch):
     call = loop.FirstFit.__call__
 

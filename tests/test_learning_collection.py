@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from learning_runs import NAN, SMALL, collected
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import InputError
@@ -212,7 +213,7 @@ def test_without_ids_there_is_one_subject(tube_rig, clouds):
     assert collected(tube_rig, clouds[:4]).subjects == [0]
 
 
-@pytest.mark.parametrize("share, expected", [(0.0, 0), (0.01, 1), (0.25, 3), (0.33, 4)])
+@pytest.mark.parametrize("share, expected", [(0.0, 0), slow(0.01, 1), slow(0.25, 3), (0.33, 4)])
 def test_each_subject_keeps_two_scans(tube_rig, clouds, share, expected):
     ids = [0] * 3 + [1] * 3 + [2] * 6
     for seed in range(20):

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 import pytest
 from learning_runs import FEWER, collected, learning_is_hurried
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.learning import finish, first_fits, free_form, tasks
@@ -102,6 +103,7 @@ def test_free_form_fits_that_are_stopped_leave_the_fitter_as_it_was(tube_rig, cl
     assert fitter.results_ is before and fitter.roles_ == ["learned from"] * 2 and list(fitter.template_) == [0]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_turns")
 def test_a_subject_whose_scans_all_fail_is_no_part_of_the_model(tube_rig, clouds, monkeypatch, tmp_path):
     _failing(monkeypatch, tasks, "Pose", 399)
@@ -150,7 +152,7 @@ def _without_templates_from(k, monkeypatch):
     _failing_from(k, "Template", monkeypatch, lambda task: len(task[0]) == 1)
 
 
-@pytest.mark.parametrize("k", [2, 3])
+@pytest.mark.parametrize("k", [slow(2), 3])
 def test_a_template_that_fails_in_a_turn_costs_nothing_that_the_round_has_found(tube_rig, clouds, monkeypatch, k):
     _without_templates_from(k, monkeypatch)
     words = f"in turn' stopped after {k - 2} of 2 turns: .*: ZeroDivisionError: nobody foresaw this"

@@ -21,6 +21,7 @@ from lbsfit_np.learning.parameters import fit_settings
 from lbsfit_np.rotations import matrix_from_rotvec
 
 
+@pytest.mark.slow
 def test_new_scans_find_their_subject(tube_rig, learned_people, unlearned, people_scans):
     found = []
     for k in (10, 11):

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from learning_runs import collected, loop_over, rounds_are_short
+from slow_tests import slow
 
 from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.result import FitResult
@@ -304,7 +305,7 @@ def test_a_doubt_that_has_come_to_nothing_is_not_said_of_a_fit_that_is_ok(status
     assert looked_for == [{"pose", "translation"} if home else {"pose", "translation", "scale"}]
 
 
-@pytest.mark.parametrize("jobs", [1, 2])
+@pytest.mark.parametrize("jobs", [1, slow(2)])
 def test_all_scans_of_a_subject_in_doubt_are_measured_on_its_template(jobs, tube_rig, few_scans, monkeypatch):
     """And they alone: where nobody is in doubt there is nothing to compare."""
     scans = [*(s.points for s in few_scans[:3]), few_scans[3].points]

@@ -63,6 +63,7 @@ def test_a_seed_decides_all_and_other_kinds_of_seeds_work(make_learner, few_scan
     assert joint.fit_scan(few_scans[4].points).status == "ok"
 
 
+@pytest.mark.slow
 def test_learning_again_starts_anew(make_learner, few_scans, monkeypatch):
     learning_is_hurried(monkeypatch)
     fitter = make_learner(variant="cd")

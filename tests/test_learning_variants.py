@@ -132,7 +132,7 @@ def test_without_the_library_limbs_are_not_tried_in_its_poses(make_learner, few_
     fitter.fit([s.points for s in few_scans[:3]]).fit_scan(few_scans[3].points)
 
 
-@pytest.mark.parametrize("variant", ["cd", "joint"])
+@pytest.mark.parametrize("variant", ["cd", slow("joint")])
 @pytest.mark.usefixtures("hurried")
 def test_results_try_limbs_where_the_rounds_do(variant, make_learner, few_scans, monkeypatch):
     """Points are taken for those of a limb, of which Chamfer alone knows nothing."""

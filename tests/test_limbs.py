@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from slow_tests import slow
 from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
@@ -186,7 +187,7 @@ def test_what_is_proposed_is_a_pose_of_the_library(hand):
     assert np.abs(hand.poses[:, finger] - first[finger]).max(axis=(1, 2)).min() == 0
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [0, slow(1), slow(2)])
 def test_looked_at_closer_a_limb_finds_a_pose_that_no_library_has(body, seed):
     poses = uniform_poses(body.rig, 2, np.random.default_rng(seed))
     (arm,) = [limb.hangs for limb in body.limbs._limbs if limb.hangs[body.row["left_elbow"]] and limb.ends]

@@ -135,7 +135,7 @@ def test_reflected_points_keep_their_weights_and_are_looked_at_once(owner, coars
     np.testing.assert_array_equal(x, points[(b - 1).astype(int)] @ flip)
 
 
-@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("weighted", [slow(False), True])
 @pytest.mark.parametrize("owner", [scan_fit, slow(new_scan)])
 def test_fits_with_and_without_what_was_learned_are_looked_at(
     owner, weighted, quick_fitter, learned_people, people_scans, monkeypatch

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from posed_samples import sampled
+from slow_tests import slow
 from turned_scans import CLEAN, any_turn, error_of, upright
 
 import lbsfit_np as lbs
@@ -39,7 +40,7 @@ def _untrained(rig, poses=None, *, orientation="aligned", facing=None, effort="b
 # ---- starts, efforts, looks ----
 
 
-@pytest.mark.parametrize("effort", EFFORTS)
+@pytest.mark.parametrize("effort", ["fast", "balanced", slow("thorough")])
 def test_effort_is_the_number_of_starts(tube_rig, make_scout, clean_scans, effort, monkeypatch):
     scout, turn = make_scout(settings=FitSettings(effort=effort)), upright(2.5)
     first, counts = scout._refit.first_steps, []
@@ -60,7 +61,7 @@ def test_views_that_are_cropped_have_more_starts(tube_rig, partial, cropped, cle
     assert asked == [EFFORTS["balanced"].starts * (3 if partial and cropped else 1)]
 
 
-@pytest.mark.parametrize("effort", EFFORTS)
+@pytest.mark.parametrize("effort", ["fast", slow("balanced"), "thorough"])
 def test_only_a_thorough_look_looks_at_limbs_closer(make_scout, clean_scans, effort, monkeypatch):
     scout, told = make_scout(settings=FitSettings(effort=effort)), []
     monkeypatch.setattr(scout._limbs, "proposals", lambda problem, state, n, *, closer: told.append((n, closer)) or [])

@@ -128,6 +128,7 @@ def test_labels_are_the_mean_over_four_views(small_segmenter, tube_scan):
     np.testing.assert_array_equal(small_segmenter.predict(tube_scan.points), found.argmax(axis=1))
 
 
+@pytest.mark.slow
 def test_fits_and_rounds_take_one_view(tube_fitter, tube_rig, tube_scan, monkeypatch):
     """Four take a tenth more time for fits that are no better."""
     asked, predict_proba = [], Segmenter.predict_proba

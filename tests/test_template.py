@@ -156,6 +156,7 @@ def test_each_scans_pose_is_held_in_what_it_leaves_open_in_the_steps_without_lab
         np.testing.assert_allclose(weights, noise * told, rtol=1e-9)
 
 
+@pytest.mark.slow
 def test_a_subject_that_the_family_does_not_hold(hand_case):
     """Lengths and thicknesses by another rule than the fit's own."""
     rig = hand_case.rig
