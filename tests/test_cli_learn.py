@@ -217,6 +217,7 @@ def test_options_that_mean_nothing_without_skinning_are_named(tubes, tmp_path, r
     assert {flag: settings[flag[2:].replace("-", "_")] for flag, *_ in UNUSED} == {f: v for (f, *_), v in UNUSED.items()}
     assert (settings["joints"], settings["seed"]) == ("fixed", 5) and lbs.LBSFitter.load(tmp_path / "m.npz").joints == "fixed"
     assert f"{FREE_FORM}; --smooth has no effect\n" in learn("--smooth", 1e-5)[0]  # without --sequence: no error
+    assert f"{FREE_FORM}; --registration has no effect\n" in learn("--no-registration")[0]
     assert f"{FREE_FORM}\n" in learn()[0]
     assert f"{FREE_FORM}; --orientation, --up only say where a floor may be\n" in learn("--orientation", "aligned", "--up=+y")[0]
 
@@ -354,7 +355,7 @@ def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):
         *("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "--config", config, "--rounds", 3, "--variant", "rand"),
         *("--weights", "paper", "--joints", "fixed", "--scale", "fixed", "--max-points", 300, "--samples", 350, "--seed", 4),
         *("--training-scans", 50, "--training", "turn=3.14", "--jobs", 2, "--parts", "arm and fingers"),
-        *("--orientation", "any", "--effort", "fast", "--partial", "--cropped"),
+        *("--orientation", "any", "--effort", "fast", "--partial", "--cropped", "--no-registration"),
     )
     assert code == 130 and "stopped before the model was learned" in text and not (tmp_path / "m.npz").exists()
     assert seen.pop("rig").granularity == "arm and fingers"
@@ -363,6 +364,7 @@ def test_options_reach_the_fitter(tubes, tmp_path, run, monkeypatch):
         "smooth": 1e-5, "rounds": 3, "variant": "rand", "weights": "paper", "joints": "fixed", "scale": "fixed",
         "max_points": 300, "random_state": 4, "training_scans": 50, "training": {"turn": 3.14}, "n_jobs": 2,
         "orientation": "any", "up": None, "effort": "fast", "partial": True, "cropped": True, "unit": None,
+        "registration": False,
     }  # fmt: skip
 
 
@@ -373,7 +375,7 @@ def test_defaults_are_the_librarys():
         if option.key in parameters and option.key != "training":
             assert option.default == parameters[option.key].default, option.name
             checked += 1
-    assert checked == 16
+    assert checked == 17
     same = {option.key: option for option in fit.OPTIONS}
-    for key in ("orientation", "up", "partial", "cropped", "effort"):
+    for key in ("orientation", "up", "partial", "cropped", "effort", "registration"):
         assert next(option for option in learn.OPTIONS if option.key == key) is same[key]

@@ -250,7 +250,8 @@ def test_an_error_of_the_system_that_nobody_foresaw_is_one_line(run, monkeypatch
 def test_defaults_are_the_librarys():
     parameters = inspect.signature(lbs.LBSFitter).parameters
     options = {option.key: option for option in fit.OPTIONS}
-    for key in ("weights", "joints", "scale", "orientation", "up", "partial", "effort", "max_points", "training_scans"):
+    of_fits = ("weights", "joints", "scale", "orientation", "up", "partial", "effort", "max_points", "registration")
+    for key in (*of_fits, "training_scans"):
         assert options[key].default == parameters[key].default, key
     assert set(options["weights"].choices) == set(lbs.losses.PRESETS)
     assert set(options["orientation"].choices) == set(ORIENTATIONS)

@@ -117,6 +117,7 @@ def test_bad_scans_are_named_before_any_training(tube_rig, tube_scan, monkeypatc
         ({"effort": 3}, ["effort: got 3", "'balanced'"]),
         ({"partial": "yes"}, ["partial: got 'yes'", "True or False"]),
         ({"partial": 1}, ["partial: got 1", "True or False"]),
+        ({"registration": "off"}, ["registration: got 'off'", "True or False"]),
         ({"scale": ["fixed"]}, ["scale: got ['fixed']", "'estimate' or 'fixed'"]),
     ],
 )

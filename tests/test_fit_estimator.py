@@ -69,7 +69,7 @@ def test_sklearns_conventions(tube_rig, tube_fitter):
     parameters = fitter.get_params()
     assert parameters["rig"] is tube_rig and parameters["training_scans"] == 7
     names = {"rig", "weights", "joints", "scale", "max_points", "training_scans", "training", "n_jobs", "random_state"}
-    names |= {"orientation", "up", "partial", "cropped", "effort", "unit"}
+    names |= {"orientation", "up", "partial", "cropped", "effort", "unit", "registration"}
     assert set(parameters) == names | {"variant", "rounds", "held_out", "sequence", "smooth"}
     another = clone(fitter)
     assert another is not fitter and another.get_params() == parameters

@@ -1,11 +1,14 @@
 """Registration: known changes of the skin come back, joints stay, noise is not followed, and a fit is not judged by it."""
 
+import copy
+
 import numpy as np
 import pytest
 from posed_samples import state_within
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.confidence import evidence_of
+from lbsfit_np.fitting.search import Search
 from lbsfit_np.neighbors import PointIndex
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
@@ -196,3 +199,26 @@ def test_a_fit_comes_closer_to_somebody_elses_surface(tube_fitter, tube_rig):
     away = np.linalg.norm(surface - on[PointIndex(on).nearest(surface)], axis=1).mean()
     assert result.status == "ok"
     assert away < 0.012 * tube_rig.size / 2
+
+
+@pytest.mark.usefixtures("hurried")
+@pytest.mark.parametrize("subject", [None, "ann"])
+def test_without_it_the_skin_is_as_the_full_objective_has_it(subject, quick_fitter, learned_people, people_scans, monkeypatch):
+    """Of fits alone, and of those on a learned template; all but the skin is the same."""
+    fitter, scan = copy.copy(quick_fitter if subject is None else learned_people), people_scans[10].points
+    known = {} if subject is None else {"subject": subject}
+    moved = fitter.fit_scan(scan, **known)
+    left, full = [], Search.full
+    monkeypatch.setattr(Search, "full", lambda self, *a, **k: left.append((self, full(self, *a, **k))) or left[-1][1])
+    monkeypatch.setattr(Registration, "__call__", None)
+    as_it_was = fitter.set_params(registration=False).fit_scan(scan, **known)
+    for name in ("pose", "translation", "scale", "joints", "rest_joints", "joint_std", "probability", "evidence"):
+        np.testing.assert_equal(getattr(as_it_was, name), getattr(moved, name))
+    assert (moved.settings["registration"], as_it_was.settings["registration"]) == (True, False)
+    model, rig = left[-1][0].model, fitter.rig
+    of_objective = (model.offsets(left[-1][0].outcome.state) * model.half)[rig.weld] + model.source.vertices - rig.vertices
+    np.testing.assert_allclose(as_it_was.offsets, of_objective, atol=1e-12)
+    assert np.abs(moved.offsets - of_objective).max() > 1e-3
+    assert as_it_was.terms["laplacian"] != moved.terms["laplacian"]
+    place = as_it_was.pose, as_it_was.translation, as_it_was.scale, as_it_was.offsets
+    np.testing.assert_array_equal(rig.pose(*place, joints=as_it_was.rest_joints), as_it_was.vertices)

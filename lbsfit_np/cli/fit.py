@@ -74,6 +74,12 @@ OPTIONS = (
     ),
     Option("drop-invalid", "leave out points that are NaN or infinite instead of refusing the scan", bool, False),
     Option("max-points", "points of a scan that take part in the optimisation; all are labelled", positive, 2500, metavar="N"),
+    Option(
+        "registration",
+        "bring the skin onto the scan once the pose is found; without it, offsets are as the objective has them",
+        bool,
+        True,
+    ),
     Option("pictures", "also draw each fit as NAME.png", bool, False),
     Option("segmenter", "a segmenter saved by Segmenter.save, instead of the rig's own", metavar="FILE", is_path=True),
     Option(
@@ -332,6 +338,7 @@ def _fitter(rig_path, values, given):
         cropped=values["cropped"],
         effort=values["effort"],
         max_points=values["max_points"],
+        registration=values["registration"],
         training_scans=values["training_scans"],
         training=values["training"],
         n_jobs=values["jobs"],

@@ -30,7 +30,7 @@ __all__ = ["OPTIONS", "add_parser", "learn_files"]
 # Options that mean the same here as in lbsfit fit.
 _SHARED = (
     *("scale", "unit", "orientation", "up", "partial", "cropped", "effort", "weights", "joints", "samples", "drop-invalid"),
-    *("max-points", "training-scans", "training", "seed", "jobs"),
+    *("max-points", "registration", "training-scans", "training", "seed", "jobs"),
 )
 
 _TRAINING_SCANS = "synthetic scans to train the segmenter on, at first and in each round; the library of starts gets half as "
@@ -218,7 +218,7 @@ def _fitter(rig, values):
 
     check_training(values["training"])
     names = ("weights", "joints", "scale", "orientation", "up", "partial", "cropped", "effort", "max_points")
-    names += ("training_scans", "training")
+    names += ("registration", "training_scans", "training")
     return LBSFitter(
         rig,
         **{name: values[name] for name in (*names, "variant", "rounds", "held_out", "sequence", "smooth")},

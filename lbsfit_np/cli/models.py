@@ -14,7 +14,7 @@ __all__ = ["about_model", "is_model", "load_model", "model_in_words", "unit_para
 # Options of lbsfit fit that a model has settled: its rig's, and those of training.
 _SETTLED = ("card", "shape", "skin", "normalize-weights", "parts", "joints", "segmenter", "training-scans", "training")
 # Options that a model has settled, too, but that may be changed for another scan.
-_FREE = ("scale", "unit", "orientation", "up", "partial", "cropped", "effort", "weights", "max_points")
+_FREE = ("scale", "unit", "orientation", "up", "partial", "cropped", "effort", "weights", "max_points", "registration")
 
 
 def is_model(path):

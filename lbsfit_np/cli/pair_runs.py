@@ -26,7 +26,7 @@ _OUTPUT = Option("output", "folder to write to; created if needed", metavar="OUT
 RIG = Option("rig", "a rig file or a bundled rig; see: lbsfit rig list", default="body", metavar="RIG")
 
 # Options of the fits that mean the same as in lbsfit fit and lbsfit learn, and are part of what fits are kept by.
-_OF_FITS = ("scale", "orientation", "up", "partial", "cropped", "effort", "max-points", "training-scans", "seed")
+_OF_FITS = ("scale", "orientation", "up", "partial", "cropped", "effort", "max-points", "registration", "training-scans", "seed")
 _OF_LEARNING = ("rounds", "held-out")
 
 

@@ -62,6 +62,8 @@ class FitSettings:
     max_points : int
         Points that take part in the optimisation; a larger scan is thinned by the seed. The last steps of a pose and of
         proportions look at up to four times as many.
+    registration : bool
+        Whether the skin is brought onto the scan in the end; else offsets are as the full objective has them.
     pose_iterations, plain_iterations, full_iterations : int
         L-BFGS iterations, at most, of each pose stage, of the last pose stage, which has the plain term only, and of the
         full stage.
@@ -71,7 +73,8 @@ class FitSettings:
     refinements : tuple of float
         σ of each refinement of the labels, each followed by a pose stage.
     polish : int
-        Levenberg–Marquardt steps on pose and proportions before the full stage, and as many on all points; 0 leaves them out.
+        Levenberg–Marquardt steps on pose and proportions before the full stage, and as many on all points; 0 leaves them out,
+        and with them other bends and the last steps of the pose.
     polish_ridge : float
         Weight of ‖c‖² in them.
     ridge : float
@@ -87,6 +90,7 @@ class FitSettings:
     partial: bool = False
     cropped: bool = False
     max_points: int = 2500
+    registration: bool = True
     pose_iterations: int = 40
     plain_iterations: int = 100
     full_iterations: int = 40
@@ -218,7 +222,7 @@ class ScanFit:
         if settings.polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
             pose = self._refit.polish(dense, pose, **known)
-            last = replace(last, state=self._registration(dense, pose))
+        last = replace(last, state=self._registration(dense, pose) if settings.registration else pose)
         searched = not given or (theta0 is None and self.facing.told)  # of labels only what contradicts is to be said
         stands = stands_words(self.facing, model.source, frame, last.state.theta) if searched else ""
         unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale, unit=settings.unit)

@@ -124,7 +124,7 @@ class TemplateFit:
         every, last = (part.rows, problem) if dense is None else dense
         known = None if labels_known is None or labels_known[every].min() < 0 else labels_known[every]
         pose = self.refit.polish(last, search.outcome.state, labels=known, prior=prior)
-        outcome = replace(search.outcome, state=self._registration(last, pose) if settings.polish else pose)
+        outcome = replace(search.outcome, state=self._registration(last, pose) if settings.registration else pose)
         return assemble(
             self.rig,
             model,

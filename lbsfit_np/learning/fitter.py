@@ -55,6 +55,8 @@ class LBSFitter(Estimator):
         How many starts are followed, and how far.
     max_points : int, default 2500
         Number of a scan's points that take part in the optimisation; all points are labelled.
+    registration : bool, default True
+        Whether the skin is brought onto the scan once the pose is found; else ``offsets`` are as the full objective has them.
     training_scans : int, default 4000
         Number of synthetic scans to train the segmenter on. The library of starts has half as many others (``pretrain_library``).
     variant : {"joint", "pose-only", "rand", "cd", "free-form"}, default "joint"
@@ -113,6 +115,7 @@ class LBSFitter(Estimator):
         cropped=False,
         effort="balanced",
         max_points=2500,
+        registration=True,
         training_scans=4000,
         training=None,
         variant="joint",
@@ -134,6 +137,7 @@ class LBSFitter(Estimator):
         self.cropped = cropped
         self.effort = effort
         self.max_points = max_points
+        self.registration = registration
         self.training_scans = training_scans
         self.training = training
         self.variant = variant
@@ -155,8 +159,8 @@ class LBSFitter(Estimator):
         ----------
         segmenter : Segmenter, optional
             Used as s: only f and the library are then trained. Variants without labels have no s; they neither train nor use one.
-            With the bundled rigs "hand", "hand-left" and "body" comes an s of the default settings and seed 0, which is not
-            trained again.
+            With "hand", "hand-left", "body" and "body-coarse" comes an s of the default settings and seed 0, which is not trained
+            again.
         cache : bool, default False
             Whether to look in the cache for what was trained, and to add to it.
         progress : callable, optional
@@ -240,8 +244,7 @@ class LBSFitter(Estimator):
             again = {"segmenter": still_given(self), "progress": lambda p: progress("pretraining", p)}
             segmenter, library = self.pretrain(cache=cache, **again)._pretrained
         segmenter = segmenter if variant.labels else None
-        if segmenter is not None:
-            segmenter.check_rig(self.rig)
+        check_segmenter(segmenter, self.rig)
         checkpoint = checkpoint.narrowed(self._made_of(seed, segmenter, library))
         loop = Loop(
             *(self.rig, collection, variant, segmenter, library),
@@ -262,8 +265,7 @@ class LBSFitter(Estimator):
         self._take(loop.run(), collection)
         made_of = self.rig, self.template_, self.joints, collection, settings, facing, self.pose_prior_
         how = {"other_limbs": variant.library, "jobs": jobs, "progress": progress, "checkpoint": checkpoint}
-        results = results_of(*made_of, **how)
-        return self._finished(collection, results)
+        return self._finished(collection, results_of(*made_of, **how))
 
     def _made_of(self, seed, segmenter=None, library=None):
         """What all steps of learning depend on; what only some do, the scans among it, comes with these."""
@@ -385,8 +387,7 @@ class LBSFitter(Estimator):
                 self._check_alone(points, point_weights)
                 self._pretrain_alone(cache=cache, progress=progress)
             segmenter = self.segmenter_ if as_variant(self.variant).labels else None
-            if segmenter is not None:
-                segmenter.check_rig(rig)
+            check_segmenter(segmenter, rig)
             trained = {"segmenter": segmenter, "library": self.regressor_}
         fit = scan_fit(self, **trained).fit
         found = fit(points, theta0=theta0, labels=labels, point_weights=point_weights, random_state=self.random_state)

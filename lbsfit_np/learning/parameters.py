@@ -81,7 +81,7 @@ def check_parameters(fitter):
         value = getattr(fitter, name)
         if isinstance(value, bool) or not isinstance(value, Real) or not 0 <= value <= most:
             raise InputError(name, brief(value), f"a number of at least 0 and at most {most:g}")
-    for name in ("sequence", "partial", "cropped"):
+    for name in ("sequence", "partial", "cropped", "registration"):
         if not isinstance(getattr(fitter, name), (bool, np.bool_)):
             raise InputError(name, brief(getattr(fitter, name)), "True or False")
     if fitter.smooth and not fitter.sequence:
@@ -169,6 +169,7 @@ def fit_settings(fitter):
     given = {name: getattr(fitter, name) for name in ("scale", "unit", "effort", "max_points")}
     given["unit"] = plain(fitter.unit)  # as it becomes part of digests
     given |= {"partial": bool(fitter.partial), "cropped": bool(fitter.cropped) and skinning}
+    given["registration"] = bool(fitter.registration)
     return FitSettings(weights=LOOSE if free else as_weights(fitter.weights), **given)
 
 

@@ -7,7 +7,8 @@ from ..errors import InputError, brief, did_you_mean
 __all__ = ["VARIANTS", "Variant", "as_variant", "note_on", "unused"]
 
 # What means nothing without skinning, as there is no pose to look for and nothing to train.
-_OF_SKINNING = ("partial", "cropped", "effort", "training_scans", "training", "rounds", "held_out", "sequence", "smooth")
+_OF_SKINNING = ("partial", "cropped", "effort", "registration", "training_scans", "training", "rounds", "held_out")
+_OF_SKINNING += ("sequence", "smooth")
 # What then tells nothing but where a floor, a table or a wall may be.
 _OF_FLOORS = ("orientation", "up")
 
