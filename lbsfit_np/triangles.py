@@ -2,7 +2,10 @@
 
 import numpy as np
 
-__all__ = ["area_vectors", "areas_around", "binary_extent", "face_areas", "inside_out"]
+__all__ = ["area_vectors", "areas_around", "binary_extent", "face_areas", "inside_out", "no_slivers"]
+
+# Share of the longest side squared below which an area is a sliver's.
+_SLIVER = 1e-4
 
 
 def binary_extent(vertices):
@@ -23,6 +26,16 @@ def face_areas(vertices, faces):
     """(F,): the area of each face."""
     unit = binary_extent(vertices)
     return np.linalg.norm(area_vectors(vertices / unit, faces), axis=1) * unit**2
+
+
+def no_slivers(vertices, faces):
+    """(F,) bool: faces whose area is more than a ten thousandth of their longest side squared.
+
+    Cotangents of others are rounding's as much as the mesh's, and so large that they would rule whatever they are part of.
+    """
+    corners = vertices[faces] / binary_extent(vertices)
+    longest = np.sum((corners - np.roll(corners, 1, axis=1)) ** 2, axis=2).max(axis=1, initial=0.0)
+    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) > 2 * _SLIVER * longest
 
 
 def areas_around(vertices, faces):

@@ -265,6 +265,9 @@ def test_kept_fits_that_were_made_with_other_options_are_told(fitted, made, tmp_
     other = {"up": None, "partial": False, "training": {}, "random_state": 0}
     text = run(*arguments)[1]
     assert "note: 1 kept fit was made with --seed 7 (not --seed 0); " in text and text.count("note: ") == 1
+    earlier = {name: value for name, value in two.settings.items() if name != "registration"}  # which came later
+    replace(two, settings=earlier).save(tmp_path / "two.fit.npz")
+    assert "note: 1 kept fit was made with unknown --registration (not --registration); " in run(*arguments)[1]
     replace(two, settings={}).save(tmp_path / "two.fit.npz")
     assert "note: 1 kept fit was made with unknown settings; " in run(*arguments)[1]
     assert '"other_settings": null' in (tmp_path / "summary.json").read_text()

@@ -67,7 +67,7 @@ def kept_entries(files, fitter, subjects, read):
         other = {name: result.settings.get(name) for name in now if result.settings.get(name) != now[name]}
         if other:
             kept[f.name]["other_settings"] = other if result.settings else None
-            others[_in_words(other, now)] += 1
+            others[_in_words(other, now, result.settings)] += 1
         try:
             now_there = read(f.source).points
         except FileError as error:
@@ -131,17 +131,22 @@ def _say_others(others):
         say(f"note: {counted(n, 'kept fit')} {'was' if n == 1 else 'were'} made with {words}; --existing replace fits all again")
 
 
-def _in_words(settings, now):
-    """Settings that differ, as options."""
+def _in_words(settings, now, known):
+    """Settings that differ, as options; those that are not ``known`` came after the fit."""
     if settings.get("version", now) is None:  # which all have that have any
         return "unknown settings"
-    return ", ".join(f"{_option(name, value)} (not {_option(name, now[name])})" for name, value in settings.items())
+    then = {name: _option(name, value) if name in known else f"unknown {_flag(name)}" for name, value in settings.items()}
+    return ", ".join(f"{words} (not {_option(name, now[name])})" for name, words in then.items())
+
+
+def _flag(name):
+    return "--seed" if name == "random_state" else f"--{name.replace('_', '-')}"
 
 
 def _option(name, value):
     if name == "version":
         return f"lbsfit {value}"
-    flag = "--seed" if name == "random_state" else f"--{name.replace('_', '-')}"
+    flag = _flag(name)
     if isinstance(value, dict):
         value = " ".join(f"{key}={part}" for key, part in value.items())
     if value is None or value is False or value == "":

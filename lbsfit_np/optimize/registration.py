@@ -12,14 +12,19 @@ noise of standard deviation σ and for displacements of size s_u, s in usual peo
 s_u² what they lose on the way, beyond what any displacement would take of noise: a scan of the rig's own shape, or a noisy one,
 hardly displaces anything, and what clean, dense points of somebody else show is followed.
 
+What the scan lacks would be drawn to what is next to it, and what lies beneath the skin through it. A place of the mesh
+therefore pulls only where its nearest point lies on the mesh about there, on the same side and in the same piece of it;
+pieces that are close to the largest one go along with that.
+
 Posed vertices are linear in u: each step is one sparse linear system, solved by conjugate gradients.
 """
 
 import numpy as np
 from scipy import sparse
 
+from ..losses.laplacian import cotangent_matrix
 from ..neighbors import PointIndex
-from ..triangles import areas_around
+from ..triangles import areas_around, no_slivers
 from .measured import ToTriangles
 from .pulling import between
 from .visibility import WHOLE, pulling_weights
@@ -44,6 +49,13 @@ _PLACES = 4000
 _STEPS, _STILL, _TOLERANCE, _INNER = 6, 3e-4, 1e-2, 200
 # Vertices with less of the surface than this share of the mean count as if they had so much: Δ divides by it.
 _LEAST_AREA = 0.01
+# A place pulls where its nearest point lies on the mesh no further from it than this, half sizes, or this many times as far as
+# the middle one of all places, which is how far apart points are.
+_THERE, _APART = 0.03, 4.0
+# Vertices of a smaller piece of the mesh no further than this from the largest one, half sizes, are joined to it by an edge.
+_JOINED = 0.05
+# No vertex moves further, half sizes; a step that would, or that makes nothing smaller, is halved so many times.
+_FARTHEST, _HALVINGS = 0.2, 3
 # What holds vertices that nothing else does, in shares of the surface; of the preconditioner and of the equations.
 _FIRM, _HOLD = 1e-3, 1e-9
 # The preconditioner is made anew where κ has changed by this factor.
@@ -63,13 +75,19 @@ class Registration:
     def __init__(self, model, coverage=WHOLE):
         self.model, self.coverage = model, coverage
         self._mesh = ToTriangles(model, _PLACES)
-        area = areas_around(model.rig.vertices, model.rig.faces)
+        vertices, faces = model.rig.vertices, model.rig.faces
+        area = areas_around(vertices, faces)
         self._area = np.maximum(area, max(_LEAST_AREA * area.mean(), np.finfo(float).tiny))
-        K = sparse.csc_array(model.K)
-        self._smooth = sparse.csc_array(_BENDING * (K.T @ sparse.diags_array(1.0 / self._area) @ K) + _STRETCHING * K)
+        self._piece = _pieces(len(vertices), faces)
+        fine = no_slivers(vertices, faces)  # others only hold their corners together: their cotangents, rounding's, would rule
+        K = sparse.csc_array(cotangent_matrix(vertices, faces[fine]))
+        stretching = K + 0.5 * _differences(*_edges(faces[~fine]), len(vertices)) + _joins(vertices, self._piece)
+        self._smooth = sparse.csc_array(_BENDING * (K.T @ sparse.diags_array(1.0 / self._area) @ K) + _STRETCHING * stretching)
 
     def __call__(self, problem, state):
         """The state with a displacement in place of its residual, which only its joints follow from then on.
+
+        Where no displacement brings the skin closer, the state is as it was.
 
         Parameters
         ----------
@@ -83,26 +101,30 @@ class Registration:
         State
         """
         # Not from the residual: what that has slid along the surface, no distance along normals would bring back.
-        state = state.replace(displacement=np.zeros_like(self.model.rig.vertices))
-        made, solved = self._measured(problem, state), None
-        before, kappa = made.variance, made.of_mean
+        best, trial = state, state.replace(displacement=np.zeros_like(self.model.rig.vertices))
+        made, solved = self._measured(problem, trial), None
+        of_mean = _squared_shares(problem)
+        before, kappa = made.variance, made.variance * of_mean
         for _ in range(_STEPS):
             if solved is None or not 1 / _OTHER < kappa / solved.kappa < _OTHER:
                 solved = _Preconditioner(self._smooth, self._area, made, kappa)
-            step = self._step(made, kappa, solved)
-            if not np.isfinite(step).all():
+            step, further = self._step(made, kappa, solved), None
+            for _ in range(_HALVINGS + 1):
+                u = made.u + step
+                if np.isfinite(u).all() and np.linalg.norm(u, axis=1).max(initial=0.0) < _FARTHEST:
+                    trial = state.replace(displacement=u)
+                    further = self._measured(problem, trial, made.partners)
+                    if further.value + kappa * self._roughness(u) < made.value + kappa * self._roughness(made.u):
+                        break
+                step, further = 0.5 * step, None
+            if further is None:
                 break
-            u = made.u + step
-            trial = state.replace(displacement=u)
-            further = self._measured(problem, trial)
-            if further.value + kappa * self._roughness(u) >= made.value + kappa * self._roughness(made.u):
-                break
-            state, made = trial, further
+            best, made = trial, further
             explained = max(before - _FREE * made.variance, np.finfo(float).tiny)
-            kappa = made.of_mean * min(max(_USUAL / explained, _SOFTEST), _STIFFEST)
+            kappa = made.variance * of_mean * min(max(_USUAL / explained, _SOFTEST), _STIFFEST)
             if np.abs(step).max(initial=0.0) < _STILL:
                 break
-        return state
+        return best
 
     def _roughness(self, u):
         return float(np.vdot(u, self._smooth @ u))
@@ -123,17 +145,29 @@ class Registration:
     def _held(self, x, kappa):
         return kappa * (self._smooth @ x) + _HOLD * self._area[:, None] * x
 
-    def _measured(self, problem, state):
+    def _measured(self, problem, state, partners=None):
+        """As it is at a state; ``partners`` are those of the first, by default those that are found here."""
         posed, X = self.model.deformed(state), problem.X
         V = posed.vertices
         on = self._mesh.closest(X, PointIndex(V).nearest(X), posed)
         places, facing = self._mesh.places(posed)
         to_X, pull = problem.x_index.nearest(places), self._mesh.weights
         pull = pulling_weights(self.coverage, pull, places, facing, problem, on.normals, to_X)
+        piece = self._piece[on.corners[:, 0]]
+        if partners is None:
+            partners = piece, self._have_points(on, piece, places, facing, to_X)
+        shares, pull = problem.shares * (piece == partners[0]), pull * partners[1]
         r = np.vstack([X - on.points, X[to_X] - places])
         n = np.vstack([on.normals, between(facing, on.normals[to_X])])
         hangs = (on.corners, on.barycentric), (self._mesh.corners, self._mesh.barycentric)
-        return _Measured(r, n, problem.shares, pull, hangs, state.scale * posed.turns(), state.displacement)
+        return _Measured(r, n, shares, pull, partners, hangs, state.scale * posed.turns(), state.displacement)
+
+    def _have_points(self, on, piece, places, facing, to_X):
+        """(v,) bool: the places whose nearest point lies on the mesh about there, and not on its other side or another piece."""
+        away = np.linalg.norm(on.points[to_X] - places, axis=1)
+        there = away < max(_THERE, _APART * np.median(away))
+        same = piece[to_X] == self._piece[self._mesh.corners[:, 0]]
+        return there & same & (np.einsum("va,va->v", facing, on.normals[to_X]) > 0)
 
 
 class _Measured:
@@ -143,8 +177,10 @@ class _Measured:
     ----------
     value : float
         E.
-    variance, of_mean : float
-        σ² of the points, and σ²/n.
+    variance : float
+        σ² of the points.
+    partners : (n,) int array, (v,) bool array
+        The pieces of the mesh that points lay on at first, on which alone they count, and the places of it that may pull.
     away : (k,) array
         n · r.
     weights : (k,) array
@@ -152,13 +188,12 @@ class _Measured:
     u : (m, 3) array
     """
 
-    def __init__(self, r, normals, shares, pull, hangs, turns, u):
+    def __init__(self, r, normals, shares, pull, partners, hangs, turns, u):
         self.away = np.einsum("ka,ka->k", r, normals)
         e2 = self.away**2 + _ACROSS * np.einsum("ka,ka->k", r, r)
         near, w = 1.0 / (1.0 + e2 / _REACH**2), np.concatenate([shares, pull])
-        self.value, self.weights, self.u = float(w @ (e2 * near)), w * near**2, u
+        self.value, self.weights, self.partners, self.u = float(w @ (e2 * near)), w * near**2, partners, u
         self.variance = max(_OF_SIGMA * weighted_median(np.abs(self.away[: len(shares)]), shares), _EXACT) ** 2
-        self.of_mean = self.variance * float(shares @ shares)
         self._hangs, self._normals, self._turns = hangs, normals, turns
 
     @property
@@ -184,6 +219,46 @@ class _Measured:
             out += np.bincount(corners.ravel(), w.ravel(), minlength=len(out))
             start += len(corners)
         return out
+
+
+def _edges(faces):
+    """Both ends of the three edges of each face."""
+    return faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+
+
+def _differences(i, j, m):
+    """(m, m) sparse: the matrix of Σ (u_i − u_j)² over pairs of vertices."""
+    of, ones = np.arange(len(i)), np.ones(len(i))
+    E = sparse.csr_array((np.r_[ones, -ones], (np.r_[of, of], np.r_[i, j])), shape=(len(i), m))
+    return sparse.csc_array(E.T @ E)
+
+
+def _pieces(m, faces):
+    """(m,) int: the connected piece of the mesh that each vertex is of."""
+    from scipy.sparse.csgraph import connected_components
+
+    i, j = _edges(faces)
+    return connected_components(sparse.coo_array((np.ones(len(i)), (i, j)), shape=(m, m)), directed=False)[1]
+
+
+def _joins(vertices, piece):
+    """(m, m) sparse: what edges from smaller pieces to near vertices of the largest one add to a cotangent matrix."""
+    from scipy.spatial import cKDTree
+
+    largest = piece == np.bincount(piece).argmax()
+    rows, others = np.flatnonzero(largest), np.flatnonzero(~largest)
+    away, near = cKDTree(vertices[rows]).query(vertices[others], distance_upper_bound=_JOINED)
+    joined = np.isfinite(away)
+    return _differences(others[joined], rows[near[joined]], len(vertices))
+
+
+def _squared_shares(problem):
+    """Σ a² of the points, 1/n where all have the same; those at one place count as one, as they tell no more than that."""
+    shares = problem.shares
+    places, of = np.unique(problem.X, axis=0, return_inverse=True)
+    if len(places) < len(shares):
+        shares = np.bincount(of.ravel(), shares)
+    return float(shares @ shares)
 
 
 def weighted_median(values, weights):
