@@ -51,6 +51,24 @@ def make_tube_rig():
     return build_rig(make_tube_data())
 
 
+def with_slivers(data, every=10):
+    """The data with some faces divided at an edge's middle, rounded, and slivers in the gaps: T-junctions that were filled."""
+    faces = data.faces.copy()
+    m, divided = len(data.vertices), np.arange(0, len(faces), every)
+    a, b, c = faces[divided].T
+    rounding = 1e-10 * np.random.default_rng(0).standard_normal((len(divided), 3))
+    middle = m + np.arange(len(divided))
+    faces[divided] = np.column_stack([a, middle, c])
+    filling = [np.column_stack([middle, b, c]), np.column_stack([a, b, middle])]
+    weights = sparse.csr_array(data.weights)
+    return replace(
+        data,
+        vertices=np.vstack([data.vertices, (data.vertices[a] + data.vertices[b]) / 2 + rounding]),
+        faces=np.vstack([faces, *filling]),
+        weights=sparse.csr_array(sparse.vstack([weights, (weights[a] + weights[b]) / 2])),
+    )
+
+
 def with_joint(data, name="tip", parent=2, **changes):
     """The data with one more joint, which carries no weight."""
     m = len(data.vertices)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy import sparse
-from small_rigs import make_tube_data
+from small_rigs import make_tube_data, with_slivers
 
 import lbsfit_np as lbs
 from lbsfit_np.bench.subjects import subject as bench_subject
@@ -45,6 +45,16 @@ def test_vertices_that_no_surface_hangs_on_are_left_where_they_are(tube_rig, fac
     assert np.isfinite(U).all() and len(U) == 242 + 3 * len(faces)
     np.testing.assert_allclose(U[242:] / case.half, own[242:], atol=1e-9)
     assert np.abs(U[:242] / case.half - own[:242]).max() > 1e-6
+
+
+def test_slivers_do_not_rule_the_skins_smoothness():
+    rig = build_rig(with_slivers(make_tube_data()))
+    bulge = 0.02 * rig.size / 2 * np.cos(3 * rig.vertices[:, 1:2]) * vertex_normals(rig.vertices, rig.faces)
+    case = Case(rig, (rig.vertices + bulge, rig.joints), n=3)
+    U, _, _ = case.found()
+    normals = vertex_normals(rig.vertices, rig.faces)
+    off = np.abs(np.einsum("ma,ma->m", U - case.U, normals)) / case.half
+    assert off.mean() < 0.008 and off.max() < 0.05
 
 
 class Case:
