@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["area_vectors", "areas_around", "binary_extent", "face_areas", "inside_out", "no_slivers"]
+__all__ = ["area_vectors", "areas_around", "binary_extent", "face_areas", "inside_out", "no_slivers", "pieces"]
 
 # Share of the longest side squared below which an area is a sliver's.
 _SLIVER = 1e-4
@@ -48,3 +48,12 @@ def inside_out(vertices, faces):
     """Whether faces look inwards, by the sign of the volume; of open meshes by that seen from their middle."""
     centred = vertices - vertices.mean(axis=0)
     return bool(np.vdot(centred[faces[:, 0]], area_vectors(centred, faces)) < 0)
+
+
+def pieces(m, faces):
+    """(m,) int: which connected piece of the mesh each vertex is of; one without a face is a piece of its own."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    ends = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    return connected_components(coo_array((np.ones(faces.size), ends), shape=(m, m)), directed=False)[1]

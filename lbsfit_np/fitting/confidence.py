@@ -8,7 +8,7 @@ their logarithms, calibrated on scans with known truth (``bench.calibrate``), ma
 import numpy as np
 
 from ..neighbors import PointIndex
-from ..optimize.problem import Problem
+from ..optimize.problem import Problem, merged
 from ..optimize.registration import weighted_median
 from ..optimize.visibility import WHOLE, seen_vertices
 
@@ -144,14 +144,6 @@ def evidence_of(
         "hidden": 0.0 if seen.all() else float(max(0.0, 1.0 - a.sum() / max(of_all, 1e-12))),  # rounding is no evidence
     }
     return out, {"part_unexplained": of_points[1], "part_unreached": of_surface[1]}
-
-
-def merged(X, w, proba):
-    """Points, their weights and probabilities, those at one place as one: they tell no more than that."""
-    places, first, of = np.unique(X, axis=0, return_index=True, return_inverse=True)
-    if len(places) == len(X):
-        return X, w, proba
-    return places, np.bincount(of.ravel(), w), None if proba is None else proba[first]
 
 
 def shown_problem(model, problem, state, coverage):

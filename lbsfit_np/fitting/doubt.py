@@ -8,8 +8,9 @@ where all joints were within 2.5 % of the size, but for one of 11; where one was
 import numpy as np
 
 from ..neighbors import PointIndex
+from ..optimize.problem import merged
 from ..rig.chains import vertex_bones
-from .confidence import lonely_odd, merged, without
+from .confidence import lonely_odd, without
 
 __all__ = ["Doubt"]
 

@@ -16,7 +16,7 @@ from ..scan import some_rows
 from ..skinning import skin_adjoint
 from .visibility import hull_planes
 
-__all__ = ["Evaluation", "Problem"]
+__all__ = ["Evaluation", "Problem", "merged"]
 
 
 @dataclass(frozen=True)
@@ -127,3 +127,11 @@ class Problem:
         return Evaluation(
             L.value + ridge * float(c @ c), L.terms, theta, translation, scale, coefficients + 2 * ridge * c, residual
         )
+
+
+def merged(X, w, proba):
+    """Points, their weights and probabilities, those at one place as one: they tell no more than that."""
+    places, first, of = np.unique(X, axis=0, return_index=True, return_inverse=True)
+    if len(places) == len(X):
+        return X, w, proba
+    return places, np.bincount(of.ravel(), w), None if proba is None else proba[first]

@@ -24,8 +24,9 @@ from scipy import sparse
 
 from ..losses.laplacian import cotangent_matrix
 from ..neighbors import PointIndex
-from ..triangles import areas_around, no_slivers
+from ..triangles import areas_around, no_slivers, pieces
 from .measured import ToTriangles
+from .problem import merged
 from .pulling import between
 from .visibility import WHOLE, pulling_weights
 
@@ -78,7 +79,7 @@ class Registration:
         vertices, faces = model.rig.vertices, model.rig.faces
         area = areas_around(vertices, faces)
         self._area = np.maximum(area, max(_LEAST_AREA * area.mean(), np.finfo(float).tiny))
-        self._piece = _pieces(len(vertices), faces)
+        self._piece = pieces(len(vertices), faces)
         fine = no_slivers(vertices, faces)  # others only hold their corners together: their cotangents, rounding's, would rule
         K = sparse.csc_array(cotangent_matrix(vertices, faces[fine]))
         stretching = K + 0.5 * _differences(*_edges(faces[~fine]), len(vertices)) + _joins(vertices, self._piece)
@@ -103,7 +104,7 @@ class Registration:
         # Not from the residual: what that has slid along the surface, no distance along normals would bring back.
         best, trial = state, state.replace(displacement=np.zeros_like(self.model.rig.vertices))
         made, solved = self._measured(problem, trial), None
-        of_mean = _squared_shares(problem)
+        of_mean = float(np.square(merged(problem.X, problem.shares, None)[1]).sum())  # Σ a², which is 1/n where all have the same
         before, kappa = made.variance, made.variance * of_mean
         for _ in range(_STEPS):
             if solved is None or not 1 / _OTHER < kappa / solved.kappa < _OTHER:
@@ -233,14 +234,6 @@ def _differences(i, j, m):
     return sparse.csc_array(E.T @ E)
 
 
-def _pieces(m, faces):
-    """(m,) int: the connected piece of the mesh that each vertex is of."""
-    from scipy.sparse.csgraph import connected_components
-
-    i, j = _edges(faces)
-    return connected_components(sparse.coo_array((np.ones(len(i)), (i, j)), shape=(m, m)), directed=False)[1]
-
-
 def _joins(vertices, piece):
     """(m, m) sparse: what edges from smaller pieces to near vertices of the largest one add to a cotangent matrix."""
     from scipy.spatial import cKDTree
@@ -250,15 +243,6 @@ def _joins(vertices, piece):
     away, near = cKDTree(vertices[rows]).query(vertices[others], distance_upper_bound=_JOINED)
     joined = np.isfinite(away)
     return _differences(others[joined], rows[near[joined]], len(vertices))
-
-
-def _squared_shares(problem):
-    """Σ a² of the points, 1/n where all have the same; those at one place count as one, as they tell no more than that."""
-    shares = problem.shares
-    places, of = np.unique(problem.X, axis=0, return_inverse=True)
-    if len(places) < len(shares):
-        shares = np.bincount(of.ravel(), shares)
-    return float(shares @ shares)
 
 
 def weighted_median(values, weights):

@@ -1,10 +1,9 @@
 """Anomalies of a rig that can be worked with, in words: what ``lbsfit rig show`` lists besides the joints."""
 
 import numpy as np
-from scipy import sparse
 
 from ..errors import counted, listed
-from ..triangles import inside_out
+from ..triangles import inside_out, pieces
 
 __all__ = ["mesh_notes", "size_notes", "skin_notes"]
 
@@ -29,7 +28,7 @@ def mesh_notes(rig):
     if unused:
         notes.append(f"{unused} vertices belong to no face")
     directed = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    edges, counts = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)
+    counts = np.unique(np.sort(directed, axis=1), axis=0, return_counts=True)[1]
     if (counts == 1).any():
         notes.append(f"the mesh is open: {np.count_nonzero(counts == 1)} boundary edges")
     if (counts > 2).any():
@@ -40,13 +39,9 @@ def mesh_notes(rig):
     elif (counts == 2).all():
         if inside_out(rig.welded.vertices, faces):
             notes.append("the mesh is inside out: its faces point inwards")
-    graph = sparse.coo_array((np.ones(len(edges)), edges.T), shape=(n, n))
-    from scipy.sparse.csgraph import connected_components
-
-    _, component = connected_components(graph, directed=False)
-    pieces = len(np.unique(component[np.unique(faces)]))
-    if pieces > 1:
-        notes.append(f"the mesh consists of {pieces} separate pieces")
+    separate = len(np.unique(pieces(n, faces)[np.unique(faces)]))
+    if separate > 1:
+        notes.append(f"the mesh consists of {separate} separate pieces")
     return notes
 
 
