@@ -161,7 +161,9 @@ class Registration:
         r = np.vstack([X - on.points, X[to_X] - places])
         n = np.vstack([on.normals, between(facing, on.normals[to_X])])
         hangs = (on.corners, on.barycentric), (self._mesh.corners, self._mesh.barycentric)
-        return _Measured(r, n, shares, pull, partners, hangs, state.scale * posed.turns(), state.displacement)
+        made = _Measured(r, n, shares, pull, partners, hangs, state.scale * posed.turns(), state.displacement)
+        made.value += _REACH**2 * float(problem.shares.sum() - shares.sum())  # the most that ρ is: no step wins by losing points
+        return made
 
     def _have_points(self, on, piece, places, facing, to_X):
         """(v,) bool: the places whose nearest point lies on the mesh about there, and not on its other side or another piece."""
