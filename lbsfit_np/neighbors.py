@@ -4,7 +4,7 @@ import numpy as np
 
 from .errors import InputError
 
-__all__ = ["PointIndex"]
+__all__ = ["PointIndex", "neighbour_distances", "spacing"]
 
 # Parts are set apart along x by this many diameters, so that one tree serves all parts and never mixes them.
 _APART = 64.0
@@ -104,6 +104,18 @@ class PointIndex:
         shifted = np.asarray(points, dtype=float) - self._centre  # in single precision the gaps would leave no digits
         shifted[:, 0] += labels * self._gap
         return shifted
+
+
+def neighbour_distances(points, k):
+    """(n,) distance of each point's k-th neighbour, itself not counted; infinite where there are fewer."""
+    from scipy.spatial import cKDTree
+
+    return cKDTree(points).query(points, k=[k + 1])[0][:, 0]
+
+
+def spacing(points):
+    """How far apart points (n, 3) of a surface are where they are sparse: twice what is usual of their third neighbours."""
+    return 2.0 * float(np.median(neighbour_distances(points, 3)))
 
 
 def _usual_extent(points):

@@ -14,6 +14,7 @@ from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.visibility import WHOLE, Coverage, hull_planes, within_hull
 from lbsfit_np.rig.build import build_rig
+from lbsfit_np.sensor import sample_surface
 
 PARTS = {"part_unexplained": "left_arm", "part_unreached": "right_arm"}
 NOTHING = dict.fromkeys(EVIDENCE, 0.0)
@@ -217,6 +218,18 @@ def test_what_is_usual_in_a_scan_has_a_partner_however_far_that_is(model, of):
         back = [shown_problem(model, Problem(V[away > gap] + 0.05 * out), state, WHOLE) for gap in (0.12, 0.3)]
         kept = np.array([p.v_weights is None or p.v_weights[tip] > 0 for p in back])
     assert list(kept) == [True, False]
+
+
+def test_surface_beyond_the_end_of_a_scan_has_no_partner(model):
+    """However much that is, and though nobody says that the scan ends."""
+    state = model.rest()
+    V = model.pose(state)[0].vertices
+    X, _, _ = sample_surface(V, model.rig.faces, 4000, np.random.default_rng(0))
+    for kept in (0.8, 0.4):
+        end = np.quantile(X[:, 1], kept)
+        above = V[:, 1] - end
+        weights = shown_problem(model, Problem(X[X[:, 1] < end]), state, WHOLE).v_weights
+        assert (weights[above < 0.07] == 1).all() and (weights[above > 0.15] == 0).all()
 
 
 def test_a_view_that_shows_next_to_nothing_hides_nothing(tube_rig):

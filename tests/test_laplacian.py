@@ -8,6 +8,7 @@ from loss_formulas import S, bumpy_grid
 from scipy.spatial import Delaunay
 
 from lbsfit_np.losses import cotangent_matrix, laplacian_offsets, laplacian_posed
+from lbsfit_np.optimize.smoothness import smoothness_matrix
 
 
 def test_laplacian_is_a_frobenius_norm():
@@ -97,3 +98,15 @@ def test_faces_without_area_contribute_nothing():
     np.testing.assert_array_equal(cotangent_matrix(V, with_slivers).toarray(), cotangent_matrix(V, F).toarray())
     assert cotangent_matrix(V, F[:0]).nnz == 0
     assert cotangent_matrix(V, F[:0]).shape == (4, 4)
+
+
+def test_slivers_hold_their_corners_together_and_no_more():
+    """Of a fit's own matrix; the square's halves are as always."""
+    V = np.array([[0.0, 0, 0], [1.0, 0, 0], [1.0, 1, 0], [0.0, 1, 0], [0.5, -1e-6, 0]])
+    square, sliver = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 4, 1]])
+    np.testing.assert_array_equal(smoothness_matrix(V, square).toarray(), cotangent_matrix(V, square).toarray())
+    K = smoothness_matrix(V, np.vstack([square, sliver])).toarray()
+    at = np.ix_([0, 1, 4], [0, 1, 4])
+    others = K.copy()
+    others[at] -= 0.5 * np.array([[2, -1, -1], [-1, 2, -1], [-1, -1, 2]])
+    np.testing.assert_allclose(others, cotangent_matrix(V, square).toarray(), atol=1e-15)

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.distance import cdist
 
 from lbsfit_np.errors import InputError
-from lbsfit_np.neighbors import PointIndex
+from lbsfit_np.neighbors import PointIndex, neighbour_distances, spacing
 
 
 def _sets(seed, n=60, k=80, parts=4):
@@ -170,3 +170,10 @@ def test_labels_of_any_kind_of_whole_numbers(kind):
     points, labels, queries, asked = _sets(5)
     found = PointIndex(points, labels.astype(kind)).nearest(queries, np.maximum(asked, 0).astype(kind))
     np.testing.assert_array_equal(found, PointIndex(points, labels).nearest(queries, np.maximum(asked, 0)))
+
+
+def test_spacing_goes_by_neighbours_and_does_not_feel_how_much_there_is():
+    grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0), [0.0]), axis=-1).reshape(-1, 3)
+    assert spacing(grid) == spacing(grid[:60]) == 2.0  # the third of four neighbours at a distance of one
+    np.testing.assert_allclose(neighbour_distances(grid, 5)[[0, 210]], [2.0, np.sqrt(2)])
+    assert spacing(grid[:3]) == np.inf

@@ -7,9 +7,9 @@ their logarithms, calibrated on scans with known truth (``bench.calibrate``), ma
 
 import numpy as np
 
-from ..neighbors import PointIndex
+from ..medians import weighted_median
+from ..neighbors import PointIndex, neighbour_distances, spacing
 from ..optimize.problem import Problem, merged
-from ..optimize.registration import weighted_median
 from ..optimize.visibility import WHOLE, seen_vertices
 
 __all__ = [
@@ -117,10 +117,9 @@ def evidence_of(
     index = PointIndex(X)
     to_X = index.nearest(vertices)
     # Between points there is nothing to reach.
-    third = _neighbour(X, X, 3)
+    third = neighbour_distances(X, 3)
     w = without(w, third > _LONELY * np.median(third))
-    spacing = 2.0 * float(np.median(third))  # how far apart points are where they are sparse
-    back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing, _SPARSEST), 0.0) ** 2
+    back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing(X), _SPARSEST), 0.0) ** 2
     seen = seen_vertices(coverage, vertices, rig.faces, Problem(X), on, to_X)
     typical = float(np.sqrt(weighted_median(away, w)))
     away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
@@ -165,19 +164,14 @@ def shown_problem(model, problem, state, coverage):
     V = model.deformed(state).vertices
     on, to_X = PointIndex(V).nearest(problem.X), problem.x_index.nearest(V)
     away, back = np.linalg.norm(problem.X - V[on], axis=1), np.linalg.norm(V - problem.X[to_X], axis=1)
-    x_kept = away < max(_PARTNER, 4 * np.median(away))
-    v_kept = (back < max(_PARTNER, 4 * np.median(back))) & seen_vertices(coverage, V, model.rig.faces, problem, on, to_X)
+    near = max(_PARTNER, 4 * np.median(away))
+    # Not by the median of these: of a scan that shows less than half of the body that is where there are no points.
+    x_kept, v_kept = away < near, back < max(near, problem.spacing)
+    v_kept &= seen_vertices(coverage, V, model.rig.faces, problem, on, to_X)
     if (x_kept.all() and v_kept.all()) or model.areas[v_kept].sum() < coverage.least:
         return problem
     a = problem.shares * x_kept
     return Problem(problem.X, a / a.sum(), v_kept.astype(float))
-
-
-def _neighbour(of, among, k):
-    """(n,) distance of the k-th neighbour of points ``of`` among points that they are of; infinite where there are fewer."""
-    from scipy.spatial import cKDTree
-
-    return cKDTree(among).query(of, k=[k + 1])[0][:, 0]
 
 
 def lonely_odd(X, away):
@@ -198,7 +192,7 @@ def lonely_odd(X, away):
     odd = np.flatnonzero(away / (away + _SCALE**2) > _ODD)
     lonely = np.zeros(len(X), dtype=bool)
     if len(odd):
-        lonely[odd] = _neighbour(X[odd], X[odd], k) > _LONELY_ODD * np.median(_neighbour(X, X, k))
+        lonely[odd] = neighbour_distances(X[odd], k) > _LONELY_ODD * np.median(neighbour_distances(X, k))
     return lonely
 
 

@@ -268,7 +268,7 @@ class ScanFit:
 
     @cached_property
     def _registration(self):
-        return Registration(self.model, self.settings.coverage)
+        return Registration(self.model)
 
     @cached_property
     def _with_proportions(self):

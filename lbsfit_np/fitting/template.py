@@ -15,12 +15,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
-from ..losses.laplacian import cotangent_matrix
 from ..optimize.gauss_newton import GaussNewton
 from ..optimize.precision import told_angles
+from ..optimize.smoothness import smoothness_matrix
 from ..optimize.surface import vertex_normals
 from ..optimize.visibility import WHOLE, Coverage
-from ..triangles import no_slivers
 from .labels import refined_labels
 
 __all__ = ["TemplateSettings", "likely_right", "shared_template"]
@@ -139,7 +138,7 @@ def _heights(model, U, J, problems, states, settings):
     rig = model.rig
     m = len(U)
     normals = vertex_normals(U, rig.faces)
-    K = cotangent_matrix(U, rig.faces[no_slivers(U, rig.faces)])
+    K = smoothness_matrix(U, rig.faces)
     prior = sparse.csc_array(settings.smooth * (K.T @ K) + settings.small * sparse.diags_array(model.areas))
     h = np.zeros(m)
     on = np.flatnonzero(model.areas > _NO_AREA)  # others, of faces without area, stay where they are

@@ -39,7 +39,7 @@ class TemplateFit:
 
     @cached_property
     def _registration(self):
-        return Registration(self.model, self.settings.coverage)
+        return Registration(self.model)
 
     @cached_property
     def _proportioned(self):

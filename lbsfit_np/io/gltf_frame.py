@@ -25,6 +25,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..medians import weighted_median
+
 __all__ = ["SCENE", "Placement", "blend", "nearest_rotations", "place"]
 
 # Of what may be bind space, what is no node.
@@ -86,7 +88,7 @@ def place(vertices, weights, skinning, joint_labels, roots, candidates):
     corners = _corners(vertices)
     determinants = np.linalg.det(skinning[:, :3, :3])
     scales = np.cbrt(np.abs(determinants))
-    scale = _weighted_median(scales, mass)
+    scale = weighted_median(scales, mass)
     mirrored = mass[determinants < 0].sum() > 0.5
     one_scale = scale > 0 and mass[np.abs(scales - scale) <= _SCALE * scale].sum() >= 0.9
 
@@ -228,12 +230,6 @@ def _spread(corners, matrix):
 
 def _mean(matrices, weights):
     return np.einsum("j,jab->ab", weights / weights.sum(), matrices)
-
-
-def _weighted_median(values, weights):
-    order = np.argsort(values, kind="stable")
-    half = np.searchsorted(np.cumsum(weights[order]), 0.5)
-    return float(values[order][min(half, len(values) - 1)])
 
 
 def _angle(R):

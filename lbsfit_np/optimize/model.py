@@ -6,9 +6,9 @@ from functools import cached_property
 import numpy as np
 from scipy import sparse
 
-from ..losses.laplacian import cotangent_matrix
 from ..skinning import skin
 from ..triangles import areas_around, inside_out
+from .smoothness import smoothness_matrix
 from .state import State
 from .surface import Surface, clear_vertices, vertex_normals
 
@@ -69,8 +69,8 @@ class Model:
 
     @cached_property
     def K(self):
-        """Cotangent matrix of the template."""
-        return cotangent_matrix(self.rig.vertices, self.rig.faces)
+        """K of the template, see :func:`smoothness_matrix`."""
+        return smoothness_matrix(self.rig.vertices, self.rig.faces)
 
     @cached_property
     def areas(self):

@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from ..losses.objective import objective
-from ..neighbors import PointIndex
+from ..neighbors import PointIndex, spacing
 from ..scan import some_rows
 from ..skinning import skin_adjoint
 from .visibility import hull_planes
@@ -73,6 +73,11 @@ class Problem:
     def x_index(self):
         """The search structure over the points, without labels."""
         return PointIndex(self.X)
+
+    @cached_property
+    def spacing(self):
+        """How far apart points are where they are sparse, of those at one place one: see ``neighbors.spacing``."""
+        return spacing(merged(self.X, self.shares, None)[0])
 
     @cached_property
     def hull(self):

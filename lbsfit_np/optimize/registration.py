@@ -22,15 +22,15 @@ Posed vertices are linear in u: each step is one sparse linear system, solved by
 import numpy as np
 from scipy import sparse
 
-from ..losses.laplacian import cotangent_matrix
+from ..medians import weighted_median
 from ..neighbors import PointIndex
-from ..triangles import areas_around, no_slivers, pieces
+from ..triangles import areas_around, pieces
 from .measured import ToTriangles
 from .problem import merged
 from .pulling import between
-from .visibility import WHOLE, pulling_weights
+from .smoothness import differences
 
-__all__ = ["Registration", "weighted_median"]
+__all__ = ["Registration"]
 
 # β and μ of the text. Three times as much of both leaves bodies of other rigs half as far again from their scans, a third of both
 # leaves vertices of hands a few percent further from the truth.
@@ -50,9 +50,8 @@ _PLACES = 4000
 _STEPS, _STILL, _TOLERANCE, _INNER = 6, 3e-4, 1e-2, 200
 # Vertices with less of the surface than this share of the mean count as if they had so much: Δ divides by it.
 _LEAST_AREA = 0.01
-# A place pulls where its nearest point lies on the mesh no further from it than this, half sizes, or this many times as far as
-# the middle one of all places, which is how far apart points are.
-_THERE, _APART = 0.03, 4.0
+# A place pulls where its nearest point lies on the mesh no further from it than this, half sizes, or than points are apart.
+_THERE = 0.03
 # Vertices of a smaller piece of the mesh no further than this from the largest one, half sizes, are joined to it by an edge.
 _JOINED = 0.05
 # No vertex moves further, half sizes; a step that would, or that makes nothing smaller, is halved so many times.
@@ -69,20 +68,17 @@ class Registration:
     Parameters
     ----------
     model : Model
-    coverage : Coverage, optional
-        What scans show, by default the whole body: what they cannot show follows what they do, smoothly.
     """
 
-    def __init__(self, model, coverage=WHOLE):
-        self.model, self.coverage = model, coverage
+    def __init__(self, model):
+        self.model = model
         self._mesh = ToTriangles(model, _PLACES)
         vertices, faces = model.rig.vertices, model.rig.faces
         area = areas_around(vertices, faces)
         self._area = np.maximum(area, max(_LEAST_AREA * area.mean(), np.finfo(float).tiny))
         self._piece = pieces(len(vertices), faces)
-        fine = no_slivers(vertices, faces)  # others only hold their corners together: their cotangents, rounding's, would rule
-        K = sparse.csc_array(cotangent_matrix(vertices, faces[fine]))
-        stretching = K + 0.5 * _differences(*_edges(faces[~fine]), len(vertices)) + _joins(vertices, self._piece)
+        K = sparse.csc_array(model.K)
+        stretching = K + _joins(vertices, self._piece)
         self._smooth = sparse.csc_array(_BENDING * (K.T @ sparse.diags_array(1.0 / self._area) @ K) + _STRETCHING * stretching)
 
     def __call__(self, problem, state):
@@ -152,12 +148,11 @@ class Registration:
         V = posed.vertices
         on = self._mesh.closest(X, PointIndex(V).nearest(X), posed)
         places, facing = self._mesh.places(posed)
-        to_X, pull = problem.x_index.nearest(places), self._mesh.weights
-        pull = pulling_weights(self.coverage, pull, places, facing, problem, on.normals, to_X)
+        to_X = problem.x_index.nearest(places)
         piece = self._piece[on.corners[:, 0]]
         if partners is None:
-            partners = piece, self._have_points(on, piece, places, facing, to_X)
-        shares, pull = problem.shares * (piece == partners[0]), pull * partners[1]
+            partners = piece, self._have_points(problem, on, piece, places, facing, to_X)
+        shares, pull = problem.shares * (piece == partners[0]), self._mesh.weights * partners[1]
         r = np.vstack([X - on.points, X[to_X] - places])
         n = np.vstack([on.normals, between(facing, on.normals[to_X])])
         hangs = (on.corners, on.barycentric), (self._mesh.corners, self._mesh.barycentric)
@@ -165,10 +160,9 @@ class Registration:
         made.value += _REACH**2 * float(problem.shares.sum() - shares.sum())  # the most that ρ is: no step wins by losing points
         return made
 
-    def _have_points(self, on, piece, places, facing, to_X):
+    def _have_points(self, problem, on, piece, places, facing, to_X):
         """(v,) bool: the places whose nearest point lies on the mesh about there, and not on its other side or another piece."""
-        away = np.linalg.norm(on.points[to_X] - places, axis=1)
-        there = away < max(_THERE, _APART * np.median(away))
+        there = np.linalg.norm(on.points[to_X] - places, axis=1) < max(_THERE, problem.spacing)
         same = piece[to_X] == self._piece[self._mesh.corners[:, 0]]
         return there & same & (np.einsum("va,va->v", facing, on.normals[to_X]) > 0)
 
@@ -224,18 +218,6 @@ class _Measured:
         return out
 
 
-def _edges(faces):
-    """Both ends of the three edges of each face."""
-    return faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-
-
-def _differences(i, j, m):
-    """(m, m) sparse: the matrix of Σ (u_i − u_j)² over pairs of vertices."""
-    of, ones = np.arange(len(i)), np.ones(len(i))
-    E = sparse.csr_array((np.r_[ones, -ones], (np.r_[of, of], np.r_[i, j])), shape=(len(i), m))
-    return sparse.csc_array(E.T @ E)
-
-
 def _joins(vertices, piece):
     """(m, m) sparse: what edges from smaller pieces to near vertices of the largest one add to a cotangent matrix."""
     from scipy.spatial import cKDTree
@@ -244,13 +226,7 @@ def _joins(vertices, piece):
     rows, others = np.flatnonzero(largest), np.flatnonzero(~largest)
     away, near = cKDTree(vertices[rows]).query(vertices[others], distance_upper_bound=_JOINED)
     joined = np.isfinite(away)
-    return _differences(others[joined], rows[near[joined]], len(vertices))
-
-
-def weighted_median(values, weights):
-    """The least value up to which half of the weight lies."""
-    order = np.argsort(values, kind="stable")
-    return float(values[order[np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())]])
+    return differences(others[joined], rows[near[joined]], len(vertices))
 
 
 class _Preconditioner:
