@@ -1,4 +1,4 @@
-"""Scans as tables: CSV, XYZ and TXT files, with or without a header, and the arrays of NPY and NPZ files."""
+"""Scans as tables: CSV, XYZ and TXT files, with or without a header."""
 
 import codecs
 import csv
@@ -8,22 +8,17 @@ import warnings
 import numpy as np
 
 from ..errors import FileError
-from . import npz
-from .cloud import CloudData, cloud_from_columns, column_role, in_plain_numbers, set_labels, whole_numbers
+from .cloud import CloudData, cloud_from_columns, column_role, in_plain_numbers
 
-__all__ = ["ODD_X", "read_npy", "read_npz", "read_table"]
+__all__ = ["ODD_X", "read_table", "unnamed"]
 
 # How the note begins that x is hardly what was meant: of each scan that has it, the fit is all but certainly wrong.
 ODD_X = "Columns 1 to 3 were read as x, y, z, but the first"
 
 _AT_A_TIME = 1 << 20  # bytes
+_MARK = codecs.BOM_UTF8
 _COUNT = re.compile(r"[1-9][0-9]{0,11}")
 _HEAD_LINES = 200  # comment lines before the first row; more than that is no table
-_NPZ_KEYS = {
-    "points": ("points", "xyz", "vertices", "verts", "v", "positions", "position", "pos", "point", "x", "pc", "cloud"),
-    "faces": ("faces", "f", "triangles"),
-    "normals": ("normals", "normal", "vertex_normals", "point_normals"),
-}
 # How far from 1 the length of a row may be for three unnamed columns to pass for a normal (0 is allowed as well).
 _UNIT = 0.02
 
@@ -91,73 +86,11 @@ def read_table(path):
         remedy = "The file may be truncated. If that is no number of rows, delete the line."
         raise FileError(str(path), got, "as many rows as that", remedy)
     if names is None:
-        cloud = _unnamed(table, *_IN_TABLES)
+        cloud = unnamed(table, *_IN_TABLES)
     else:
         cloud = cloud_from_columns(path, "columns", [names[k] for k in usecols], lambda k: table[:, k])
     cloud.notes[:0] = notes
     return cloud
-
-
-_MARK = codecs.BOM_UTF8
-# A picture has at least so many rows and columns, and at most so many times as many of one as of the other.
-_PICTURE, _LONG = 48, 4
-
-
-def read_npy(path):
-    """Read an (n, 3 or more) array, or a structured one with fields x, y, z; see :func:`read_table` for further columns."""
-    array = npz.read_npy(path)
-    if array.dtype.names:
-        return cloud_from_columns(path, "fields", array.dtype.names, lambda k: array.reshape(-1)[array.dtype.names[k]])
-    if array.ndim == 2 and _PICTURE <= min(array.shape) and max(array.shape) <= _LONG * min(array.shape):
-        got = f"an array of shape {array.shape}, which looks like a depth image"
-        raise FileError(str(path), got, "points of shape (n, 3)", "Convert each pixel to x, y, z with the camera's intrinsics.")
-    if array.ndim == 2 and array.shape[1] > 3 and array.shape[0] != 3 and array.dtype.kind in "iuf":
-        return _unnamed(array, *_IN_ARRAYS)
-    return CloudData(array)
-
-
-def read_npz(path):
-    """Read an NPZ file: points (or xyz, vertices, …), and faces, normals and labels where it has them."""
-    by_name = {key.lower(): key for key in sorted(npz.npz_keys(path))}
-    if npz.RESULT_KEY in by_name:
-        remedy = "Give the scan that was fitted; FitResult.load reads this file."
-        raise FileError(str(path), "the result of a fit", "a scan", remedy)
-    of_rig = {"parents", "joints"} <= set(by_name) and any(key.startswith("weights") for key in by_name)
-    if of_rig and not {"points", "xyz"} & set(by_name):
-        raise FileError(str(path), "a rig, or a learned model", "a scan", "Give the rig before the scans.")
-    found = {what: next((by_name[k] for k in keys if k in by_name), None) for what, keys in _NPZ_KEYS.items()}
-    labels = [key for name, key in by_name.items() if column_role(name) == 6]
-    axes = [by_name.get(axis) for axis in "xyz"]
-    arrays = npz.read_npz(path, [key for key in [*found.values(), *axes] if key is not None])
-    if all(axes):
-        cloud = cloud_from_columns(path, "arrays", axes, lambda k: arrays[axes[k]].reshape(-1))
-    elif found["points"] is not None:
-        cloud = CloudData(arrays[found["points"]])
-    else:
-        expected = f"one called {', '.join(_NPZ_KEYS['points'][:3])} (or verts, v, positions, pos)"
-        raise FileError(str(path), f"arrays called {', '.join(by_name.values()) or '(none)'}", expected)
-    cloud.faces, cloud.normals = arrays.get(found["faces"]), arrays.get(found["normals"])
-    _take_labels(cloud, path, labels)
-    return cloud
-
-
-def _take_labels(cloud, path, keys):
-    """Of the arrays that are called like labels the first that has a whole number for each point, else the first."""
-    n, found = np.shape(cloud.points)[:1] or (0,), {}
-    for key in keys:
-        try:
-            found |= npz.read_npz(path, [key])
-        except FileError:  # of Python objects, say, where another may do
-            if keys == [key]:
-                raise
-    if not found:
-        return
-    fits = {key: np.shape(a) in (n, (*n, 1)) and whole_numbers(a) is not None for key, a in found.items()}
-    key = max(found, key=lambda key: (fits[key], np.shape(found[key]) in (n, (*n, 1))))
-    if np.size(found[key]) == 1 != n[0]:  # as classified objects have
-        cloud.notes.append(f"{key!r} is one value for all points: labels left out.")
-    else:
-        set_labels(cloud, key, found[key])
 
 
 def _read_head(path):
@@ -338,16 +271,15 @@ _IN_TABLES = (
     "leave it out, or name the columns in a header line (row x y z)",
     "a header line (x y z nx ny nz label)",
 )
-_IN_ARRAYS = ("leave it out (array[:, 1:])", "a structured array with fields (x, y, z, nx, ny, nz, label)")
 
 
-def _unnamed(table, without_rows, with_names):
+def unnamed(table, without_rows, with_names):
     """A cloud from columns without names: x, y, z, and the normal where the next three columns have unit length.
 
     Before them may stand the numbers of the rows, as data frames write them. The last two arguments are for notes.
     """
     if table.shape[1] > 3 and _counts_the_rows(table):
-        cloud = _unnamed(table[:, 1:], without_rows, with_names)
+        cloud = unnamed(table[:, 1:], without_rows, with_names)
         cloud.notes.insert(0, "The first column, which counts the rows, was left out.")
         return cloud
     cloud = CloudData(table[:, :3])

@@ -35,8 +35,8 @@ _READERS = {
     ".txt": _lazily(".columns", "read_table"),
     ".csv": _lazily(".columns", "read_table"),
     ".pcd": _lazily(".pcd", "read_pcd"),
-    ".npy": _lazily(".columns", "read_npy"),
-    ".npz": _lazily(".columns", "read_npz"),
+    ".npy": _lazily(".scan_arrays", "read_npy"),
+    ".npz": _lazily(".scan_arrays", "read_npz"),
     ".glb": _lazily(".gltf_scan", "read_gltf_scan"),
     ".gltf": _lazily(".gltf_scan", "read_gltf_scan"),
 }
