@@ -31,6 +31,7 @@ class CloudData:
     normals: np.ndarray | None = None  # (n, 3)
     labels: np.ndarray | None = None  # (n,)
     notes: list[str] = field(default_factory=list)
+    mesh: "CloudData | None" = None  # what to sample instead, where the file has a mesh beside the points
 
 
 _AXIS = {"x": 0, "y": 1, "z": 2, "0": 0, "1": 1, "2": 2}

@@ -14,6 +14,8 @@ _NPZ_KEYS = {
     "faces": ("faces", "f", "triangles"),
     "normals": ("normals", "normal", "vertex_normals", "point_normals"),
 }
+# What faces belong to where the points are another array.
+_VERTICES = ("vertices", "verts", "v")
 # A picture has at least so many rows and columns, and at most so many times as many of one as of the other.
 _PICTURE, _LONG = 48, 4
 # What notes on columns without names advise: on row numbers, and on further columns.
@@ -34,7 +36,10 @@ def read_npy(path):
 
 
 def read_npz(path):
-    """Read an NPZ file: points (or xyz, vertices, …), and faces, normals and labels where it has them."""
+    """Read an NPZ file: points (or xyz, vertices, …), and faces, normals and labels where it has them.
+
+    Faces are of the vertices, where there are vertices beside the points: the two are then the cloud's mesh.
+    """
     by_name = {key.lower(): key for key in sorted(npz.npz_keys(path))}
     if npz.RESULT_KEY in by_name:
         remedy = "Give the scan that was fitted; FitResult.load reads this file."
@@ -45,30 +50,53 @@ def read_npz(path):
     found = {what: next((by_name[k] for k in keys if k in by_name), None) for what, keys in _NPZ_KEYS.items()}
     labels = [key for name, key in by_name.items() if column_role(name) == 6]
     axes = [by_name.get(axis) for axis in "xyz"]
-    arrays = npz.read_npz(path, [key for key in [*found.values(), *axes] if key is not None])
+    vertices = next((by_name[k] for k in _VERTICES if k in by_name), None)
+    arrays = npz.read_npz(path, {key for key in [*found.values(), *axes, vertices] if key is not None})
     if all(axes):
-        cloud = cloud_from_columns(path, "arrays", axes, lambda k: arrays[axes[k]].reshape(-1))
+        named, cloud = "x, y, z", cloud_from_columns(path, "arrays", axes, lambda k: arrays[axes[k]].reshape(-1))
     elif found["points"] is not None:
-        cloud = CloudData(arrays[found["points"]])
+        named, cloud = found["points"], CloudData(arrays[found["points"]])
     else:
         expected = f"one called {', '.join(_NPZ_KEYS['points'][:3])} (or verts, v, positions, pos)"
         raise FileError(str(path), f"arrays called {', '.join(by_name.values()) or '(none)'}", expected)
-    cloud.faces, cloud.normals = arrays.get(found["faces"]), arrays.get(found["normals"])
-    _take_labels(cloud, path, labels)
+    faces, normals, labels = arrays.get(found["faces"]), arrays.get(found["normals"]), _arrays_called(path, labels)
+    if faces is None or not faces.size or vertices is None or named.lower() in _VERTICES:
+        cloud.faces, cloud.normals = faces, normals
+        _take_labels(cloud, labels)
+        return cloud
+    mesh = cloud.mesh = CloudData(arrays[vertices], faces)
+    cloud.notes.append(f"The faces are of {vertices!r}, the points {named!r}: n_samples (--samples) samples that mesh instead.")
+    mesh.notes.append(f"The faces are of {vertices!r}: that mesh was taken, and the points {named!r} were left out.")
+
+    def of_mesh(array):
+        return np.shape(array)[:1] == np.shape(mesh.points)[:1]
+
+    def of_points(array):  # also what fits neither, which is told then
+        return np.shape(array)[:1] == np.shape(cloud.points)[:1] or not of_mesh(array)
+
+    for part, fits in ((cloud, of_points), (mesh, of_mesh)):
+        part.normals = normals if normals is not None and fits(normals) else None
+        _take_labels(part, {key: values for key, values in labels.items() if fits(values)})
     return cloud
 
 
-def _take_labels(cloud, path, keys):
-    """Of the arrays that are called like labels the first that has a whole number for each point, else the first."""
-    n, found = np.shape(cloud.points)[:1] or (0,), {}
+def _arrays_called(path, keys):
+    """Arrays by name, without those of Python objects, say, where another may do."""
+    found = {}
     for key in keys:
         try:
             found |= npz.read_npz(path, [key])
-        except FileError:  # of Python objects, say, where another may do
+        except FileError:
             if keys == [key]:
                 raise
+    return found
+
+
+def _take_labels(cloud, found):
+    """Of the arrays that are called like labels the first that has a whole number for each point, else the first."""
     if not found:
         return
+    n = np.shape(cloud.points)[:1] or (0,)
     fits = {key: np.shape(a) in (n, (*n, 1)) and whole_numbers(a) is not None for key, a in found.items()}
     key = max(found, key=lambda key: (fits[key], np.shape(found[key]) in (n, (*n, 1))))
     if np.size(found[key]) == 1 != n[0]:  # as classified objects have

@@ -90,6 +90,8 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
         raise InputError("n_samples", brief(n_samples), "no more points than memory can hold")
     shown = str(path)
     cloud = _read(path, shown)
+    if n_samples is not None and cloud.mesh is not None:
+        cloud = cloud.mesh
     notes = list(cloud.notes)
     points, valid = _checked(cloud.points, shown, drop_invalid)
     normals = _per_point(cloud.normals, "normals", (len(valid), 3), shown)
@@ -172,6 +174,7 @@ def load_mesh(path):
     """
     shown = str(path)
     cloud = _read(path, shown)
+    cloud = cloud.mesh or cloud
     points, _ = _checked(cloud.points, shown, False)
     faces = _checked_faces(cloud.faces, len(points), shown)
     if not len(faces):
