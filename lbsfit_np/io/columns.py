@@ -4,6 +4,7 @@ import codecs
 import csv
 import re
 import warnings
+from itertools import islice
 
 import numpy as np
 
@@ -19,6 +20,8 @@ _AT_A_TIME = 1 << 20  # bytes
 _MARK = codecs.BOM_UTF8
 _COUNT = re.compile(r"[1-9][0-9]{0,11}")
 _HEAD_LINES = 200  # comment lines before the first row; more than that is no table
+# What stands for a missing value, in small letters; R writes NA, other programs null or None.
+_MISSING = ("", "na", "nan", "null", "none")
 # How far from 1 the length of a row may be for three unnamed columns to pass for a normal (0 is allowed as well).
 _UNIT = 0.02
 
@@ -27,9 +30,10 @@ def read_table(path):
     """Read rows of numbers, separated by commas, semicolons, tabs or blanks.
 
     Columns are found by the names in a header line; without one, the first three are x, y, z, and the next three are the
-    normal if they have unit length; a column before them that counts the rows is left out. An empty cell of a row is NaN.
-    Lines that start with # are comments, but for a last one that names the columns. Tabs side by side are blanks where a first
-    row has no header, or as many numbers as its header has names. The first line may be the number of rows alone.
+    normal if they have unit length; a column before them that counts the rows is left out. An empty cell is NaN, and so are NA,
+    null and None; what all rows end with is no column. Lines that start with # are comments, but for a last one that names the
+    columns. Tabs side by side are blanks where a first row has no header, or as many numbers as its header has names. The first
+    line may be the number of rows alone.
 
     Parameters
     ----------
@@ -49,32 +53,35 @@ def read_table(path):
     if cells is None:
         below = "" if names is None else f" below the first line, {_row(names)!r}, which was read as a header"
         raise FileError(str(path), f"no line of numbers{below}", "one point per line")
-    decimal_comma = delimiter in (";", "\t") and any("," in cell for cell in cells)
-    numeric = [_is_number(cell.replace(",", ".") if decimal_comma else cell) or not cell for cell in cells]
-    if names is not None and len(cells) == len(names) + 1 and cells[-1]:
+    said = _first_said(path, skip, delimiter, cells)
+    decimal_comma = delimiter in (";", "\t") and any("," in cell for cell in said)
+    numeric = _numeric(said, decimal_comma)  # of x, y, z, words in a later row are an error that names it
+    if names is not None and len(cells) == len(names) + 1 and said[-1]:
         if not numeric[0] or (all(numeric[:3]) and _numbers_the_rows(_load(path, skip, delimiter, [0, 1, 2], decimal_comma))):
             names = ["", *names]
             notes.append("The first column, for which the header has no name, numbers or names the rows: left out.")
     if names is None:
-        filled = [k for k in range(len(cells)) if numeric[k] and any(cells[k:])]  # no column follows what a line may end with
-        usecols = None if len(filled) == len(cells) else filled
-        if len(cells) < 3 or not all(numeric[:3]):
+        # No column follows what all lines end with.
+        used = [k for k in range(len(said)) if any(said[k:]) and (numeric[k] or k < 3)]
+        usecols = None if len(used) == len(said) else used
+        if len(cells) < 3 or not all(_numeric(cells[:3], decimal_comma)):
             raise FileError(str(path), f"the first row {_row(cells)!r}", "numbers x, y, z in the first three columns")
     else:
         roles = [column_role(name) for name in names]
-        got = f"a first line {_row(names)!r} above the row {_row(cells)!r}"
+        got = f"a first line {_row(names)!r} above the row {_row(said)!r}"
         if not {0, 1, 2} <= set(roles) or len(cells) < len(names):
             raise FileError(str(path), got, "columns named x, y and z, or rows of numbers without a header")
-        if any(cells[len(names) + 1 :]):
+        if any(said[len(names) + 1 :]):
             remedy = "Name all columns; with decimal commas, separate them by semicolons or tabs."
             raise FileError(str(path), got, f"rows of {len(names)} columns, as many as have names", remedy)
         if (digits := [name for name in names if name.isdigit()]) and {"0", "1", "2"} <= set(digits):
             notes.append(f"The first line, {_row(names)}, was read as names of columns.")
-        usecols = [k for k, role in enumerate(roles) if role is not None and numeric[k]]
+        missing = [role in (0, 1, 2) and _is_missing(cell) for role, cell in zip(roles, cells)]
+        usecols = [k for k, role in enumerate(roles) if role is not None and (numeric[k] or missing[k])]
         notes += [
             f"Column {names[k].strip()!r} does not hold numbers: left out."
             for k, role in enumerate(roles)
-            if role is not None and not numeric[k]
+            if role is not None and k not in usecols
         ]
         if not {0, 1, 2} <= {roles[k] for k in usecols}:
             raise FileError(str(path), f"text in the columns x, y, z: {_row(cells)!r}", "numbers")
@@ -135,6 +142,28 @@ def _read_head(path):
     raise FileError(str(path), f"no row of numbers in the first {_HEAD_LINES} lines", "one point per line")
 
 
+def _first_said(path, skip, delimiter, cells):
+    """Of each column the first cell that is not missing: the first row's, or a later one's; "" where all rows have nothing there.
+
+    Where all that rows have is a word for what is missing, that word.
+    """
+    said, ends = list(cells), "\r\n \t" + (delimiter or "")
+    missing = [k for k, cell in enumerate(said) if _is_missing(cell)]
+    if not missing:
+        return said
+    with open(path, encoding="utf-8-sig", errors="replace") as file:
+        for line in islice(file, skip, None):
+            if delimiter is not None and line.rstrip(ends).count(delimiter) < missing[0]:
+                continue  # what most rows are where all end with a delimiter
+            found = _cells(in_plain_numbers(line).split("#", 1)[0], delimiter)
+            for k in missing:
+                said[k] = found[k] if k < len(found) and found[k] else said[k]
+            missing = [k for k in missing if _is_missing(said[k])]
+            if not missing:
+                break
+    return said
+
+
 def _delimiter(line, names):
     """What separates the cells of a line, None for blanks; ``names``: those above it, if there are any."""
     if ";" in line:
@@ -189,13 +218,19 @@ def _cells(line, delimiter):
 
 
 def _is_header(cells, delimiter):
-    """Whether a line names the columns. "0,1,2", which a data frame without names writes above its rows, does."""
+    """Whether a line names the columns. "0,1,2", which a data frame without names writes above its rows, does.
+
+    A point may lack a coordinate, or all: then only the names of all three make a header of the words after them.
+    """
     filled = [cell for cell in cells if cell]
     if delimiter is not None and len(filled) > 2 and filled == [str(k) for k in range(len(filled))]:
         return True
     if delimiter in (";", "\t"):
         cells = [cell.replace(",", ".") for cell in cells]
-    return any(cell and not _is_number(cell) for cell in cells) and not all(map(_is_number, cells[:3]))
+    if all(_is_number(cell) or not cell for cell in cells):
+        return False
+    first = [cell for cell in cells[:3] if cell]
+    return not all(map(_is_number, first)) if first else {0, 1, 2} <= {column_role(cell) for cell in cells}
 
 
 def _begins_with_a_mark(path):
@@ -204,42 +239,43 @@ def _begins_with_a_mark(path):
         return file.read(len(_MARK)) == _MARK
 
 
-def _has_odd_numbers(path):
-    """Whether a file may have numbers that :func:`in_plain_numbers` changes."""
+def _has_odd_cells(path, delimiter):
+    """Whether a file may have cells that :func:`_lines` puts more plainly."""
+    odd = (b"1.#", b"nan(", b"NaN(", b"NAN(", *([b' "'] if delimiter in (",", ";") else []))
     with open(path, "rb") as file:
         end = b""
         while block := file.read(_AT_A_TIME):
             block = end + block
-            if any(odd in block for odd in (b"1.#", b"nan(", b"NaN(", b"NAN(")):
+            if any(word in block for word in odd):
                 return True
             end = block[-3:]
     return False
 
 
-def _lines(path, decimal_comma):
-    """The lines of a file without that mark, numbers with decimal points and spelt plainly."""
+def _lines(path, delimiter, decimal_comma):
+    """The lines of a file without that mark, numbers with decimal points and spelt plainly, no blank before a cell's quotes."""
+    quotes = re.compile(rf'(^|{delimiter}) +"') if delimiter in (",", ";") else None
     with open(path, encoding="latin-1") as file:
         for k, line in enumerate(file):
             line = in_plain_numbers(line if k else line.removeprefix(_MARK.decode("latin-1")))
+            if quotes is not None and ' "' in line:
+                line = quotes.sub(r'\1"', line)
             yield line.replace(",", ".") if decimal_comma else line
 
 
 def _load(path, skip, delimiter, usecols, decimal_comma):
     """The wanted columns as an (n, c) array."""
     options = {"delimiter": delimiter, "usecols": usecols, "ndmin": 2, "skiprows": skip, "encoding": "latin-1", "quotechar": '"'}
-    plain = not decimal_comma and not _begins_with_a_mark(path) and not _has_odd_numbers(path)
+    plain = not decimal_comma and not _begins_with_a_mark(path) and not _has_odd_cells(path, delimiter)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             try:
-                return np.loadtxt(path if plain else _lines(path, decimal_comma), **options)
-            except ValueError:
-                if delimiter is None:
-                    raise
-                # Slower: an empty cell is a missing value, and becomes NaN; a decimal comma may come after a first row without.
-                point = "." if delimiter == "," else ","
-                options |= {"converters": lambda c: float(c.replace(point, ".")) if c.strip() else np.nan}
-                return np.loadtxt(path if plain else _lines(path, decimal_comma), **options)
+                return np.loadtxt(path if plain else _lines(path, delimiter, decimal_comma), **options)
+            except ValueError:  # Slower: with missing values, and decimal commas after a first row without.
+                point = "," if delimiter in (";", "\t") else "."
+                options |= {"converters": lambda cell: _value(cell, point)}
+                return np.loadtxt(path if plain else _lines(path, delimiter, decimal_comma), **options)
     except (ValueError, IndexError) as error:
         what, first = str(error).split("; use ")[0].rstrip("."), str(error).startswith("could not convert")  # this counts from 0
         what = re.sub(r"at row (\d+)", lambda m: f"in row {int(m[1]) + first}", what)
@@ -329,12 +365,27 @@ def _looks_like_row_numbers(table):
     return bool((first[1:] > first[:-1]).all()) or shuffled
 
 
+def _numeric(cells, decimal_comma):
+    """Of each cell, whether it is a number or missing."""
+    return [not cell or _is_number(cell.replace(",", ".") if decimal_comma else cell) for cell in cells]
+
+
 def _is_number(cell):
+    """Whether a cell is a number, or a word for a missing one."""
     try:
         float(cell)
     except ValueError:
-        return False
+        return cell != "" and _is_missing(cell)
     return True
+
+
+def _is_missing(cell):
+    return cell.lower() in _MISSING
+
+
+def _value(cell, point):
+    cell = cell.strip().strip('"').strip()
+    return np.nan if _is_missing(cell) else float(cell.replace(point, "."))
 
 
 def _row(cells):
