@@ -2,7 +2,6 @@
 
 import os
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from scipy import sparse
@@ -28,6 +27,7 @@ from .checks import (
 )
 from .clips import poses_of_clips, under_other_parents
 from .frames import bone_frames, child_directions, frames_along
+from .hierarchy import parents_by_card
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, OUTSIDE, derived_limits, without_rest
 from .partition import check_partition, partition_names
 from .regressor import exact_regressor, regressor_from_weights
@@ -85,7 +85,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     said_by_card = card.metres_per_unit is not None or card.up is not None or card.forward is not None
     check_directions(report, unit, up, forward, card.where if said_by_card else "")
 
-    parents = _hierarchy(parents, names, card)
+    parents = parents_by_card(parents, names, card)
     root = check_tree(report, parents, names, explained=bool(card.root or card.chains or card.parents))
     weights = following_root(root, weights, names, notes)
     if data.animated is not None and not np.array_equal(parents, data.parents):
@@ -164,45 +164,6 @@ def _as_card(card):
     if isinstance(card, (str, os.PathLike)):
         return read_card(card)
     raise InputError("card", type(card).__name__, "a Card, or the path of a card file")
-
-
-def _hierarchy(parents, names, card):
-    """The file's parents, overridden by globs in the card's parents, then by its chains and names; its root hangs on nothing."""
-    parents = parents.copy()
-    where = f"{card.where}, [hierarchy]"
-    by_name = {}
-
-    def put(j, up):
-        if by_name.setdefault(j, up) != up:
-            got = f"two parents for joint {names[j]!r}: {names[by_name[j]]!r} and {names[up]!r}"
-            raise InputError(where, got, "one parent for each joint", "Change its chain, or its line in parents.")
-        parents[j] = up
-
-    for child, parent in card.parents:
-        up = _one(parent, names, where)
-        for j in matching(child, names, where):
-            if child in names:
-                put(j, up)
-            elif j != up and j not in by_name:  # a glob may well match the parent itself
-                parents[j] = up
-    for chain in card.chains:
-        for up, j in pairwise([_one(name, names, where) for name in chain]):
-            put(j, up)
-    if card.root is not None:
-        root = _one(card.root, names, where)
-        if root in by_name:
-            got = f"the root {card.root!r} as a child of {names[by_name[root]]!r}"
-            raise InputError(where, got, "a root that neither chains nor parents put below another joint")
-        parents[root] = -1
-    return parents
-
-
-def _one(name, names, where):
-    """Row of one joint: globs are no use where the order matters."""
-    rows = matching(name, names, where)
-    if len(rows) > 1:
-        raise InputError(where, f"{name!r}, which matches {len(rows)} joints", "the name of one joint")
-    return rows[0]
 
 
 def _frames(frames, joints, parents, names, card, up, forward):
