@@ -12,6 +12,8 @@ from gltf_files import (
 
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.gltf import read_gltf
+from lbsfit_np.rig.build import build_rig
+from lbsfit_np.rig.card_text import card_text
 
 
 def test_children_before_parents(tmp_path):
@@ -56,6 +58,20 @@ def test_joint_names_are_made_unique(tmp_path):
     data = read_gltf(save(writer, tmp_path))
     assert data.joint_names == ["node4", "bone", "bone#3", "bone#2", "node4#2"]
     assert "without a name" in data.notes[0] and "bone#3" in data.notes[1]
+
+
+def test_halves_of_characters_in_names_are_replaced(tmp_path):
+    """JSON allows them, and nothing else: a rig with them has no digest, and no card can name its joints."""
+    writer = write_arm(ARM)
+    writer.json["nodes"][1]["name"], writer.json["nodes"][2]["name"] = "arm\ud83d", "arm\ude00"
+    writer.json["nodes"][3]["name"], writer.json["skins"][0]["name"] = "tip \U0001f600", "skin\ud83d"
+    rig = build_rig(read_gltf(save(writer, tmp_path)))
+    assert rig.joint_names == ("root", "arm\ufffd", "arm\ufffd#2", "tip \U0001f600", "side")
+    assert rig.notes[0] == "2 joint(s) with \ufffd in the name, for what is no character: arm\ufffd, arm\ufffd#2"
+    assert "made unique by a number: arm\ufffd#2" in rig.notes[1]
+    assert len(rig.digest) == 64 and '"arm\ufffd#2"' in card_text(rig)
+    with pytest.raises(InputError, match="0 \\('skin\ufffd'\\)"):
+        read_gltf(save(writer, tmp_path), skin=3)
 
 
 # ---- several skins ----

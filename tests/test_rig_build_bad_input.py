@@ -31,6 +31,14 @@ def put(index, value):
 
 
 BAD = {
+    "half of a character in a joint's name": (
+        broken(joint_names=["root", "elbow", "long", "b\ud83d"]),
+        r"joint_names: got 'b\\ud83d', which has what UTF-8 cannot hold; expected names of Unicode characters\. Rename",
+    ),
+    "half of a character in a part's name": (
+        broken(partitions={"own": {"b\ud83d": ("root",)}}),
+        r"partitions: got 'b\\ud83d', which has what UTF-8 cannot hold",
+    ),
     "vertices of a wrong shape": (broken(vertices=np.zeros((5, 2))), r"vertices.*\(5, 2\).*\(any, 3\)"),
     "vertices that are text": (broken(vertices=np.array([["a", "b", "c"]])), "vertices.*array of numbers"),
     "ragged vertices": (broken(vertices=[[1, 2, 3], [1, 2]]), "vertices.*array of numbers"),

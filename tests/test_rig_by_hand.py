@@ -27,6 +27,8 @@ from lbsfit_np.io.rigs import load_rig
         (lambda rig: {"regressor": rig.regressor[:1]}, ["regressor", "(4, "]),
         (lambda rig: {"joint_names": rig.joint_names[:2]}, ["parents", "(4,)", "(2,)"]),
         (lambda rig: {"joint_names": list(rig.joint_names)}, ["joint_names", "a tuple of names"]),
+        (lambda rig: {"joint_names": ("a\ud83d", "b", "c", "d")}, ["joint_names", r"'a\ud83d'", "UTF-8", "Rename"]),
+        (lambda rig: {"partitions": {"own": {"a\ud83d": rig.joint_names}}}, ["partitions", r"'a\ud83d'", "UTF-8"]),
         (lambda rig: {"parents": np.array([-1, 0, 1, 4])}, ["parents", "[-1, 0, 1, 4]", "one tree"]),
         (lambda rig: {"parents": np.array([-1, 2, 1, 0])}, ["parents", "one tree"]),
         (lambda rig: {"parents": np.array([-1, -1, 1, 0])}, ["parents", "one tree"]),

@@ -209,6 +209,9 @@ def _joint_names(graph, joints, notes):
             name = f"{base}#{k}"
             repeated.append(name)
         names.append(name)
+    broken = [name for name in names if "\ufffd" in name]
+    if broken:
+        notes.append(f"{len(broken)} joint(s) with \ufffd in the name, for what is no character: {listed(broken, 5)}")
     if unnamed:
         notes.append(f"{len(unnamed)} joint(s) without a name, named after their nodes: {listed(unnamed, 5)}")
     if repeated:

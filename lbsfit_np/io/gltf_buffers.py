@@ -10,6 +10,7 @@ import binascii
 import json
 import math
 import os
+import re
 import struct
 from pathlib import Path
 from urllib.parse import unquote, unquote_to_bytes
@@ -140,9 +141,9 @@ class Document:
         return np.array(value, dtype=float)
 
     def name(self, owner, default):
-        """The name of an object, or ``default`` where it has none."""
+        """The name of an object, with U+FFFD for halves of characters, which JSON allows; ``default`` where it has none."""
         name = owner.get("name")
-        return name if isinstance(name, str) and name else default
+        return re.sub(r"[\ud800-\udfff]", "\ufffd", name) if isinstance(name, str) and name else default
 
     def _natural(self, value, what):
         if isinstance(value, float) and value.is_integer():

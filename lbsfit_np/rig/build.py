@@ -19,6 +19,7 @@ from .checks import (
     check_limits,
     check_mask,
     check_mesh,
+    check_names,
     check_poses,
     check_rotations,
     check_tree,
@@ -380,6 +381,7 @@ def _partitions(report, data, names, card):
         unknown = [n for members in groups.values() for n in members if n not in names]
         if unknown:
             report.fail(f"partition {partition!r}", f"{unknown[0]!r}, which is no joint of the rig", "names of its joints")
+        check_names(report, "partitions", [str(partition), *map(str, groups)])
         out[str(partition)] = {str(part): tuple(members) for part, members in groups.items()}
     for partition, groups in card.partitions.items():
         where = f"{card.where}, [parts.{partition}]"

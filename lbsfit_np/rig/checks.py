@@ -1,5 +1,6 @@
 """Checks of a rig file's content: arrays of the right kinds, indices in range, weights that are weights, a proper tree."""
 
+import re
 import shlex
 from collections.abc import Mapping
 from numbers import Real
@@ -19,6 +20,7 @@ __all__ = [
     "check_limits",
     "check_mask",
     "check_mesh",
+    "check_names",
     "check_poses",
     "check_rig",
     "check_rotations",
@@ -170,6 +172,14 @@ def _range(values, digits):
     return " to ".join(dict.fromkeys(format(value, digits) for value in (values.min(), values.max())))
 
 
+def check_names(report, field, names):
+    """Raise where one of the names has half of a character, which nothing could be written or digested with."""
+    odd = [name for name in names if re.search(r"[\ud800-\udfff]", name)]
+    if odd:
+        remedy = "Rename the joint or part in the rig's file."
+        report.fail(field, f"{odd[0]!r}, which has what UTF-8 cannot hold", "names of Unicode characters", remedy)
+
+
 def check_joints(report, data):
     """Joint names, parents (in range), positions and rest frames."""
     names = list(data.joint_names)
@@ -179,6 +189,7 @@ def check_joints(report, data):
             "no joints" if not names else "names that are empty or not text",
             "a name for each of one or more joints",
         )
+    check_names(report, "joint_names", names)
     twice = sorted({n for n in names if names.count(n) > 1})
     if twice:
         report.fail(
@@ -237,6 +248,7 @@ def check_rig(rig):
     report = Reporter(None)
     if not isinstance(rig.joint_names, tuple) or not all(isinstance(name, str) for name in rig.joint_names):
         report.fail("joint_names", brief(rig.joint_names), "a tuple of names")
+    check_names(report, "joint_names", rig.joint_names)
     J = len(rig.joint_names)
     for name in ("vertices", "faces", "parents", "joints", "frames", "lower", "upper", "merged", "locked"):
         if not isinstance(value := getattr(rig, name), np.ndarray):
@@ -262,6 +274,7 @@ def check_rig(rig):
         check_mask(report, name, getattr(rig, name), J)
     check_directions(report, rig.metres_per_unit, rig.up, rig.forward)
     for name, parts in rig.partitions.items():
+        check_names(report, "partitions", [str(name), *map(str, parts)])
         for part, members in parts.items():
             listed_names = members if isinstance(members, (tuple, list)) else [members]
             unknown = [joint for joint in listed_names if joint not in rig.joint_names]
