@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_rigs import NAMES, make_tube_data
+from scipy import sparse
+from small_rigs import NAMES, make_tube_data, with_joint
 
 from lbsfit_np.errors import InputError
+from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.card import Card
 
@@ -153,3 +155,43 @@ def test_unit_and_axes_of_the_card_win_and_unknown_ones_are_noted():
     assert any("0.00985 m long" in note for note in rig.notes)
     unknown = build_rig(replace(make_tube_data(), metres_per_unit=None, up=None))
     assert any("unknown: unit, up axis" in note for note in unknown.notes)
+
+
+def test_notes_of_a_saved_rig_that_a_card_answers_are_gone(tmp_path):
+    data = with_joint(make_tube_data(), "tip", 3)
+    joints, weights = data.joints.copy(), data.weights.toarray()
+    joints[2, 0] += 10.0
+    weights[:, 1] += 0.9 * weights[:, 3]
+    weights[:, 3] *= 0.1
+    data = replace(
+        data,
+        joints=joints,
+        weights=sparse.csr_array(weights),
+        metres_per_unit=100.0,
+        up=None,
+        forward=None,
+        partitions={"own": {"nail": ("short",), "rest": ("root", "elbow", "long", "tip")}},
+        notes=["made by hand"],
+    )
+    rig = build_rig(data)
+    rig.save(tmp_path / "rig.npz")
+    assert load_rig(tmp_path / "rig.npz").notes == rig.notes
+    words = {
+        "1 joint with weight outside the mesh, by up to",
+        "the rig is 98.5 m long if its unit is 100 m",
+        "unknown: up axis, forward axis (can be set in a card's [rig])",
+        "1 joint without weight: tip",
+        "1 moving joint without a part, as no vertex belongs mostly to any: short",
+        "partition 'own': no vertex belongs mostly to nail",
+    }
+
+    def said(notes):
+        return {what for what in words if any(note.startswith(what) for note in notes)}
+
+    assert said(rig.notes) == words
+    card = Card(metres_per_unit=1.0, up="+y", merge=("tip", "short", "long"), partitions={"own": {"all": ("*",)}})
+    notes = load_rig(tmp_path / "rig.npz", card=card).notes
+    assert not said(notes) and "unknown: forward axis (can be set in a card's [rig])" in notes
+    assert notes[0] == "made by hand" and any(note.startswith("3 joints merged into parents") for note in notes)
+    whole = load_rig(tmp_path / "rig.npz", card=Card(up="+y", forward="+z")).notes
+    assert said(whole) == {what for what in words if not what.startswith("unknown")} and not any("unknown" in n for n in whole)

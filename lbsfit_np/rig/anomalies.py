@@ -5,10 +5,23 @@ import numpy as np
 from ..errors import counted, listed
 from ..triangles import inside_out, pieces
 
-__all__ = ["mesh_notes", "size_notes", "skin_notes"]
+__all__ = ["mesh_notes", "size_notes", "skin_notes", "unanswerable", "unknown_notes"]
 
 # Joints of a skin are within it, or a little outside where it is hollow; beyond this share of the rig's size something is wrong.
 _FAR = 0.25
+
+# What the notes say that a card may answer; numbers and names are around it.
+_OUTSIDE = "with weight outside the mesh, by up to"
+_LONG = "m long if its unit is"
+_UNKNOWN = "(can be set in a card's [rig])"
+_IDLE = "without weight:"
+_BLIND = "without a part, as no vertex belongs mostly to any:"
+_EMPTY = ": no vertex belongs mostly to"
+
+
+def unanswerable(notes):
+    """Those of a rig's notes that no card answers: the others are to be made anew."""
+    return [note for note in notes if not any(what in note for what in (_OUTSIDE, _LONG, _UNKNOWN, _IDLE, _BLIND, _EMPTY))]
 
 
 def mesh_notes(rig):
@@ -57,7 +70,7 @@ def _far_joints(rig):
     far = np.flatnonzero((away > _FAR * rig.size) & (carried > 0))
     if not len(far):
         return []
-    what = f"{counted(len(far), 'joint')} with weight outside the mesh, by up to {away[far].max() / rig.size:.2g} times its size"
+    what = f"{counted(len(far), 'joint')} {_OUTSIDE} {away[far].max() / rig.size:.2g} times its size"
     names = listed([rig.joint_names[j] for j in far])
     return [f"{what}: {names}; are joints in another unit than vertices, or is another of their axes up?"]
 
@@ -69,7 +82,14 @@ def _odd_size(rig):
     if 0.01 <= metres <= 20.0:
         return []
     unit = f"{rig.metres_per_unit:g} m"
-    return [f"the rig is {metres:.3g} m long if its unit is {unit}; if the unit is wrong, set it in a card ([rig] unit)"]
+    return [f"the rig is {metres:.3g} {_LONG} {unit}; if the unit is wrong, set it in a card ([rig] unit)"]
+
+
+def unknown_notes(rig):
+    """Unit and axes that neither file nor card has."""
+    of_rig = (("unit", rig.metres_per_unit), ("up axis", rig.up), ("forward axis", rig.forward))
+    unknown = [word for word, value in of_rig if value is None]
+    return [f"unknown: {', '.join(unknown)} {_UNKNOWN}"] if unknown else []
 
 
 def skin_notes(rig):
@@ -78,16 +98,14 @@ def skin_notes(rig):
     carried = np.asarray(rig.weights[~rig.loose].sum(axis=0)).ravel()
     idle = [name for name, w, merged in zip(rig.joint_names, carried, rig.merged) if w == 0 and not merged]
     if idle:
-        notes.append(f"{counted(len(idle), 'joint')} without weight: {listed(idle)}")
+        notes.append(f"{counted(len(idle), 'joint')} {_IDLE} {listed(idle)}")
     leads = np.unique(rig.leading_joint[~rig.loose])
     blind = [rig.joint_names[j] for j in np.flatnonzero(rig.moving) if j not in leads and carried[j] > 0]
     if blind:
-        notes.append(
-            f"{counted(len(blind), 'moving joint')} without a part, as no vertex belongs mostly to any: {listed(blind)}"
-        )
+        notes.append(f"{counted(len(blind), 'moving joint')} {_BLIND} {listed(blind)}")
     for name, groups in rig.partitions.items():
         there = rig.with_parts(name).parts
         missing = [part for part in groups if part not in there]
         if missing:
-            notes.append(f"partition {name!r}: no vertex belongs mostly to {listed(missing)}; such parts are left out")
+            notes.append(f"partition {name!r}{_EMPTY} {listed(missing)}; such parts are left out")
     return notes

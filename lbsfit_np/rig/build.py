@@ -9,7 +9,7 @@ from scipy import sparse
 from ..errors import InputError, counted, listed
 from ..rotations import nearest_rotvec
 from ..triangles import face_areas
-from .anomalies import mesh_notes, size_notes, skin_notes
+from .anomalies import mesh_notes, size_notes, skin_notes, unanswerable, unknown_notes
 from .card import Card, matching, read_card
 from .chains import subtrees
 from .checks import (
@@ -62,11 +62,11 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
     Returns
     -------
     Rig
-        ``rig.notes`` lists anomalies and what was done about them. Missing limits are derived; see
-        :func:`.limits.derived_limits`. Joints that move no vertex of a face (neither they nor their descendants have weight
-        there) are locked. So are joints that only repeat the root's turn (they and their descendants have all the weight),
-        unless a card gives these joints limits by name. In the package's own files nothing is locked automatically; limits by
-        name free what they lock, unless it moves no vertex.
+        ``rig.notes`` lists anomalies and what was done about them; of notes that a saved rig has, those are left out that the
+        card answers. Missing limits are derived; see :func:`.limits.derived_limits`. Joints that move no vertex of a face
+        (neither they nor their descendants have weight there) are locked. So are joints that only repeat the root's turn (they
+        and their descendants have all the weight), unless a card gives these joints limits by name. In the package's own files
+        nothing is locked automatically; limits by name free what they lock, unless it moves no vertex.
 
     Raises
     ------
@@ -141,10 +141,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
         report.fail("faces", f"{len(faces)} faces, none of which has an area", "a surface")
     for partition in partition_names(partitions):
         _ = rig.with_parts(partition).parts  # raises where a vertex has no part, and says what is missing
-    notes += mesh_notes(rig) + skin_notes(rig) + size_notes(rig)
-    unknown = [word for word, value in (("unit", unit), ("up axis", up), ("forward axis", forward)) if value is None]
-    if unknown:
-        notes.append(f"unknown: {', '.join(unknown)} (can be set in a card's [rig])")
+    notes = unanswerable(notes) + mesh_notes(rig) + skin_notes(rig) + size_notes(rig) + unknown_notes(rig)
     return _with_notes(rig, notes)
 
 
