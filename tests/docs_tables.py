@@ -33,10 +33,11 @@ def listed_keys(name, marker, wanted=lambda row: True):
 def summary_keys(command):
     """Keys of ``summary.json`` as docs/fitting.md lists them of a command: of the whole, of a scan, of one without a fit.
 
-    Without ``details``, which only errors have that nobody foresaw, and those that only kept fits may have.
+    Without ``details``, which only errors have that nobody foresaw, and those that only some fits of earlier runs may have.
     """
     other = {"fit": "`lbsfit learn` alone", "learn": "`lbsfit fit` alone"}[command]
     name, of_scans = "docs/fitting.md", "summary keys of scans"
     whole = listed_keys(name, "summary keys", lambda row: other not in row[1])
     without = listed_keys(name, of_scans, lambda row: row[1] and other not in row[1])
-    return whole, listed_keys(name, of_scans) - {"details", "other_settings", "other_points"}, without - {"details"}
+    some = {"details", "earlier", "other_settings", "other_points"}
+    return whole, listed_keys(name, of_scans) - some, without - some

@@ -213,18 +213,6 @@ def test_results_that_are_links_stay_links_to_what_is_written(fitted, made, tmp_
     assert "no picture" not in text and (out / "one.png").is_symlink() and (store / "png").stat().st_size > 1000
 
 
-def test_what_cannot_be_fitted_now_has_no_fit_of_an_earlier_run(fitted, made, tmp_path, run):
-    """--existing skip would take that for its fit."""
-    scan, out = tmp_path / "one.ply", tmp_path / "out"
-    out.mkdir()
-    for path in fitted[0].glob("one.*"):
-        (out / path.name).write_bytes(path.read_bytes())
-    scan.write_bytes(b"ply")
-    assert run("fit", made / "tube.npz", scan, "-o", out, "--existing", "replace", *QUICK)[0] == 1
-    assert [path.name for path in out.iterdir()] == ["summary.json"]
-    assert run("fit", made / "tube.npz", scan, "-o", out, "--existing", "skip", *QUICK)[0] == 1
-
-
 def test_kept_fits_keep_their_status(fitted, made, tmp_path, run):
     for path in fitted[0].iterdir():
         (tmp_path / path.name).write_bytes(path.read_bytes())

@@ -314,6 +314,21 @@ def test_the_rest_of_the_results_by_the_table_of_subjects(tubes, tmp_path, run, 
     assert f"lbsfit fit m.npz {shlex.join([scans[0]])} -o new" in words and words.endswith("skip")
 
 
+@pytest.mark.parametrize("same, existing", [(True, "skip"), (False, "replace")])
+def test_earlier_fits_of_scans_that_failed_are_in_the_way_of_the_rest(same, existing, tube_model, tubes, tmp_path):
+    """Where a command is for all scans: --existing skip would refuse those of others."""
+    files = outputs.plan([str(tubes / f"t{i}.ply") for i in (0, 1)], tmp_path, inputs=[], existing="replace")
+    earlier = outputs.plan([str(tubes / "t0.ply")], tube_model[1], inputs=[], existing="replace")[0]
+    for what in ("fit", "mesh", "labels"):
+        files[0].paths[what].write_bytes(earlier.paths[what].read_bytes())
+    if not same:
+        fit = lbs.FitResult.load(files[0].fit)
+        replace(fit, model_digest="another").save(files[0].fit)
+    entries = {"t0": scan_results.unfitted_entry(files[0], "empty")}
+    words = results_so_far(lbs.LBSFitter.load(tube_model[0]), "m.npz", files, entries, None, {"results": "new", **_AS_IT_IS})
+    assert words.endswith(f" {tubes / 't1.ply'} -o new --existing {existing}") or f"SCAN... -o new --existing {existing}" in words
+
+
 @pytest.mark.parametrize("letters, named", [(200, True), (201, False)])
 def test_the_rest_is_named_where_that_is_short(letters, named, tube_model, tmp_path):
     fitter, values = lbs.LBSFitter.load(tube_model[0]), {"results": "new", **_AS_IT_IS}
@@ -332,21 +347,26 @@ def test_the_summary_is_written_whatever_becomes_of_the_rest(error, tubes, tmp_p
     assert json.loads((tmp_path / "fi ts" / "summary.json").read_text())["not_done"] == ["t2", "t3"]
 
 
-def test_what_was_not_learned_from_has_no_fit_of_an_earlier_run(tubes, tmp_path, run):
-    results = tmp_path / "fits"
+def test_what_was_not_learned_from_keeps_its_fit_of_an_earlier_run(tubes, tube_rig, tmp_path, run):
+    results, earlier = tmp_path / "fits", ("broken.mesh.ply", "broken.labels.ply", "t9.fit.npz")
     results.mkdir()
     (tmp_path / "broken.ply").write_text("ply")
-    for name in ("broken.fit.npz", "broken.mesh.ply", "broken.labels.ply", "t9.fit.npz"):
+    result_of(tube_rig, tube_rig.vertices, 400).save(results / "broken.fit.npz")
+    for name in earlier:
         (results / name).write_text("of an earlier run")
     arguments = ("learn", tubes / "tube.npz", tubes / "t0.ply", tmp_path / "broken.ply", "-o", tmp_path / "m.npz")
     more = ("--results", results, "--existing", "replace", "--variant", "free-form")
     code, text, _ = run(*arguments, *more)
     assert code == 1 and "fitted 1 of 2 scans, each by itself; wrote " in text
-    kept = {"t9.fit.npz", "summary.json", *(f"t0.{kind}" for kind in ("fit.npz", "mesh.ply", "labels.ply"))}
-    assert {path.name for path in results.iterdir()} == kept
+    now = {"summary.json", *(f"t0.{kind}" for kind in ("fit.npz", "mesh.ply", "labels.ply"))}
+    assert {path.name for path in results.iterdir()} == {*now, *earlier, "broken.fit.npz"}
+    assert {(results / name).read_text() for name in earlier} == {"of an earlier run"}
+    assert "; an earlier fit is still there: broken.fit.npz\n" in text and "1 of 2 results in" in text
+    entry, _ = json.loads((results / "summary.json").read_text())["scans"]
+    assert (entry["name"], entry["status"], entry["earlier"]) == ("broken", "failed", "broken.fit.npz") and "files" not in entry
 
 
-def test_a_result_that_is_not_written_leaves_none_of_an_earlier_run(tubes, tmp_path, run, monkeypatch):
+def test_a_result_that_is_not_written_leaves_that_of_an_earlier_run(tubes, tmp_path, run, monkeypatch):
     """One that is not finite, and one whose files cannot be written."""
     fit, write = lbs.LBSFitter.fit, scan_results.Writer.__call__
 
@@ -368,7 +388,10 @@ def test_a_result_that_is_not_written_leaves_none_of_an_earlier_run(tubes, tmp_p
             (results / f"{name}.{kind}").write_text("of an earlier run")
     arguments = ("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz", "--results", results)
     assert run(*arguments, "--existing", "replace", "--variant", "free-form")[0] == 1
-    assert {path.name.split(".")[0] for path in results.iterdir()} == {"t2", "t3", "summary"}
+    assert {path.name.split(".")[0] for path in results.iterdir()} == {"t0", "t1", "t2", "t3", "summary"}
+    assert {path.read_text() for path in results.glob("t[01].*")} == {"of an earlier run"}
+    statuses = {e["name"]: e["status"] for e in json.loads((results / "summary.json").read_text())["scans"]}
+    assert statuses["t0"] == statuses["t1"] == "failed"
 
 
 def test_a_full_disk_leaves_no_half_model(tubes, tmp_path, run, monkeypatch):

@@ -1,7 +1,8 @@
-"""Pictures of fits: drawn with them, gone with them, and never in their way."""
+"""Pictures of fits: drawn with them, gone with those that others replace, and never in their way."""
 
 import json
 import os
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ import pytest
 from cli_runs import QUICK, one_line
 
 import lbsfit_np as lbs
-from lbsfit_np.cli import kept_fits, outputs, scan_results
+from lbsfit_np.cli import outputs, scan_results
 from lbsfit_np.errors import FileError
 from lbsfit_np.report.render import is_signed, write_png
 
@@ -42,12 +43,17 @@ def test_no_fit_is_lost_for_a_picture(fitted, made, tmp_path, run, monkeypatch):
         raise lbs.errors.InputError("forward", "'+y'", "another axis")
 
     monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", fail)
-    (tmp_path / "one.png").write_bytes(b"of an earlier fit")
+    (tmp_path / "one.png").write_bytes(b"of others")
     arguments = ("fit", made / "tube.npz", made / "one.ply", "-o", tmp_path, "--pictures", *QUICK)
     assert run(*arguments, "--existing", "replace")[0] == 0
     (scan,) = json.loads((tmp_path / "summary.json").read_text())["scans"]
-    assert scan["notes"] == ["no picture: forward: got '+y'; expected another axis."] and "picture" not in scan["files"]
-    assert lbs.FitResult.load(tmp_path / "one.fit.npz").status == "ok" and not (tmp_path / "one.png").exists()
+    note = "no picture: forward: got '+y'; expected another axis"
+    assert scan["notes"] == [f"{note}; one.png is not of this fit"] and "picture" not in scan["files"]
+    assert lbs.FitResult.load(tmp_path / "one.fit.npz").status == "ok" and (tmp_path / "one.png").read_bytes() == b"of others"
+    write_png(tmp_path / "one.png", PIXELS)
+    assert run(*arguments, "--existing", "replace")[0] == 0 and not (tmp_path / "one.png").exists()  # of the fit that is gone
+    (scan,) = json.loads((tmp_path / "summary.json").read_text())["scans"]
+    assert scan["notes"] == [f"{note}."]
     code, text, _ = run(*arguments, "--existing", "skip")
     assert code == 0 and "one: no picture: forward" in text
 
@@ -115,13 +121,6 @@ def test_a_picture_of_others_is_not_drawn_over_where_a_scan_is_still_to_be_fitte
     assert run(*arguments, "--existing", "replace")[0] == 0 and is_signed(texture)
 
 
-def test_what_cannot_be_fitted_costs_others_no_picture(tmp_path):
-    files = _files(tmp_path)
-    files.picture.write_bytes(b"\x89PNG of others")
-    scan_results.unfitted_entry(files, "no scan")
-    assert [path.name for path in tmp_path.iterdir()] == ["one.png"]
-
-
 def _files(folder):
     """Those of a scan, with an earlier fit's in their place."""
     files = outputs.ScanFiles("one.ply", "one", *(folder / f"one.{e}" for e in ("fit.npz", "mesh.ply", "labels.ply", "png")))
@@ -143,32 +142,34 @@ def _held(monkeypatch, *names):
     monkeypatch.setattr(Path, "unlink", unlink)
 
 
-@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("there", [False, True])
 @pytest.mark.parametrize(
     "error, words",
     [(FileError("one.png", "a full disk", "room"), "one.png: got a full disk"), (MemoryError("1 GB"), "MemoryError: 1 GB")],
 )
-def test_whatever_is_wrong_with_a_picture_is_a_note(error, words, held, tmp_path, monkeypatch):
+def test_whatever_is_wrong_with_a_picture_is_a_note(error, words, there, tmp_path, monkeypatch):
     def fail(*given):
         raise error
 
     files = _files(tmp_path)
     monkeypatch.setattr("lbsfit_np.report.render.write_png", fail)
     monkeypatch.setattr("lbsfit_np.report.fit_picture.fit_picture", lambda *given: PIXELS)
-    if held:
-        _held(monkeypatch, "one.png")
+    if not there:
+        files.picture.unlink()
     note, *more = scan_results.draw(files, None, None, None)
-    assert note.startswith(f"no picture: {words}") and files.picture.exists() == held and files.fit.exists()
-    assert more == (["one.png of an earlier run cannot be removed (Permission denied)"] if held else [])
+    end = "; one.png is not of this fit" if there else ""
+    assert note.startswith(f"no picture: {words}") and note.endswith(end) and not more
+    assert files.picture.exists() == there and files.fit.exists()
 
 
-def test_a_file_that_cannot_be_removed_does_not_stop_the_run(tmp_path, monkeypatch):
-    files = _files(tmp_path)
-    _held(monkeypatch, "one.mesh.ply")
-    entry = scan_results.unfitted_entry(files, "no scan", seconds=1.0)
-    assert [path.name for path in tmp_path.iterdir()] == ["one.mesh.ply"]
-    assert entry["message"] == "no scan; one.mesh.ply of an earlier run cannot be removed (Permission denied)"
-    assert (entry["status"], entry["seconds"]) == ("failed", 1.0) and "files" not in entry
+@pytest.mark.parametrize("held", [(), ("one.png",)])
+def test_an_earlier_fits_picture_that_cannot_be_removed_is_a_note(held, fitted, made, tube_rig, tmp_path, monkeypatch):
+    files = replace(_files(tmp_path), picture=None)
+    _held(monkeypatch, *held)
+    result = lbs.FitResult.load(fitted[0] / "one.fit.npz")
+    entry = scan_results.Writer(tube_rig, (files,))(0, lbs.load_scan(made / "one.ply"), result)
+    assert entry["notes"] == ["one.png of an earlier run cannot be removed (Permission denied)"] * len(held)
+    assert (entry["status"], (tmp_path / "one.png").exists()) == ("ok", bool(held))
 
 
 @pytest.mark.parametrize("later, newer", [(-1, False), (0, True), (1, True)])
@@ -177,14 +178,14 @@ def test_a_picture_as_old_as_its_fit_is_of_it(later, newer, tmp_path):
     files = _files(tmp_path)
     for path, second in ((files.fit, 100), (files.picture, 100 + later)):
         os.utime(path, (second, second))
-    assert kept_fits._is_newer(files.picture, files.fit) == newer
+    assert scan_results.is_picture_of(files.fit, files.picture) == newer
     files.picture.unlink()
-    assert not kept_fits._is_newer(files.picture, files.fit)
+    assert not scan_results.is_picture_of(files.fit, files.picture)
 
 
 @pytest.mark.parametrize("readable", [True, False])
 def test_a_picture_of_a_fit_that_is_replaced_goes_with_it(readable, made, tmp_path, run):
-    """Also where no new one is asked for; what others have drawn stays."""
+    """Also where no new one is asked for; it stays with its fit, and what others have drawn stays in any case."""
     scan, picture = tmp_path / "one.ply", tmp_path / "out" / "one.png"
     scan.write_bytes((made / "one.ply").read_bytes())
     arguments = ("fit", made / "tube.npz", scan, "-o", tmp_path / "out", *QUICK)
@@ -196,7 +197,8 @@ def test_a_picture_of_a_fit_that_is_replaced_goes_with_it(readable, made, tmp_pa
         if drawn is not None:
             picture.write_bytes(drawn)
         assert run(*arguments, "--existing", "replace")[0] == (0 if readable else 1)
-        assert (picture.read_bytes() if picture.exists() else None) == drawn
+        stays = drawn if readable else drawn or ours
+        assert (picture.read_bytes() if picture.exists() else None) == stays
     for path in picture.parent.glob("one.*"):
         path.unlink()
     picture.write_bytes(ours)  # of nothing that is there: it stays

@@ -15,7 +15,7 @@ from small_rigs import make_tube_data
 
 import lbsfit_np as lbs
 from lbsfit_np.errors import FileError
-from lbsfit_np.fitting.result import _FORMAT
+from lbsfit_np.fitting.result import FORMAT
 from lbsfit_np.learning.parameters import fit_settings
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.synthesis import Synthesis
@@ -23,7 +23,7 @@ from lbsfit_np.synthesis import Synthesis
 
 def test_the_docs_know_the_format_of_results():
     text = (Path(__file__).resolve().parents[1] / "docs" / "fitting.md").read_text(encoding="utf-8")
-    assert f"| `lbsfit_np_result` | () | in the file only: the format's version, {_FORMAT} |" in text
+    assert f"| `lbsfit_np_result` | () | in the file only: the format's version, {FORMAT} |" in text
 
 
 @pytest.fixture(scope="module")

@@ -4,6 +4,7 @@ import errno
 import json
 import os
 import stat
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.io.scans import load_scan
 from lbsfit_np.io.write import (
     atomic_path,
+    atomic_paths,
     write_json,
     write_mesh_ply,
     write_npz,
@@ -73,6 +75,37 @@ def test_nothing_is_left_behind_on_failure(tmp_path, error):
         temporary.write_text("half")
         raise error("a", "b", "c") if error is FileError else error
     assert path.read_text() == "old" and names(tmp_path) == ["a.json"]
+
+
+@pytest.mark.parametrize("there", ["", "a", "b", "ab"])
+@pytest.mark.parametrize("fails", ["block", "disk", "aside", "name", None])
+def test_files_that_belong_together_appear_together_or_not_at_all(fails, there, tmp_path, monkeypatch):
+    files, before = [tmp_path / "a", tmp_path / "b"], dict.fromkeys(there, "old")
+    for name in there:
+        (tmp_path / name).write_text("old")
+    move = os.replace
+
+    def synced(handle, done=[]):  # noqa: B006 (how many were)
+        done.append(handle)
+        if fails == "disk" and len(done) == 2:
+            raise OSError(28, "No space left on device")
+
+    def moved(source, target):
+        if (fails == "aside" and source == files[1]) or (fails == "name" and target == files[1] and source.suffix == ".tmp"):
+            raise PermissionError(13, "Permission denied")
+        move(source, target)
+
+    monkeypatch.setattr(os, "fsync", synced)
+    monkeypatch.setattr(os, "replace", moved)
+    wrong = fails is not None and not (fails == "aside" and "b" not in there)
+    words = {"block": "nothing foreseen", "disk": "b: got .*No space left"}.get(fails, "b: got .*Permission denied")
+    with pytest.raises((FileError, RuntimeError), match=words) if wrong else nullcontext():
+        with atomic_paths(*files) as temporary:
+            for path in temporary:
+                path.write_text("new")
+            if fails == "block":
+                raise RuntimeError("nothing foreseen")
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == (before if wrong else dict.fromkeys("ab", "new"))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="permissions of POSIX")

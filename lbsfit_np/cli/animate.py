@@ -10,6 +10,7 @@ from .outputs import check_file
 from .parsing import Option, add_options, amount, formatter, positive, settings
 from .progress import say
 from .sequences import order_note
+from .summary import earlier_fits
 
 __all__ = ["add_parser"]
 
@@ -103,6 +104,7 @@ def _run(arguments):
     if note := order_note(fits):
         say(f"note: {note}")
     _say_doubtful(names, results)
+    _say_earlier(names, fits)
     people = sorted({result.subject for result in results})
     odd = [names[k] for k in odd_scales(results)]
     if len(people) > 1 and values["offsets"] == "mean":
@@ -148,6 +150,16 @@ def _say_doubtful(names, results):
         of = [name for name, result in zip(names, results, strict=True) if result.status == status]
         if of:
             say(f"note: {counted(len(of), 'fit')} {'has' if len(of) == 1 else 'have'} status {status}: {listed(of)}")
+
+
+def _say_earlier(names, fits):
+    """Name the fits that the last run in their folder could not make again: patterns name them as well."""
+    places = [os.path.split(fit) for fit in fits]
+    earlier = {folder: earlier_fits(folder) for folder, _ in places}
+    of = [name for name, (folder, file) in zip(names, places, strict=True) if file in earlier[folder]]
+    if of:
+        are = "fit is" if len(of) == 1 else "fits are"
+        say(f"note: {len(of)} {are} of an earlier run, as the last one could not fit the scan: {listed(of)}")
 
 
 def _distance(rig, results, names, away, values):

@@ -7,7 +7,7 @@ from ..errors import FileError, listed
 from .progress import say
 from .summary import SUMMARY
 
-__all__ = ["ENDINGS", "drawn_by_others", "results_beside", "without_results"]
+__all__ = ["ENDINGS", "drawn_by_others", "is_fit", "results_beside", "without_results"]
 
 # What follows the name of a scan in its files.
 ENDINGS = {"fit": ".fit.npz", "mesh": ".mesh.ply", "labels": ".labels.ply", "picture": ".png"}
@@ -45,17 +45,21 @@ def _results_among(sources):
 
 def _is_result(source, ending, scans):
     """Whether a file with that ending is of a fit beside it, whose scan is one of these: places and names."""
-    from ..io.npz import RESULT_KEY, npz_keys
-
     name = os.path.basename(source).removesuffix(ending)
     if _place(source, name) not in scans:
         return False
-    fit = os.path.join(os.path.dirname(source), name + ENDINGS["fit"])
+    ours = is_fit(os.path.join(os.path.dirname(source), name + ENDINGS["fit"]))
+    return ours and (ending != ENDINGS["picture"] or not drawn_by_others(source))
+
+
+def is_fit(path):
+    """Whether there is a fit that this package has written, by whichever of its versions."""
+    from ..io.npz import RESULT_KEY, npz_keys
+
     try:
-        ours = RESULT_KEY in npz_keys(fit)
+        return RESULT_KEY in npz_keys(path)
     except FileError:
         return False
-    return ours and (ending != ENDINGS["picture"] or not drawn_by_others(source))
 
 
 def _place(source, name):

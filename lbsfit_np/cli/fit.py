@@ -9,7 +9,7 @@ from ..io.write import remove_empty
 from ..rig.frames import AXES
 from ..rig.units import METRES
 from . import earlier_results, outputs, scan_results
-from .kept_fits import kept_entries
+from .kept_fits import left_alone
 from .models import about_model, is_model, load_model, model_in_words, say_model_as_rig, subjects_of, unit_parameter
 from .parsing import Option, add_options, chosen, formatter, natural, positive
 from .progress import Progress, of_all, say
@@ -113,9 +113,10 @@ Fit a rig, or a model written by `lbsfit learn`, to scans. For each scan NAME.EX
   NAME.png         with --pictures: the scan, coloured by its parts, beside the registered mesh, from two sides
 
 and OUT/summary.json says how each of this run's scans went. Files appear only once they are complete. Inputs are never
-overwritten. Judge fits by their status and probability, not by recon, the distance between scan and mesh in half sizes of the
-rig (the root of the Chamfer distance): that is larger for sparse scans and coarse meshes, however right the fit is. After
-Ctrl-C, run the same command with --existing skip to do the rest.
+overwritten. If a scan cannot be fitted, files that an earlier run has left of it stay, and a message names its fit. Judge fits
+by their status and probability, not by recon, the distance between scan and mesh in half sizes of the rig (the root of the
+Chamfer distance): that is larger for sparse scans and coarse meshes, however right the fit is. After Ctrl-C, run the same
+command with --existing skip to do the rest.
 
 A model keeps its rig, its segmenter and how these were made, so options about the rig (--card, --shape, --skin,
 --normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale, --unit,
@@ -266,18 +267,20 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
             say(note)
     rig, subjects = fitter.rig, {f.name: subject for f, subject in zip(files, subjects, strict=True)}
     reader = functools.partial(read_scan, least=len(rig.parts), options=scan_options(values))
-    kept = kept_entries(files, fitter, subjects, reader) if values["existing"] == "skip" else {}
-    todo = tuple(f for f in files if f.name not in kept)
-    if kept:
-        say(f"kept existing fits of {of_all(len(kept), len(files))}")
+    entries = left_alone(files, fitter, subjects, reader) if values["existing"] == "skip" else {}
+    todo = tuple(f for f in files if f.name not in entries)
+    if kept := counts_of(entries)["kept"]:
+        say(f"kept existing fits of {of_all(kept, len(files))}")
     folders = outputs.out_folder(out)
-    entries, before = dict(kept), named(todo)
+    before = named(todo)
     progress = Progress(len(todo))
 
     def on_result(outcome):
         f = todo[outcome.index]
         if outcome.error is None:
             entries[f.name] = outcome.result
+        elif written := settled([f], before, notes=[outcome.error]):  # before its process was killed, say
+            entries.update(written)
         else:
             entries[f.name] = scan_results.unfitted_entry(f, outcome.error, seconds=round(outcome.seconds, 3))
             if outcome.details:
@@ -302,7 +305,8 @@ def fit_files(rig_path, scans, values, *, inputs=(), given=()):
     if stopped is not None and not isinstance(stopped, KeyboardInterrupt):
         raise stopped
     say_doubtful([entries[f.name] for f in files if f.name in entries])
-    older = [f for f in files if f.name not in entries and f.fit.is_file()] if values["existing"] == "replace" else []
+    undone = [f for f in files if "files" not in entries.get(f.name, {})] if values["existing"] == "replace" else []
+    older = [f for f in undone if f.fit.is_file()]
     return _farewell(counts, len(files), out, stopped, len(older))
 
 
@@ -376,7 +380,7 @@ def _fit(fitter, todo, subjects, values, on_result, progress):
 
 
 def _farewell(counts, n, out, stopped, older):
-    """Say how it ended; ``older``: of the scans that were not dealt with, how many have fits of an earlier run."""
+    """Say how it ended; ``older``: of the scans that this run has not fitted, how many have fits of an earlier one."""
     done = counts["written"]
     if stopped is not None:
         kept, rest = f"stopped: {of_all(done, n)} {_are(done)} fitted and kept in {out}", ""

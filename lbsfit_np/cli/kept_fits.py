@@ -1,4 +1,4 @@
-"""Fits of earlier runs that ``--existing skip`` keeps, once it is sure what they were made with."""
+"""Fits of earlier runs that ``--existing skip`` leaves alone: those that it keeps, once it is sure what they were made with."""
 
 import functools
 from collections import Counter
@@ -6,11 +6,11 @@ from collections import Counter
 import numpy as np
 
 from ..errors import FileError, InputError, counted, listed
-from ..io.npz import RESULT_KEY, npz_keys
+from ..io.npz import RESULT_KEY, npz_keys, read_npz
 from . import scan_results
 from .progress import say
 
-__all__ = ["kept_entries"]
+__all__ = ["left_alone"]
 
 # Of fits that were made with other settings, so many kinds are told one by one.
 _KINDS = 3
@@ -18,8 +18,11 @@ _KINDS = 3
 _SAME = 1e-6
 
 
-def kept_entries(files, fitter, subjects, read):
+def left_alone(files, fitter, subjects, read):
     """Entries, by name, of the scans whose fits are there and whole; InputError where one was made with something else.
+
+    Those of another version's format are not kept, as nobody knows what they say; they are left to that version all the same,
+    and their scans have no fit in this run.
 
     Other settings, such as another effort, are no error: of some scans one may want what is too slow for all. A line tells them,
     and fits of other points than ``read`` (path → Scan) finds now. To read a scan is nothing beside fitting it, and neither names
@@ -28,7 +31,7 @@ def kept_entries(files, fitter, subjects, read):
     from ..fitting.result import FitResult
     from ..learning.made_with import settings_of
 
-    kept, rig = {}, fitter.rig
+    entries, rig = {}, fitter.rig
     made, now, others, differ, unread = _MadeWith(fitter), settings_of(fitter), Counter(), [], []
     for f in files:
         if not f.fit.is_file():
@@ -37,6 +40,11 @@ def kept_entries(files, fitter, subjects, read):
             result = FitResult.load(f.fit)
         except FileError as error:
             _check_ours(f.fit, error)
+            if _is_of_another_format(f.fit):
+                words = f"{f.fit.name} is not kept: it has {error.got}, this version reads {error.expected}"
+                entries[f.name] = scan_results.unfitted_entry(f, f"{words}; --existing replace fits the scan again")
+                say(f"{f.name}: {entries[f.name]['message']}")
+                continue
             say(f"{f.name}: {f.fit} cannot be read ({error.got}; expected {error.expected}), so the scan is fitted again")
             continue
         if result.rig_digest != rig.digest:
@@ -60,22 +68,22 @@ def kept_entries(files, fitter, subjects, read):
             why = f"{error.argument} cannot be used ({error.got}; expected {error.expected})"
             say(f"{f.name}: {why}, so the scan is fitted again")
             continue
-        if f.picture is not None and not _is_newer(f.picture, f.fit):
+        if f.picture is not None and not scan_results.is_picture_of(f.fit, f.picture):
             for note in scan_results.draw(f, rig, labelled, result):
                 say(f"{f.name}: {note}")
-        kept[f.name] = scan_results.fitted_entry(f, result, kept=True)
+        entries[f.name] = scan_results.fitted_entry(f, result, kept=True)
         other = {name: result.settings.get(name) for name in now if result.settings.get(name) != now[name]}
         if other:
-            kept[f.name]["other_settings"] = other if result.settings else None
+            entries[f.name]["other_settings"] = other if result.settings else None
             others[_in_words(other, now, result.settings)] += 1
         try:
             now_there = read(f.source).points
         except FileError as error:
-            kept[f.name]["other_points"] = None
+            entries[f.name]["other_points"] = None
             unread.append((f.source, error))
         else:
             if not _are_same(labelled, now_there):
-                kept[f.name]["other_points"] = True
+                entries[f.name]["other_points"] = True
                 differ.append(f.source)
     _say_others(others)
     if differ:
@@ -87,7 +95,7 @@ def kept_entries(files, fitter, subjects, read):
         why = f"the first, {first}: " * (len(unread) > 1) + f"{error.got}; expected {error.expected}"
         which = f"not compared with {listed([source for source, _ in unread], 3)}, which cannot be read with these options: {why}"
         say(f"note: {counted(len(unread), 'kept fit')} {'was' if len(unread) == 1 else 'were'} {which}")
-    return kept
+    return entries
 
 
 def _check_ours(path, error):
@@ -104,6 +112,16 @@ def _check_ours(path, error):
         return  # damaged
     if RESULT_KEY not in keys:
         raise InputError("--existing skip", f"{path}, which is no fit", "fits that lbsfit has written", remedy)
+
+
+def _is_of_another_format(path):
+    """Whether a fit that cannot be read is whole, but as another version writes them."""
+    from ..fitting.result import FORMAT
+
+    try:
+        return read_npz(path)[RESULT_KEY].tolist() != FORMAT
+    except FileError:  # damaged
+        return False
 
 
 def _labelled(files, result):
@@ -188,8 +206,3 @@ class _MadeWith:
                 remedy += "the scan again; or choose another folder, or --existing replace."
         expected = "fits with this model and subject" if self.anybody else f"fits with rig {self.rig.name!r} alone"
         return InputError("--existing skip", f"{files.fit}, a fit {words}", expected, remedy)
-
-
-def _is_newer(picture, fit):
-    """Whether a picture is there and was drawn after the fit was written; an older one is of an earlier fit."""
-    return picture.is_file() and picture.stat().st_mtime_ns >= fit.stat().st_mtime_ns

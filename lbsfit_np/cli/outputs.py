@@ -50,11 +50,11 @@ class ScanFiles:
         paths = {"fit": self.fit, "mesh": self.mesh, "labels": self.labels, "picture": self.picture}
         return {what: path for what, path in paths.items() if path is not None}
 
-    def beside(self):
-        """What an earlier run has written beside its fit, a picture that is not wanted now, too; none that others have drawn."""
+    def earlier_pictures(self):
+        """The picture, in a list, that an earlier run drew of its fit, also where none is wanted now; none that others drew."""
         picture = self.fit.with_name(self.name + ENDINGS["picture"])
         ours = (self.picture is not None or self.fit.is_file()) and not drawn_by_others(picture)
-        return [self.mesh, self.labels, *([picture] if ours else [])]
+        return [Path(os.path.realpath(picture))] if ours else []  # of a link what it leads to: links stay
 
 
 def plan(sources, out, *, inputs, existing, argument="-o", pictures=False, may_skip=False):

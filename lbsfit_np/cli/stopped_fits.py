@@ -1,4 +1,4 @@
-"""Fits that a run had written when it was stopped, but had not noted yet."""
+"""Fits that a run had written when it, or a process of its, was stopped, but had not noted yet."""
 
 import os
 from contextlib import suppress
@@ -18,8 +18,8 @@ def named(files):
     return there
 
 
-def settled(files, before):
-    """Entries, by name, of the scans that a stopped run has written fits of.
+def settled(files, before, notes=()):
+    """Entries, by name, of the scans that a run has written fits of.
 
     Parameters
     ----------
@@ -27,6 +27,8 @@ def settled(files, before):
         Of the scans that have no entry.
     before : dict
         What :func:`named` said when the run began.
+    notes : list of str
+        What is to be said of them.
     """
     from ..fitting.result import FitResult
 
@@ -34,7 +36,7 @@ def settled(files, before):
     for f in files:
         if all(path in now and now[path] != before.get(path) for path in _of(f)):
             with suppress(FileError):
-                entries[f.name] = scan_results.fitted_entry(f, FitResult.load(f.fit))
+                entries[f.name] = scan_results.fitted_entry(f, FitResult.load(f.fit), notes=notes)
     return entries
 
 

@@ -63,7 +63,8 @@ def results_so_far(fitter, model, files, entries, subjects, values):
     words = f", {of_all(written_of(entries), len(files), 'result')} in {values['results']}"
     if not left:
         return words
-    there = [f for f in left if any(os.path.lexists(path) for path in (f.fit, f.mesh, f.labels))]
+    unwritten = [f for f in files if f in left or f.name in useless]  # of those that failed, an earlier run's may be there
+    there = [f for f in unwritten if any(os.path.lexists(path) for path in (f.fit, f.mesh, f.labels))]
     learned = set(learned_digests(fitter).values())
     anew = not all(is_result_of(learned, f) for f in there)  # which --existing skip would refuse, or keep though they are others
     known = [files[i] for i in _of_the_known(fitter, subjects, len(files))]

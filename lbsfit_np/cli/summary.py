@@ -8,7 +8,7 @@ import time
 from ..errors import listed
 from .progress import in_digits, say
 
-__all__ = ["SUMMARY", "counts_of", "doubts_of", "is_of_others", "say_doubtful", "write_summary", "written_of"]
+__all__ = ["SUMMARY", "counts_of", "doubts_of", "earlier_fits", "is_of_others", "say_doubtful", "write_summary", "written_of"]
 
 SUMMARY = "summary.json"
 # Below this probability a fit is named even if it is ok; so many names.
@@ -83,14 +83,24 @@ def _say_suspects(entries):
 
 def is_of_others(path):
     """Whether there is a file in the summary's place that this package has not written, as far as it can be read."""
-    if not os.path.isfile(path):
-        return False
+    return os.path.isfile(path) and _read(path) is None  # one that cannot be read is not for writing over
+
+
+def earlier_fits(folder):
+    """Names of the files of fits that are older than the last run in a folder, which could not fit their scans."""
+    scans = (_read(os.path.join(folder, SUMMARY)) or {}).get("scans")
+    return {e["earlier"] for e in (scans if isinstance(scans, list) else ()) if isinstance(e, dict) and "earlier" in e}
+
+
+def _read(path):
+    """A summary that this package has written; None where there is none."""
     try:
         with open(path, encoding="utf-8") as file:
             found = json.load(file)
-    except (OSError, ValueError, RecursionError):  # one that cannot be read is not for writing over
-        return True
-    return not (isinstance(found, dict) and isinstance(found.get("versions"), dict) and "lbsfit_np" in found["versions"])
+    except (OSError, ValueError, RecursionError):
+        return None
+    ours = isinstance(found, dict) and isinstance(found.get("versions"), dict) and "lbsfit_np" in found["versions"]
+    return found if ours else None
 
 
 def write_summary(out, rig_path, rig, files, entries, values, *, started, stopped, **more):

@@ -8,9 +8,9 @@ import numpy as np
 from ..errors import FileError, InputError
 from ..rig.units import METRES
 
-__all__ = ["FitResult"]
+__all__ = ["FORMAT", "FitResult"]
 
-_FORMAT = 9
+FORMAT = 9
 _SHORT = 80  # letters of the message in repr
 _ARRAYS = ("pose", "translation", "offsets", "rest_joints", "vertices", "joints", "joint_std", "labels", "confidence")
 _ARRAYS += ("left_out", "took_part", "term_labels")
@@ -150,7 +150,7 @@ class FitResult:
             evidence=np.array(json.dumps(self.evidence)),
             settings=np.array(settings),
             parts=np.array(self.parts),
-            **{RESULT_KEY: np.array(_FORMAT)},
+            **{RESULT_KEY: np.array(FORMAT)},
             **arrays,
             **scalars,
         )
@@ -163,8 +163,8 @@ class FitResult:
         z = read_npz(path)
         if RESULT_KEY not in z:
             raise FileError(str(path), f"an NPZ without the key {RESULT_KEY}", "a result that was saved with FitResult.save")
-        if z[RESULT_KEY].tolist() != _FORMAT:
-            raise FileError(str(path), f"result format {z[RESULT_KEY]}", f"format {_FORMAT}", "Fit again.")
+        if z[RESULT_KEY].tolist() != FORMAT:
+            raise FileError(str(path), f"result format {z[RESULT_KEY]}", f"format {FORMAT}", "Fit again.")
         try:
             fields = {name: z[name] for name in _ARRAYS}
             fields.update({name: z[name].item() for name in _SCALARS})

@@ -6,7 +6,7 @@ import os
 import secrets
 import stat
 import zipfile
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +14,7 @@ import numpy as np
 from ..errors import FileError, InputError, as_array, check_real, check_unmasked
 
 __all__ = [
-    *("atomic_path", "check_folder", "check_npz_name", "make_folder", "remove_empty"),
+    *("atomic_path", "atomic_paths", "check_folder", "check_npz_name", "make_folder", "remove_empty"),
     *("without_empty", "write_json", "write_mesh_ply", "write_npz", "write_points_ply"),
 ]
 
@@ -45,6 +45,57 @@ def atomic_path(path):
     InputError
         ``path`` is no path.
     """
+    with _unnamed(path) as (temporary, final):
+        yield temporary
+        _to_disk(temporary)  # before it has the name: else a power cut could leave the name with nothing behind it
+        os.replace(temporary, final)
+
+
+@contextmanager
+def atomic_paths(*paths):
+    """:func:`atomic_path` of files that belong together, as a list: all take their places, in this order, or none does.
+
+    No older file lies beside a newer one in between, even where the process is killed.
+    """
+    with ExitStack() as stack:
+        files = [stack.enter_context(_unnamed(path)) for path in paths]
+        yield [temporary for temporary, _ in files]
+        step = None
+        try:
+            for step, _ in files:
+                _to_disk(step)
+        except OSError as error:
+            raise _cannot_write(step, error) from error
+        _name_together(files)
+
+
+def _name_together(files):
+    """Give complete files their names, pairs (temporary, final); where one cannot have it, all is as it was before."""
+    older, named = [], []
+    try:
+        for temporary, final in files:
+            if os.path.lexists(final):
+                older.append((temporary.with_suffix(".older"), final))
+                os.replace(final, older[-1][0])
+        for temporary, final in files:
+            os.replace(temporary, final)
+            named.append((temporary, final))
+    except OSError as error:
+        for here, there in named:
+            with suppress(OSError):
+                os.replace(there, here)
+        for aside, there in older:
+            with suppress(OSError):
+                os.replace(aside, there)
+        raise _cannot_write(temporary, error) from error
+    for aside, _ in older:
+        with suppress(OSError):  # another program holds it: the files are written all the same
+            aside.unlink()
+
+
+@contextmanager
+def _unnamed(path):
+    """A temporary file to write to, and the file whose place it is to take; removed at the end where it is still there."""
     try:
         given = final = Path(path)
     except TypeError:
@@ -68,9 +119,7 @@ def atomic_path(path):
         # this way the umask decides, as for any file that a user writes.
         os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
         _ASKED_FOR[str(temporary)] = path
-        yield temporary
-        _to_disk(temporary)  # before it has the name: else a power cut could leave the name with nothing behind it
-        os.replace(temporary, final)
+        yield temporary, final
     except BaseException as error:
         with suppress(OSError):  # which would hide what has happened
             temporary.unlink(missing_ok=True)
