@@ -6,10 +6,11 @@ import signal
 
 import numpy as np
 import pytest
-from cli_runs import as_said
+from cli_runs import QUICK_LEARNING, as_said
 
 import lbsfit_np as lbs
 from lbsfit_np.cli import stopped_learning
+from lbsfit_np.cli.progress import LearningProgress
 
 pytestmark = pytest.mark.usefixtures("own_cache", "hurried")
 
@@ -94,6 +95,67 @@ def test_subjects_of_whom_nothing_was_learned_are_named_after_a_stop(tubes, tmp_
     code, text, _ = run(*command)
     assert code == 0 and "2 of 2 scans fitted" in text
     assert run(*as_said(line.replace("OUT", str(tmp_path / "out")), [str(tubes / "t1.ply")]))[0] == 2
+
+
+def test_a_model_that_was_there_is_left_alone(tubes, tube_model, tmp_path, run, stop_after_a_round):
+    """Neither a finished one nor what an earlier stop has left is lost for a round."""
+    stop_after_a_round(0)
+    scans, model = sorted(tubes.glob("*.ply")), tmp_path / "m.npz"
+    model.write_bytes(tube_model[0].read_bytes() + b"finished")
+    there = {"m.npz": model.read_bytes()}
+    for name in ("m.stopped.npz", "m.stopped-2.npz"):
+        code, text, _ = run("learn", tubes / "tube.npz", *scans, "-o", model, "--existing", "replace")
+        has = f"stopped: {tmp_path / name} has what round {_round(tube_model[0])} learned, without results; {model} is left as "
+        how = f"it was; run the same command to start again; to fit scans with it: lbsfit fit {tmp_path / name} "
+        assert code == 130 and text.splitlines()[-1].startswith(has + how)
+        assert {path.name: path.read_bytes() for path in tmp_path.iterdir() if path.name != name} == there
+        assert list(lbs.LBSFitter.load(tmp_path / name).template_) == [0]
+        there[name] = (tmp_path / name).read_bytes()
+
+
+def _round(model):
+    """The round that a model has kept."""
+    return next(entry["round"] for entry in lbs.LBSFitter.load(model).history_ if entry["kept"])
+
+
+@pytest.mark.slow
+def test_learning_goes_on_to_the_model_that_was_left_alone(tubes, tube_model, tmp_path, run, monkeypatch):
+    scans, model = sorted(tubes.glob("*.ply")), tmp_path / "m.npz"
+    arguments = ("learn", tubes / "tube.npz", *scans, "-o", model, "--existing", "replace", *QUICK_LEARNING)
+    model.write_bytes(tube_model[0].read_bytes() + b"finished")
+    before, went_on = model.read_bytes(), LearningProgress.__call__
+
+    def stopped(self, stage, share, figures=None):
+        if stage == "results":
+            raise KeyboardInterrupt
+        went_on(self, stage, share, figures)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(LearningProgress, "__call__", stopped)
+        code, text, _ = run(*arguments)
+    kept = tmp_path / "m.npz.unfinished"
+    told = f"; {model} is left as it was; run the same command to continue from the steps kept in {kept}; "
+    assert code == 130 and told in text
+    assert model.read_bytes() == before and (tmp_path / "m.stopped.npz").is_file()
+    code, text, _ = run(*arguments)
+    assert text.startswith("note: found ") and f"saved steps of an interrupted run in {kept}; " in text and "; wrote " in text
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["m.npz", "m.stopped.npz"]
+    assert model.read_bytes() != before and _round(model) == _round(tube_model[0])
+
+
+def test_ctrl_c_while_the_finished_model_is_written_finds_it_complete(tubes, tmp_path, run, monkeypatch):
+    """Not a model that was there."""
+    save = lbs.LBSFitter.save
+
+    def signalled(self, path):
+        save(self, path)
+        signal.raise_signal(signal.SIGINT)
+
+    monkeypatch.setattr(lbs.LBSFitter, "save", signalled)
+    arguments = ("learn", tubes / "tube.npz", *sorted(tubes.glob("*.ply")), "-o", tmp_path / "m.npz")
+    code, text, _ = run(*arguments, "--variant", "free-form")
+    assert code == 130 and text.endswith(f"stopped: {tmp_path / 'm.npz'} is complete\n")
+    assert (tmp_path / "m.npz").is_file() and not (tmp_path / "m.stopped.npz").exists()
 
 
 @pytest.mark.skipif(os.name != "posix", reason="SIGTERM is a POSIX signal")

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError, LbsfitError, counted
+from ..interrupts import held
 from ..io.write import remove_empty
 from ..learning.variants import VARIANTS, note_on, unused
 from . import earlier_results, outputs, scan_results
@@ -95,9 +96,11 @@ examples:
       held-out = 0.2
 
 A scan that cannot be used is named with the reason and left out. The model appears once it is complete or, after Ctrl-C, with
-what the rounds so far have learned. Inputs are never overwritten. Until the model is complete, finished steps are kept in
-MODEL.npz.unfinished: after a stop or a crash the same command continues from there, even with more scans added at its end (with
---existing replace where there is a model already; after Ctrl-C the last line has the command).
+what the rounds so far have learned; if there is a model already (--existing replace), that stays until then, and what the
+rounds so far have learned goes to MODEL.stopped.npz, or MODEL.stopped-2.npz and so on. Inputs are never overwritten. Until the
+model is complete, finished steps are kept in MODEL.npz.unfinished: after a stop or a crash the same command continues from
+there, even with more scans added at its end (with --existing replace where there is a model already; after Ctrl-C the last
+line has the command).
 What is trained for the rig at first is kept in $LBSFIT_CACHE, or else in the user's cache folder. The last lines give the unit of
 the scans, how many fits are ok, suspect or failed, and a table of those that are not ok (see lbsfit fit --help).
 Exit code: 0 learned, and all scans could be used, even if some were held out or not learned from, 1 some could not be used or
@@ -174,8 +177,9 @@ def learn_files(rig_path, scans, values, *, inputs=()):
     try:
         with terminable():
             _learn(fitter, reading, subjects, progress, checkpoint)
-            fitter.save(model)
-            written = True
+            with held():  # once the model is there, it is not one to leave alone
+                fitter.save(model)
+                written = True
             remove_checkpoint(checkpoint)
             say(_learned(fitter, reading, model, time.perf_counter() - started))
             say(_units(fitter))

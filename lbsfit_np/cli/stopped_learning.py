@@ -1,5 +1,6 @@
-"""What ``lbsfit learn`` says where it is stopped, or ends with an error: what is kept, and how to go on."""
+"""What ``lbsfit learn`` keeps and says where it is stopped, or ends with an error, and how to go on."""
 
+import itertools
 import os
 import shlex
 
@@ -16,25 +17,29 @@ _SHORT = 200
 
 
 def stopped_early(fitter, model, scans, failed, subjects, values):
-    """What of the work is kept before learning was over, and how to go on, in words; the model, where a round has learned one.
+    """What of the work is kept before learning was over, and how to go on, in words; a model, where a round has learned one.
+
+    A model that is there was finished, or is at least another: it stays, and this one gets a name beside it.
 
     ``scans``: their paths as given; ``failed``: which of them, by number, cannot be used. ``subjects``: whose each scan is, by
     the table of ``--subjects``; None without one.
     """
     if getattr(fitter, "history_", None):  # a round has been kept
+        unfinished = _free_name(model)
         with terminable():
-            fitter.save(model)
+            fitter.save(unfinished)
         kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
         replace = values["existing"] == "replace"
         # In the results' folder those of an earlier run may be.
         known = [scans[i] for i in _of_the_known(fitter, subjects, len(scans)) if i not in failed]
-        to_fit = _to_fit(model, values, "replace" if replace and values["results"] else None, known)
+        to_fit = _to_fit(unfinished, values, "replace" if replace and values["results"] else None, known)
         anew = f"run the same command{'' if replace else ' with --existing replace'} {goes_on(model) or 'to start again'}"
         which = "scans with it"
         if subjects is not None:
             which = f"these scans with it{_but_for_strangers(fitter, subjects)}"
             which += " (fit others without --subjects, or with an empty id in its file)"
-        return f"stopped: {model} has what round {kept} learned, without results; {anew}; to fit {which}: {to_fit}"
+        stays = f"; {model} is left as it was" if unfinished != model else ""
+        return f"stopped: {unfinished} has what round {kept} learned, without results{stays}; {anew}; to fit {which}: {to_fit}"
     if words := goes_on(model):
         return f"stopped before the model was learned; run the same command {words}"
     # Training is over only when all of it is; what could not be written is gone, as was warned of.
@@ -42,6 +47,12 @@ def stopped_early(fitter, model, scans, failed, subjects, values):
         return "stopped before the model was learned; run the same command to start again"
     kept = "the first training is kept; run the same command to start the rounds again"
     return f"stopped before the model was learned; {kept}"
+
+
+def _free_name(model):
+    """Where to write a model that is not finished: a name that is free, beside the model's if that is not."""
+    beside = (model.with_name(f"{model.stem}.stopped{f'-{k}' if k > 1 else ''}{model.suffix}") for k in itertools.count(1))
+    return next(path for path in itertools.chain([model], beside) if not os.path.exists(path))
 
 
 def goes_on(model):
