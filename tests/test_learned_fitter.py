@@ -195,7 +195,7 @@ def test_new_scans_start_from_what_the_variant_allows(variant, nearest, own, clo
     own.set_params(variant=variant)
     own._learned_with = learned_with(own)
     own.fit_scan(clouds[0], subject="a")
-    assert seen == [nearest]
+    assert set(seen) == {nearest}  # of a fit in doubt twice
 
 
 @pytest.mark.parametrize("variant, learned_with_labels", [("joint", False), ("rand", False), ("cd", True)])

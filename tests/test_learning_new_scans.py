@@ -16,7 +16,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.template_fit import TemplateFit
-from lbsfit_np.learning import batch, new_scan
+from lbsfit_np.learning import batch, new_scan, sizes
 from lbsfit_np.learning.parameters import fit_settings
 from lbsfit_np.rotations import matrix_from_rotvec
 
@@ -322,8 +322,8 @@ def test_of_views_from_several_sides_the_one_that_leaves_least_is_taken(tube_rig
 def test_the_subjects_unit_is_a_scans_where_its_size_allows_that(factor, known):
     learned = 1000.0
     fitter = SimpleNamespace(rig=None, unit_={"anna": learned}, learned_unit_=None)
-    assert new_scan._unit(fitter, "anna", factor * learned, FitSettings()) == (learned if known else None)
-    assert new_scan._unit(fitter, "anna", factor * learned, FitSettings(scale="fixed")) == 1.0
+    assert sizes.allowed_unit(fitter, "anna", factor * learned, FitSettings()) == (learned if known else None)
+    assert sizes.allowed_unit(fitter, "anna", factor * learned, FitSettings(scale="fixed")) == 1.0
 
 
 @pytest.mark.slow

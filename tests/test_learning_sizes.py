@@ -1,11 +1,13 @@
 """New scans on templates of another size than the rig's: units are compared, and s and the library asked, at the right size."""
 
+import copy
 from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from learning_runs import found_at_the_truth
+from slow_tests import slow
 
 import lbsfit_np as lbs
 from lbsfit_np.fitting.scan_fit import given_views
@@ -112,3 +114,68 @@ def test_the_views_of_a_start_are_labelled_at_the_size_that_the_segmenter_has_le
         ((_, _, proba, _),) = given_views(tube_rig, Facing(), x, None, 1.0, *known, size=size)
         assert proba.shape == (50, 4)
     assert asked == [1.0, 1.25]
+
+
+def _miss(rig, result, scan, factor):
+    """Mean distance of the joints from the truth, in half sizes."""
+    return np.linalg.norm(result.joints / factor - scan.joints, axis=1).mean() / (rig.size / 2)
+
+
+@pytest.mark.parametrize("given", [(), slow(("theta0",)), slow(("labels",))])
+@pytest.mark.parametrize("factor", [slow(0.6), slow(0.85), 1.1, slow(1.2), slow(1.5)])
+def test_a_learned_subject_of_another_size_is_fitted_at_that(factor, given, tube_rig, learned_people, people_scans):
+    """Of a size within what people differ by, which the learned unit allows, too, and with a start or labels of any."""
+    s = people_scans[12]
+    known = {"theta0": s.pose, "labels": s.labels}
+    r = learned_people.fit_scan(factor * s.points, subject="ann", **{name: known[name] for name in given})
+    assert r.status == "ok" and _miss(tube_rig, r, s, factor) < 0.03
+    ratio = r.scale / learned_people.unit_["ann"]
+    assert ratio == pytest.approx(factor, rel=0.02)
+    assert (f", and it is {ratio:.3g} times as large as learned" in r.message) == (factor > 0.65)  # else in another unit
+
+
+def test_a_subject_of_the_learned_size_keeps_it(learned_people, people_scans):
+    fitter = copy.copy(learned_people)
+    for name in ("ann", None):
+        r = fitter.fit_scan(people_scans[12].points, **({} if name is None else {"subject": name}))
+        assert r.scale == pytest.approx(fitter.unit_["ann"], rel=1e-9) and "as large as learned" not in r.message
+    r = fitter.set_params(scale="fixed").fit_scan(1.1 * people_scans[12].points, subject="ann")
+    assert r.scale == pytest.approx(1.0, rel=1e-9) and "as large as learned" not in r.message
+
+
+@pytest.mark.parametrize("better", [True, False])
+def test_a_size_that_has_hidden_the_pose_is_found_if_the_fit_is_in_doubt(
+    better, tube_rig, learned_people, people_scans, monkeypatch
+):
+    """In the learned unit the search ends in a wrong pose, from which no other size looks much better."""
+    s, fitter, asked = people_scans[12], copy.copy(learned_people), []
+    monkeypatch.setattr(new_scan, "_of_its_size", lambda fitter, subject, found, settings, find: found)
+    scouted = new_scan._scouted
+
+    def wrong_at_first(*known, sized=False, **more):
+        asked.append(sized)
+        found = scouted(*known, sized=sized, **more)
+        behind = found.state.theta.copy()
+        behind[0] += [0.0, np.pi, 0.0]
+        wrong = found.state.replace(theta=behind)
+        return found if sized and better else replace(found, state=wrong)
+
+    monkeypatch.setattr(new_scan, "_scouted", wrong_at_first)
+    r = fitter.fit_scan(1.1 * s.points, subject="ann")
+    assert asked[:2] == [False, True]
+    assert (_miss(tube_rig, r, s, 1.1) < 0.03) == better
+
+
+def test_what_a_rig_says_beyond_its_shape_may_be_said_after_learning(tube_rig, learned_people, people_scans):
+    """Its unit and its up axis are no part of what tells one rig from another."""
+    fitter = copy.copy(learned_people)
+    settings = fit_settings(fitter)
+    before = new_scan._template_fit(fitter, "ann", settings)
+    other = replace(tube_rig, metres_per_unit=0.25, up="+x", forward="+z")
+    assert other.digest == tube_rig.digest
+    fitter.set_params(rig=other)
+    after = new_scan._template_fit(fitter, "ann", settings)
+    assert after is not before and after.model.source.metres_per_unit == 0.25 and after.model.source.up == "+x"
+    np.testing.assert_array_equal(after.model.rig.vertices, before.model.rig.vertices)
+    r = fitter.set_params(unit="m").fit_scan(0.25 * people_scans[12].points, subject="ann")
+    assert r.status == "ok" and "the scan is in metres" in r.message

@@ -30,14 +30,14 @@ from ..optimize.frame import Frame
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..optimize.state import SIZED
-from ..rig.units import METRES
 from ..seeds import generator
 from ..starts.clean import taking_part
-from ..starts.scale import same_size, sizes_in, unit_note, unit_question, unit_scale
+from ..starts.scale import sizes_in, unit_note, unit_question
 from ..starts.turns import facing_of
 from ..threads import one_thread
 from .free_form import free_form
 from .parameters import fit_settings
+from .sizes import allowed_unit, doubted, held_to, of_a_size_allowed, other_size, size_beside_taught, template_size
 from .variants import as_variant
 
 __all__ = ["fit_new", "scan_fit"]
@@ -45,6 +45,8 @@ __all__ = ["fit_new", "scan_fit"]
 # Of several learned templates those are gone on with that leave at most so many times as much unexplained as the best after a few
 # steps, and so many at most: of people who are alike it matters little whose is taken.
 _CLOSE, _SEVERAL = 1.3, 3
+# A size of the scan's own is taken that leaves less of it unexplained than this share of what the learned one leaves.
+_SIZED = 0.7
 # Subjects whose templates a fitter keeps ready, of a body some 30 MB each.
 _READY = 32
 # A fitter may be asked by several threads.
@@ -75,7 +77,7 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
     started = time.perf_counter()
     with one_thread():
         seed, settings = fitter._seed(), fit_settings(fitter)
-        subjects = _of_a_size_allowed(fitter, subjects, settings)
+        subjects = of_a_size_allowed(fitter, subjects, settings)
         facing, given = _facing(fitter), given_names(theta0, labels)
         limits = {"most": settings.max_points, "scale": settings.scale, "unit": settings.unit}
         limits |= {"cropped": settings.cropped, "ups": facing.floors}
@@ -109,27 +111,39 @@ def fit_new(fitter, points, subjects, theta0, labels, point_weights, *, anyone=T
 
 
 def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyone, settings, started, *, once):
-    rig, half = fitter.rig, fitter.rig.size / 2
     x, guess = points[part.rows], part.scale
     a = shares(point_weights, part.rows)
     if subjects is None or fitter.regressor_ is None:  # free-form: nothing but the unit is learned
-        unit = guess if subjects is None else _unit(fitter, subjects[0], guess, settings) or guess
-        frame = Frame(x.mean(axis=0), unit * half)
+        unit = guess if subjects is None else allowed_unit(fitter, subjects[0], guess, settings) or guess
+        frame = Frame(x.mean(axis=0), unit * fitter.rig.size / 2)
         return free_form(fitter._model(), settings, Problem(frame.inside(x), a), points, part, frame, started)
     seen, known, given = None, None if labels is None else labels[part.rows], given_names(theta0, labels)
     if given:
         place = x, a, settings, guess, theta0, known
-        if len(subjects) > _SEVERAL:  # one shows where the scan is, and that the templates that suit it
-            first = _given(fitter, subjects[0], *place)
-            few = [b.subject for b in _suiting(fitter, subjects, first, settings, _size(fitter, subjects[0]))]
-        else:
-            few = subjects
-        found = [(s, _given(fitter, s, *place)) for s in few]
+
+        def find(s, **sized):
+            return _given(fitter, s, *place, **sized)
     elif len(subjects) == 1:
-        found = [(s, _scouted(fitter, s, x, a, settings, once=once)) for s in subjects]
+
+        def find(s, **sized):
+            return _scouted(fitter, s, x, a, settings, once=once, **sized)
     else:  # one look for all, on the rig's own template with proportions
         seen = scan_fit(fitter, fitter.segmenter_, fitter.regressor_).scout(x, a, once=once)
-        found = _on_templates(fitter, subjects, seen, settings)
+
+        def find(s, **sized):
+            return _gone_on(fitter, _begun(fitter, s, seen, settings, **sized), seen, settings)
+
+    def in_its_size(s, there=None):
+        return s, _of_its_size(fitter, s, there or find(s), settings, find)
+
+    if seen is None:
+        few = subjects
+        if len(subjects) > _SEVERAL:  # one shows where the scan is, and that the templates that suit it
+            _, first = in_its_size(subjects[0])
+            few = [b.subject for b in _suiting(fitter, subjects, first, settings, template_size(fitter, subjects[0]))]
+        found = [in_its_size(s) for s in few]
+    else:
+        found = [in_its_size(*f) for f in _on_templates(fitter, subjects, seen, settings)]
         bends = EFFORTS[settings.effort].bends
         # On templates of other people they, which take most of the time, are for nothing.
         unbent = bends and anyone and all(_proportions(fitter, *f, settings) > SOMEBODY_ELSE for f in found)
@@ -146,15 +160,34 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if alone is not None and proportions > SOMEBODY_ELSE:
         nearest = f"the template of {subject!r}, the nearest one" if len(fitter.template_) > 1 else "the learned template"
         message = f"{alone.message}; proportions of its own explain it much better than {nearest}: is it a scan of somebody else?"
-        message += _held_to(fitter, subject, alone)
+        message += held_to(fitter, subject, alone)
         return _asking(replace(alone, message=message, seconds=time.perf_counter() - started), subjects)
+
+    def finished(best, proportions):
+        return _finished(
+            fitter, subject, best, proportions, points, part, theta0, labels, point_weights, anyone, settings, started
+        )
+
+    result = finished(best, proportions)
+    if result.status != "ok" and settings.scale != "fixed" and "scale" not in best.free:
+        # A size that is not the scan's may have hidden its pose.
+        other = find(subject, sized=True)
+        if _left(fitter, subject, other, settings) <= _SIZED * _left(fitter, subject, best, settings):
+            result = finished(other, _proportions(fitter, subject, other, settings))
+    return _asking(result, subjects)
+
+
+def _finished(fitter, subject, best, proportions, points, part, theta0, labels, point_weights, anyone, settings, started):
+    """The result of what was found on a subject's template."""
+    rig, given = fitter.rig, given_names(theta0, labels)
     whose = f"on the template of subject {subject!r}" if len(fitter.template_) > 1 else "on the learned template"
     fit = _template_fit(fitter, subject, settings)
-    scale = best.state.scale * best.frame.unit / half
-    unit = unit_note(scale, rig, settings.scale, unit=settings.unit, size=_size(fitter, subject))
-    doubted = _doubted(fitter, subject, scale, settings)
-    if doubted:  # which asks what the size alone may have asked
-        unit = unit.removesuffix(unit_question(settings.unit)) + doubted
+    scale = best.state.scale * best.frame.unit / (rig.size / 2)
+    unit = unit_note(scale, rig, settings.scale, unit=settings.unit, size=template_size(fitter, subject))
+    if doubt := doubted(fitter, subject, scale, settings):  # which asks what the size alone may have asked
+        unit = unit.removesuffix(unit_question(settings.unit)) + doubt
+    elif "scale" in best.free:
+        unit += other_size(fitter, subject, scale, settings)
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     place = {"points": points, "part": part, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     place |= {"proportions": proportions, "notes": [whose], "found": (unit, stands), "given": given}
@@ -170,11 +203,11 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
         place |= held
     result = fit.finish(best.problem, state, proba=best.proba, labels_known=labels, started=started, **place)
     result = replace(result, subject=str(subject))
-    result = replace(result, message=result.message + _held_to(fitter, subject, result))
+    result = replace(result, message=result.message + held_to(fitter, subject, result))
     if another and result.status != "ok":
         without = "without subject (--subject, or its line of --subjects, which may be wrong)"
         return replace(result, message=f"{result.message}; {without}, the template that fits best is used")
-    return _asking(result, subjects)
+    return result
 
 
 def _nearest(fitter, found, settings):
@@ -199,19 +232,37 @@ def _asking(result, subjects):
     return replace(result, message=f"{result.message}; if you know who it is, name the subject (--subject, --subjects)")
 
 
-def _scouted(fitter, subject, x, a, settings, *, once):
-    """A scan of which nothing is known; in the subject's unit where its size allows that."""
+def _of_its_size(fitter, subject, found, settings, find):
+    """A Found in the subject's learned unit, or of a size of its own where that leaves much less of the scan unexplained.
+
+    The unit tells a scan of another size only where that is very different. ``find`` (subject, sized=True) looks for the pose
+    anew with its scale free.
+    """
+    if settings.scale == "fixed" or "scale" in found.free:
+        return found
+    refit = _template_fit(fitter, subject, settings).refit
+    free, problem = refit.freeing(SIZED), found.problem
+    _, held = refit.to_the_end(problem, found.state)
+    state, left = free.to_the_end(problem, found.state)
+    if left > _SIZED * held:
+        return found
+    sized = _in_its_unit(replace(found, state=state, value=free.chamfer(problem, state), free=SIZED))
+    return min((sized, find(subject, sized=True)), key=lambda there: _left(fitter, subject, there, settings))
+
+
+def _scouted(fitter, subject, x, a, settings, *, once, sized=False):
+    """A scan of which nothing is known; in the subject's unit where its size allows that and it is not to be ``sized``."""
     facing, library, segmenter = _facing(fitter), fitter.regressor_, fitter.segmenter_
-    size = _size_beside_taught(fitter, subject)
+    size = size_beside_taught(fitter, subject)
     seen = library.starts(x, facing.turns, 1, **sizes_in(fitter.rig, settings.unit))[0].scale / size
-    unit = _unit(fitter, subject, seen, settings)
+    unit = None if sized else allowed_unit(fitter, subject, seen, settings)
     model, nearest = _template_fit(fitter, subject, settings).model, as_variant(fitter.variant).library
 
     def make():
         known = {"unit": unit, "proportions": False, "nearest": nearest, "size": size}
         return Scout(model, library, facing, segmenter, settings, **known)
 
-    made_of = model, library, segmenter, settings, _facing_words(fitter), nearest, unit, size
+    made_of = model, library, segmenter, settings, *_faces(fitter), nearest, unit, size
     return _kept(fitter, (subject, "scout", unit is None), made_of, make)(x, a, once=once)
 
 
@@ -257,9 +308,9 @@ def _suiting(fitter, subjects, seen, settings, size=1.0):
     return [b for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
 
 
-def _begun(fitter, subject, seen, settings, size=1.0):
-    unit = seen.state.scale * seen.frame.unit / (fitter.rig.size / 2) * size / _size(fitter, subject)
-    learned = _unit(fitter, subject, unit, settings)
+def _begun(fitter, subject, seen, settings, size=1.0, *, sized=False):
+    unit = seen.state.scale * seen.frame.unit / (fitter.rig.size / 2) * size / template_size(fitter, subject)
+    learned = None if sized else allowed_unit(fitter, subject, unit, settings)
     ratio = (learned or unit) / (seen.frame.unit / (fitter.rig.size / 2))
     frame = replace(seen.frame, unit=seen.frame.unit * ratio)
     problem = Problem(seen.problem.X / ratio, seen.problem.x_weights)
@@ -304,14 +355,15 @@ def _rivals(value, seen):
     return tuple(value * r / max(seen.value, np.finfo(float).tiny) for r in seen.rivals)
 
 
-def _given(fitter, subject, x, a, settings, guess, theta0, labels):
+def _given(fitter, subject, x, a, settings, guess, theta0, labels, *, sized=False):
     """A scan with a start, which says how it is turned, or with known labels, which tell it."""
-    unit = _unit(fitter, subject, guess, settings)  # which was once such a guess, too: neither tells the subject's size
+    # The learned one was once such a guess, too: neither tells the subject's size.
+    unit = None if sized else allowed_unit(fitter, subject, guess, settings)
     refit = _template_fit(fitter, subject, settings).refit
     if unit is None:
         refit = refit.freeing(SIZED)
     best, least, place = None, np.inf, (fitter.rig, _facing(fitter), x, a, unit or guess)
-    known = {"size": _size_beside_taught(fitter, subject)}
+    known = {"size": size_beside_taught(fitter, subject)}
     for frame, problem, proba, theta in given_views(*place, fitter.segmenter_, theta0, labels, **known):
         # Steps from the start itself compete with those that look far, which may lead away from one that is right.
         states = [] if theta is None else [refit.in_place(problem, theta)]
@@ -322,80 +374,23 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels):
     return _in_its_unit(best)
 
 
-def _unit(fitter, subject, seen, settings):
-    """Scan units in a rig unit where they are known: as learned, if what is seen of the scan allows that; else None."""
-    if settings.scale == "fixed":
-        return unit_scale(fitter.rig, settings.unit) or 1.0
-    learned = _learned_unit(fitter, subject, settings)
-    return learned if same_size(seen, learned) else None
-
-
-def _of_a_size_allowed(fitter, subjects, settings):
-    """The subjects whose learned sizes, where these are known, a fixed scale allows."""
-    if subjects is None or settings.scale != "fixed" or not (settings.unit and fitter.learned_unit_):
-        return subjects
-    fixed = unit_scale(fitter.rig, settings.unit)
-    ratios = {s: _learned_unit(fitter, s, settings) / fixed for s in subjects}
-    if not (allowed := [s for s, ratio in ratios.items() if same_size(ratio, 1.0)]):
-        sizes = sorted(ratio * _size(fitter, s) for s, ratio in ratios.items())
-        low, high = f"{sizes[0]:.2f}", f"{sizes[-1]:.2f}"
-        who = f"subject {subjects[0]!r}, who is" if len(subjects) == 1 else f"the {len(subjects)} subjects, who are"
-        got = f"'fixed', the rig's size, for {who} {low if low == high else f'{low} to {high}'} times as large"
-        raise InputError("scale", got, "'estimate'", "Leave it out (--scale estimate): the size was learned.")
-    return allowed
-
-
-def _size(fitter, subject):
-    """Of a subject's template, in sizes of the rig's own."""
-    return fitter.template_[subject].size / fitter.rig.size
-
-
-def _size_beside_taught(fitter, subject):
-    """Of a subject's template, in sizes of what s and the library have learned from: such templates, or the rig's own."""
-    return 1.0 if as_variant(fitter.variant).deformed else _size(fitter, subject)
-
-
-def _learned_unit(fitter, subject, settings):
-    learned = fitter.unit_[subject]
-    if settings.unit and fitter.learned_unit_:  # the subject's size is known then, in whatever unit it was scanned
-        learned *= METRES[fitter.learned_unit_] / METRES[settings.unit]
-    return learned
-
-
-def _doubted(fitter, subject, scale, settings):
-    """A question, where a subject whose size was learned is of another one in the unit that was said; else empty."""
-    learned = _learned_unit(fitter, subject, settings)
-    if not (settings.unit and fitter.learned_unit_) or settings.scale == "fixed" or same_size(scale, learned):
-        return ""
-    return f", and {scale / learned:.3g} times as large as learned{unit_question(settings.unit)}"
-
-
-def _held_to(fitter, subject, result):
-    """What a fit that has not gone well may owe to a fixed scale, where no unit is known; else empty."""
-    learned = fitter.unit_[subject]
-    known = fitter.scale != "fixed" or fitter.unit or fitter.learned_unit_
-    if result.status == "ok" or known or same_size(learned, 1.0):
-        return ""
-    at = f"{learned:.3g} scan units in a rig unit, which scale 'fixed' does not allow"
-    return f"; the template was learned at {at}: leave that out (--scale estimate) if the scans are as they were"
-
-
 def _template_fit(fitter, subject, settings):
     template, half = fitter.template_[subject], fitter.rig.size / 2
     other_limbs = as_variant(fitter.variant).library
 
     def make():
-        model = Model(template, fitter.joints, half=half, shared=True)
+        # What the rig's digest leaves out, such as its unit, may have been said since.
+        model = Model(fitter.rig.with_template(template.vertices, template.joints), fitter.joints, half=half, shared=True)
         return TemplateFit(fitter.rig, model, settings, other_limbs=other_limbs)
 
-    return _kept(fitter, (subject, "fit"), (template, fitter.joints, settings, other_limbs), make)
+    return _kept(fitter, (subject, "fit"), (fitter.rig, template, fitter.joints, settings, other_limbs), make)
 
 
 def scan_fit(fitter, segmenter=None, library=None):
     """Fits of scans by themselves, with what was pretrained."""
     model, settings, prior = fitter._model(), fit_settings(fitter), getattr(fitter, "pose_prior_", None)
     nearest = as_variant(fitter.variant).library
-    made_of = model, settings, _facing_words(fitter), segmenter, library, nearest, prior
+    made_of = model, settings, *_faces(fitter), segmenter, library, nearest, prior
 
     def make():
         known = {"segmenter": segmenter, "library": library, "prior": prior}
@@ -408,8 +403,9 @@ def _facing(fitter):
     return facing_of(fitter.rig, fitter.orientation, fitter.up)
 
 
-def _facing_words(fitter):
-    return f"{fitter.orientation} {fitter.up}"
+def _faces(fitter):
+    """What a :func:`_facing` is made of; the rig's up axis is no part of its digest."""
+    return fitter.rig, f"{fitter.orientation} {fitter.up}"
 
 
 def _kept(fitter, key, made_of, make):
