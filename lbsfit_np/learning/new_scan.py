@@ -379,11 +379,17 @@ def _template_fit(fitter, subject, settings):
     other_limbs = as_variant(fitter.variant).library
 
     def make():
-        # What the rig's digest leaves out, such as its unit, may have been said since.
-        model = Model(fitter.rig.with_template(template.vertices, template.joints), fitter.joints, half=half, shared=True)
+        model = Model(_as_the_rig_says(fitter.rig, template), fitter.joints, half=half, shared=True)
         return TemplateFit(fitter.rig, model, settings, other_limbs=other_limbs)
 
     return _kept(fitter, (subject, "fit"), (fitter.rig, template, fitter.joints, settings, other_limbs), make)
+
+
+def _as_the_rig_says(rig, template):
+    """A learned template with what the rig's digest leaves out, and may have been said since."""
+    said = {name: getattr(rig, name) for name in ("metres_per_unit", "up", "forward")}
+    as_now = all(getattr(template, name) == value for name, value in said.items())
+    return template if as_now else replace(template, **said)
 
 
 def scan_fit(fitter, segmenter=None, library=None):
