@@ -113,9 +113,9 @@ def neighbour_distances(points, k):
     return cKDTree(points).query(points, k=[k + 1])[0][:, 0]
 
 
-def spacing(points):
-    """How far apart points (n, 3) of a surface are where they are sparse: twice what is usual of their third neighbours."""
-    return 2.0 * float(np.median(neighbour_distances(points, 3)))
+def spacing(third):
+    """How far apart points of a surface are where they are sparse, by the distances (n,) of their third neighbours."""
+    return 2.0 * float(np.median(third))
 
 
 def _usual_extent(points):

@@ -75,8 +75,9 @@ def test_the_command_after_a_round_can_be_pasted_where_names_are_short(tubes, tm
     text = run("learn", "tube.npz", *scans, *fits)[1]
     assert f" to fit scans with it: lbsfit fit {tmp_path}/m.npz t0.ply t2.ply t3.ply -o {tmp_path}/fits\n" in text
     text = run("learn", "tube.npz", *scans, *fits, "--existing", "replace", "--subjects", tmp_path / "who is.csv")[1]
-    command = shlex.split(text[text.index("lbsfit fit ") :])
-    assert command[3:5] == ["t0.ply", "t3.ply"]
+    assert " -o OUT --subjects " in text and "--existing" not in text  # a model that was there keeps its results, too
+    command = shlex.split(text[text.index("lbsfit fit ") :].replace(" OUT ", f" {tmp_path}/out "))
+    assert command[2:5] == [f"{tmp_path}/m.stopped.npz", "t0.ply", "t3.ply"]
     code, text, err = run(*command[1:])
     assert (code, err) == (0, "") and "2 of 2 scans fitted" in text
 

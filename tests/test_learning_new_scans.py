@@ -115,7 +115,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
         return _Alone("seen", seen, **alone)
 
     monkeypatch.setattr(new_scan, "scan_fit", lambda *made_of: SimpleNamespace(scout=lambda x, a, *, once: seen))
-    monkeypatch.setattr(new_scan, "_begun", lambda fitter, subject, *known: SimpleNamespace(subject=subject, left=1.0))
+    monkeypatch.setattr(new_scan, "_begun_in_its_size", lambda f, s, *_: SimpleNamespace(subject=s, left=1.0))
     monkeypatch.setattr(new_scan, "_gone_on", gone_on)
     refit = SimpleNamespace(left=lambda problem, state: state.scale)
     fit = SimpleNamespace(proportions=lambda *of: 0.0, finish=finish_fit, refit=refit)
@@ -159,7 +159,7 @@ def test_bends_are_tried_on_templates_unless_all_are_of_other_people_and_the_fit
 
     by_itself = SimpleNamespace(scout=lambda x, a, *, once: seen, fit=lambda *a, **k: _Alone("by itself", seen, status=status))
     monkeypatch.setattr(new_scan, "scan_fit", lambda *made_of: by_itself)
-    monkeypatch.setattr(new_scan, "_begun", lambda fitter, s, *known: SimpleNamespace(subject=s, left=1.0))
+    monkeypatch.setattr(new_scan, "_begun_in_its_size", lambda fitter, s, *known: SimpleNamespace(subject=s, left=1.0))
     monkeypatch.setattr(new_scan, "_gone_on", lambda fitter, begun, seen, settings: seen)
     monkeypatch.setattr(new_scan, "looked_at_again", lambda part, taking_part, fit, *a, **k: fit(part, False))
     monkeypatch.setattr(new_scan, "_template_fit", Fit)
@@ -178,7 +178,7 @@ def test_bends_are_tried_on_templates_unless_all_are_of_other_people_and_the_fit
     ],
 )
 def test_templates_that_suit_a_scan_badly_after_a_few_steps_are_not_gone_on_with(left, gone_on_with, monkeypatch):
-    monkeypatch.setattr(new_scan, "_begun", lambda fitter, subject, *known: SimpleNamespace(subject=subject, left=left[subject]))
+    monkeypatch.setattr(new_scan, "_begun_in_its_size", lambda f, s, *_: SimpleNamespace(subject=s, left=left[s]))
     monkeypatch.setattr(new_scan, "_gone_on", lambda fitter, begun, seen, settings: begun.left)
     assert new_scan._on_templates(None, list(left), None, None) == [(s, left[s]) for s in gone_on_with]
 

@@ -84,8 +84,10 @@ def test_where_a_start_has_shown_one_template_the_others_are_tried_from_there(tu
     (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=400, shape=0.0)
     seen, begun = found_at_the_truth(tube_rig, scan), new_scan._begun  # in unit 1, on the big one's template
 
-    def watched(fitter, subject, seen, settings, size):
-        b = begun(fitter, subject, seen, settings, size)
+    def watched(fitter, subject, seen, settings, size, **sized):
+        b = begun(fitter, subject, seen, settings, size, **sized)
+        if sized:
+            return replace(b, left=np.inf)
         tried.append((subject, b.frame.unit / (tube_rig.size / 2) if not b.in_unit else 1.0))
         return b
 
@@ -179,3 +181,32 @@ def test_what_a_rig_says_beyond_its_shape_may_be_said_after_learning(tube_rig, l
     np.testing.assert_array_equal(after.model.rig.vertices, before.model.rig.vertices)
     r = fitter.set_params(unit="m").fit_scan(0.25 * people_scans[12].points, subject="ann")
     assert r.status == "ok" and "the scan is in metres" in r.message
+
+
+def test_who_it_is_may_show_at_a_size_of_its_own_alone(tube_rig):
+    """At the learned size somebody else, who is longer, comes nearer to ann, grown by a fifth, than ann does."""
+    bob = tube_rig.with_template(tube_rig.vertices * [1.2, 1.12, 1.2], tube_rig.joints * [1.2, 1.12, 1.2])
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter.template_, fitter.unit_ = {"ann": tube_rig, "bob": bob}, dict.fromkeys(("ann", "bob"), 1.0)
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=800, shape=0.0)
+    seen = found_at_the_truth(tube_rig, replace(scan, points=1.2 * scan.points))
+    settings = fit_settings(fitter)
+    begun = [new_scan._begun(fitter, s, seen, settings) for s in ("ann", "bob")]
+    assert all(b.in_unit for b in begun) and begun[0].left > 1.3 * begun[1].left
+    assert new_scan._suiting(fitter, ["ann", "bob"], seen, settings)[0].subject == "ann"
+    fixed = replace(settings, scale="fixed")
+    assert new_scan._suiting(fitter, ["ann", "bob"], seen, fixed)[0].subject == "bob"
+
+
+def test_rivals_are_as_near_after_a_size_of_its_own(tube_rig):
+    fitter = lbs.LBSFitter(tube_rig, random_state=0)
+    fitter.template_, fitter.unit_ = {"ann": tube_rig}, {"ann": 1.0}
+    (scan,) = lbs.synthesize(tube_rig, 1, random_state=3, n_points=800, shape=0.0)
+    seen, settings = found_at_the_truth(tube_rig, replace(scan, points=1.2 * scan.points)), fit_settings(fitter)
+    refit = new_scan._template_fit(fitter, "ann", settings).refit
+    state, _ = refit.to_the_end(seen.problem, seen.state)
+    held = replace(seen, state=state, value=refit.chamfer(seen.problem, state), free=refit.free)
+    held = replace(held, rivals=(1.5 * held.value, 4.0 * held.value))
+    found = new_scan._of_its_size(fitter, "ann", held, settings, lambda *_, **sized: replace(held, value=np.inf))
+    assert "scale" in found.free and found.value < 0.5 * held.value
+    assert found.rivals == pytest.approx([1.5 * found.value, 4.0 * found.value])

@@ -174,6 +174,7 @@ def test_labels_of_any_kind_of_whole_numbers(kind):
 
 def test_spacing_goes_by_neighbours_and_does_not_feel_how_much_there_is():
     grid = np.stack(np.meshgrid(np.arange(20.0), np.arange(20.0), [0.0]), axis=-1).reshape(-1, 3)
-    assert spacing(grid) == spacing(grid[:60]) == 2.0  # the third of four neighbours at a distance of one
+    for points in (grid, grid[:60]):
+        assert spacing(neighbour_distances(points, 3)) == 2.0  # the third of four neighbours at a distance of one
     np.testing.assert_allclose(neighbour_distances(grid, 5)[[0, 210]], [2.0, np.sqrt(2)])
-    assert spacing(grid[:3]) == np.inf
+    assert spacing(neighbour_distances(grid[:3], 3)) == np.inf

@@ -247,6 +247,19 @@ def test_what_a_scan_does_not_show_does_not_pull(models, which, shown):
     assert np.linalg.norm(model.deformed(found).vertices - V, axis=1)[hidden].max() < 0.005
 
 
+@pytest.mark.parametrize("which", ["tube", "hand"])
+def test_sparse_parts_of_a_scan_are_met_too(models, which):
+    """Five sixths of the points are on the lower part of the surface."""
+    model = models[which]
+    posed = state_within(model, 20, 0.3)
+    truth = posed.replace(displacement=_swollen(model))
+    X = _scan(model, truth, n=20000, noise=0.0)
+    low = X[:, 1] < np.quantile(X[:, 1], 0.3)
+    problem = Problem(np.vstack([X[low][:2500], X[~low][:500]]))
+    found = Registration(model)(problem, posed)
+    assert _off(model, found, truth) < 0.5 * _off(model, posed, truth)
+
+
 def test_same_scan_same_displacement(models):
     model = models["tube"]
     posed = state_within(model, 10, 0.4)

@@ -57,6 +57,9 @@ def test_without_faces_or_points_vertices_are_what_they_were(tmp_path):
         np.savez(path, points=CLOUD, vertices=POINTS, **faces)
         scan = load_scan(path, n_samples=5)
         assert scan.notes == ("A random subset of 5 of its 9 points.",) and scan.points.min() >= 20
+    for faces, v in ((np.array([[0, 1, 2]]), 0.01 * CLOUD), (FACES, np.array([{}], dtype=object)), (FACES, np.arange(4))):
+        np.savez(path, points=CLOUD, v=v, faces=faces)  # velocities, or nothing that could be vertices
+        assert load_scan(path).notes == () and load_mesh(path)[0].min() >= 20
     for others in ({"vertices": POINTS, "v": CLOUD}, {"points": POINTS}):
         np.savez(path, **others, faces=FACES)
         np.testing.assert_array_equal(load_scan(path).points, POINTS)

@@ -78,7 +78,7 @@ def test_nothing_is_left_behind_on_failure(tmp_path, error):
 
 
 @pytest.mark.parametrize("there", ["", "a", "b", "ab"])
-@pytest.mark.parametrize("fails", ["block", "disk", "aside", "name", None])
+@pytest.mark.parametrize("fails", ["block", "disk", "aside", "name", "stop", None])
 def test_files_that_belong_together_appear_together_or_not_at_all(fails, there, tmp_path, monkeypatch):
     files, before = [tmp_path / "a", tmp_path / "b"], dict.fromkeys(there, "old")
     for name in there:
@@ -93,13 +93,15 @@ def test_files_that_belong_together_appear_together_or_not_at_all(fails, there, 
     def moved(source, target):
         if (fails == "aside" and source == files[1]) or (fails == "name" and target == files[1] and source.suffix == ".tmp"):
             raise PermissionError(13, "Permission denied")
+        if fails == "stop" and target == files[1] and source.suffix == ".tmp":
+            raise KeyboardInterrupt
         move(source, target)
 
     monkeypatch.setattr(os, "fsync", synced)
     monkeypatch.setattr(os, "replace", moved)
     wrong = fails is not None and not (fails == "aside" and "b" not in there)
-    words = {"block": "nothing foreseen", "disk": "b: got .*No space left"}.get(fails, "b: got .*Permission denied")
-    with pytest.raises((FileError, RuntimeError), match=words) if wrong else nullcontext():
+    words = {"block": "nothing foreseen", "stop": "", "disk": "b: got .*No space left"}.get(fails, "b: got .*Permission denied")
+    with pytest.raises((FileError, RuntimeError, KeyboardInterrupt), match=words) if wrong else nullcontext():
         with atomic_paths(*files) as temporary:
             for path in temporary:
                 path.write_text("new")

@@ -30,9 +30,10 @@ def stopped_early(fitter, model, scans, failed, subjects, values):
             fitter.save(unfinished)
         kept = next(entry["round"] for entry in fitter.history_ if entry["kept"])
         replace = values["existing"] == "replace"
-        # In the results' folder those of an earlier run may be.
+        existing = "replace" if replace and values["results"] and unfinished == model else None
+        # In the results' folder those of an earlier run may be; they go with its model, which may have stayed.
         known = [scans[i] for i in _of_the_known(fitter, subjects, len(scans)) if i not in failed]
-        to_fit = _to_fit(unfinished, values, "replace" if replace and values["results"] else None, known)
+        to_fit = _to_fit(unfinished, values if unfinished == model else {**values, "results": None}, existing, known)
         anew = f"run the same command{'' if replace else ' with --existing replace'} {goes_on(model) or 'to start again'}"
         which = "scans with it"
         if subjects is not None:

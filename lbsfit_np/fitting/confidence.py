@@ -119,7 +119,7 @@ def evidence_of(
     # Between points there is nothing to reach.
     third = neighbour_distances(X, 3)
     w = without(w, third > _LONELY * np.median(third))
-    back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing(X), _SPARSEST), 0.0) ** 2
+    back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing(third), _SPARSEST), 0.0) ** 2
     seen = seen_vertices(coverage, vertices, rig.faces, Problem(X), on, to_X)
     typical = float(np.sqrt(weighted_median(away, w)))
     away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2

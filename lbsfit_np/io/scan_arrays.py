@@ -14,7 +14,7 @@ _NPZ_KEYS = {
     "faces": ("faces", "f", "triangles"),
     "normals": ("normals", "normal", "vertex_normals", "point_normals"),
 }
-# What faces belong to where the points are another array.
+# What faces belong to where the points are another array. A "v" with a row for each point is velocities.
 _VERTICES = ("vertices", "verts", "v")
 # A picture has at least so many rows and columns, and at most so many times as many of one as of the other.
 _PICTURE, _LONG = 48, 4
@@ -50,8 +50,7 @@ def read_npz(path):
     found = {what: next((by_name[k] for k in keys if k in by_name), None) for what, keys in _NPZ_KEYS.items()}
     labels = [key for name, key in by_name.items() if column_role(name) == 6]
     axes = [by_name.get(axis) for axis in "xyz"]
-    vertices = next((by_name[k] for k in _VERTICES if k in by_name), None)
-    arrays = npz.read_npz(path, {key for key in [*found.values(), *axes, vertices] if key is not None})
+    arrays = npz.read_npz(path, {key for key in [*found.values(), *axes] if key is not None})
     if all(axes):
         named, cloud = "x, y, z", cloud_from_columns(path, "arrays", axes, lambda k: arrays[axes[k]].reshape(-1))
     elif found["points"] is not None:
@@ -60,11 +59,13 @@ def read_npz(path):
         expected = f"one called {', '.join(_NPZ_KEYS['points'][:3])} (or verts, v, positions, pos)"
         raise FileError(str(path), f"arrays called {', '.join(by_name.values()) or '(none)'}", expected)
     faces, normals, labels = arrays.get(found["faces"]), arrays.get(found["normals"]), _arrays_called(path, labels)
-    if faces is None or not faces.size or vertices is None or named.lower() in _VERTICES:
+    vertices = None if named.lower() in _VERTICES else _vertices_of(path, faces, by_name, len(np.atleast_1d(cloud.points)))
+    if vertices is None:
         cloud.faces, cloud.normals = faces, normals
         _take_labels(cloud, labels)
         return cloud
-    mesh = cloud.mesh = CloudData(arrays[vertices], faces)
+    vertices, array = vertices
+    mesh = cloud.mesh = CloudData(array, faces)
     cloud.notes.append(f"The faces are of {vertices!r}, the points {named!r}: n_samples (--samples) samples that mesh instead.")
     mesh.notes.append(f"The faces are of {vertices!r}: that mesh was taken, and the points {named!r} were left out.")
 
@@ -78,6 +79,21 @@ def read_npz(path):
         part.normals = normals if normals is not None and fits(normals) else None
         _take_labels(part, {key: values for key, values in labels.items() if fits(values)})
     return cloud
+
+
+def _vertices_of(path, faces, by_name, n):
+    """The name and the array (m, 3) that faces are rows of, beside n points; None where that is these, or not known."""
+    if faces is None or not faces.size or faces.dtype.kind not in "iu":
+        return None
+    for key in (by_name[k] for k in _VERTICES if k in by_name):
+        try:
+            array = npz.read_npz(path, [key])[key]
+        except FileError:  # of Python objects, say
+            continue
+        fits = array.ndim == 2 and array.shape[1] == 3 and array.dtype.kind in "iuf"
+        if fits and faces.max() < len(array) and (key.lower() != "v" or len(array) != n):
+            return key, array
+    return None
 
 
 def _arrays_called(path, keys):

@@ -80,14 +80,16 @@ def _name_together(files):
         for temporary, final in files:
             os.replace(temporary, final)
             named.append((temporary, final))
-    except OSError as error:
+    except BaseException as error:
         for here, there in named:
             with suppress(OSError):
                 os.replace(there, here)
         for aside, there in older:
             with suppress(OSError):
                 os.replace(aside, there)
-        raise _cannot_write(temporary, error) from error
+        if isinstance(error, OSError):
+            raise _cannot_write(temporary, error) from error
+        raise
     for aside, _ in older:
         with suppress(OSError):  # another program holds it: the files are written all the same
             aside.unlink()

@@ -172,8 +172,12 @@ def _fit_new(fitter, points, part, subjects, theta0, labels, point_weights, anyo
     if result.status != "ok" and settings.scale != "fixed" and "scale" not in best.free:
         # A size that is not the scan's may have hidden its pose.
         other = find(subject, sized=True)
-        if _left(fitter, subject, other, settings) <= _SIZED * _left(fitter, subject, best, settings):
-            result = finished(other, _proportions(fitter, subject, other, settings))
+        if seen is not None and bends:
+            ((_, other),) = _bent(fitter, [(subject, other)], seen, settings)
+        proportions = _proportions(fitter, subject, other, settings)
+        better = _left(fitter, subject, other, settings) <= _SIZED * _left(fitter, subject, best, settings)
+        if better and not (anyone and proportions > SOMEBODY_ELSE):
+            result = finished(other, proportions)
     return _asking(result, subjects)
 
 
@@ -246,7 +250,8 @@ def _of_its_size(fitter, subject, found, settings, find):
     state, left = free.to_the_end(problem, found.state)
     if left > _SIZED * held:
         return found
-    sized = _in_its_unit(replace(found, state=state, value=free.chamfer(problem, state), free=SIZED))
+    sized = replace(found, state=state, value=free.chamfer(problem, state), free=SIZED)
+    sized = _in_its_unit(replace(sized, rivals=_rivals(sized.value, found)))
     return min((sized, find(subject, sized=True)), key=lambda there: _left(fitter, subject, there, settings))
 
 
@@ -303,9 +308,18 @@ def _suiting(fitter, subjects, seen, settings, size=1.0):
     """
     ready = getattr(fitter, "_prepared", ())
     first = sorted(subjects, key=lambda s: (s, "fit") not in ready)  # before others take their places
-    begun = {s: _begun(fitter, s, seen, settings, size) for s in first}
+    begun = {s: _begun_in_its_size(fitter, s, seen, settings, size) for s in first}
     begun = sorted((begun[s] for s in subjects), key=lambda b: b.left)
     return [b for b in begun[:_SEVERAL] if b.left <= _CLOSE * begun[0].left]
+
+
+def _begun_in_its_size(fitter, subject, seen, settings, size=1.0):
+    """As _Begun in the learned unit, or of a size of its own where that leaves much less: who it is may show at that alone."""
+    held = _begun(fitter, subject, seen, settings, size)
+    if settings.scale == "fixed" or not held.in_unit:
+        return held
+    sized = _begun(fitter, subject, seen, settings, size, sized=True)
+    return sized if sized.left <= _SIZED * held.left else held
 
 
 def _begun(fitter, subject, seen, settings, size=1.0, *, sized=False):
@@ -347,7 +361,8 @@ def _in_its_unit(found):
     if q == 1.0:
         return found
     frame, value = replace(found.frame, unit=found.frame.unit * q), found.value / q**2
-    return replace(found, frame=frame, problem=found.problem.in_unit(q), state=found.state.in_unit(q), value=value)
+    found = replace(found, frame=frame, problem=found.problem.in_unit(q), state=found.state.in_unit(q), value=value)
+    return replace(found, rivals=tuple(r / q**2 for r in found.rivals))
 
 
 def _rivals(value, seen):

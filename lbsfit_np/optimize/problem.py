@@ -11,7 +11,7 @@ from functools import cached_property
 import numpy as np
 
 from ..losses.objective import objective
-from ..neighbors import PointIndex, spacing
+from ..neighbors import PointIndex, neighbour_distances, spacing
 from ..scan import some_rows
 from ..skinning import skin_adjoint
 from .visibility import hull_planes
@@ -77,7 +77,8 @@ class Problem:
     @cached_property
     def spacing(self):
         """How far apart points are where they are sparse, of those at one place one: see ``neighbors.spacing``."""
-        return spacing(merged(self.X, self.shares, None)[0])
+        places, _, _ = merged(self.X, self.shares, None)
+        return spacing(neighbour_distances(places, 3))
 
     @cached_property
     def hull(self):
