@@ -17,8 +17,8 @@ from lbsfit_np.fitting import assemble
 from lbsfit_np.fitting.scan_fit import FitSettings
 from lbsfit_np.fitting.scout import Scout
 from lbsfit_np.fitting.several import odd_scales, unit_of
-from lbsfit_np.learning import sizes
 from lbsfit_np.learning.reading import read_collection
+from lbsfit_np.learning.sizes import allowed_unit, of_a_size_allowed
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.units import WORDS
@@ -309,8 +309,8 @@ def test_learned_sizes_are_converted_where_both_units_were_said(kit_and_fox):
     for then, now, factor in (("cm", "mm", 10.0), ("cm", None, 1.0), (None, "mm", 1.0), ("in", "in", 1.0)):
         fitter = copy.copy(kit_and_fox)
         fitter.learned_unit_ = then
-        assert sizes.allowed_unit(fitter, "kit", factor * learned, FitSettings(unit=now)) == pytest.approx(factor * learned)
-        assert sizes.allowed_unit(fitter, "kit", 3 * factor * learned, FitSettings(unit=now)) is None
+        assert allowed_unit(fitter, "kit", factor * learned, FitSettings(unit=now)) == pytest.approx(factor * learned)
+        assert allowed_unit(fitter, "kit", 3 * factor * learned, FitSettings(unit=now)) is None
 
 
 @pytest.mark.slow
@@ -325,12 +325,12 @@ def test_a_fixed_scale_is_not_that_of_a_subject_of_another_size(kit_and_fox, peo
     with pytest.raises(InputError, match=f"{words}the 2 subjects, who are {low:.2f} to {high:.2f} times as large"):
         fitter.fit_scan(points)
     fitter.unit_ = {"kit": CM, "fox": fitter.unit_["fox"]}
-    allowed = sizes.of_a_size_allowed(fitter, ["fox", "kit"], FitSettings(scale="fixed", unit="mm"))
-    assert allowed == ["kit"] and sizes.allowed_unit(fitter, "kit", 1.0, FitSettings(scale="fixed", unit="mm")) == MM
+    allowed = of_a_size_allowed(fitter, ["fox", "kit"], FitSettings(scale="fixed", unit="mm"))
+    assert allowed == ["kit"] and allowed_unit(fitter, "kit", 1.0, FitSettings(scale="fixed", unit="mm")) == MM
     assert fitter.fit_scan(points).scale == pytest.approx(MM) and fitter.transform([points]).shape[0] == 1
     fitter.learned_unit_ = None  # of what size nobody knows
     for known in ({"scale": "fixed", "unit": "mm"}, {"scale": "fixed"}, {"unit": "mm"}):
-        assert sizes.of_a_size_allowed(fitter, ["fox", "kit"], FitSettings(**known)) == ["fox", "kit"]
+        assert of_a_size_allowed(fitter, ["fox", "kit"], FitSettings(**known)) == ["fox", "kit"]
 
 
 def test_the_unit_is_part_of_what_was_learned(kit_and_fox):

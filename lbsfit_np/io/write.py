@@ -78,8 +78,8 @@ def _name_together(files):
                 older.append((temporary.with_suffix(".older"), final))
                 os.replace(final, older[-1][0])
         for temporary, final in files:
+            named.append((temporary, final))  # first: a stop may come as soon as it has the name
             os.replace(temporary, final)
-            named.append((temporary, final))
     except BaseException as error:
         for here, there in named:
             with suppress(OSError):
