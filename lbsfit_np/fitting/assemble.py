@@ -45,6 +45,7 @@ def assemble(
     value=None,
     rivals=(),
     coverage=WHOLE,
+    shown=None,
     proportions=0.0,
     judged=True,
     unit=None,
@@ -90,6 +91,8 @@ def assemble(
     rivals : sequence of float
         What the pose, and others that are not it, left unexplained, as in ``confidence.evidence_of``.
     coverage : Coverage
+    shown : Shown, optional
+        Where the scan lacks limbs.
     proportions : float
         As for ``confidence.evidence_of``.
     unit : str, optional
@@ -127,19 +130,18 @@ def assemble(
         finite = bool(np.isfinite(np.square(V).sum()))  # distances to it, too
     terms = _terms(model, problem, state, weights, x_labels, pivot, frame.turn) if finite else {"total": np.nan, "recon": np.nan}
     finite = bool(np.isfinite(terms["total"]))
+    skin = slice(None) if shown is None else ~shown.missing  # points are not of what the scan lacks
+    of_mesh = frame.outside(V)[skin], model.labels[skin], len(rig.parts), sigma * frame.unit
     unknown = np.ones(len(points), dtype=bool) if labels is None else labels < 0
     if not finite and labels is None:
         labels, confidence = np.zeros(len(points), dtype=int), np.zeros(len(points))
     elif labels is None:
         known = {} if proba is None else {"proba": proba, "proba_points": points[part.rows]}
-        labels, confidence = labels_from_mesh(
-            points, frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit, **known
-        )
+        labels, confidence = labels_from_mesh(points, *of_mesh, **known)
     else:
         labels, confidence = labels.copy(), np.ones(len(points))
         if unknown.any() and finite:
-            own = labels_from_mesh(points[unknown], frame.outside(V), model.labels, len(rig.parts), sigma * frame.unit)
-            labels[unknown], confidence[unknown] = own
+            labels[unknown], confidence[unknown] = labels_from_mesh(points[unknown], *of_mesh)
     left_out = part.left_out(points)
     confidence = np.where(unknown & part.is_clutter(left_out), 0.0, confidence)
     if part.among is not None:  # labels of what lies beyond the end of the rig say nothing
@@ -166,6 +168,7 @@ def assemble(
             coverage=coverage,
             x_weights=problem.x_weights,
             proportions=proportions,
+            missing=None if shown is None else shown.missing,
         )
         guessed_share = len(guesses) / max(np.count_nonzero(_told_by_skin(rig)), 1)
         probability = probability_of(evidence, guessed_share)
@@ -179,6 +182,9 @@ def assemble(
             reason += f"; {_asked(given, evidence, large)}"
         if words := _incomplete(status, evidence, coverage, guesses):
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
+    if shown is not None:
+        notes = [shown.note, *notes]
+        guesses = [name for name in guesses if not shown.joints[rig.joint_names.index(name)]]
     guessed = "" if status == "failed" else _guessed(guesses)  # it is of a pose that is about right
     if not finite:
         found = ()

@@ -21,11 +21,13 @@ __all__ = [
     "REGRESSED",
     "SOMEBODY_ELSE",
     "SUSPECT",
+    "beyond_noise",
     "evidence_of",
     "lacks_most",
     "logarithms",
     "lonely_odd",
     "merged",
+    "misfit",
     "probability_of",
     "shown_problem",
     "verdict_of",
@@ -68,7 +70,18 @@ _FLOOR = 1e-3
 
 
 def evidence_of(
-    model, vertices, X, *, proba=None, rivals=(), value=None, theta=None, coverage=WHOLE, x_weights=None, proportions=0.0
+    model,
+    vertices,
+    X,
+    *,
+    proba=None,
+    rivals=(),
+    value=None,
+    theta=None,
+    coverage=WHOLE,
+    x_weights=None,
+    proportions=0.0,
+    missing=None,
 ):
     """Measure a fit.
 
@@ -92,16 +105,19 @@ def evidence_of(
         How much each point counts.
     proportions : float, default 0
         Share by which other proportions leave less unexplained than the template's.
+    missing : (m,) bool array, optional
+        Vertices of limbs that the scan lacks.
 
     Returns
     -------
     evidence : dict of str to float
         "distance": the points' median distance from the surface ÷ s; "unexplained": mean of ρ over what these distances are
         beyond 2.5 times their median, which is taken for noise up to 0.015; "unreached": the same over the surface's from the
-        points; "part_unexplained" and "part_unreached": the largest of each over single parts; "disagreement": 1 − mean
-        probability that the segmenter gives the part that the mesh has at a point; "rival": value ÷ the least of the rivals';
-        "at_limits": share of the angles that are at a limit; "sparse": angles, three at least, ÷ points; "proportions" as given;
-        "hidden": share of the surface that the scan cannot show, as the pose has it and ``coverage`` says.
+        points, but for limbs that are missing; "part_unexplained" and "part_unreached": the largest of each over single parts,
+        missing ones too; "disagreement": 1 − mean probability that the segmenter gives the part that the mesh has at a point;
+        "rival": value ÷ the least of the rivals'; "at_limits": share of the angles that are at a limit; "sparse": angles, three
+        at least, ÷ points; "proportions" as given; "hidden": share of the surface that the scan cannot show, as the pose has it
+        and ``coverage`` says, or that is missing.
         All in [0, 1]; what is not known is 0. Points at one place are one. Points far from all others, and unexplained ones far
         from all others of these, count for nothing.
     worst : dict of str to int
@@ -111,9 +127,8 @@ def evidence_of(
     w = np.full(len(X), 1.0 / len(X)) if x_weights is None else x_weights / x_weights.sum()
     X, w, proba = merged(X, w, proba)
     on = PointIndex(vertices).nearest(X)
-    away = ((X - vertices[on]) ** 2).sum(axis=1)
     there = model.surface.closest(X, on, vertices)
-    away = np.minimum(away, ((X - there.points) ** 2).sum(axis=1))
+    away = np.minimum(((X - vertices[on]) ** 2).sum(axis=1), ((X - there.points) ** 2).sum(axis=1))
     index = PointIndex(X)
     to_X = index.nearest(vertices)
     # Between points there is nothing to reach.
@@ -121,13 +136,14 @@ def evidence_of(
     w = without(w, third > _LONELY * np.median(third))
     back = np.maximum(np.linalg.norm(vertices - X[to_X], axis=1) - min(spacing(third), _SPARSEST), 0.0) ** 2
     seen = seen_vertices(coverage, vertices, rig.faces, Problem(X), on, to_X)
-    typical = float(np.sqrt(weighted_median(away, w)))
-    away = np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
-    rho_x, rho_v = away / (away + _SCALE**2), back / (back + _SCALE**2)
+    typical, away = beyond_noise(away, w)
+    rho_x, rho_v = misfit(away), misfit(back)
     w = without(w, lonely_odd(X, away))
-    a, of_all = np.where(seen, a, 0.0), a.sum()
-    parts = labels[on]
-    of_points, of_surface = _worst(parts, w, rho_x), _worst(labels, a, rho_v)
+    parts, of_all = labels[on], a.sum()
+    of_points, of_surface = _worst(parts, w, rho_x), _worst(labels, np.where(seen, a, 0.0), rho_v)
+    if missing is not None:
+        seen &= ~missing
+    a = np.where(seen, a, 0.0)
     out = {
         "distance": min(1.0, typical / _SCALE),
         "unexplained": float(w @ rho_x),
@@ -143,6 +159,31 @@ def evidence_of(
         "hidden": 0.0 if seen.all() else float(max(0.0, 1.0 - a.sum() / max(of_all, 1e-12))),  # rounding is no evidence
     }
     return out, {"part_unexplained": of_points[1], "part_unreached": of_surface[1]}
+
+
+def beyond_noise(away, w):
+    """The points' median distance from the surface, and what is beyond noise of theirs.
+
+    Parameters
+    ----------
+    away : (n,) array
+        Squared distances, half sizes.
+    w : (n,) array
+        Weights of the points.
+
+    Returns
+    -------
+    typical : float
+    away : (n,) array
+        Squared.
+    """
+    typical = float(np.sqrt(weighted_median(away, w)))
+    return typical, np.maximum(np.sqrt(away) - _NOISE * min(typical, _NOISIEST), 0.0) ** 2
+
+
+def misfit(away):
+    """ρ of squared distances, half sizes."""
+    return away / (away + _SCALE**2)
 
 
 def shown_problem(model, problem, state, coverage):
@@ -189,7 +230,7 @@ def lonely_odd(X, away):
     (n,) bool array
     """
     k = int(np.clip(len(X) // _POINTS_PER_K, 1, _MOST_K))
-    odd = np.flatnonzero(away / (away + _SCALE**2) > _ODD)
+    odd = np.flatnonzero(misfit(away) > _ODD)
     lonely = np.zeros(len(X), dtype=bool)
     if len(odd):
         lonely[odd] = neighbour_distances(X[odd], k) > _LONELY_ODD * np.median(neighbour_distances(X, k))

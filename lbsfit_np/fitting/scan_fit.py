@@ -25,6 +25,7 @@ from .confidence import shown_problem
 from .drawn import drawn_by_itself
 from .labels import one_hot
 from .mirror_image import looked_at_in_the_mirror
+from .missing import MissingLimbs
 from .one_thing import APART, looked_at_apart
 from .proportioned import Proportioned
 from .refit import Refit, Runner
@@ -213,22 +214,31 @@ class ScanFit:
             frame, problem, proba, state, before = self._given(points, rows, a, guess, theta0, labels)
             rivals = {}
         every, dense = all_points(points, part, point_weights, frame, problem)
+        known, shown, refit = {}, None, self._refit
         if settings.polish:
             state, known = self._last_steps(problem, dense, state, None if labels is None else labels[every])
+            if labels is None and not settings.partial:
+                shown = self._missing.of(dense, state, self._proportioned, theta0=theta0, **known)
+        if shown is not None:
+            model, state, proba = shown.model, shown.state, shown.said(proba)
+            refit = self._refit_of(model)
         with_partner = shown_problem(model, problem, state, settings.coverage)
         search = Search(model, with_partner, proba, labels is not None, settings).full(state)
         last = search.outcome
         pose = last.state
         if settings.polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
-            pose = self._refit.polish(dense, pose, **known)
-        last = replace(last, state=self._registration(dense, pose) if settings.registration else pose)
+            pose = refit.polish(dense, pose, **known)
+        joint_std = refit.joint_std(with_partner, pose, proba)
+        if settings.registration:
+            pose = (self._registration if shown is None else Registration(model))(dense, pose)
+        last = replace(last, state=pose if shown is None else shown.whole(pose, self.model))
         searched = not given or (theta0 is None and self.facing.told)  # of labels only what contradicts is to be said
         stands = stands_words(self.facing, model.source, frame, last.state.theta) if searched else ""
         unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale, unit=settings.unit)
         return assemble(
             model.source,
-            model,
+            self.model,
             problem,
             last,
             points=points,
@@ -239,7 +249,8 @@ class ScanFit:
             x_labels=search.labels,
             proba=proba,
             labels=labels,
-            joint_std=self._refit.joint_std(with_partner, pose, proba),
+            joint_std=joint_std,
+            shown=shown,
             evaluations=before + search.evaluations,
             notes=[_parts_without_labels(model.source, labels, rows) if theta0 is None else ""],
             found=(unit, stands),
@@ -263,8 +274,15 @@ class ScanFit:
 
     @cached_property
     def _refit(self):
+        return self._refit_of(self.model)
+
+    def _refit_of(self, model):
         free = IN_UNIT if self.settings.scale == "fixed" else SIZED
-        return Refit(self.model, free, coverage=self.settings.coverage)
+        return Refit(model, free, coverage=self.settings.coverage)
+
+    @cached_property
+    def _missing(self):
+        return MissingLimbs(self.model)
 
     @cached_property
     def _registration(self):
@@ -272,7 +290,10 @@ class ScanFit:
 
     @cached_property
     def _with_proportions(self):
-        return Proportioned(self.model, self.settings, self._refit.free)
+        return self._proportioned(self.model)
+
+    def _proportioned(self, model):
+        return Proportioned(model, self.settings, self._refit.free)
 
     def _given(self, points, rows, a, scale, theta0, labels):
         """Where a given start, which says how the scan is turned, or known labels, which tell it, lead before the full objective.

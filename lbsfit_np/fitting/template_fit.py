@@ -2,7 +2,7 @@
 
 import time
 from dataclasses import replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from ..optimize.state import IN_UNIT
 from .assemble import assemble
 from .confidence import shown_problem
 from .effort import EFFORTS
+from .missing import MissingLimbs
 from .proportioned import Proportioned
 from .refit import Refit
 from .search import Search
@@ -40,6 +41,10 @@ class TemplateFit:
     @cached_property
     def _registration(self):
         return Registration(self.model)
+
+    @cached_property
+    def _missing(self):
+        return MissingLimbs(self.model)
 
     @cached_property
     def _proportioned(self):
@@ -74,6 +79,7 @@ class TemplateFit:
         free=IN_UNIT,
         proba=None,
         labels_known=None,
+        theta0=None,
         prior=None,
         dense=None,
         value=None,
@@ -103,6 +109,8 @@ class TemplateFit:
         proba : (k, n_parts) array, optional
             Without it the structured term is left out.
         labels_known : (n,) int array, optional
+        theta0 : (J, 3) array, optional
+            A pose that is known: of limbs that the scan lacks it is kept.
         prior : ((J, 3) array, float or (t, t) array), optional
             As in ``GaussNewton.pose``.
         dense : (every (d,) int array, Problem), optional
@@ -116,18 +124,28 @@ class TemplateFit:
         FitResult
         """
         started = time.perf_counter() if started is None else started
-        model, settings = self.model, self.settings
+        model, settings, refit = self.model, self.settings, self.refit
+        every, last = (part.rows, problem) if dense is None else dense
+        shown = None
+        if labels_known is None and not settings.partial:
+            steps = partial(Refit, free=free, coverage=settings.coverage)
+            shown = self._missing.of(last, state, steps, theta0=theta0, prior=prior)
+        if shown is not None:
+            model, state, proba = shown.model, shown.state, shown.said(proba)
+            refit = Refit(model, coverage=settings.coverage)
         with_partner = shown_problem(model, problem, state, settings.coverage)
         search = Search(model, with_partner, proba, labels_known is not None, settings)
         search.full(state, free=("pose", "translation", "residual"))
         # The residual takes what the template lacks; the pose is better known by distances to the surface.
-        every, last = (part.rows, problem) if dense is None else dense
         known = None if labels_known is None or labels_known[every].min() < 0 else labels_known[every]
-        pose = self.refit.polish(last, search.outcome.state, labels=known, prior=prior)
-        outcome = replace(search.outcome, state=self._registration(last, pose) if settings.registration else pose)
+        pose = refit.polish(last, search.outcome.state, labels=known, prior=prior)
+        joint_std = refit.freeing(free).joint_std(with_partner, pose, proba)
+        if settings.registration:
+            pose = (self._registration if shown is None else Registration(model))(last, pose)
+        outcome = replace(search.outcome, state=pose if shown is None else shown.whole(pose, self.model))
         return assemble(
             self.rig,
-            model,
+            self.model,
             problem,
             outcome,
             points=points,
@@ -138,7 +156,8 @@ class TemplateFit:
             x_labels=search.labels,
             proba=proba,
             labels=labels_known,
-            joint_std=self.refit.freeing(free).joint_std(with_partner, pose, proba),
+            joint_std=joint_std,
+            shown=shown,
             evaluations=search.evaluations,
             notes=notes,
             found=found,

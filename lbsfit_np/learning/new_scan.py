@@ -195,7 +195,7 @@ def _finished(fitter, subject, best, proportions, points, part, theta0, labels, 
     stands = stands_words(_facing(fitter), rig, best.frame, best.state.theta) if theta0 is None else ""
     place = {"points": points, "part": part, "frame": best.frame, "value": best.value, "rivals": best.rivals}
     place |= {"proportions": proportions, "notes": [whose], "found": (unit, stands), "given": given}
-    place["free"] = best.free
+    place |= {"free": best.free, "theta0": theta0}
     another = not anyone and proportions > SOMEBODY_ELSE  # it is not more effort that would help
     if not given and not another:
         place["further"] = further_words(rig, settings, _facing(fitter))

@@ -143,25 +143,39 @@ class Model:
         from scipy.spatial import cKDTree
 
         nearest = cKDTree(self.rig.vertices[rows]).query(self.rig.vertices)[1]
-        thin = object.__new__(Model)
-        thin.source, thin.half, thin.follow = self.source, self.half, self.follow
-        thin._residual_moves_joints = self._residual_moves_joints
-        thin.n_coefficients, thin.n_proportions = self.n_coefficients, self.n_proportions
-        thin.rig = replace(
-            self.rig,
-            vertices=self.rig.vertices[rows],
-            weights=sparse.csr_array(self.rig.weights[rows]),
-            regressor=sparse.csr_array((len(self.rig.parents), len(rows))),
-            faces=np.empty((0, 3), dtype=int),
-        )
-        thin.labels = self.labels[rows]
-        thin.basis = np.ascontiguousarray(self.basis.reshape(m, 3, -1)[rows].reshape(3 * len(rows), -1))
+        no_regressor = sparse.csr_array((len(self.rig.parents), len(rows)))
+        thin = self._at(rows, faces=np.empty((0, 3), dtype=int), regressor=no_regressor)
         thin._whole = False
-        thin.__dict__["joint_basis"] = self.joint_basis
         thin.__dict__["normals"] = self.normals[rows]
         thin.__dict__["own_areas"] = self.areas[rows]
         thin.__dict__["areas"] = np.bincount(nearest, self.areas, minlength=len(rows))
         return thin
+
+    def without(self, gone):
+        """The model without some of its skin, whose joints and proportions move as with all of it.
+
+        Parameters
+        ----------
+        gone : (m,) bool array
+            Vertices; triangles at these go along.
+        """
+        rows, new = np.flatnonzero(~gone), np.cumsum(~gone) - 1
+        faces = new[self.rig.faces[~gone[self.rig.faces].any(axis=1)]]
+        return self._at(rows, faces=faces, regressor=sparse.csr_array(self.rig.regressor.tocsc()[:, rows]))
+
+    def _at(self, rows, **of_rig):
+        """The model on some of its vertices; what is the same in all of them is shared."""
+        some = object.__new__(Model)
+        some.source, some.half, some.follow = self.source, self.half, self.follow
+        some._residual_moves_joints, some._whole = self._residual_moves_joints, self._whole
+        some.n_coefficients, some.n_proportions, some._shifts = self.n_coefficients, self.n_proportions, self._shifts
+        some.rig = replace(
+            self.rig, vertices=self.rig.vertices[rows], weights=sparse.csr_array(self.rig.weights[rows]), **of_rig
+        )
+        some.labels = self.labels[rows]
+        some.basis = np.ascontiguousarray(self.basis.reshape(len(self.labels), 3, -1)[rows].reshape(3 * len(rows), -1))
+        some.__dict__["joint_basis"] = self.joint_basis
+        return some
 
     def _with_all_parts(self, rows):
         """Rows, with more of parts that have hardly any, such as fingers of a body: points with their labels would be lost."""

@@ -1,0 +1,217 @@
+"""Limbs that a scan lacks, such as a finger that is missing or was never seen: taken off, so that nothing else makes up for them.
+
+What has no points is drawn to what is next to it. A finger that the scan lacks is fitted into the next one, bones shortened as it
+takes, and there it leaves next to nothing unexplained. But points tell: of a limb that is shown there are some that nothing else
+explains. So of a limb whose points all lie on the rest as well the skin is taken off, and pose and proportions of the rest are
+found without it. Where that explains all points as well as before, the scan does not show the limb, whose pose is a guess then:
+at rest, or as what is known of poses has it.
+"""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..errors import listed
+from ..neighbors import PointIndex
+from ..optimize.problem import merged
+from ..optimize.pulling import Pulling
+from ..rig.chains import subtrees, vertex_bones
+from .confidence import beyond_noise, lonely_odd, misfit, without
+
+__all__ = ["MissingLimbs", "Shown"]
+
+# Places of the mesh by which limbs are looked at.
+_PLACES = 4000
+# A limb has this share of the surface at least, and at rest it stands out from the rest by this mean misfit: eyes in a head, or
+# fingers of a body, are not told from what is next to them.
+_LEAST, _APART = 0.01, 0.4
+# A limb is taken off to try whose points the rest leaves less misfit than this share of what it leaves of the limb's skin at
+# rest. Of limbs that are shown, of six hands and bodies, that was 0.55 at least; of those that are not, 0.49 at most.
+_EXPLAINED = 0.5
+# With the limb taken off, points are misfit by no more than before and this share of its surface. Of limbs that are not shown it
+# was 0.02 at most; of one that is shown, it is about half of the limb's share of the points.
+_RISE = 0.05
+# With all limbs taken off that the scan does not show, no more is left unexplained than this: else these points may be of one.
+_LEFT = 0.02
+# So many limbs are taken off to try, at most, until one of them is found to be missing; and so many are found.
+_TRIED, _FOUND = 8, 8
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What a scan shows of a model.
+
+    Attributes
+    ----------
+    model : Model
+        Without the skin of limbs that are missing.
+    state : State
+        The pose of that.
+    missing : (m,) bool array
+        The vertices of the whole model that are missing.
+    limbs : tuple of int
+        The joints that the limbs hang on.
+    """
+
+    model: object
+    state: object
+    missing: np.ndarray
+    limbs: tuple = ()
+
+    @property
+    def joints(self):
+        """(J,) bool: the joints of missing limbs."""
+        return subtrees(self.model.rig.parents)[list(self.limbs)].any(axis=0)
+
+    @property
+    def note(self):
+        """In words, what is missing; of limbs that hang on each other the highest alone."""
+        below = subtrees(self.model.rig.parents)
+        highest = [j for j in sorted(self.limbs) if below[list(self.limbs), j].sum() == 1]
+        names = listed([self.model.rig.joint_names[j] for j in highest], 6)
+        return f"the scan shows nothing of what hangs on {names}, whose pose is a guess"
+
+    def whole(self, state, model):
+        """A State of what is shown as one of the whole model: missing skin is offset like the shown vertex next to it."""
+        vertices = model.rig.vertices
+        rows = PointIndex(vertices[~self.missing]).nearest(vertices)
+        offsets = {name: getattr(state, name) for name in ("residual", "displacement")}
+        return state.replace(**{name: None if value is None else value[rows] for name, value in offsets.items()})
+
+    def said(self, proba):
+        """(n, n_parts) probabilities of the parts as if those that are missing could not be; None for None."""
+        if proba is None:
+            return None
+        there = np.bincount(self.model.labels, minlength=proba.shape[1]) > 0
+        proba = proba * there
+        return proba / np.maximum(proba.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+
+
+class MissingLimbs:
+    """Looks for limbs of a model that scans lack.
+
+    Parameters
+    ----------
+    model : Model
+    """
+
+    def __init__(self, model):
+        self.model = model
+        self._below = subtrees(model.rig.parents) > 0
+        self._bone = vertex_bones(model.rig)
+
+    def of(self, problem, state, steps, *, theta0=None, **known):
+        """What a scan shows.
+
+        Parameters
+        ----------
+        problem : Problem
+        state : State
+            A pose of the whole model, without a residual.
+        steps : callable (Model) → object
+            Its ``to_the_end`` (problem, state, **known) gives where steps for that model come to, and what these leave.
+        theta0 : (J, 3) array, optional
+            What missing limbs start from, and stay in but for a prior among ``known``; at rest by default.
+        **known
+            Passed to the steps.
+
+        Returns
+        -------
+        Shown or None
+            None where it may be all.
+        """
+        X, w, _ = merged(problem.X, problem.shares, None)
+        start = self.model.rest().theta if theta0 is None else theta0
+
+        def after_steps(shown):
+            state, value = steps(shown.model).to_the_end(problem, shown.state, **known)
+            return replace(shown, state=state), value, _left(shown.model, X, w, state)
+
+        shown, value = Shown(self.model, state, np.zeros(len(self._bone), dtype=bool)), None
+        while len(shown.limbs) < _FOUND and (explained := self._explained_by_the_rest(X, w, shown)):
+            if value is None:
+                shown, value, left = after_steps(shown)
+            found, trials = [], self._highest(explained)
+            for tried in range(_TRIED):
+                if tried == len(trials):
+                    break
+                j = trials[tried]
+                other = after_steps(self._without(shown, j, start))
+                if other[-1] > left + _RISE * self._share_of(j):  # a part of it may be missing
+                    trials += self._highest([k for k in explained if k != j and self._below[j, k]])
+                else:
+                    found.append(other)
+            best = min(found, key=lambda f: f[1], default=None)
+            if best is None or best[1] >= value:
+                break
+            shown, value, left = best
+        return shown if shown.limbs and left <= _LEFT else None
+
+    @cached_property
+    def _places(self):
+        return Pulling(self.model, _PLACES)
+
+    @cached_property
+    def _bone_of_place(self):
+        corners, barycentric = self._places.corners, self._places.barycentric
+        return self._bone[corners[np.arange(len(corners)), barycentric.argmax(axis=1)]]
+
+    @cached_property
+    def _limbs(self):
+        """{joint: ((v,) bool, float)} of the limbs that can be told: their places, and the mean misfit at rest without them."""
+        rig, weights, out = self.model.rig, self._places.weights, {}
+        P, _ = self._places.of(rig.vertices)
+        for j in np.flatnonzero(rig.moving):
+            own = self._below[j][self._bone_of_place]
+            if weights[own].sum() < _LEAST or own.all():
+                continue
+            apart = float(np.average(misfit(_squared(P[own], P[~own])), weights=weights[own]))
+            if apart >= _APART:
+                out[j] = own, apart
+        return out
+
+    def _explained_by_the_rest(self, X, w, shown):
+        """Joints of the limbs, of those that are not found to be missing, whose points the rest explains."""
+        P, _ = self._places.of(self.model.deformed(shown.state).vertices)
+        there = ~shown.missing[self._places.corners].any(axis=1)
+        rows, out = np.flatnonzero(there), []
+        on = rows[PointIndex(P[there]).nearest(X)]
+        for j, (own, apart) in self._limbs.items():
+            rest = there & ~own
+            if not (there & own).any() or not rest.any():
+                continue
+            near = own[on]
+            left = w[near] @ misfit(_squared(X[near], P[rest])) if near.any() else 0.0
+            if left <= _EXPLAINED * apart * w[near].sum():
+                out.append(j)
+        return out
+
+    def _share_of(self, j):
+        """Of the surface, that of a limb."""
+        own, _ = self._limbs[j]
+        return float(self._places.weights[own].sum())
+
+    def _highest(self, joints):
+        """Those of joints that do not hang on another one of them."""
+        return [j for j in joints if self._below[joints, j].sum() == 1]
+
+    def _without(self, shown, j, start):
+        """The same without the limb of joint j as well, before any step; its angles are those of a start."""
+        missing = shown.missing | self._below[j][self._bone]
+        state = shown.state.replace(theta=np.where(self._below[j][:, None], start, shown.state.theta))
+        return Shown(self.model.without(missing), state, missing, (*shown.limbs, j))
+
+
+def _squared(X, P):
+    """(n,) squared distances of X (n, 3) from the nearest of P."""
+    return np.square(X - P[PointIndex(P).nearest(X)]).sum(axis=1)
+
+
+def _left(model, X, w, state):
+    """Mean misfit of points beyond their noise, clutter left out."""
+    V = model.deformed(state).vertices
+    on = PointIndex(V).nearest(X)
+    away = np.square(X - model.surface.closest(X, on, V).points).sum(axis=1)
+    _, away = beyond_noise(away, w)
+    return float(without(w, lonely_odd(X, away)) @ misfit(away))
