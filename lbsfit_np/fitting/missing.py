@@ -25,12 +25,13 @@ __all__ = ["MissingLimbs", "Shown"]
 _PLACES = 4000
 # A limb has this share of the surface at least, and at rest it stands out from the rest by this mean misfit: eyes in a head, or
 # fingers of a body, are not told from what is next to them.
-_LEAST, _APART = 0.01, 0.4
-# A limb is taken off to try whose points the rest leaves less misfit than this share of what it leaves of the limb's skin at
-# rest. Of limbs that are shown, of six hands and bodies, that was 0.55 at least; of those that are not, 0.49 at most.
-_EXPLAINED = 0.5
-# With the limb taken off, points are misfit by no more than before and this share of its surface. Of limbs that are not shown it
-# was 0.02 at most; of one that is shown, it is about half of the limb's share of the points.
+_LEAST, _APART = 0.01, 0.6
+# A limb is taken off to try whose points the rest leaves less misfit than the first share of what it leaves of the limb's skin at
+# rest, and in all no more than the second share of its surface. Of limbs that are shown, of six hands and bodies, the first was
+# 0.55 at least; of those that are not, both were 0.49 and 0.1 at most.
+_EXPLAINED, _LITTLE = 0.5, 0.15
+# With the limb taken off, neither its own points nor all are misfit by more than before and this share of its surface. Of limbs
+# that are not shown it was 0.02 at most; of one that is shown, it is about half of the limb's share of the points.
 _RISE = 0.05
 # With all limbs taken off that the scan does not show, no more is left unexplained than this: else these points may be of one.
 _LEFT = 0.02
@@ -88,6 +89,17 @@ class Shown:
         return proba / np.maximum(proba.sum(axis=1, keepdims=True), np.finfo(float).tiny)
 
 
+@dataclass(frozen=True)
+class _Trial:
+    """Where steps on what may be shown have come to."""
+
+    shown: Shown
+    value: float  # what they leave, which they make small
+    nearest: np.ndarray  # (n,) rows of the shown vertices
+    misfit: np.ndarray  # (n,) of the points
+    left: float  # their mean misfit beyond noise
+
+
 class MissingLimbs:
     """Looks for limbs of a model that scans lack.
 
@@ -126,27 +138,28 @@ class MissingLimbs:
 
         def after_steps(shown):
             state, value = steps(shown.model).to_the_end(problem, shown.state, **known)
-            return replace(shown, state=state), value, _left(shown.model, X, w, state)
+            return _Trial(replace(shown, state=state), value, *_misfit(shown.model, X, w, state))
 
-        shown, value = Shown(self.model, state, np.zeros(len(self._bone), dtype=bool)), None
+        best, shown = None, Shown(self.model, state, np.zeros(len(self._bone), dtype=bool))
         while len(shown.limbs) < _FOUND and (explained := self._explained_by_the_rest(X, w, shown)):
-            if value is None:
-                shown, value, left = after_steps(shown)
+            best = best or after_steps(shown)
+            bone = self._bone[~best.shown.missing][best.nearest]
             found, trials = [], self._highest(explained)
             for tried in range(_TRIED):
                 if tried == len(trials):
                     break
                 j = trials[tried]
-                other = after_steps(self._without(shown, j, start))
-                if other[-1] > left + _RISE * self._share_of(j):  # a part of it may be missing
-                    trials += self._highest([k for k in explained if k != j and self._below[j, k]])
-                else:
+                other, most = after_steps(self._without(best.shown, j, start)), _RISE * self._share_of(j)
+                own = w * self._below[j][bone]
+                if max(own @ (other.misfit - best.misfit), other.left - best.left) <= most:
                     found.append(other)
-            best = min(found, key=lambda f: f[1], default=None)
-            if best is None or best[1] >= value:
+                else:  # a part of it may be missing
+                    trials += self._highest([k for k in explained if k != j and self._below[j, k]])
+            better = min(found, key=lambda trial: trial.value, default=best)
+            if better.value >= best.value:
                 break
-            shown, value, left = best
-        return shown if shown.limbs and left <= _LEFT else None
+            best, shown = better, better.shown
+        return shown if shown.limbs and best.left <= _LEFT else None
 
     @cached_property
     def _places(self):
@@ -183,7 +196,7 @@ class MissingLimbs:
                 continue
             near = own[on]
             left = w[near] @ misfit(_squared(X[near], P[rest])) if near.any() else 0.0
-            if left <= _EXPLAINED * apart * w[near].sum():
+            if left <= min(_EXPLAINED * apart * w[near].sum(), _LITTLE * self._share_of(j)):
                 out.append(j)
         return out
 
@@ -208,10 +221,10 @@ def _squared(X, P):
     return np.square(X - P[PointIndex(P).nearest(X)]).sum(axis=1)
 
 
-def _left(model, X, w, state):
-    """Mean misfit of points beyond their noise, clutter left out."""
+def _misfit(model, X, w, state):
+    """(nearest vertices, misfit of the points, mean misfit beyond noise with clutter left out)."""
     V = model.deformed(state).vertices
     on = PointIndex(V).nearest(X)
     away = np.square(X - model.surface.closest(X, on, V).points).sum(axis=1)
-    _, away = beyond_noise(away, w)
-    return float(without(w, lonely_odd(X, away)) @ misfit(away))
+    _, beyond = beyond_noise(away, w)
+    return on, misfit(away), float(without(w, lonely_odd(X, beyond)) @ misfit(beyond))
