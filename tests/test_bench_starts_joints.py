@@ -50,3 +50,11 @@ def test_joints_are_those_that_move():
     one, found = module._OneScan(still, "unit", 3, "own", None), SimpleNamespace(joints=scan.joints + off, joint_std=std)
     assert one._each_joint(found, scan) == {"each_error": [0.1] * (len(off) - 1), "each_std": [0.02] * (len(off) - 1)}
     assert one._each_joint(SimpleNamespace(joints=scan.joints, joint_std=np.nan * std), scan) == {}
+
+
+def test_a_fit_that_is_not_finite_has_failed():
+    """Its error is no number, which would count as no failure."""
+    body = lbs.load_rig("body-coarse")
+    lost = SimpleNamespace(joints=np.full(body.joints.shape, np.nan), message="the fit is not finite", seconds=2.0)
+    one = module._OneScan(body, "0.3", 3, "own", SimpleNamespace(fit_scan=lambda points: lost))
+    assert one(0) == {"scan": 0, "failed": "the fit is not finite", "seconds": 2.0}

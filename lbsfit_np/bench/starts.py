@@ -185,6 +185,8 @@ class _OneScan:
             result = self._fitted(scan)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             return {"scan": i, "failed": in_words(error), "seconds": time.perf_counter() - started}
+        if not np.isfinite(result.joints).all():
+            return {"scan": i, "failed": result.message, "seconds": result.seconds}
         return {
             "scan": i,
             "joint_error": joint_error(result.joints, scan.joints, counted) / (self.rig.size * scan.scale),

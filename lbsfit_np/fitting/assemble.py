@@ -183,7 +183,7 @@ def assemble(
         if words := _incomplete(status, evidence, coverage, guesses):
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
     if shown is not None:
-        notes = [shown.note, *notes]
+        notes = [shown.note, *notes] if status != "failed" else notes
         guesses = [name for name in guesses if not shown.joints[rig.joint_names.index(name)]]
     guessed = "" if status == "failed" else _guessed(guesses)  # it is of a pose that is about right
     if not finite:
