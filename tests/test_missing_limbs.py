@@ -134,3 +134,19 @@ def test_known_labels_and_one_sided_views_are_left_alone(hand, monkeypatch):
     ScanFit(hand.model, FitSettings(effort="fast", partial=True)).fit(points, theta0=hand.scan.pose)
     with pytest.raises(AssertionError, match="missing limbs"):
         ScanFit(hand.model, _SETTINGS).fit(points, theta0=hand.scan.pose)
+
+
+def test_skin_is_left_out_with_the_triangles_that_it_has_and_what_has_no_others(hand):
+    model, faces = hand.model, hand.model.rig.faces
+    alone = int(faces[0, 0])
+    gone = np.zeros(len(model.labels), dtype=bool)
+    gone[np.setdiff1d(faces[(faces == alone).any(axis=1)], alone)] = True  # all around a vertex
+    less, left_out = model.without(gone)
+    assert left_out[alone] and (left_out == gone).sum() == len(gone) - 1
+    assert set(np.unique(less.rig.faces)) == set(range((~left_out).sum()))
+    np.testing.assert_array_equal(less.rig.vertices, model.rig.vertices[~left_out])
+    some = State(hand.scan.pose, np.ones(3), 0.9, np.full(model.n_coefficients, 0.05), None)
+    one, other = model.deformed(some), less.deformed(some)
+    np.testing.assert_allclose(other.vertices, one.vertices[~left_out], atol=1e-12)
+    np.testing.assert_allclose(other.joints, one.joints, atol=1e-12)
+    assert model.without(np.ones_like(gone))[0] is None

@@ -149,7 +149,9 @@ class MissingLimbs:
                 if tried == len(trials):
                     break
                 j = trials[tried]
-                other, most = after_steps(self._without(best.shown, j, start)), _RISE * self._share_of(j)
+                if (less := self._without(best.shown, j, start)).model is None:
+                    continue
+                other, most = after_steps(less), _RISE * self._share_of(j)
                 own = w * self._below[j][bone]
                 if max(own @ (other.misfit - best.misfit), other.left - best.left) <= most:
                     found.append(other)
@@ -211,9 +213,9 @@ class MissingLimbs:
 
     def _without(self, shown, j, start):
         """The same without the limb of joint j as well, before any step; its angles are those of a start."""
-        missing = shown.missing | self._below[j][self._bone]
+        model, missing = self.model.without(shown.missing | self._below[j][self._bone])
         state = shown.state.replace(theta=np.where(self._below[j][:, None], start, shown.state.theta))
-        return Shown(self.model.without(missing), state, missing, (*shown.limbs, j))
+        return Shown(model, state, missing, (*shown.limbs, j))
 
 
 def _squared(X, P):

@@ -157,11 +157,23 @@ class Model:
         Parameters
         ----------
         gone : (m,) bool array
-            Vertices; triangles at these go along.
+            Vertices; triangles at these go along, and vertices that have no other triangles.
+
+        Returns
+        -------
+        Model or None
+            None where no triangle would be left.
+        gone : (m,) bool array
+            All vertices that it is without.
         """
+        faces = self.rig.faces[~gone[self.rig.faces].any(axis=1)]
+        if not len(faces):
+            return None, gone
+        before, after = np.zeros((2, len(gone)), dtype=bool)
+        before[self.rig.faces], after[faces] = True, True
+        gone = gone | (before & ~after)
         rows, new = np.flatnonzero(~gone), np.cumsum(~gone) - 1
-        faces = new[self.rig.faces[~gone[self.rig.faces].any(axis=1)]]
-        return self._at(rows, faces=faces, regressor=sparse.csr_array(self.rig.regressor.tocsc()[:, rows]))
+        return self._at(rows, faces=new[faces], regressor=sparse.csr_array(self.rig.regressor.tocsc()[:, rows])), gone
 
     def _at(self, rows, **of_rig):
         """The model on some of its vertices; what is the same in all of them is shared."""
