@@ -9,6 +9,8 @@ import lbsfit_np as lbs
 from lbsfit_np.fitting.missing import MissingLimbs
 from lbsfit_np.fitting.proportioned import Proportioned
 from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
+from lbsfit_np.fitting.template_fit import TemplateFit
+from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
 from lbsfit_np.optimize.state import SIZED, State
@@ -121,6 +123,19 @@ def test_the_rest_and_what_is_known_of_it(hand):
     # What is missing hangs on the rest without a tear.
     edges = np.linalg.norm(np.diff(result.vertices[rig.faces[:, :2]], axis=1), axis=2) / scan.scale
     assert edges.max() < 2 * np.linalg.norm(np.diff(rig.vertices[rig.faces[:, :2]], axis=1), axis=2).max()
+
+
+def test_on_a_known_template(hand):
+    points, own, model = _without(hand, "index1"), _limb(hand, "index1"), hand.model
+    frame = Frame(hand.scan.translation, hand.scan.scale * model.half, np.eye(3))
+    part = ScanFit(model, _SETTINGS).taking_part(points)
+    place = {"points": points, "part": part, "frame": frame}
+    found = Problem(frame.inside(points[part.rows])), _state(hand, _hidden(hand, "index", "middle"))
+    result = TemplateFit(hand.rig, model, _SETTINGS).finish(*found, theta0=hand.scan.pose, **place)
+    away = np.linalg.norm(result.joints - hand.scan.joints, axis=1) / (hand.rig.size * hand.scan.scale)
+    assert away.max() < 0.02 and away[~own].mean() < 0.005
+    assert "nothing of what hangs on index1" in result.message
+    assert (result.joint_std[own][1:] > 0.02 * hand.rig.size * hand.scan.scale).all()
 
 
 def test_known_labels_and_one_sided_views_are_left_alone(hand, monkeypatch):
