@@ -98,6 +98,13 @@ def test_a_limb_that_lies_beside_its_points_is_not_missing(hand):
     assert shown is None or "index1" not in _names(hand, shown)
 
 
+def test_no_limb_is_missing_without_which_points_are_explained_worse(hand, monkeypatch):
+    points = _without(hand, "ring1")
+    assert _shown(hand, points, hand.scan.pose) is not None
+    monkeypatch.setattr("lbsfit_np.fitting.missing._RISE", -1.0)  # any way of explaining them is worse than asked for
+    assert _shown(hand, points, hand.scan.pose) is None
+
+
 def test_what_is_missing_stays_where_a_start_has_it(hand):
     own = _limb(hand, "ring1")
     shown = _shown(hand, _without(hand, "ring1"), _hidden(hand, "ring", "middle"), theta0=hand.scan.pose)
