@@ -105,6 +105,36 @@ def test_no_limb_is_missing_without_which_points_are_explained_worse(hand, monke
     assert _shown(hand, points, hand.scan.pose) is None
 
 
+def test_where_points_stay_unexplained_nothing_is_missing(hand):
+    points, size = _without(hand, "ring1"), hand.rig.size * hand.scan.scale
+    beside = points.mean(axis=0) + size * (np.random.default_rng(0).normal(0.0, 0.02, (200, 3)) + [0.0, 0.0, 0.5])
+    assert _shown(hand, np.concatenate([points, beside]), hand.scan.pose) is None
+
+
+def test_offsets_of_what_is_missing_are_those_of_what_is_next_to_it(hand):
+    shown = _shown(hand, _without(hand, "ring1"), hand.scan.pose)
+    vertices, there = hand.model.rig.vertices, ~shown.missing
+    own = np.random.default_rng(1).normal(size=(there.sum(), 3))
+    whole = shown.whole(shown.state.replace(residual=own, displacement=2 * own), hand.model)
+    np.testing.assert_array_equal(whole.residual[there], own)
+    np.testing.assert_array_equal(whole.displacement, 2 * whole.residual)
+    row = int(np.flatnonzero(shown.missing)[0])
+    nearest = np.linalg.norm(vertices[there] - vertices[row], axis=1).argmin()
+    np.testing.assert_array_equal(whole.residual[row], own[nearest])
+    bare = shown.whole(shown.state, hand.model)
+    assert bare.residual is None and bare.displacement is None
+
+
+def test_the_segmenter_says_nothing_of_parts_that_are_missing(hand):
+    shown = _shown(hand, _without(hand, "ring1"), hand.scan.pose)
+    n_parts = len(hand.rig.parts)
+    lost = np.setdiff1d(np.arange(n_parts), hand.model.labels[~shown.missing])
+    said = shown.said(np.vstack([np.full(n_parts, 1 / n_parts), np.eye(n_parts)[lost[0]]]))
+    assert len(lost) == 3 and not said[:, lost].any()
+    np.testing.assert_allclose(said.sum(axis=1), [1.0, 0.0])  # of the second nothing is known
+    assert shown.said(None) is None
+
+
 def test_what_is_missing_stays_where_a_start_has_it(hand):
     own = _limb(hand, "ring1")
     shown = _shown(hand, _without(hand, "ring1"), _hidden(hand, "ring", "middle"), theta0=hand.scan.pose)
