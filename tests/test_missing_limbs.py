@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting.confidence import evidence_of
 from lbsfit_np.fitting.missing import MissingLimbs
 from lbsfit_np.fitting.proportioned import Proportioned
 from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
@@ -119,8 +120,13 @@ def test_offsets_of_what_is_missing_are_those_of_what_is_next_to_it(hand):
     np.testing.assert_array_equal(whole.residual[there], own)
     np.testing.assert_array_equal(whole.displacement, 2 * whole.residual)
     row = int(np.flatnonzero(shown.missing)[0])
-    nearest = np.linalg.norm(vertices[there] - vertices[row], axis=1).argmin()
-    np.testing.assert_array_equal(whole.residual[row], own[nearest])
+    # Of the palm, not of the fingers beside it, which are nearer.
+    palm = hand.rig.parents[hand.rig.joint_names.index("ring1")]
+    of = [int(np.flatnonzero((own == offset).all(axis=1))[0]) for offset in whole.residual[shown.missing]]
+    assert set(vertex_bones(hand.model.rig)[there][of]) == {palm}
+    rim = np.unique(of)
+    nearest = np.linalg.norm(vertices[there][rim] - vertices[row], axis=1).argmin()
+    np.testing.assert_array_equal(whole.residual[row], own[rim[nearest]])
     bare = shown.whole(shown.state, hand.model)
     assert bare.residual is None and bare.displacement is None
 
@@ -160,6 +166,18 @@ def test_the_rest_and_what_is_known_of_it(hand):
     # What is missing hangs on the rest without a tear.
     edges = np.linalg.norm(np.diff(result.vertices[rig.faces[:, :2]], axis=1), axis=2) / scan.scale
     assert edges.max() < 2 * np.linalg.norm(np.diff(rig.vertices[rig.faces[:, :2]], axis=1), axis=2).max()
+
+
+def test_what_is_missing_is_at_no_limit(hand):
+    """At rest, where nothing has put them, many angles of a hand are at a limit."""
+    points, rig = _without(hand, "index1", "pinky1"), hand.model.rig
+    shown = _shown(hand, points, hand.scan.pose)
+    V, X, theta = hand.model.deformed(shown.state).vertices, _problem(hand, points).X, shown.state.theta
+    every, rest = (evidence_of(hand.model, V, X, theta=theta, shown=s)[0]["at_limits"] for s in (None, shown))
+    free = rig.turning & (rig.upper - rig.lower > 0.1) & ~_limb(hand, "index1", "pinky1")[:, None]
+    free[rig.root] = False
+    at = np.minimum(theta - rig.lower, rig.upper - theta)[free] < 0.01
+    assert rest == pytest.approx(at.mean()) and rest < every
 
 
 def test_on_a_known_template(hand):

@@ -168,7 +168,7 @@ def assemble(
             coverage=coverage,
             x_weights=problem.x_weights,
             proportions=proportions,
-            missing=None if shown is None else shown.missing,
+            shown=shown,
         )
         guessed_share = len(guesses) / max(np.count_nonzero(_told_by_skin(rig)), 1)
         probability = probability_of(evidence, guessed_share)
@@ -180,11 +180,12 @@ def assemble(
             per = None if unit is None else unit_scale(rig, unit)  # of a known unit, as then the size is told
             large = per is not None and scale / per * template.size / rig.size > _LARGE
             reason += f"; {_asked(given, evidence, large)}"
+        if shown is not None:  # what is missing is told by its own note
+            guesses = [name for name in guesses if not shown.joints[rig.joint_names.index(name)]]
         if words := _incomplete(status, evidence, coverage, guesses):
             reason = f"{reason}; {words}" if reason else f"much of the surface has no points near it: {words}"
     if shown is not None:
         notes = [shown.note, *notes] if status != "failed" else notes
-        guesses = [name for name in guesses if not shown.joints[rig.joint_names.index(name)]]
     guessed = "" if status == "failed" else _guessed(guesses)  # it is of a pose that is about right
     if not finite:
         found = ()

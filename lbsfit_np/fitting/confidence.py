@@ -81,7 +81,7 @@ def evidence_of(
     coverage=WHOLE,
     x_weights=None,
     proportions=0.0,
-    missing=None,
+    shown=None,
 ):
     """Measure a fit.
 
@@ -105,8 +105,8 @@ def evidence_of(
         How much each point counts.
     proportions : float, default 0
         Share by which other proportions leave less unexplained than the template's.
-    missing : (m,) bool array, optional
-        Vertices of limbs that the scan lacks.
+    shown : Shown, optional
+        Where the scan lacks limbs: their skin and joints.
 
     Returns
     -------
@@ -141,8 +141,8 @@ def evidence_of(
     w = without(w, lonely_odd(X, away))
     parts, of_all = labels[on], a.sum()
     of_points, of_surface = _worst(parts, w, rho_x), _worst(labels, np.where(seen, a, 0.0), rho_v)
-    if missing is not None:
-        seen &= ~missing
+    if shown is not None:
+        seen &= ~shown.missing
     a = np.where(seen, a, 0.0)
     out = {
         "distance": min(1.0, typical / _SCALE),
@@ -152,7 +152,7 @@ def evidence_of(
         "part_unreached": of_surface[0],
         "disagreement": 0.0 if proba is None else _disagreement(w, proba, parts),
         "rival": float(min(1.0, value / min(rivals))) if len(rivals) and value is not None and min(rivals) > 0 else 0.0,
-        "at_limits": 0.0 if theta is None else _at_limits(rig, theta),
+        "at_limits": 0.0 if theta is None else _at_limits(rig, theta, None if shown is None else shown.joints),
         # 1 ÷ Σw² points that weigh the same are as good. The root's three angles are to be found by all means.
         "sparse": float(min(1.0, max(_bending(rig).sum(), 3) * (w**2).sum())),
         "proportions": float(np.clip(proportions, 0.0, 1.0)),
@@ -263,8 +263,11 @@ def _bending(rig):
     return free
 
 
-def _at_limits(rig, theta):
+def _at_limits(rig, theta, missing=None):
+    """Share of the angles that are at a limit, those of missing limbs left out, which are where nothing has put them."""
     free = _bending(rig) & (rig.upper - rig.lower > _NARROW)
+    if missing is not None:
+        free &= ~missing[:, None]
     if not free.any():
         return 0.0
     room = np.minimum(theta - rig.lower, rig.upper - theta)[free]

@@ -16,7 +16,7 @@ from ..errors import listed
 from ..neighbors import PointIndex
 from ..optimize.problem import merged
 from ..optimize.pulling import Pulling
-from ..rig.chains import subtrees, vertex_bones
+from ..rig.chains import bones, subtrees, vertex_bones
 from .confidence import beyond_noise, lonely_odd, misfit, without
 
 __all__ = ["MissingLimbs", "Shown"]
@@ -74,9 +74,17 @@ class Shown:
         return f"the scan shows nothing of what hangs on {names}, whose pose is a guess"
 
     def whole(self, state, model):
-        """A State of what is shown as one of the whole model: missing skin is offset like the shown vertex next to it."""
-        vertices = model.rig.vertices
-        rows = PointIndex(vertices[~self.missing]).nearest(vertices)
+        """A State of what is shown as one of the whole model: missing skin is offset like the shown skin that it hangs on."""
+        vertices, faces, there = model.rig.vertices, model.rig.faces, np.flatnonzero(~self.missing)
+        rows = PointIndex(vertices[there]).nearest(vertices)  # where none hangs on the rest by triangles, the vertex next to it
+        bone, below = vertex_bones(model.rig), subtrees(model.rig.parents) > 0
+        for j in sorted(self.limbs, reverse=True):  # the highest last, as limbs may hang on each other
+            own = below[j][bone] & self.missing
+            rim = np.setdiff1d(faces[own[faces].any(axis=1)], np.flatnonzero(self.missing))
+            of_root = rim[bone[rim] == bones(model.rig)[model.rig.parents[j]]]  # others are of limbs beside it
+            if len(rim := of_root if len(of_root) else rim):
+                near = rim[PointIndex(vertices[rim]).nearest(vertices[own])]
+                rows[own] = np.searchsorted(there, near)
         offsets = {name: getattr(state, name) for name in ("residual", "displacement")}
         return state.replace(**{name: None if value is None else value[rows] for name, value in offsets.items()})
 
