@@ -7,7 +7,7 @@ from itertools import count
 from ..errors import InputError, is_whole
 from ..learning.checkpoint import digest_of
 
-__all__ = ["REMEDY", "begun", "check_same", "checked_seeds", "counted_by", "described", "in_order", "is_done", "renewed"]
+__all__ = ["REMEDY", "begun", "check_same", "checked_seeds", "counted_by", "described", "in_order", "renewed"]
 
 REMEDY = "Choose another folder, or --existing replace."
 
@@ -62,11 +62,6 @@ def renewed(report, empty):
     """
     constant = {key: report[key] if key in _FOUND else value for key, value in empty.items()}
     return constant | {key: value for key, value in report.items() if key not in empty and key != "environment"}
-
-
-def is_done(entry):
-    """Whether a row of scans is done for good: no scan of it failed for what may not be the scan's fault, such as memory."""
-    return not any(scan.get("unforeseen") for scan in entry["scans"])
 
 
 def checked_seeds(seeds):

@@ -11,7 +11,7 @@ from ..errors import FileError, InputError
 from ..scan import Scan
 from .environment import environment
 from .measure import joint_error, label_accuracy, recon, vertex_error
-from .resume import begun, check_same, checked_seeds, counted_by, described, is_done, renewed
+from .resume import begun, check_same, checked_seeds, counted_by, described, renewed
 from .subjects import files_digest, scans_digest
 
 __all__ = ["BENCHES", "MEASURES", "ROWS", "TRAINING_SEED", "Bench", "run_bench", "with_segmenter"]
@@ -190,8 +190,8 @@ def run_bench(
     check_same(report, read)
     report = renewed(report, empty) | {"complete": False}
     report["seeds"] = sorted({*report["seeds"], *seeds})
-    there = {row: {s for s, e in content["seeds"].items() if is_done(e)} for row, content in report["rows"].items()}
-    todo = {seed: [row for row in rows if str(seed) not in there.get(row, ())] for seed in seeds}
+    there = {row: content["seeds"] for row, content in report["rows"].items()}
+    todo = {seed: [row for row in rows if str(seed) not in there.get(row, {})] for seed in seeds}
     fits = {}
     if any(with_segmenter(left) for left in todo.values()):
         started = time.perf_counter()
@@ -313,7 +313,7 @@ def _fit_row(method, scans, bench, rig, jobs, on_scan):
             entries.append(entry | figures | {"converged": result.converged, "message": result.message})
             results.append(result)
         else:
-            entries.append(entry | {"failed": outcome.error} | ({"unforeseen": True} if outcome.unforeseen else {}))
+            entries.append(entry | {"failed": outcome.error})
             results.append(None)
     return entries, results
 

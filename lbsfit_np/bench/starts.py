@@ -9,14 +9,14 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from ..errors import InputError, LbsfitError, in_words
+from ..errors import InputError, in_words
 from ..fitting.assemble import GUESS
 from ..io.rigs import load_rig
 from .baseline import PlainChamfer
 from .conditions import CONDITIONS, SEEN, conditions_of, starts_scan
 from .environment import environment
 from .measure import joint_error
-from .resume import begun, described, is_done, renewed
+from .resume import begun, described, renewed
 from .run import TRAINING_SEED
 
 __all__ = [
@@ -110,7 +110,7 @@ def starts_bench(
     for name, row, fit in todo:
         rig, condition = rigs[name], CONDITIONS[row]
         entry = _row_entry(report, name, rig, row, condition)
-        if fit in entry["fits"] and is_done(entry["fits"][fit]):
+        if fit in entry["fits"]:
             continue
         parameters = {"training_scans": training_scans, "effort": effort, "n_jobs": jobs, "random_state": TRAINING_SEED}
         fitter = LBSFitter(rig, **parameters | condition.fitter)
@@ -184,8 +184,7 @@ class _OneScan:
         try:
             result = self._fitted(scan)
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
-            failed = {"scan": i, "failed": in_words(error), "seconds": time.perf_counter() - started}
-            return failed if isinstance(error, LbsfitError) else failed | {"unforeseen": True}
+            return {"scan": i, "failed": in_words(error), "seconds": time.perf_counter() - started}
         if not np.isfinite(result.joints).all():
             return {"scan": i, "failed": result.message, "seconds": result.seconds}
         return {

@@ -36,8 +36,6 @@ class ScanOutcome:
         Why there is no fit, in words; None where there is one.
     details : str or None
         The traceback of an unforeseen failure.
-    unforeseen : bool
-        Whether the failure may be none of the scan's, such as of memory: another run may do better.
     seconds : float
         Time taken to read, fit and finish the scan.
     """
@@ -47,7 +45,6 @@ class ScanOutcome:
     error: str | None = None
     details: str | None = None
     seconds: float = 0.0
-    unforeseen: bool = False
 
 
 def fit_scans(fitter, scans, *, subjects=None, n_jobs=1, finish=None, on_result=None, pretrain=None):
@@ -213,7 +210,7 @@ def _fit_one(fitter, finish, index, source, subject):
 
 def _failure(index, error, started):
     seconds = time.perf_counter() - started
-    details = {} if isinstance(error, LbsfitError) else {"details": traceback.format_exc(), "unforeseen": True}
+    details = {} if isinstance(error, LbsfitError) else {"details": traceback.format_exc()}
     return ScanOutcome(index, error=in_words(error), seconds=seconds, **details)
 
 
@@ -235,7 +232,7 @@ def _fit_by_workers(work, scans, subjects, todo, jobs, report):
         def take_in(word, again=True):
             (index, *_), outcome, death = word
             if death is not None:
-                report(ScanOutcome(index, error=f"the process that fitted it ended: {death}", unforeseen=True))
+                report(ScanOutcome(index, error=f"the process that fitted it ended: {death}"))
             elif not isinstance(outcome, Unsent):
                 report(outcome)
             elif again and outcome.task and callable(scans[index]) and index not in called:
