@@ -269,7 +269,7 @@ def faust_bench(fitter, found, folder, *, on_figures=None, reporter=None, **opti
     """
     options |= {"also": found.test, "unit": "m", "reporter": reporter}
     report, fits = pairs_bench(fitter, found.training, found.truth, folder, **options)
-    report |= {"benchmark": "faust", "paper": PAPER, "notes": found.notes, "challenge": {}}
+    report |= {"benchmark": "faust", "paper": PAPER, "notes": found.notes + report["notes"], "challenge": {}}
     if on_figures is not None:
         on_figures(report)
     on_pair = getattr(reporter, "written", None)

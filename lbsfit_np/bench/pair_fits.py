@@ -9,7 +9,7 @@ import functools
 import hashlib
 import json
 import warnings
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,11 +37,14 @@ class Fits:
         earlier run has made it); where there is no fit, "failed", the reason.
     history : list of dict
         Of ``LBSFitter.history_``; empty where nothing was learned.
+    not_learned : dict of str to str
+        Why scans that were to be learned from could not be used for that, by their names.
     """
 
     folder: Path
     entries: dict = field(default_factory=dict)
     history: list = field(default_factory=list)
+    not_learned: dict = field(default_factory=dict)
 
     def has(self, name):
         """Whether there is a fit of the scan."""
@@ -148,9 +151,15 @@ def fit_scans_of(
             _file(folder, scan.name).unlink(missing_ok=True)
     if learn_from and learned is None:  # a model that is there is somebody else's, and the record would vouch for it
         (folder / _MODEL).unlink(missing_ok=True)
+    elif learn_from:
+        record = replace(record, not_learned=before.not_learned)
     record.write(folder / _RECORD)
     if learn_from and learned is None:
         learned = _learn(fitter, learn_from, read, fits, reporter)
+        why = getattr(learned, "failures_", {})  # models do not say it
+        record = replace(record, not_learned={learn_from[i].name: why[i] for i in sorted(why)})
+        record.write(folder / _RECORD)
+    fits.not_learned = record.not_learned
     fits.history = [] if learned is None else learned.history_
     todo = [s for s in scans if s.name not in fits.entries]
     _fit_others(learned or fitter, todo, learn_from, read, fits, jobs, reporter)
@@ -170,7 +179,7 @@ def _load(path, n_samples, seed):
 
 
 def _learn(fitter, learn_from, read, fits, reporter):
-    """Learn, and write fits and model; scans that cannot be used are left for later, which says why."""
+    """Learn, and write fits and model; scans that cannot be used are left for later, and ``failures_`` says why."""
     kept = checkpoint_in(fits.folder)
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", message=".* scans cannot be used; ")
@@ -291,6 +300,7 @@ class _Record:
     settings: dict
     learned_from: dict
     scans: dict
+    not_learned: dict = field(default_factory=dict)
 
     @classmethod
     def of(cls, rig, scans, learn_from, settings):
@@ -303,7 +313,7 @@ class _Record:
         """None where there is none."""
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
-            return cls(content["settings"], content["learned_from"], content["scans"])
+            return cls(content["settings"], content["learned_from"], content["scans"], content.get("not_learned", {}))
         except FileNotFoundError:
             return None
         except (OSError, ValueError, KeyError, TypeError):
@@ -313,7 +323,8 @@ class _Record:
         from ..io.write import write_json
 
         scans = (_Record.read(path).scans if path.is_file() else {}) | self.scans  # of a run with more scans, too
-        write_json(path, {"settings": self.settings, "learned_from": self.learned_from, "scans": scans})
+        known = {"settings": self.settings, "learned_from": self.learned_from, "scans": scans}
+        write_json(path, known | ({"not_learned": self.not_learned} if self.not_learned else {}))
 
     def check(self, now, folder):
         """Raise where what is there was made with other settings."""

@@ -9,13 +9,16 @@ import time
 import numpy as np
 
 from ..correspondence import at_places, surface_places
-from ..errors import InputError, LbsfitError, as_floats, check_array, did_you_mean
+from ..errors import InputError, LbsfitError, as_floats, check_array, counted, did_you_mean, listed
 from ..neighbors import PointIndex
 from ..seeds import generator
 from .environment import environment
 from .pair_fits import fit_scans_of
 
-__all__ = ["KINDS", "choose_pairs", "measure_pairs", "pairs_bench", "pairs_table", "read_all", "summary", "unit_of"]
+__all__ = [
+    *("KINDS", "choose_pairs", "in_another_unit", "measure_pairs", "pairs_bench"),
+    *("pairs_table", "read_all", "summary", "unit_of"),
+]
 
 # Pairs of scans of one subject, and of different ones.
 KINDS = ("intra", "inter")
@@ -62,12 +65,12 @@ def pairs_bench(
     unit : {"auto", "m", "cm", "mm", "in", "ft"}
         Of the scans; "auto": what the scale of the fits says.
     settings, jobs, reporter, **options
-        As for ``pair_fits.fit_scans_of``; ``reporter.measured(done, total)`` as well.
+        As for ``pair_fits.fit_scans_of``; ``reporter.measured(done, total)`` and ``reporter.noted(words)`` as well.
 
     Returns
     -------
     report : dict
-        Plain data for JSON.
+        Plain data for JSON. "notes": what people should know of the figures.
     fits : Fits
 
     Raises
@@ -83,10 +86,19 @@ def pairs_bench(
     learn_from, everyone = readable if learn else (), [*scans, *also]
     options |= {"settings": settings, "jobs": jobs, "reporter": reporter}
     fits = fit_scans_of(fitter, everyone, folder, learn_from=learn_from, **options)
+    notes = _not_learned(fits, learn_from)
+    odd = {} if truth is None else in_another_unit(scans, fits)
+    pairs, apart = _without(pairs, {i for i, s in enumerate(scans) if s.name in odd})
+    if odd:
+        notes.append(_apart(odd, sum(apart.values()), learn))
+    for note in notes:
+        getattr(reporter, "noted", lambda words: None)(note)
     registered = {s.name: fits.load(s.name).vertices for s in scans if truth is not None and fits.has(s.name)}
     how = {"points": points, "seed": seed, "on_pair": getattr(reporter, "measured", None)}
     measured = measure_pairs(scans, truth, registered, fitter.rig.faces, pairs, **how)
-    name, cm = unit_of(fitter.rig, fits, unit)
+    for kind, n in apart.items():
+        measured["figures"][kind]["other_unit"] = n
+    name, cm = unit_of(fitter.rig, fits, unit, without=odd)
     report = {
         "benchmark": "pairs",
         "environment": environment(),
@@ -96,7 +108,8 @@ def pairs_bench(
         "unit": name,
         "cm_per_unit": cm,
         "history": fits.history,
-        "scans": [{"name": s.name, "file": s.path.name, "subject": s.subject, **fits.entries[s.name]} for s in everyone],
+        "notes": notes,
+        "scans": [_told(s, fits) for s in everyone],
         **measured,
         "seconds": round(time.perf_counter() - started, 2),
     }
@@ -222,15 +235,68 @@ def summary(errors):
     return {"mean": float(np.mean(errors)), "median": float(median), "p90": float(p90), "p95": float(p95)}
 
 
-def unit_of(rig, fits, given="auto"):
+def in_another_unit(scans, fits):
+    """Scans whose unit is another than that of the others: name → its fit's scale, in the median of the others'.
+
+    Both its fit's scale and its extent are unlike the others' by more than subjects of one rig are: a fit may be of a wrong
+    scale, and a scan may show a small part.
+    """
+    from ..learning.reading import odd_ones
+    from ..starts.scale import SUBJECTS, extent
+
+    fitted = [s for s in scans if "scale" in fits.entries.get(s.name, ())]
+    scales = np.array([fits.entries[s.name]["scale"] for s in fitted])
+    if not len(scales) or not len(odd := odd_ones(scales, SUBJECTS)):
+        return {}
+    extents = {k: extent(points) for k, scan in enumerate(fitted) if (points := _points(scan)) is not None}
+    there = [k for k in extents if extents[k] > 0]
+    odd = sorted({*odd.tolist()} & {there[k] for k in odd_ones(np.array([extents[k] for k in there]), SUBJECTS)})
+    usual = np.median(np.delete(scales, odd))
+    return {fitted[k].name: float(scales[k] / usual) for k in odd}
+
+
+def _without(pairs, odd):
+    """The pairs without those of odd scans, and how many those are: kind → number, empty where no scan is odd."""
+    kept = {kind: [p for p in chosen if odd.isdisjoint(p)] for kind, chosen in pairs.items()}
+    return kept, {kind: len(pairs[kind]) - len(kept[kind]) for kind in pairs} if odd else {}
+
+
+def _apart(odd, n, learned):
+    """The note on scans in another unit."""
+    one, ratios = len(odd) == 1, sorted(odd.values())
+    factors = " to ".join(dict.fromkeys(f"{ratio:.4g}" for ratio in (ratios[0], ratios[-1])))
+    whose = f"the scale of its fit is {factors} times" if one else f"the scales of their fits are {factors} times"
+    again = f"convert {'it' if one else 'them'} and run again" + " with --existing replace" * learned
+    words = f"{listed(list(odd), 5)} {'seems' if one else 'seem'} to be in another unit than the other scans ({whose} theirs)"
+    return f"{words}: {counted(n, 'pair')} left out of the figures; {again}"
+
+
+def _told(scan, fits):
+    """What the report says of a scan."""
+    why = {"not_learned": fits.not_learned[scan.name]} if scan.name in fits.not_learned else {}
+    return {"name": scan.name, "file": scan.path.name, "subject": scan.subject, **fits.entries[scan.name], **why}
+
+
+def _not_learned(fits, learn_from):
+    """A note, in a list, on scans that learning could not use and that have a fit all the same; others fail anyway."""
+    left = {name: fits.not_learned[name] for name in fits.not_learned if fits.has(name)}
+    if not left:
+        return []
+    name = next(iter(left))
+    more = f"; also {listed(list(left)[1:], 5)}, see results.json" if len(left) > 1 else ""
+    return [f"{len(left)} of {counted(len(learn_from), 'scan')} not learned from: {name}: {left[name]}{more}"]
+
+
+def unit_of(rig, fits, given="auto", *, without=()):
     """The scans' unit, and centimetres in it: (name, number), or ("unknown", None).
 
     What the fits were told, else by their median scale, where the rig's own unit is known: people differ less than units do.
+    ``without`` has names of scans that do not count.
     """
     from ..rig.units import METRES
     from ..starts.scale import likely_unit
 
-    scales = [entry["scale"] for entry in fits.entries.values() if "scale" in entry]
+    scales = [entry["scale"] for name, entry in fits.entries.items() if "scale" in entry and name not in without]
     said = {entry["unit"] for entry in fits.entries.values() if entry.get("unit")}
     if given == "auto" and len(said) == 1:
         (given,) = said

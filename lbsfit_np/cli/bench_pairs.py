@@ -75,7 +75,7 @@ def _run(folder, values):
     def work(progress):
         options = pair_runs.bench_keywords(values, out, fitter) | {"unit": values["unit"], "reporter": progress}
         report, fits = pairs_bench(fitter, scans, truth, out, **options)
-        report |= {"notes": notes, "folder": str(folder), "subject_column": column}
+        report |= {"notes": notes + report["notes"], "folder": str(folder), "subject_column": column}
         report["truth_file"] = {"path": str(values["truth"]), "sha256": digest}
         return pair_runs.finished(out, report, pairs_table(report, markdown=values["markdown"]), fitter.rig, scans, fits, values)
 

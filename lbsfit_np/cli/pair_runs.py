@@ -287,6 +287,11 @@ class PairsProgress(Progress):
             self.close()
             self.done = 0
 
+    def noted(self, words):
+        """Something that people should know of the figures."""
+        self._learning.close()
+        self.line(f"note: {words}")
+
     def measured(self, done, total):
         """So many pairs are measured; at first none."""
         self._pairs("measuring errors", done, total)

@@ -8,6 +8,7 @@ from ..errors import InputError
 from ..rig.units import METRES, USUAL, WORDS, unit_name
 
 __all__ = [
+    "SUBJECTS",
     "ReferenceScale",
     "checked_extent",
     "extent",
@@ -39,7 +40,7 @@ _PEOPLE = 1.6
 # Scans of one person, as fits find it, by less than this.
 _ONE_PERSON = 1.35
 # Subjects of one rig, such as young and old animals, by less than this one.
-_SUBJECTS = 4.0
+SUBJECTS = 4.0
 # A size that is found further from the rig's than this makes one ask whether the unit is as was said.
 _DOUBTED = 5.0
 # Where none was said, units in which the size would be nearer than this are named.
@@ -61,7 +62,7 @@ def unit_scale(rig, unit):
 
 def sizes_in(rig, unit):
     """What restricts ``PoseLibrary.starts`` to sizes that subjects may have in a known unit; nothing where ``unit`` is None."""
-    return {} if unit is None else {"unit": unit_scale(rig, unit), "within": _SUBJECTS}
+    return {} if unit is None else {"unit": unit_scale(rig, unit), "within": SUBJECTS}
 
 
 def reference_scale(points, rig, mode, unit=None, *, whole=True, shown=None, cropped=False):
@@ -139,13 +140,13 @@ def _in_known_unit(ratios, rig, mode, unit, whole, least):
             got = f"'fixed' for a scan in {unit!r} whose extent is {size:.3g} times the rig's"
             remedy = "Check unit (--unit), or pass scale='estimate' (--scale estimate), which finds the size."
             raise InputError("scale", got, "a scan of the rig's size", remedy + (_PART if size < 1 and least != _CROPPED else ""))
-    elif not _may_be(sizes, least, _SUBJECTS):
+    elif not _may_be(sizes, least, SUBJECTS):
         k = _telling(sizes, least)
         whose = "the rig's" if k or ratios[0] == ratios[1] else "that of the rig's parts that it shows"
         raise InputError(
             "unit",
             f"{unit!r}, in which the scan's extent is {sizes[k]:.3g} times {whose}",
-            f"the scan's unit, in which it is {least / _SUBJECTS:g} to {most * _SUBJECTS:g} times the rig's",
+            f"the scan's unit, in which it is {least / SUBJECTS:g} to {most * SUBJECTS:g} times the rig's",
             "Pass the scan's unit, or None (--unit auto) to have it found; or correct the rig's unit in a card.",
         )
     same = mode == "fixed" or _may_be(sizes, least)
