@@ -11,6 +11,7 @@ __all__ = [
     "LbsfitError",
     "MissingExtraError",
     "ONE_AT_A_TIME",
+    "Unforeseen",
     "as_array",
     "as_floats",
     "brief",
@@ -204,11 +205,17 @@ def listed(names, most=8):
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
+class Unforeseen(str):
+    """Words for a failure that nobody foresaw, as of memory or of a process: what failed may not fail again."""
+
+    __slots__ = ()
+
+
 def in_words(error):
-    """What went wrong, without a traceback: our own errors say it, others by their kind, too."""
+    """What went wrong, without a traceback: our own errors say it, others by their kind, too, and as :class:`Unforeseen`."""
     if isinstance(error, LbsfitError):
         return str(error)
-    return f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    return Unforeseen(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
 
 
 def brief(value, most=100):

@@ -22,7 +22,7 @@ from ..synthesis import synthesize_one, uniform_poses
 from . import body, hand
 from .environment import environment
 from .measure import joint_error, label_accuracy, vertex_error
-from .resume import REMEDY, begun, check_same, checked_seeds, renewed
+from .resume import REMEDY, begun, check_same, checked_seeds, is_done, renewed, unforeseen
 from .run import BENCHES, TRAINING_SEED
 from .subjects import files_digest, people_digest, scans_digest, subject
 
@@ -169,7 +169,7 @@ def learn_bench(
     training_scans : int, default 4000
     jobs : int, default 1
     before : dict, optional
-        A report of the same settings: what it has is not done again.
+        A report of the same settings: what it has is not done again, unless scans failed as nobody foresaw.
     steps : path-like, optional
         Folder for the steps of each seed until all of it is done: a run that was stopped goes on within a variant, too. What is
         then made of the seed has None as its seconds. By default a temporary one.
@@ -220,20 +220,21 @@ def learn_bench(
     fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress(None, None, "pretraining", p))
     first, unit = fitter.segmenter_, BENCHES[name].rig_units(rig)
     for seed in seeds:
-        todo = [variant for variant in variants if str(seed) not in report["rows"].get(variant, {})]
-        if not todo:
+        there = {row: of[str(seed)] for row, of in report["rows"].items() if str(seed) in of}
+        todo = [variant for variant in variants if not is_done(there.get(variant))]
+        if not todo and is_done(there.get(_ONE_BY_ONE, {})):
             _forget(steps, seed)
             continue
         _, scans, subjects, others = collection(name, data, n_scans, seed=seed)
         points = [scan.points for scan in scans]
         singles = report["rows"].setdefault(_ONE_BY_ONE, {})
-        if str(seed) not in singles:
+        if not is_done(there.get(_ONE_BY_ONE)):
             started = time.perf_counter()
             outcomes = _one_by_one(fitter, points, jobs, None if progress is None else partial(progress, _ONE_BY_ONE, seed))
             entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "environment": environment()}
             entry |= _measured(rig, [o.result for o in outcomes], dict.fromkeys(subjects, rig), scans, subjects, unit)
-            entry["failures"] = {str(i): str(o.error) for i, o in enumerate(outcomes) if o.result is None}
-            singles[str(seed)] = entry | {"label_error": _wrong(first, others)}
+            entry["failures"] = {str(i): o.error for i, o in enumerate(outcomes) if o.result is None}
+            singles[str(seed)] = entry | unforeseen(entry["failures"]) | {"label_error": _wrong(first, others)}
             if on_row is not None:
                 on_row(report, _ONE_BY_ONE, seed)
         # Where variants that learn from labels find each other's first fits.
@@ -249,6 +250,7 @@ def learn_bench(
                 entry = {"seconds": seconds, "jobs": jobs, "environment": environment()}
                 entry |= _measured(rig, one.results_, one.template_, scans, subjects, unit)
                 entry["failures"] = {str(i): why for i, why in one.failures_.items()}
+                entry |= unforeseen(entry["failures"])
                 entry |= {"rounds": max(0, len(one.history_) - 1), "history": one.history_, "label_error_of_rounds": wrong}
                 if one.segmenter_ is not None:
                     entry["label_error"] = _wrong(one.segmenter_, others)

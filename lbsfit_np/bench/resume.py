@@ -4,10 +4,13 @@ from collections.abc import Iterable
 from copy import deepcopy
 from itertools import count
 
-from ..errors import InputError, is_whole
+from ..errors import InputError, Unforeseen, is_whole
 from ..learning.checkpoint import digest_of
 
-__all__ = ["REMEDY", "begun", "check_same", "checked_seeds", "counted_by", "described", "in_order", "renewed"]
+__all__ = [
+    *("REMEDY", "begun", "check_same", "checked_seeds", "counted_by", "described"),
+    *("in_order", "is_done", "renewed", "unforeseen"),
+]
 
 REMEDY = "Choose another folder, or --existing replace."
 
@@ -92,6 +95,17 @@ def check_same(kept, now, whose=""):
     if other:
         got = f"results{whose and f' of {whose!r}'} with other {' and other '.join(other)} than this run's"
         raise InputError("before", got, f"results of the same {' and '.join(other)}", REMEDY)
+
+
+def unforeseen(failures):
+    """What a row's entry has where failures of its scans, number → why, may not be theirs: as of memory, or of a process."""
+    numbers = [int(i) for i, why in failures.items() if isinstance(why, Unforeseen)]
+    return {"unforeseen": numbers} if numbers else {}
+
+
+def is_done(entry):
+    """Whether a row needs not be made, or made again: its entry, None where there is none, has no unforeseen failures."""
+    return entry is not None and not entry.get("unforeseen")
 
 
 def in_order(seeds):

@@ -14,7 +14,7 @@ from ..seeds import generator
 from ..synthesis import Synthesis, natural_poses, synthesize_one
 from .environment import environment
 from .measure import joint_error, label_accuracy
-from .resume import begun, check_same, checked_seeds, counted_by, described, in_order, renewed
+from .resume import begun, check_same, checked_seeds, counted_by, described, in_order, is_done, renewed, unforeseen
 from .run import TRAINING_SEED
 from .subjects import scans_digest
 
@@ -68,7 +68,8 @@ def roundtrip(
     jobs : int, default 1
         Worker processes; errors do not depend on it.
     before : dict, optional
-        A report of the same settings and rigs: the seeds that it has of a rig are not done again.
+        A report of the same settings and rigs: the seeds that it has of a rig are not done again, unless scans failed as nobody
+        foresaw.
     progress : callable (share), optional
         Of training.
     on_scan : callable (name, seed, done, total), optional
@@ -102,7 +103,7 @@ def roundtrip(
         check_same(report["rigs"].get(name, known[name]), known[name], name)
     for name, rig in rigs.items():
         entry = report["rigs"].get(name, known[name] | {"seeds": {}})
-        todo = [seed for seed in seeds if str(seed) not in entry["seeds"]]
+        todo = [seed for seed in seeds if not is_done(entry["seeds"].get(str(seed)))]
         if not todo:
             continue
         parameters = {"training_scans": training_scans, "n_jobs": jobs, "random_state": TRAINING_SEED}
@@ -150,7 +151,7 @@ def _fit_seed(fitter, rig, scans, jobs, on_scan):
     outcomes = each_scan(fitter, points, n_jobs=jobs, finish=_Measured(rig, scans), on_result=counted_by(on_scan))
     wall = time.perf_counter() - started
     entries = [{"scan": o.index} | ({"failed": o.error} if o.result is None else o.result) for o in outcomes]
-    made = {"jobs": jobs, "environment": environment()}
+    made = {"jobs": jobs, "environment": environment(), **unforeseen({e["scan"]: e.get("failed") for e in entries})}
     return _figures(entries) | {"wall_seconds": round(wall, 2), **made, "scans": entries}
 
 

@@ -11,7 +11,7 @@ from ..errors import FileError, InputError
 from ..scan import Scan
 from .environment import environment
 from .measure import joint_error, label_accuracy, recon, vertex_error
-from .resume import begun, check_same, checked_seeds, counted_by, described, renewed
+from .resume import begun, check_same, checked_seeds, counted_by, described, is_done, renewed, unforeseen
 from .subjects import files_digest, scans_digest
 
 __all__ = ["BENCHES", "MEASURES", "ROWS", "TRAINING_SEED", "Bench", "run_bench", "with_segmenter"]
@@ -154,7 +154,8 @@ def run_bench(
     rows : sequence of str
         Of ``ROWS``.
     before : dict, optional
-        A report of the same settings, rig, data and scans: the rows that it has of a seed are not done again.
+        A report of the same settings, rig, data and scans: the rows that it has of a seed are not done again, unless scans of
+        theirs failed as nobody foresaw.
     training_progress : callable (share), optional
     on_scan : callable (row, seed, done, total), optional
     on_row : callable (report, row, seed, fits), optional
@@ -191,7 +192,7 @@ def run_bench(
     report = renewed(report, empty) | {"complete": False}
     report["seeds"] = sorted({*report["seeds"], *seeds})
     there = {row: content["seeds"] for row, content in report["rows"].items()}
-    todo = {seed: [row for row in rows if str(seed) not in there.get(row, {})] for seed in seeds}
+    todo = {seed: [row for row in rows if not is_done(there.get(row, {}).get(str(seed)))] for seed in seeds}
     fits = {}
     if any(with_segmenter(left) for left in todo.values()):
         started = time.perf_counter()
@@ -326,6 +327,7 @@ def _seed_entry(entries):
         "median": _figures(good, np.median),
         "mean_by_kind": {kind: _figures([e for e in good if e["kind"] == kind], np.mean) for kind in kinds},
         "failed": len(entries) - len(good),
+        **unforeseen({e["scan"]: e.get("failed") for e in entries}),
         "scans": entries,
     }
 

@@ -16,7 +16,7 @@ from .baseline import PlainChamfer
 from .conditions import CONDITIONS, SEEN, conditions_of, starts_scan
 from .environment import environment
 from .measure import joint_error
-from .resume import begun, described, renewed
+from .resume import begun, described, is_done, renewed, unforeseen
 from .run import TRAINING_SEED
 
 __all__ = [
@@ -81,7 +81,7 @@ def starts_bench(
     jobs : int, default 1
         Worker processes; errors do not depend on it.
     before : dict, optional
-        A report of the same settings: what it has is not done again.
+        A report of the same settings: what it has is not done again, unless scans failed as nobody foresaw.
     progress : callable (share), optional
         Of training.
     on_scan : callable (name, row, fit, done, total), optional
@@ -110,7 +110,7 @@ def starts_bench(
     for name, row, fit in todo:
         rig, condition = rigs[name], CONDITIONS[row]
         entry = _row_entry(report, name, rig, row, condition)
-        if fit in entry["fits"]:
+        if _is_done(entry["fits"].get(fit)):
             continue
         parameters = {"training_scans": training_scans, "effort": effort, "n_jobs": jobs, "random_state": TRAINING_SEED}
         fitter = LBSFitter(rig, **parameters | condition.fitter)
@@ -234,11 +234,23 @@ def _fit_row(one, n_scans, close, jobs, on_scan):
         "p95": float(np.percentile(errors, 95)) if len(errors) else None,
         "seconds": float(np.mean([e["seconds"] for e in scans])),
         "failed": n_scans - len(errors),
+        **unforeseen({e["scan"]: e.get("failed") for e in scans}),
         "wall_seconds": round(time.perf_counter() - started, 2),
         "jobs": jobs,
         "environment": environment(),
         "scans": scans,
     }
+
+
+def _is_done(figures):
+    """As ``resume.is_done``; rows of earlier versions may have fits that are not finite without a word."""
+    return is_done(figures) and all("failed" in scan or _error(scan) < np.inf for scan in figures["scans"])
+
+
+def _error(scan):
+    """Of a scan, infinite where it has none; JSON has None for what is not a number."""
+    error = scan.get("joint_error")
+    return error if error is not None and np.isfinite(error) else np.inf
 
 
 # ---- do fits know when they failed? ----
@@ -253,7 +265,7 @@ def _confidence(report):
     for entry in report["rigs"].values():
         for row in entry["rows"].values():
             for scan in row["fits"].get("own", {}).get("scans", ()):
-                error = scan.get("joint_error", np.inf)
+                error = _error(scan)
                 wrong.append(error > row["condition"]["close"])
                 exact.append(error <= PROBABLE)
                 p.append(scan.get("probability", 0.0))

@@ -10,7 +10,7 @@ from functools import partial
 
 import numpy as np
 
-from ..errors import InputError, LbsfitError, brief, in_words, is_whole
+from ..errors import InputError, LbsfitError, Unforeseen, brief, in_words, is_whole
 from ..interrupts import passing_interrupts
 from ..processes import Unsent, Workers
 from ..scan import check_points
@@ -33,7 +33,7 @@ class ScanOutcome:
     result : FitResult or other
         The fit, or what ``finish`` made of it; None where there is none. The fit's own ``status`` may be "suspect" or "failed".
     error : str or None
-        Why there is no fit, in words; None where there is one.
+        Why there is no fit, in words, ``errors.Unforeseen`` where it may not be the scan's fault; None where there is one.
     details : str or None
         The traceback of an unforeseen failure.
     seconds : float
@@ -232,7 +232,7 @@ def _fit_by_workers(work, scans, subjects, todo, jobs, report):
         def take_in(word, again=True):
             (index, *_), outcome, death = word
             if death is not None:
-                report(ScanOutcome(index, error=f"the process that fitted it ended: {death}"))
+                report(ScanOutcome(index, error=Unforeseen(f"the process that fitted it ended: {death}")))
             elif not isinstance(outcome, Unsent):
                 report(outcome)
             elif again and outcome.task and callable(scans[index]) and index not in called:

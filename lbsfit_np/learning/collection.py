@@ -283,7 +283,8 @@ class Collection:
         found = dict(zip(self.subjects, self._tried(work, tasks, kept, jobs, done), strict=True))
         for m in self.members:
             if (error := found[m.subject][1]) is not None:
-                self.failures[m.index] = f"no template could be found for its subject: {in_words(error)}"
+                why = in_words(error)  # of the same kind in these words
+                self.failures[m.index] = type(why)(f"no template could be found for its subject: {why}")
         self.members = [m for m in self.members if found[m.subject][1] is None]
         return {s: answer for s, (answer, error) in found.items() if error is None}
 

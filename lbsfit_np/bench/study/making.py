@@ -8,6 +8,7 @@ import numpy as np
 
 from ...learning.checkpoint import digest_of, state_of_the_code, steps_in
 from ..environment import environment
+from ..resume import unforeseen
 from ..run import TRAINING_SEED
 from .data import part_groups, study_set
 from .first_segmenter import first_segmenter
@@ -125,6 +126,7 @@ def _made(name, rig, size, seed, rows, jobs, at_once, steps, gone_on, progress, 
             entry["on_training"] = measured(train_truth, found.train)
         lost = np.flatnonzero(~found.test.fitted)
         entry["failures"] = {str(i): found.failures.get(int(i), "its fit is not finite") for i in lost}
+        entry |= unforeseen(entry["failures"])
         arrays = _arrays(found)
         entry |= {"arrays": digest_of(arrays), "code": state_of_the_code(), "environment": environment()}
         say(1.0)

@@ -7,7 +7,7 @@ from itertools import product
 from ...errors import InputError, did_you_mean
 from ...learning.checkpoint import remove_checkpoint, state_of_the_code
 from ...processes import kept_processes
-from ..resume import REMEDY, begun, check_same, checked_seeds, described
+from ..resume import REMEDY, begun, check_same, checked_seeds, described, is_done
 from ..run import TRAINING_SEED
 from ..subjects import people_digest, scans_digest
 from .at_once import batches, is_faster, made_at_once
@@ -54,7 +54,7 @@ def study(
     jobs : int, default 1
         Processes; figures do not depend on it. Where that is faster, as many rows are made at once, by one process each.
     before : dict, optional
-        A report of the same settings: what it has is not done again.
+        A report of the same settings: what it has is not done again, unless scans failed as nobody foresaw.
     kept : callable (cell name, digest) → bool, optional
         Whether the arrays of a cell of ``before`` are still there, those with this ``checkpoint.digest_of``.
     steps : callable (cell name) → Path or None, optional
@@ -92,7 +92,7 @@ def study(
     todo = {}
     for name, seed in product(rigs, seeds):
         done = report["rigs"][name]["seeds"].get(str(seed), {})
-        there = [row for row, cell in done.items() if kept(cell_name(name, seed, row), cell["arrays"])]
+        there = [row for row, cell in done.items() if is_done(cell) and kept(cell_name(name, seed, row), cell["arrays"])]
         todo[name, seed] = [row for row in ROWS if row in rows and row not in there]
         for row in there:  # which a run may have been killed before it removed
             _remove_steps(steps(cell_name(name, seed, row)))
@@ -112,7 +112,8 @@ def study(
         report["rigs"][name]["seeds"] = {key: known[key] for key in sorted(known, key=int)}
         if on_cell is not None:
             on_cell(report, name, seed, row, arrays)
-        _remove_steps(steps(cell_name(name, seed, row)))
+        if is_done(cell):  # else the next run takes them up, to try again what failed
+            _remove_steps(steps(cell_name(name, seed, row)))
         todo[name, seed].remove(row)
         if ROWS[row].in_common:
             no_more_in_common(name, seed)
