@@ -220,12 +220,14 @@ def test_what_is_there_is_not_done_again(known):
     assert rows["0.3"] == first["rigs"]["hand-coarse"]["rows"]["0.3"] and list(before["rigs"]["hand-coarse"]["rows"]) == ["0.3"]
     assert both["confidence"]["scans"] == 8
     assert "several states" not in starts_table(both)
-    # Another condition or another rig of that name: all anew.
+    # Another condition: anew.
     before["rigs"]["hand-coarse"]["rows"]["0.3"]["condition"]["close"] = 0.5
     starts_bench(["hand-coarse"], rows=["0.3"], before=before, **QUICK)
     assert len(known.made) == made + 2
-    both["rigs"]["hand-coarse"]["digest"] = "other"
-    assert list(starts_bench(["hand-coarse"], rows=["0.3"], before=both, **QUICK)["rigs"]["hand-coarse"]["rows"]) == ["0.3"]
+    both["rigs"]["hand-coarse"]["digest"] = "other"  # of another rig of that name nothing is lost
+    with pytest.raises(InputError, match="results of 'hand-coarse' with other rig than this run's.*--existing replace"):
+        starts_bench(["hand-coarse"], rows=["0.3"], before=both, **QUICK)
+    assert len(known.made) == made + 2
 
 
 def test_each_row_says_what_made_it(known, monkeypatch):
@@ -407,26 +409,29 @@ def test_usage(run, arguments, words):
     assert code == 2 and err.count("\n") == 1 and words in err
 
 
-def test_rows_of_a_rig_with_other_poses_are_not_kept(tube_rig):
+def test_rows_of_a_rig_with_other_poses_are_not_gone_on_with(tube_rig):
     """Of a report that knows less of the rig, what it does not know is noted from then on."""
     report = {"rigs": {}}
     condition = CONDITIONS["0.3"]
     module._row_entry(report, "tube", tube_rig, "0.3", condition)["fits"]["own"] = "kept"
     del report["rigs"]["tube"]["poses"]
+    module._check_rig(report, "tube", tube_rig)
     assert module._row_entry(report, "tube", tube_rig, "0.3", condition)["fits"] == {"own": "kept"}
     other = replace(tube_rig, poses={"bent": np.full(tube_rig.lower.shape, 0.1)})
-    assert module._row_entry(report, "tube", other, "0.3", condition)["fits"] == {}
+    with pytest.raises(InputError, match="results of 'tube' with other poses than this run's.*--existing replace"):
+        module._check_rig(report, "tube", other)
 
 
 OTHER_CARDS = [{"up": "+x"}, {"forward": "-x"}, {"metres_per_unit": 0.01}, {"locked": np.ones(4, dtype=bool)}]
 
 
 @pytest.mark.parametrize("change", OTHER_CARDS)
-def test_rows_of_a_rig_with_another_card_are_not_kept(tube_rig, change):
+def test_rows_of_a_rig_with_another_card_are_not_gone_on_with(tube_rig, change):
     """Of what its digest leaves out, too, which a fit hangs on as well."""
     report, condition = {"rigs": {}}, CONDITIONS["0.3"]
     module._row_entry(report, "tube", tube_rig, "0.3", condition)["fits"]["own"] = "kept"
     report = json.loads(json.dumps(report))
+    module._check_rig(report, "tube", tube_rig)
     assert module._row_entry(report, "tube", tube_rig, "0.3", condition)["fits"] == {"own": "kept"}
-    other = replace(tube_rig, **change)
-    assert module._row_entry(report, "tube", other, "0.3", condition)["fits"] == {}
+    with pytest.raises(InputError, match="results of 'tube' with other .* than this run's.*--existing replace"):
+        module._check_rig(report, "tube", replace(tube_rig, **change))

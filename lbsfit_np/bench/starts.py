@@ -16,7 +16,7 @@ from .baseline import PlainChamfer
 from .conditions import CONDITIONS, SEEN, conditions_of, starts_scan
 from .environment import environment
 from .measure import joint_error
-from .resume import begun, described, is_done, renewed, unforeseen
+from .resume import begun, check_same, described, is_done, renewed, unforeseen
 from .run import TRAINING_SEED
 
 __all__ = [
@@ -96,7 +96,7 @@ def starts_bench(
     Raises
     ------
     InputError, FileError
-        A rig that is not there or lacks what the rows need; arguments that cannot be used; a report of other settings.
+        A rig that is not there or lacks what the rows need; arguments that cannot be used; a report of other settings or rigs.
     """
     from ..learning.fitter import LBSFitter
 
@@ -105,6 +105,8 @@ def starts_bench(
     settings = {"seed": seed, "scans_a_row": n_scans, "effort": effort, "training_scans": training_scans}
     empty = {"benchmark": "starts", "settings": settings, "rigs": {}, "confidence": None}
     report = renewed(begun(before, empty), empty) | {"complete": False}
+    for name, rig in rigs.items():
+        _check_rig(report, name, rig)
     if report["rigs"]:
         report["confidence"] = _confidence(report)
     for name, row, fit in todo:
@@ -147,15 +149,23 @@ def _plan(rigs, rows, fits):
     return todo
 
 
+def _facts(rig):
+    """What the entry of a rig says of it."""
+    return described(rig) | {"size": rig.size, "vertices": len(rig.vertices)}
+
+
+def _check_rig(report, name, rig):
+    """Raise where the report has rows of a rig of that name with another mesh or card; earlier reports say less of it."""
+    kept = report["rigs"].get(name, {})
+    check_same(kept, {key: value for key, value in _facts(rig).items() if key in kept}, name)
+
+
 def _row_entry(report, name, rig, row, condition):
-    """Where the figures of a row are kept; emptied where they are of another rig or of another condition."""
+    """Where the figures of a row are kept; emptied where they are of another condition."""
     asked = {key: getattr(condition, key) for key in ("what", "goal", "close", "fitter", "unit", "subjects")}
     asked["scan"] = asdict(condition.scan)
-    facts = described(rig) | {"size": rig.size, "vertices": len(rig.vertices)}
-    kept = report["rigs"].get(name, {"digest": None})
-    if any(kept.get(key, value) != value for key, value in facts.items()):  # earlier reports have fewer
-        kept = report["rigs"][name] = {"rows": {}}
-    kept |= facts
+    kept = report["rigs"].setdefault(name, {"rows": {}})
+    kept |= _facts(rig)
     entry = kept["rows"].get(row, {})
     if entry.get("condition") != asked:
         entry = kept["rows"][row] = {"condition": asked, "fits": {}}
