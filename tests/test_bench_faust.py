@@ -283,8 +283,32 @@ def test_a_challenge_of_which_scans_are_left_out_has_no_archive(made, truth, tmp
     assert run(*_command(made, tmp_path, "--no-learn"))[0] == 0 and (tmp_path / "challenge-intra.zip").exists()
     code, out, _ = run(*_command(made, tmp_path, "--no-learn", "--scans", 2))
     assert code == 0 and "1 file in challenge-intra; no archive" in out and "to submit: challenge-inter.zip" in out
-    assert not (tmp_path / "challenge-intra.zip").exists() and "1 of 2 intra-subject pairs" in out
+    assert "1 of 2 intra-subject pairs" in out
     assert sorted(p.name for p in (tmp_path / "challenge-intra").iterdir()) == ["000_001.txt", "mine.txt"]
+    note = "challenge-intra.zip is of an earlier run, with 2 pairs, and is kept; --existing replace removes it"
+    assert f"note: {note}\n" in out and note in json.loads((tmp_path / "results.json").read_text())["notes"]
+    with zipfile.ZipFile(tmp_path / "challenge-intra.zip") as archive:
+        assert sorted(archive.namelist()) == ["000_001.txt", "019_000.txt"]
+    (tmp_path / "challenge-intra.zip").write_text("not one")  # has no pairs to lose
+    assert run(*_command(made, tmp_path, "--no-learn", "--scans", 2))[0] == 0
+    assert not (tmp_path / "challenge-intra.zip").exists()
+    assert run(*_command(made, tmp_path, "--no-learn"))[0] == 0 and (tmp_path / "challenge-intra.zip").exists()
+    assert "earlier run" not in run(*_command(made, tmp_path, "--no-learn", "--scans", 2, "--existing", "replace"))[1]
+    assert not (tmp_path / "challenge-intra.zip").exists()
+
+
+def test_earlier_files_for_the_challenge_stay_until_the_new_ones_are_there(made, truth, tmp_path, run, monkeypatch):
+    fits_are_given(monkeypatch, truth)
+    assert run(*_command(made, tmp_path, "--no-learn"))[0] == 0
+    there = {path: path.read_bytes() for kind in KINDS for path in tmp_path.glob(f"challenge-{kind}*/*")}
+    there |= {path: path.read_bytes() for path in tmp_path.glob("challenge-*.zip")}
+
+    def stopped(*arguments):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("lbsfit_np.bench.faust._write_points", stopped)
+    assert run(*_command(made, tmp_path, "--no-learn"))[0] == 130
+    assert len(there) == 5 and all(path.read_bytes() == content for path, content in there.items())
 
 
 def test_without_registrations_the_challenge_is_written_all_the_same(own, truth, tmp_path, run, monkeypatch):

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from ..correspondence import transfer
-from ..errors import FileError, brief, listed
+from ..errors import FileError, brief, counted, listed
 from .pairs import KINDS, pairs_bench
 from .truth import PairScan, Registrations, read_registrations
 
@@ -274,6 +274,10 @@ def faust_bench(fitter, found, folder, *, on_figures=None, reporter=None, **opti
         on_figures(report)
     on_pair = getattr(reporter, "written", None)
     report["challenge"] = write_challenge(folder, found, fits, fitter.rig.faces, on_pair=on_pair)
+    for kind, n in _archives_kept(folder, report["challenge"]).items():
+        note = f"challenge-{kind}.zip is of an earlier run, with {counted(n, 'pair')}, and is kept; --existing replace removes it"
+        report["notes"].append(note)
+        getattr(reporter, "noted", lambda words: None)(note)
     return report, fits
 
 
@@ -293,7 +297,8 @@ def write_challenge(folder, found, fits, faces, *, on_pair=None):
     """Write the correspondences that the challenge asks for, and an archive of each kind whose pairs are all there.
 
     A file for each pair, named as in the challenge's list: for each vertex of the first scan a line with x, y, z (metres) of the
-    point of the second scan that is nearest to what the registrations give. Files of an earlier run's pairs are removed.
+    point of the second scan that is nearest to what the registrations give. Once these are there, files of an earlier run's other
+    pairs are removed, and its archives, but for those that have more pairs than are written.
 
     Parameters
     ----------
@@ -314,8 +319,7 @@ def write_challenge(folder, found, fits, faces, *, on_pair=None):
     report, done, total = {}, 0, sum(map(len, found.challenges.values()))
     if on_pair is not None and total:
         on_pair(0, total)
-    for path in challenge_left(folder):
-        path.unlink(missing_ok=True)
+    earlier, made = challenge_left(folder), set()
     for kind, (archive, files) in challenge_files(folder, found).items():
         (folder / f"challenge-{kind}").mkdir(exist_ok=True)
         written = []
@@ -329,8 +333,29 @@ def write_challenge(folder, found, fits, faces, *, on_pair=None):
         whole = found.complete[kind] and len(written) == len(files)
         if whole:
             _write_archive(archive, written)
+        made |= {*written, *([archive] if whole else ())}
         report[kind] = {"written": len(written), "missing": len(files) - len(written), "archive": archive.name if whole else None}
+    kept = {folder / f"challenge-{kind}.zip" for kind in _archives_kept(folder, report)}
+    for path in earlier:
+        if path not in made | kept:
+            path.unlink(missing_ok=True)
     return report
+
+
+def _archives_kept(folder, report):
+    """Archives of an earlier run with more pairs than this one has written: kind → pairs."""
+    written = {kind: report[kind]["written"] if kind in report else 0 for kind in KINDS}
+    there = {kind: _pairs_in(folder / f"challenge-{kind}.zip") for kind in KINDS}
+    return {kind: n for kind, n in there.items() if n > written[kind]}
+
+
+def _pairs_in(archive):
+    """How many pairs an archive has; 0 where it cannot be read."""
+    try:
+        with zipfile.ZipFile(archive) as file:
+            return sum(_PAIR.fullmatch(Path(name).stem) is not None for name in file.namelist())
+    except (OSError, zipfile.BadZipFile):
+        return 0
 
 
 def challenge_left(folder):
