@@ -14,6 +14,7 @@ from ..neighbors import PointIndex
 from ..seeds import generator
 from .environment import environment
 from .pair_fits import fit_scans_of
+from .truth import note_on_truth
 
 __all__ = [
     *("KINDS", "choose_pairs", "in_another_unit", "measure_pairs", "pairs_bench"),
@@ -79,20 +80,23 @@ def pairs_bench(
         As ``fit_scans_of``; a truth that does not fit the scans.
     """
     started = time.perf_counter()
-    readable = read_all(scans, truth)
+    tell = getattr(reporter, "noted", lambda words: None)
+    readable, notes = read_all(scans, truth)
+    for note in notes:  # before hours of work
+        tell(note)
     pairs = {} if truth is None else choose_pairs(scans, truth, most_pairs, seed)
     if truth is not None and not any(pairs.values()):
         raise InputError("truth", "no two scans with places in common", "names that occur on several scans")
     learn_from, everyone = readable if learn else (), [*scans, *also]
     options |= {"settings": settings, "jobs": jobs, "reporter": reporter}
     fits = fit_scans_of(fitter, everyone, folder, learn_from=learn_from, **options)
-    notes = _not_learned(fits, learn_from)
+    later = _not_learned(fits, learn_from)
     odd = {} if truth is None else in_another_unit(scans, fits)
     pairs, apart = _without(pairs, {i for i, s in enumerate(scans) if s.name in odd})
     if odd:
-        notes.append(_apart(odd, sum(apart.values()), learn))
-    for note in notes:
-        getattr(reporter, "noted", lambda words: None)(note)
+        later.append(_apart(odd, sum(apart.values()), learn))
+    for note in later:
+        tell(note)
     registered = {s.name: fits.load(s.name).vertices for s in scans if truth is not None and fits.has(s.name)}
     how = {"points": points, "seed": seed, "on_pair": getattr(reporter, "measured", None)}
     measured = measure_pairs(scans, truth, registered, fitter.rig.faces, pairs, **how)
@@ -108,7 +112,7 @@ def pairs_bench(
         "unit": name,
         "cm_per_unit": cm,
         "history": fits.history,
-        "notes": notes,
+        "notes": notes + later,
         "scans": [_told(s, fits) for s in everyone],
         **measured,
         "seconds": round(time.perf_counter() - started, 2),
@@ -117,8 +121,11 @@ def pairs_bench(
 
 
 def read_all(scans, truth):
-    """The scans that can be read, once the truth is known to fit them; others are left to the fits, which say what is wrong."""
-    readable = []
+    """The scans that can be read, once the truth is known to fit them; others are left to the fits, which say what is wrong.
+
+    And notes on a truth that lies beside its scans.
+    """
+    readable, off = [], {}
     for i, scan in enumerate(scans):
         points = _points(scan)
         if points is None:
@@ -126,10 +133,11 @@ def read_all(scans, truth):
         try:
             if truth is not None:
                 truth.check(i, points)
+                off[scan.name] = truth.off(i, points)
         except InputError as error:
             raise InputError(f"{error.argument} of {scan.path}", error.got, error.expected, error.remedy) from None
         readable.append(scan)
-    return readable
+    return readable, [] if truth is None else note_on_truth(truth.what, off)
 
 
 def choose_pairs(scans, truth, most, seed):

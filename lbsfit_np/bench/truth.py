@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 
 from ..correspondence import at_places, surface_places
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, listed
+from ..starts.scale import extent
 
-__all__ = ["Asked", "Landmarks", "PairScan", "Registrations", "VertexOrder", "read_registrations"]
+__all__ = ["Asked", "Landmarks", "PairScan", "Registrations", "VertexOrder", "note_on_truth", "read_registrations"]
 
 
 @dataclass(frozen=True)
@@ -73,6 +74,10 @@ class VertexOrder:
                 "Add the columns (name, vertex), (name, x, y, z) or (registration).",
             )
 
+    def off(self, i, points):
+        """Places are the scan's own."""
+        return 0.0
+
     def linked(self, a, b):
         """Whether anything is known of the pair."""
         return True
@@ -123,6 +128,16 @@ class Landmarks:
             if isinstance(place, int) and place >= len(points):
                 got = f"vertex {place} for {name!r} in line {self.lines[i][name]}"
                 raise InputError("truth", got, f"vertices that the scan has, 0 to {len(points) - 1}", "Vertices count from 0.")
+
+    def off(self, i, points):
+        """How far places lie off scan i, the median in its extent; 0 where some lie on it, as where it shows a part."""
+        from scipy.spatial import cKDTree
+
+        places = np.array([place for place in self.places[i].values() if not isinstance(place, int)]).reshape(-1, 3)
+        if not len(places) or not extent(points):
+            return 0.0
+        far = cKDTree(points).query(places)[0] / extent(points)
+        return 0.0 if np.mean(far < _ON) > _SOME else float(np.median(far))
 
     def linked(self, a, b):
         """Whether anything is known of the pair."""
@@ -188,6 +203,22 @@ class Registrations:
         if known is not None and not known.any():
             raise InputError("truth", "no reliable point", "some points where the registration is reliable")
 
+    def off(self, i, points):
+        """How far the registration lies off scan i, in its extent: the median of the points, or of the mesh where that is less.
+
+        Points may be of the floor, and most of the mesh where nothing was scanned.
+        """
+        from scipy.spatial import cKDTree
+
+        known, V = self._reliable(i), self.vertices[i]
+        if V is None or not extent(points):
+            return 0.0
+        own = points if known is None else points[known]
+        own = own[:: -(-len(own) // _LOOKED_AT)]
+        to_mesh = np.linalg.norm(at_places(*surface_places(own, V, self.faces), V) - own, axis=1)
+        to_scan = cKDTree(points).query(V[:: -(-len(V) // _LOOKED_AT)])[0]
+        return float(min(np.median(to_mesh), np.median(to_scan)) / extent(points))
+
     def linked(self, a, b):
         """Whether anything is known of the pair."""
         return self.vertices[a] is not None and self.vertices[b] is not None
@@ -213,6 +244,32 @@ _FRAME = "Give it in the scan's own frame and unit."
 # What is smaller by more than this factor is in another unit; so is what lies farther away than so many times its extent, as
 # a scan may show a small part of what the truth tells of.
 _SMALL, _FAR = 50, 10
+
+
+# A truth further off its scan than this share of the extent is asked about: shifted along its length it is half on the scan …
+_ASIDE = 0.05
+# … unless more than the second share of the named places are nearer than the first: the scan may show a part.
+_ON, _SOME = 0.02, 0.25
+# Of points and vertices so many tell how far they are from each other.
+_LOOKED_AT = 1000
+
+
+def note_on_truth(what, off):
+    """A note, in a list, where the truth lies beside its scans.
+
+    Parameters
+    ----------
+    what : str
+        Of the truth.
+    off : dict of str to float
+        By the scans' names, in their extents.
+    """
+    aside = {name: share for name, share in off.items() if share > _ASIDE}
+    if not aside:
+        return []
+    far, their = f"{100 * np.median(list(aside.values())):.0f} % of the extent", "scan's" if len(aside) == 1 else "scans'"
+    where = f"{what} of {listed(list(aside), 5)} lie {far} off the points (median)"
+    return [f"{where}: are they in the {their} frame and unit? Errors are measured from them"]
 
 
 def _beyond(places, points):
