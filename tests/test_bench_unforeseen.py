@@ -7,10 +7,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from lbsfit_np.bench import baseline, roundtrip, starts
+from lbsfit_np.bench import baseline, roundtrip
 from lbsfit_np.bench.resume import is_done, unforeseen
 from lbsfit_np.bench.run import BENCHES, run_bench
-from lbsfit_np.bench.starts import starts_bench, starts_scan
+from lbsfit_np.bench.starts import starts_bench
 from lbsfit_np.bench.study import local_optimum
 from lbsfit_np.bench.study import run as study_run
 from lbsfit_np.bench.study.data import SIZES
@@ -105,26 +105,6 @@ def test_rows_of_starts_are_made_again(monkeypatch):
     for _ in range(2):
         before = starts_bench(["hand-coarse"], before=before, **STARTS)
         assert "unforeseen" not in _figures(before) and fit.asked == 4
-
-
-@pytest.mark.parametrize("error", [None, np.nan])
-def test_rows_of_starts_with_fits_that_earlier_versions_took_for_right_are_made_again(error, monkeypatch):
-    """Fits that were not finite: they count as failures until then."""
-
-    def missed(points):
-        truth = starts_scan(rig, "0.3", 0, 3)
-        known = {"status": "ok", "message": "", "seconds": 0.5, "probability": 0.9, "scale": 1.0, "evidence": {}}
-        return SimpleNamespace(joints=truth.joints, joint_std=np.full(len(truth.joints), np.nan), **known)
-
-    fit, rig = Failing([], missed), starts.load_rig("hand-coarse")
-    monkeypatch.setattr(Fitter, "fit_scan", lambda self, points: fit(points), raising=False)
-    monkeypatch.setattr("lbsfit_np.learning.fitter.LBSFitter", Fitter)
-    before = starts_bench(["hand-coarse"], **STARTS | {"n_scans": 1})
-    assert before["confidence"]["failures"] == 0 and fit.asked == 1
-    _figures(before)["scans"][0]["joint_error"] = error
-    assert starts._confidence(before)["failures"] == 1
-    now = starts_bench(["hand-coarse"], before=before, **STARTS | {"n_scans": 1})
-    assert now["confidence"]["failures"] == 0 and fit.asked == 2
 
 
 @pytest.mark.slow

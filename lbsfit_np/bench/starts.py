@@ -112,7 +112,7 @@ def starts_bench(
     for name, row, fit in todo:
         rig, condition = rigs[name], CONDITIONS[row]
         entry = _row_entry(report, name, rig, row, condition)
-        if _is_done(entry["fits"].get(fit)):
+        if is_done(entry["fits"].get(fit)):
             continue
         parameters = {"training_scans": training_scans, "effort": effort, "n_jobs": jobs, "random_state": TRAINING_SEED}
         fitter = LBSFitter(rig, **parameters | condition.fitter)
@@ -250,11 +250,6 @@ def _fit_row(one, n_scans, close, jobs, on_scan):
         "environment": environment(),
         "scans": scans,
     }
-
-
-def _is_done(figures):
-    """As ``resume.is_done``; rows of earlier versions may have fits that are not finite without a word."""
-    return is_done(figures) and all("failed" in scan or _error(scan) < np.inf for scan in figures["scans"])
 
 
 def _error(scan):
