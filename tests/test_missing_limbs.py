@@ -93,6 +93,12 @@ def test_of_a_whole_scan_nothing_is_missing(hand):
     assert _shown(hand, hand.scan.points, hand.scan.pose) is None
 
 
+@pytest.mark.parametrize("n_points", [40, 80])
+def test_where_points_are_few_their_want_tells_nothing(hand, n_points):
+    for first in range(4):
+        assert _shown(hand, hand.scan.points[first :: len(hand.scan.points) // n_points], hand.scan.pose) is None
+
+
 def test_a_limb_that_lies_beside_its_points_is_not_missing(hand):
     # Its points are unexplained: the pose is wrong, and not the scan.
     shown = _shown(hand, hand.scan.points, _hidden(hand, "index", "middle"))

@@ -30,6 +30,8 @@ _LEAST, _APART = 0.01, 0.6
 # rest, and in all no more than the second share of its surface. Of limbs that are shown, of six hands and bodies, the first was
 # 0.55 at least; of those that are not, both were 0.49 and 0.1 at most.
 _EXPLAINED, _LITTLE = 0.5, 0.15
+# Of a limb of which a whole scan would have fewer points, next to none may have fallen on it by chance.
+_EXPECTED = 10
 # With the limb taken off, neither its own points nor all are misfit by more than before and this share of its surface. Of limbs
 # that are not shown it was 0.02 at most; of one that is shown, it is about half of the limb's share of the points.
 _RISE = 0.05
@@ -199,10 +201,10 @@ class MissingLimbs:
         P, _ = self._places.of(self.model.deformed(shown.state).vertices)
         there = ~shown.missing[self._places.corners].any(axis=1)
         rows, out = np.flatnonzero(there), []
-        on = rows[PointIndex(P[there]).nearest(X)]
+        on, n_points = rows[PointIndex(P[there]).nearest(X)], 1 / (w @ w)
         for j, (own, apart) in self._limbs.items():
             rest = there & ~own
-            if not (there & own).any() or not rest.any():
+            if not (there & own).any() or not rest.any() or self._share_of(j) * n_points < _EXPECTED:
                 continue
             near = own[on]
             left = w[near] @ misfit(_squared(X[near], P[rest])) if near.any() else 0.0
