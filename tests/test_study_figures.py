@@ -172,6 +172,12 @@ def test_errors_and_the_order_from_worst_to_best(shown):
     assert np.isnan(shown.errors("cd")[1]) and shown.from_worst_to_best("cd", n) == [3, 2, 0]
 
 
+def test_the_seed_is_the_first_of_those_with_the_most_rows(rig, report):
+    entry = report["rigs"][NAME]
+    seeds = {"100": {"joint": {}}, str(SEED): entry["seeds"][str(SEED)], "301": entry["seeds"][str(SEED)]}
+    assert Shown(NAME, rig, entry | {"seeds": seeds}, lambda cell: None).seed == SEED
+
+
 def test_labels_are_dealt_out_to_their_scans(shown):
     for said, scan in zip(shown.labels("joint"), shown.test, strict=True):
         assert np.array_equal(said, labels_with_errors(shown.rig, scan.labels, WRONG["joint"]))

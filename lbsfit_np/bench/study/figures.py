@@ -93,7 +93,7 @@ class _Figure:
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """What the figures of a rig look at: the scans of the first seed and what each row found for those held out.
+    """What the figures of a rig look at: the scans of one seed and what each row found for those held out.
 
     Attributes
     ----------
@@ -117,8 +117,8 @@ class Shown:
 
     @cached_property
     def seed(self):
-        """Of the scans."""
-        return int(next(iter(self.entry["seeds"])))
+        """Of the scans: the first of those that have the most rows, as runs of some rows may have seeds of their own."""
+        return int(max(self.entry["seeds"], key=lambda seed: len(self.entry["seeds"][seed])))
 
     @cached_property
     def given(self):
