@@ -357,3 +357,10 @@ def test_a_library_of_numbers_that_are_none_is_told_when_it_is_loaded(library, t
             np.savez(tmp_path / "l.npz", **arrays | {key: change(arrays[key])})
             with pytest.raises(FileError, match="content does not fit"):
                 PoseLibrary.load(tmp_path / "l.npz")
+
+
+def test_a_library_that_is_not_there_or_called_otherwise_is_told(library, tmp_path):
+    with pytest.raises(FileError, match="^[^(]*none.npz: got no such file; expected an NPZ file.$"):
+        PoseLibrary.load(tmp_path / "none.npz")
+    with pytest.raises(FileError, match="npz"):
+        library.save(tmp_path / "library.txt")

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy import sparse
 from slow_tests import slow
 from small_rigs import make_tube_data
 
@@ -284,6 +285,28 @@ def test_a_limb_in_anothers_pose_is_within_its_own_limits(hand):
         far = np.where(np.arange(9).reshape(3, 3) % 2, 5.0, -5.0)
         lower, upper = hand.rig.lower[limb.hangs], hand.rig.upper[limb.hangs]
         np.testing.assert_array_equal(hand.limbs._within(limb, far), np.where(far > 0, upper, lower)[None])
+
+
+def test_a_rig_may_list_the_joints_of_a_limb_in_any_order(hand):
+    """Tips first in one finger: it is tried in the others' poses joint by joint, and they in its own."""
+    order = np.arange(len(hand.rig.parents))
+    rows = [hand.row[f"middle{k}"] for k in (1, 2, 3)]
+    order[rows] = rows[::-1]
+    other = _in_order(hand.rig, order)
+    truth, problem, wrong = _exchanged(hand, "index", "middle")
+    limbs, state = LimbPoses(Model(other), hand.poses[:50][:, order]), truth.replace(theta=wrong[order])
+    expected = LimbPoses(hand.model, hand.poses[:50]).proposals(problem, truth.replace(theta=wrong), 2)
+    found = limbs.proposals(problem, state, 2)
+    np.testing.assert_allclose(found, np.array(expected)[:, order], atol=1e-12)
+
+
+def _in_order(rig, order):
+    """The rig with its joints listed in another order: rows of the one that it has."""
+    parents = np.where(rig.parents >= 0, np.argsort(order)[rig.parents], -1)[order]
+    by_joint = {name: getattr(rig, name)[order] for name in ("joints", "frames", "lower", "upper", "merged", "locked")}
+    names = tuple(rig.joint_names[j] for j in order)
+    weights, regressor = (sparse.csr_array(of) for of in (rig.weights.tocsc()[:, order], rig.regressor[order]))
+    return replace(rig, joint_names=names, parents=parents, weights=weights, regressor=regressor, poses={}, **by_joint)
 
 
 def test_limbs_of_other_numbers_of_joints_have_no_pose_to_exchange(body):

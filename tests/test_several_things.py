@@ -60,6 +60,15 @@ def test_points_that_are_there_several_times_are_as_far_apart_as_their_places():
     np.testing.assert_array_equal(second, ~first)
 
 
+@pytest.mark.parametrize("far", [1e3, 1e100, 1e160, np.finfo(float).max])
+def test_a_point_that_is_very_far_away_is_no_error(far):
+    rng = np.random.default_rng(0)
+    points = np.vstack([rng.random((600, 3)), rng.random((500, 3)) + [4.0, 0, 0], [[far, 0.0, 0.0]]])
+    first, second = things_apart(points, np.arange(1100))
+    np.testing.assert_array_equal(first, np.arange(1101) < 600)
+    np.testing.assert_array_equal(second[:1100], ~first[:1100])
+
+
 def test_of_very_many_points_some_are_linked(monkeypatch):
     monkeypatch.setattr("lbsfit_np.starts.apart._LINKED", 500)
     rng = np.random.default_rng(0)

@@ -77,8 +77,8 @@ class Segmenter:
         """Give the probability of each part for points of a scan, as the mean over slightly turned copies.
 
         Voxels, probes and what the classifiers happen to have learned fall differently on each copy, so that errors cancel. The
-        order of the points has a little say: every so-manieth of them tells what is around a point. In another order one or two
-        points in a hundred get another part.
+        order of the points has a little say: every so-manieth of them tells what is around a point. In another order three or
+        four points in a hundred get another part, of single scans up to eight.
 
         Parameters
         ----------

@@ -50,5 +50,5 @@ def things_apart(points, rows):
     large = large[count[large] >= _LEAST * len(x)]
     if len(large) < 2:
         return []
-    of = thing[tree.query(points)[1]]
+    of = np.append(thing, -1)[tree.query(points)[1]]  # what is too far away to be squared has no nearest point
     return [of == k for k in large]

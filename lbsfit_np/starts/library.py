@@ -163,8 +163,9 @@ class PoseLibrary:
 
     def save(self, path):
         """Write as NPZ, without pickle; :meth:`load` reads it."""
-        from ..io.write import write_npz
+        from ..io.write import check_npz_name, write_npz
 
+        check_npz_name(path)
         write_npz(path, **self.arrays("library"))
 
     @classmethod
@@ -172,8 +173,9 @@ class PoseLibrary:
         """Read what :meth:`save` wrote."""
         from ..io.npz import read_npz
 
+        arrays = read_npz(path)
         try:
-            return cls.from_arrays(read_npz(path), "library")
+            return cls.from_arrays(arrays, "library")
         except (KeyError, ValueError, IndexError, TypeError, AttributeError) as error:
             raise FileError(str(path), f"a file whose content does not fit ({error})", "a library of poses") from None
 

@@ -48,6 +48,7 @@ _PARENTS, _SAME, _CHILDREN, _SIGMAS = 24, 0.03, 400, (0.4, 0.2, 0.1, 0.05)
 @dataclass(frozen=True)
 class _Limb:
     hangs: np.ndarray  # (J,) bool, the joints
+    joints: np.ndarray  # (j,) int, their rows, those nearer to the root first
     skin: np.ndarray  # (m,) bool, the vertices
     rows: np.ndarray  # (v,) int, some of them
     area: float  # share of the surface that one of these stands for
@@ -96,8 +97,10 @@ class LimbPoses:
             if len(rows):
                 area = model.areas[skin].sum() / len(rows)
                 spacing = _spacing(rig.vertices[skin], rig.vertices[rows])
-                angles, ends = np.ascontiguousarray(poses[:, hangs]), bool((chain[hangs & rig.moving] == c).all())
-                self._limbs.append(_Limb(hangs, skin, rows, area, spacing, angles, ends))
+                joints = np.flatnonzero(hangs)
+                joints = joints[np.argsort(below[:, joints].sum(axis=0), kind="stable")]  # a file may have tips first
+                angles, ends = np.ascontiguousarray(poses[:, joints]), bool((chain[hangs & rig.moving] == c).all())
+                self._limbs.append(_Limb(hangs, joints, skin, rows, area, spacing, angles, ends))
         self._all = model.spread(_ALL_VERTICES)
         self._spacing = _spacing(rig.vertices, rig.vertices[self._all])
 
@@ -163,7 +166,7 @@ class LimbPoses:
                 if best_s[i] and best_t[j]
             ]
             if a.hangs.sum() == b.hangs.sum():  # first each in the other's pose, which the library need not have
-                i, j = try_out(a, self._within(a, state.theta[b.hangs])), try_out(b, self._within(b, state.theta[a.hangs]))
+                i, j = try_out(a, self._within(a, state.theta[b.joints])), try_out(b, self._within(b, state.theta[a.joints]))
                 swapped = mean(np.minimum(np.minimum(i.reach[1], j.reach[1]), rest)) + i.away[1] + j.away[1]
                 if swapped <= now:
                     changes.insert(0, (swapped - now, swapped, ((a, i, 1), (b, j, 1))))
@@ -183,12 +186,12 @@ class LimbPoses:
 
     def _within(self, limb, angles):
         """(1, j, 3): angles (j, 3) within a limb's limits."""
-        return np.clip(angles, self.model.rig.lower[limb.hangs], self.model.rig.upper[limb.hangs])[None]
+        return np.clip(angles, self.model.rig.lower[limb.joints], self.model.rig.upper[limb.joints])[None]
 
     def _nearer(self, limb, tried, rest, mean, try_out):
         """Poses of a limb that come of the best ones tried: parts of two of them, and small random changes, ever smaller."""
         rig, rng = self.model.rig, np.random.default_rng(0)  # the same for each scan: fits hang on the scan alone
-        lower, upper = rig.lower[limb.hangs], rig.upper[limb.hangs]
+        lower, upper = rig.lower[limb.joints], rig.upper[limb.joints]
         for sigma in _SIGMAS:
             best = self._apart(tried, tried.away + mean(np.minimum(tried.reach, rest)))
             parents = tried.angles[best]
@@ -225,7 +228,7 @@ class LimbPoses:
             if all(max(np.linalg.norm(p - o, axis=1).mean() for p, o in zip(place, other)) > _UNLIKE for other in others):
                 theta = state.theta.copy()
                 for limb, t, k in parts:
-                    theta[limb.hangs] = t.angles[k]
+                    theta[limb.joints] = t.angles[k]
                 seen.append(place)
                 out.append((gain, theta))
         return out
@@ -233,7 +236,7 @@ class LimbPoses:
 
 def _tried(limb, angles, grid, few, posed, state):
     """The limb's own pose and others, (N, j, 3), in place of it."""
-    angles = np.concatenate([state.theta[limb.hangs][None], angles])
+    angles = np.concatenate([state.theta[limb.joints][None], angles])
     n = len(angles)
     place = np.empty((n, len(limb.rows), 3), dtype=np.float32)
     away, reach = np.empty(n), np.empty((n, len(few)), dtype=np.float32)
@@ -270,11 +273,11 @@ def _less(d2, spacing):
 def _posed_limb(posed, state, limb, angles):
     """(N, v, 3): the limb's vertices under N sets of angles, all other joints as they are."""
     rig, n, hangs = posed.rig, len(angles), limb.hangs
-    R = matrix_from_rotvec(np.einsum("jab,njb->nja", rig.frames[hangs], angles))
+    R = matrix_from_rotvec(np.einsum("jab,njb->nja", rig.frames[limb.joints], angles))
     w = rig.weights[limb.rows].toarray()
     used = w.any(axis=0)
     A, P, rest = {}, {}, posed.rest_joints
-    of = np.cumsum(hangs) - 1  # row of a joint among those of the limb
+    of = {j: k for k, j in enumerate(limb.joints)}  # row of a joint among those of the limb
     for level, up in rig.levels:
         for j, p in zip(level, up):
             if hangs[j]:
