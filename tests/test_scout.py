@@ -1,5 +1,7 @@
 """The first look at a scan: however it is turned, in whatever unit, its pose is found; what is known of it holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from slow_tests import slow
@@ -168,3 +170,21 @@ def test_the_same_again(make_scout, clean_scans):
     scout = make_scout()
     scout(clean_scans[1].points)
     np.testing.assert_array_equal(scout(clean_scans[0].points).state.theta, a.state.theta)  # one scan does not change the next
+
+
+def test_a_pose_is_no_rival_of_itself(make_scout, clean_scans, monkeypatch):
+    """As where two starts come to one pose in the last steps."""
+    monkeypatch.setattr("lbsfit_np.fitting.scout._RIVAL", np.inf)
+    scout, ends = make_scout("aligned", FitSettings()), []
+
+    def two_poses(runners, limbs):
+        best = runners[0]
+        return [best, replace(best, state=best.state.replace(theta=best.state.theta + 0.5 * scout._refit.turning))]
+
+    def to_one_pose(problem, state):
+        ends.append(state)
+        return ends[0], 1.0
+
+    scout._refit.with_other_limbs, scout._to_the_end, scout._bends = two_poses, to_one_pose, None
+    found = scout._look(clean_scans[0].points, None)
+    assert len(ends) == 2 and found.rivals == ()

@@ -158,8 +158,9 @@ class Scout:
         if self._bends and effort.bends:
             state, value = self._bends(finals[0].problem, finals[0].state, finals[0].value)
             finals[0] = replace(finals[0], state=state, value=value)
-        others = [replace(r, value=r.value * helped) for r in near[len(finals) :]]
-        best, *others = self._resized([*finals, *others], finals[0])
+        others = [replace(r, value=r.value * helped) for r in near[len(close) :]]
+        # With proportions, or other bends, two may have come to one pose, which is no rival of itself.
+        best, *others = self._resized(self._distinct([*finals, *others]), finals[0])
         seen = None if self.segmenter is None else self._seen(best)
         rivals = tuple(r.value for r in others)
         return Found(best.name, best.problem, best.state, seen, best.value, rivals, self._free)
