@@ -118,6 +118,14 @@ def test_where_points_stay_unexplained_nothing_is_missing(hand):
     assert _shown(hand, np.concatenate([points, beside]), hand.scan.pose) is None
 
 
+def test_taken_to_the_whole_model_the_mesh_stays_where_it_was_fitted(hand):
+    shown = _shown(hand, _without(hand, "index1", "pinky1"), hand.scan.pose)
+    state = shown.state.replace(residual=0.05 * np.random.default_rng(2).normal(size=(np.count_nonzero(~shown.missing), 3)))
+    fitted, whole = shown.model.deformed(state), hand.model.deformed(shown.whole(state, hand.model))
+    np.testing.assert_allclose(whole.joints, fitted.joints, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(whole.vertices[~shown.missing], fitted.vertices, rtol=0.0, atol=1e-12)
+
+
 def test_offsets_of_what_is_missing_are_those_of_what_is_next_to_it(hand):
     shown = _shown(hand, _without(hand, "ring1"), hand.scan.pose)
     vertices, there = hand.model.rig.vertices, ~shown.missing

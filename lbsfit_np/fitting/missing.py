@@ -7,10 +7,12 @@ found without it. Where that explains all points as well as before, the scan doe
 at rest, or as what is known of poses has it.
 """
 
+import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from ..errors import listed
 from ..neighbors import PointIndex
@@ -77,6 +79,19 @@ class Shown:
 
     def whole(self, state, model):
         """A State of what is shown as one of the whole model: missing skin is offset like the shown skin that it hangs on."""
+        rows = self._stands_for(model)
+        offsets = {name: getattr(state, name) for name in ("residual", "displacement")}
+        return state.replace(**{name: None if value is None else value[rows] for name, value in offsets.items()})
+
+    def with_joints_of(self, model):
+        """The same, whose joints follow a residual as they do in the whole model that :meth:`whole` gives it to."""
+        rows, own = self._stands_for(model), copy.copy(self.model)
+        taken = csr_array((np.ones(len(rows)), (np.arange(len(rows)), rows)), shape=(len(rows), len(own.labels)))
+        own.rig = replace(own.rig, regressor=csr_array(model.rig.regressor @ taken))
+        return replace(self, model=own)
+
+    def _stands_for(self, model):
+        """(m,) rows of the shown vertices whose offsets the whole model's have."""
         vertices, faces, there = model.rig.vertices, model.rig.faces, np.flatnonzero(~self.missing)
         rows = PointIndex(vertices[there]).nearest(vertices)  # where none hangs on the rest by triangles, the vertex next to it
         bone, below = vertex_bones(model.rig), subtrees(model.rig.parents) > 0
@@ -87,8 +102,7 @@ class Shown:
             if len(rim := of_root if len(of_root) else rim):
                 near = rim[PointIndex(vertices[rim]).nearest(vertices[own])]
                 rows[own] = np.searchsorted(there, near)
-        offsets = {name: getattr(state, name) for name in ("residual", "displacement")}
-        return state.replace(**{name: None if value is None else value[rows] for name, value in offsets.items()})
+        return rows
 
     def said(self, proba):
         """(n, n_parts) probabilities of the parts as if those that are missing could not be; None for None."""
@@ -171,7 +185,7 @@ class MissingLimbs:
             if better.value >= best.value:
                 break
             best, shown = better, better.shown
-        return shown if shown.limbs and best.left <= _LEFT else None
+        return shown.with_joints_of(self.model) if shown.limbs and best.left <= _LEFT else None
 
     @cached_property
     def _places(self):
