@@ -62,10 +62,10 @@ def test_eliminated_unknowns_are_those_of_the_whole_system(shifting, subject, mo
     steps = GaussNewton(shifting, ridge=1e-4)
     layout = Layout(shifting.rig, ("pose", "translation"), len(c))
     states = [t.replace(coefficients=0.5 * c) for t in truths[:3]]
-    weights, damping, n = np.array([0.5, 0.3, 0.2]), 1e-2, layout.size
+    w, damping, n = 1 / 3, 1e-2, layout.size
     made = [steps._normal_equations(p, s, None, layout, True) for p, s in zip(problems, states)]
     H, g = np.zeros((3 * n + len(c),) * 2), np.zeros(3 * n + len(c))
-    for k, (m, w) in enumerate(zip(made, weights)):
+    for k, m in enumerate(made):
         own, shared = slice(k * n, (k + 1) * n), slice(3 * n, None)
         H[own, own] = w * (m.H[:n, :n] + np.diag(damping * np.diag(m.H)[:n] + 1e-5))
         H[own, shared], H[shared, own] = w * m.H[:n, n:], w * m.H[n:, :n]
@@ -78,7 +78,7 @@ def test_eliminated_unknowns_are_those_of_the_whole_system(shifting, subject, mo
     start = states[0].coefficients
     for stretch, most in ((1.0, 0.5), (1.5, 0.5), (1.5, 0.7 * np.abs(start + x[3 * n :]).max())):
         monkeypatch.setattr("lbsfit_np.optimize.gauss_newton.MOST_PROPORTION", most)
-        found = steps._step(states, made, np.arange(3), weights, layout, True, damping, stretch)
+        found = steps._step(states, made, layout, True, damping, stretch)
         dc = np.clip(start + stretch * x[3 * n :], -most, most) - start
         assert np.allclose(dc, stretch * x[3 * n :]) == (most == 0.5)
         np.testing.assert_allclose(found[0].coefficients - start, dc, atol=1e-9)
@@ -110,34 +110,20 @@ def test_of_many_scans_no_more_is_held_than_their_equations(shifting, subject, m
         np.testing.assert_array_equal(a.coefficients, b.coefficients)
 
 
-def test_a_scan_of_weight_0_stays_and_does_not_count(shifting, subject):
-    c, truths, problems, _ = subject
-    starts = [t.replace(coefficients=np.zeros_like(c)) for t in truths]
-    steps = GaussNewton(shifting)
-    without, _ = steps.shared(problems[:3], starts[:3], iterations=6)
-    found, values = steps.shared(problems[:4], starts[:4], scan_weights=[1, 1, 1, 0], iterations=6)
-    np.testing.assert_array_equal(found[3].theta, starts[3].theta)
-    np.testing.assert_array_equal(found[0].theta, without[0].theta)
-    np.testing.assert_array_equal(found[0].coefficients, without[0].coefficients)
-    assert np.isnan(values[3]) and np.isfinite(values[:3]).all()
-
-
 def test_what_holds_a_pose_holds_that_one_alone(shifting, subject):
-    """Also where a scan before it does not count: angles go where they are held, values tell it, the template follows."""
+    """Angles go where they are held, values tell it, the template follows."""
     c, truths, problems, _ = subject
     starts, steps = [t.replace(coefficients=np.zeros_like(c)) for t in truths[:3]], GaussNewton(shifting)
     turning = Layout(shifting.rig, ("pose",), 0).turning
     wanted = np.where(turning, 0.9 * truths[1].theta, 0.0)
-    known = {"scan_weights": [0, 1, 1], "iterations": 20}
-    free, _ = steps.shared(problems[:3], starts, **known)
-    found, values = steps.shared(problems[:3], starts, priors=[(np.zeros_like(wanted), 1e6), (wanted, 1e3), None], **known)
+    free, _ = steps.shared(problems[:3], starts, iterations=20)
+    found, values = steps.shared(problems[:3], starts, priors=[None, (wanted, 1e3), None], iterations=20)
     np.testing.assert_allclose(found[1].theta[turning], wanted[turning], atol=1e-3)
     assert np.abs(free[1].theta - wanted)[turning].max() > 0.02
-    np.testing.assert_array_equal(found[0].theta, starts[0].theta)
     assert not np.array_equal(found[2].coefficients, free[2].coefficients)
     away = (found[1].theta - wanted)[turning]
-    _, without = steps.shared(problems[:3], found, scan_weights=[0, 1, 1], iterations=0)
-    np.testing.assert_allclose(values[1:], without[1:] + [1e3 * away @ away, 0.0], rtol=1e-9)
+    _, without = steps.shared(problems[:3], found, iterations=0)
+    np.testing.assert_allclose(values, without + [0.0, 1e3 * away @ away, 0.0], rtol=1e-9)
 
 
 def test_the_ridge_holds_the_coefficients(shifting, subject):

@@ -108,12 +108,10 @@ class GaussNewton:
         value : float
             E without the ridge, with the prior.
         """
-        states, values = self._minimise([problem], [state], [labels], np.ones(1), free, False, iterations, [prior])
+        states, values = self._minimise([problem], [state], [labels], free, False, iterations, [prior])
         return states[0], float(values[0])
 
-    def shared(
-        self, problems, states, *, free=IN_UNIT, labels=None, scan_weights=None, iterations=12, priors=None
-    ):
+    def shared(self, problems, states, *, free=IN_UNIT, labels=None, iterations=12, priors=None):
         """The poses of several scans of one subject together with the coefficients of their one template.
 
         Parameters
@@ -124,8 +122,6 @@ class GaussNewton:
         free, iterations
             As in :meth:`pose`.
         labels : list of (n,) int arrays, optional
-        scan_weights : (k,) array, optional
-            How much each scan counts for the template; 0 leaves its pose where it is.
         priors : list, optional
             For each scan what holds its pose, as ``prior`` of :meth:`pose`, or None.
 
@@ -133,11 +129,10 @@ class GaussNewton:
         -------
         states : list of State
         values : (k,) array
-            E of each scan without the ridge, with its prior; NaN where a scan does not count.
+            E of each scan without the ridge, with its prior.
         """
-        weights = np.ones(len(problems)) if scan_weights is None else np.asarray(scan_weights, dtype=float)
         labels, priors = (each or [None] * len(problems) for each in (labels, priors))
-        return self._minimise(problems, states, labels, weights / weights.sum(), free, True, iterations, priors)
+        return self._minimise(problems, states, labels, free, True, iterations, priors)
 
     def told_by_points(self, problem, state, *, free=IN_UNIT, proba=None):
         """What the scan's points alone tell of a pose, by the curvature of E: where few of them hang on an unknown, little.
@@ -166,35 +161,35 @@ class GaussNewton:
 
     def with_proportions(self, problem, state, *, free=IN_UNIT, labels=None, iterations=12, prior=None):
         """One scan's pose with coefficients of its own: (state, E with the ridge and the prior); options of :meth:`pose`."""
-        (state,), (value,) = self._minimise([problem], [state], [labels], np.ones(1), free, True, iterations, [prior])
+        (state,), (value,) = self._minimise([problem], [state], [labels], free, True, iterations, [prior])
         return state, float(value) + self.ridge * float(state.coefficients @ state.coefficients)
 
     # ---- the steps ----
 
-    def _minimise(self, problems, states, labels, weights, free, shared, iterations, priors):
+    def _minimise(self, problems, states, labels, free, shared, iterations, priors):
         layout = Layout(self.model.rig, free, self.model.n_coefficients)
         states = [layout.inside(s) for s in states]
-        used = np.flatnonzero(weights > 0)
+        each = np.full(len(problems), 1.0 / len(problems))
 
         def measure(states):
             made = []
-            for i in used:
-                m = self._normal_equations(problems[i], states[i], labels[i], layout, shared)
-                if priors[i] is not None:
-                    theta, held_by = priors[i]
-                    m.hold((states[i].theta - theta)[layout.turning], weight_matrix(held_by, layout.turning))
-                if len(used) > _MANY:
+            for problem, state, known, prior in zip(problems, states, labels, priors):
+                m = self._normal_equations(problem, state, known, layout, shared)
+                if prior is not None:
+                    theta, held_by = prior
+                    m.hold((state.theta - theta)[layout.turning], weight_matrix(held_by, layout.turning))
+                if len(problems) > _MANY:
                     m.settle()
                 made.append(m)
             c = states[0].coefficients
-            total = float(weights[used] @ [m.value for m in made]) + (self.ridge * float(c @ c) if shared else 0.0)
+            total = float(each @ [m.value for m in made]) + (self.ridge * float(c @ c) if shared else 0.0)
             return made, total
 
         made, total = measure(states)
         damping, stretch = _DAMPING, 1.0
-        unlabelled = all(each is None for each in labels)
+        unlabelled = all(known is None for known in labels)
         for _ in range(iterations):
-            trial = self._step(states, made, used, weights, layout, shared, damping, stretch)
+            trial = self._step(states, made, layout, shared, damping, stretch)
             trial_made, trial_total = measure(trial)
             if trial_total < total:
                 gain, states, made, total = 1.0 - trial_total / total, trial, trial_made, trial_total
@@ -208,9 +203,7 @@ class GaussNewton:
                 damping *= _STIFFEN
                 if damping > _STIFFEST:
                     break
-        values = np.full(len(problems), np.nan)
-        values[used] = [m.value for m in made]
-        return states, values
+        return states, np.array([m.value for m in made])
 
     def _normal_equations(self, problem, state, labels, layout, shared, *, of_vertices=True, proba=None):
         model = self.model
@@ -248,41 +241,41 @@ class GaussNewton:
         known = np.flatnonzero(nearest >= 0)
         return nearest[known], known
 
-    def _step(self, states, made, used, weights, layout, shared, damping, stretch):
+    def _step(self, states, made, layout, shared, damping, stretch):
         """All states after one step, ``stretch`` times as long as the damped equations say.
 
         The scans' own unknowns are eliminated, the shared ones solved for, then put back.
         """
         n = layout.size
         k = self.model.n_coefficients if shared else 0
-        Hc, gc, own = np.zeros((k, k)), np.zeros(k), []
-        for i, m in zip(used, made):
-            x = layout.pack(states[i])
+        Hc, gc, own, share = np.zeros((k, k)), np.zeros(k), [], 1.0 / len(states)
+        for state, m in zip(states, made):
+            x = layout.pack(state)
             lower, upper = layout.bounds()
             # An unknown at its bound that would leave it stays out of this step.
             free = ~(((x <= lower) & (m.g[:n] < 0)) | ((x >= upper) & (m.g[:n] > 0)))
-            chain = layout.units(states[i])[free]
+            chain = layout.units(state)[free]
             H = m.H[:n, :n][np.ix_(free, free)] * np.outer(chain, chain)
             H[np.diag_indices_from(H)] += damping * H.diagonal() + 1e-5
             right = np.column_stack([m.H[:n, n:][free] * chain[:, None], m.g[:n][free] * chain])
             solved = np.linalg.solve(H, right)
-            own.append((i, x, free, solved))
+            own.append((x, free, solved))
             if shared:
-                Hc += weights[i] * (m.H[n:, n:] - right[:, :-1].T @ solved[:, :-1])
-                gc += weights[i] * (m.g[n:] - right[:, :-1].T @ solved[:, -1])
-        out = list(states)
+                Hc += share * (m.H[n:, n:] - right[:, :-1].T @ solved[:, :-1])
+                gc += share * (m.g[n:] - right[:, :-1].T @ solved[:, -1])
         dc, c = np.zeros(k), states[0].coefficients
         if shared:
             Hc[np.diag_indices_from(Hc)] += damping * Hc.diagonal() + self.ridge
             dc = stretch * np.linalg.solve(Hc, gc - self.ridge * c)
             new = np.clip(c + dc, -MOST_PROPORTION, MOST_PROPORTION)
             dc = new - c  # before the poses go along with it
-            out = [s.replace(coefficients=new) for s in out]
-        for i, x, free, solved in own:
+            states = [s.replace(coefficients=new) for s in states]
+        out = []
+        for state, (x, free, solved) in zip(states, own):
             step = np.zeros(n)
             step[free] = stretch * solved[:, -1] - solved[:, :-1] @ dc
             x = np.clip(x + np.clip(step, -_LONGEST_TURN, _LONGEST_TURN), *layout.bounds())
-            out[i] = layout.unpack(x, out[i])
+            out.append(layout.unpack(x, state))
         return out
 
 
