@@ -114,7 +114,7 @@ def test_proportions_cost_what_they_deviate(tube_rig, scale, free, monkeypatch):
     fit, found = TemplateFit(tube_rig, Model(tube_rig), FitSettings(scale=scale)), found_at_the_truth(tube_rig, scan)
     told = {}
 
-    def minimise(problems, states, labels, weights, free, shared, iterations, priors):
+    def minimise(problems, states, labels, free, shared, iterations, priors):
         told["shared"] = set(free)
         c = np.zeros(found.state.coefficients.shape)
         c.flat[:2] = 3.0, 4.0
