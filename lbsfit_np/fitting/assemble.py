@@ -48,6 +48,7 @@ def assemble(
     shown=None,
     proportions=0.0,
     judged=True,
+    judged_by=None,
     unit=None,
     found=(),
     further=(),
@@ -107,6 +108,8 @@ def assemble(
     judged : bool, default True
         False where the vertices say nothing of the pose: then there is no evidence, the probability is 0, and what is finite is
         "ok".
+    judged_by : State, optional
+        By which the evidence goes; that of the last stage by default.
 
     Returns
     -------
@@ -124,8 +127,7 @@ def assemble(
     pose = turned_root(rig, state.theta, frame.turn)
     place = pose, translation, scale, offsets
     V, nothing = model.deformed(state).vertices, np.full(rig.vertices.shape, np.nan)
-    # Brought onto the scan, the skin of a wrong pose explains it, too: a fit is judged by what it was before.
-    bare = V if state.displacement is None else model.deformed(state.replace(displacement=None)).vertices
+    judged_by = state if judged_by is None else judged_by
     with np.errstate(over="ignore"):
         finite = bool(np.isfinite(np.square(V).sum()))  # distances to it, too
     terms = _terms(model, problem, state, weights, x_labels, pivot, frame.turn) if finite else {"total": np.nan, "recon": np.nan}
@@ -159,12 +161,12 @@ def assemble(
     elif finite:
         evidence, worst = evidence_of(
             model,
-            bare,
+            V if judged_by is state else model.deformed(judged_by).vertices,
             problem.X,
             proba=proba,
             rivals=rivals,
             value=value,
-            theta=state.theta,
+            theta=judged_by.theta,
             coverage=coverage,
             x_weights=problem.x_weights,
             proportions=proportions,

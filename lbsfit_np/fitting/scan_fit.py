@@ -10,7 +10,6 @@ from ..errors import InputError, listed
 from ..losses.objective import PRESETS, LossWeights
 from ..optimize.frame import Frame, root_turn, turned_root
 from ..optimize.problem import Problem
-from ..optimize.registration import Registration
 from ..optimize.state import IN_UNIT, SIZED
 from ..optimize.visibility import Coverage
 from ..rig.frames import up_axis
@@ -21,9 +20,9 @@ from ..starts.scale import unit_note
 from ..starts.turns import Facing, contradicts_note, some_turns, stands_note
 from ..threads import one_thread
 from .assemble import assemble
-from .confidence import shown_problem
 from .drawn import drawn_by_itself
 from .labels import one_hot
+from .last_stages import LastStages
 from .mirror_image import looked_at_in_the_mirror
 from .missing import MissingLimbs
 from .one_thing import APART, looked_at_apart
@@ -214,31 +213,22 @@ class ScanFit:
             frame, problem, proba, state, before = self._given(points, rows, a, guess, theta0, labels)
             rivals = {}
         every, dense = all_points(points, part, point_weights, frame, problem)
-        known, shown, refit = {}, None, self._refit
+        known, shown = {}, None
         if settings.polish:
             state, known = self._last_steps(problem, dense, state, None if labels is None else labels[every])
             if labels is None and not settings.partial:
                 shown = self._missing.of(dense, state, self._proportioned, theta0=theta0, **known)
+        stages = self._last_stages
         if shown is not None:
-            model, state, proba = shown.model, shown.state, shown.said(proba)
-            refit = self._refit_of(model)
-        with_partner = shown_problem(model, problem, state, settings.coverage)
-        search = Search(model, with_partner, proba, labels is not None, settings).full(state)
-        last = search.outcome
-        pose = last.state
-        if settings.polish:
-            # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
-            pose = refit.polish(dense, pose, **known)
-        joint_std = refit.joint_std(with_partner, pose, proba)
-        if settings.registration:
-            pose = (self._registration if shown is None else Registration(model))(dense, pose)
-        last = replace(last, state=pose if shown is None else shown.whole(pose, self.model))
+            stages, state, proba = self._last_stages_of(shown.model), shown.state, shown.said(proba)
+        end = stages(problem, dense, state, proba, labels_known=labels is not None, **known).whole(shown, model)
+        last = end.last
         searched = not given or (theta0 is None and self.facing.told)  # of labels only what contradicts is to be said
         stands = stands_words(self.facing, model.source, frame, last.state.theta) if searched else ""
         unit = unit_note(last.state.scale * frame.unit / model.half, model.source, settings.scale, unit=settings.unit)
         return assemble(
             model.source,
-            self.model,
+            model,
             problem,
             last,
             points=points,
@@ -246,12 +236,13 @@ class ScanFit:
             frame=frame,
             sigma=settings.refinements[-1],
             weights=settings.weights,
-            x_labels=search.labels,
+            x_labels=end.labels,
             proba=proba,
             labels=labels,
-            joint_std=joint_std,
+            joint_std=end.joint_std,
+            judged_by=end.judged,
             shown=shown,
-            evaluations=before + search.evaluations,
+            evaluations=before + end.evaluations,
             notes=[_parts_without_labels(model.source, labels, rows) if theta0 is None else ""],
             found=(unit, stands),
             further=() if given else further_words(model.source, settings, self.facing),
@@ -272,9 +263,9 @@ class ScanFit:
         known = {"labels": None if labels is None or labels.min() < 0 else labels}
         return state if dense is problem else self._with_proportions.to_the_end(dense, state, **known)[0], known
 
-    @cached_property
+    @property
     def _refit(self):
-        return self._refit_of(self.model)
+        return self._last_stages.refit
 
     def _refit_of(self, model):
         free = IN_UNIT if self.settings.scale == "fixed" else SIZED
@@ -285,8 +276,11 @@ class ScanFit:
         return MissingLimbs(self.model)
 
     @cached_property
-    def _registration(self):
-        return Registration(self.model)
+    def _last_stages(self):
+        return self._last_stages_of(self.model)
+
+    def _last_stages_of(self, model):
+        return LastStages(model, self.settings, self._refit_of(model), polish=self.settings.polish > 0)
 
     @cached_property
     def _with_proportions(self):

@@ -1,20 +1,17 @@
-"""The fit of one scan on a template that is known: its pose by :class:`Refit`, then a residual by the full objective."""
+"""The fit of one scan on a template that is known: its pose by :class:`Refit`, then the last stages."""
 
 import time
-from dataclasses import replace
 from functools import cached_property, partial
 
 import numpy as np
 
-from ..optimize.registration import Registration
 from ..optimize.state import IN_UNIT
 from .assemble import assemble
-from .confidence import shown_problem
 from .effort import EFFORTS
+from .last_stages import LastStages
 from .missing import MissingLimbs
 from .proportioned import Proportioned
 from .refit import Refit
-from .search import Search
 
 __all__ = ["TemplateFit"]
 
@@ -39,8 +36,8 @@ class TemplateFit:
         self.refit = Refit(model, coverage=settings.coverage, bends=bends, other_limbs=other_limbs)
 
     @cached_property
-    def _registration(self):
-        return Registration(self.model)
+    def _last_stages(self):
+        return LastStages(self.model, self.settings, self.refit)
 
     @cached_property
     def _missing(self):
@@ -91,7 +88,7 @@ class TemplateFit:
         given=(),
         started=None,
     ):
-        """The full objective from a pose that was found, and the result.
+        """The last stages from a pose that was found, and the result.
 
         Parameters
         ----------
@@ -124,41 +121,36 @@ class TemplateFit:
         FitResult
         """
         started = time.perf_counter() if started is None else started
-        model, settings, refit = self.model, self.settings, self.refit
+        settings = self.settings
         every, last = (part.rows, problem) if dense is None else dense
         shown = None
         if labels_known is None and not settings.partial:
             steps = partial(Refit, free=free, coverage=settings.coverage)
             shown = self._missing.of(last, state, steps, theta0=theta0, prior=prior)
+        stages, free_in_full = self._last_stages, ("pose", "translation", "residual")
         if shown is not None:
-            model, state, proba = shown.model, shown.state, shown.said(proba)
-            refit = Refit(model, coverage=settings.coverage)
-        with_partner = shown_problem(model, problem, state, settings.coverage)
-        search = Search(model, with_partner, proba, labels_known is not None, settings)
-        search.full(state, free=("pose", "translation", "residual"))
-        # The residual takes what the template lacks; the pose is better known by distances to the surface.
-        known = None if labels_known is None or labels_known[every].min() < 0 else labels_known[every]
-        pose = refit.polish(last, search.outcome.state, labels=known, prior=prior)
-        joint_std = refit.freeing(free).joint_std(with_partner, pose, proba)
-        if settings.registration:
-            pose = (self._registration if shown is None else Registration(model))(last, pose)
-        outcome = replace(search.outcome, state=pose if shown is None else shown.whole(pose, self.model))
+            stages = LastStages(shown.model, settings, Refit(shown.model, coverage=settings.coverage))
+            state, proba = shown.state, shown.said(proba)
+        labels = None if labels_known is None or labels_known[every].min() < 0 else labels_known[every]
+        known = {"labels_known": labels_known is not None, "labels": labels, "prior": prior}
+        end = stages(problem, last, state, proba, free=free_in_full, looked_for=free, **known).whole(shown, self.model)
         return assemble(
             self.rig,
             self.model,
             problem,
-            outcome,
+            end.last,
             points=points,
             part=part,
             frame=frame,
             sigma=settings.refinements[-1],
             weights=settings.weights,
-            x_labels=search.labels,
+            x_labels=end.labels,
             proba=proba,
             labels=labels_known,
-            joint_std=joint_std,
+            joint_std=end.joint_std,
+            judged_by=end.judged,
             shown=shown,
-            evaluations=search.evaluations,
+            evaluations=end.evaluations,
             notes=notes,
             found=found,
             further=further,

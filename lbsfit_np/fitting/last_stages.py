@@ -1,0 +1,107 @@
+"""The last stages of a fit, from a pose that was found: the full objective, what the fit is judged by, and the registration."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from ..optimize.registration import Registration
+from .confidence import shown_problem
+from .search import Search
+
+__all__ = ["Ended", "LastStages"]
+
+
+@dataclass(frozen=True, eq=False)
+class Ended:
+    """Where the last stages ended.
+
+    Attributes
+    ----------
+    last : Outcome
+        Of the full objective; its state is what comes out.
+    judged : State
+        What the fit is judged by: polished with the residual of the full objective. Brought onto the scan, the skin of a wrong
+        pose explains it, too.
+    labels : (k,) int array or None
+        Parts of the problem's points that the structured term goes by.
+    joint_std : (J,) array
+        Of ``judged``.
+    evaluations : int
+    """
+
+    last: object
+    judged: object
+    labels: np.ndarray | None
+    joint_std: np.ndarray
+    evaluations: int
+
+    def whole(self, shown, model):
+        """The same of the whole model, where a scan lacks limbs; as it is for None."""
+        if shown is None:
+            return self
+        state, judged = (shown.whole(s, model) for s in (self.last.state, self.judged))
+        return replace(self, last=replace(self.last, state=state), judged=judged)
+
+
+class LastStages:
+    """For one model.
+
+    The full objective compares points with vertices. Where these lie far apart its residual moves joints, and bends the skin that
+    a polish goes by: so where the skin is registered, that is from the pose as it was found, polished on the registered skin.
+
+    Parameters
+    ----------
+    model : Model
+        Of what the scan shows.
+    settings : FitSettings
+    refit : Refit
+        For the polish.
+    polish : bool, default True
+        Without it the pose, registered too, is that of the full objective.
+    """
+
+    def __init__(self, model, settings, refit, *, polish=True):
+        self.model, self.settings, self.refit, self._polish = model, settings, refit, polish
+
+    @cached_property
+    def _registration(self):
+        return Registration(self.model)
+
+    def __call__(self, problem, dense, state, proba, *, labels_known=False, free=None, looked_for=None, **known):
+        """Where a pose comes to.
+
+        Parameters
+        ----------
+        problem, dense : Problem
+            What takes part in the search, and all that the last steps look at, in the same frame.
+        state : State
+            Without a residual.
+        proba : (k, n_parts) array or None
+        labels_known : bool
+            As for ``Search``.
+        free : collection of str, optional
+            As for ``Search.full``.
+        looked_for : tuple of {"pose", "translation", "scale"}, optional
+            What the scan has to tell, besides proportions, of which it is said how precisely it does; the polish's by default.
+        **known
+            Options of ``GaussNewton.pose``, for the polish.
+
+        Returns
+        -------
+        Ended
+        """
+        with_partner = shown_problem(self.model, problem, state, self.settings.coverage)
+        search = Search(self.model, with_partner, proba, labels_known, self.settings).full(state, free)
+        judged = search.outcome.state
+        if self._polish:
+            # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
+            judged = self.refit.polish(dense, judged, **known)
+        out = judged
+        if self.settings.registration:
+            out = self._registration(dense, state if self._polish else judged)
+            if self._polish:
+                out = self._registration(dense, self.refit.polish(dense, out, **known))
+        told = self.refit if looked_for is None else self.refit.freeing(looked_for)
+        std = told.joint_std(with_partner, judged, proba)
+        return Ended(replace(search.outcome, state=out), judged, search.labels, std, search.evaluations)
