@@ -103,14 +103,16 @@ def test_a_changed_template_is_what_labels_and_distances_are_measured_from(rigs)
     assert (r.labels == rigs["tube"].vertex_labels).mean() > 0.97
 
 
-def test_a_fit_is_judged_by_its_mesh_before_the_skin_was_brought_onto_the_scan(rigs):
-    """That of a wrong pose would come near the points, too."""
+def test_a_fit_is_judged_by_another_state_than_comes_out(rigs):
+    """Brought onto the scan, the skin of a wrong pose comes near the points, too."""
     rig = rigs["tube"]
     model = Model(rig)
     state, X = model.rest(), 0.9 * model.deformed(model.rest()).vertices
     skin = 0.1 * np.random.default_rng(0).standard_normal(X.shape)
     frame, weights = Frame(np.zeros(3), rig.size / 2, np.eye(3)), PRESETS["default"]
-    moved = state.replace(residual=0.01 * skin, displacement=skin)
+    judged, theta = state.replace(residual=0.01 * skin), state.theta.copy()
+    theta[1] = rig.upper[1]  # of other angles at limits
+    moved = judged.replace(displacement=skin, theta=theta)
     results = [
         assemble(
             rig,
@@ -124,10 +126,13 @@ def test_a_fit_is_judged_by_its_mesh_before_the_skin_was_brought_onto_the_scan(r
             weights=weights,
             evaluations=1,
             started=time.perf_counter(),
+            judged_by=by,
         )
-        for s in (moved.replace(displacement=None), moved)
+        for s, by in ((judged, None), (moved, judged), (judged.replace(displacement=skin), judged))
     ]
-    bare, brought = results
+    bare, otherwise, brought = results
+    assert bare.evidence == otherwise.evidence and bare.probability == otherwise.probability
+    np.testing.assert_array_equal(otherwise.pose, theta)
     assert bare.evidence == brought.evidence and bare.probability == brought.probability
     assert bare.terms["recon"] != brought.terms["recon"]
     np.testing.assert_array_equal(bare.rest_joints, brought.rest_joints)  # which no displacement moves

@@ -316,7 +316,7 @@ def test_a_fit_comes_closer_to_somebody_elses_surface(tube_fitter, tube_rig):
 
 @pytest.mark.usefixtures("hurried")
 @pytest.mark.parametrize("subject", [None, "ann"])
-def test_without_it_skin_and_pose_are_as_the_full_objective_has_them(subject, quick_fitter, learned_people, people_scans, monkeypatch):
+def test_without_it_the_fit_is_as_the_full_objective_has_it(subject, quick_fitter, learned_people, people_scans, monkeypatch):
     """Of fits alone, and of those on a learned template; what they are judged by is the same."""
     fitter, scan = copy.copy(quick_fitter if subject is None else learned_people), people_scans[10].points
     known = {} if subject is None else {"subject": subject}

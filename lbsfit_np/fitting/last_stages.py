@@ -48,7 +48,7 @@ class LastStages:
     """For one model.
 
     The full objective compares points with vertices. Where these lie far apart its residual moves joints, and bends the skin that
-    a polish goes by: so where the skin is registered, that is from the pose as it was found, polished on the registered skin.
+    a polish goes by. So where the skin is registered, that is from a pose without one.
 
     Parameters
     ----------
@@ -58,7 +58,7 @@ class LastStages:
     refit : Refit
         For the polish.
     polish : bool, default True
-        Without it the pose, registered too, is that of the full objective.
+        Without it the pose is that of the full objective in either case.
     """
 
     def __init__(self, model, settings, refit, *, polish=True):
@@ -93,15 +93,11 @@ class LastStages:
         """
         with_partner = shown_problem(self.model, problem, state, self.settings.coverage)
         search = Search(self.model, with_partner, proba, labels_known, self.settings).full(state, free)
-        judged = search.outcome.state
+        found = judged = search.outcome.state
         if self._polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
-            judged = self.refit.polish(dense, judged, **known)
-        out = judged
-        if self.settings.registration:
-            out = self._registration(dense, state if self._polish else judged)
-            if self._polish:
-                out = self._registration(dense, self.refit.polish(dense, out, **known))
+            judged, found = (self.refit.polish(dense, s, **known) for s in (judged, state))
+        out = self._registration(dense, found) if self.settings.registration else judged
         told = self.refit if looked_for is None else self.refit.freeing(looked_for)
         std = told.joint_std(with_partner, judged, proba)
         return Ended(replace(search.outcome, state=out), judged, search.labels, std, search.evaluations)
