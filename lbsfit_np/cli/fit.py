@@ -64,7 +64,12 @@ OPTIONS = (
     Option("partial", "scans show one side only, as single depth views do", bool, False),
     Option("cropped", "scans end before the body does, as where a picture or a box ends", bool, False),
     Option("effort", "how many starts to follow, and how far", default="balanced", choices=("fast", "balanced", "thorough")),
-    Option("weights", "weights of the objective", default="default", choices=("default", "paper")),
+    Option(
+        "weights",
+        "weights of the objective, which decides the result with --no-registration",
+        default="default",
+        choices=("default", "paper"),
+    ),
     Option("joints", "whether joints follow the changed template", default="follow", choices=("follow", "fixed")),
     Option(
         "samples",
@@ -76,7 +81,7 @@ OPTIONS = (
     Option("max-points", "points of a scan that take part in the optimisation; all are labelled", positive, 2500, metavar="N"),
     Option(
         "registration",
-        "bring the skin onto the scan once the pose is found; without it, offsets are as the objective has them",
+        "bring the skin onto the scan once the pose is found; without it, pose and skin are as the objective has them",
         bool,
         True,
     ),

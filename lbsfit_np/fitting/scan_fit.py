@@ -1,4 +1,4 @@
-"""The fit of one scan by itself: the scout's pose, or one from known labels or a given start; then the full objective."""
+"""The fit of one scan by itself: the scout's pose, or one from known labels or a given start; then the last stages."""
 
 import time
 from dataclasses import dataclass, field, replace
@@ -63,7 +63,7 @@ class FitSettings:
         Points that take part in the optimisation; a larger scan is thinned by the seed. The last steps of a pose and of
         proportions look at up to four times as many.
     registration : bool
-        Whether the skin is brought onto the scan in the end; else offsets are as the full objective has them.
+        Whether the skin is brought onto the scan in the end; else pose and offsets are as the full objective has them.
     pose_iterations, plain_iterations, full_iterations : int
         L-BFGS iterations, at most, of each pose stage, of the last pose stage, which has the plain term only, and of the
         full stage.

@@ -36,7 +36,7 @@ class LBSFitter(Estimator):
     ----------
     rig : Rig
     weights : {"default", "paper"} or LossWeights, default "default"
-        Weights of the objective; docs/losses.md says how the default was chosen.
+        Of the objective, which fits are judged by and, with ``registration=False``, are found by; docs/losses.md has more.
     joints : {"follow", "fixed"}, default "follow"
         Whether joints follow the changed template or, as in the paper, stay where the rig has them.
     scale : {"estimate", "fixed"}, default "estimate"
@@ -56,7 +56,7 @@ class LBSFitter(Estimator):
     max_points : int, default 2500
         Number of a scan's points that take part in the optimisation; all points are labelled.
     registration : bool, default True
-        Whether the skin is brought onto the scan once the pose is found; else ``offsets`` are as the full objective has them.
+        Whether the skin is brought onto the scan once the pose is found; else pose and skin are the full objective's.
     training_scans : int, default 4000
         Number of synthetic scans to train the segmenter on. The library of starts has half as many others (``pretrain_library``).
     variant : {"joint", "pose-only", "rand", "cd", "free-form"}, default "joint"
