@@ -90,7 +90,7 @@ def test_scans_that_learning_could_not_use_are_told_also_by_the_next_run(pair_fo
     for _ in range(2):
         code, out, _ = run(*_command(pair_folder, tmp_path / "out"))
         why = "an extent of 1e+03, where the other scans have about 1"
-        assert code == 0 and f"note: 1 of 4 scans not learned from: s2: {why}\n" in out
+        assert code == 0 and f"note: 1 of 4 scans without a result of learning: s2: {why}\n" in out
         report = json.loads((tmp_path / "out" / "results.json").read_text())
         assert [scan.get("not_learned") for scan in report["scans"]] == [None, None, why, None]
         assert report["notes"][-1].endswith(why) and [scan["subject"] for scan in report["scans"]] == list(WHO)

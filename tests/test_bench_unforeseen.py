@@ -1,6 +1,7 @@
 """Failures that may not be the scans', such as for want of memory: the same command tries them again."""
 
 import pickle
+import sys
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -42,7 +43,9 @@ def test_words_know_what_nobody_foresaw():
     words = pickle.loads(pickle.dumps(in_words(MEMORY)))
     assert words == "MemoryError: none left" and isinstance(words, Unforeseen)
     assert unforeseen({"0": in_words(OWN), "2": words, 3: None}) == {"unforeseen": [2]} and unforeseen({1: in_words(OWN)}) == {}
-    assert [is_done(entry) for entry in (None, {}, {"unforeseen": [2]})] == [False, True, False]
+    assert unforeseen({"0": in_words(OWN)}, {0: in_words(OWN), 1: words}) == {"unforeseen_before": [1]}
+    entries = None, {}, {"unforeseen": [2]}, {"unforeseen_before": [2]}
+    assert [is_done(entry) for entry in entries] == [False, True, False, False]
 
 
 @pytest.mark.slow
@@ -144,7 +147,7 @@ def test_rows_of_the_study_are_made_again_from_their_steps(coarse_hand, tmp_path
     """What the row has done is kept until nothing unforeseen is left."""
     from study_sizes import TINY, few_steps_along_path
 
-    words, asked = [in_words(MEMORY)], []
+    words, before, asked = [in_words(MEMORY)], {}, []
 
     def find(c):
         asked.append(len(list(tmp_path.glob("h-1-oracle-fit/*"))))
@@ -152,7 +155,7 @@ def test_rows_of_the_study_are_made_again_from_their_steps(coarse_hand, tmp_path
         (c.steps / "some.npz").write_bytes(b"")
         vertices, joints = (np.array([getattr(s, name) for s in c.given.test]) for name in ("vertices", "joints"))
         vertices[-1] = np.nan
-        return Found(Registrations(vertices, joints), failures={len(vertices) - 1: words[0]})
+        return Found(Registrations(vertices, joints), failures={len(vertices) - 1: words[0]}, before=dict(before))
 
     rows = {name: replace(row, find=find, pretrained=False) for name, row in ROWS.items()}
     monkeypatch.setattr("lbsfit_np.bench.study.making.ROWS", rows)
@@ -165,8 +168,27 @@ def test_rows_of_the_study_are_made_again_from_their_steps(coarse_hand, tmp_path
     report = study_run.study({"h": coarse_hand}, **options)
     cell = report["rigs"]["h"]["seeds"]["1"]["oracle-fit"]
     assert cell["unforeseen"] == [2] and cell["failures"] == {"2": "MemoryError: none left"} and folder not in removed
-    words[0] = str(OWN)
+    words[0], before[1] = str(OWN), in_words(MEMORY)
     report = study_run.study({"h": coarse_hand}, before=report, **options)
-    assert "unforeseen" not in report["rigs"]["h"]["seeds"]["1"]["oracle-fit"] and folder in removed
+    cell = report["rigs"]["h"]["seeds"]["1"]["oracle-fit"]
+    assert "unforeseen" not in cell and cell["unforeseen_before"] == [1] and folder not in removed
+    before[1] = in_words(OWN)
+    report = study_run.study({"h": coarse_hand}, before=report, **options)
+    assert "unforeseen_before" not in report["rigs"]["h"]["seeds"]["1"]["oracle-fit"] and folder in removed
     study_run.study({"h": coarse_hand}, before=report, **options)
-    assert asked == [0, 1]
+    assert asked == [0, 1, 1]
+
+
+@pytest.mark.parametrize("row", ["free-form-augmented", "free-form-supervised", "free-form-supervised-3x"])
+def test_rows_of_the_study_say_what_failed_that_they_build_on(row, monkeypatch):
+    scans, failures = [SimpleNamespace(points=np.zeros((3, 3)))] * 2, {1: in_words(MEMORY)}
+    given = SimpleNamespace(rig=None, test=scans, train=scans)
+    context = SimpleNamespace(given=given, from_template=[[None, None], failures], source=None, size=None, seed=0)
+    context.fitter = SimpleNamespace(regressor_=None, random_state=0)
+    study_rows = sys.modules["lbsfit_np.bench.study.rows"]
+    monkeypatch.setattr(study_rows, "Augmented", lambda *a: None)
+    monkeypatch.setattr(study_rows, "taught", lambda *a: None)
+    monkeypatch.setattr(study_rows, "study_set", lambda *a, **k: given)
+    of_training = {0.5: failures}
+    monkeypatch.setattr(study_rows, "_free_form", lambda *a, start=0.0, **k: Found("test", failures=of_training.get(start, {})))
+    assert ROWS[row].find(context).before == ({} if row.endswith("3x") else failures)

@@ -12,6 +12,7 @@ from learning_runs import FEWER, collected, learning_is_hurried
 from slow_tests import slow
 
 import lbsfit_np as lbs
+from lbsfit_np.errors import Unforeseen
 from lbsfit_np.learning import finish, first_fits, free_form, tasks
 from lbsfit_np.learning.collection import Collection, Member
 from lbsfit_np.learning.loop import LoopSettings
@@ -308,3 +309,4 @@ def test_failures_after_learning_say_what_the_scan_was_to_it(taught):
     error, after = "ZeroDivisionError: division by zero", "{}, but it has no result: ".format
     said = [after(role) + error if taught else error for role in ("learned from", "held out of learning", "not learned from")]
     assert collection.failures == dict(enumerate(said))
+    assert all(isinstance(why, Unforeseen) for why in collection.failures.values())

@@ -286,13 +286,13 @@ def _told(scan, fits):
 
 
 def _not_learned(fits, learn_from):
-    """A note, in a list, on scans that learning could not use and that have a fit all the same; others fail anyway."""
+    """A note, in a list, on scans of which learning has no result, but that have a fit all the same; others fail anyway."""
     left = {name: fits.not_learned[name] for name in fits.not_learned if fits.has(name)}
     if not left:
         return []
     name = next(iter(left))
     more = f"; also {listed(list(left)[1:], 5)}, see results.json" if len(left) > 1 else ""
-    return [f"{len(left)} of {counted(len(learn_from), 'scan')} not learned from: {name}: {left[name]}{more}"]
+    return [f"{len(left)} of {counted(len(learn_from), 'scan')} without a result of learning: {name}: {left[name]}{more}"]
 
 
 def unit_of(rig, fits, given="auto", *, without=()):

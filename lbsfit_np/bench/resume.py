@@ -97,15 +97,19 @@ def check_same(kept, now, whose=""):
         raise InputError("before", got, f"results of the same {' and '.join(other)}", REMEDY)
 
 
-def unforeseen(failures):
-    """What a row's entry has where failures of its scans, number → why, may not be theirs: as of memory, or of a process."""
-    numbers = [int(i) for i, why in failures.items() if isinstance(why, Unforeseen)]
-    return {"unforeseen": numbers} if numbers else {}
+def unforeseen(failures, before=None):
+    """What a row's entry has where failures of its scans, number → why, may not be theirs: as of memory, or of a process.
+
+    ``before`` has those of what the row builds on, such as scans to learn from.
+    """
+    kinds = {"unforeseen": failures, "unforeseen_before": before or {}}
+    found = {name: [int(i) for i, why in of.items() if isinstance(why, Unforeseen)] for name, of in kinds.items()}
+    return {name: numbers for name, numbers in found.items() if numbers}
 
 
 def is_done(entry):
     """Whether a row needs not be made, or made again: its entry, None where there is none, has no unforeseen failures."""
-    return entry is not None and not entry.get("unforeseen")
+    return entry is not None and not (entry.get("unforeseen") or entry.get("unforeseen_before"))
 
 
 def in_order(seeds):

@@ -154,7 +154,7 @@ def assemble(
     if x_labels is not None:
         term_labels[part.rows] = x_labels
     std = np.full(len(rig.parents), np.nan) if joint_std is None or not finite else joint_std * frame.unit
-    guesses = _guesses(rig, std / (scale * rig.size))
+    guesses = _guesses(rig, std / (judged_by.scale * frame.unit / model.half * rig.size))
     evidence, probability, status, reason = {}, 0.0, "failed", "the fit is not finite; check the scan for extreme outliers"
     if finite and not judged:
         status, reason = "ok", ""

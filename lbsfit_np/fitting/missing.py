@@ -95,7 +95,7 @@ class Shown:
         vertices, faces, there = model.rig.vertices, model.rig.faces, np.flatnonzero(~self.missing)
         rows = PointIndex(vertices[there]).nearest(vertices)  # where none hangs on the rest by triangles, the vertex next to it
         bone, below = vertex_bones(model.rig), subtrees(model.rig.parents) > 0
-        for j in sorted(self.limbs, reverse=True):  # the highest last, as limbs may hang on each other
+        for j in sorted(self.limbs, key=lambda j: -below[:, j].sum()):  # the highest last, as limbs may hang on each other
             own = below[j][bone] & self.missing
             rim = np.setdiff1d(faces[own[faces].any(axis=1)], np.flatnonzero(self.missing))
             of_root = rim[bone[rim] == bones(model.rig)[model.rig.parents[j]]]  # others are of limbs beside it

@@ -74,7 +74,7 @@ class FitSettings:
         σ of each refinement of the labels, each followed by a pose stage.
     polish : int
         Levenberg–Marquardt steps on pose and proportions before the full stage, and as many on all points; 0 leaves them out,
-        and with them other bends, the search for missing limbs and the last steps of the pose.
+        and with them, for single scans, other bends, the search for missing limbs and the last steps of the pose.
     polish_ridge : float
         Weight of ‖c‖² in them.
     ridge : float

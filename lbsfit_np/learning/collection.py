@@ -265,10 +265,10 @@ class Collection:
         found = self._tried(work, tasks, kept, jobs, done, order)
         for m, (_, error) in zip(self.members, found, strict=True):
             if error is not None:
-                self.failures[m.index] = in_words(error)
+                self.failures[m.index] = why = in_words(error)
                 if taught:
                     self.taught[m.index] = m
-                    self.failures[m.index] = f"{m.role}, but it has no result: {in_words(error)}"
+                    self.failures[m.index] = type(why)(f"{m.role}, but it has no result: {why}")  # of the same kind
         self.members = [m for m, (_, error) in zip(self.members, found, strict=True) if error is None]
         return [answer for answer, error in found if error is None]
 

@@ -9,7 +9,7 @@ After pretraining and a first fit of each scan by itself, a round does this:
 4. templates and poses in turn a few times more, each from the other, which takes little time without new labels and starts;
 5. the loss on the scans held out: rounds end when it no longer falls.
 
-At the end the full objective and the registration give each scan what its skin lacks on its subject's template.
+At the end the registration gives each scan what its skin lacks on its subject's template.
 """
 
 import time

@@ -126,7 +126,7 @@ def _made(name, rig, size, seed, rows, jobs, at_once, steps, gone_on, progress, 
             entry["on_training"] = measured(train_truth, found.train)
         lost = np.flatnonzero(~found.test.fitted)
         entry["failures"] = {str(i): found.failures.get(int(i), "its fit is not finite") for i in lost}
-        entry |= unforeseen(entry["failures"])
+        entry |= unforeseen(entry["failures"], found.before)
         arrays = _arrays(found)
         entry |= {"arrays": digest_of(arrays), "code": state_of_the_code(), "environment": environment()}
         say(1.0)

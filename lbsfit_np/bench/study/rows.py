@@ -84,6 +84,8 @@ class Found:
         Of the first fits of joint, for a figure: "template" U^d, "posed" V = M(Θ, U).
     failures : dict of int to str
         Why, by the number of the test scan that could not be fitted.
+    before : dict of int to str
+        The same of the fits that the row builds on, of scans to learn from or of other starts.
     """
 
     test: Registrations
@@ -96,6 +98,7 @@ class Found:
     history: list = field(default_factory=list)
     stages: dict = field(default_factory=dict)
     failures: dict = field(default_factory=dict)
+    before: dict = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -155,8 +158,9 @@ def _from_template(c):
 
 
 def _augmented(c):
-    tasks = list(zip(_points(c.given.test), _on_template(c, 0.25)[0], strict=True))
-    return _free_form(c, Augmented(c.given.rig, c.fitter.regressor_), tasks, start=0.25)
+    starts, failures = _on_template(c, 0.25)
+    tasks = list(zip(_points(c.given.test), starts, strict=True))
+    return replace(_free_form(c, Augmented(c.given.rig, c.fitter.regressor_), tasks, start=0.25), before=failures)
 
 
 def _on_template(c, end=1.0):
@@ -171,7 +175,10 @@ def _supervised(c, times=1):
     scans = c.given.train if times == 1 else study_set(c.source, c.size, c.seed, times=times).train
     fit = taught(c.given.rig, scans, c.fitter.random_state)
     found = _free_form(c, fit, _points(c.given.test), end=0.5 if times == 1 else 1.0)
-    return found if times > 1 else replace(found, train=_free_form(c, fit, _points(c.given.train), start=0.5).test)
+    if times > 1:
+        return found
+    train = _free_form(c, fit, _points(c.given.train), start=0.5)
+    return replace(found, train=train.test, before=train.failures)
 
 
 def _free_form(c, fit, tasks, start=0.0, end=1.0):
@@ -249,7 +256,7 @@ def _learned(c, variant):
         as_kept, kept_accuracy = heard[kept], accuracy[kept]
     stages = _stages(rig, results[:_STAGES]) if variant == "joint" else {}
     told = as_kept, _labels(results), accuracy, kept_accuracy
-    return Found(_registrations(rig, results), train, *told, gap, fitter.history_, stages, failures)
+    return Found(_registrations(rig, results), train, *told, gap, fitter.history_, stages, failures, fitter.failures_)
 
 
 def said(segmenter, scans, jobs):
