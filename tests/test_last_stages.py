@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 import lbsfit_np as lbs
+from lbsfit_np.fitting import last_stages
 from lbsfit_np.fitting.last_stages import LastStages
 from lbsfit_np.fitting.refit import Refit
 from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit
@@ -62,6 +63,29 @@ def test_a_pose_is_polished_before_its_skin_is_registered(hand, posed):
     end = _ended(hand, problem, beside)
     assert _off(hand, end.last.state, truth) < 0.1 * _off(hand, beside, truth)
     assert end.last.state.residual is None and end.last.state.displacement is not None
+
+
+@pytest.mark.parametrize("alike", [0.0, None])
+def test_what_is_said_is_about_the_pose_that_comes_out(hand, posed, monkeypatch, alike):
+    """Of two poses, the full objective's residual counts as long as it has led to the same one."""
+    truth, problem = posed
+    if alike is not None:
+        monkeypatch.setattr(last_stages, "ALIKE", alike)
+    beside = truth.replace(theta=truth.theta + 0.02 * hand.rig.turning)
+    end = _ended(hand, problem, beside)
+    assert (end.judged.residual is None) == (alike is not None)
+    assert (end.judged.theta == end.last.state.theta).all() == (alike is not None)
+    assert end.last.state.displacement is not None and end.judged.displacement is None
+
+
+def test_poses_are_told_apart_by_angles_alone(hand, posed):
+    truth, _ = posed
+    stages = LastStages(hand, FitSettings(), None)
+    skin = truth.replace(residual=0.1 * hand.rig.vertices, scale=2.0, translation=np.ones(3))
+    assert stages._apart(truth, skin) == 0.0
+    other = truth.theta.copy()
+    other[hand.rig.parents == hand.rig.root] += 0.5
+    assert stages._apart(truth, truth.replace(theta=other)) > last_stages.ALIKE
 
 
 def test_fits_of_coarse_meshes_have_nearer_joints(hand):

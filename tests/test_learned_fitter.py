@@ -101,8 +101,8 @@ def test_a_scan_of_a_unit_of_its_own_leaves_no_trace(own, clouds):
 @pytest.mark.parametrize(
     "change",
     [
-        {"weights": "paper"},
-        {"weights": LossWeights(lam_lap=10.0)},
+        {"weights": "paper", "registration": False},
+        {"weights": LossWeights(lam_lap=10.0), "registration": False},
         {"max_points": 100},
     ],
 )

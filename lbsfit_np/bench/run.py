@@ -100,7 +100,7 @@ ROWS = {
     "own": "own segmenter",
     "plain": "plain Chamfer from rest",
     "oracle": "true labels given",
-    "paper": "own segmenter, the paper's weights",
+    "paper": "own segmenter, the paper's weights, no registration",
 }
 # Those that are fitted with the segmenter that pretraining gives.
 _WITH_SEGMENTER = ("own", "paper")
@@ -262,7 +262,7 @@ def _method(row, rig, fitter):
     if row == "own":
         return _Own(rig, fitter)
     if row == "paper":
-        other = clone(fitter).set_params(weights="paper")
+        other = clone(fitter).set_params(weights="paper", registration=False)
         share_pretraining(fitter, other)
         return _Own(rig, other)
     if row == "oracle":

@@ -41,9 +41,9 @@ the truth. Lengths are in cm.
 
 _MORE = """
 Rows: the fit as users get it (own); plain Chamfer from the rest pose (plain); the fit with the true labels given
-(oracle); and, if asked for, the fit with the paper's weights (paper). OUT gets results.json (every figure, settings,
-versions), rewritten after each row, and for each seed a picture of own fits from worst to best. Run the same command again to
-do only what is missing.
+(oracle); and, if asked for, the fit with the paper's weights, without registration (paper). OUT gets results.json (every
+figure, settings, versions), rewritten after each row, and for each seed a picture of own fits from worst to best. Run the
+same command again to do only what is missing.
 """
 
 _ROUNDTRIP = """\

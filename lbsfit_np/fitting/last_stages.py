@@ -7,6 +7,7 @@ import numpy as np
 
 from ..optimize.registration import Registration
 from .confidence import shown_problem
+from .scout import ALIKE
 from .search import Search
 
 __all__ = ["Ended", "LastStages"]
@@ -21,8 +22,8 @@ class Ended:
     last : Outcome
         Of the full objective; its state is what comes out.
     judged : State
-        What the fit is judged by: polished with the residual of the full objective. Brought onto the scan, the skin of a wrong
-        pose explains it, too.
+        What the fit is judged by: polished with the residual of the full objective, or without one where that has led to another
+        pose than comes out. Brought onto the scan, the skin of a wrong pose explains it, too.
     labels : (k,) int array or None
         Parts of the problem's points that the structured term goes by.
     joint_std : (J,) array
@@ -47,8 +48,8 @@ class Ended:
 class LastStages:
     """For one model.
 
-    The full objective compares points with vertices. Where these lie far apart its residual moves joints, and bends the skin that
-    a polish goes by. So where the skin is registered, that is from a pose without one.
+    The full objective compares points with vertices. Where these lie far apart it moves joints and bends the skin that a polish
+    goes by. So where the skin is registered, that is from pose and proportions as they were found.
 
     Parameters
     ----------
@@ -93,11 +94,20 @@ class LastStages:
         """
         with_partner = shown_problem(self.model, problem, state, self.settings.coverage)
         search = Search(self.model, with_partner, proba, labels_known, self.settings).full(state, free)
-        found = judged = search.outcome.state
+        out = judged = search.outcome.state
         if self._polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
-            judged, found = (self.refit.polish(dense, s, **known) for s in (judged, state))
-        out = self._registration(dense, found) if self.settings.registration else judged
+            out = judged = self.refit.polish(dense, judged, **known)
+        if self.settings.registration:
+            if self._polish:
+                out = self.refit.polish(dense, state, **known)
+                judged = out if self._apart(out, judged) > ALIKE else judged  # what is said is about the pose that comes out
+            out = self._registration(dense, out)
         told = self.refit if looked_for is None else self.refit.freeing(looked_for)
         std = told.joint_std(with_partner, judged, proba)
         return Ended(replace(search.outcome, state=out), judged, search.labels, std, search.evaluations)
+
+    def _apart(self, state, other):
+        """How far the angles of two states put joints apart, on the mean, whatever their proportions, place and residual."""
+        one, other = (self.model.deformed(s).joints for s in (state, state.replace(theta=other.theta)))
+        return np.linalg.norm(one - other, axis=1).mean()
