@@ -46,7 +46,7 @@ def test_without_registration_what_is_judged_comes_out(hand, posed):
     end, registered = (_ended(hand, problem, truth, registration=r) for r in (False, True))
     assert end.last.state is end.judged and end.judged.residual is not None
     np.testing.assert_array_equal(end.judged.theta, registered.judged.theta)
-    np.testing.assert_array_equal(end.joint_std, registered.joint_std)
+    assert (end.joint_std != registered.joint_std).any()  # each is of what comes out
 
 
 def test_without_a_polish_the_pose_is_that_of_the_full_objective(hand, posed):

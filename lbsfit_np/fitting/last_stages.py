@@ -27,7 +27,7 @@ class Ended:
     labels : (k,) int array or None
         Parts of the problem's points that the structured term goes by.
     joint_std : (J,) array
-        Of ``judged``.
+        Of what comes out, as it was before its skin was registered.
     evaluations : int
     """
 
@@ -98,13 +98,13 @@ class LastStages:
         if self._polish:
             # The residual takes what the template lacks; the pose is better known by distances to the surface, of many points.
             out = judged = self.refit.polish(dense, judged, **known)
-        if self.settings.registration:
-            if self._polish:
-                out = self.refit.polish(dense, state, **known)
-                judged = out if self._apart(out, judged) > ALIKE else judged  # what is said is about the pose that comes out
-            out = self._registration(dense, out)
+        if self.settings.registration and self._polish:
+            out = self.refit.polish(dense, state, **known)
+            judged = out if self._apart(out, judged) > ALIKE else judged  # what is said is about the pose that comes out
         told = self.refit if looked_for is None else self.refit.freeing(looked_for)
-        std = told.joint_std(with_partner, judged, proba)
+        std = told.joint_std(with_partner, out, proba)
+        if self.settings.registration:
+            out = self._registration(dense, out)
         return Ended(replace(search.outcome, state=out), judged, search.labels, std, search.evaluations)
 
     def _apart(self, state, other):
