@@ -45,6 +45,18 @@ def test_pairs_of_a_scan_in_another_unit_are_left_out_counted_and_told(mixed, tm
     assert report["notes"][-1].startswith("s3 seems")
 
 
+def test_where_no_pair_is_in_one_unit_the_run_fails_and_keeps_its_fits(mixed, tmp_path, run, monkeypatch):
+    folder, given = mixed
+    for name in ("s1", "s2"):
+        (folder / f"{name}.ply").unlink()
+    rows = (folder / "truth.csv").read_text().splitlines()
+    (folder / "truth.csv").write_text("\n".join(r for r in rows if not r.startswith(("s1", "s2"))))
+    fits_are_given(monkeypatch, given)
+    code, _, err = run(*_command(folder, tmp_path / "out", "--no-learn"))
+    assert code == 2 and "in another unit than the others, and no pair without it" in err and "Convert them" in err
+    assert len(list((tmp_path / "out" / "fits").glob("*.npz"))) == 2
+
+
 def test_nothing_is_left_out_where_all_are_in_one_unit(pair_folder, pair_meshes, tmp_path, run, monkeypatch):
     """Not even of a fit whose scale is wrong."""
     fits_are_given(monkeypatch, {f"s{i}": (v, {"scale": 40.0 if i == 3 else 1.0}) for i, v in enumerate(pair_meshes)})

@@ -77,7 +77,7 @@ def pairs_bench(
     Raises
     ------
     InputError, FileError
-        As ``fit_scans_of``; a truth that does not fit the scans.
+        As ``fit_scans_of``; a truth that does not fit the scans; scans in so many units that no pair is in one.
     """
     started = time.perf_counter()
     tell = getattr(reporter, "noted", lambda words: None)
@@ -93,6 +93,9 @@ def pairs_bench(
     later = _not_learned(fits, learn_from)
     odd = {} if truth is None else in_another_unit(scans, fits)
     pairs, apart = _without(pairs, {i for i, s in enumerate(scans) if s.name in odd})
+    if odd and not any(pairs.values()):
+        got = f"{listed(list(odd), 5)} in another unit than the others, and no pair without {'it' if len(odd) == 1 else 'them'}"
+        raise InputError("scans", got, "scans in one unit", "Convert them and run again; fits of the others are kept.")
     if odd:
         later.append(_apart(odd, sum(apart.values()), learn))
     for note in later:
