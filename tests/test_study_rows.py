@@ -164,7 +164,7 @@ def _learned(rig, size, monkeypatch, *, units, scales):
         U, joints = (in_rig_units(places, unit) for places in true["train"][k])
         templates[k] = SimpleNamespace(vertices=U, joints=joints)
     own = {"template_": templates, "unit_": units, "history_": [], "segmenter_": None, **PRETRAINED, "rounds": 1}
-    fitter = SimpleNamespace(**own, fit=lambda *given, **more: None, fit_scan=fit_scan)
+    fitter = SimpleNamespace(**own, failures_={}, fit=lambda *given, **more: None, fit_scan=fit_scan)
     fitter.set_params = lambda **parameters: fitter
     monkeypatch.setattr("sklearn.base.clone", lambda fitter: fitter)
     return given, ROWS["cd"].find(Context(rig, given, size, 5, fitter, None, None, 1, lambda share: None))
@@ -202,11 +202,12 @@ def test_labels_are_those_of_the_round_that_is_kept(tube_rig, monkeypatch):
     template = SimpleNamespace(vertices=tube_rig.vertices, joints=tube_rig.joints)
     history = [{"round": i, "kept": i == 1} for i in range(3)]
     own = {"template_": {k: template}, "unit_": {k: 1.0}, "history_": history, **PRETRAINED, "rounds": 2}
-    fitter = SimpleNamespace(**own, fit=fit, fit_scan=fit_scan)
+    fitter = SimpleNamespace(**own, failures_={0: "lost"}, fit=fit, fit_scan=fit_scan)
     fitter.set_params = lambda **parameters: fitter
     c = Context(tube_rig, given, size, 5, fitter, lambda: [0.5], lambda labels: labels[0], 1, lambda share: None)
     found = ROWS["rand"].find(c)
     assert (found.accuracy, found.kept_accuracy, found.labels) == ([0.5, 0.7, 0.6], 0.7, [0.7])
+    assert found.before == {0: "lost"}
 
 
 def test_three_times_the_data_is_more_people(tube_rig, monkeypatch):
