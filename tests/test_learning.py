@@ -1,5 +1,6 @@
 """Learning from a collection: fits of many scans together beat fits of each by itself."""
 
+import copy
 import pickle
 import re
 from dataclasses import replace
@@ -32,10 +33,11 @@ def test_many_scans_together_beat_each_by_itself(tube_rig, learned_people, unlea
     truth = [people_scans[GIVEN[k]] for k in WHOLE]
     together = [learned_people.results_[k] for k in WHOLE]
     few = 6
-    single = [unlearned.fit_scan(s.points) for s in truth[:few]]
-    for what, most in (("joints", 0.006), ("vertices", 0.004)):
-        gap, alone = (mean_gap(tube_rig, found[:few], truth[:few], what) for found in (together, single))
-        assert gap < min(alone, most)
+    by_objective = copy.copy(unlearned).set_params(registration=False)
+    single, by_losses = ([fitter.fit_scan(s.points) for s in truth[:few]] for fitter in (unlearned, by_objective))
+    for what, most, share in (("joints", 0.006, 0.6), ("vertices", 0.004, 0.5)):
+        gaps = [mean_gap(tube_rig, found[:few], truth[:few], what) for found in (together, single, by_losses)]
+        assert gaps[0] < min(gaps[1], share * gaps[2])
         assert mean_gap(tube_rig, together, truth, what) < most
     labels = np.mean([(r.labels == s.labels).mean() for r, s in zip(together, truth)])
     assert labels > 0.9
