@@ -1,4 +1,4 @@
-"""One place where random streams are derived: same seed and same keys, same stream, whatever runs before or beside it."""
+"""Random streams from the user's seed: same seed and same keys, same stream, whatever runs before or beside it."""
 
 import zlib
 

@@ -35,6 +35,10 @@ BAD = {
         broken(joint_names=["root", "elbow", "long", "b\ud83d"]),
         r"joint_names: got 'b\\ud83d', which has what UTF-8 cannot hold; expected names of Unicode characters\. Rename",
     ),
+    "NUL in a joint's name": (
+        broken(joint_names=["root", "elbow", "long", "b\0"]),
+        r"joint_names: got 'b\\x00', which has a NUL; expected names without one\. Rename",
+    ),
     "half of a character in a part's name": (
         broken(partitions={"own": {"b\ud83d": ("root",)}}),
         r"partitions: got 'b\\ud83d', which has what UTF-8 cannot hold",

@@ -16,10 +16,11 @@ from lbsfit_np.errors import FileError, InputError
 from lbsfit_np.io import npz_rig
 from lbsfit_np.io.npz import npz_keys, read_npz
 from lbsfit_np.io.npz_rig import read_body_npz, read_rig_npz, save_rig
-from lbsfit_np.io.rigs import load_rig, rig_for_card
+from lbsfit_np.io.rigs import load_rig, read_rig_data, rig_for_card
 from lbsfit_np.rig.build import build_rig
 from lbsfit_np.rig.card import Card, read_card, write_card
 from lbsfit_np.rig.card_text import card_text
+from lbsfit_np.rig.mirror import mirrored
 from lbsfit_np.rig.shapes import ShapeSpace
 
 
@@ -321,6 +322,22 @@ def test_the_first_of_several_shapes_is_told_where_none_is_asked_for(tmp_path):
     assert not any("shapes" in note for note in load_rig(body(tmp_path), shape="slim").notes)
     one = {key: np.load(body(tmp_path))[key][:1] for key in ("verts", "joints", "tails", "shape_names")}
     assert not any("shapes" in note for note in load_rig(body(tmp_path, **one)).notes)
+
+
+def test_shape_names_are_one_for_each_shape(tmp_path):
+    path = body(tmp_path, shape_names=np.array(["slim", "tall", "wide"]))
+    for shape in (None, "wide", 0):
+        with pytest.raises(FileError, match="3 shape_names for 2 shapes of verts; expected one name for each"):
+            load_rig(path, shape=shape)
+
+
+def test_axes_along_bones_go_by_the_tails(tmp_path):
+    """As those of the file do: a card that asks for them changes nothing but the root's, which are the rig's."""
+    rig = load_rig(body(tmp_path))
+    along = build_rig(read_rig_data(body(tmp_path)), Card(frames=(("*", "bone"),)))
+    np.testing.assert_allclose(along.frames[1:], rig.frames[1:], atol=1e-12)
+    other = build_rig(mirrored(read_rig_data(body(tmp_path))), Card(frames=(("*", "bone"),)))
+    np.testing.assert_allclose(other.frames[:, :, 1], along.frames[:, :, 1] * [-1, 1, 1], atol=1e-12)
 
 
 @pytest.mark.parametrize("shape", ["tal", 2, -1, 1.5j, "7", 0.9, True])

@@ -39,7 +39,15 @@ def test_points_normals_and_labels_come_back(tmp_path, name):
     assert scan.name == name.rsplit(".", 1)[0] and scan.path == tmp_path / name
 
 
-@pytest.mark.parametrize("name, content", [("m.obj", obj), ("m.off", off), ("b.stl", binary_stl), ("a.stl", ascii_stl)])
+def not_binary():
+    """An OFF file that only mentions the word."""
+    return b"OFF\n# not BINARY" + off()[3:]
+
+
+@pytest.mark.parametrize(
+    "name, content",
+    [("m.obj", obj), ("m.off", off), ("no.off", not_binary), ("b.stl", binary_stl), ("a.stl", ascii_stl)],
+)
 def test_meshes_give_their_vertices_in_order(tmp_path, name, content):
     scan = load_scan(write(tmp_path, name, content()))
     np.testing.assert_array_equal(scan.points, POINTS)

@@ -76,6 +76,7 @@ BAD = {
     "cut.off": (lambda: off()[:-4], "face 3: '3 1'"),
     "short2.off": (lambda: off()[:40], "ends after 2 of 4 vertices|cannot be read"),
     "binary.off": (lambda: b"OFF BINARY\n" + bytes(40), "binary"),
+    "binary4.off": (lambda: b"# ours\nNOFF BINARY\n" + bytes(40), "binary"),
     "counts.off": (lambda: b"OFF\nfour 4 0\n", "'four 4 0'.*numbers of vertices"),
     "range.off": (lambda: off().replace(b"3 0 1 2", b"3 0 1 4"), "face 0 with vertices out of range"),
     "index.off": (lambda: off().replace(b"3 0 1 2", b"3 0 1 " + b"9" * 30), "face 0: '3 0 1 999"),

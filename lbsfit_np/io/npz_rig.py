@@ -272,13 +272,22 @@ def read_body_npz(path, *, shape=None):
 
 
 def _first_of(file, n):
-    names = file.names("shape_names") if "shape_names" in file else []
+    names = _shape_names(file, n)
     which = f", {listed(list(map(repr, names)))}" if names else ""
     return f"the file has {n} shapes{which}; the first is taken (shape=... and --shape take another)"
 
 
-def _shape_row(file, shape, n):
+def _shape_names(file, n):
+    """Names of the n shapes; none where the file does not say."""
     names = file.names("shape_names") if "shape_names" in file else []
+    if names and len(names) != n:
+        got = f"{len(names)} shape_names for {n} shapes of verts"
+        raise FileError(str(file.path), got, "one name for each, or no shape_names")
+    return names
+
+
+def _shape_row(file, shape, n):
+    names = _shape_names(file, n)
     if shape is None:
         return 0
     if isinstance(shape, str):

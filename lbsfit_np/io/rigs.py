@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..bundled import bundled_files
-from ..errors import FileError, InputError, likeliest
+from ..errors import FileError, InputError, brief, likeliest
 from ..rig.build import build_rig
 from ..rig.chains import loose_joints
 from ..rig.mirror import mirrored
@@ -64,6 +64,8 @@ def load_rig(path_or_name, *, card=None, shape=None, skin=None, normalize_weight
     FileError, InputError
         The error says what was given, what was expected, and what to do.
     """
+    if not isinstance(normalize_weights, (bool, np.bool_)):
+        raise InputError("normalize_weights", brief(normalize_weights), "True or False")
     data = read_rig_data(path_or_name, shape=shape, skin=skin)
     if isinstance(card, str) and card == "none":
         card = None

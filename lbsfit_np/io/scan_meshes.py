@@ -122,8 +122,8 @@ def read_off(path):
     """Read an ASCII OFF file (also COFF, NOFF and the like), its polygons as fans of triangles; colours are not looked at."""
     with open(path, "rb") as file:
         head = file.read(512)
-    magic = re.match(rb"(?:\xef\xbb\xbf)?(?:\s|#[^\n]*\n)*((?:ST|C|N)*)(4)?(n)?(?:OFF|off)(?![a-zA-Z])", head)
-    if magic is None or magic[2] or magic[3] or b"BINARY" in head or b"\0" in head:
+    magic = re.match(rb"(?:\xef\xbb\xbf)?(?:\s|#[^\n]*\n)*((?:ST|C|N)*)(4)?(n)?(?:OFF|off)(?![a-zA-Z])(\s+BINARY)?", head)
+    if magic is None or magic[2] or magic[3] or magic[4] or b"\0" in head:
         got = "content that does not start with 'OFF'" if magic is None else "a binary or higher-dimensional OFF file"
         raise FileError(
             str(path), got, "an ASCII OFF file of three dimensions", "Check the extension, or convert the file to PLY."

@@ -82,8 +82,10 @@ def load_scan(path, *, n_samples=None, random_state=0, drop_invalid=False):
         Missing, truncated or damaged file, unknown extension, no points, NaN or infinite points, all points equal, faces
         that refer to missing vertices.
     InputError
-        ``n_samples`` is not a positive whole number.
+        ``n_samples`` is not a positive whole number, or ``drop_invalid`` neither True nor False.
     """
+    if not isinstance(drop_invalid, (bool, np.bool_)):
+        raise InputError("drop_invalid", brief(drop_invalid), "True or False")
     if n_samples is not None and not is_whole(n_samples, 1):
         raise InputError("n_samples", brief(n_samples), "a positive whole number, or None for the points as they are")
     if n_samples is not None and n_samples > sys.maxsize:

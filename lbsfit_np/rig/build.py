@@ -27,7 +27,7 @@ from .checks import (
     following_root,
 )
 from .clips import poses_of_clips, under_other_parents
-from .frames import bone_frames, child_directions, frames_along
+from .frames import bone_directions, bone_frames, frames_along
 from .hierarchy import parents_by_card
 from .limits import DEFAULT_LIMIT, DEFAULT_ROOT_LIMIT, NO_LIMITS, OUTSIDE, derived_limits, without_rest
 from .partition import check_partition, partition_names
@@ -94,7 +94,7 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
         data = replace(data, animated=under_other_parents(animated, frames, np.asarray(data.parents), parents))
     if data.bones is not None and ((up, forward) != (data.up, data.forward) or not np.array_equal(parents, data.parents)):
         frames = frames_along(data.bones, joints, parents, up, forward)
-    frames, turned = _frames(frames, joints, parents, names, card, up, forward)
+    frames, turned = _frames(frames, data.bones, joints, parents, names, card, up, forward)
     sound = proper(faces)  # what else there is of vertices says nothing of joints
     surface = np.unique(faces[sound] if sound.any() else faces)
     regressor = _regressor(report, data, vertices, weights, surface, parents, joints, names, notes)
@@ -164,24 +164,23 @@ def _as_card(card):
     raise InputError("card", type(card).__name__, "a Card, or the path of a card file")
 
 
-def _frames(frames, joints, parents, names, card, up, forward):
+def _frames(frames, bones, joints, parents, names, card, up, forward):
     """Rest frames after the card's [frames], and (J, 3, 3) rotations from new to old axes (None where nothing changed)."""
     if not card.frames:
         return frames, None
-    old, new = frames, frames.copy()
-    bones = None
+    old, new, along = frames, frames.copy(), None
     for pattern, kind in card.frames:
         rows = matching(pattern, names, f"{card.where}, [frames]")
         if kind == "rig":
             new[rows] = np.eye(3)
             continue
-        if bones is None:
+        if along is None:
             if up is None or forward is None:
                 raise InputError(
                     f"{card.where}, [frames]", f"'bone' for {pattern!r}, but no up and forward axes", "both, in the card's [rig]"
                 )
-            bones = bone_frames(child_directions(joints, parents), up, forward)
-        new[rows] = bones[rows]
+            along = bone_frames(bone_directions(bones, joints, parents), up, forward)
+        new[rows] = along[rows]
     changed = np.abs(new - old).max(axis=(1, 2)) > 1e-9
     return new, (np.swapaxes(new, 1, 2) @ old if changed.any() else None)
 

@@ -8,6 +8,7 @@ import numpy as np
 from .chains import loose_joints
 from .clips import under_other_parents
 from .data import RigData
+from .frames import bone_frames, child_directions
 from .limits import all_derived, derived_limits
 from .units import unit_name
 
@@ -47,9 +48,7 @@ def card_text(rig):
         "# limits give their full names (no glob).",
         f"joints = {_list(n for n, on in zip(names, locked) if on)}",
         "",
-        "# [frames]",
-        '# "*" = "bone"     # axes of the angles: y along the bone, x across (bending), z forward; "rig": the rig\'s own axes',
-        "",
+        *_frames_table(rig, names, parents),
     ]
     lines += _limits_table(rig, names, parents, root, guess, merged | locked)
     lines += _parts_tables(rig, root)
@@ -134,6 +133,24 @@ def _chains(parents, root):
             chains.append(chain)
             open_ends.append(chain[-1])
     return chains
+
+
+def _frames_table(rig, names, parents):
+    """Of a built rig, all axes that a card can give: nobody knows whether a card or the file has given them."""
+    told = "axes of the angles: y along the bone, x across (bending), z forward; \"rig\": the rig's own axes"
+    kinds = {}
+    if not isinstance(rig, RigData):
+        ways = {"rig": np.broadcast_to(np.eye(3), rig.frames.shape)}
+        if rig.up and rig.forward:
+            ways["bone"] = bone_frames(child_directions(np.asarray(rig.joints), parents), rig.up, rig.forward)
+        for kind, frames in ways.items():
+            kinds |= {names[j]: kind for j in np.flatnonzero(np.abs(rig.frames - frames).max(axis=(1, 2)) < 1e-9)}
+    if not kinds:
+        return ["# [frames]", f'# "*" = "bone"     # {told}', ""]
+    lines = [f"{_quote(name)} = {_quote(kinds[name])}" for name in names if name in kinds]
+    if len(kinds) == len(names) and len(set(kinds.values())) == 1:
+        lines = [f'"*" = {_quote(kinds[names[0]])}']
+    return ["[frames]", f"# {told[0].upper()}{told[1:]}", *lines, ""]
 
 
 def _limits_table(rig, names, parents, root, guess, still):

@@ -173,11 +173,13 @@ def _range(values, digits):
 
 
 def check_names(report, field, names):
-    """Raise where one of the names has half of a character, which nothing could be written or digested with."""
-    odd = [name for name in names if re.search(r"[\ud800-\udfff]", name)]
-    if odd:
-        remedy = "Rename the joint or part in the rig's file."
-        report.fail(field, f"{odd[0]!r}, which has what UTF-8 cannot hold", "names of Unicode characters", remedy)
+    """Raise where one of the names has half of a character, or NUL, which saved rigs could not hold."""
+    for odd, what, wanted in (
+        (r"[\ud800-\udfff]", "what UTF-8 cannot hold", "names of Unicode characters"),
+        (r"\0", "a NUL", "names without one"),
+    ):
+        if named := [name for name in names if re.search(odd, name)]:
+            report.fail(field, f"{named[0]!r}, which has {what}", wanted, "Rename the joint or part in the rig's file.")
 
 
 def check_joints(report, data):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-__all__ = ["AXES", "bone_frames", "child_directions", "frames_along", "up_axis"]
+__all__ = ["AXES", "bone_directions", "bone_frames", "child_directions", "frames_along", "up_axis"]
 
 # The names that files, cards and rigs use for directions.
 AXES = {
@@ -67,10 +67,18 @@ def frames_along(bones, joints, parents, up, forward):
     (J, 3, 3) array
         As of :func:`bone_frames`.
     """
-    long_enough = np.linalg.norm(bones, axis=1) > 1e-6 * max(float(np.ptp(joints, axis=0).max()), 1e-30)
-    frames = bone_frames(np.where(long_enough[:, None], bones, child_directions(joints, parents)), up, forward)
+    frames = bone_frames(bone_directions(bones, joints, parents), up, forward)
     frames[parents < 0] = np.eye(3)
     return frames
+
+
+def bone_directions(bones, joints, parents):
+    """(J, 3), of any length but 0: along the bones where these are known, as for :func:`frames_along`, else to the children."""
+    by_children = child_directions(joints, parents)
+    if bones is None:
+        return by_children
+    long_enough = np.linalg.norm(bones, axis=1) > 1e-6 * max(float(np.ptp(joints, axis=0).max()), 1e-30)
+    return np.where(long_enough[:, None], bones, by_children)
 
 
 def child_directions(joints, parents):

@@ -74,6 +74,7 @@ def mirrored(rig, name=None, *, axis="x"):
         smpl_rest=None if rig.smpl_rest is None or names != list(rig.joint_names) else _smpl_rest(rig.smpl_rest, sign),
         notes=type(rig.notes)(_renamed(note, dict(zip(rig.joint_names, names, strict=True))) for note in rig.notes),
         **_granularity(rig),
+        **({} if getattr(rig, "bones", None) is None else {"bones": flip(rig.bones)}),
     )
 
 
