@@ -6,9 +6,14 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
+from ..bundled import bundled_files
 from ..errors import FileError
+from ..rig.build import build_rig
 from ..rig.data import RigData
+from ..rig.mirror import mirrored
+from ..rig.smpl_anatomy import anatomy_of
 from .npz import npz_keys, read_npz
+from .npz_rig import read_rig_npz
 from .unpickle import ChumpyObject, safe_load
 
 __all__ = ["read_smpl"]
@@ -50,9 +55,10 @@ def read_smpl(path):
     Returns
     -------
     RigData
-        Lengths in metres; up "+y" and forward "+z" for the bodies, unknown for MANO and other numbers of joints. Rest frames
-        are the identity: the family's joint angles turn about the model's own axes. Joints have the family's usual names
-        for 24, 52, 55 and 16 joints, else joint_00, joint_01, …
+        Lengths in metres; up "+y" and forward "+z" for the bodies, by the joints for MANO, unknown for other numbers of joints.
+        Rest frames are the identity: the family's joint angles turn about the model's own axes. Joints have the family's usual
+        names for 24, 52, 55 and 16 joints, else joint_00, joint_01, … Limits and natural poses are those of the bundled rigs
+        where the joints lie as people's do (``rig.smpl_anatomy``), else there are none.
 
     Raises
     ------
@@ -79,6 +85,7 @@ def read_smpl(path):
 
     family, names = _NAMES.get(J, (None, [f"joint_{j:0{max(2, len(str(J - 1)))}d}" for j in range(J)]))
     body = family is not None and family != "MANO"
+    known = anatomy_of(names, parents, joints, _bundled) if family is not None else None
     return RigData(
         name=path.stem,
         vertices=vertices,
@@ -89,17 +96,30 @@ def read_smpl(path):
         joints=joints,
         frames=np.broadcast_to(np.eye(3), (J, 3, 3)).copy(),
         regressor=regressor,
+        lower=None if known is None else known.lower,
+        upper=None if known is None else known.upper,
         metres_per_unit=1.0,
-        up="+y" if body else None,
-        forward="+z" if body else None,
+        up="+y" if body else known and known.up,
+        forward="+z" if body else known and known.forward,
+        poses={} if known is None else known.poses,
         smpl_rest=np.broadcast_to(np.eye(3), (J, 3, 3)).copy(),
-        notes=_notes(model, family, J),
+        notes=_notes(model, family, J, known),
         path=path,
     )
 
 
-def _notes(model, family, J):
+def _bundled(name):
+    """A bundled rig."""
+    if name == "hand-left-coarse":
+        return mirrored(_bundled("hand-coarse"))
+    return build_rig(read_rig_npz(bundled_files("*.npz")[name]))
+
+
+def _notes(model, family, J, known):
     notes = []
+    if known is not None:
+        whose = f"those of {known.source}, about the model's axes"
+        notes.append(f"the file has no limits and no natural poses: {whose}, are used (a card's [limits] can replace them)")
     if family is None:
         notes.append(f"{J} joints match no known model of the SMPL family: joints are numbered, and the up axis is unknown")
     left_out = [key for key in ("shapedirs", "posedirs") if key in model]
