@@ -136,6 +136,7 @@ BAD = {
     "child out of range": (edited(put("nodes.3.children", [400])), "nodes[400]"),
     "bad transform": (edited(put("nodes.3.translation", [0, 1])), "translation of node 3"),
     "infinite transform": (edited(put("nodes.3.translation", [0, 1, float("inf")])), "finite"),
+    "overflow": (edited(lambda r: [n.update(scale=[1e299] * 3) for n in r["nodes"][:2]]), "node 0, which is scaled or moved bey"),
     "zero rotation": (edited(put("nodes.3.rotation", [0, 0, 0, 0])), "rotation of length 0"),
     "nodes are no list": (edited(put("nodes", {"a": 1})), "nodes of the file"),
     "scene out of range": (edited(put("scene", 9)), "scenes[9]"),

@@ -103,6 +103,25 @@ def test_without_a_witness_the_scene_itself_is_called_so(tmp_path):
     assert "the rest pose is the bind pose, assumed to be in the scene's own frame, from which the posed mesh" in data.notes[0]
 
 
+@pytest.mark.parametrize("scale", [[1, 1, 0], [1, 0, 1], [0, 1, 0], [0, 0, 0], [1e-9, 1, 1]])
+@pytest.mark.parametrize("joint", [1, 2, 3, 4])
+def test_joints_that_are_flattened_tell_no_place(tmp_path, scale, joint):
+    """Determinants of singular matrices are rounding errors, whose cube roots look like scales."""
+    writer = write_arm(ARM, armature=TILTED)
+    writer.json["nodes"][joint]["scale"] = scale
+    data = read_gltf(save(writer, tmp_path))
+    check_arm(data, TILTED, atol=1e-5)
+    assert f"({ARM.names[joint]} is flattened)" in data.notes[0] and "node 'Armature'" in data.notes[0]
+
+
+def test_bind_space_is_kept_where_all_joints_are_flattened(tmp_path):
+    writer = write_arm(ARM)
+    writer.json["nodes"][0]["scale"] = [1, 1, 0]
+    data = read_gltf(save(writer, tmp_path))
+    check_arm(data, np.eye(4))
+    assert data.up is None and "its unit is unknown" in data.notes[0]
+
+
 def test_a_majority_of_the_skin_decides_where_no_node_fits(tmp_path):
     """Bind space is no node's space (0.02 of the armature's), and only the tip is posed."""
     posed = np.zeros((5, 3))

@@ -28,7 +28,7 @@ from ..errors import InputError, is_whole, listed
 from ..rig.data import RigData
 from ..rotations import rotvec_from_matrix
 from .gltf_buffers import open_gltf
-from .gltf_frame import SCENE, blend, nearest_rotations, place
+from .gltf_frame import SCENE, blend, flattening, nearest_rotations, place
 from .gltf_meshes import skinned_geometry
 from .gltf_nodes import NodeGraph
 
@@ -246,8 +246,7 @@ def _inverse_bind_matrices(document, item, names, where):
 
 
 def _inverted(document, matrices, names, what):
-    stretch = np.linalg.svd(matrices[:, :3, :3], compute_uv=False)
-    flat = stretch[:, 2] <= 1e-7 * stretch[:, 0]
+    flat = flattening(matrices)
     if flat.any():
         raise document.error(f"the {what} of {names[int(flat.argmax())]!r} that flattens space", "invertible matrices")
     return np.linalg.inv(matrices)

@@ -18,7 +18,8 @@ asked in turn:
    45° (and against other such nodes by 20° more): people are seldom stored lying down;
 5. none: the rig stays in bind space, and up and forward stay unknown. Its unit is still known where the scale is.
 
-Where a node's world matrix is the S that was found, it is taken instead, being free of rounding.
+Where a node's world matrix is the S that was found, it is taken instead, being free of rounding. A joint that is scaled to
+nothing, be it along one axis only, has no place that the mesh could be brought to: its S is never the transform.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ import numpy as np
 
 from ..medians import weighted_median
 
-__all__ = ["SCENE", "Placement", "blend", "nearest_rotations", "place"]
+__all__ = ["SCENE", "Placement", "blend", "flattening", "nearest_rotations", "place"]
 
 # Of what may be bind space, what is no node.
 SCENE = "the scene"
@@ -87,10 +88,12 @@ def place(vertices, weights, skinning, joint_labels, roots, candidates):
     mass = mass / mass.sum() if mass.sum() > 0 else np.full(len(mass), 1.0 / len(mass))
     corners = _corners(vertices)
     determinants = np.linalg.det(skinning[:, :3, :3])
+    flat = flattening(skinning)
+    upright = np.where(flat, 0.0, mass)  # what is flat has no scale: its determinant is a rounding error
     scales = np.cbrt(np.abs(determinants))
-    scale = weighted_median(scales, mass)
-    mirrored = mass[determinants < 0].sum() > 0.5
-    one_scale = scale > 0 and mass[np.abs(scales - scale) <= _SCALE * scale].sum() >= 0.9
+    scale = weighted_median(scales[~flat], mass[~flat]) if upright.any() else 0.0
+    mirrored = upright[determinants < 0].sum() > 0.5 * upright.sum()
+    one_scale = scale > 0 and upright[np.abs(scales - scale) <= _SCALE * scale].sum() >= 0.9
 
     def agree(matrix):
         size = max(_spread(corners, matrix), np.finfo(float).tiny)
@@ -99,17 +102,18 @@ def place(vertices, weights, skinning, joint_labels, roots, candidates):
     fitting = []
     for label, matrix in candidates:
         determinant = np.linalg.det(matrix[:3, :3])
-        if abs(np.cbrt(abs(determinant)) - scale) <= _SCALE * scale and (determinant < 0) == mirrored and scale > 0:
+        alike = abs(np.cbrt(abs(determinant)) - scale) <= _SCALE * scale and (determinant < 0) == mirrored
+        if alike and scale > 0 and not flattening(matrix):
             fitting.append((label, matrix, agree(matrix)))
-    shares = np.array([agree(S) @ mass for S in skinning])
-    best = int(np.argmax(shares + 1e-9 * mass))
+    shares = np.array([agree(S) @ upright for S in skinning])
+    best = int(np.argmax(np.where(flat, -1.0, shares + 1e-9 * mass)))
     bearing = mass > 0
     all_agree = scale > 0 and bool(agree(skinning[best])[bearing].all())
 
     chosen, how, notes = None, None, []
     witnessed = [c for c in fitting if c[2][roots].any() or c[2] @ mass >= _WITNESSES]
     if all_agree:
-        chosen = _mean(skinning, mass * agree(skinning[best]))
+        chosen = _mean(skinning, upright * agree(skinning[best]), skinning[best])
         same = [c for c in fitting if _agree(chosen, c[1], corners)]
         if same:
             chosen = min(same, key=lambda c: np.abs((c[1] - chosen) @ corners.T).max())[1]
@@ -117,19 +121,19 @@ def place(vertices, weights, skinning, joint_labels, roots, candidates):
         label, chosen, _ = max(witnessed, key=lambda c: (c[2] @ mass, c[2].sum()))
         how = f"{_placed_like(label)}, as joints that are not posed confirm"
     elif scale > 0 and shares[best] >= _MAJORITY:
-        chosen = _mean(skinning, mass * agree(skinning[best]))
+        chosen = _mean(skinning, upright * agree(skinning[best]), skinning[best])
         share = f"the {100 * shares[best]:.0f} % of the skin that moves with it"
         how = f"placed in the scene like {joint_labels[best]} and {share}"
     else:
         posed = blend(vertices, weights, skinning)
         turned = nearest_rotations((_covariance(vertices, posed) * (-1.0 if mirrored else 1.0))[None])[0]
-        label, chosen = _least_turned(fitting, turned, mirrored)
+        label, chosen = _least_turned(fitting if upright.sum() >= _MAJORITY else [], turned, mirrored)
         if chosen is not None:
             how = f"assumed to be {_placed_like(label)}, from which the posed mesh is turned the least"
     if chosen is not None:
         if not all_agree:
-            turn = _largest_turn(skinning, chosen, bearing, joint_labels)
-            notes.append(f"the nodes are not in the bind pose ({turn}); the rest pose is the bind pose, {how}")
+            unlike = _largest_turn(skinning, chosen, bearing, flat, joint_labels)
+            notes.append(f"the nodes are not in the bind pose ({unlike}); the rest pose is the bind pose, {how}")
         notes += _placed(chosen)
         return Placement(chosen, np.eye(4), True, 1.0, tuple(notes))
 
@@ -155,6 +159,12 @@ def blend(vertices, weights, skinning):
     matrices = (weights @ skinning[:, :3].reshape(len(skinning), 12)).reshape(-1, 3, 4)
     moved = np.einsum("iab,ib->ia", matrices[:, :, :3], vertices) + matrices[:, :, 3]
     return np.where(sums[:, None] > 0, moved / np.where(sums > 0, sums, 1.0)[:, None], vertices)
+
+
+def flattening(matrices):
+    """Whether affine maps, (..., 4, 4), take space to a plane, a line or a point; their inverses would be rounding errors."""
+    stretch = np.linalg.svd(matrices[..., :3, :3], compute_uv=False)
+    return stretch[..., 2] <= 1e-7 * stretch[..., 0]
 
 
 def nearest_rotations(linear):
@@ -207,10 +217,13 @@ def _placed(matrix):
     return notes
 
 
-def _largest_turn(skinning, chosen, bearing, labels):
+def _largest_turn(skinning, chosen, bearing, flat, labels):
+    """What tells most that joints stand elsewhere than as bound, in words."""
     rotations = nearest_rotations(skinning[:, :3, :3] @ np.linalg.inv(chosen[:3, :3]))
-    angles = np.where(bearing, [_angle(R) for R in rotations], 0.0)
+    angles = np.where(bearing & ~flat, [_angle(R) for R in rotations], 0.0)
     j = int(np.argmax(angles))
+    if angles[j] < np.radians(0.5) and (bearing & flat).any():
+        return f"{labels[int(np.argmax(bearing & flat))]} is flattened"
     return f"{labels[j]} is turned by {np.degrees(angles[j]):.0f}°"
 
 
@@ -228,8 +241,10 @@ def _spread(corners, matrix):
     return np.ptp((corners @ matrix.T)[:, :3], axis=0).max()
 
 
-def _mean(matrices, weights):
-    return np.einsum("j,jab->ab", weights / weights.sum(), matrices)
+def _mean(matrices, weights, typical):
+    """The weighted mean; ``typical`` where it flattens space, as of a flat mesh's two sides."""
+    mean = np.einsum("j,jab->ab", weights / weights.sum(), matrices)
+    return typical if flattening(mean) else mean
 
 
 def _angle(R):

@@ -11,6 +11,8 @@ __all__ = ["NodeGraph"]
 
 # Keys closer than this (seconds) are one moment: exporters write the same time with different rounding per channel.
 _SAME_TIME = 1e-6
+# Beyond this, determinants overflow: no transform of a real scene comes near.
+_MOST = 1e100
 _WIDTHS = {"translation": 3, "rotation": 4, "scale": 3}
 
 
@@ -60,7 +62,12 @@ class NodeGraph:
         for i, matrix in fixed.items():
             self._local[i] = matrix  # as it stands: some files shear, against the specification
             self._local[i, 3] = 0.0, 0.0, 0.0, 1.0
-        self.worlds = self.world_matrices()
+        with np.errstate(over="ignore", invalid="ignore"):  # told below
+            self.worlds = self.world_matrices()
+        beyond = ~(np.abs(self.worlds) <= _MOST).all(axis=(1, 2))
+        if beyond.any():
+            i = int(beyond.argmax())
+            raise document.error(f"node {i}, which is scaled or moved beyond {_MOST:.0e} in the scene", "smaller transforms")
 
     def label(self, i):
         """What people know a node by."""
