@@ -135,3 +135,34 @@ def test_primitives_of_one_set_of_positions_follow_their_own_joints(tmp_path, sk
         writer.json["nodes"][0]["skin"] = writer.add("skins", joints=[1, 2])
     moved = np.repeat([[10.0, 0, 0], [0, 20, 0]], 3, axis=0) if skinned else 0.0
     np.testing.assert_allclose(load_scan(save(writer, tmp_path)).points, CORNERS + moved)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_numbers_that_are_none_are_treated_as_in_other_formats(tmp_path, bad):
+    """Bad points may be left out, normals may be bad, and labels are then left out."""
+
+    def read(name, values, **options):
+        writer = scene([{"mesh": 0}], [(4, [0, 1, 2, 1, 2, 3, 3, 4, 5], {})])
+        values = np.array(values, dtype=float)
+        values[4] = bad
+        writer.json["meshes"][0]["primitives"][0]["attributes"][name] = writer.accessor(values)
+        return load_scan(save(writer, tmp_path), **options)
+
+    assert len(read("NORMAL", UPWARDS).points) == 6
+    unlabelled = read("_LABEL", LABELS)
+    assert unlabelled.labels is None and any("'_LABEL'" in note for note in unlabelled.notes)
+    with pytest.raises(FileError, match="1 of 6 points .* the first at index 4.*drop_invalid"):
+        read("POSITION", CORNERS)
+    left = read("POSITION", CORNERS, drop_invalid=True)
+    np.testing.assert_array_equal(left.points, np.delete(CORNERS, 4, axis=0))
+    np.testing.assert_array_equal(left.labels, [0, 1, 2, 3, 5])
+    assert len(left.normals) == 5 and "1 of 6 points" in "".join(left.notes)
+
+
+def test_weights_that_are_no_numbers_are_an_error_that_names_them(tmp_path):
+    writer = scene([{"mesh": 0, "skin": 0}], [(4, range(6), {})])
+    attributes = writer.json["meshes"][0]["primitives"][0]["attributes"]
+    attributes |= {"JOINTS_0": writer.accessor(np.zeros((6, 4)), "u1"), "WEIGHTS_0": writer.accessor(np.full((6, 4), np.nan))}
+    writer.add("skins", joints=[0])
+    with pytest.raises(FileError, match=r"\(WEIGHTS_0 of primitive 0 of mesh 0\) holds NaN"):
+        load_scan(save(writer, tmp_path))

@@ -154,7 +154,7 @@ class Document:
 
     # ---- binary data ----
 
-    def accessor(self, index, where, kinds):
+    def accessor(self, index, where, kinds, *, finite=True):
         """The data of one accessor (3.6.2).
 
         Parameters
@@ -164,6 +164,8 @@ class Document:
             Who refers to it, for errors.
         kinds : tuple of str
             The element types that may come, such as ("VEC3",).
+        finite : bool, default True
+            Whether NaN and infinite values are an error.
 
         Returns
         -------
@@ -188,10 +190,17 @@ class Document:
             data = np.zeros((count, columns, rows), dtype)
         if "sparse" in item:
             data = self._with_sparse(data, self.object(item, "sparse", where), dtype, where)
-        data = self._decode(data, dtype, item.get("normalized") is True, where)
+        data = self._decode(data, dtype, item.get("normalized") is True)
+        if finite and not np.isfinite(data).all():
+            bad = int(np.flatnonzero(~np.isfinite(data).all(axis=(1, 2)))[0])
+            raise self.error(f"{where} holds NaN or infinite values, first in element {bad}", "finite numbers")
         if kind == "SCALAR":
             return data.reshape(count)
         return data.reshape(count, rows) if columns == 1 else np.swapaxes(data, 1, 2)  # stored column by column
+
+    def data_of(self, owner, key, where, kinds, *, finite=True):
+        """The data of the accessor that ``owner`` has under ``key``, such as a primitive's "POSITION"; see :meth:`accessor`."""
+        return self.accessor(self.integer(owner, key, where), f"{key} of {where}", kinds, finite=finite)
 
     def is_integer(self, index, where):
         """Whether an accessor holds integers that are not normalized, and the largest value that they can take."""
@@ -248,11 +257,8 @@ class Document:
         data[rows] = parts[1]
         return data
 
-    def _decode(self, data, dtype, normalized, where):
+    def _decode(self, data, dtype, normalized):
         if dtype.kind == "f":
-            if not np.isfinite(data).all():
-                bad = int(np.flatnonzero(~np.isfinite(data).all(axis=(1, 2)))[0])
-                raise self.error(f"{where} holds NaN or infinite values, first in element {bad}", "finite numbers")
             return data.astype(float)
         if not normalized:
             return data.astype(np.int64)

@@ -70,7 +70,7 @@ def _skinning(document, nodes, skin):
     worlds = nodes.worlds[joints]
     if "inverseBindMatrices" not in item:
         return worlds
-    inverse = document.accessor(document.integer(item, "inverseBindMatrices", where), where, ("MAT4",))
+    inverse = document.data_of(item, "inverseBindMatrices", where, ("MAT4",))
     if len(inverse) < len(joints):
         raise document.error(f"{len(inverse)} inverse bind matrices for the {len(joints)} joints of {where}", "one per joint")
     return worlds @ inverse[: len(joints)]
@@ -130,7 +130,7 @@ class _Piece:
             if len(normals) == len(points):
                 self.cloud.normals = self._turned(normals)
         if (label := _label_of(attributes)) is not None:
-            labels = document.accessor(document.integer(attributes, label, where), where, ("SCALAR",))
+            labels = document.data_of(attributes, label, where, ("SCALAR",), finite=False)
             if len(labels) == len(points):
                 set_labels(self.cloud, label, labels)
 
@@ -139,7 +139,7 @@ class _Piece:
         n = len(self._seen)
         rows = np.arange(n)
         if "indices" in primitive:
-            rows = document.accessor(document.integer(primitive, "indices", where), where, ("SCALAR",))
+            rows = document.data_of(primitive, "indices", where, ("SCALAR",))
             if len(rows) and rows.max() >= n:
                 raise document.error(f"index {rows.max()} in {where}", f"indices below its {n} vertices")
         self._seen[rows] = True
@@ -166,11 +166,11 @@ class _Piece:
 
 
 def _morphed(document, attributes, targets, name, where):
-    """An attribute with what its morph targets add: pairs of a target and its weight."""
-    values = document.accessor(document.integer(attributes, name, where), where, ("VEC3",)).astype(float)
+    """An attribute with what its morph targets add: pairs of a target and its weight. May have NaN, as in other formats."""
+    values = document.data_of(attributes, name, where, ("VEC3",), finite=False).astype(float)
     for k, (target, weight) in enumerate(targets):
         if weight and name in target:
-            added = document.accessor(document.integer(target, name, f"target {k} of {where}"), where, ("VEC3",))
+            added = document.data_of(target, name, f"target {k} of {where}", ("VEC3",), finite=False)
             if len(added) != len(values):
                 raise document.error(f"{len(added)} vertices in target {k} of {where}", f"{len(values)}, as it has itself")
             values = values + weight * added
@@ -185,8 +185,8 @@ def _transforms(document, attributes, n, world, matrices, where):
     blended, total = np.zeros((n, 3, 4)), np.zeros(n)
     level = 0
     while f"JOINTS_{level}" in attributes and f"WEIGHTS_{level}" in attributes:
-        joints = document.accessor(document.integer(attributes, f"JOINTS_{level}", where), where, ("VEC4",)).astype(int)
-        weights = document.accessor(document.integer(attributes, f"WEIGHTS_{level}", where), where, ("VEC4",))
+        joints = document.data_of(attributes, f"JOINTS_{level}", where, ("VEC4",)).astype(int)
+        weights = document.data_of(attributes, f"WEIGHTS_{level}", where, ("VEC4",))
         if joints.shape != (n, 4) or weights.shape != (n, 4) or (n and joints.max() >= len(matrices)):
             raise document.error(f"joints or weights of {where} that do not fit", f"{n} rows of joints below {len(matrices)}")
         for c in range(4):
