@@ -1,8 +1,11 @@
 """What a glTF scene shows of its meshes as a scan: which vertices, which morph, and which way they look."""
 
+import tracemalloc
+
 import numpy as np
 import pytest
 from gltf_files import GltfWriter, save
+from scipy.spatial.transform import Rotation
 
 from lbsfit_np.errors import FileError
 from lbsfit_np.io.scans import load_mesh, load_scan
@@ -166,3 +169,27 @@ def test_weights_that_are_no_numbers_are_an_error_that_names_them(tmp_path):
     writer.add("skins", joints=[0])
     with pytest.raises(FileError, match=r"\(WEIGHTS_0 of primitive 0 of mesh 0\) holds NaN"):
         load_scan(save(writer, tmp_path))
+
+
+@pytest.mark.parametrize("node", [{}, {"scale": [1, 2, -1], "rotation": [0, 0.6, 0, 0.8], "translation": [3, 2, 1]}])
+def test_large_clouds_want_little_more_memory_than_their_points(tmp_path, node):
+    """The file's bytes, the points, the moved points: no matrices for each."""
+    points = np.random.default_rng(0).normal(size=(20_000, 3)).astype("f4")
+    writer = GltfWriter()
+    attributes = {"POSITION": writer.accessor(points), "NORMAL": writer.accessor(points)}
+    writer.add("meshes", primitives=[{"attributes": attributes, "mode": 0}])
+    writer.add("nodes", mesh=0, **node)
+    path = save(writer, tmp_path)
+    load_scan(path)  # whatever is imported on the way
+    tracemalloc.start()
+    try:
+        scan = load_scan(path)
+        peak = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak < 240 * len(points)
+    by_hand = points.astype(float)
+    if node:
+        by_hand = Rotation.from_quat(node["rotation"]).apply(by_hand * node["scale"]) + node["translation"]
+    np.testing.assert_allclose(scan.points, by_hand, atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(scan.normals, axis=1), 1.0)

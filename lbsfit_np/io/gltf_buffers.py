@@ -241,7 +241,7 @@ class Document:
             )
         if not count:
             return np.zeros(shape, dtype)
-        return np.ndarray(shape, dtype, data, offset, (stride, column, dtype.itemsize)).copy()
+        return np.ndarray(shape, dtype, data, offset, (stride, column, dtype.itemsize))
 
     def _with_sparse(self, data, sparse, dtype, where):
         count = self.integer(sparse, "count", f"sparse of {where}")
@@ -254,6 +254,7 @@ class Document:
         rows = parts[0].reshape(-1).astype(np.int64)
         if len(rows) and rows.max() >= len(data):
             raise self.error(f"sparse index {rows.max()} of {where}", f"indices below its count, {len(data)}")
+        data = data.copy()
         data[rows] = parts[1]
         return data
 
@@ -352,18 +353,18 @@ def _split_glb(data, path):
         raise FileError(path, f"binary glTF of version {version}", "version 2", "Convert the file to glTF 2.0.")
     if len(data) < length:
         raise FileError(path, f"{len(data)} bytes of {length}: the file is truncated", "the whole file", _DAMAGED)
-    text, chunk, at = None, None, 12
+    text, chunk, at, view = None, None, 12, memoryview(data)  # of what may be large: not to be copied
     while at + 8 <= length:
         size, kind = struct.unpack_from("<I4s", data, at)
         if at + 8 + size > length:
             raise FileError(
                 path, f"a chunk of {size} bytes that ends after the file: it is truncated", "the whole file", _DAMAGED
             )
-        body = data[at + 8 : at + 8 + size]
+        body = view[at + 8 : at + 8 + size]
         if text is None:
             if kind != b"JSON":
                 raise FileError(path, f"a first chunk of type {kind!r}", "a JSON chunk first", _DAMAGED)
-            text = body
+            text = bytes(body)
         elif kind == b"BIN\0" and chunk is None:
             chunk = body
         at += 8 + size

@@ -40,6 +40,9 @@ def read_gltf_scan(path):
     if not pieces:
         return CloudData(np.empty((0, 3)), notes=notes)
     notes += [note for p in pieces for note in p.notes]
+    if len(pieces) == 1:  # as of most scans, which may be large: nothing to copy
+        pieces[0].notes = notes
+        return pieces[0]
     start = np.cumsum([0] + [len(p.points) for p in pieces])
     return CloudData(
         np.concatenate([p.points for p in pieces]),
@@ -120,11 +123,11 @@ class _Piece:
     def __init__(self, document, attributes, targets, world, matrices, where):
         points = _morphed(document, attributes, targets, "POSITION", where)
         linear, shift = _transforms(document, attributes, len(points), world, matrices, where)
-        self.cloud = CloudData(np.einsum("iab,ib->ia", linear, points) + shift, np.empty((0, 3), dtype=int))
+        self.cloud = CloudData(_moved(points, linear, shift))
         self.normals_of = document.integer(attributes, "NORMAL", where, -1)
-        self._seen = np.zeros(len(points), dtype=bool)
-        self._cofactors = np.cross(linear[:, [1, 2, 0]], linear[:, [2, 0, 1]])
-        self._side = np.sign(np.einsum("ib,ib->i", linear[:, 0], self._cofactors[:, 0]))  # -1 where a transform mirrors
+        self._seen, self._faces = np.zeros(len(points), dtype=bool), [np.empty((0, 3), dtype=int)]
+        self._cofactors = np.cross(linear[..., [1, 2, 0], :], linear[..., [2, 0, 1], :])
+        self._side = np.sign(np.einsum("...b,...b->...", linear[..., 0, :], self._cofactors[..., 0, :]))  # -1 where one mirrors
         if "NORMAL" in attributes:
             normals = _morphed(document, attributes, targets, "NORMAL", where)
             if len(normals) == len(points):
@@ -137,20 +140,23 @@ class _Piece:
     def show(self, document, primitive, mode, where):
         """Take in what a primitive shows."""
         n = len(self._seen)
-        rows = np.arange(n)
-        if "indices" in primitive:
+        if "indices" not in primitive:
+            self._seen[:] = True
+            rows = np.arange(0 if mode == _POINTS else n)
+        else:
             rows = document.data_of(primitive, "indices", where, ("SCALAR",))
             if len(rows) and rows.max() >= n:
                 raise document.error(f"index {rows.max()} in {where}", f"indices below its {n} vertices")
-        self._seen[rows] = True
+            self._seen[rows] = True
         if mode != _POINTS:
             faces = _triangles(rows, mode)
-            mirrored = self._side[faces].sum() < 0  # corners then go round the other way (3.7.4)
-            self.cloud.faces = np.concatenate([self.cloud.faces, faces[:, ::-1] if mirrored else faces])
+            mirrored = (self._side[faces].sum() if self._side.ndim else self._side) < 0  # corners then go the other way (3.7.4)
+            self._faces.append(faces[:, ::-1] if mirrored else faces)
 
     def shown(self):
         """The CloudData of the vertices that are shown, in their order."""
         seen, cloud = self._seen, self.cloud
+        cloud.faces = np.concatenate(self._faces)
         if not seen.all():
             number = np.cumsum(seen) - 1
             cloud.points, cloud.faces = cloud.points[seen], number[cloud.faces]
@@ -160,27 +166,38 @@ class _Piece:
 
     def _turned(self, normals):
         """Normals go with the matrix of cofactors, which flattening does not upset, and mirroring turns over."""
-        normals = np.einsum("iab,ib->ia", self._cofactors, normals) * np.where(self._side < 0, -1.0, 1.0)[:, None]
+        normals = _moved(normals, self._cofactors, 0.0) * np.where(self._side < 0, -1.0, 1.0)[..., None]
         length = np.linalg.norm(normals, axis=1, keepdims=True)
         return normals / np.where(length > 0, length, 1.0)
 
 
+def _moved(vectors, linear, shift):
+    """Vectors (n, 3) in the scene: by one matrix, or by one each."""
+    if linear.ndim == 3:
+        moved = np.einsum("iab,ib->ia", linear, vectors)
+    elif (linear == np.eye(3)).all():  # the only transform of most clouds, which may be large
+        moved = vectors
+    else:
+        moved = vectors @ linear.T
+    return moved + shift if np.any(shift) else moved
+
+
 def _morphed(document, attributes, targets, name, where):
     """An attribute with what its morph targets add: pairs of a target and its weight. May have NaN, as in other formats."""
-    values = document.data_of(attributes, name, where, ("VEC3",), finite=False).astype(float)
+    values = document.data_of(attributes, name, where, ("VEC3",), finite=False)
     for k, (target, weight) in enumerate(targets):
         if weight and name in target:
             added = document.data_of(target, name, f"target {k} of {where}", ("VEC3",), finite=False)
             if len(added) != len(values):
                 raise document.error(f"{len(added)} vertices in target {k} of {where}", f"{len(values)}, as it has itself")
             values = values + weight * added
-    return values
+    return values.astype(float, copy=False)
 
 
 def _transforms(document, attributes, n, world, matrices, where):
-    """(n, 3, 3) and (n, 3) or (3,): what turns, and shifts, each vertex into the scene."""
+    """What turns, and shifts, the vertices into the scene: (3, 3) and (3,), or (n, 3, 3) and (n, 3) for each its own."""
     if matrices is None or "JOINTS_0" not in attributes:
-        return np.broadcast_to(world[:3, :3], (n, 3, 3)), world[:3, 3]
+        return world[:3, :3], world[:3, 3]
     # A skinned mesh stands where its joints are, not where its node is.
     blended, total = np.zeros((n, 3, 4)), np.zeros(n)
     level = 0
