@@ -77,15 +77,15 @@ def test_halves_of_characters_in_names_are_replaced(tmp_path):
 # ---- several skins ----
 
 
-def two_skins(tmp_path, both_used=True, names=("arm", "other")):
+def two_skins(tmp_path, both_used=True, names=("arm", "other"), scene=(6, 7)):
     writer = write_arm(ARM)
     skin = dict(writer.json["skins"][0])
     writer.json["skins"] = [{**skin, "name": names[0]}, {**skin, "joints": skin["joints"][::-1], "name": names[1]}]
     matrices = np.linalg.inv(ARM.matrices)[::-1]
     writer.json["skins"][1]["inverseBindMatrices"] = writer.accessor(matrices)
     if both_used:
-        extra = writer.add("nodes", name="Second", mesh=0, skin=1)
-        writer.json["scenes"][0]["nodes"].append(extra)
+        writer.add("nodes", name="Second", mesh=0, skin=1)
+    writer.json["scenes"][0]["nodes"] = [i for i in scene if i < len(writer.json["nodes"])]
     return save(writer, tmp_path)
 
 
@@ -120,3 +120,14 @@ def test_bad_choice_of_skin(tmp_path, choice, names, words):
 def test_a_skin_that_no_mesh_uses_cannot_be_chosen(tmp_path):
     with pytest.raises(InputError, match="No mesh uses 'other'"):
         read_gltf(two_skins(tmp_path, both_used=False), skin="other")
+
+
+@pytest.mark.parametrize(("scene", "first", "hidden"), [([6], "root", "'Second'"), ([7], "side", "'Mesh'")])
+def test_a_skin_outside_the_scene_has_to_be_asked_for(tmp_path, scene, first, hidden):
+    path = two_skins(tmp_path, scene=scene)
+    data = read_gltf(path)
+    assert data.joint_names[0] == first
+    assert data.notes[0] == f"1 skinned mesh(es) outside the file's scene left out: {hidden}"
+    assert [read_gltf(path, skin=s).joint_names[0] for s in (0, "other")] == ["root", "side"]
+    with pytest.raises(InputError, match="no choice"):
+        read_gltf(two_skins(tmp_path, scene=[]))

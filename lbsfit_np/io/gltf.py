@@ -136,14 +136,23 @@ def _choose_skin(document, graph, wanted, notes):
         raise document.error(
             found, "a mesh with a skin", "Export the rig with its armature and skinning; a plain mesh is a scan, not a rig."
         )
-    named = {s: document.name(skins[s], f"skin {s}") for s in users}
+    shown = set(graph.shown())
+    in_scene = {s: kept for s, on_it in users.items() if (kept := [i for i in on_it if i in shown])}
+    # One outside the scene has to be asked for, unless there is nothing else.
+    offered = users if wanted is not None else in_scene or users
+    named = {s: document.name(skins[s], f"skin {s}") for s in offered}
     choices = ", ".join(f"{s} ({name!r})" for s, name in sorted(named.items()))
     index = _skin_index(document, wanted, named, choices, skins)
-    if len(users) > 1:
+    mesh_nodes = in_scene.get(index, users[index])
+    if len(offered) > 1:
         notes.append(f"meshes of the file use several skins: {choices}; this rig uses skin {index}")
     if props:
         notes.append(f"{len(props)} mesh(es) without a skin left out: {listed(props, 5)}")
-    return index, _shown(document, graph, users[index], notes)
+    others = users[index] if wanted is not None else [i for on_it in users.values() for i in on_it]
+    hidden = [graph.label(i) for i in sorted(set(others) - set(mesh_nodes))]
+    if hidden:
+        notes.append(f"{len(hidden)} skinned mesh(es) outside the file's scene left out: {listed(hidden, 5)}")
+    return index, mesh_nodes
 
 
 def _skin_index(document, wanted, named, choices, skins):
@@ -167,19 +176,6 @@ def _skin_index(document, wanted, named, choices, skins):
     raise InputError(
         "skin", repr(wanted), f"a skin that meshes of {document.path} use: {choices}", "Give its name or index." + also
     )
-
-
-def _shown(document, graph, mesh_nodes, notes):
-    """Those of the nodes that the file's scene shows; all of them where it shows none or has no scene."""
-    if "scene" not in document.root:
-        return mesh_nodes
-    scene = document.item("scenes", document.integer(document.root, "scene", "the file"), "scene")
-    tops = set(document.integers(scene, "nodes", "the scene"))
-    shown = [i for i in mesh_nodes if tops.intersection([i, *graph.ancestors(i)])]
-    if shown and len(shown) < len(mesh_nodes):
-        hidden = [graph.label(i) for i in mesh_nodes if i not in shown]
-        notes.append(f"{len(hidden)} skinned mesh(es) outside the file's scene left out: {listed(hidden, 5)}")
-    return shown or mesh_nodes
 
 
 def _joint_nodes(document, item, where):

@@ -81,6 +81,15 @@ class NodeGraph:
             above.append(int(i))
         return above
 
+    def shown(self):
+        """The nodes of the default scene (the first, where none is the default; all nodes, where there are no scenes)."""
+        document, n = self._document, len(self.parents)
+        if not document.items("scenes"):
+            return list(range(n))
+        scene = document.item("scenes", document.integer(document.root, "scene", "the file", 0), "the file")
+        roots = set(document.integers(scene, "nodes", "the scene"))
+        return [i for i in range(n) if i in roots or roots.intersection(self.ancestors(i))]
+
     def world_matrices(self, posed=None):
         """World matrices, (N, 4, 4), or (T, N, 4, 4) where ``posed`` gives T values of some nodes' properties.
 

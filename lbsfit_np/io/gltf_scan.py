@@ -32,7 +32,7 @@ def read_gltf_scan(path):
     document = open_gltf(path)
     nodes = NodeGraph(document)
     pieces, notes = [], list(document.notes)
-    for i in _shown(document, nodes):
+    for i in nodes.shown():
         node = document.items("nodes")[i]
         if "mesh" in node:
             matrices = _skinning(document, nodes, document.integer(node, "skin", f"node {i}")) if "skin" in node else None
@@ -51,16 +51,6 @@ def read_gltf_scan(path):
         None if any(p.labels is None for p in pieces) else np.concatenate([p.labels for p in pieces]),
         notes,
     )
-
-
-def _shown(document, nodes):
-    """The nodes of the default scene (the first, where none is the default; all nodes, where there are no scenes)."""
-    scenes = document.items("scenes")
-    if not scenes:
-        return range(len(nodes.parents))
-    scene = document.item("scenes", document.integer(document.root, "scene", "the file", 0), "the file")
-    roots = set(document.integers(scene, "nodes", "the scene"))
-    return [i for i in range(len(nodes.parents)) if i in roots or roots.intersection(nodes.ancestors(i))]
 
 
 def _skinning(document, nodes, skin):
