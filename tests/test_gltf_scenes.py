@@ -4,10 +4,11 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from gltf_files import GltfWriter, save
+from gltf_files import ARM, GltfWriter, save, write_arm
 from scipy.spatial.transform import Rotation
 
 from lbsfit_np.errors import FileError
+from lbsfit_np.io.gltf import read_gltf
 from lbsfit_np.io.scans import load_mesh, load_scan
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 5], [1, 0, 5], [0, 1, 5]])
@@ -193,3 +194,60 @@ def test_large_clouds_want_little_more_memory_than_their_points(tmp_path, node):
         by_hand = Rotation.from_quat(node["rotation"]).apply(by_hand * node["scale"]) + node["translation"]
     np.testing.assert_allclose(scan.points, by_hand, atol=1e-12)
     np.testing.assert_allclose(np.linalg.norm(scan.normals, axis=1), 1.0)
+
+
+def unweighted_joints(writer, mesh):
+    attributes = mesh["primitives"][0]["attributes"]
+    order, weights = np.argsort(-ARM.weights, axis=1)[:, :4], np.sort(ARM.weights, axis=1)[:, :0:-1]
+    for name in ("JOINTS_1", "WEIGHTS_1"):
+        attributes.pop(name, None)
+    attributes["JOINTS_0"] = writer.accessor(np.where(weights == 0, 99, order), "u1")
+    attributes["WEIGHTS_0"] = writer.accessor(weights)
+
+
+def no_position(writer, mesh):
+    mesh["primitives"].append({"attributes": {"NORMAL": mesh["primitives"][0]["attributes"]["POSITION"]}})
+
+
+def too_many_weights(writer, mesh):
+    mesh["primitives"][0]["targets"] = [{"POSITION": writer.accessor(0 * ARM.vertices)}]
+    mesh["weights"] = [0.5, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("edit", "note"),
+    [
+        (unweighted_joints, None),
+        (no_position, "primitive 1 of mesh 0 left out: it has no POSITION."),
+        (too_many_weights, "mesh 0 has 2 weights for the 1 morph target(s) of primitive 0 of mesh 0: the last 1 left out."),
+    ],
+)
+def test_rigs_and_scans_are_read_alike(tmp_path, edit, note):
+    writer = write_arm(ARM)
+    edit(writer, writer.json["meshes"][0])
+    path = save(writer, tmp_path)
+    scan, rig = load_scan(path), read_gltf(path)
+    np.testing.assert_allclose(rig.vertices, ARM.vertices, atol=1e-6)
+    np.testing.assert_allclose(scan.points, ARM.vertices, atol=1e-6)
+    assert scan.notes == (() if note is None else (note,))
+
+
+@pytest.mark.parametrize(
+    ("owner", "values", "dtype", "words"),
+    [
+        ("JOINTS_0", np.full((64, 4), 7), "u1", "JOINTS_0 of primitive 0 of mesh 0 with joint 7 at vertex 0, where .* has 5"),
+        ("WEIGHTS_0", np.zeros((3, 4)), "f4", "3 elements of WEIGHTS_0 for 64 vertices"),
+        ("indices", np.array([0.0, 1, 2]), "f4", "indices of primitive 0 of mesh 0 that are not unsigned integers"),
+        ("inverseBindMatrices", np.ones((5, 4, 4)), "f4", "the inverse bind matrix of 'root' with the last row"),
+        ("inverseBindMatrices", np.zeros((2, 4, 4)), "f4", "2 inverse bind matrices for the 5 joints of skin 0"),
+    ],
+)
+def test_damage_is_told_alike_of_rigs_and_scans(tmp_path, owner, values, dtype, words):
+    writer = write_arm(ARM)
+    primitive = writer.json["meshes"][0]["primitives"][0]
+    of = {"indices": primitive, "inverseBindMatrices": writer.json["skins"][0]}.get(owner, primitive["attributes"])
+    of[owner] = writer.accessor(values, dtype)
+    path = save(writer, tmp_path)
+    for read in (read_gltf, load_scan):
+        with pytest.raises(FileError, match=words):
+            read(path)

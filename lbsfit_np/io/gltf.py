@@ -31,6 +31,7 @@ from .gltf_buffers import open_gltf
 from .gltf_frame import SCENE, blend, flattening, nearest_rotations, place
 from .gltf_meshes import skinned_geometry
 from .gltf_nodes import NodeGraph
+from .gltf_primitives import inverse_binds
 
 __all__ = ["read_gltf"]
 
@@ -70,7 +71,7 @@ def read_gltf(path, *, skin=None):
     parents = _joint_parents(graph, joints)
 
     vertices, faces, weights = skinned_geometry(document, mesh_nodes, len(joints), graph, notes)
-    inverse_bind = _inverse_bind_matrices(document, item, names, where)
+    inverse_bind = inverse_binds(document, item, [repr(name) for name in names], where)
     worlds = graph.worlds[joints]
     if inverse_bind is None:
         inverse_bind = np.tile(np.eye(4), (len(joints), 1, 1))
@@ -219,26 +220,6 @@ def _joint_parents(graph, joints):
     """(J,) rows: the nearest node above that is a joint too (3.7.3.2); nodes between them that are none are passed over."""
     row = {j: r for r, j in enumerate(joints)}
     return np.array([next((row[a] for a in graph.ancestors(j) if a in row), -1) for j in joints])
-
-
-def _inverse_bind_matrices(document, item, names, where):
-    """(J, 4, 4), or None where the skin has none."""
-    if "inverseBindMatrices" not in item:
-        return None
-    index = document.integer(item, "inverseBindMatrices", where)
-    matrices = document.accessor(index, f"inverse bind matrices of {where}", ("MAT4",)).astype(float)
-    if len(matrices) < len(names):
-        raise document.error(
-            f"{len(matrices)} inverse bind matrices for the {len(names)} joints of {where}", "one for each joint"
-        )
-    matrices = matrices[: len(names)]
-    off = np.abs(matrices[:, 3] - [0.0, 0.0, 0.0, 1.0]).max(axis=1)
-    if off.max() > 1e-3:
-        raise document.error(
-            f"the inverse bind matrix of {names[int(off.argmax())]!r} with the last row {matrices[off.argmax(), 3]}", "0 0 0 1"
-        )
-    matrices[:, 3] = 0.0, 0.0, 0.0, 1.0
-    return matrices
 
 
 def _inverted(document, matrices, names, what):

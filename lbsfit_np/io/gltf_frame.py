@@ -27,6 +27,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..medians import weighted_median
+from .gltf_primitives import blended
 
 __all__ = ["SCENE", "Placement", "blend", "flattening", "nearest_rotations", "place"]
 
@@ -155,10 +156,8 @@ def _agree(a, b, corners):
 
 def blend(vertices, weights, skinning):
     """Σ_j w_j S_j p, by the vertices' own weight sums; (m, 3)."""
-    sums = np.asarray(weights.sum(axis=1), dtype=float).ravel()
-    matrices = (weights @ skinning[:, :3].reshape(len(skinning), 12)).reshape(-1, 3, 4)
-    moved = np.einsum("iab,ib->ia", matrices[:, :, :3], vertices) + matrices[:, :, 3]
-    return np.where(sums[:, None] > 0, moved / np.where(sums > 0, sums, 1.0)[:, None], vertices)
+    matrices = blended(weights, skinning, np.eye(4))
+    return np.einsum("iab,ib->ia", matrices[:, :, :3], vertices) + matrices[:, :, 3]
 
 
 def flattening(matrices):

@@ -5,10 +5,10 @@ import numpy as np
 from .cloud import CloudData, column_role, set_labels
 from .gltf_buffers import open_gltf
 from .gltf_nodes import NodeGraph
+from .gltf_primitives import POINTS, SURFACES, blended, corners, influences, inverse_binds, primitives, triangles
 
 __all__ = ["read_gltf_scan"]
 
-_POINTS, _TRIANGLES, _STRIP, _FAN = 0, 4, 5, 6
 # How attributes begin that say how a vertex follows a skin.
 _OF_SKINS = ("JOINTS_", "WEIGHTS_")
 
@@ -31,15 +31,16 @@ def read_gltf_scan(path):
     """
     document = open_gltf(path)
     nodes = NodeGraph(document)
-    pieces, notes = [], list(document.notes)
+    pieces, notes = [], document.notes
     for i in nodes.shown():
         node = document.items("nodes")[i]
         if "mesh" in node:
             matrices = _skinning(document, nodes, document.integer(node, "skin", f"node {i}")) if "skin" in node else None
             pieces += _mesh(document, i, nodes.worlds[i], matrices, notes)
+    notes += [note for p in pieces for note in p.notes]
+    notes = [note.rstrip(".") + "." for note in dict.fromkeys(notes)]  # a mesh may be shown often
     if not pieces:
         return CloudData(np.empty((0, 3)), notes=notes)
-    notes += [note for p in pieces for note in p.notes]
     if len(pieces) == 1:  # as of most scans, which may be large: nothing to copy
         pieces[0].notes = notes
         return pieces[0]
@@ -59,14 +60,9 @@ def _skinning(document, nodes, skin):
     item = document.item("skins", skin, where)
     joints = document.integers(item, "joints", where)
     for joint in joints:
-        document.item("nodes", joint, where)
-    worlds = nodes.worlds[joints]
-    if "inverseBindMatrices" not in item:
-        return worlds
-    inverse = document.data_of(item, "inverseBindMatrices", where, ("MAT4",))
-    if len(inverse) < len(joints):
-        raise document.error(f"{len(inverse)} inverse bind matrices for the {len(joints)} joints of {where}", "one per joint")
-    return worlds @ inverse[: len(joints)]
+        document.item("nodes", joint, f"joints of {where}")
+    inverse = inverse_binds(document, item, [nodes.label(joint) for joint in joints], where)
+    return nodes.worlds[joints] if inverse is None else nodes.worlds[joints] @ inverse
 
 
 def _mesh(document, i, world, matrices, notes):
@@ -74,14 +70,7 @@ def _mesh(document, i, world, matrices, notes):
     node, where = document.items("nodes")[i], f"node {i}"
     number = document.integer(node, "mesh", where)
     mesh, pieces = document.item("meshes", number, where), {}
-    for k, primitive in enumerate(document.objects(mesh, "primitives", f"mesh {number}")):
-        where = f"primitive {k} of mesh {number}"
-        mode = document.integer(primitive, "mode", where, _TRIANGLES)
-        if mode not in (_POINTS, _TRIANGLES, _STRIP, _FAN):
-            notes.append(f"{where} is made of lines: left out.")
-            continue
-        document.refuse_compressed(primitive, where)
-        attributes = document.object(primitive, "attributes", where)
+    for where, primitive, mode, attributes in primitives(document, number, (POINTS, *SURFACES), ("POSITION",), notes):
         targets = document.objects(primitive, "targets", where)
         moved = [document.integer(t, "POSITION", f"target {j} of {where}", -1) for j, t in enumerate(targets)]
         skins = _OF_SKINS if matrices is not None else ()
@@ -90,16 +79,26 @@ def _mesh(document, i, world, matrices, notes):
         key = document.integer(attributes, "POSITION", where), *moved, *named
         if key not in pieces:
             owner, of = (node, f"node {i}") if "weights" in node else (mesh, f"mesh {number}")
-            given = owner.get("weights", [])
-            if isinstance(given, list) and not any(given):  # however many there are, they change nothing
-                targets = []
-            weights = document.numbers(owner, "weights", len(targets), None, of) if targets else ()
-            pieces[key] = _Piece(document, attributes, list(zip(targets, weights)), world, matrices, where)
-        pieces[key].show(document, primitive, mode, where)
+            weighed = _weighed(document, owner, of, targets, where, notes)
+            pieces[key] = _Piece(document, attributes, weighed, world, matrices, where)
+        pieces[key].show(document, primitive, mode, where, notes)
         if pieces[key].normals_of != document.integer(attributes, "NORMAL", where, -1) and pieces[key].cloud.normals is not None:
             pieces[key].cloud.normals = None
             notes.append(f"{where} has no normals, or others, than those before it at the same vertices: left out.")
     return [piece.shown() for piece in pieces.values()]
+
+
+def _weighed(document, owner, of, targets, where, notes):
+    """Pairs of a primitive's morph target and its weight, which the mesh or the node has."""
+    given = owner.get("weights", [])
+    if not targets or (isinstance(given, list) and not any(given)):  # however many there are, they change nothing
+        return []
+    n = len(targets)
+    count = max(len(given), n) if isinstance(given, list) else n
+    weights = document.numbers(owner, "weights", count, None, of)
+    if any(weights[n:]):
+        notes.append(f"{of} has {count} weights for the {n} morph target(s) of {where}: the last {count - n} left out")
+    return list(zip(targets, weights))
 
 
 def _label_of(attributes):
@@ -127,19 +126,12 @@ class _Piece:
             if len(labels) == len(points):
                 set_labels(self.cloud, label, labels)
 
-    def show(self, document, primitive, mode, where):
+    def show(self, document, primitive, mode, where, notes):
         """Take in what a primitive shows."""
-        n = len(self._seen)
-        if "indices" not in primitive:
-            self._seen[:] = True
-            rows = np.arange(0 if mode == _POINTS else n)
-        else:
-            rows = document.data_of(primitive, "indices", where, ("SCALAR",))
-            if len(rows) and rows.max() >= n:
-                raise document.error(f"index {rows.max()} in {where}", f"indices below its {n} vertices")
-            self._seen[rows] = True
-        if mode != _POINTS:
-            faces = _triangles(rows, mode)
+        rows = corners(document, primitive, len(self._seen), where)
+        self._seen[rows if "indices" in primitive else slice(None)] = True
+        if mode != POINTS:
+            faces = triangles(rows, mode, where, notes)
             mirrored = (self._side[faces].sum() if self._side.ndim else self._side) < 0  # corners then go the other way (3.7.4)
             self._faces.append(faces[:, ::-1] if mirrored else faces)
 
@@ -189,27 +181,5 @@ def _transforms(document, attributes, n, world, matrices, where):
     if matrices is None or "JOINTS_0" not in attributes:
         return world[:3, :3], world[:3, 3]
     # A skinned mesh stands where its joints are, not where its node is.
-    blended, total = np.zeros((n, 3, 4)), np.zeros(n)
-    level = 0
-    while f"JOINTS_{level}" in attributes and f"WEIGHTS_{level}" in attributes:
-        joints = document.data_of(attributes, f"JOINTS_{level}", where, ("VEC4",)).astype(int)
-        weights = document.data_of(attributes, f"WEIGHTS_{level}", where, ("VEC4",))
-        if joints.shape != (n, 4) or weights.shape != (n, 4) or (n and joints.max() >= len(matrices)):
-            raise document.error(f"joints or weights of {where} that do not fit", f"{n} rows of joints below {len(matrices)}")
-        for c in range(4):
-            blended += weights[:, c, None, None] * matrices[joints[:, c], :3]
-            total += weights[:, c]
-        level += 1
-    bare = total <= 0
-    blended[~bare] /= total[~bare, None, None]
-    blended[bare] = world[:3]
-    return blended[:, :, :3], blended[:, :, 3]
-
-
-def _triangles(rows, mode):
-    if mode == _TRIANGLES:
-        return rows[: len(rows) // 3 * 3].reshape(-1, 3)
-    k = np.arange(max(len(rows) - 2, 0))
-    if mode == _FAN:
-        return np.stack([rows[np.zeros_like(k)] if len(k) else rows[:0], rows[k + 1], rows[k + 2]], axis=1)
-    return np.stack([rows[k], rows[k + 1 + k % 2], rows[k + 2 - k % 2]], axis=1)
+    matrices = blended(influences(document, attributes, n, len(matrices), where), matrices, world)
+    return matrices[:, :, :3], matrices[:, :, 3]
