@@ -15,6 +15,7 @@ from gltf_files import (
 
 from lbsfit_np.io.gltf import read_gltf
 from lbsfit_np.io.gltf_buffers import open_gltf
+from lbsfit_np.io.scans import load_scan
 
 
 @pytest.mark.parametrize(
@@ -129,3 +130,20 @@ def test_an_accessor_without_data_is_zeros_and_whole_floats_are_integers(tmp_pat
     writer = GltfWriter()
     writer.add("accessors", componentType=5126.0, count=4.0, type="VEC3")
     assert np.array_equal(accessor_of(writer, tmp_path, 0, ("VEC3",)), np.zeros((4, 3)))
+
+
+@pytest.mark.parametrize(
+    ("required", "named"),
+    [
+        (["KHR_mesh_quantization", "KHR_materials_unlit", "EXT_texture_webp", "KHR_lights_punctual", "KHR_xmp_json_ld"], None),
+        (["KHR_texture_basisu", "EXT_mesh_gpu_instancing"], "1 extension(s) that are not known here ('EXT_mesh_gpu_instancing')"),
+        (["ONE", 7, "half\ud83d"], "3 extension(s) that are not known here ('ONE', 7, 'half\\ud83d')"),
+    ],
+)
+def test_required_extensions_that_may_change_the_shape_are_noted(tmp_path, required, named):
+    writer = write_arm(ARM)
+    writer.json["extensionsRequired"] = required
+    path = save(writer, tmp_path)
+    expected = [] if named is None else [f"the file requires {named}: what it shows may differ from what was read"]
+    assert read_gltf(path).notes == expected
+    assert load_scan(path).notes == tuple(note + "." for note in expected)

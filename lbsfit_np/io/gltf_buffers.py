@@ -17,7 +17,7 @@ from urllib.parse import unquote, unquote_to_bytes
 
 import numpy as np
 
-from ..errors import FileError, InputError
+from ..errors import FileError, InputError, listed
 
 __all__ = ["Document", "open_gltf"]
 
@@ -29,6 +29,8 @@ _COMPONENTS = {
 _SHAPES = {"SCALAR": (1, 1), "VEC2": (1, 2), "VEC3": (1, 3), "VEC4": (1, 4), "MAT2": (2, 2), "MAT3": (3, 3), "MAT4": (4, 4)}
 # These hide the geometry in a compressed stream that only a decoder can open.
 _COMPRESSIONS = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression")
+# These leave the geometry alone, or store it in integers, which accessors are read in anyway.
+_HARMLESS = re.compile(r"KHR_mesh_quantization|KHR_xmp.*|[A-Z]+_(materials|texture|lights)_.*")
 # An accessor without data is all zeros, so nothing but its count says how much memory it wants.
 _MOST_ZEROS = 50_000_000
 
@@ -335,6 +337,10 @@ class Document:
         for name in required:
             if name in _COMPRESSIONS:
                 raise self.error(f"geometry compressed with {name}", "plain buffers", _UNCOMPRESSED)
+        unknown = [_short(name) for name in required if not (isinstance(name, str) and _HARMLESS.fullmatch(name))]
+        if unknown:
+            what = f"{len(unknown)} extension(s) that are not known here ({listed(unknown, 5)})"
+            self.notes.append(f"the file requires {what}: what it shows may differ from what was read")
 
     def refuse_compressed(self, primitive, where):
         """A FileError for a primitive whose data exist in compressed form only, though no extension is marked required."""
