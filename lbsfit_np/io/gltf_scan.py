@@ -128,8 +128,11 @@ class _Piece:
 
     def show(self, document, primitive, mode, where, notes):
         """Take in what a primitive shows."""
+        if mode == POINTS and "indices" not in primitive:  # as large clouds are
+            self._seen[:] = True
+            return
         rows = corners(document, primitive, len(self._seen), where)
-        self._seen[rows if "indices" in primitive else slice(None)] = True
+        self._seen[rows] = True
         if mode != POINTS:
             faces = triangles(rows, mode, where, notes)
             mirrored = (self._side[faces].sum() if self._side.ndim else self._side) < 0  # corners then go the other way (3.7.4)
