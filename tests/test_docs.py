@@ -193,6 +193,12 @@ def test_scan_formats_are_listed():
         assert f"`{ending}`" in document("docs/scans.md"), ending
 
 
+def test_public_names_are_listed():
+    text = document("docs/api.md")
+    rows = {codes(line)[0] for line in text.splitlines() if line.startswith("| `")}
+    assert rows | {"__version__"} == set(lbs.__all__) and "`__version__`" in text
+
+
 def test_every_room_is_described():
     text = document("docs/architecture.md")
     package = Path(lbs.__file__).parent
