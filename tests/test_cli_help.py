@@ -5,7 +5,7 @@ import argparse
 import pytest
 from cli_runs import help_alone
 
-from lbsfit_np.cli import _parser, fit
+from lbsfit_np.cli import _parser, fit, models
 from lbsfit_np.cli.progress import SILENCE, Progress
 from lbsfit_np.cli.summary import say_doubtful
 
@@ -28,6 +28,13 @@ def test_help_shows_defaults(run):
         if option.default not in (None, {}):
             shown = {True: "yes", False: "no"}.get(option.default, option.default) if option.kind is bool else option.default
             assert f"{option.help} (default: {shown})" in text, option.name
+
+
+def test_help_names_all_that_a_model_supplies(run):
+    text = " ".join(run("fit", "--help")[1].split())
+    told = text[text.index("are refused with it.") : text.index("are the model's unless")]
+    for key in models._FREE:
+        assert f"--{key.replace('_', '-')}" in told, key
 
 
 def test_names_in_help_are_not_broken(run):

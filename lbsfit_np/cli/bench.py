@@ -2,12 +2,13 @@
 
 import argparse
 from contextlib import nullcontext
+from dataclasses import replace
 
 from ..io.write import without_empty
 from . import bench_faust, bench_pairs, bench_people
 from . import bench_runs as runs
 from .bench_study import run_study
-from .fit import OPTIONS
+from .fit import OPTIONS, TRAINING_SCANS
 from .parsing import Option, add_options, formatter, natural, positive, settings
 
 __all__ = ["add_parser"]
@@ -204,7 +205,8 @@ def _add_starts(benches):
         Option(
             "effort", "how many starts a fit follows, and how far", default="balanced", choices=("fast", "balanced", "thorough")
         ),
-        *_TRAINING,
+        replace(TRAINING_SCANS, help=f"{TRAINING_SCANS.help}, for the row edge twice as many"),
+        _JOBS,
         _MARKDOWN,
         _RESUMING,
     )
@@ -231,7 +233,7 @@ def _add_study(benches):
         Option(
             "seeds", "comma-separated seeds of the scans; by default 300, or 300,301,302 for larger sizes", _seeds, None, "N,N"
         ),
-        *(option for option in _TRAINING if option.name == "jobs"),
+        _JOBS,
         Option("figures", "draw the figures", bool, True),
         Option("page", "only write OUT's page anew, with figures where all registrations are there; runs no row", bool, False),
         _MARKDOWN,
@@ -249,7 +251,8 @@ _OUTPUT_OR_TABLE = Option(
 _MARKDOWN = Option("markdown", "print the table as Markdown", bool, False)
 _EXISTING = "continue with existing results of the same settings, or start again without any"
 _RESUMING = Option("existing", _EXISTING, default="resume", choices=("resume", "replace"))
-_TRAINING = tuple(o for o in OPTIONS if o.name in ("training-scans", "jobs"))
+_JOBS = next(o for o in OPTIONS if o.name == "jobs")
+_TRAINING = (TRAINING_SCANS, _JOBS)
 
 
 def _of_data(output):

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..io.write import remove_empty
-from .fit import OPTIONS, RIG_OPTIONS, fit_files, load_rig_with
+from .fit import OPTIONS, RIG_OPTIONS, TRAINING_SCANS, fit_files, load_rig_with
 from .models import is_model
 from .outputs import check_outputs, out_folder
 from .parsing import Option, add_options, formatter, natural, positive, settings
@@ -22,7 +22,7 @@ _OPTIONS = (
     *RIG_OPTIONS,
     Option("seed", "seed of the scan and of the fit", natural, 0, metavar="N"),
     Option("points", "points of the scan", positive, 2500, metavar="N"),
-    *(o for o in OPTIONS if o.name == "training-scans"),
+    TRAINING_SCANS,
     Option("existing", "what to do if results already exist", default="error", choices=("error", "replace")),
 )
 

@@ -2,6 +2,7 @@
 
 import functools
 import time
+from dataclasses import replace
 from pathlib import Path
 
 from ..errors import FileError, InputError, brief, counted, did_you_mean
@@ -18,7 +19,10 @@ from .stopping import exit_code, terminable
 from .subjects import check_no_table
 from .summary import counts_of, doubts_of, say_doubtful, write_summary, written_of
 
-__all__ = ["OPTIONS", "RIG_OPTIONS", "add_parser", "check_training", "fit_files", "load_rig_with", "read_scan", "scan_options"]
+__all__ = [
+    *("OPTIONS", "RIG_OPTIONS", "TRAINING_SCANS", "add_parser", "check_training", "fit_files", "load_rig_with"),
+    *("read_scan", "scan_options"),
+]
 
 RIG_OPTIONS = (
     Option(
@@ -32,6 +36,8 @@ RIG_OPTIONS = (
     Option("normalize-weights", "divide skinning weights by their sums, however far these are from 1", bool, False),
     Option("parts", "the rig's partition that labels refer to; by default the card's or the rig's own", metavar="NAME"),
 )
+
+_TRAINING_SCANS = "synthetic scans to train the segmenter on; the library of starts gets half as many"
 
 OPTIONS = (
     Option("output", "folder to write to (required); created if needed", metavar="OUT", flag="-o", is_path=True),
@@ -89,7 +95,7 @@ OPTIONS = (
     Option("segmenter", "a segmenter saved by Segmenter.save, instead of the rig's own", metavar="FILE", is_path=True),
     Option(
         "training-scans",
-        "synthetic scans to train the segmenter on; the library of starts gets half as many, with --partial --cropped twice",
+        f"{_TRAINING_SCANS}, with --partial --cropped twice",
         positive,
         4000,
         metavar="N",
@@ -109,6 +115,9 @@ OPTIONS = (
     Option("existing", "what to do if results already exist", default="error", choices=("error", "skip", "replace")),
 )
 
+# For commands that know neither --partial nor --cropped.
+TRAINING_SCANS = replace(next(o for o in OPTIONS if o.name == "training-scans"), help=_TRAINING_SCANS)
+
 _DESCRIPTION = """\
 Fit a rig, or a model written by `lbsfit learn`, to scans. For each scan NAME.EXTENSION, OUT gets
 
@@ -125,8 +134,8 @@ command with --existing skip to do the rest.
 
 A model keeps its rig, its segmenter and how these were made, so options about the rig (--card, --shape, --skin,
 --normalize-weights, --parts), --joints, --segmenter, --training-scans and --training are refused with it. --scale, --unit,
---orientation, --up, --partial, --cropped, --effort, --weights, --max-points and --seed are the model's unless you give them. If
-the model was told the unit of the scans it learned from, and the new scans are in another, give --unit.
+--orientation, --up, --partial, --cropped, --effort, --weights, --max-points, --registration and --seed are the model's unless you
+give them. If the model was told the unit of the scans it learned from, and the new scans are in another, give --unit.
 """
 
 _EPILOG = """\

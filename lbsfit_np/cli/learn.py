@@ -34,8 +34,12 @@ _SHARED = (
     *("max-points", "registration", "training-scans", "training", "seed", "jobs"),
 )
 
-_TRAINING_SCANS = "synthetic scans to train the segmenter on, at first and in each round; the library of starts gets half as "
-_TRAINING_SCANS += "many, in rounds three eighths"
+# What is said of these here.
+_HELP = {
+    "training-scans": "synthetic scans to train the segmenter on, at first and in each round; the library of starts gets half as "
+    "many, with --partial --cropped twice, in rounds three eighths",
+    "unit": "the scans' unit, if known (subjects' sizes are still found); auto: not known; by default auto",
+}
 # Scans that the last line names, at most.
 _NAMED = 5
 
@@ -58,7 +62,7 @@ OPTIONS = (
     Option("smooth", "with --sequence, how strongly angles follow their neighbours': 1e-5 a little, 1e-3 a lot", amount, 0,
            metavar="W"),
     *RIG_OPTIONS,
-    *(replace(o, help=_TRAINING_SCANS) if o.name == "training-scans" else o for o in FIT_OPTIONS if o.name in _SHARED),
+    *(replace(o, help=_HELP.get(o.name, o.help)) for o in FIT_OPTIONS if o.name in _SHARED),
     Option(
         "existing",
         "what to do if the model or results already exist",
@@ -69,9 +73,9 @@ OPTIONS = (
 )  # fmt: skip
 
 _DESCRIPTION = f"""\
-Learn from a collection of scans: fits teach the segmenter, the segmenter improves the fits, and each subject's template
-adapts to what was scanned. All scans must be in one unit. The result is one file, the model, which `lbsfit fit MODEL SCAN...`
-takes in place of a rig.
+Learn from a collection of scans. All scans of a subject share one template, found from all their poses; that, and what the poses
+tell of each other, makes fits better. The segmenter learns along, so labels of new scans improve, too. All scans must be in one
+unit. The result is one file, the model, which `lbsfit fit MODEL SCAN...` takes in place of a rig.
 
 {SUBJECT_FILES}
 
