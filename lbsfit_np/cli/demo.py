@@ -29,7 +29,8 @@ _OPTIONS = (
 _DESCRIPTION = """\
 Make a scan of a rig, with noise, holes and uneven density, in a shape and pose that the fit does not know; fit it as
 `lbsfit fit` does; print the errors against the truth; and draw a picture. This takes some 20 seconds; with a coarse
-hand, a rig of your own, or another seed two to three minutes more, to train a segmenter. That is kept for the next time.
+hand, a rig of your own, a card, other parts or another seed two to three minutes more, to train a segmenter. That is kept for
+the next time.
 """
 
 _EPILOG = """\
