@@ -90,8 +90,8 @@ _PROTOCOL = """\
   1]³; the paper scales every shape to that box.
 - Fits: the paper's networks look at a test scan once. Here a search and an optimisation find pose and shape of each scan,
   starting from labels, from a library of poses and from f; each fit goes by the whole objective (Chamfer, structured
-  Chamfer, Laplacian), then by what docs/fitting.md has after it. Joints follow the template's proportions; the paper's stay
-  where the rig has them.
+  Chamfer, Laplacian), then by what docs/fitting-method.md has after it. Joints follow the template's proportions; the paper's
+  stay where the rig has them.
 - The rows differ in more than the paper's do. Joint and pose-only use what all the poses found say about each other, so that
   angles which a scan leaves open are as in other poses; rand and cd do not. cd also has no library of poses. oracle-labels
   starts from the given labels alone.
