@@ -60,10 +60,10 @@ def test_joint_names_are_made_unique(tmp_path):
     assert "without a name" in data.notes[0] and "bone#3" in data.notes[1]
 
 
-def test_halves_of_characters_in_names_are_replaced(tmp_path):
-    """JSON allows them, and nothing else: a rig with them has no digest, and no card can name its joints."""
+def test_halves_of_characters_and_nul_in_names_are_replaced(tmp_path):
+    """JSON allows them, and nothing else: a rig with them has no digest, or cannot be saved, and no card can name its joints."""
     writer = write_arm(ARM)
-    writer.json["nodes"][1]["name"], writer.json["nodes"][2]["name"] = "arm\ud83d", "arm\ude00"
+    writer.json["nodes"][1]["name"], writer.json["nodes"][2]["name"] = "arm\ud83d", "arm\0"
     writer.json["nodes"][3]["name"], writer.json["skins"][0]["name"] = "tip \U0001f600", "skin\ud83d"
     rig = build_rig(read_gltf(save(writer, tmp_path)))
     assert rig.joint_names == ("root", "arm\ufffd", "arm\ufffd#2", "tip \U0001f600", "side")

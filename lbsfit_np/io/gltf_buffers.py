@@ -143,9 +143,9 @@ class Document:
         return np.array(value, dtype=float)
 
     def name(self, owner, default):
-        """The name of an object, with U+FFFD for halves of characters, which JSON allows; ``default`` where it has none."""
+        """An object's name, with U+FFFD for halves of characters and NUL, which JSON allows; ``default`` where it has none."""
         name = owner.get("name")
-        return re.sub(r"[\ud800-\udfff]", "\ufffd", name) if isinstance(name, str) and name else default
+        return re.sub(r"[\ud800-\udfff\0]", "\ufffd", name) if isinstance(name, str) and name else default
 
     def _natural(self, value, what):
         if isinstance(value, float) and value.is_integer():
