@@ -40,6 +40,9 @@ shapes_joints          (K, J, 3)   float, change of the joints
 smpl_rest              (J, 3, 3)   float, from the rest pose to SMPL's or MANO's; (0, 3, 3) where unknown
 =====================  ==========  =====================================================================================
 
+A changed template on which vertices have come together, or apart, that are not so on the rig's own has weld, (m,) int, too: the
+distinct vertex that each is on that; of one of no face −1 − the nearest.
+
 The bodies' format: verts (shapes, m, 3), shape_names, faces (F, 3), weights (m, J) dense, joints (shapes, J, 3) heads, tails
 (shapes, J, 3) optional, joint_names, parents (J,) with −1 for the root; metres, y up, facing +z.
 """
@@ -57,6 +60,7 @@ from ..rig.chains import loose_joints
 from ..rig.data import RigData
 from ..rig.frames import frames_along
 from ..rig.shapes import ShapeSpace, from_counts, to_counts
+from ..rig.weld import Weld, weld_of
 from .npz import read_npz
 from .write import check_npz_name, write_npz
 
@@ -115,6 +119,9 @@ def rig_arrays(rig):
     arrays["poses_theta"] = np.array([*rig.poses.values()], dtype=float).reshape(-1, len(rig.parents), 3)
     arrays |= _shape_arrays(rig)
     arrays["smpl_rest"] = np.empty((0, 3, 3)) if rig.smpl_rest is None else rig.smpl_rest
+    numbers = rig._weld.numbers
+    if not np.array_equal(numbers, weld_of(rig.vertices, rig.weights, rig.faces).numbers):
+        arrays["weld"] = numbers
     return arrays
 
 
@@ -144,7 +151,7 @@ def read_rig_npz(path):
     FileError
         Missing, broken, of a newer version, or with keys missing or of the wrong kind.
     """
-    file = _Arrays(path, (OWN_KEY, *_OWN_KEYS, *_POSE_KEYS, *_SHAPE_KEYS, "smpl_rest"))
+    file = _Arrays(path, (OWN_KEY, *_OWN_KEYS, *_POSE_KEYS, *_SHAPE_KEYS, "smpl_rest", "weld"))
     version = file.number(OWN_KEY)
     if version != _VERSION:
         raise FileError(
@@ -180,9 +187,22 @@ def read_rig_npz(path):
         poses=_poses(file),
         shapes=_shapes(file),
         smpl_rest=file["smpl_rest"] if "smpl_rest" in file and len(file.numbers("smpl_rest", 3)) else None,
+        welding=_welding(file, m),
         notes=[str(note) for note in notes],
         path=Path(path),
     )
+
+
+def _welding(file, m):
+    if "weld" not in file:
+        return None
+    numbers = file.numbers("weld", 1)
+    try:
+        if len(numbers) != m or numbers.dtype.kind != "i":
+            raise ValueError
+        return Weld.from_numbers(numbers)
+    except ValueError:
+        raise FileError(file.path, "'weld' that does not number distinct vertices", "a file that save_rig wrote") from None
 
 
 def _poses(file):

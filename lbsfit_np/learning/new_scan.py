@@ -30,6 +30,7 @@ from ..optimize.frame import Frame
 from ..optimize.model import Model
 from ..optimize.problem import Problem
 from ..optimize.state import SIZED
+from ..rig.weld import welded_as_before
 from ..seeds import generator
 from ..starts.clean import taking_part
 from ..starts.scale import sizes_in, unit_note, unit_question
@@ -404,7 +405,7 @@ def _as_the_rig_says(rig, template):
     """A learned template with what the rig's digest leaves out, and may have been said since."""
     said = {name: getattr(rig, name) for name in ("metres_per_unit", "up", "forward")}
     as_now = all(getattr(template, name) == value for name, value in said.items())
-    return template if as_now else replace(template, **said)
+    return template if as_now else welded_as_before(template, **said)
 
 
 def scan_fit(fitter, segmenter=None, library=None):

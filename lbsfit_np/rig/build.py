@@ -135,6 +135,8 @@ def build_rig(data, card=None, *, normalize_weights=False, parts=None):
         shapes=shapes,
         smpl_rest=smpl_rest,
     )
+    if data.welding is not None:  # else by what is there
+        rig.__dict__["_weld"] = data.welding
     if not len(rig.welded.faces):
         report.fail("faces", f"{len(faces)} faces, each with two corners at one point", "at least one proper triangle")
     if not (face_areas(rig.welded.vertices / rig.size, rig.welded.faces) > _NO_AREA).any():

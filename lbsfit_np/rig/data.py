@@ -8,6 +8,7 @@ import numpy as np
 from scipy import sparse
 
 from .shapes import ShapeSpace
+from .weld import Weld
 
 __all__ = ["RigData"]
 
@@ -43,5 +44,6 @@ class RigData:
     poses: Mapping[str, np.ndarray] = field(default_factory=dict)  # name -> (J, 3) rotation vectors: natural poses
     shapes: ShapeSpace | None = None  # shape parameters
     smpl_rest: np.ndarray | None = None  # (J, 3, 3) A_j: from this rig's rest pose to SMPL's or MANO's, see rig.smpl_pose
+    welding: Weld | None = None  # which vertices are one point, where the file says; None: by what they are
     notes: list[str] = field(default_factory=list)  # anomalies met while reading, in words
     path: Path | None = None  # the file, where there is one

@@ -10,7 +10,9 @@ from dataclasses import replace
 import numpy as np
 
 from ..errors import InputError
+from .data import RigData
 from .frames import AXES
+from .weld import welded_as_before
 
 __all__ = ["mirrored", "other_side"]
 
@@ -55,7 +57,8 @@ def mirrored(rig, name=None, *, axis="x"):
         return np.asarray(points) * sign + 0.0  # not −0
 
     names = [other_side(joint) for joint in rig.joint_names]
-    return replace(
+    changed = replace if isinstance(rig, RigData) else welded_as_before
+    return changed(
         rig,
         name=name,
         vertices=flip(rig.vertices),

@@ -1,7 +1,7 @@
 """Rig: the template mesh, skinning weights, joint hierarchy and joint limits, validated and immutable."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from numbers import Real
 
@@ -16,7 +16,7 @@ from .partition import check_partition, leading_joint, parts_of_joints, vertex_p
 from .proportions import proportions
 from .regressor import exact_regressor
 from .shapes import ShapeSpace
-from .weld import weld_of, weld_rig
+from .weld import weld_of, weld_rig, welded_as_before
 
 __all__ = ["Rig"]
 
@@ -294,9 +294,7 @@ class Rig:
     def with_parts(self, granularity):
         """Return the same rig with another of its partitions in use."""
         check_partition("parts", granularity, self.partitions)
-        rig = replace(self, granularity=granularity)
-        rig.__dict__.update({name: value for name, value in self.__dict__.items() if name == "_weld"})  # of any parts the same
-        return rig
+        return welded_as_before(self, granularity=granularity)
 
     def with_template(self, vertices, joints=None):
         """Return the same rig on a changed template U^d.
@@ -304,23 +302,23 @@ class Rig:
         Parameters
         ----------
         vertices : (m, 3) array
-            U^d: the same vertices in the same order.
+            U^d: the same vertices in the same order, of which the same ones are one point of the surface.
         joints : (J, 3) array, optional
             Joint positions of U^d; by default the regressor's, J + R (U^d − U).
         """
         vertices = check_array("vertices", vertices, self.vertices.shape)
         moved = self.joints + self.regressor @ (vertices - self.vertices)
         joints = moved if joints is None else check_array("joints", joints, self.joints.shape)
-        return replace(self, vertices=vertices, joints=joints, regressor=exact_regressor(self.regressor, vertices, joints))
+        regressor = exact_regressor(self.regressor, vertices, joints)
+        return welded_as_before(self, vertices=vertices, joints=joints, regressor=regressor)
 
     def scaled(self, factor):
         """Return the same rig in another unit: all lengths times ``factor``, a positive number; others raise InputError."""
         factor = _checked_factor(factor)
         unit = None if self.metres_per_unit is None else self.metres_per_unit / factor
         shapes = None if self.shapes is None else self.shapes.mapped(lambda directions: directions * factor)
-        return replace(
-            self, vertices=self.vertices * factor, joints=self.joints * factor, metres_per_unit=unit, shapes=shapes
-        )
+        lengths = {"vertices": self.vertices * factor, "joints": self.joints * factor}
+        return welded_as_before(self, **lengths, metres_per_unit=unit, shapes=shapes)
 
     def mirrored(self, *, name=None, axis="x"):
         """Return the mirror image, such as a left hand from a right one. The same angles give the mirrored pose.

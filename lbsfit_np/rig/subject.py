@@ -1,6 +1,5 @@
 """Subjects: the rig on another person's template, with that person's joints, from shape parameters and bone proportions."""
 
-from dataclasses import replace
 from numbers import Real
 
 import numpy as np
@@ -8,6 +7,7 @@ import numpy as np
 from ..errors import InputError
 from ..seeds import generator
 from .mirror import other_side
+from .weld import welded_as_before
 
 __all__ = ["MOST", "subject"]
 
@@ -44,7 +44,7 @@ def subject(rig, random_state, amount, parameters):
     elif not parameters:
         return rig
     changed = rig.with_template(rig.vertices + offsets, rig.joints + moved)
-    return changed if shapes is None else replace(changed, shapes=shapes.at(values))
+    return changed if shapes is None else welded_as_before(changed, shapes=shapes.at(values))
 
 
 def _alike(rig, rng):

@@ -8,7 +8,7 @@ from scipy import sparse
 from .locked import locked
 from .regressor import exact_regressor
 
-__all__ = ["Weld", "proper", "weld_of", "weld_rig"]
+__all__ = ["Weld", "proper", "weld_of", "weld_rig", "welded_as_before"]
 
 # Seam copies are written from one float32 position; anything further apart than this share of the size is another point.
 _POSITION = 1e-6
@@ -36,6 +36,32 @@ class Weld:
 
     def __setstate__(self, state):  # NumPy's pickles forget that arrays were locked
         self.__dict__.update({name: locked(value, copy=False) for name, value in state.items()})
+
+    @property
+    def numbers(self):
+        """(m,) int: all of it in one array, ``rows`` and, of loose vertices, −1 − ``rows``."""
+        return np.where(self.loose, -1 - self.rows, self.rows)
+
+    @classmethod
+    def from_numbers(cls, numbers):
+        """The Weld of such an array; ValueError where it is none."""
+        loose = numbers < 0
+        rows, kept = np.where(loose, -1 - numbers, numbers).astype(int), np.flatnonzero(~loose)
+        known, first = np.unique(rows[kept], return_index=True)
+        if not np.array_equal(known, np.arange(len(known))) or (np.diff(first) < 0).any() or rows.max(initial=-1) >= len(known):
+            raise ValueError("no numbers of distinct vertices in order of first appearance")
+        return cls(*(locked(a, copy=False) for a in (rows, kept[first], loose)))
+
+
+def welded_as_before(rig, **changes):
+    """A rig with other values of fields, whose vertices and faces are the same ones in the same order: welded as ``rig`` is.
+
+    Welded anew, a template on which two vertices have come together, or apart, would have other rows than what is known by the
+    rig's own.
+    """
+    changed = replace(rig, **changes)
+    changed.__dict__["_weld"] = rig._weld
+    return changed
 
 
 def weld_of(vertices, weights, faces):
@@ -85,10 +111,10 @@ def weld_rig(rig):
     faces = weld.rows[rig.faces]
     sound = proper(faces)
     if n == m:
-        return rig if sound.all() else replace(rig, faces=faces[sound])
+        return rig if sound.all() else _distinct(replace(rig, faces=faces[sound]))
     member = sparse.csr_array((np.ones(m), (weld.rows, np.arange(m))), shape=(n, m))
     regressor = sparse.csr_array(rig.regressor @ sparse.csr_array(member.T))
-    return replace(
+    welded = replace(
         rig,
         vertices=rig.vertices[weld.first],
         faces=faces[sound],
@@ -96,6 +122,15 @@ def weld_rig(rig):
         regressor=exact_regressor(regressor, rig.vertices[weld.first], rig.joints) if weld.loose.any() else regressor,
         shapes=None if rig.shapes is None else replace(rig.shapes, vertices=rig.shapes.vertices[:, weld.first]),
     )
+    return _distinct(welded)
+
+
+def _distinct(welded):
+    """A welded rig that knows that its vertices are distinct, also where those of a changed template have come together."""
+    m = len(welded.vertices)
+    rows = locked(np.arange(m), copy=False)
+    welded.__dict__["_weld"] = Weld(rows, rows, locked(np.zeros(m, dtype=bool), copy=False))
+    return welded
 
 
 def _with_corners_apart(vertices, faces):
