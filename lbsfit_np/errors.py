@@ -11,6 +11,7 @@ __all__ = [
     "LbsfitError",
     "MissingExtraError",
     "ONE_AT_A_TIME",
+    "ToldError",
     "Unforeseen",
     "as_array",
     "as_floats",
@@ -205,6 +206,10 @@ def listed(names, most=8):
     return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
+class ToldError(RuntimeError):
+    """In place of an error that cannot be sent to another process: what :func:`in_words` says of that, and of this one."""
+
+
 class Unforeseen(str):
     """Words for a failure that nobody foresaw, as of memory or of a process: what failed may not fail again."""
 
@@ -215,6 +220,8 @@ def in_words(error):
     """What went wrong, without a traceback: our own errors say it, others by their kind, too, and as :class:`Unforeseen`."""
     if isinstance(error, LbsfitError):
         return str(error)
+    if isinstance(error, ToldError):
+        return Unforeseen(error)
     return Unforeseen(f"{type(error).__name__}: {error}" if str(error) else type(error).__name__)
 
 

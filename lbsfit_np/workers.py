@@ -8,12 +8,23 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
-from .errors import InputError, LbsfitError, in_words
+from .errors import InputError, LbsfitError, ToldError, in_words
 from .interrupts import passing_interrupts
 from .processes import Note, Unsent, Workers
 from .threads import one_thread
 
-__all__ = ["as_they_may", "beside", "each", "processors"]
+__all__ = ["ProcessEnded", "as_they_may", "beside", "each", "processors"]
+
+
+class ProcessEnded(InputError):
+    """A worker process that was killed; ``death`` says by what."""
+
+    def __init__(self, death):
+        self.death = death
+        super().__init__("n_jobs", f"a worker process that ended ({death})", "processes that stay alive", "Use fewer processes.")
+
+    def __reduce__(self):
+        return type(self), (self.death,), self._notes()
 
 
 def processors():
@@ -22,7 +33,7 @@ def processors():
     return len(allotted(0)) if allotted else os.cpu_count() or 1
 
 
-def each(work, tasks, *, jobs=1, done=None, answered=None):
+def each(work, tasks, *, jobs=1, done=None, answered=None, failed=None):
     """[work(task) for task in tasks].
 
     Parameters
@@ -35,6 +46,9 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
         Called after each task with the share done.
     answered : callable (k, answer), optional
         Called with each answer as it comes, before ``done``.
+    failed : callable (error) → answer, optional
+        What stands in place of the answer of a task that failed, with ProcessEnded where its process was killed; by default the
+        first error ends all.
 
     Returns
     -------
@@ -42,7 +56,7 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
 
     Raises
     ------
-    InputError
+    ProcessEnded
         A process was killed.
     """
     tasks = list(tasks)
@@ -51,8 +65,13 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
     if min(jobs, len(tasks)) <= 1:
         with one_thread():  # as in the processes: results must not depend on where they were made
             for k, task in enumerate(tasks):
-                with passing_interrupts():  # also where the work takes them for a failure of the task
-                    answers[k] = work(task)
+                try:
+                    with passing_interrupts():  # also where the work takes them for a failure of the task
+                        answers[k] = work(task)
+                except Exception as error:
+                    if failed is None:
+                        raise
+                    answers[k] = failed(error)
                 answered(k, answers[k])
                 done((k + 1) / len(tasks))
         return [answers[k] for k in range(len(tasks))]
@@ -63,7 +82,8 @@ def each(work, tasks, *, jobs=1, done=None, answered=None):
         answered(k, answer)
         done(len(answers) / len(tasks))
 
-    as_they_may(work, lambda: todo.pop() if todo else None, jobs=min(jobs, len(tasks)), answered=come)
+    how = {"answered": come, "failed": None if failed is None else lambda k, error: come(k, failed(error))}
+    as_they_may(work, lambda: todo.pop() if todo else None, jobs=min(jobs, len(tasks)), **how)
     return [answers[k] for k in range(len(tasks))]
 
 
@@ -83,7 +103,7 @@ def as_they_may(work, take, *, jobs, answered, heard=None, failed=None):
         Called with each answer, and with what tasks :func:`tell`, as they come. Where all ends with an error, such as Ctrl-C's or
         one of these calls, that comes after calls for all others that have come.
     failed : callable (k, error), optional
-        Called with errors of tasks, InputError where a process was killed; by default the first ends all.
+        Called with errors of tasks, ProcessEnded where a process was killed; by default the first ends all.
     """
 
     come = deque()
@@ -122,7 +142,7 @@ def beside(work):
     """Have ``work()`` done in a process of its own while other work goes on here.
 
     ``with beside(work) as answer:`` and in there ``answer()``, which waits for it. Work is picklable; its errors pass on.
-    InputError where the process was killed.
+    ProcessEnded where the process was killed.
     """
     with Workers(_Caught(_Alone(work)), 1) as workers:
         workers.give((0, None))
@@ -141,8 +161,7 @@ def beside(work):
 def _outcome(answer, death):
     """(answer of ``_Caught`` work, None), or (None, what went wrong)."""
     if death is not None:
-        got = f"a worker process that ended ({death})"
-        return None, InputError("n_jobs", got, "processes that stay alive", "Use fewer processes.")
+        return None, ProcessEnded(death)
     if isinstance(answer, Unsent):
         got = f"more than 1 where {'a task' if answer.task else 'an answer'} cannot be sent between processes ({answer.why})"
         return None, InputError("n_jobs", got, "picklable work", "Use functions from the top level of a module, or n_jobs=1.")
@@ -189,7 +208,7 @@ def _as_sent(error):
             return error
     except Exception:  # noqa: BLE001 (whatever its class does there)
         pass
-    sent = RuntimeError(in_words(error))
+    sent = ToldError(in_words(error))
     for note in getattr(error, "__notes__", ()):
         sent.add_note(note)
     return sent

@@ -1,6 +1,7 @@
 """Scans, templates and turns that fail while learning goes on: what is left out, what is lost, and what stays."""
 
 import shutil
+import signal
 import types
 import warnings
 from dataclasses import replace
@@ -10,9 +11,10 @@ import numpy as np
 import pytest
 from learning_runs import FEWER, collected, learning_is_hurried
 from slow_tests import slow
+from worker_tasks import ends_at_1, inverse, kills_itself, two_words_at_1
 
 import lbsfit_np as lbs
-from lbsfit_np.errors import Unforeseen
+from lbsfit_np.errors import InputError, Unforeseen
 from lbsfit_np.learning import finish, first_fits, free_form, tasks
 from lbsfit_np.learning.collection import Collection, Member
 from lbsfit_np.learning.loop import LoopSettings
@@ -299,6 +301,35 @@ def test_members_answers_stand_in_the_order_of_the_members():
     assert asked == [1, 4, 0]  # subject by subject
     assert collection.members == [members[0], members[2]]
     assert collection.failures == {5: "ZeroDivisionError: division by zero"}
+
+
+def _of_three():
+    return Collection(3, [types.SimpleNamespace(index=i, subject="a") for i in range(3)])
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
+def test_a_process_that_dies_costs_its_scan_alone():
+    collection = _of_three()
+    assert collection.work(ends_at_1, range(3), jobs=2, done=None) == [0, 2]
+    assert list(collection.failures) == [1] and [m.index for m in collection.members] == [0, 2]
+    why = collection.failures[1]
+    assert why.startswith("the process that fitted it ended: killed by SIGKILL") and isinstance(why, Unforeseen)
+    with pytest.raises(InputError, match="n_jobs: got a worker process that ended .*SIGKILL.* Use fewer processes"):
+        _of_three().work(kills_itself, range(3), jobs=2, done=None)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_any_error_is_its_scans_alone_in_any_number_of_processes(jobs):
+    """This one cannot be sent between processes."""
+    collection = _of_three()
+    assert collection.work(two_words_at_1, range(3), jobs=jobs, done=None) == [0, 2]
+    assert collection.failures == {1: "TwoWords: this and that"} and isinstance(collection.failures[1], Unforeseen)
+
+
+def test_an_error_of_all_scans_says_where_in_another_process_it_came_from():
+    with pytest.raises(ZeroDivisionError) as error:
+        _of_three().work(inverse, [0, 0, 0], jobs=2, done=None)
+    assert "in inverse" in str(error.value.__cause__)
 
 
 @pytest.mark.parametrize("taught", [False, True])

@@ -85,6 +85,16 @@ def kills_itself(x):
     os.kill(os.getpid(), signal.SIGKILL)
 
 
+def ends_at_1(x):
+    if x == 1:
+        kills_itself(x)
+    return x
+
+
+def two_words_at_1(x):
+    return raises_two_words(x) if x == 1 else x
+
+
 class EndsItsProcess:
     """A fitter that ends the process that it is in."""
 

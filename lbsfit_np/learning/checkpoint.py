@@ -142,7 +142,7 @@ class _Slot:
         return answer
 
 
-def each_kept(work, tasks, slots, *, jobs, done, keep=lambda answer: True):
+def each_kept(work, tasks, slots, *, jobs, done, keep=lambda answer: True, failed=None):
     """``workers.each``, but for tasks whose answers are kept already; of the others those are kept that ``keep`` says.
 
     ``done`` is called before the first as well.
@@ -157,7 +157,7 @@ def each_kept(work, tasks, slots, *, jobs, done, keep=lambda answer: True):
             slots[left[i]].keep(answer)
 
     share = (lambda p: done((at + p * len(left)) / n)) if known else done
-    found = each(work, [tasks[k] for k in left], jobs=jobs, done=share, answered=answered)
+    found = each(work, [tasks[k] for k in left], jobs=jobs, done=share, answered=answered, failed=failed)
     known.update(zip(left, found, strict=True))
     return [known[k] for k in range(n)]
 

@@ -5,11 +5,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..errors import in_words
+from ..errors import Unforeseen, in_words
 from ..fitting.confidence import SOMEBODY_ELSE
 from ..optimize.frame import Frame
 from ..optimize.problem import Problem
 from ..starts.clean import TakingPart
+from ..workers import ProcessEnded
 from .checkpoint import each_kept
 
 __all__ = ["APART", "Collection", "HELD_OUT", "LEARNED_FROM", "Member", "most_failed", "with_doubt"]
@@ -229,7 +230,7 @@ class Collection:
         except Exception as error:
             if error is not self._of_all:  # of a caller's progress, say
                 raise
-            lost = in_words(error)
+            lost = _in_words(error)
         if not lost:
             return answer, ""
         back()
@@ -265,7 +266,7 @@ class Collection:
         found = self._tried(work, tasks, kept, jobs, done, order)
         for m, (_, error) in zip(self.members, found, strict=True):
             if error is not None:
-                self.failures[m.index] = why = in_words(error)
+                self.failures[m.index] = why = _in_words(error)
                 if taught:
                     self.taught[m.index] = m
                     self.failures[m.index] = type(why)(f"{m.role}, but it has no result: {why}")  # of the same kind
@@ -283,7 +284,7 @@ class Collection:
         found = dict(zip(self.subjects, self._tried(work, tasks, kept, jobs, done), strict=True))
         for m in self.members:
             if (error := found[m.subject][1]) is not None:
-                why = in_words(error)  # of the same kind in these words
+                why = _in_words(error)  # of the same kind in these words
                 self.failures[m.index] = type(why)(f"no template could be found for its subject: {why}")
         self.members = [m for m in self.members if found[m.subject][1] is None]
         return {s: answer for s, (answer, error) in found.items() if error is None}
@@ -295,7 +296,8 @@ class Collection:
         """
         order = range(len(tasks)) if order is None else order
         tasks, kept = ([of[k] for k in order] if of else of for of in (tasks, kept))
-        made = each_kept(_Tried(work), tasks, kept, jobs=jobs, done=done, keep=lambda tried: tried[1] is None)
+        how = {"failed": lambda error: (None, error), "keep": lambda found: found[1] is None}
+        made = each_kept(_Found(work), tasks, kept, jobs=jobs, done=done, **how)
         found = [answer for _, answer in sorted(zip(order, made, strict=True), key=lambda one: one[0])]
         errors = [error for _, error in found if error is not None]
         if errors and len(errors) == len(found):
@@ -330,16 +332,20 @@ class Collection:
 
 
 @dataclass(frozen=True)
-class _Tried:
-    """task → (answer, None), or (None, the error)."""
+class _Found:
+    """task → (answer, None): of one that fails (None, the error) is found."""
 
     work: object
 
     def __call__(self, task):
-        try:
-            return self.work(task), None
-        except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
-            return None, error
+        return self.work(task), None
+
+
+def _in_words(error):
+    """Why a scan was lost: also one whose process was killed, as of memory, which another time may not be."""
+    if isinstance(error, ProcessEnded):
+        return Unforeseen(f"the process that fitted it ended: {error.death}")
+    return in_words(error)
 
 
 def with_doubt(member, result):
