@@ -12,6 +12,7 @@ from lbsfit_np.errors import InputError
 from lbsfit_np.fitting.effort import EFFORTS
 from lbsfit_np.learning import finish, pretraining
 from lbsfit_np.learning.batch import fit_scans
+from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.learning.tasks import Told, with_right_poses
 from lbsfit_np.learning.variants import VARIANTS, as_variant
 from lbsfit_np.losses.objective import PRESETS
@@ -35,6 +36,18 @@ def test_variants_are_the_papers():
 def test_other_variants_are_refused(name):
     with pytest.raises(InputError, match="variant: got .*'joint' or 'pose-only' or 'rand' or 'cd' or 'free-form'"):
         as_variant(name)
+
+
+@pytest.mark.parametrize("before, after", [("joint", "pose-only"), ("pose-only", "rand"), ("rand", "joint")])
+def test_a_fitter_that_has_learned_keeps_its_variant(before, after, tube_rig, few_scans, tmp_path):
+    """In another one sizes of templates would count otherwise, and a file would say that it was learned with."""
+    fitter = LBSFitter(tube_rig, variant=before, random_state=0)
+    fitter.template_, fitter.unit_, fitter._learned_with = {"ann": tube_rig}, {"ann": 1.0}, learned_with(fitter)
+    fitter.set_params(variant=after)
+    save = tmp_path / "model.npz"
+    for use in (fitter.fit_scan, lambda x: fitter.transform([x]), lambda x: fit_scans(fitter, [x]), lambda _: fitter.save(save)):
+        with pytest.raises(InputError, match=f"variant: got '{after}'; expected '{before}', as the fitter learned with. Set"):
+            use(few_scans[0].points)
 
 
 def test_free_vertices_come_nearer_to_the_scan_than_stiff_ones(tube_rig, make_learner, few_scans):

@@ -10,6 +10,7 @@ import lbsfit_np as lbs
 from lbsfit_np.fitting.scan_fit import FitSettings, ScanFit, further_words
 from lbsfit_np.fitting.scout import Found
 from lbsfit_np.learning.new_scan import scan_fit
+from lbsfit_np.learning.parameters import learned_with
 from lbsfit_np.optimize.frame import Frame
 from lbsfit_np.optimize.model import Model
 from lbsfit_np.optimize.problem import Problem
@@ -232,7 +233,7 @@ def test_a_fit_in_doubt_tells_what_would_look_further(tube_rig, effort, up, word
 def _as_learned(fitter, template, monkeypatch):
     """The fitter, as if it had learned one person's template."""
     learned = {"template_": {"ann": template}, "unit_": {"ann": 1.0}, "history_": []}
-    learned["_learned_with"] = template.digest, True, True
+    learned["_learned_with"] = learned_with(fitter)
     for name, value in {**learned, "segmenter_": None, "regressor_": SimpleNamespace(digest="")}.items():
         setattr(fitter, name, value)
     monkeypatch.setattr("lbsfit_np.learning.made_with.model_digest", lambda *given, **named: "")

@@ -138,18 +138,18 @@ def check_segmenter(segmenter, rig):
 
 
 def learned_with(fitter):
-    """What a fitter's learned state belongs to: the rig's digest, and whether there is skinning, and are labels."""
+    """What a fitter's learned state belongs to: the rig's digest, whether there is skinning, and are labels; the variant."""
     variant = as_variant(fitter.variant)
-    return fitter.rig.digest, variant.skinning, variant.labels
+    return fitter.rig.digest, variant.skinning, variant.labels, variant.name
 
 
 def check_learned(fitter):
-    """Raise InputError unless a fitter has learned, with the rig and the kind of variant that it now has."""
+    """Raise InputError unless a fitter has learned, with the rig and the variant that it now has."""
     if getattr(fitter, "template_", None) is None:
         from .not_learned import NotLearnedError
 
         raise NotLearnedError("fitter", "one that has not learned", "one that has learned", "Call fit(scans) first.")
-    learned, (rig, skinning, labels) = fitter._learned_with, learned_with(fitter)
+    learned, (rig, skinning, labels, variant) = fitter._learned_with, learned_with(fitter)
     if rig != learned[0]:
         raise InputError("rig", f"{fitter.rig.name!r}", "the rig that the fitter learned with", "Learn again with this one.")
     if skinning != learned[1]:
@@ -158,6 +158,9 @@ def check_learned(fitter):
     if labels != learned[2]:
         expected = f"one {'with' if learned[2] else 'without'} labels, as the fitter learned with"
         raise InputError("variant", repr(fitter.variant), expected, "Learn again with this one.")
+    if variant != learned[3]:  # which has a say in how large and how posed s and the library take a scan to be
+        expected, remedy = f"{learned[3]!r}, as the fitter learned with", "Set it back, or learn again with this one."
+        raise InputError("variant", repr(fitter.variant), expected, remedy)
     if fitter.segmenter_ is not None:
         fitter.segmenter_.check_rig(fitter.rig)
 
