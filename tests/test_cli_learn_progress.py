@@ -244,6 +244,8 @@ def test_rounds_that_hold_nothing_out(capsys):
     progress = LearningProgress(1, terminal=False)
     progress("round", 1.0, _figures(0) | {"recon_held_out": None})
     assert "recon 0.0200 on the scans learned from; took" in capsys.readouterr().out
+    progress("round", 1.0, _figures(1) | {"recon": None})
+    assert "recon 0.0300 on those held out; took" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize("seconds, words", [(0.2, "0 s"), (99, "99 s"), (150, "2 min"), (5990, "100 min"), (9000, "2.5 h")])

@@ -83,6 +83,22 @@ def test_where_only_what_was_held_out_is_left_it_is_learned_from(tube_rig, cloud
     assert all(np.isfinite(entry["recon"]) and entry["recon_held_out"] is None for entry in fitter.history_)
 
 
+@pytest.mark.usefixtures("no_turns")
+def test_a_round_that_loses_all_that_it_learned_from_says_so(tube_rig, clouds, monkeypatch, tmp_path):
+    held = [m.role for m in collected(tube_rig, clouds[:3]).members].index("held out of learning")
+    _failing(monkeypatch, tasks, "Pose", 399)
+    given = [cloud if k == held else cloud[:399] for k, cloud in enumerate(clouds[:3])]
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always")
+        fitter = lbs.LBSFitter(tube_rig, **QUICK | {"rounds": 2}).fit(given)
+    words = "none of the scans learned from could be fitted in round 1: do not trust what was learned; failures_ will say why"
+    assert [str(w.message) for w in told].count(words) == 1 and not any(w.category is RuntimeWarning for w in told)
+    first, *rounds = fitter.history_
+    assert first["recon"] > 0 and all(entry["recon"] is None and entry["recon_held_out"] > 0 for entry in rounds)
+    fitter.save(tmp_path / "m.npz")
+    assert lbs.LBSFitter.load(tmp_path / "m.npz").history_ == fitter.history_
+
+
 def test_free_form_fits_that_fail_are_left_out(tube_rig, clouds, monkeypatch):
     _failing(monkeypatch, free_form, "_FreeForm", 399)
     with pytest.warns(UserWarning, match="scan 0: ZeroDivisionError"):

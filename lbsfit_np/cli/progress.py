@@ -221,10 +221,9 @@ class LearningProgress:
         if k and not rest:
             self._took.append(figures["seconds"])
         self._began, self.round, self._went_on = now, k + 1, False
-        recon = f"recon {figures['recon']:.4f} on the scans learned from"
-        if figures["recon_held_out"] is not None:
-            recon += f", {figures['recon_held_out']:.4f} on those held out"
-        words = [recon]
+        of = {"recon": "on the scans learned from", "recon_held_out": "on those held out"}
+        told = [f"{figures[name]:.4f} {whose}" for name, whose in of.items() if figures[name] is not None]
+        words = [f"recon {', '.join(told)}"]
         if "new_starts_won" in figures:
             n = figures["new_starts_won"]
             words.append(f"{counted(n, 'scan')} got a better pose from a new start")

@@ -430,15 +430,19 @@ class Loop:
 
     def _note(self, k, began, more):
         """One more entry of the history; the value that decides when to stop, None where no scan is held out to tell."""
-        held, learning = ([np.sqrt(m.loss) for m in self.collection.with_role(r)] for r in (HELD_OUT, LEARNED_FROM))
+        losses = ([np.sqrt(m.loss) for m in self.collection.with_role(r)] for r in (LEARNED_FROM, HELD_OUT))
+        recon, held_out = (float(np.mean(of)) if of else None for of in losses)
+        if recon is None and not any(entry["recon"] is None for entry in self.history):
+            words = f"none of the scans learned from could be fitted in round {k}: do not trust what was learned"
+            warnings.warn(f"{words}; failures_ will say why", stacklevel=2)
         kept = self._kept.slot(f"round-{k}-seconds")
         seconds = kept.known() or round(time.perf_counter() - began, 2)  # of a round that was gone on with, those since then
         entry = {
             "round": k,
-            "recon": float(np.mean(learning)),
-            "recon_held_out": float(np.mean(held)) if held else None,
+            "recon": recon,
+            "recon_held_out": held_out,
             "seconds": kept.keep(seconds),
             **more,
         }
         self.history.append(entry)
-        return entry["recon_held_out"]
+        return held_out
