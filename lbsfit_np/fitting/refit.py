@@ -312,9 +312,10 @@ class Refit:
 
 
 def plain_chamfer(model, problem, state, *, coverage):
-    """L_c(X, V), squared half sizes; of a scan that does not show all, with the mean over the vertices that it can show.
+    """L_c(X, V), squared half sizes, of evenly spread vertices (``Model.coarse``) of a scan that shows all.
 
-    How far those on the hidden side are from its points, which is most of L_c, says nothing of the pose.
+    Of one that does not it is of all vertices, with the mean over those that it can show: how far those on the hidden side are
+    from its points, which is most of L_c, says nothing of the pose.
     """
     if coverage.whole:
         return problem.evaluate(model.coarse, state, PLAIN).value
