@@ -46,6 +46,7 @@ BAD = [
     (lambda: structured_chamfer(_X, _V, [[0, 1], [2]], _vl), ["x_labels: got rows of different lengths"]),
     (lambda: cotangent_matrix(_V, [[0, 1, 2], [3]]), ["faces: got rows of different lengths"]),
     (lambda: laplacian_offsets(_V, S.K * np.nan), ["K: got a matrix whose product with offsets is not finite"]),
+    (lambda: laplacian_offsets(_V, S.K * 1j), ["K: got complex numbers", "numbers of shape (30, 30)"]),
     (lambda: objective(_X, _V, _V, weights="default", offsets=_V[:5], K=S.K), ["offsets: got 5 points", "30, as many as in V"]),
     (lambda: chamfer(_nan, _V), ["X: got 1 point that is", "NaN", "row 3"]),
     (lambda: chamfer(_X, _V, x_weights=np.ones(37) + 1j), ["x_weights: got complex numbers", "numbers of shape (37,)"]),

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy import sparse
 
-from ..errors import InputError, as_array, check_unmasked
+from ..errors import InputError, as_array, check_real, check_unmasked
 from ..triangles import binary_extent, face_areas
 from .checks import check_set
 
@@ -105,6 +105,7 @@ def _norm(argument, Y, K, squared):
     if getattr(K, "shape", None) != (len(Y), len(Y)):
         got = type(K).__name__ if not hasattr(K, "shape") else f"shape {K.shape}"
         raise InputError("K", got, f"shape ({len(Y)}, {len(Y)}), one row for each of the {len(Y)} vertices in {argument}")
+    check_real("K", K, f"numbers of shape ({len(Y)}, {len(Y)})")
     KY = np.asarray(K @ Y)
     square = float(np.vdot(KY, KY))
     if not np.isfinite(square):
