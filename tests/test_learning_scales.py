@@ -232,7 +232,7 @@ def test_a_scan_in_doubt_is_finished_from_the_better_of_two_fits(value, wins, un
     # 0.01 squared half sizes of its own unit are 0.0645 of the subject's.
     assert (size.state, size.own) == (as_is, anew if wins else None)
     assert size.scale == pytest.approx((1.1 * 2.54 if wins else 1.3) * unit)
-    best = finish._in_its_unit(m, fit, size, 0.9 * unit)
+    best = finish._in_better_unit(m, fit, size, 0.9 * unit)
     expected = 2.54 * unit if wins else unit
     assert (best.state, best.unit, best.frame.unit) == (anew if wins else as_is, expected, expected * half)
     np.testing.assert_array_equal(best.X, own.X if wins else as_it_is)
@@ -249,7 +249,7 @@ def test_a_scan_of_its_subjects_size_after_all_is_fitted_in_that(scale, apart, o
     m = _in_doubt(tube_rig, few_scans[0])
     m.apart, m.doubt = apart, "so it seemed"
     fit = SimpleNamespace(model=SimpleNamespace(half=tube_rig.size / 2))
-    best = finish._in_its_unit(m, fit, finish._Size(1.5 * scale, "as it is", "own"), 1.5)  # on a template between two sizes
+    best = finish._in_better_unit(m, fit, finish._Size(1.5 * scale, "as it is", "own"), 1.5)  # on a template between two sizes
     assert (best.state, best.unit) == (("own", 2.54) if own else ("as it is", 1.0))
     assert best.own is (m.own if own else None) and best.prior == (None if own else m.prior) and best.doubt == "so it seemed"
 
@@ -260,7 +260,7 @@ def test_a_scan_fitted_in_its_own_unit_says_by_how_much_as_the_template_has_it(o
     m = _in_doubt(tube_rig, few_scans[0])
     m.apart, m.doubt = True, "so far"
     fit = SimpleNamespace(model=SimpleNamespace(half=tube_rig.size / 2))
-    assert finish._in_its_unit(m, fit, finish._Size(2.5 * 1.2, "as it is", own), 1.2).doubt == said.format(CONVERT)
+    assert finish._in_better_unit(m, fit, finish._Size(2.5 * 1.2, "as it is", own), 1.2).doubt == said.format(CONVERT)
 
 
 def test_the_size_of_others_is_their_own_on_the_template_not_the_templates():
@@ -284,7 +284,7 @@ def test_a_doubt_that_has_come_to_nothing_is_not_said_of_a_fit_that_is_ok(status
     m.doubt, m.own = "odd", "own"
     m.state, own, looked_for = SimpleNamespace(scale=1.0), SimpleNamespace(scale=1.0), []
     kept = replace(m, own=None) if home else replace(m, state=own)
-    monkeypatch.setattr(finish, "_in_its_unit", lambda *given: kept)
+    monkeypatch.setattr(finish, "_in_better_unit", lambda *given: kept)
 
     @dataclass(frozen=True)
     class Result:

@@ -170,7 +170,6 @@ def test_variants_train_on_what_they_say(tube_rig, make_learner, few_scans):
         loop = loop_over(tube_rig, collection, name, None)
         made = loop._mixture(1, templates)
         assert (len(made.poses), len(made.templates)) == (n_poses, n_templates)
-        assert len(loop._mixture(0, {}).poses) == 0
     next(m for m in collection.members if not m.held_out).apart = True
     poses = loop_over(tube_rig, collection, "joint", None)._mixture(1, templates).poses
     learning = [s.pose for m, s in zip(collection.members, few_scans) if not (m.held_out or m.apart)]

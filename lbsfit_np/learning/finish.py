@@ -121,10 +121,10 @@ class _Finish(_OnTemplates):
         m, size, others = task
         fit = self._fit(m.subject)
         if m.own is not None:
-            m = _in_its_unit(m, fit, size, others)
+            m = _in_better_unit(m, fit, size, others)
         free = SIZED if size is not None and m.state is size.own else IN_UNIT
-        size = fit.model.source.size / self.rig.size
-        unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale, unit=self.settings.unit, size=size)
+        grown = fit.model.source.size / self.rig.size
+        unit = unit_note(m.state.scale * m.unit, self.rig, self.settings.scale, unit=self.settings.unit, size=grown)
         place = {"points": m.points, "part": m.part, "frame": m.frame, "free": free}
         problem = m.problem
         proportions = fit.proportions(problem, m.state)
@@ -171,7 +171,7 @@ def _as_first_fitted(m, fit):
     return own
 
 
-def _in_its_unit(m, fit, size, others):
+def _in_better_unit(m, fit, size, others):
     """A scan in its subject's unit, or in its own where that explains it better, which makes doubts of it.
 
     A first fit that was wrong says nothing of a scan's size, nor does the template, in which the scan has taken part: its

@@ -274,10 +274,10 @@ class Loop:
         v, rig = self.variant, self.rig.welded
         learning = self.collection.with_role(LEARNED_FROM)
         known = with_right_poses(learning)
-        poses = np.array([m.state.theta for m in known]) if v.inferred_poses and k else np.empty((0, *rig.lower.shape))
+        poses = np.array([m.state.theta for m in known]) if v.inferred_poses else np.empty((0, *rig.lower.shape))
         rows = self.rig.welded_from
         taught_by = {m.subject for m in learning}  # of others all scans are held out, and their templates with them
-        made = tuple((U[rows], J) for s, (U, J) in templates.items() if s in taught_by) if v.deformed and k else ()
+        made = tuple((U[rows], J) for s, (U, J) in templates.items() if s in taught_by) if v.deformed else ()
         return Mixture(rig, self.synthesis, poses, made, self.seed, k)
 
     def _learn(self, k, templates):

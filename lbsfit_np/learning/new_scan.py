@@ -252,7 +252,7 @@ def _of_its_size(fitter, subject, found, settings, find):
     if left > _SIZED * held:
         return found
     sized = replace(found, state=state, value=free.chamfer(problem, state), free=SIZED)
-    sized = _in_its_unit(replace(sized, rivals=_rivals(sized.value, found)))
+    sized = _in_found_unit(replace(sized, rivals=_rivals(sized.value, found)))
     return min((sized, find(subject, sized=True)), key=lambda there: _left(fitter, subject, there, settings))
 
 
@@ -341,7 +341,7 @@ def _gone_on(fitter, begun, seen, settings):
     refit = _template_fit(fitter, begun.subject, settings).refit
     refit = refit if begun.in_unit else refit.freeing(SIZED)
     state, value, _ = refit(begun.problem, [begun.state], proba=seen.proba, bend=False)
-    found = _in_its_unit(Found(begun.frame, begun.problem, state, seen.proba, value, (), refit.free))
+    found = _in_found_unit(Found(begun.frame, begun.problem, state, seen.proba, value, (), refit.free))
     return replace(found, rivals=_rivals(found.value, seen))
 
 
@@ -351,12 +351,12 @@ def _bent(fitter, found, seen, settings):
     for subject, there in found:
         refit = _template_fit(fitter, subject, settings).refit
         state, value = (refit if there.free == refit.free else refit.freeing(there.free)).bent(there.problem, there.state)
-        bent = _in_its_unit(replace(there, state=state, value=value))
+        bent = _in_found_unit(replace(there, state=state, value=value))
         out.append((subject, replace(bent, rivals=_rivals(bent.value, seen))))
     return out
 
 
-def _in_its_unit(found):
+def _in_found_unit(found):
     """The same in half sizes of what was found, as evidence is: where the unit was not known, in those of a guess until then."""
     q = found.state.scale
     if q == 1.0:
@@ -387,7 +387,7 @@ def _given(fitter, subject, x, a, settings, guess, theta0, labels, *, sized=Fals
         left = refit.left(problem, state)
         if best is None or left < least:
             best, least = Found(frame, problem, state, proba, value, (), refit.free), left
-    return _in_its_unit(best)
+    return _in_found_unit(best)
 
 
 def _template_fit(fitter, subject, settings):
