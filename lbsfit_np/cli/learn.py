@@ -62,7 +62,7 @@ OPTIONS = (
     Option("smooth", "with --sequence, how strongly angles follow their neighbours': 1e-5 a little, 1e-3 a lot", amount, 0,
            metavar="W"),
     *RIG_OPTIONS,
-    *(replace(o, help=_HELP.get(o.name, o.help)) for o in FIT_OPTIONS if o.name in _SHARED),
+    *(replace(o, help=_HELP[o.name]) if o.name in _HELP else o for o in FIT_OPTIONS if o.name in _SHARED),
     Option(
         "existing",
         "what to do if the model or results already exist",
