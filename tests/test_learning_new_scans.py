@@ -125,8 +125,7 @@ def test_templates_are_compared_in_the_scans_unit(tube_rig, people, ann, bob, be
     assert f"on the template of subject {better!r}" in told["notes"]
     assert told["value"] == 2 * {"ann": ann, "bob": bob}[better][0]
     for alone["status"] in ("suspect", "failed"):  # who knows the subject may help
-        asks = new_scan.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message
-        assert asks == "seen" + ASKS
+        assert new_scan.fit_new(fitter, scan.points, ["ann", "bob"], None, None, None, anyone=False).message == f"seen{ASKS}"
     monkeypatch.setattr(new_scan, "_scouted", lambda *known, once: seen)
     assert new_scan.fit_new(fitter, scan.points, ["ann"], None, None, None, anyone=False).message == "seen"
 
