@@ -92,26 +92,45 @@ def test_axes_of_hands_are_told_by_their_joints(file_of, name, up, forward):
     assert any(f"those of the bundled {'left ' * ('left' in name)}hand" in note for note in hand.notes)
 
 
-def test_bodies_with_fingers_have_the_limits_of_both(tmp_path):
+def with_fingers(tmp_path, n_joints, moved=lambda fingers: fingers):
+    """A file of SMPL-H, or SMPL-X with its face, whose left fingers are taken through a function."""
     body, hands = load_rig("body-coarse"), {"left": load_rig("hand-left-coarse"), "right": load_rig("hand-coarse")}
     _, joints = at_zero(body)
     places, parents, names = list(joints[:22]), list(body.parents[:22]), list(body.joint_names[:22])
+    if n_joints == 55:
+        names += ["jaw", "left_eye", "right_eye"]
+        parents += [names.index("head")] * 3
+        places += [places[names.index("head")] + step for step in ([0, 0, 0.05], [0.03, 0.05, 0.08], [-0.03, 0.05, 0.08])]
     for side in ("left", "right"):
         _, fingers = at_zero(hands[side])
+        fingers = moved(fingers) if side == "left" else fingers
         wrist, first = names.index(f"{side}_wrist"), len(names) - 1
         places += list(fingers[1:] - fingers[0] + joints[wrist])
         parents += [wrist if p == 0 else first + p for p in hands[side].parents[1:]]
         names += [f"{side}_{name}" for name in hands[side].joint_names[1:]]
     rng = np.random.default_rng(0)
-    weights = rng.random((60, 52))
-    path = write(tmp_path, rng.normal(size=(60, 3)), rng.integers(0, 60, (100, 3)), weights, parents, np.array(places))
-    data = read_rig_data(path)
+    weights, faces = rng.random((60, n_joints)), rng.integers(0, 60, (100, 3))
+    return write(tmp_path, rng.normal(size=(60, 3)), faces, weights, parents, np.array(places)), names
+
+
+@pytest.mark.parametrize("n_joints", [52, 55])
+def test_bodies_with_fingers_have_the_limits_of_both(tmp_path, n_joints):
+    path, names = with_fingers(tmp_path, n_joints)
+    data, body = read_rig_data(path), load_rig("body-coarse")
     assert data.joint_names == names and "those of the bundled body and hands" in data.notes[0]
-    own = load_rig(write(tmp_path, *_arrays(hands["left"])))
-    np.testing.assert_array_equal(data.lower[22:37], own.lower[1:])
-    np.testing.assert_array_equal(data.upper[22:37], own.upper[1:])
+    own = load_rig(write(tmp_path, *_arrays(load_rig("hand-left-coarse"))))
+    left = slice(names.index("left_index1"), names.index("left_index1") + 15)
+    np.testing.assert_array_equal(data.lower[left], own.lower[1:])
+    np.testing.assert_array_equal(data.upper[left], own.upper[1:])
     np.testing.assert_array_equal(data.poses["walking"][22:], 0.0)
     np.testing.assert_allclose(data.poses["walking"][1:22], body.to_smpl_pose(body.poses["walking"])[1:22], atol=1e-12)
+    if n_joints == 55:
+        assert data.upper[names.index("jaw"), 0] == 0.5 and data.lower[names.index("left_eye"), 1] == -0.4
+
+
+def test_fingers_that_lie_otherwise_get_plain_limits(tmp_path):
+    path, _ = with_fingers(tmp_path, 52, lambda fingers: fingers[:, [2, 1, 0]])
+    assert read_rig_data(path).lower is None
 
 
 def _arrays(rig):
@@ -123,6 +142,7 @@ def _arrays(rig):
     ("name", "moved"),
     [
         ("body-coarse", lambda points: points[:, [2, 0, 1]]),  # z up
+        ("body-coarse", lambda points: points * [1, 1, -1]),  # its feet point back, as would its knees
         ("hand-coarse", lambda points: points * [1, 1, -1]),  # the other hand, lying otherwise
     ],
 )
@@ -131,10 +151,25 @@ def test_models_that_lie_otherwise_get_plain_limits_with_a_note(file_of, name, m
     assert not model.poses and any("neither file nor card has limits" in note for note in model.notes)
 
 
-def test_another_rest_pose_gets_plain_limits(tmp_path):
-    body = load_rig("body-coarse")  # in A-pose
-    model = load_rig(write(tmp_path, body.vertices, body.faces, body.weights.toarray(), body.parents, body.joints))
-    assert not model.poses
+@pytest.mark.parametrize(
+    ("name", "joints", "turn", "known"),
+    [
+        ("body-coarse", ["left_shoulder"], (0, 0, -0.2), True),
+        ("body-coarse", ["left_shoulder"], (0, 0, -0.6), False),  # towards the A-pose
+        ("body-coarse", ["left_elbow", "right_elbow"], (0, 0.8, 0), False),
+        ("body-coarse", ["right_knee"], (0.7, 0, 0), False),
+        ("hand-coarse", ["index1", "middle1", "ring1", "pinky1"], (0, 0, 0.3), True),
+        ("hand-coarse", ["index1", "middle1", "ring1", "pinky1"], (0, 0, 0.6), False),
+    ],
+)
+def test_other_rest_poses_get_plain_limits(tmp_path, name, joints, turn, known):
+    """What is in about T-pose, or flat, is as good as that."""
+    rig = load_rig(name)
+    pose = np.zeros(rig.lower.shape)
+    pose[[rig.joint_names.index(joint) for joint in joints]] = turn
+    theta = rig.from_smpl_pose(pose)
+    path = write(tmp_path, rig.pose(theta), rig.faces, rig.weights.toarray(), rig.parents, rig.pose_joints(theta))
+    assert bool(load_rig(path).poses) == known
 
 
 def test_limits_of_a_card_win(file_of):

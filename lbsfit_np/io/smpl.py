@@ -119,7 +119,7 @@ def _notes(model, family, J, known):
     notes = []
     if known is not None:
         whose = f"those of {known.source}, about the model's axes"
-        notes.append(f"the file has no limits and no natural poses: {whose}, are used (a card's [limits] can replace them)")
+        notes.append(f"the file has no limits and no natural poses: it gets {whose} (a card's [limits] can replace them)")
     if family is None:
         notes.append(f"{J} joints match no known model of the SMPL family: joints are numbered, and the up axis is unknown")
     left_out = [key for key in ("shapedirs", "posedirs") if key in model]

@@ -136,7 +136,7 @@ def _chains(parents, root):
 
 
 def _frames_table(rig, names, parents):
-    """Of a built rig, all axes that a card can give: nobody knows whether a card or the file has given them."""
+    """Of a built rig, axes as a card gives them: nobody knows whether one or the file has. Those by tails are not told."""
     told = "axes of the angles: y along the bone, x across (bending), z forward; \"rig\": the rig's own axes"
     kinds = {}
     if not isinstance(rig, RigData):

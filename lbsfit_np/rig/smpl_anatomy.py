@@ -6,6 +6,7 @@ angles, SMPL's own local rotation is A_p exp(F_j θ_j) A_jᵀ = (A_p A_jᵀ) exp
 joints, the box of limits is turned with the axes; a box about SMPL's axes then holds all of it.
 """
 
+import re
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,9 +17,10 @@ from .smpl_pose import to_smpl_pose
 
 __all__ = ["Anatomy", "anatomy_of"]
 
-# By how much joints may lie off, those of roots at one place and all of one size: other shapes of bodies in T-pose and of flat
-# hands do by less, other rest poses, other axes and the other hand by more.
-_ALIKE = 0.2
+# Degrees between the bones of a model and of a bundled rig, at most: of those that a T-pose and a flat hand hold straight, and of
+# others, whose joints models put elsewhere. SMPL's own are 3 and 37 degrees off.
+_STRAIGHT = re.compile("knee|ankle|elbow|wrist|hand|index|middle|ring|pinky")
+_ALIKE, _OTHERS_ALIKE = 25.0, 50.0
 # Angles about each axis by which a box is looked at.
 _STEPS = 7
 # Each limit is further out by this, in rad: a model's own axes and rest pose are not to the degree those of the bundled rigs.
@@ -85,6 +87,8 @@ def anatomy_of(names, parents, joints, bundled):
     others = {name: (np.array(low), np.array(high)) for name, (low, high) in _FACE.items()}
     if fingers := [name for name in names if name not in body.row and name not in others]:
         hands = {side: _Known(bundled(name)) for side, name in (("left", "hand-left-coarse"), ("right", "hand-coarse"))}
+        if not all(hand.is_like(names, parents, joints, f"{side}_") for side, hand in hands.items()):
+            return None
         others |= {name: hands[name.split("_")[0]].box(name.split("_")[1]) for name in fingers}
     return body.of(names, "the bundled body" + (" and hands" if fingers else ""), others)
 
@@ -96,17 +100,21 @@ class _Known:
         self._rig, self.row = rig, {name: j for j, name in enumerate(rig.joint_names)}
         self._lower, self._upper = self._boxes()
 
-    def is_like(self, names, parents, joints):
-        """Whether the joints that both have hang and lie alike."""
+    def is_like(self, names, parents, joints, prefix=""):
+        """Whether bones of the same names, but for a prefix of the model's, hang on the same joints and point the same way."""
         rig = self._rig
-        shared = [j for j, name in enumerate(names) if name in self.row]
-        rows = [self.row[names[j]] for j in shared]
-        above = [None if parents[j] < 0 else names[parents[j]] for j in shared]
-        if above != [None if rig.parents[k] < 0 else rig.joint_names[rig.parents[k]] for k in rows]:
-            return False
-        theirs = _of_one_size(joints[shared])
-        ours = _of_one_size(rig.pose_joints(rig.from_smpl_pose(np.zeros(rig.lower.shape)))[rows])
-        return bool(np.sqrt(np.square(theirs - ours).sum(axis=1).mean()) < _ALIKE)
+        place = rig.pose_joints(rig.from_smpl_pose(np.zeros(rig.lower.shape)))
+        ours = {prefix + name: k for name, k in self.row.items()}
+        for j, name in enumerate(names):
+            k = ours.get(name)
+            if k is None or rig.parents[k] < 0:
+                continue
+            if parents[j] < 0 or ours.get(names[parents[j]]) != rig.parents[k]:
+                return False
+            most = _ALIKE if _STRAIGHT.search(name) else _OTHERS_ALIKE
+            if not _angle(joints[j] - joints[parents[j]], place[k] - place[rig.parents[k]]) <= np.radians(most):
+                return False
+        return True
 
     def box(self, name):
         """Limits of a joint, two (3,) arrays."""
@@ -148,6 +156,6 @@ class _Known:
         return max(AXES, key=lambda axis: np.dot(AXES[axis], turned))
 
 
-def _of_one_size(joints):
-    away = joints - joints[0]
-    return away / max(np.sqrt(np.square(away).sum(axis=1).mean()), np.finfo(float).tiny)
+def _angle(a, b):
+    """Between two vectors, radians."""
+    return np.arctan2(np.linalg.norm(np.cross(a, b)), np.dot(a, b)) if a.any() else np.pi
