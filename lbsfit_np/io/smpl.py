@@ -6,10 +6,14 @@ from pathlib import Path
 import numpy as np
 from scipy import sparse
 
+from ..bundled import bundled_files
 from ..errors import FileError
+from ..rig.build import build_rig
 from ..rig.data import RigData
+from ..rig.mirror import mirrored
 from ..rig.smpl_anatomy import anatomy_of
 from .npz import npz_keys, read_npz
+from .npz_rig import read_rig_npz
 from .unpickle import ChumpyObject, safe_load
 
 __all__ = ["read_smpl"]
@@ -81,9 +85,7 @@ def read_smpl(path):
 
     family, names = _NAMES.get(J, (None, [f"joint_{j:0{max(2, len(str(J - 1)))}d}" for j in range(J)]))
     body = family is not None and family != "MANO"
-    from .rigs import load_rig  # which reads with this module
-
-    known = anatomy_of(names, parents, joints, load_rig) if family is not None else None
+    known = anatomy_of(names, parents, joints, _bundled) if family is not None else None
     return RigData(
         name=path.stem,
         vertices=vertices,
@@ -104,6 +106,13 @@ def read_smpl(path):
         notes=_notes(model, family, J, known),
         path=path,
     )
+
+
+def _bundled(name):
+    """A bundled rig."""
+    if name == "hand-left-coarse":
+        return mirrored(_bundled("hand-coarse"))
+    return build_rig(read_rig_npz(bundled_files("*.npz")[name]))
 
 
 def _notes(model, family, J, known):
