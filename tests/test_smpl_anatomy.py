@@ -92,8 +92,8 @@ def test_axes_of_hands_are_told_by_their_joints(file_of, name, up, forward):
     assert any(f"those of the bundled {'left ' * ('left' in name)}hand" in note for note in hand.notes)
 
 
-def with_fingers(tmp_path, n_joints, moved=lambda fingers: fingers):
-    """A file of SMPL-H, or SMPL-X with its face, whose left fingers are taken through a function."""
+def with_fingers(tmp_path, n_joints, moved=lambda fingers: fingers, of="left"):
+    """A file of SMPL-H, or SMPL-X with its face, the fingers of whose one hand are taken through a function."""
     body, hands = load_rig("body-coarse"), {"left": load_rig("hand-left-coarse"), "right": load_rig("hand-coarse")}
     _, joints = at_zero(body)
     places, parents, names = list(joints[:22]), list(body.parents[:22]), list(body.joint_names[:22])
@@ -103,7 +103,7 @@ def with_fingers(tmp_path, n_joints, moved=lambda fingers: fingers):
         places += [places[names.index("head")] + step for step in ([0, 0, 0.05], [0.03, 0.05, 0.08], [-0.03, 0.05, 0.08])]
     for side in ("left", "right"):
         _, fingers = at_zero(hands[side])
-        fingers = moved(fingers) if side == "left" else fingers
+        fingers = moved(fingers) if side == of else fingers
         wrist, first = names.index(f"{side}_wrist"), len(names) - 1
         places += list(fingers[1:] - fingers[0] + joints[wrist])
         parents += [wrist if p == 0 else first + p for p in hands[side].parents[1:]]
@@ -118,18 +118,20 @@ def test_bodies_with_fingers_have_the_limits_of_both(tmp_path, n_joints):
     path, names = with_fingers(tmp_path, n_joints)
     data, body = read_rig_data(path), load_rig("body-coarse")
     assert data.joint_names == names and "those of the bundled body and hands" in data.notes[0]
-    own = load_rig(write(tmp_path, *_arrays(load_rig("hand-left-coarse"))))
-    left = slice(names.index("left_index1"), names.index("left_index1") + 15)
-    np.testing.assert_array_equal(data.lower[left], own.lower[1:])
-    np.testing.assert_array_equal(data.upper[left], own.upper[1:])
+    for side, hand in (("left", "hand-left-coarse"), ("right", "hand-coarse")):
+        own = load_rig(write(tmp_path, *_arrays(load_rig(hand))))
+        fingers = slice(names.index(f"{side}_index1"), names.index(f"{side}_index1") + 15)
+        np.testing.assert_array_equal(data.lower[fingers], own.lower[1:])
+        np.testing.assert_array_equal(data.upper[fingers], own.upper[1:])
     np.testing.assert_array_equal(data.poses["walking"][22:], 0.0)
     np.testing.assert_allclose(data.poses["walking"][1:22], body.to_smpl_pose(body.poses["walking"])[1:22], atol=1e-12)
     if n_joints == 55:
         assert data.upper[names.index("jaw"), 0] == 0.5 and data.lower[names.index("left_eye"), 1] == -0.4
 
 
-def test_fingers_that_lie_otherwise_get_plain_limits(tmp_path):
-    path, _ = with_fingers(tmp_path, 52, lambda fingers: fingers[:, [2, 1, 0]])
+@pytest.mark.parametrize("side", ["left", "right"])
+def test_fingers_that_lie_otherwise_get_plain_limits(tmp_path, side):
+    path, _ = with_fingers(tmp_path, 52, lambda fingers: fingers[:, [2, 1, 0]], side)
     assert read_rig_data(path).lower is None
 
 
@@ -158,6 +160,9 @@ def test_models_that_lie_otherwise_get_plain_limits_with_a_note(file_of, name, m
         ("body-coarse", ["left_shoulder"], (0, 0, -0.6), False),  # towards the A-pose
         ("body-coarse", ["left_elbow", "right_elbow"], (0, 0.8, 0), False),
         ("body-coarse", ["right_knee"], (0.7, 0, 0), False),
+        ("body-coarse", ["left_collar", "left_shoulder"], ((0, 0, 0.6), (0, 0, -0.6)), True),  # models put these elsewhere
+        ("hand-coarse", ["wrist"], (0.3, 0, 0), True),
+        ("hand-coarse", ["wrist"], (0.7, 0, 0), False),  # about the fingers
         ("hand-coarse", ["index1", "middle1", "ring1", "pinky1"], (0, 0, 0.3), True),
         ("hand-coarse", ["index1", "middle1", "ring1", "pinky1"], (0, 0, 0.6), False),
     ],
@@ -186,3 +191,10 @@ def test_smpl_pose_of_a_model_is_its_own(file_of):
     theta = model.poses["walking"]
     np.testing.assert_allclose(model.to_smpl_pose(theta), theta, atol=1e-12)
     assert isinstance(model, lbs.Rig)
+
+
+def test_files_in_the_working_folder_are_no_bundled_rigs(file_of, tmp_path, monkeypatch):
+    path, _ = file_of("body-coarse")
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "body-coarse").touch()
+    assert load_rig(path).poses

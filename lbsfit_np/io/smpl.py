@@ -109,7 +109,7 @@ def read_smpl(path):
 
 
 def _bundled(name):
-    """A bundled rig."""
+    """A bundled rig: by its file, as another in the working folder may have its name, and without a card."""
     if name == "hand-left-coarse":
         return mirrored(_bundled("hand-coarse"))
     return build_rig(read_rig_npz(bundled_files("*.npz")[name]))

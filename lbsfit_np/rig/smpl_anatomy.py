@@ -77,6 +77,8 @@ def anatomy_of(names, parents, joints, bundled):
     Anatomy or None
         None for models of other things, in other rest poses, or about other axes.
     """
+    if not np.isfinite(joints).all():
+        return None  # what checks rigs says so
     if names[0] == "wrist":
         sides = (("hand-coarse", "the bundled hand"), ("hand-left-coarse", "the bundled left hand"))
         known = [(_Known(bundled(name)), source) for name, source in sides]
@@ -114,6 +116,10 @@ class _Known:
             most = _ALIKE if _STRAIGHT.search(name) else _OTHERS_ALIKE
             if not _angle(joints[j] - joints[parents[j]], place[k] - place[rig.parents[k]]) <= np.radians(most):
                 return False
+        across = [(names.index(prefix + name), self.row[name]) for name in ("index1", "pinky1") if name in self.row]
+        if across:  # straight fingers point the same way however the hand is turned about them
+            (i, k), (j, m) = across
+            return bool(_angle(joints[i] - joints[j], place[k] - place[m]) <= np.radians(_ALIKE))
         return True
 
     def box(self, name):
