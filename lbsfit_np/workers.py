@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 
-from .errors import InputError, LbsfitError, ToldError, in_words
+from .errors import InputError, LbsfitError, ToldError, Unforeseen, in_words
 from .interrupts import passing_interrupts
 from .processes import Note, Unsent, Workers
 from .threads import one_thread
@@ -22,6 +22,11 @@ class ProcessEnded(InputError):
     def __init__(self, death):
         self.death = death
         super().__init__("n_jobs", f"a worker process that ended ({death})", "processes that stay alive", "Use fewer processes.")
+
+    @property
+    def of_its_scan(self):
+        """Why the one scan is lost that the process was fitting."""
+        return Unforeseen(f"the process that fitted it ended: {self.death}")
 
     def __reduce__(self):
         return type(self), (self.death,), self._notes()

@@ -1,5 +1,6 @@
 """The rows of the study: baselines, oracles and those that learn, each by rules of its own."""
 
+import signal
 from dataclasses import replace
 from functools import partial
 from itertools import combinations
@@ -8,8 +9,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from study_sizes import rows_are_hurried, small_is_few_and_fast
+from worker_tasks import ends_at_1, kills_itself
 
 from lbsfit_np.bench.measure import recon
+from lbsfit_np.bench.resume import unforeseen
 from lbsfit_np.bench.study import data, free_form, making, oracle
 from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
@@ -346,6 +349,18 @@ def test_what_nobody_foresaw_of_one_scan_is_its_failure_and_of_all_an_error(tmp_
     broken = "cd"
     with pytest.raises(ZeroDivisionError, match="nobody foresaw this"):
         rows_module._tried(c, careless, list("cd"), lambda share: None, kept)
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="no POSIX signals here")
+def test_a_process_that_is_killed_costs_its_scan_alone(tmp_path):
+    """And the same command tries that again."""
+    kept, c = Checkpoint(tmp_path), SimpleNamespace(jobs=2)
+    results, failures = rows_module._tried(c, ends_at_1, [0, 1, 2], lambda share: None, kept)
+    assert results == [0, None, 2] and failures[1].startswith("the process that fitted it ended: killed by SIGKILL")
+    assert unforeseen(failures) == {"unforeseen": [1]}
+    assert rows_module._tried(c, abs, [0, 1, 2], lambda share: None, kept) == ([0, 1, 2], {})
+    with pytest.raises(InputError, match="n_jobs: got a worker process that ended .*SIGKILL"):
+        rows_module._tried(c, kills_itself, [3, 4], lambda share: None, kept)
 
 
 # ---- all of them ----

@@ -10,10 +10,11 @@ from functools import partial
 
 import numpy as np
 
-from ..errors import InputError, LbsfitError, Unforeseen, brief, in_words, is_whole
+from ..errors import InputError, LbsfitError, brief, in_words, is_whole
 from ..interrupts import passing_interrupts
 from ..processes import Unsent, Workers
 from ..scan import check_points
+from ..workers import ProcessEnded
 from .parameters import check_callables
 from .reading import as_scans
 from .subjects import as_subjects, known_subjects
@@ -232,7 +233,7 @@ def _fit_by_workers(work, scans, subjects, todo, jobs, report):
         def take_in(word, again=True):
             (index, *_), outcome, death = word
             if death is not None:
-                report(ScanOutcome(index, error=Unforeseen(f"the process that fitted it ended: {death}")))
+                report(ScanOutcome(index, error=ProcessEnded(death).of_its_scan))
             elif not isinstance(outcome, Unsent):
                 report(outcome)
             elif again and outcome.task and callable(scans[index]) and index not in called:

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from ..errors import Unforeseen, in_words
+from ..errors import in_words
 from ..fitting.confidence import SOMEBODY_ELSE
 from ..optimize.frame import Frame
 from ..optimize.problem import Problem
@@ -344,7 +344,7 @@ class _Found:
 def _in_words(error):
     """Why a scan was lost: also one whose process was killed, as of memory, which another time may not be."""
     if isinstance(error, ProcessEnded):
-        return Unforeseen(f"the process that fitted it ended: {error.death}")
+        return error.of_its_scan
     return in_words(error)
 
 

@@ -10,7 +10,7 @@ from ...errors import LbsfitError, in_words
 from ...learning.archive import model_digest
 from ...learning.checkpoint import NO_CHECKPOINT, Checkpoint, each_kept
 from ...learning.variants import as_variant
-from ...workers import each
+from ...workers import ProcessEnded, each
 from .data import study_set
 from .free_form import Augmented, FromTemplate, taught
 from .measures import Registrations, template_gap
@@ -306,8 +306,11 @@ def _tried(c, work, tasks, done, kept=NO_CHECKPOINT, took=None):
     took = {} if took is None else took
     order = sorted(range(len(tasks)), key=lambda i: -took.get(i, 0.0))
     slots = [kept.slot("result", tasks[i]) for i in order] if kept is not NO_CHECKPOINT else []
-    keep = {"keep": lambda tried: tried[-1] is None}  # what nobody foresaw may be mended
-    answers = each_kept(_Tried(work), [tasks[i] for i in order], slots, jobs=c.jobs, done=done, **keep)
+    how = {
+        "keep": lambda tried: tried[-1] is None,  # what nobody foresaw may be mended
+        "failed": lambda error: (None, _lost(error), 0.0, error),
+    }
+    answers = each_kept(_Tried(work), [tasks[i] for i in order], slots, jobs=c.jobs, done=done, **how)
     found = dict(sorted(zip(order, answers, strict=True), key=lambda pair: pair[0]))
     took.update({i: seconds for i, (_, _, seconds, _) in found.items()})
     unforeseen = [error for *_, error in found.values() if error is not None]
@@ -331,6 +334,11 @@ class _Tried:
         except Exception as error:  # noqa: BLE001 (whatever is wrong with one scan is that scan's failure)
             why, unforeseen = in_words(error), error
         return answer, why, time.perf_counter() - started, unforeseen
+
+
+def _lost(error):
+    """Why a task has no answer at all, as ``_Tried`` lets no error pass."""
+    return error.of_its_scan if isinstance(error, ProcessEnded) else in_words(error)
 
 
 def _labels(results):
