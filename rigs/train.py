@@ -1,9 +1,9 @@
 """Trains the segmenters that come with the bundled rigs: rigs/trained/, for fits with the default settings and seed 0.
 
 Run from the checkout: python -m rigs.train, after every change of what the names of the files stand for: the rigs, the defaults
-of training, ``segmentation.cache.RECIPE``; tests say so. It trains those that are missing, two to three minutes of one core each,
-and removes those that nothing asks for any more. The same versions of the libraries on the same kind of processor give the same
-weights.
+of training, ``segmentation.cache.RECIPES``; tests say so. It trains those that are missing, two to three minutes of one core
+each, and removes those that nothing asks for any more. The same versions of the libraries on the same kind of processor give the
+same weights.
 """
 
 from pathlib import Path

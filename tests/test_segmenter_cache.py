@@ -49,7 +49,7 @@ def test_kinds_are_kept_apart(empty_cache, small_segmenter):
 @pytest.mark.parametrize(
     "place, name, value",
     [
-        (cache, "RECIPE", cache.RECIPE + 1),
+        (cache, "RECIPES", {"segmenter": cache.RECIPES["segmenter"] + 1}),
         (cache, "__version__", "another"),
         (importlib.metadata, "version", lambda name: f"another {name}"),
         (context_module, "CONTEXT_POINTS", 700),
