@@ -8,9 +8,10 @@ import pytest
 from lbsfit_np.bench.measure import joint_error, label_accuracy, vertex_error
 from lbsfit_np.bench.study import data
 from lbsfit_np.bench.study.data import SCAN, Size, part_groups
-from lbsfit_np.bench.study.measures import POINTS, Registrations, Truth, measured, template_gap, true_places
+from lbsfit_np.bench.study.measures import POINTS, Registrations, Truth, measured, true_places
 from lbsfit_np.bench.study.rows import ROWS, Found
 from lbsfit_np.bench.study.run import study
+from lbsfit_np.bench.templates import template_gap
 from lbsfit_np.errors import InputError
 from lbsfit_np.io.rigs import load_rig
 from lbsfit_np.synthesis import SyntheticScan, synthesize

@@ -18,11 +18,12 @@ from lbsfit_np.bench.study import rows as rows_module
 from lbsfit_np.bench.study import run as run_module
 from lbsfit_np.bench.study.data import SCAN, Size, sized, study_set
 from lbsfit_np.bench.study.free_form import Augmented, FreeForm, FromTemplate, best_free_form, taught
-from lbsfit_np.bench.study.measures import Registrations, template_gap
+from lbsfit_np.bench.study.measures import Registrations
 from lbsfit_np.bench.study.oracle import OracleFit
 from lbsfit_np.bench.study.paper import PAPER
 from lbsfit_np.bench.study.rows import ROWS, Context, Found
 from lbsfit_np.bench.study.run import study
+from lbsfit_np.bench.templates import learned_templates, template_gap
 from lbsfit_np.correspondence import surface_places
 from lbsfit_np.errors import InputError
 from lbsfit_np.learning.checkpoint import NO_CHECKPOINT, Checkpoint
@@ -166,7 +167,7 @@ def _learned(rig, size, monkeypatch, *, units, scales):
     for k, unit in units.items():
         U, joints = (in_rig_units(places, unit) for places in true["train"][k])
         templates[k] = SimpleNamespace(vertices=U, joints=joints)
-    own = {"template_": templates, "unit_": units, "history_": [], "segmenter_": None, **PRETRAINED, "rounds": 1}
+    own = {"rig": rig, "template_": templates, "unit_": units, "history_": [], "segmenter_": None, **PRETRAINED, "rounds": 1}
     fitter = SimpleNamespace(**own, failures_={}, fit=lambda *given, **more: None, fit_scan=fit_scan)
     fitter.set_params = lambda **parameters: fitter
     monkeypatch.setattr("sklearn.base.clone", lambda fitter: fitter)
@@ -204,7 +205,7 @@ def test_labels_are_those_of_the_round_that_is_kept(tube_rig, monkeypatch):
     k = int(given.train_subjects[0])
     template = SimpleNamespace(vertices=tube_rig.vertices, joints=tube_rig.joints)
     history = [{"round": i, "kept": i == 1} for i in range(3)]
-    own = {"template_": {k: template}, "unit_": {k: 1.0}, "history_": history, **PRETRAINED, "rounds": 2}
+    own = {"rig": tube_rig, "template_": {k: template}, "unit_": {k: 1.0}, "history_": history, **PRETRAINED, "rounds": 2}
     fitter = SimpleNamespace(**own, failures_={0: "lost"}, fit=fit, fit_scan=fit_scan)
     fitter.set_params = lambda **parameters: fitter
     c = Context(tube_rig, given, size, 5, fitter, lambda: [0.5], lambda labels: labels[0], 1, lambda share: None)
@@ -238,7 +239,9 @@ def test_three_times_the_data_is_more_people(tube_rig, monkeypatch):
 def test_a_template_of_another_unit_grows_about_its_root(coarse_hand):
     root = np.array([0.3, -0.2, 0.5]) * coarse_hand.size
     grown = root + 1.1 * (coarse_hand.vertices - root)  # a person who is larger, made as people are
-    found = rows_module._in_scan_units(1.1, coarse_hand.vertices, root)
+    rig = SimpleNamespace(root=0)
+    template = SimpleNamespace(vertices=coarse_hand.vertices, joints=root[None])
+    found = learned_templates(SimpleNamespace(rig=rig, template_={"she": template}, unit_={"she": 1.1}))["she"]
     far, gap = (template_gap(coarse_hand, [U], [grown])["after"] for U in (coarse_hand.vertices, found))
     assert gap < 1e-12 < 0.01 < far
 

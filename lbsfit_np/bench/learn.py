@@ -25,6 +25,7 @@ from .measure import joint_error, label_accuracy, vertex_error
 from .resume import REMEDY, begun, check_same, checked_seeds, is_done, renewed, unforeseen
 from .run import BENCHES, TRAINING_SEED
 from .subjects import files_digest, people_digest, scans_digest, subject
+from .templates import learned_templates, template_gap, templates_of
 
 __all__ = ["MEASURES", "VARIANT_ROWS", "collection", "learn_bench", "learn_table", "steps_of", "touching_pose"]
 
@@ -40,6 +41,8 @@ MEASURES = {
     "label_error": "label error, held out",
     "seconds": "s in all",
 }
+# By their names in ``template_gap``. Before is the rig's own.
+_GAPS = {"template_gap": "after, up to a shift", "template_gap_in_place": "after", "template_gap_before": "before, up to a shift"}
 # How far apart the middles of two fingertips are that touch, in half sizes of the hand.
 _TOUCH = 0.13
 _TRIES = 30
@@ -217,22 +220,26 @@ def learn_bench(
         raise InputError("before", "results by an earlier version", "results of this version", REMEDY)
     # All scans face the rig's way.
     fitter = LBSFitter(rig, orientation="aligned", training_scans=training_scans, n_jobs=jobs, random_state=TRAINING_SEED)
-    fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress(None, None, "pretraining", p))
-    first, unit = fitter.segmenter_, BENCHES[name].rig_units(rig)
-    for seed in seeds:
-        there = {row: of[str(seed)] for row, of in report["rows"].items() if str(seed) in of}
-        todo = [variant for variant in variants if not is_done(there.get(variant))]
-        if not todo and is_done(there.get(_ONE_BY_ONE, {})):
+    lacking = {seed: _lacking(report, seed, variants) for seed in seeds}
+    if any(lacking.values()):
+        fitter.pretrain(cache=True, progress=None if progress is None else lambda p: progress(None, None, "pretraining", p))
+        first = fitter.segmenter_
+    unit = BENCHES[name].rig_units(rig)
+    for seed, todo in lacking.items():
+        if not todo:
             _forget(steps, seed)
             continue
         _, scans, subjects, others = collection(name, data, n_scans, seed=seed)
-        points = [scan.points for scan in scans]
+        points, people = [scan.points for scan in scans], dict(zip(subjects, (scan.template for scan in scans)))
         singles = report["rows"].setdefault(_ONE_BY_ONE, {})
-        if not is_done(there.get(_ONE_BY_ONE)):
+        if todo[0] == _ONE_BY_ONE:
+            todo = todo[1:]
             started = time.perf_counter()
             outcomes = _one_by_one(fitter, points, jobs, None if progress is None else partial(progress, _ONE_BY_ONE, seed))
             entry = {"seconds": time.perf_counter() - started, "jobs": jobs, "environment": environment()}
-            entry |= _measured(rig, [o.result for o in outcomes], dict.fromkeys(subjects, rig), scans, subjects, unit)
+            fitted = {i: o.result for i, o in enumerate(outcomes) if o.result is not None}
+            own = zip(templates_of(rig, fitted.values()), [scans[i].template for i in fitted], strict=True)
+            entry |= _measured(rig, [o.result for o in outcomes], scans, own, unit)
             entry["failures"] = {str(i): o.error for i, o in enumerate(outcomes) if o.result is None}
             singles[str(seed)] = entry | unforeseen(entry["failures"]) | {"label_error": _wrong(first, others)}
             if on_row is not None:
@@ -248,7 +255,9 @@ def learn_bench(
                 one.fit(points, subjects, checkpoint=kept, progress=say, on_round=partial(_note_wrong, wrong, others))
                 seconds = None if gone_on else time.perf_counter() - started
                 entry = {"seconds": seconds, "jobs": jobs, "environment": environment()}
-                entry |= _measured(rig, one.results_, one.template_, scans, subjects, unit)
+                learned = learned_templates(one)
+                entry |= _measured(rig, one.results_, scans, [(V, people[k]) for k, V in learned.items()], unit)
+                entry["unlearned"] = len(people) - len(learned)
                 entry["failures"] = {str(i): why for i, why in one.failures_.items()}
                 entry |= unforeseen(entry["failures"])
                 entry |= {"rounds": max(0, len(one.history_) - 1), "history": one.history_, "label_error_of_rounds": wrong}
@@ -260,6 +269,11 @@ def learn_bench(
     ran = {s for row in report["rows"].values() for s in row}
     report["complete"] = all(set(row) == ran for row in report["rows"].values())
     return report
+
+
+def _lacking(report, seed, variants):
+    """The rows that a seed has yet to get, that without learning first."""
+    return [row for row in (_ONE_BY_ONE, *variants) if not is_done(report["rows"].get(row, {}).get(str(seed)))]
 
 
 def steps_of(steps, seed):
@@ -301,35 +315,24 @@ def _poses_digest(name, data):
     return files_digest(sorted((Path(data) / "hand_poses").glob("*.handpose")) if name == "hand" else [_motion(data)])
 
 
-def _measured(rig, results, templates, scans, subjects, unit):
+def _measured(rig, results, scans, templates, unit):
+    """The measures of fits and of templates, pairs of (U^d, U^gt) in the scans' unit.
+
+    Scans cannot show where a template stands: a shift of all its vertices and joints is a shift of each scan's translation.
+    """
     fitted = [(r, s) for r, s in zip(results, scans, strict=True) if r is not None]
     joints = [joint_error(r.joints, s.joints, rig.moving) / unit for r, s in fitted]
     vertices = [vertex_error(r.vertices, s.vertices) / unit for r, s in fitted]
+    found, true = zip(*templates) if (templates := list(templates)) else ((), ())
+    gaps = template_gap(rig, found, true) if templates else {}
     return {
         "unfitted": len(scans) - len(fitted),
-        "unlearned": len(set(subjects) - set(templates)),
         "joint_error": float(np.mean(joints)) if fitted else np.nan,
         "joint_error_median": float(np.median(joints)) if fitted else np.nan,
         "vertex_error": float(np.mean(vertices)) if fitted else np.nan,
         "joints": joints,
         "vertices": vertices,
-    } | {name: gap / unit for name, gap in _gaps(templates, scans, subjects).items()}
-
-
-def _gaps(templates, scans, subjects):
-    """Mean ‖U^d − U^gt‖ over vertices and subjects, in rig units, up to translation, and in place.
-
-    Scans cannot show where a template stands: a shift of all its vertices and joints is a shift of each scan's translation.
-    Subjects none of whose scans could be used have no template, and do not count.
-    """
-    away = []
-    for s, scan in dict(zip(subjects, scans)).items():
-        if s not in templates:
-            continue
-        found, true = templates[s].vertices, scan.template
-        shifted = vertex_error(found - found.mean(axis=0), true - true.mean(axis=0))
-        away.append((shifted, vertex_error(found, true)))
-    return dict(zip(("template_gap", "template_gap_in_place"), np.mean(away, axis=0).tolist(), strict=True))
+    } | {name: gaps[of] * rig.size / 2 / unit for name, of in _GAPS.items() if gaps}
 
 
 def _note_wrong(errors, scans, k, segmenter):
@@ -354,10 +357,11 @@ def learn_table(report, *, markdown=False):
     every = list(dict.fromkeys(seed for seeds in rows.values() for seed in seeds))
     seeds = [seed for seed in every if all(seed in of for of in rows.values())]
     lines, columns, few = [("", *MEASURES.values())], [], {}
+    lengths = ".2f" if report["unit"] == "cm" else ".4f"
     for measure, head in MEASURES.items():
         values = {row: {s: of[s][measure] for s in seeds if _is_known(of[s].get(measure))} for row, of in rows.items()}
         common = [s for s in seeds if all(s in known for known in values.values() if known)]
-        style = ".0f" if measure == "seconds" else ".4f" if report["unit"] != "cm" or measure == "label_error" else ".2f"
+        style = {"seconds": ".0f", "label_error": ".4f"}.get(measure, lengths)
         means = {row: np.mean([known[s] for s in common]) for row, known in values.items() if known and common}
         columns.append([format(means[row], style) if row in means else "–" for row in rows])
         lost = [s for s in seeds if s not in common]
@@ -371,6 +375,9 @@ def learn_table(report, *, markdown=False):
         f"of the segmenter alone on {n // 3} other scans of these subjects. For each seed, the seconds of the first fits are\n"
         "counted for the first variant with labels that a run fits; the others reuse these fits."
     )
+    before = [of[s]["template_gap_before"] for of in list(rows.values())[:1] for s in seeds if "template_gap_before" in of[s]]
+    if before:
+        legend += f"\nTemplate gaps are up to a shift; that of the rig's own template is {np.mean(before):{lengths}}."
     for seed in every:
         lacking = [row for row, of in rows.items() if seed not in of]
         if lacking:

@@ -1,4 +1,4 @@
-"""The study's measures, the paper's: Recon, Pose, Corre., labels, and how far templates are from the truth."""
+"""The study's measures, the paper's: Recon, Pose, Corre., and labels."""
 
 from dataclasses import dataclass
 
@@ -11,7 +11,7 @@ from ...optimize.surface import closest_on_mesh, faces_around
 from ...seeds import generator
 from ..measure import joint_error, recon, vertex_error
 
-__all__ = ["POINTS", "Registrations", "Truth", "measured", "template_gap", "true_places"]
+__all__ = ["POINTS", "Registrations", "Truth", "measured", "true_places"]
 
 # Points of a scan that are carried to another one in a pair.
 POINTS = 400
@@ -169,30 +169,6 @@ def measured(truth, registrations):
     return out
 
 
-def template_gap(rig, templates, true):
-    """How far templates are from the true ones, mean distances of vertices in half sizes.
-
-    Parameters
-    ----------
-    rig : Rig
-    templates, true : list of (m, 3) arrays
-        U^d and U^gt in rig units.
-
-    Returns
-    -------
-    dict
-        "before" ‖U − U^gt‖, "after" ‖U^d − U^gt‖, and both "up to a shift", which no scan shows.
-    """
-    half, U = rig.size / 2, rig.vertices
-    centred = [_centred(V) for V in true]
-    return {
-        "before": _mean(vertex_error(U, V) / half for V in true),
-        "after": _mean(vertex_error(D, V) / half for D, V in zip(templates, true, strict=True)),
-        "before, up to a shift": _mean(vertex_error(_centred(U), V) / half for V in centred),
-        "after, up to a shift": _mean(vertex_error(_centred(D), V) / half for D, V in zip(templates, centred, strict=True)),
-    }
-
-
 def _regressed(rig, scan):
     """Joint error of the exact template in the exact pose with the regressor's joints: people's own are elsewhere."""
     offsets = scan.template - rig.vertices
@@ -241,12 +217,3 @@ def _spread(errors):
         return None
     errors = np.concatenate(errors)
     return {"mean": float(errors.mean())} | {f"p{q}": float(np.percentile(errors, q)) for q in _PERCENTILES}
-
-
-def _centred(vertices):
-    vertices = np.asarray(vertices)
-    return vertices - vertices.mean(axis=0)
-
-
-def _mean(values):
-    return float(np.mean(list(values)))

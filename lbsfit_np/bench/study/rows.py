@@ -11,9 +11,10 @@ from ...learning.archive import model_digest
 from ...learning.checkpoint import NO_CHECKPOINT, Checkpoint, each_kept
 from ...learning.variants import as_variant
 from ...workers import ProcessEnded, each
+from ..templates import learned_templates, template_gap, templates_of
 from .data import study_set
 from .free_form import Augmented, FromTemplate, taught
-from .measures import Registrations, template_gap
+from .measures import Registrations
 from .oracle import OracleFit
 
 __all__ = ["FIRST_FITS", "LIBRARY", "PRETRAINING", "ROWS", "Context", "Found", "Row", "said"]
@@ -77,7 +78,7 @@ class Found:
     kept_accuracy : float or None
         Of the one that was kept in the end.
     gap : dict
-        Of the subjects' templates, and of the test scans', ``measures.template_gap``.
+        Of the subjects' templates, and of the test scans', ``templates.template_gap``.
     history : list of dict
         Of the loop.
     stages : dict of str to (k, m, 3) arrays
@@ -242,12 +243,12 @@ def _learned(c, variant):
     points, kept = _points(given.test), NO_CHECKPOINT if c.steps is None else Checkpoint(c.steps, model_digest(fitter))
     results, failures = _tried(c, fitter.fit_scan, points, lambda p: c.progress(0.8 + 0.2 * p), kept, c.took)
     rig = given.rig
-    learned = [_in_scan_units(fitter.unit_[k], t.vertices, t.joints[rig.root]) for k, t in fitter.template_.items()]
-    gap = {"subjects": template_gap(rig, learned, [given.train.templates[k][0] for k in fitter.template_])}
+    learned = learned_templates(fitter)
+    gap = {"subjects": template_gap(rig, list(learned.values()), [given.train.templates[k][0] for k in learned])}
     own = [(r, k) for r, k in zip(results, given.test_subjects) if r is not None]
     if own:
-        deformed = [_in_scan_units(r.scale, rig.vertices + r.offsets, r.rest_joints[rig.root]) for r, _ in own]
-        gap["test scans"] = template_gap(rig, deformed, [given.test.templates[k][0] for _, k in own])
+        true = [given.test.templates[k][0] for _, k in own]
+        gap["test scans"] = template_gap(rig, templates_of(rig, [r for r, _ in own]), true)
     train = _registrations(rig, fitter.results_) if variant == "joint" else None
     accuracy = [c.right(s) for s in heard]
     as_kept, kept_accuracy = None, None
@@ -262,11 +263,6 @@ def _learned(c, variant):
 def said(segmenter, scans, jobs):
     """The labels of scans by the segmenter alone."""
     return each(segmenter.predict, _points(scans), jobs=jobs)
-
-
-def _in_scan_units(unit, template, root):
-    """A template in the unit of the study's scans, in which people are made; the root joint stays, as where people grow."""
-    return root + unit * (template - root)
 
 
 def _stages(rig, results):
