@@ -79,8 +79,14 @@ def test_sequences_start_from_neighbours(tube_rig, few_scans, monkeypatch):
     collection = collected(tube_rig, [s.points for s in few_scans] * 2, [0, 1] * 5)
     for m in collection.members:
         m.state = type("State", (), {"theta": np.full((4, 3), float(m.index))})
-    beside = [[theta[1, 0] for theta in poses_beside(tube_rig, collection, m)] for m in collection.members]
+    def found():
+        return [[theta[1, 0] for theta in poses] for poses in poses_beside(tube_rig, collection.members)]
+
+    beside = found()
     assert beside[:4] == [[2], [3], [0, 4], [1, 5]] and beside[-1] == [7]  # of one's own subject only
+    collection.members[2].apart = True
+    assert found()[:5:2] == [[4], [0, 4], [0, 6]]  # passed over, though it has neighbours itself
+    collection.members[2].apart = False
     asked = []
     monkeypatch.setattr(Collection, "work", lambda self, work, given, **k: asked.extend(given) or [(t[2], 0.0, 0) for t in given])
     for sequence in (True, False):
@@ -95,8 +101,9 @@ def test_neighbours_that_are_turned_otherwise_are_seen_in_ones_own_frame(tube_ri
         m.state = type("State", (), {"theta": s.pose})
         m.use_frame(1.0, 1.0, matrix_from_rotvec(np.array([0.2, 1.3 * k, -0.1 * k])))
     pivot = tube_rig.joints[tube_rig.root]
-    for m, beside in zip(collection.members[1:], collection.members):
-        before = poses_beside(tube_rig, collection, m)[0]
+    members = collection.members
+    for m, beside, poses in zip(members[1:], members, poses_beside(tube_rig, members)[1:], strict=False):
+        before = poses[0]
         outside = [(tube_rig.pose(t) - pivot) @ n.frame.turn.T for t, n in ((before, m), (beside.state.theta, beside))]
         np.testing.assert_allclose(*outside, atol=1e-12)
 

@@ -331,7 +331,7 @@ class Loop:
         members = self.collection.members
         neighbours = self.settings.neighbours if self.variant.library else 0
         work = Pose(self._models(templates), self.fit_settings, self.library, neighbours, self.variant.library)
-        beside = [poses_beside(self.rig, self.collection, m) if self.sequence else [] for m in members]
+        beside = poses_beside(self.rig, members) if self.sequence else [[] for _ in members]
         proba = [m.proba if self.variant.labels else None for m in members]
         tasks = [(m.subject, m.X, m.state, *known) for m, *known in zip(members, beside, proba, strict=True)]
         kept = [self._kept.slot(f"round-{k}-pose", m.index) for m in members]
@@ -399,7 +399,7 @@ class Loop:
         work = Held(self._models(templates), self.fit_settings.coverage, pose_prior)
 
         def sweep(i, _):
-            wanted = drawn_to_neighbours(self.rig, self.collection, self.smooth)
+            wanted = drawn_to_neighbours(self.rig, self.collection.members, self.smooth)
             tasks = [(m.subject, m.dense_X, m.state, wanted.get(m.index), m.noise) for m in self.collection.members]
             states = self._work(work, tasks, "smoothing")
             for m, state in zip(self.collection.members, states, strict=True):
